@@ -54,28 +54,23 @@ def profile(
         either side; where there are none, up to the limits]
     """
     from curlfit.output.files import prepare_folder
+    from curlfit.profile_likelihood.result import require_usable
 
     drawn = output.drawn()
     if len(ranges) > len(param):
         raise InputError(f"--range is given {len(ranges)} times; expected one of each --param")
     limits = dict(zip(param, ranges, strict=False))
-    saved = data.is_dir() or data.name == "fit.json"
-    request = None
+    saved, request = data.is_dir() or data.name == "fit.json", None
     if saved:
-        if words := [
-            *replace(flags, law=None).words(),
-            *reading.words(),
-            *["--config"] * bool(config),
-        ]:
-            option_of = words[0].partition("=")[0]
+        own = *replace(flags, law=None).words(), *reading.words(), *["--config"] * bool(config)
+        if own:
+            option_of = own[0].partition("=")[0]
             raise InputError(f"{option_of}: a saved fit has its own; give the data to fit again")
         fit, chain = s.load_fit_and_chain(data, flags.law)
         parameters = fit.parameter_set
     else:
         request = s.request_fit(data, config, reading, flags)
         parameters = request.parameters
-    from curlfit.profile_likelihood.result import require_usable
-
     require_usable(parameters, param, points, limits)
     kind = f"profile-{'-'.join(param)}"
     drawn.draw_beside()
@@ -93,11 +88,7 @@ def profile(
         from curlfit.profile_likelihood.profile import profile as compute_profile
 
         found = compute_profile(
-            fit,
-            param,
-            chain=chain,
-            points=points,
-            ranges=limits,
+            fit, param, chain=chain, points=points, ranges=limits,
             progress=lambda done: say(f"Fitting the other parameters again: {done} fits"),
-        )
+        )  # fmt: skip
     return output.finish(found, folder, drawn)

@@ -112,22 +112,20 @@ def _others(profile: Profile, axes: Any) -> None:
     shown = np.isfinite(profile.delta) & (profile.delta < _HIGH + 2)
     if profile.verdict != "limited":  # beyond, a bound causes the changes
         shown &= (profile.at >= profile.free[0]) & (profile.at <= profile.free[1])
-    at = profile.at[shown]
-    symbols = {name: draw.symbol_of(profile.parameters[name]) for name in profile.others}
-    moves, values = {}, {}
+    at, others = profile.at[shown], {name: profile.parameters[name] for name in profile.others}
+    symbols = {name: draw.symbol_of(item) for name, item in others.items()}
+    moves = {
+        name: (profile.others[name][shown] - item.value) / item.stderr
+        for name, item in others.items()
+        if item.stderr
+    }
     partners = {name for item in profile.combinations for name in item.weights}
-    for name, series in profile.others.items():
-        item = profile.parameters[name]
-        if item.stderr:
-            move = (series[shown] - item.value) / item.stderr
-            if np.abs(move).max() > _MOVES:
-                moves[name] = move
-        elif name in partners:
-            values[name] = series[shown]
+    values = [name for name, item in others.items() if not item.stderr and name in partners]
+    size = {name: float(np.abs(move).max()) for name, move in moves.items()}
+    largest = sorted(size, key=lambda name: -size[name])[:_MAX_SHOWN]
+    kept = [name for name in moves if name in largest and size[name] > _MOVES]
     axes.axhline(0, **draw.ZERO_LINE)
     lines: list[Any] = []
-    least = sorted((float(np.abs(move).max()) for move in moves.values()), reverse=True)
-    kept = [name for name in moves if np.abs(moves[name]).max() >= least[:_MAX_SHOWN][-1]]
     for name, style in zip(kept, draw.line_styles(len(kept)), strict=True):
         lines += axes.plot(at, moves[name], label=symbols[name], **style)
     axes.set_ylabel("change of other parameters\n(standard errors of each)")
@@ -135,16 +133,14 @@ def _others(profile: Profile, axes: Any) -> None:
         right = axes.twinx()
         right.grid(visible=False)
         right.spines["right"].set_visible(True)
-        for style, (name, series) in zip(
-            draw.line_styles(len(values)), values.items(), strict=True
-        ):
-            style |= {"color": "0.15", "lw": 1.8}
-            lines += right.plot(at, series, label=f"{symbols[name]} (right)", **style)
-        units = {profile.parameters[name].unit for name in values} - {"", "1"}
+        for style, name in zip(draw.line_styles(len(values)), values, strict=True):
+            style |= {"color": "0.15", "lw": 1.8, "label": f"{symbols[name]} (right)"}
+            lines += right.plot(at, profile.others[name][shown], **style)
+        units = {others[name].unit for name in values} - {"", "1"}
         unit = f" ({', '.join(sorted(units))})" if units else ""
         right.set_ylabel(", ".join(symbols[name] for name in values) + unit)
         right.margins(y=0.1)
-    if not moves:
+    if not kept:
         axes.set_ylim(-1, 1)
         which = "others" if values else "parameters"
         said = f"none of the {which} changes by more than {_MOVES:g} standard errors"
@@ -163,9 +159,9 @@ def _label(item: Estimate, name: str) -> tuple[str, str]:
 
 
 def _pair_figure(profile: PairProfile) -> draw.Picture:
-    near = np.isfinite(profile.delta) & (profile.delta < _HIGH)
-    height = float(np.ptp(profile.second[near]))
-    thin = profile.across is not None and 8 * profile.across < _THIN * height
+    near = np.isfinite(profile.delta)
+    near &= profile.delta < max(_HIGH, 2 * float(profile.delta[near].min(initial=np.inf)))
+    thin = profile.across is not None and 8 * profile.across < _THIN * np.ptp(profile.second[near])
     width = draw.WIDTH * (1 if thin else 0.72)
     figure, (panels,) = draw.panels(4.2, 1, 2 if thin else 1, width, squeeze=False)
     one, other = (profile.parameters[name] for name in profile.names)
@@ -190,11 +186,11 @@ def _pair_figure(profile: PairProfile) -> draw.Picture:
     ] + panels[-1].get_legend_handles_labels()[0]
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
     if along.verdict in ("flat", "hardly"):
-        said = [f"along the valley {_rise(along)}"]
-        for item in along.combinations:
-            said.append(
-                f"only ${draw.weighted_sum(item.weights, profile.parameters)}$ is determined"
-            )
+        sums = [draw.weighted_sum(item.weights, profile.parameters) for item in along.combinations]
+        said = [
+            f"along the valley {_rise(along)}",
+            *(f"only ${sum_}$ is determined" for sum_ in sums),
+        ]
         x = 0.95 if valley[-1] < valley[0] else 0.05
         draw.note(panels[0], x, 0.95, "\n".join(said), color="black")
     figure.draw_without_rendering()  # the layout, which the ticks depend on
@@ -212,13 +208,12 @@ def _regions(profile: PairProfile, axes: Any, below: Any) -> None:
     def plot(first: Any, second: Any, *form: str, **style: Any) -> None:
         axes.plot(first, second - below(first), *form, **style)
 
-    first, second = profile.first, profile.second - below(profile.first)
-    delta = np.ma.masked_invalid(profile.delta)
+    second = profile.second - below(profile.first)
+    surface = profile.first, second, np.ma.masked_invalid(profile.delta)
     edges = [level.delta_chi2_pair for level in profile.levels]
-    axes.contourf(first, second, delta, levels=[-1, *edges], colors=_REGIONS, zorder=1)
-    axes.contour(
-        first, second, delta, levels=edges, colors=draw.FIT_COLOR, linewidths=0.9, zorder=3
-    )
+    axes.contourf(*surface, levels=[-1, *edges], colors=_REGIONS, zorder=1)
+    if (profile.delta < edges[-1]).any():
+        axes.contour(*surface, levels=edges, colors=draw.FIT_COLOR, linewidths=0.9, zorder=3)
     if len(profile.samples):
         style = {"color": draw.POSTERIOR_COLOR, "markersize": 2.6, "mew": 0, "zorder": 2}
         plot(*profile.samples.T, ".", rasterized=True, label="posterior", **style)

@@ -8,21 +8,19 @@ quadratic; the profile of a parameter that the data do not determine is flat.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
-from scipy.optimize import brentq
 
 from curlfit.errors import InputError, UnusableFitError
 from curlfit.inference.fit.fit import fit as least_squares
 from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.inference.mcmc.chain import Chain
 from curlfit.numerics.arrays import Floats
-from curlfit.profile_likelihood.refit import ConstrainedFit, ConstrainedFits, Progress, Refit
+from curlfit.profile_likelihood.refit import BETTER, ConstrainedFits, Progress, Refit
 from curlfit.profile_likelihood.result import Interval, Level, PairProfile, Profile, require_usable
 from curlfit.throws.throw import Throw
 
@@ -43,7 +41,6 @@ _STEEP = 0.6  # largest step of the root of delta chi squared between points at 
 _FLAT = 1e-3  # largest delta chi squared of a flat profile
 _HARDLY = 1.0  # largest delta chi squared of a parameter that is weakly determined
 _LARGE_PART = 0.5  # of an interval that ends at bounds of other parameters
-_BETTER = 1e-3  # decrease of chi squared that makes another fit the better one
 _BINS = 24
 
 
@@ -104,13 +101,13 @@ def profile(
     if chain is not None and chain.names != parameters.names:
         raise InputError("the chain is of another fit: its parameters differ")
     refit = Refit(fit, progress)
-    found: Profile | PairProfile
+    found: Any
     for _ in range(3):
         found, *second = [
             _profile_one(refit, name, count, ranges.get(name), chain) for name in selected
         ]
         if second:
-            found = _profile_pair(refit, found, second[0], count, ranges, chain)
+            found = _profile_pair(refit, (found, *second), count, ranges, chain)
         if not refit.improved():
             break
     return found
@@ -125,96 +122,95 @@ def _profile_one(
 ) -> Profile:
     """The profile of one parameter."""
     fit, fits = refit.fit, ConstrainedFits(refit, [name])
-    index = refit.parameters.index(name)
-    offset, best = refit.offset[index], float(fits.best.held[0])
-    if chosen is None:
-        low, high = _search_range(fits, name)
-    else:
-        low, high = min(chosen[0] - offset, best), max(chosen[1] - offset, best)
-    line = np.unique([*np.linspace(low, high, points), best])
-    fits.settle(line[:, None, None])
-    for _ in range(_ROUNDS):
-        more = _refinement(line, fits.delta(line[:, None]), best, fits.levels)
-        if not len(more):
-            break
-        line = np.unique([*line, *more])
-    fits.settle(line[:, None, None])
-
+    best = float(fits.best[0])
+    low, high = _search_range(fits, name) if chosen is None else chosen
+    low, high = min(low, best), max(high, best)
+    line = _settled(fits, np.unique([*np.linspace(low, high, points), best]))
     found, delta = fits.at(line[:, None]), fits.delta(line[:, None])
     nowhere = np.full(len(refit.parameters), np.nan)
     values = np.stack([nowhere if item is None else item.values for item in found])
-    free, stops = _unconstrained_part(refit, line, values, best, index)
+    free, stops = _unconstrained_part(fits, line, values)
     inside = (line >= free[0]) & (line <= free[1])
-    everywhere = values + refit.offset
+    others = refit.parameters.free & (np.array(refit.parameters.names) != name)
+    same = ("law", "load", "loss", "parameters", "n_observations")
     made = Profile(
         name=name,
-        best=best + offset,
-        law=fit.law,
-        load=fit.load,
-        loss=fit.loss,
+        best=best,
         data={key: fit.data[key] for key in ("file", "rows", "from", "to")},
-        parameters=fit.parameters,
-        chi_squared=refit.chi_squared,
-        n_observations=fit.n_observations,
-        at=line + offset,
+        chi_squared=refit.best.chi_squared,
+        at=line,
         delta=delta,
-        others={
-            other: everywhere[:, row]
-            for row, other in enumerate(refit.parameters.names)
-            if refit.parameters.free[row] and other != name
-        },
+        others=dict(zip(refit.parameters.names_where(others), values[:, others].T, strict=True)),
         intervals=(),
-        free=(free[0] + offset, free[1] + offset),
+        free=free,
         stops=stops,
         rise=float(np.nanmax(np.maximum(delta[inside], 0.0))),
         verdict="",
         combinations=tuple(item for item in fit.combinations if name in item.weights),
-        posterior=None if chain is None else _marginal(fit, chain, name, line + offset, delta),
+        posterior=None if chain is None else _marginal(fit, chain, name, line, delta),
         quantiles={} if fit.posterior is None else fit.posterior.quantiles.get(name, {}),
         warnings=(),
+        **{key: getattr(fit, key) for key in same},
     )
     intervals = tuple(_interval_of(made, level.name, level.delta_chi2) for level in fits.levels)
-    bounds = refit.parameters.lower[index], refit.parameters.upper[index]
-    cut = chosen is not None and any(
-        end == edge and edge != bound
-        for end, edge, bound in zip(free, (low, high), bounds, strict=True)
-    )
-    cut &= fit.parameters[name].verdict != "not identifiable"
-    soft = free[1] - free[0] > _LARGE_PART * (intervals[0].high - intervals[0].low)
-    verdict = _verdict(made.rise, fits.levels[-1].delta_chi2, soft=soft, cut=cut)
-    warnings = _warnings(fits, found, intervals[-1], made)
-    return replace(made, intervals=intervals, verdict=verdict, warnings=warnings)
+    # a range that ends where neither a bound nor another parameter does
+    ends = zip(free, (low, high), fits.bounds, strict=True)
+    cut = chosen is not None and any(end == edge != bound for end, edge, bound in ends)
+    unfinished = sum(item is not None and not item.finished for item in found)
+    made = replace(made, intervals=intervals, verdict=_verdict(made, intervals[0], cut=cut))
+    warnings = _warnings(refit, made, unfinished, found.count(None))
+    return replace(made, warnings=(*fit.warnings, *warnings))
+
+
+def _settled(fits: ConstrainedFits, line: Floats) -> Floats:
+    """Values at which all is fitted, and more where the profile is steep."""
+    fits.settle(line[:, None, None])
+    for _ in range(_ROUNDS):
+        more = _refinement(line, fits.delta(line[:, None]), float(fits.best[0]), fits.levels)
+        if not len(more):
+            break
+        line = np.unique([*line, *more])
+    fits.settle(line[:, None, None])
+    return line
+
+
+def _verdict(made: Profile, first: Interval, *, cut: bool) -> str:
+    """See `Profile.verdict`; `cut` where the given range may be too narrow."""
+    soft = made.free[1] - made.free[0] > _LARGE_PART * (first.high - first.low)
+    if (
+        cut
+        and made.rise < made.levels[-1].delta_chi2
+        and (made.estimate.verdict != "not identifiable")
+    ):
+        return "narrow"
+    if not soft or made.rise >= _HARDLY:
+        return "limited"
+    return "flat" if made.rise < _FLAT else "hardly"
 
 
 def _search_range(fits: ConstrainedFits, name: str) -> tuple[float, float]:
     """Default range of a parameter."""
-    item = fits.refit.fit.parameters[name]
-    index = fits.refit.parameters.index(name)
-    bounds = fits.refit.parameters.lower[index], fits.refit.parameters.upper[index]
-    best = float(fits.best.held[0])
-    if item.verdict in ("determined", "prior") and item.stderr:
-        step, most, parallel = _REACH * item.stderr, _LAST * item.typical, 1
-    else:
-        step, most, parallel = _FIRST * item.typical, _LAST * item.typical, _PARALLEL
+    item, best = fits.refit.fit.parameters[name], float(fits.best[0])
+    sharp = item.verdict not in ("determined", "prior") or not item.stderr
+    step = _FIRST * item.typical if sharp else _REACH * (item.stderr or 0.0)
+    parallel = _PARALLEL if sharp else 1
     ladders = []
-    for sense, bound in zip((-1.0, 1.0), bounds, strict=True):
-        farthest = abs(bound - best) if math.isfinite(bound) else max(most, step)
-        steps = step * 2.0 ** np.arange(1 + max(0, math.ceil(math.log2(max(farthest / step, 1)))))
-        ladder = best + sense * np.minimum(steps, farthest)
-        if math.isfinite(bound):
-            ladder = np.where(steps >= farthest, bound, ladder)
+    for sense, bound in zip((-1.0, 1.0), fits.bounds, strict=True):
+        bounded = math.isfinite(bound)
+        farthest = abs(bound - best) if bounded else max(_LAST * item.typical, step)
+        count = 1 + max(0, math.ceil(math.log2(max(farthest / step, 1))))
+        steps = np.minimum(step * 2.0 ** np.arange(count), farthest)
+        ladder = np.where(bounded & (steps == farthest), bound, best + sense * steps)
         ladders.append(np.unique(ladder)[:: int(sense)] if farthest > 0 else ladder[:0])
     fits.at(np.concatenate([ladder[:parallel] for ladder in ladders])[:, None])
-    sharp = parallel > 1
-    low, high = (_search_end(fits, best, ladder, parallel, sharp=sharp) for ladder in ladders)
+    low, high = (_search_end(fits, ladder, parallel, sharp=sharp) for ladder in ladders)
     return low, high
 
 
-def _search_end(
-    fits: ConstrainedFits, best: float, ladder: Floats, parallel: int, *, sharp: bool
-) -> float:
+def _search_end(fits: ConstrainedFits, ladder: Floats, parallel: int, *, sharp: bool) -> float:
     """First step of a ladder away from the best value where chi squared is high, or the last."""
-    inside, limit = best, _HIGH * fits.levels[-1].delta_chi2_pair
+    inside = best = float(fits.best[0])
+    limit = _HIGH * fits.levels[-1].delta_chi2_pair
     for first in range(0, len(ladder), parallel):
         part = ladder[first : first + parallel]
         low = part[np.logical_and.accumulate(fits.delta(part[:, None]) < limit)]
@@ -235,99 +231,80 @@ def _search_end(
 def _refinement(line: Floats, delta: Floats, best: float, levels: tuple[Level, ...]) -> Floats:
     """Points to add where the profile crosses a threshold too steeply to be interpolated."""
     root = np.sqrt(np.maximum(delta, 0.0))
-    more: list[float] = []
-    for index, (a, b) in enumerate(pairwise(line)):
-        low, high = sorted(root[index : index + 2])
-        # including those of regions of two parameters
-        thresholds = [value for item in levels for value in (item.delta_chi2, item.delta_chi2_pair)]
-        passed = any(low**2 < threshold <= high**2 for threshold in thresholds)
-        if passed and high - low > _STEEP and b - a > 1e-9 * max(abs(a), abs(b), abs(b - best)):
-            more += list(np.linspace(a, b, _SECTION + 1)[1:-1])
-    return np.array(more)
+    low, high = np.minimum(root[:-1], root[1:]), np.maximum(root[:-1], root[1:])
+    # including those of regions of two parameters
+    thresholds = np.array([[item.delta_chi2, item.delta_chi2_pair] for item in levels]).reshape(
+        -1, 1
+    )
+    passed = ((low**2 < thresholds) & (thresholds <= high**2)).any(0)
+    size = np.abs([line[:-1], line[1:], line[1:] - best]).max(0)
+    steep = passed & (high - low > _STEEP) & (np.diff(line) > 1e-9 * size)
+    parts = np.linspace(line[:-1][steep], line[1:][steep], _SECTION + 1)[1:-1]
+    return parts.T.ravel()
 
 
 def _unconstrained_part(
-    refit: Refit, line: Floats, values: Floats, best: float, own: int
+    fits: ConstrainedFits, line: Floats, values: Floats
 ) -> tuple[tuple[float, float], tuple[tuple[str, ...], tuple[str, ...]]]:
     """The range in which no other parameter reaches a bound, and those that do at its ends."""
-    stuck = np.array([refit.at_bound(each) for each in values])
-    stuck[:, own] = False
+    stuck = fits.refit.at_bound(values)
+    stuck[:, fits.index] = False
     stuck &= ~stuck.all(0)
-    ends, stops = [], []
+    ends = []
     for sense in (-1, 1):
-        outward = np.flatnonzero(sense * (line - best) >= 0)[::sense]
+        outward = np.flatnonzero(sense * (line - fits.best[0]) >= 0)[::sense]
         stopped = np.flatnonzero(stuck[outward[1:]].any(1))
         last = stopped[0] if len(stopped) else len(outward) - 1
-        ends.append(float(line[outward[last]]))
-        stops.append(
-            tuple(refit.parameters.names_where(stuck[outward[last + 1]])) if len(stopped) else ()
-        )
-    return (ends[0], ends[1]), (stops[0], stops[1])
+        names = fits.refit.parameters.names_where(stuck[outward[last + 1]]) if len(stopped) else ()
+        ends.append((float(line[outward[last]]), tuple(names)))
+    (low, below), (high, above) = ends
+    return (low, high), (below, above)
 
 
 def _interval_of(profile: Profile, level: str, threshold: float) -> Interval:
     """Interval between the crossings of a threshold on either side of the best value."""
     finite = np.isfinite(profile.delta)
-    line, delta, best = profile.at[finite], profile.delta[finite], profile.best
-    root = np.sign(line - best) * np.sqrt(np.maximum(delta, 0.0))
+    line, delta = profile.at[finite], profile.delta[finite]
     # nearly linear except at bounds, where it must not overshoot
-    curve = PchipInterpolator(line, root)
+    root = PchipInterpolator(line, np.sign(line - profile.best) * np.sqrt(np.maximum(delta, 0.0)))
     ends, bounds = [], (profile.estimate.lower, profile.estimate.upper)
     for sense, limit, bound in zip((-1, 1), profile.free, bounds, strict=True):
-        outward = np.flatnonzero(sense * (line - best) >= 0)[::sense]
-        over = outward[delta[outward] >= threshold]
-        if not len(over):
-            end = float(line[outward[-1]])
+        crossed = sense * root.solve(sense * math.sqrt(threshold), extrapolate=False)
+        if crossed.size:
+            end = float(sense * crossed.min())
+            ends.append((end, "data" if sense * (end - limit) <= 0 else "others"))
+        else:
+            end = float(line[0 if sense < 0 else -1])
             ends.append((end, "bound" if math.isclose(end, bound, rel_tol=1e-12) else "range"))
-            continue
-        first = over[0]
-        target = sense * math.sqrt(threshold)
-        inner, outer = float(line[first - sense]), float(line[first])
-        end = float(brentq(lambda x: float(curve(x)) - target, inner, outer, xtol=1e-15))  # noqa: B023
-        ends.append((end, "data" if sense * (end - limit) <= 0 else "others"))
     (low, low_by), (high, high_by) = ends
     return Interval(level, low, high, low_by, high_by)
 
 
-def _verdict(rise: float, threshold: float, *, soft: bool, cut: bool) -> str:
-    """See `Profile.verdict`; `soft` where the unconstrained part is most of the interval."""
-    if cut and rise < threshold:
-        return "narrow"
-    if not soft or rise >= _HARDLY:
-        return "limited"
-    return "flat" if rise < _FLAT else "hardly"
-
-
-def _warnings(
-    fits: ConstrainedFits, found: Sequence[ConstrainedFit | None], widest: Interval, made: Profile
-) -> tuple[str, ...]:
-    refit, fit, at, delta = fits.refit, fits.refit.fit, made.at, made.delta
-    warnings = list(fit.warnings)
-    decrease = refit.first - refit.chi_squared
-    if decrease > _BETTER:
-        better = refit.parameters.values_of(refit.values + refit.offset)
-        start = ",".join(f"{name}={better[name]:.6g}" for name in fit.coefficients)
-        warnings.append(
+def _warnings(refit: Refit, made: Profile, unfinished: int, failed: int) -> Iterator[str]:
+    """Warnings about the fits, of which some did not converge or have no path."""
+    at, delta, widest = made.at, made.delta, made.intervals[-1]
+    decrease = refit.first - refit.best.chi_squared
+    if decrease > BETTER:
+        better = refit.parameters.values_of(refit.best.values)
+        start = ",".join(f"{name}={better[name]:.6g}" for name in refit.fit.coefficients)
+        yield (
             f"a better fit was found, its chi squared {decrease:.3g} lower, and the profile is "
             f"relative to it; fit again with --start {start}"
         )
-    unconverged = sum(item is not None and not item.finished for item in found)
-    if unconverged:
-        warnings.append(
-            f"{unconverged} of {len(found)} fits did not converge; chi squared there is at most "
-            "the value shown"
+    if unfinished:
+        yield (
+            f"{unfinished} of {len(at)} fits did not converge; chi squared there is at most the "
+            "value shown"
         )
-    failed = sum(item is None for item in found)
     if failed:
-        warnings.append(f"at {failed} of {len(found)} values the law admits no motion")
+        yield f"at {failed} of {len(at)} values the law admits no motion"
     outside = (at < widest.low) | (at > widest.high)
-    outside &= delta < fits.levels[-1].delta_chi2 - 0.1
+    outside &= delta < made.levels[-1].delta_chi2 - 0.1
     if outside.any():
-        warnings.append(
+        yield (
             f"chi squared falls again near {at[outside][np.argmin(delta[outside])]:.4g}: the "
             "intervals are those about the best fit"
         )
-    return tuple(warnings)
 
 
 def _marginal(
@@ -339,67 +316,40 @@ def _marginal(
     counts, edges = np.histogram(samples, _BINS, (max(low, at[0]), min(high, at[-1])))
     if not counts.any():
         return None
-    centre = (edges[1:] + edges[:-1]) / 2
-    some = counts > 0
-    height = -2 * np.log(counts[some] / counts.max())
+    centre, some = ((edges[1:] + edges[:-1]) / 2)[counts > 0], counts[counts > 0]
+    height, finite = -2 * np.log(some / some.max()), np.isfinite(delta)
     ess = len(samples) if fit.posterior is None else fit.posterior.ess.get(name, len(samples))
-    finite = np.isfinite(delta)
-    shift = np.average(
-        np.interp(centre[some], at[finite], delta[finite]) - height, weights=counts[some]
-    )
-    error = 2 / np.sqrt(counts[some] * min(ess / len(samples), 1.0))
-    return {"at": centre[some], "height": height + shift, "error": error}
+    off = np.interp(centre, at[finite], delta[finite]) - height
+    error = 2 / np.sqrt(some * min(ess / len(samples), 1.0))
+    return {"at": centre, "height": height + np.average(off, weights=some), "error": error}
 
 
 def _profile_pair(
     refit: Refit,
-    one: Profile,
-    other: Profile,
+    each: tuple[Profile, Profile],
     points: int,
     ranges: Collection[str],
     chain: Chain | None,
 ) -> PairProfile:
     """The profile of two parameters, along the valley that the profile of the first follows."""
-    fit, names = refit.fit, (one.name, other.name)
-    index = [refit.parameters.index(name) for name in names]
-    offset = refit.offset[index]
+    (one, other), fit = each, refit.fit
+    names = one.name, other.name
     fits = ConstrainedFits(refit, names)
-    stiff = float(refit.response(names)[1][1])
-    typical = fit.parameters[other.name].typical
-    across = 1 / stiff if stiff * typical > _NO_RESPONSE else None
-    bounds = refit.parameters.lower[index[1]], refit.parameters.upper[index[1]]
-    edges: list[float] = []
-    if across is not None:
-        edges = [bounds[0] + _REACH * across + offset[1], bounds[1] - _REACH * across + offset[1]]
-    first = _columns(one, other.name, edges, points) - offset[0]
+    stiff, (low, high) = float(fits.stiffness[1]), fits.bounds
+    across = 1 / stiff if stiff * other.estimate.typical > _NO_RESPONSE else None
+    margin = _REACH * (across or 0.0)
+    edges = [] if across is None else [low + margin, high - margin]
+    first = _columns(one, other.name, edges, points)
     if across is None or other.name in ranges:
-        ends = other.at[0] - offset[1], other.at[-1] - offset[1]
-        second = np.tile(np.linspace(*ends, points), (len(first), 1))
+        second = np.tile(np.linspace(other.at[0], other.at[-1], points), (len(first), 1))
     else:
         finite = np.isfinite(one.delta)
-        values = one.others[other.name][finite]
-        valley = np.interp(first + offset[0], one.at[finite], values) - offset[1]
-        second = _across_valley(fits, first, valley, across, bounds, points)
-    second = np.clip(second, *bounds)
-    grid = _grid(first, second)
+        valley = np.interp(first, one.at[finite], one.others[other.name][finite])
+        second = _across_valley(fits, first, valley, across, points)
+    grid = _grid(first, np.clip(second, low, high))
     fits.settle(grid)
-    delta = fits.delta(grid)
+    delta, best = fits.delta(grid), np.array([one.best, other.best])
     covariance = _covariance(fit, names)
-    ellipse = None
-    if covariance is not None:
-        best = np.array([one.best, other.best]) - offset
-        away = grid - best
-        expected = np.einsum("ijk,kl,ijl->ij", away, np.linalg.inv(covariance), away)
-        within = (expected <= fits.levels[-1].delta_chi2_pair) & np.isfinite(delta)
-        if within.any():
-            ellipse = float(np.abs(delta - expected)[within].max())
-    extent = {  # crossings of the threshold by each profile alone
-        level.name: (
-            _interval_of(one, level.name, level.delta_chi2_pair),
-            _interval_of(other, level.name, level.delta_chi2_pair),
-        )
-        for level in fits.levels
-    }
     samples = np.zeros((0, 2))
     if chain is not None:
         samples = np.stack([chain.of({name: 1.0}) for name in names], 1)
@@ -407,17 +357,34 @@ def _profile_pair(
         samples = samples[some]
     return PairProfile(
         names=names,
-        each=(one, other),
-        first=grid[..., 0] + offset[0],
-        second=second + offset[1],
+        each=each,
+        first=grid[..., 0],
+        second=grid[..., 1],
         delta=delta,
         across=across,
-        extent=extent,
+        extent={  # crossings of the threshold by each profile alone
+            level.name: (
+                _interval_of(one, level.name, level.delta_chi2_pair),
+                _interval_of(other, level.name, level.delta_chi2_pair),
+            )
+            for level in fits.levels
+        },
         covariance=covariance,
-        ellipse=ellipse,
+        ellipse=_off_ellipse(grid - best, delta, covariance, fits.levels[-1].delta_chi2_pair),
         samples=samples,
         warnings=one.warnings,
     )
+
+
+def _off_ellipse(
+    away: Floats, delta: Floats, covariance: Floats | None, threshold: float
+) -> float | None:
+    """Largest difference of chi squared from its quadratic form within an ellipse of that."""
+    if covariance is None:
+        return None
+    expected = np.einsum("ijk,kl,ijl->ij", away, np.linalg.inv(covariance), away)
+    within = (expected <= threshold) & np.isfinite(delta)
+    return float(np.abs(delta - expected)[within].max()) if within.any() else None
 
 
 def _columns(one: Profile, other: str, edges: Sequence[float], points: int) -> Floats:
@@ -439,11 +406,10 @@ def _columns(one: Profile, other: str, edges: Sequence[float], points: int) -> F
 
 
 def _across_valley(
-    fits: ConstrainedFits, first: Floats, valley: Floats, across: float,
-    bounds: tuple[float, float], points: int,
-) -> Floats:  # fmt: skip
+    fits: ConstrainedFits, first: Floats, valley: Floats, across: float, points: int
+) -> Floats:
     """Values of the second about the bottom of the valley, scaled by its local width."""
-    steps, sense = np.linspace(-_REACH, _REACH, points | 1), np.array([-1, 1])
+    steps, sense, bounds = np.linspace(-_REACH, _REACH, points | 1), np.array([-1, 1]), fits.bounds
     valley = valley[:, None]
     sides = np.clip(valley + sense * across, *bounds)
     bottom, *delta = fits.delta(_grid(first, np.hstack([valley, sides]))).T
@@ -466,9 +432,8 @@ def _grid(first: Floats, second: Floats) -> Floats:
 
 
 def _covariance(fit: FitResult, names: Sequence[str]) -> Floats | None:
-    known = list(fit.covariance["names"])
+    known = fit.covariance["names"]
     if any(fit.parameters[name].stderr is None or name not in known for name in names):
         return None
-    index = [known.index(name) for name in names]
-    found: Floats = np.array(fit.covariance["matrix"])[np.ix_(index, index)]
-    return found
+    rows = np.array([fit.first_order.vector({name: 1.0}) for name in names])
+    return np.asarray(rows @ np.array(fit.covariance["matrix"]) @ rows.T)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
@@ -24,7 +25,13 @@ from curlfit.profile_likelihood.result import Interval, Level, PairProfile, Prof
 
 _AGREE = 0.1  # largest difference of agreeing limits, standard errors
 _AGREE_PAIR = 0.5  # largest difference of chi squared within an agreeing ellipse
-_STYLE = {"limited": "", "hardly": STYLE["weak"], "flat": STYLE["not identifiable"]}
+_VERDICTS = {
+    "limited": ("limited by the data", ""),
+    "hardly": ("weakly determined", STYLE["weak"]),
+    "flat": ("not identifiable", STYLE["not identifiable"]),
+    "narrow": ("unclear, for the range is too narrow", STYLE["weak"]),
+}
+"""What each verdict says, and its style."""
 
 
 def print_profile(profile: Profile | PairProfile, console: Console | None = None) -> None:
@@ -40,31 +47,29 @@ def print_profile(profile: Profile | PairProfile, console: Console | None = None
 
 def document(profile: Profile | PairProfile) -> Document:
     """The intervals of a profile, or why there are none."""
-    pair = isinstance(profile, PairProfile)
-    each = list(profile.each) if isinstance(profile, PairProfile) else [profile]
-    one, names = each[0], profile.names
+    one, names = profile.each[0], profile.names
     lines, remarks = [], list[str | Text]()
     if isinstance(profile, PairProfile):
         lines.append(describe_pair(profile))
         remarks.append(Said(lines[0]))
-    for item in each:
+    for item in profile.each:
         if item.verdict == "limited":
             lines.append(_limited(item))
-            remarks += [] if pair else _limits(item)
+            remarks += _limits(item) if item is profile else []
         else:
             lines.append(describe_undetermined(item))
-            remarks.append(Said(lines[-1], style=_STYLE.get(item.verdict, STYLE["weak"])))
+            remarks.append(Said(lines[-1], style=_VERDICTS[item.verdict][1]))
     loss = "" if one.loss == "linear" else f", {one.loss} loss"
     fitted = f"{one.law} law, {one.load} load{loss}, fitted to {one.data['file']}"
     return Document(
-        finding=", ".join(f"{item.name} {_FINDINGS[item.verdict]}" for item in each),
+        finding=", ".join(f"{item.name} {_VERDICTS[item.verdict][0]}" for item in profile.each),
         subject=fitted,
         headline=Text.assemble((f"Profile of {' and '.join(names)}", "bold"), f": {fitted}"),
         about=_about(profile),
         lines=lines,
         sections=(Section("intervals", "Intervals", (_table(profile), *remarks)),),
-        warnings=list(dict.fromkeys(line for item in each for line in item.warnings)),
-        notes=_notes(each),
+        warnings=list(dict.fromkeys(line for item in profile.each for line in item.warnings)),
+        notes=_notes(profile.each),
         title=f"{Path(one.data['file']).name}: profile of {join_words(names)}",
         settings={
             "Law, load": f"{one.law}, {one.load}",
@@ -79,46 +84,43 @@ def document(profile: Profile | PairProfile) -> Document:
     )
 
 
-_FINDINGS = {
-    "limited": "limited by the data", "hardly": "weakly determined", "flat": "not identifiable",
-    "narrow": "unclear, for the range is too narrow",
-}  # fmt: skip
-
-
 def describe_undetermined(profile: Profile) -> str:
     """Why a parameter is not identifiable, in words, and what would determine it."""
-    span = _span(profile, *profile.free)
-    name = profile.name
+    span, name, rise = _span(profile, *profile.free), profile.name, profile.rise
     if profile.verdict == "narrow":
         return (
-            f"The range is too narrow: within {span} chi squared rises by no more than "
-            f"{profile.rise:.2g}."
+            f"The range is too narrow: within {span} chi squared rises by no more than {rise:.2g}."
         )
     if profile.verdict == "flat":
-        same = f"the same to {profile.rise:.0e}" if profile.rise > 0 else "exactly the same"
+        same = f"the same to {rise:.0e}" if rise > 0 else "exactly the same"
         text = (
             f"{name} is not identifiable, its profile is flat: chi squared is {same} over the "
             f"whole range {span}."
         )
     else:
-        times, all_of_it = profile.quieter(1.0), profile.quieter(profile.levels[-1].delta_chi2)
-        text = (
-            f"{name} is weakly determined: chi squared changes by no more than {profile.rise:.2g} "
-            f"over {span}. For a limit at 68 % the noise would have to be "
-            f"{_times(times)} smaller, or the rows {_times(times**2)} as many; at 95 %, "
-            f"{_times(all_of_it)} and {_times(all_of_it**2)}."
+        (less, more), (least, most) = (
+            (_times(quieter), _times(quieter**2))
+            for quieter in map(profile.quieter, (1.0, profile.levels[-1].delta_chi2))
         )
-    if profile.combinations:
-        known = [
-            f"{item.expression} = {compact(item.value, item.stderr)}"
-            for item in profile.combinations
-        ]
+        text = (
+            f"{name} is weakly determined: chi squared changes by no more than {rise:.2g} over "
+            f"{span}. For a limit at 68 % the noise would have to be {less} smaller, or the rows "
+            f"{more} as many; at 95 %, {least} and {most}."
+        )
+    if known := [
+        f"{item.expression} = {compact(item.value, item.stderr)}" for item in profile.combinations
+    ]:
         text += f" Only {join_words(known)} {'are' if len(known) > 1 else 'is'} determined."
-    for end, names in zip(profile.free, profile.stops, strict=True):
+    bounds = profile.estimate.lower, profile.estimate.upper
+    ends = list(zip(("lower", "upper"), profile.free, profile.stops, bounds, strict=True))
+    for _, end, names, _ in ends:
         if names:
             come = "reaches its bound" if len(names) == 1 else "reach their bounds"
-            text += f" The profile ends at {_short(end)}, where {join_words(names)} {come}."
-    return text + _open_ends(profile)
+            text += f" The profile ends at {end:.4g}, where {join_words(names)} {come}."
+    for side, end, names, bound in ends:
+        if not names and end != bound and end in (profile.at[0], profile.at[-1]):
+            text += f" {_no_limit(side, end)}"
+    return text
 
 
 def describe_pair(profile: PairProfile) -> str:
@@ -149,11 +151,9 @@ def describe_pair(profile: PairProfile) -> str:
 
 def _about(profile: Profile | PairProfile) -> tuple[str, str]:
     """The data, and the values at which the others were fitted again."""
-    if isinstance(profile, PairProfile):
-        one, values = profile.each[0], f"{profile.delta.size} values"
-    else:
-        one = profile
-        values = f"{one.at.size} values, {_span(one, one.at[0], one.at[-1])}"
+    one, values = profile.each[0], f"{profile.delta.size} values"
+    if one is profile:
+        values += f", {_span(one, one.at[0], one.at[-1])}"
     fitted = f"chi squared of the best fit {one.chi_squared:.4g}, of {one.n_observations} values"
     return (
         "; ".join(filter(None, (rows_text(one.data), fitted))),
@@ -171,69 +171,65 @@ def _limited(profile: Profile) -> str:
 
 def _table(profile: Profile | PairProfile) -> PlainTable | None:
     """The intervals of a parameter, or the extents of the region of two."""
+    levels = profile.levels
     if isinstance(profile, PairProfile):
         rows = []
         for index, one in enumerate(profile.each):
-            cells = {level.name: "-" for level in profile.levels}
-            if one.verdict == "limited":
-                extents = {name: profile.extent[name][index] for name in cells}
-                cells = {name: _ends(item, _scale(one)) for name, item in extents.items()}
-            rows.append({"region spans": labelled(one.name, one.estimate.unit)} | cells)
+            limited, scale = one.verdict == "limited", _scale(one)
+            rows.append(
+                {"region spans": labelled(one.name, one.estimate.unit)}
+                | {
+                    level.name: _ends(profile.extent[level.name][index], scale) if limited else "-"
+                    for level in levels
+                }
+            )
         return PlainTable(rows, "Extent of the regions of both parameters")
     if profile.verdict != "limited":
         return None
-    head, scale = labelled(profile.name, profile.estimate.unit), _scale(profile)
-    found = profile.quantiles
+    scale, found, item = _scale(profile), profile.quantiles, profile.estimate
     sources = {
         "profile": [_ends(interval, scale) for interval in profile.intervals],
-        "covariance": [_gaussian(profile.estimate, level, scale) for level in profile.levels],
+        "covariance": [_gaussian(item, level, scale) for level in levels],
     }
     if found:
-        ends = (level.quantiles for level in profile.levels)
+        ends = (level.quantiles for level in levels)
         sources["posterior"] = [from_to(found[low], found[high], scale) for low, high in ends]
+    heads = labelled(profile.name, item.unit), *(level.name for level in levels)
     return PlainTable(
-        (
-            {head: source}
-            | {level.name: cell for level, cell in zip(profile.levels, cells, strict=True)}
-            for source, cells in sources.items()
-        ),
+        (dict(zip(heads, (source, *cells), strict=True)) for source, cells in sources.items()),
         "Intervals of the profile, the covariance and the posterior",
     )
 
 
 def _limits(profile: Profile) -> list[str]:
     """Remarks on the intervals of a parameter that the data limit."""
-    remarks = []
-    apart = profile.departure
-    if apart:
-        far = max(apart.values())
-        if profile.loss != "linear":
-            remarks.append(
-                f"Profile and covariance differ by up to {far:.2g} standard errors: the covariance "
-                "uses the scatter of the residuals, the profile the noise implied by the loss."
-            )
-        elif far <= _AGREE:
-            remarks.append(
-                "Profile and covariance agree: no limit differs by more than "
-                f"{max(far, 0.01):.1g} standard errors."
-            )
-        else:
-            remarks.append(
-                f"Profile and covariance differ, by up to {far:.2g} standard errors: chi "
-                "squared is not quadratic, as the covariance assumes. Use the profile."
-            )
-    else:
-        remarks.append(
+    far, widest = max(profile.departure.values(), default=None), profile.intervals[-1]
+    if far is None:
+        remark = (
             f"The covariance has no standard error for it ({profile.estimate.verdict}); the "
             "profile needs none."
         )
-    widest = profile.intervals[-1]
-    for side, end, by in (
-        ("lower", widest.low, widest.low_by), ("upper", widest.high, widest.high_by),
-    ):  # fmt: skip
+    elif profile.loss != "linear":
+        remark = (
+            f"Profile and covariance differ by up to {far:.2g} standard errors: the covariance "
+            "uses the scatter of the residuals, the profile the noise implied by the loss."
+        )
+    elif far <= _AGREE:
+        remark = (
+            "Profile and covariance agree: no limit differs by more than "
+            f"{max(far, 0.01):.1g} standard errors."
+        )
+    else:
+        remark = (
+            f"Profile and covariance differ, by up to {far:.2g} standard errors: chi "
+            "squared is not quadratic, as the covariance assumes. Use the profile."
+        )
+    remarks = [remark]
+    ends = ("lower", widest.low, widest.low_by), ("upper", widest.high, widest.high_by)
+    for side, end, by in ends:
         if by == "bound":
             remarks.append(
-                f"No {side} limit from these data: its {side} bound, {_short(end)}, is within 95 %."
+                f"No {side} limit from these data: its {side} bound, {end:.4g}, is within 95 %."
             )
         elif by == "range":
             remarks.append(_no_limit(side, end))
@@ -241,32 +237,19 @@ def _limits(profile: Profile) -> list[str]:
         if names and profile.free[0] < profile.free[1] and widest.low <= end <= widest.high:
             bound = "is at its bound" if len(names) == 1 else "are at their bounds"
             remarks.append(
-                f"{side} {_short(end)} {join_words(names)} {bound}, which makes the profile "
-                "steeper there."
+                f"{side} {end:.4g} {join_words(names)} {bound}, which makes the profile steeper "
+                "there."
             )
     return remarks
-
-
-def _open_ends(profile: Profile) -> str:
-    """Ends of the range of an undetermined parameter without any limit."""
-    low, high = profile.estimate.lower, profile.estimate.upper
-    ends = [
-        (side, end)
-        for side, end, bound, names in zip(
-            ("lower", "upper"), profile.free, (low, high), profile.stops, strict=True
-        )
-        if not names and end != bound and end in (profile.at[0], profile.at[-1])
-    ]
-    return "".join(f" {_no_limit(side, end)}" for side, end in ends)
 
 
 def _no_limit(side: str, end: float) -> str:
     """That no limit was found up to an end of the range examined."""
     way = "down" if side == "lower" else "up"
-    return f"No {side} limit within the range examined, {way} to {_short(end)}."
+    return f"No {side} limit within the range examined, {way} to {end:.4g}."
 
 
-def _notes(each: list[Profile]) -> list[str]:
+def _notes(each: Sequence[Profile]) -> list[str]:
     found = []
     if any(one.estimate.verdict == "at bound" for one in each):
         found.append(
@@ -285,14 +268,10 @@ def _scale(profile: Profile) -> float:
 
 
 def _ends(interval: Interval, scale: float) -> str:
-    low, high = format_estimate(interval.low, scale)[0], format_estimate(interval.high, scale)[0]
-    if interval.low_by in ("bound", "range") and interval.high_by in ("bound", "range"):
-        return "no limit"
-    if interval.low_by in ("bound", "range"):
-        return f"below {high}"
-    if interval.high_by in ("bound", "range"):
-        return f"above {low}"
-    return f"{low} .. {high}"
+    low, high = ("" if end is None else format_estimate(end, scale)[0] for end in interval.limits)
+    if low and high:
+        return f"{low} .. {high}"
+    return f"below {high}" if high else f"above {low}" if low else "no limit"
 
 
 def _gaussian(item: Estimate, level: Level, scale: float) -> str:
@@ -307,10 +286,6 @@ def _span(profile: Profile, low: float, high: float) -> str:
     scale = (profile.at[-1] - profile.at[0]) / 50
     ends = (float(low), float(high))
     return " .. ".join(format_estimate(end, scale)[0] if end else "0" for end in ends)
-
-
-def _short(value: float) -> str:
-    return f"{value:.4g}"
 
 
 def _times(factor: float) -> str:

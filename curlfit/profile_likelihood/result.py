@@ -83,6 +83,13 @@ class Interval:
     low_by: Limit
     high_by: Limit
 
+    @property
+    def limits(self) -> tuple[float | None, float | None]:
+        """Its ends, None where chi squared does not limit it."""
+        ends = (self.low, self.low_by), (self.high, self.high_by)
+        low, high = (None if by in ("bound", "range") else end for end, by in ends)
+        return low, high
+
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Profile(Record):
@@ -154,6 +161,11 @@ class Profile(Record):
         return (self.name,)
 
     @property
+    def each(self) -> tuple[Profile, ...]:
+        """The profiles of single parameters."""
+        return (self,)
+
+    @property
     def estimate(self) -> Estimate:
         """The estimate of the parameter in the fit."""
         return self.parameters[self.name]
@@ -169,21 +181,13 @@ class Profile(Record):
 
         In standard errors, for limits set by chi squared; empty where the fit has none.
         """
-        stderr = self.estimate.stderr
-        if not stderr:
-            return {}
-        found = {}
+        value, stderr = self.estimate.value, self.estimate.stderr
+        found: dict[str, float] = {}
         for interval, level in zip(self.intervals, self.levels, strict=True):
-            reach = level.sigmas * stderr
-            apart = [
-                abs(end - self.estimate.value - sign * reach) / stderr
-                for end, sign, by in (
-                    (interval.low, -1, interval.low_by), (interval.high, 1, interval.high_by),
-                )
-                if by in ("data", "others")
-            ]  # fmt: skip
-            if apart:
-                found[level.name] = max(apart)
+            for end, sign in zip(interval.limits, (-1, 1), strict=True):
+                if stderr and end is not None:
+                    apart = abs((end - value) / stderr - sign * level.sigmas)
+                    found[level.name] = max(apart, found.get(level.name, 0.0))
         return found
 
     def to_frame(self) -> Any:
