@@ -21,7 +21,7 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.initial_values import POINTS, accelerations_along
 from curlfit.inference.model import Model
 from curlfit.inference.noise.losses import robust_sigma
-from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import in_batches, stacked
 from curlfit.throws.throw import scatter
 
@@ -34,72 +34,53 @@ _UNCLEAR = 3.0  # the same, up to which correlated noise may explain the residua
 _DEGREE = 5  # of the polynomial in time that separates motion from noise
 
 
-def adequacy(result: FitResult) -> tuple[float | None, bool | None]:
-    """Fraction of the curl explained, and whether the law follows the path."""
-    path, loss = _Path.of(result), result.loss
-    off = {name: result.observed[name] - result.fitted[name] for name in PLACE}
-    aside = np.stack([off["x"], off["y"]], 1)[path.place]
-    series = {
-        name: (path.t, path.measured @ axis, aside @ axis)
-        for name, axis in (("across", path.across), ("along", path.along))
-    }
-    wanted = {"across": path.curl, "along": _uneven(path.t, path.seen @ path.along)}
-    turned = np.isfinite(result.observed["phi"])
+class Adequacy(NamedTuple):
+    """How well a fit describes a path."""
+
+    explained: float | None
+    """fraction of the curl; None where there is none beyond the noise"""
+    follows: bool | None
+    """None where correlated noise may explain the residuals"""
+    curl: float
+    """rms departure of the path from a straight line, m"""
+    side: str | None
+    """to which the path bends, if it bends by more than its noise"""
+
+
+def adequacy(result: FitResult) -> Adequacy:
+    """Whether the law follows the path, and what part of its curl it explains."""
+    t, x, y, phi = (result.observed[name] for name in ("t", *PLACE))
+    off, loss = {name: result.observed[name] - result.fitted[name] for name in PLACE}, result.loss
+    place, turned = np.isfinite(x) & np.isfinite(y), np.isfinite(phi)
+    measured, missed = np.stack([x, y], 1)[place], np.stack([off["x"], off["y"]], 1)[place]
+    seen = np.stack([_seen(values, loss) for values in measured.T], 1)
+    along = np.linalg.svd(seen - seen.mean(0), full_matrices=False)[2][0]
+    along = along if along @ (seen[-1] - seen[0]) > 0 else -along
+    across = np.array([along[1], -along[0]])  # to the right
+    curl = float((seen @ across).std())
+    series = [
+        (t[place], measured @ across, missed @ across, curl),
+        (t[place], measured @ along, missed @ along, _uneven(t[place], seen @ along)),
+    ]
     if turned.sum() > 3:
-        t, phi = result.observed["t"][turned], result.observed["phi"][turned]
-        series["phi"], wanted["phi"] = (t, phi, off["phi"][turned]), _uneven(t, _seen(phi, loss))
-    noise = {name: _noise(t, values, loss) for name, (t, values, _) in series.items()}
-    size = sizes(result, {name: residual for name, (*_, residual) in series.items()})
+        uneven = _uneven(t[turned], _seen(phi[turned], loss))
+        series.append((t[turned], phi[turned], off["phi"][turned], uneven))
     correlated = any(result.noise.memory.values()) or any(
         item.doubtful for item in result.independence.values()
     )
+    sizes = [(_size(one[2], loss), _noise(one[0], one[1], loss)) for one in series]
     follows: bool | None = True
-    for name in series:
-        if not size[name] <= max(_FOLLOWS * wanted[name], _NOISE * noise[name]):
-            unclear = correlated and size[name] <= _UNCLEAR * noise[name]
+    for (size, noise), (*_, wanted) in zip(sizes, series, strict=True):
+        if not size <= max(_FOLLOWS * wanted, _NOISE * noise):
+            unclear = correlated and size <= _UNCLEAR * noise
             follows = None if unclear and follows is not False else False
-    if path.curl <= 3 * noise["across"]:
-        return None, follows
-    missed = max(size["across"] ** 2 - noise["across"] ** 2, 0.0)
-    return float(1 - missed / (path.curl**2 - noise["across"] ** 2)), follows
-
-
-def bend(result: FitResult) -> tuple[float, str | None]:
-    """rms departure of the path from a straight line, m, and the side to which it bends, if it
-    bends by more than its noise."""
-    path = _Path.of(result)
-    if path.curl <= 3 * _noise(path.t, path.measured @ path.across, result.loss):
-        return path.curl, None
-    curvature = np.polyfit(path.seen @ path.along, path.seen @ path.across, 2)[0]
-    return path.curl, "right" if curvature > 0 else "left"
-
-
-class _Path(NamedTuple):
-    """The rows whose position was measured."""
-
-    t: Floats
-    place: Booleans
-    """which rows they are"""
-    measured: Floats
-    seen: Floats
-    """the part of it to be explained"""
-    along: Floats
-    across: Floats
-    """unit vectors; across is to the right"""
-    curl: float
-    """rms lateral departure"""
-
-    @classmethod
-    def of(cls, result: FitResult) -> _Path:
-        x, y = result.observed["x"], result.observed["y"]
-        place = np.isfinite(x) & np.isfinite(y)
-        measured = np.stack([x[place], y[place]], 1)
-        seen = np.stack([_seen(values, result.loss) for values in measured.T], 1)
-        along = np.linalg.svd(seen - seen.mean(0), full_matrices=False)[2][0]
-        along = along if along @ (seen[-1] - seen[0]) > 0 else -along
-        across = np.array([along[1], -along[0]])
-        curl = float((seen @ across).std())
-        return cls(result.observed["t"][place], place, measured, seen, along, across, curl)
+    (size, noise), *_ = sizes
+    if curl <= 3 * noise:
+        return Adequacy(None, follows, curl, None)
+    unexplained = max(size**2 - noise**2, 0.0) / (curl**2 - noise**2)
+    curvature = np.polyfit(seen @ along, seen @ across, 2)[0]
+    side = "right" if curvature > 0 else "left"
+    return Adequacy(float(1 - unexplained), follows, curl, side)
 
 
 def _seen(values: Floats, loss: str) -> Floats:
@@ -119,9 +100,8 @@ def _noise(t: Floats, values: Floats, loss: str) -> float:
     if len(values) <= 3 * _DEGREE:
         return by_row
     fitted = Polynomial.fit(t, _seen(values, loss), _DEGREE)
-    size = _rms if loss == "linear" else robust_sigma
     free = 1 - (_DEGREE + 1) / len(values)
-    return max(by_row, size(values - fitted(t)) / math.sqrt(free))
+    return max(by_row, _size(values - fitted(t), loss) / math.sqrt(free))
 
 
 def _uneven(t: Floats, values: Floats) -> float:
@@ -129,14 +109,9 @@ def _uneven(t: Floats, values: Floats) -> float:
     return float(np.std(values - np.polyval(np.polyfit(t, values, 1), t)))
 
 
-def sizes(result: FitResult, residuals: dict[str, Floats]) -> dict[str, float]:
+def _size(residual: Floats, loss: str) -> float:
     """rms of residuals, or the scale of their bulk where the loss is robust."""
-    size = _rms if result.loss == "linear" else robust_sigma
-    return {name: size(values) for name, values in residuals.items()}
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+    return float(np.sqrt(np.mean(residual**2))) if loss == "linear" else robust_sigma(residual)
 
 
 def opposes_sliding(law: type[Law]) -> bool:
@@ -144,12 +119,11 @@ def opposes_sliding(law: type[Law]) -> bool:
     if not issubclass(law, LocalLaw):
         return False
     general = law_in_general(law)
-    for half in (1.0, 0.0):
-        points = sample_points(half)
-        xi, eta = general.traction(points)
-        if not np.allclose(xi * points.e_eta, eta * points.e_xi, rtol=0, atol=1e-9):
-            return False
-    return True
+    points = [sample_points(half) for half in (1.0, 0.0)]
+    tractions = [(*general.traction(one), one.e_xi, one.e_eta) for one in points]
+    return all(
+        np.allclose(xi * e_eta, eta * e_xi, rtol=0, atol=1e-9) for xi, eta, e_xi, e_eta in tractions
+    )
 
 
 def sides_of_curl(
@@ -159,13 +133,12 @@ def sides_of_curl(
 
     A law of a family is evaluated by the family's program.
     """
-    items = result.coefficients.values()
     steps = np.array([-3, -1, -0.3, 0, 0.3, 1, 3])
     ranges = [
-        np.unique(np.clip(steps * item.typical, item.lower, item.upper))
-        if item.verdict != "fixed"
-        else np.array([item.value])
-        for item in items
+        [item.value]
+        if item.verdict == "fixed"
+        else np.unique(np.clip(steps * item.typical, item.lower, item.upper))
+        for item in result.coefficients.values()
     ]
     grid = np.array(list(product(*ranges)))
     if len(grid) > _MOST:

@@ -10,15 +10,14 @@ and the test of whether a law follows the path in `adequacy`.
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from curlfit.comparison.adequacy import adequacy, bend, opposes_sliding, sides_of_curl, sizes
+from curlfit.comparison.adequacy import Adequacy, adequacy, opposes_sliding, sides_of_curl
 from curlfit.comparison.criteria import (
     criteria,
     effective_values,
@@ -37,6 +36,7 @@ from curlfit.inference.conditions import ALL
 from curlfit.inference.fit.advice import NOISE
 from curlfit.inference.fit.fit import fit
 from curlfit.inference.fit.result import FitResult
+from curlfit.inference.noise.losses import robust_sigma
 from curlfit.inference.parameters import options_of, require_known
 from curlfit.numerics.threads import in_threads
 from curlfit.records import plain
@@ -54,21 +54,23 @@ the speed to the power -0.25."""
 
 
 class Fitted(NamedTuple):
-    """A candidate, with its fit and the log-likelihood of each channel where there is one."""
+    """A fit, and what is known of its candidate, by field; more is added as fits are compared."""
 
-    candidate: Candidate
-    result: FitResult | None = None
-    likelihood: Mapping[str, float] = {}
-
-    def having(self, **fields: Any) -> Fitted:
-        """The same with some fields of the candidate replaced."""
-        return self._replace(candidate=replace(self.candidate, **fields))
+    known: dict[str, Any]
+    result: FitResult
+    likelihood: dict[str, float]
+    """logarithm, by channel"""
+    adequacy: Adequacy
 
     @property
     def counts(self) -> bool:
         """Whether it is ranked."""
-        item = self.candidate
-        return item.bic is not None and item.converged and not item.signs_free
+        return self.result.converged and not self.known["signs_free"]
+
+    @property
+    def size(self) -> dict[str, float]:
+        """Size of the residuals by channel: of their bulk under a robust loss."""
+        return self.known.get("bulk") or self.result.rms
 
 
 def plan(laws: Sequence[str | type[Law]] | None, load: str) -> list[tuple[type[Law], str]]:
@@ -121,25 +123,21 @@ def compare(
     require_path(throw)
     chosen = Comparing.of(throw.settings, laws=laws, **choices)
     todo = plan(chosen.laws, chosen.load)
-    fits = [(law, one_load, kind) for kind in chosen.noise for law, one_load in todo]
+    fits = [(law, load, noise) for noise in chosen.noise for law, load in todo]
     options = {**chosen.by_parameter, "start": chosen.start}
     require_known([law for law, _ in todo], options)
+    shared = vars(chosen) | {
+        "family": family_of(law for law, _ in todo),
+        "systematics": {ALL: 0.0},
+        "details": False,
+    }
+    del shared["laws"]
 
-    family = family_of(law for law, _ in todo)
+    def fitted(law: type[Law], load: str, noise: str) -> list[Fitted | Candidate]:
+        own = options_of(law, options) | {"load": load, "noise": noise}
+        return _with_free_signs(throw, law, shared | own)
 
-    def fitted(law: type[Law], one_load: str, kind: str) -> list[Fitted]:
-        own = vars(chosen) | options_of(law, options)
-        own |= {
-            "free": tuple(own["free"]),
-            "load": one_load,
-            "noise": kind,
-            "family": family,
-            "systematics": {ALL: 0.0},
-        }
-        del own["laws"]
-        return _with_free_signs(throw, law, own)
-
-    found: list[Fitted] = []
+    found: list[Fitted | Candidate] = []
     with in_threads(fitted, fits) as results:
         for done, (law, *_) in enumerate(fits):
             if progress is not None:
@@ -147,79 +145,71 @@ def compare(
             found += next(results)
     if progress is not None:
         progress("", len(fits), len(fits))
-    made = ranked(_followed(found))
+    failed = [one for one in found if isinstance(one, Candidate)]
+    made = ranked([one for one in found if isinstance(one, Fitted)], failed)
     return replace(made, data={**made.data, "flags": [*throw.read_with, *chosen.words()]})
 
 
-def _followed(found: Sequence[Fitted]) -> list[Fitted]:
-    """The fits; no law follows the path that leaves far larger residuals than another, beyond the
-    noise of an ordinary tracker."""
-    each = [one.candidate for one in found]
-    known = [item.residual_size for item in each if item.converged and not item.negative]
-    least = {
-        name: max(sigma, min((size.get(name, math.inf) for size in known), default=math.inf))
-        for name, sigma in NOISE.items()
-    }
-    far = [
-        any(size > _FAR * least[name] for name, size in item.residual_size.items()) for item in each
-    ]
-    return [
-        one.having(follows=False) if beyond else one for one, beyond in zip(found, far, strict=True)
-    ]
-
-
-def _with_free_signs(throw: Throw, law: type[Law], choices: dict[str, Any]) -> list[Fitted]:
+def _with_free_signs(
+    throw: Throw, law: type[Law], choices: dict[str, Any]
+) -> list[Fitted | Candidate]:
     """The fit of a law and, where it needs a negative coefficient, the fit with that."""
     one = _fitted(throw, law, choices, signs_free=False)
-    at_zero = one.result is not None and any(
+    if isinstance(one, Candidate) or one.known["follows"] or choices["unbounded"]:
+        return [one]
+    at_zero = (
         item.verdict == "at bound" and item.lower == 0 and item.value < 1e-6 * item.typical
         for item in one.result.coefficients.values()
     )
-    if at_zero and not one.candidate.follows and not choices["unbounded"]:
+    if any(at_zero):
         again = _fitted(throw, law, choices | {"unbounded": True}, signs_free=True)
-        if again.candidate.negative:
+        if isinstance(again, Fitted) and again.known["negative"]:
             return [one, again]
     return [one]
 
 
-def _fitted(throw: Throw, law: type[Law], choices: dict[str, Any], *, signs_free: bool) -> Fitted:
-    load = "-" if issubclass(law, NetLaw) else choices["load"]
-    blank = Candidate(
-        law=law.name, load=load, isotropic=opposes_sliding(law), signs_free=signs_free, status="",
-        noise=choices["noise"],
-    )  # fmt: skip
+def _fitted(
+    throw: Throw, law: type[Law], choices: dict[str, Any], *, signs_free: bool
+) -> Fitted | Candidate:
+    known: dict[str, Any] = {
+        "law": law.name,
+        "load": "-" if issubclass(law, NetLaw) else choices["load"],
+        "isotropic": opposes_sliding(law),
+        "signs_free": signs_free,
+        "noise": choices["noise"],
+    }
     try:
-        result = fit(throw, law, **choices, details=False)
+        result = fit(throw, law, **choices)
     except UnusableFitError as error:
-        return Fitted(blank).having(status=str(error))
-    explained, follows = adequacy(result)
-    likelihood = log_likelihood(result)
-    return Fitted(blank, result, likelihood).having(
-        status=result.status,
-        converged=result.converged,
-        coefficients={
+        return Candidate(**known, status=str(error))
+    coefficients, likelihood = result.coefficients, log_likelihood(result)
+    adequate = adequacy(result)
+    known |= {name: getattr(result, name) for name in ("status", "converged", "rms", "warnings")}
+    known |= {
+        "coefficients": {
             name: {key: getattr(item, key) for key in ("value", "stderr", "verdict", "unit")}
-            for name, item in result.coefficients.items()
+            for name, item in coefficients.items()
         },
-        combinations=tuple(
+        "combinations": tuple(
             {key: getattr(item, key) for key in ("expression", "value", "stderr")}
             for item in result.combinations
-            if item.weights.keys() & result.coefficients.keys()
+            if item.weights.keys() & coefficients.keys()
         ),
-        noise_model=plain(result.noise),
-        n_parameters=number_of_parameters(result),
-        rms=result.rms,
-        bulk=None if result.loss == "linear" else sizes(result, residuals_of(result)),
-        curl_explained=explained,
-        follows=follows,
-        log_likelihood=sum(likelihood.values()),
-        sides=sides_of_curl(law, choices["load"], result, choices["family"]),
-        negative=_needed_negative(result),
-        at_bound=_with_verdict(result, "at bound"),
-        not_identifiable=_with_verdict(result, "not identifiable"),
-        warnings=result.warnings,
-        fitted={name: result.fitted[name].tolist() for name in PLACE},
-    )
+        "noise_model": plain(result.noise),
+        "n_parameters": number_of_parameters(result),
+        "curl_explained": adequate.explained,
+        "follows": adequate.follows,
+        "log_likelihood": sum(likelihood.values()),
+        "sides": sides_of_curl(law, choices["load"], result, choices["family"]),
+        "negative": _needed_negative(result),
+        "fitted": {name: result.fitted[name].tolist() for name in PLACE},
+    }
+    for name in ("at bound", "not identifiable"):
+        some = [key for key, item in coefficients.items() if item.verdict == name]
+        known[name.replace(" ", "_")] = tuple(some)
+    if result.loss != "linear":
+        known["bulk"] = {name: robust_sigma(r) for name, r in residuals_of(result).items()}
+    return Fitted(known, result, likelihood, adequate)
 
 
 def _needed_negative(result: FitResult) -> tuple[str, ...]:
@@ -244,107 +234,91 @@ def _needed_negative(result: FitResult) -> tuple[str, ...]:
     return tuple(name for name, low in zip(names, value < -1e-6 * typical, strict=True) if low)
 
 
-def _with_verdict(result: FitResult, verdict: str) -> tuple[str, ...]:
-    return tuple(name for name, item in result.coefficients.items() if item.verdict == verdict)
-
-
-def ranked(found: list[Fitted]) -> Comparison:
+def ranked(found: list[Fitted], failed: Sequence[Candidate] = ()) -> Comparison:
     """The comparison of fits to one throw, given in the order of the request.
 
     Raises
     ------
     UnusableFitError : there is no fit at all.
     """
-    fits = [one.result for one in found if one.result is not None]
-    if not fits:
-        raise UnusableFitError("; ".join(one.candidate.status for one in found))
-    effective = effective_values(most_likely(found))
-    found = [
-        one.having(**criteria(one.result, one.likelihood, effective)) if one.result else one
-        for one in found
-    ]
-    followed = any(one.counts and one.candidate.follows for one in found)
-    found = sorted(found, key=lambda one: _order(one, followed))
-    noises = list(dict.fromkeys(one.noise.kind for one in fits))
+    if not found:
+        raise UnusableFitError("; ".join(one.status for one in failed))
+    first, path = found[0].result, found[0].adequacy
+    noises = list(dict.fromkeys(one.result.noise.kind for one in found))
+    countable = [one for one in found if one.counts] or found
+    likeliest = max(countable, key=lambda one: one.known["log_likelihood"])
+    effective = effective_values(likeliest.result)
+    for one in found:
+        one.known.update(criteria(one.result, one.likelihood, effective))
+    _follow(found)
+    followed = any(one.counts and one.known["follows"] for one in found)
+
+    def misses(one: Fitted) -> bool:
+        """Whether a law does not follow a path that another follows: with a flexible noise model
+        its likelihood may be greater all the same."""
+        return followed and one.known["follows"] is False
+
+    def place(one: Fitted) -> tuple[bool, bool, bool, float]:
+        # Differences below a tenth are meaningless: the order of the request is kept.
+        bic = round(one.known["bic"], 1)
+        return one.known["signs_free"], not one.result.converged, misses(one), bic
+
+    found = sorted(found, key=place)
     if not effective.number and len(noises) == 1:
-        found = _with_predictions(found)
-    best = [one for one in found if one.counts and not _misses(one, followed)] or found[:1]
+        _add_predictions(found)
+    best = [one for one in found if one.counts and not misses(one)] or found[:1]
     for name, (difference, best_of) in _DIFFERENCES.items():
-        known = [value for one in best if (value := getattr(one.candidate, name)) is not None]
-        found = [
-            one.having(**{difference: value - best_of(known)})
-            if known and (value := getattr(one.candidate, name)) is not None
-            else one
-            for one in found
-        ]
-    place = itertools.count(1)
-    odds = [
-        math.exp(one.candidate.delta_evidence)
-        if one.counts and one.candidate.delta_evidence is not None
-        else None
-        for one in found
-    ]
-    total = sum(filter(None, odds))
-    first, (curl, side) = fits[0], bend(fits[0])
+        if name in best[0].known:
+            least = best_of([one.known[name] for one in best])
+            for one in found:
+                one.known[difference] = one.known[name] - least
+    _add_ranks([one for one in found if one.counts])
     return Comparison(
         data=first.data,
         stone=first.stone,
-        curl=curl,
-        side=side,
-        candidates=tuple(
-            replace(one.candidate, rank=next(place), weight=odd and odd / total)
-            if one.counts
-            else one.candidate
-            for one, odd in zip(found, odds, strict=True)
-        ),
+        curl=path.curl,
+        side=path.side,
+        candidates=(*(Candidate(**one.known) for one in found), *failed),
         observed={name: first.observed[name].tolist() for name in ("t", *PLACE)},
-        fits=tuple(one.result for one in found),
+        fits=(*(one.result for one in found), *(None for _ in failed)),
         loss=first.loss,
         noise=",".join(noises),
         effective=effective.number,
     )
 
 
-def most_likely(found: list[Fitted]) -> FitResult:
-    """The fit of greatest likelihood among those that may be ranked."""
-    there = [one for one in found if one.result is not None]
-    usable = [
-        one for one in there if one.candidate.converged and not one.candidate.signs_free
-    ] or there
-    best = max(usable, key=lambda one: sum(one.likelihood.values())).result
-    assert best is not None
-    return best
+def _follow(found: Sequence[Fitted]) -> None:
+    """No law follows the path that leaves far larger residuals than another, beyond the noise of an
+    ordinary tracker."""
+    able = [one for one in found if one.result.converged and not one.known["negative"]]
+    for name, sigma in NOISE.items():
+        sizes = [one.size[name] for one in able if name in one.size]
+        least = max(sigma, min(sizes, default=math.inf))
+        for one in found:
+            if one.size.get(name, 0.0) > _FAR * least:
+                one.known["follows"] = False
 
 
-def _order(one: Fitted, followed: bool) -> tuple[bool, bool, bool, bool, float]:
-    item = one.candidate
-    # Differences below a tenth are meaningless: the order of the request is kept.
-    bic = round(item.bic or 0.0, 1)
-    return item.bic is None, item.signs_free, not item.converged, _misses(one, followed), bic
+def _add_ranks(found: Sequence[Fitted]) -> None:
+    """Ranks, and posterior probabilities where the evidence is known."""
+    total = sum(math.exp(one.known.get("delta_evidence", 0.0)) for one in found)
+    for rank, one in enumerate(found, 1):
+        one.known["rank"] = rank
+        if "delta_evidence" in one.known:
+            one.known["weight"] = math.exp(one.known["delta_evidence"]) / total
 
 
-def _misses(one: Fitted, followed: bool) -> bool:
-    """Whether a law does not follow a path that another follows: with a flexible noise model its
-    likelihood may be greater all the same."""
-    return followed and one.candidate.follows is False
-
-
-def _with_predictions(found: list[Fitted]) -> list[Fitted]:
-    """The same with evidence and leave-one-out, which are valid for independent residuals only: a
-    small effective sample size does not determine the shape of a likelihood, and a row that is
-    correlated with its neighbours is predicted from them whatever the law."""
-    scores = [None if one.result is None else leave_one_out(one.result) for one in found]
-    usable = [score for one, score in zip(found, scores, strict=True) if score and one.counts]
-    best = max(usable, key=lambda score: score.elpd, default=None)
-    predicting = []
-    for one, score in zip(found, scores, strict=True):
-        fields: dict[str, float] = {}
-        if one.result is not None:
-            fields["log_evidence"] = log_evidence(one.result, sum(one.likelihood.values()))
-        if score is not None:
-            fields |= {"elpd_loo": score.elpd, "elpd_loo_se": score.stderr, "p_loo": score.p_loo}
-            if best is not None:
-                fields["delta_elpd"] = score.elpd - best.elpd
-                fields["delta_elpd_se"] = standard_error(score.left_out - best.left_out)
-        predicting.append(one.having(**fields))
-    return predicting
+def _add_predictions(found: Sequence[Fitted]) -> None:
+    """Evidence and leave-one-out, which are valid for independent residuals only: a small effective
+    sample size does not determine the shape of a likelihood, and a row that is correlated with its
+    neighbours is predicted from them whatever the law."""
+    for one in found:
+        one.known["log_evidence"] = log_evidence(one.result, one.known["log_likelihood"])
+    scored = [(one, score) for one in found if (score := leave_one_out(one.result))]
+    counted = [score for one, score in scored if one.counts]
+    best = max(counted, key=lambda score: score.elpd, default=None)
+    for one, score in scored:
+        one.known.update(elpd_loo=score.elpd, elpd_loo_se=score.stderr, p_loo=score.p_loo)
+        if best is not None:
+            one.known["delta_elpd"] = score.elpd - best.elpd
+            one.known["delta_elpd_se"] = standard_error(score.left_out - best.left_out)

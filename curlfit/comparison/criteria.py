@@ -58,7 +58,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from scipy.special import gammaln, log_ndtr
@@ -67,6 +67,7 @@ from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import SIGMA_FLOOR, predict_channels
 from curlfit.inference.noise.losses import likeliest_sigma, log_density
+from curlfit.inference.noise.whitening import whitened
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.differences import slopes
 from curlfit.throws.throw import CHANNELS
@@ -77,7 +78,7 @@ _HARD = 50.0  # standard deviations by which a parameter is pushed against its b
 _ALONE = 1e-9  # 1 - leverage of a row, below which it alone determines a parameter
 _ORDER = 3.0  # standard deviation of a coefficient's prior over its typical size or default
 _FAR = 8.0  # standard deviations within which a bound matters
-_LEAST = 1e-12  # smallest probability of a box
+_LEAST = 1e-12  # smallest probability of a box, and stiffness
 
 
 class EffectiveValues(NamedTuple):
@@ -87,16 +88,6 @@ class EffectiveValues(NamedTuple):
     """effective sample size of the channels whose residuals are correlated"""
     spent: float
     """number of parameters that the fit spends on each channel"""
-
-    def weight(self, channel: str, rows: int) -> float:
-        """Weight of the log-likelihood of a channel."""
-        if channel not in self.number:
-            return 1.0
-        return max(self.number[channel] - self.spent, 1.0) / rows
-
-    def total(self, rows: Mapping[str, int]) -> float:
-        """Effective sample size of all channels together."""
-        return sum(self.number.get(name, float(count)) for name, count in rows.items())
 
 
 def number_of_parameters(result: FitResult) -> float:
@@ -111,55 +102,29 @@ def number_of_parameters(result: FitResult) -> float:
 
 def residuals_of(result: FitResult) -> dict[str, Floats]:
     """Measured - fitted by channel, where measured."""
-    found = {name: result.observed[name] - result.fitted[name] for name in result.rms}
-    return {name: values[np.isfinite(values)] for name, values in found.items()}
+    return {name: values[np.isfinite(values)] for name, values in result.residuals.items()}
 
 
 def log_likelihood(result: FitResult) -> dict[str, float]:
     """Log-likelihood at the fit, by channel, under the noise model or the loss; an estimated sigma
     is at its most likely value."""
-    found, loss = {}, result.loss
-    if result.noise.kind == "white":
-        standardized = _independent(result)
-    else:
-        standardized, loss = _whitened(result), "linear"
-    for name, (residual, volume) in standardized.items():
-        scale = likeliest_sigma(residual, loss) if name in result.sigma else 1.0
-        density = log_density(residual / scale, loss) - np.log(scale)
-        found[name] = float(density.sum()) + volume
-    return found
-
-
-def _independent(result: FitResult) -> dict[str, tuple[Floats, float]]:
-    """Residuals over the sigma of each row, where it is given, and the logarithm of the
-    determinant of this change of variables, by channel."""
-    found = {}
-    for name, residual in residuals_of(result).items():
-        by_row = result.observed.get(f"sigma_{name}", np.ones_like(result.observed["t"]))
-        sigma = by_row[np.isfinite(result.observed[name])]
-        found[name] = residual / sigma, -float(np.log(sigma).sum())
-    return found
-
-
-def _whitened(result: FitResult) -> dict[str, tuple[Floats, float]]:
-    """The same for Gaussian noise with the correlation of the fit."""
     problem, _ = problem_of(result)
-    weight, whitener = problem.weight, problem.whitener
+    weight, whitener, found = problem.weight, problem.whitener, {}
     residual = np.zeros(weight.shape)
     for row, name in enumerate(CHANNELS):
-        if name in result.rms:
-            off = result.observed[name] - result.fitted[name]
-            residual[row, : len(off)] = np.where(np.isfinite(off), off, 0.0)
-    white = np.asarray(whitener.whiten(residual * weight))
-    determinant = whitener.log_determinant()
-    return {
-        name: (
-            white[row, there := weight[row] > 0],
-            float(np.log(weight[row, there]).sum() + determinant[row]),
-        )
-        for row, name in enumerate(CHANNELS)
-        if name in result.rms
-    }
+        if name in result.residuals:
+            values = result.residuals[name]
+            residual[row, : len(values)] = np.nan_to_num(values)
+    white = np.asarray(whitened(residual * weight, whitener))
+    determinant = np.zeros(len(weight)) if whitener is None else whitener.log_determinant()
+    for row, name in enumerate(CHANNELS):
+        if name in result.residuals:
+            there = weight[row] > 0
+            own = white[row, there]
+            scale = likeliest_sigma(own, result.loss) if name in result.sigma else 1.0
+            density = log_density(own / scale, result.loss) + np.log(weight[row, there] / scale)
+            found[name] = float(density.sum() + determinant[row])
+    return found
 
 
 def effective_values(result: FitResult) -> EffectiveValues:
@@ -188,111 +153,147 @@ def criteria(
     less than k + 2, and the correction would be infinite.
     """
     k, n = number_of_parameters(result), result.n_observations
-    rows = {name: len(residual) for name, residual in residuals_of(result).items()}
-    twice = 2 * sum(effective.weight(name, rows[name]) * part for name, part in likelihood.items())
-    return {
-        "aicc": 2 * k - twice + 2 * k * (k + 1) / max(n - k - 1, 1),
-        "bic": k * math.log(effective.total(rows)) - twice,
-    }
+    twice = values = 0.0
+    for name, residual in residuals_of(result).items():
+        rows = len(residual)
+        number = effective.number.get(name, rows)
+        counted = max(number - effective.spent, 1.0) if name in effective.number else rows
+        twice += 2 * likelihood[name] * counted / rows
+        values += number
+    correction = 2 * k * (k + 1) / max(n - k - 1, 1)
+    return {"aicc": 2 * k - twice + correction, "bic": k * math.log(values) - twice}
 
 
-class PriorTerms(NamedTuple):
-    """Prior of some parameters, normal where it is not flat; a lognormal one about the estimate, in
-    the coordinate of the module docstring."""
+class NormalFactors(NamedTuple):
+    """Normal factors of the density of some parameters."""
 
     mean: Floats
     precision: Floats
-    """0 where the density is flat"""
-    log_density: float
-    """of the flat priors, and the normalization of the truncated normal ones"""
+    """0 where there is none"""
+
+
+class Quadratic(NamedTuple):
+    """A function b d - d A d/2 of parameters minus their estimates, in units in which the diagonal
+    of A is 1."""
+
+    size: Floats
+    """of these units"""
+    slope: Floats
+    matrix: Floats
+
+    @classmethod
+    def of(cls, slope: Floats, precision: Floats) -> Self:
+        """From b and A."""
+        size = np.sqrt(np.maximum(np.diag(precision), 1e-300))
+        return cls(size, slope / size, precision / np.outer(size, size))
+
+    def inverse(self, inner: Booleans | slice = slice(None)) -> Floats:
+        """Pseudoinverse of A, of some parameters."""
+        block = self.matrix[inner][:, inner]
+        return np.asarray(np.linalg.pinv(block, rcond=_NULL, hermitian=True), float)
+
+    def alone(self, row: Any, inner: Booleans) -> tuple[float, float]:
+        """Slope and stiffness of a parameter with others integrated out."""
+        gain = self.matrix[row, inner] @ self.inverse(inner)
+        stiffness = max(1 - float(gain @ self.matrix[inner, row]), _LEAST)
+        return float(self.slope[row] - gain @ self.slope[inner]), stiffness
+
+
+class Posterior(NamedTuple):
+    """The log-posterior about the estimates of a fit to second order, under the priors of the
+    module docstring, and in its coordinates."""
+
+    estimates: Floats
+    lower: Floats
+    """bounds"""
+    upper: Floats
+    prior: NormalFactors
+    information: Floats
+    """of the data, as the gradient"""
+    gradient: Floats
+    at_bound: Booleans
+
+    @classmethod
+    def of(cls, result: FitResult) -> Self:
+        """From a fit, whose own priors are among the prior."""
+        known, free = result.information, result.parameter_set.free
+        information, gradient = np.array(known["matrix"]), np.array(known["gradient"])
+        if (penalty := result.parameter_set.penalty) is not None:
+            residual, slope = penalty.residual_and_slope(result.values)
+            information -= np.diag(slope[free] ** 2)
+            gradient += (residual * slope)[free]
+        mean, sd, lower, upper = np.array([_prior(result, name) for name in known["names"]]).T
+        at_bound = [result.parameters[name].verdict == "at bound" for name in known["names"]]
+        return cls(
+            result.values[free], lower, upper, NormalFactors(mean, 1 / sd**2), information,
+            gradient, np.array(at_bound),
+        )  # fmt: skip
+
+    @property
+    def away(self) -> Floats:
+        """From the estimates to the means of the prior."""
+        return self.prior.mean - self.estimates
+
+    @property
+    def inward(self) -> Floats:
+        """Sign of the direction in which each parameter leaves its bound; 0 away from bounds."""
+        lower = self.estimates - self.lower < self.upper - self.estimates
+        return np.where(self.at_bound, np.where(lower, 1.0, -1.0), 0.0)
+
+
+def _prior(result: FitResult, name: str) -> tuple[float, float, float, float]:
+    """Mean and standard deviation of the prior of a parameter, infinite where it is flat, and its
+    bounds, as described in the module docstring."""
+    item, prior = result.parameters[name], result.parameter_set.priors.get(name)
+    bounds = item.lower, item.upper
+    if prior is None:
+        own = [one for one in result.law_class.coefficients() if one.name == name]
+        sizes = [max(one.typical, abs(one.default)) for one in own]
+        return 0.0, _ORDER * sizes[0] if sizes else math.inf, *bounds
+    if prior.kind == "uniform":
+        return 0.0, math.inf, *bounds
+    if prior.kind != "lognormal":
+        return prior.mode, prior.values[-1], *bounds
+    median, lower, upper = (
+        item.value * (1 + math.log(p / item.value)) if p > 0 else -math.inf
+        for p in (prior.values[0], *bounds)
+    )
+    return median, prior.values[1] * item.value, lower, upper
 
 
 def log_evidence(result: FitResult, log_likelihood: float) -> float:
     """Logarithm of the evidence, up to a constant that is the same for all laws, from the
     log-likelihood at the fit."""
-    names = result.information["names"]
-    values = np.array([result.parameters[name].value for name in names])
-    lower, upper = np.array([_bounds(result, name) for name in names]).T
-    prior, (information, gradient) = prior_terms(result, names), _of_data(result, names)
-    off = prior.mean - values
-    pushed = np.array([result.parameters[name].verdict == "at bound" for name in names])
-    constant = log_likelihood + prior.log_density - 0.5 * float(off @ (prior.precision * off))
-    return constant + _log_integral(
-        gradient + prior.precision * off, information + np.diag(prior.precision), lower - values,
-        upper - values, pushed,
+    known = Posterior.of(result)
+    (mean, precision), off = known.prior, known.away
+    total = log_likelihood - 0.5 * float(off @ (precision * off))
+    for name, prior in result.parameter_set.priors.items():
+        if prior.kind == "uniform":
+            total -= math.log(result.parameters[name].upper - result.parameters[name].lower)
+    normal = precision > 0
+    root = np.sqrt(precision[normal])
+    ends = ((end - mean)[normal] * root for end in (known.lower, known.upper))
+    total += float((np.log(root / np.sqrt(2 * np.pi)) - _log_between(*ends)).sum())
+    return total + _log_integral(
+        known.gradient + precision * off, known.information + np.diag(precision),
+        known.lower - known.estimates, known.upper - known.estimates, known.at_bound,
     )  # fmt: skip
 
 
 def effective_parameters(result: FitResult) -> float:
     """Number of parameters away from their bounds that the data rather than the prior determine:
     the trace of J^T J (J^T J + P)^-1, P the precision of the prior."""
-    names = result.information["names"]
-    free = [
-        index for index, name in enumerate(names) if result.parameters[name].verdict != "at bound"
-    ]
-    information = _of_data(result, names)[0][np.ix_(free, free)]
-    prior = prior_terms(result, names).precision[free]
-    size = np.sqrt(np.maximum(np.diag(information) + prior, 1e-300))
-    scaled, own = information / np.outer(size, size), np.diag(prior / size**2)
-    return float(np.trace(np.linalg.lstsq(scaled + own, scaled, rcond=1e-13)[0]))
+    known = Posterior.of(result)
+    free = ~known.at_bound
+    information, prior = known.information[free][:, free], known.prior.precision[free]
+    whole = Quadratic.of(known.gradient[free], information + np.diag(prior))
+    return float(np.trace(whole.inverse() @ (information / np.outer(whole.size, whole.size))))
 
 
-def prior_terms(result: FitResult, names: list[str]) -> PriorTerms:
-    """The prior of parameters by name, as described in the module docstring."""
-    coefficients = {item.name: item for item in result.law_class.coefficients()}
-    priors = result.parameter_set.priors
-    mean, precision = np.zeros((2, len(names)))
-    log_density = 0.0
-    for index, name in enumerate(names):
-        known, item = priors.get(name), result.parameters[name]
-        if known is not None and known.kind == "uniform":
-            log_density -= math.log(item.upper - item.lower)
-            continue
-        if known is not None and known.kind == "lognormal":
-            median, sigma = known.values
-            mean[index], sd = _logarithmic(median, item.value), sigma * item.value
-        elif known is not None:
-            mean[index], sd = known.mode, known.values[-1]
-        elif name in coefficients:
-            sd = _ORDER * max(coefficients[name].typical, abs(coefficients[name].default))
-        else:
-            continue
-        precision[index] = 1 / sd**2
-        ends = (np.array(_bounds(result, name)) - mean[index]) / sd
-        log_density -= math.log(sd) + 0.5 * math.log(2 * math.pi) + _log_between(*ends)
-    return PriorTerms(mean, precision, log_density)
-
-
-def _bounds(result: FitResult, name: str) -> tuple[float, float]:
-    """The bounds of a parameter, in its coordinate of the module docstring."""
-    item, prior = result.parameters[name], result.parameter_set.priors.get(name)
-    if prior is None or prior.kind != "lognormal":
-        return item.lower, item.upper
-    return _logarithmic(item.lower, item.value), _logarithmic(item.upper, item.value)
-
-
-def _logarithmic(p: float, estimate: float) -> float:
-    """p1 (1 + ln(p/p1)): the logarithm of p, scaled so as to equal p to first order about p1."""
-    return estimate * (1 + math.log(p / estimate)) if p > 0 else -math.inf
-
-
-def _log_between(low: float, high: float) -> float:
+def _log_between(low: Any, high: Any) -> Any:
     """Logarithm of the probability of an interval under the standard normal density."""
-    if low > 0:
-        low, high = -high, -low
-    return float(log_ndtr(high) + np.log1p(-np.exp(log_ndtr(low) - log_ndtr(high))))
-
-
-def _of_data(result: FitResult, names: list[str]) -> tuple[Floats, Floats]:
-    """Information and gradient of the log-likelihood, without the priors of the fit."""
-    information = np.array(result.information["matrix"])
-    gradient = np.array(result.information["gradient"])
-    penalty = result.parameter_set.penalty
-    if penalty is None:
-        return information, gradient
-    free = [result.parameter_set.index(name) for name in names]
-    residual, slope = penalty.residual_and_slope(result.values)
-    return information - np.diag(slope[free] ** 2), gradient + (residual * slope)[free]
+    low, high = np.where(low > 0, [-high, -low], [low, high])
+    return log_ndtr(high) + np.log1p(-np.exp(log_ndtr(low) - log_ndtr(high)))
 
 
 def _log_integral(
@@ -302,26 +303,19 @@ def _log_integral(
 
     b is `linear`, A `precision`.
     """
-    inner, outer = np.flatnonzero(~pushed), np.flatnonzero(pushed)
-    size = np.sqrt(np.maximum(np.diag(precision), 1e-300))
-    matrix = precision / np.outer(size, size)
-    linear = linear / size
-    block = matrix[np.ix_(inner, inner)]
-    squares, axes = np.linalg.eigh(block)
-    seen = squares > 1e-14 * squares.max(initial=0.0)
-    inverse = (axes[:, seen] / squares[seen]) @ axes[:, seen].T
-    mean = inverse @ linear[inner]
-    total = 0.5 * float(linear[inner] @ mean)
-    total += 0.5 * (seen.sum() * math.log(2 * math.pi) - float(np.log(squares[seen]).sum()))
+    quadratic, inner = Quadratic.of(linear, precision), ~pushed
+    size, slope = quadratic.size, quadratic.slope[inner]
+    squares = np.linalg.eigvalsh(quadratic.matrix[inner][:, inner])
+    squares = squares[squares > _NULL * squares.max(initial=0.0)]
+    inverse = quadratic.inverse(inner)
+    mean = inverse @ slope
+    total = 0.5 * float(slope @ mean + (np.log(2 * math.pi) - np.log(squares)).sum())
     total -= float(np.log(size[inner]).sum())
     total += _log_box(mean, inverse, (lower * size)[inner], (upper * size)[inner])
     # Each pushed parameter over its half-line, with the others following.
-    for index in outer:
-        cross = matrix[index, inner]
-        stiffness = max(float(matrix[index, index] - cross @ inverse @ cross), 1e-12)
-        push = abs(float(linear[index] - cross @ mean))
-        root = math.sqrt(stiffness)
-        total += push**2 / (2 * stiffness) + float(log_ndtr(-push / root))
+    for index in np.flatnonzero(pushed):
+        push, stiffness = quadratic.alone(index, inner)
+        total += push**2 / (2 * stiffness) + float(log_ndtr(-abs(push) / math.sqrt(stiffness)))
         total += 0.5 * math.log(2 * math.pi / stiffness) - math.log(size[index])
     return total
 
@@ -379,16 +373,16 @@ def leave_one_out(result: FitResult) -> LeaveOneOut | None:
     determines a parameter, and where the law admits no motion near the fit."""
     if result.loss != "linear" or result.noise.kind != "white":
         return None
-    free, where = result.information["names"], result.parameter_set.free
+    known, where = Posterior.of(result), result.parameter_set.free
     problem, origin = problem_of(result)
     n, channels = len(result.observed["t"]), problem.observed.shape[0]
     weight = problem.weight[:, :n]
     there = weight > 0
     offset = origin.offset(len(result.values))
     values, parameters = result.values - offset, result.parameter_set.shifted(-offset)
-    known = np.sqrt(np.diag(np.array(result.information["matrix"])))
+    error = np.sqrt(np.diag(np.array(result.information["matrix"])))
     step = _STEP * parameters.typical
-    step[where] = _STEP / np.maximum(known, 1 / parameters.typical[where])
+    step[where] = _STEP / np.maximum(error, 1 / parameters.typical[where])
 
     def weighted(values: Floats) -> Floats:
         path = np.asarray(predict_channels(result.model, values, problem))[:channels, :n]
@@ -398,41 +392,22 @@ def leave_one_out(result: FitResult) -> LeaveOneOut | None:
     jacobian = slopes(weighted, values, step, where, lower=parameters.lower, upper=parameters.upper)
     if not (np.isfinite(residual).all() and np.isfinite(jacobian).all()):
         return None
-    prior = prior_terms(result, free)
-    away = prior.mean - np.array([result.parameters[name].value for name in free])
-    design = jacobian.reshape(-1, len(free))
+    precision, away = known.prior.precision, known.away
+    design = jacobian.reshape(-1, len(away))
     factors = _bound_factors(
-        design.T @ design + np.diag(prior.precision),
-        design.T @ residual.ravel() + prior.precision * away, _inward(result, free),
+        design.T @ design + np.diag(precision), design.T @ residual.ravel() + precision * away,
+        known.inward,
     )  # fmt: skip
-    roots = np.sqrt(np.stack([prior.precision, factors.precision]))
+    roots = np.sqrt(np.stack([precision, factors.precision]))
     return densities(
-        residual, jacobian, weight, (roots[..., None] * np.eye(len(free))).reshape(-1, len(free)),
+        residual, jacobian, weight, (roots[..., None] * np.eye(len(away))).reshape(-1, len(away)),
         (roots * np.stack([away, factors.mean])).ravel(),
         np.array([name in result.sigma for name in CHANNELS[:channels]]),
     )  # fmt: skip
 
 
-def _inward(result: FitResult, names: list[str]) -> Floats:
-    """Sign of the direction in which each parameter leaves its bound; 0 away from bounds."""
-    found = np.zeros(len(names))
-    for row, name in enumerate(names):
-        item = result.parameters[name]
-        if item.verdict == "at bound":
-            found[row] = 1.0 if item.value - item.lower < item.upper - item.value else -1.0
-    return found
-
-
-class _Factors(NamedTuple):
-    """Normal factors of the density of each parameter minus its estimate."""
-
-    mean: Floats
-    precision: Floats
-    """0 where there is none"""
-
-
-def _bound_factors(precision: Floats, gradient: Floats, inward: Floats) -> _Factors:
-    """Normal factors that replace the bounds of parameters at a bound.
+def _bound_factors(precision: Floats, gradient: Floats, inward: Floats) -> NormalFactors:
+    """Normal factors, about the estimates, that replace the bounds of parameters at a bound.
 
     With all others integrated out, the density of the distance d from the bound is proportional to
     exp(-push d - s d^2/2), d > 0: with a = push/sqrt(s) and l = phi(a)/Phi(-a), its mean is
@@ -441,24 +416,21 @@ def _bound_factors(precision: Floats, gradient: Floats, inward: Floats) -> _Fact
     Parameters
     ----------
     precision, gradient : of the log-posterior, by the parameters.
-    inward : see `_inward`.
+    inward : see `Posterior.inward`.
     """
-    found = _Factors(np.zeros(len(inward)), np.zeros(len(inward)))
-    size = np.sqrt(np.maximum(np.diag(precision), 1e-300))
-    scaled, slope = precision / np.outer(size, size), gradient / size
-    inner = inward == 0
+    found = NormalFactors(*np.zeros((2, len(inward))))
+    quadratic = Quadratic.of(gradient, precision)
     for row in np.flatnonzero(inward):
-        gain = np.linalg.lstsq(scaled[np.ix_(inner, inner)], scaled[inner, row], rcond=_NULL)[0]
-        stiffness = max(float(1 - gain @ scaled[inner, row]), _ALONE)
-        push = max(-inward[row] * float(slope[row] - gain @ slope[inner]), 0.0)
+        slope, stiffness = quadratic.alone(row, inward == 0)
+        push = max(-inward[row] * slope, 0.0)
         a = push / np.sqrt(stiffness)
         ratio = np.exp(_log_normal(a) - log_ndtr(-a))
         mean, variance = (ratio - a) / np.sqrt(stiffness), (1 - ratio * (ratio - a)) / stiffness
         if a > _HARD:  # an exponential density, without the rounding error of ratio - a
             mean, variance = 1 / push, 1 / push**2
         extra = 1 / variance - stiffness
-        found.precision[row] = extra * size[row] ** 2
-        found.mean[row] = inward[row] * (mean / variance + push) / extra / size[row]
+        found.precision[row] = extra * quadratic.size[row] ** 2
+        found.mean[row] = inward[row] * (mean / variance + push) / extra / quadratic.size[row]
     return found
 
 

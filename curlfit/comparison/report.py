@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -73,21 +74,16 @@ def document(comparison: Comparison) -> Document:
 
 
 def _ranks(comparison: Comparison) -> PlainTable:
-    several = len(comparison.noises) > 1
-    evidence = any(item.log_evidence is not None for item in comparison.candidates)
-    elpd = any(item.delta_elpd is not None for item in comparison.candidates)
-    rows = []
-    for item in comparison.candidates:
-        name = Text(item.law)
-        if item.signs_free:
-            name.append(" any sign", style="dim")
-        rows.append(
-            {
-                ">": "-" if item.rank is None else str(item.rank), "law": name, "load": item.load,
-                "noise": item.noise * several,
-            }
-            | _fitted(item, evidence=evidence)
-        )  # fmt: skip
+    several, candidates = len(comparison.noises) > 1, comparison.candidates
+    evidence = any(item.log_evidence is not None for item in candidates)
+    rows = [
+        {
+            ">": "-" if item.rank is None else str(item.rank),
+            "law": Text.assemble(item.law, (" any sign" * item.signs_free, "dim")),
+            "load": item.load, "noise": item.noise * several, **_fitted(item, evidence=evidence),
+        }
+        for item in candidates
+    ]  # fmt: skip
     measure, by = "rms", ""
     if comparison.loss != "linear":
         measure = "robust scale"
@@ -98,7 +94,7 @@ def _ranks(comparison: Comparison) -> PlainTable:
     elif evidence and comparison.noise != "white":
         by = f" Leave-one-out is not given: {_NEIGHBOURS}"
     criteria = "dlnZ: log evidence minus the largest; " if evidence else ""
-    if elpd:
+    if any(item.delta_elpd is not None for item in candidates):
         criteria += (
             "delpd: expected log predictive density of leave-one-out (elpd_loo) minus the largest, "
             "with the standard error of that in its last two digits; "
@@ -120,10 +116,12 @@ def _fitted(item: Candidate, *, evidence: bool) -> dict[str, Any]:
         return {"follows": Text("no fit", style="red")}
     size = item.residual_size
     criterion, other = ("dlnZ", item.delta_evidence) if evidence else ("dAICc", item.delta_aicc)
+    elpd = _difference(item.delta_elpd)
+    if item.delta_elpd_se:
+        elpd = compact(item.delta_elpd or 0.0, item.delta_elpd_se)
     return {
         ">k": "" if item.n_parameters is None else f"{item.n_parameters:.3g}",
-        ">dBIC": _difference(item.delta_bic), f">{criterion}": _difference(other),
-        ">delpd": _with_error(item),
+        ">dBIC": _difference(item.delta_bic), f">{criterion}": _difference(other), ">delpd": elpd,
         **{
             f">{name} ({unit})": f"{1000 * size[name]:.3g}" if name in size else ""
             for name, unit in (("x", "mm"), ("y", "mm"), ("phi", "mrad"))
@@ -140,13 +138,6 @@ _FOLLOWS = {
 
 def _difference(value: float | None) -> str:
     return "" if value is None else f"{value:.1f}" if abs(value) < 1000 else f"{value:.0f}"
-
-
-def _with_error(item: Candidate) -> str:
-    """delpd, with its standard error in its last two digits."""
-    if not item.delta_elpd_se:
-        return _difference(item.delta_elpd)
-    return compact(item.delta_elpd or 0.0, item.delta_elpd_se)
 
 
 def _share(value: float) -> str:
@@ -169,53 +160,50 @@ def _said(item: Candidate) -> Text | Items:
         return status
     said = []
     for name, found in item.coefficients.items():
-        if found["verdict"] == "not identifiable":
-            continue
-        said.append(Text(f"{name} = {_value(found)}"))
-        if found["verdict"] not in ("determined", "fixed"):
-            said[-1].append(f" {found['verdict']}", style=STYLE[found["verdict"]])
-    said += [Text(f"{one['expression']} = {_value(one)}") for one in item.combinations]
+        verdict, unit = found["verdict"], found["unit"]
+        if verdict != "not identifiable":
+            shown = compact(found["value"], found["stderr"]) + ("" if unit == "1" else f" {unit}")
+            about = "" if verdict in ("determined", "fixed") else f" {verdict}"
+            said.append(Text.assemble(f"{name} = {shown}", (about, STYLE[verdict])))
+    for one in item.combinations:
+        said.append(Text(f"{one['expression']} = {compact(one['value'], one['stderr'])}"))
     if item.not_identifiable:
         hidden = f"{join_words(item.not_identifiable)} not identifiable"
         said.append(Text(hidden, style=STYLE["not identifiable"]))
     return Items(said if item.converged else [*said, status])
 
 
-def _value(found: dict[str, Any]) -> str:
-    unit = found.get("unit", "1")
-    return compact(found["value"], found["stderr"]) + ("" if unit == "1" else f" {unit}")
-
-
 def conclusions(comparison: Comparison) -> list[str]:
     """The conclusions from the comparison, in sentences."""
     fitted = [item for item in comparison.candidates if item.rms is not None]
     within = [item for item in fitted if not item.signs_free]
+    following, unclear = (
+        "; ".join(item.label for item in within if item.follows is follows and not item.negative)
+        for follows in (True, None)
+    )
     lines = []
-    following = [item.label for item in within if item.follows and not item.negative]
-    unclear = [item.label for item in within if item.follows is None and not item.negative]
     if following:
-        lines.append(f"Laws that follow the path within their bounds: {'; '.join(following)}.")
+        lines.append(f"Laws that follow the path within their bounds: {following}.")
     if unclear:
         lines.append(
             "Laws of which it is unclear whether they follow the path, as their residuals may be "
-            f"correlated noise: {'; '.join(unclear)}."
+            f"correlated noise: {unclear}."
         )
-    if not following and not unclear:
+    if not lines:
         lines.append("No law follows the path within its bounds.")
     if sum(item.follows is False and bool(item.rank) for item in within) > 1:
         lines.append(
             "The order of laws that do not follow the path is not meaningful: each is fitted with "
             "noise estimated from its own residuals."
         )
-    isotropic = [item for item in within if item.isotropic]
-    if isotropic:
+    if isotropic := [item for item in within if item.isotropic]:
         lines.append(_about_isotropic(isotropic))
     for item in fitted:
         if item.negative and item.follows:
             lines.append(
                 f"{item.label}: follows the path only with negative {join_words(item.negative)}."
             )
-    if weights := [item for item in within if item.weight is not None]:
+    if weights := {item.label: item.weight for item in within if item.weight is not None}:
         lines.append(_about_evidence(weights))
     if predicted := [item for item in within if item.rank and item.delta_elpd is not None]:
         lines.append(_about_predictions(predicted))
@@ -224,47 +212,43 @@ def conclusions(comparison: Comparison) -> list[str]:
     return lines
 
 
-def _about_evidence(ranked: list[Candidate]) -> str:
+def _about_evidence(weights: Mapping[str, float]) -> str:
     """The laws that the evidence leaves probable, and their probabilities."""
-    ordered = sorted(ranked, key=lambda item: -(item.weight or 0.0))
-    named = [item for item in ordered if (item.weight or 0.0) > _PROBABLE] or ordered[:1]
-    said = join_words([f"{item.label} {_share(item.weight or 0.0)}" for item in named])
+    ordered = sorted(weights, key=lambda label: -weights[label])
+    named = [label for label in ordered if weights[label] > _PROBABLE] or ordered[:1]
+    said = join_words([f"{label} {_share(weights[label])}" for label in named])
     return (
         "Posterior probabilities from the evidence, with equal prior probabilities of the "
-        f"{len(ranked)} laws: {said}. They hold among these laws only; possibly none is correct."
+        f"{len(weights)} laws: {said}. They hold among these laws only; possibly none is correct."
     )
 
 
 def _about_predictions(ranked: list[Candidate]) -> str:
     """Which laws leave-one-out does not distinguish from the best."""
     best, *others = sorted(ranked, key=lambda item: -(item.delta_elpd or 0.0))
+    if not others:
+        return f"By leave-one-out the expected log predictive density is {best.elpd_loo:.1f}."
     same = [
         item.label
         for item in others
         if -(item.delta_elpd or 0.0) < max(_ELPD, 2 * (item.delta_elpd_se or 0.0))
     ]
-    if not others:
-        return f"By leave-one-out the expected log predictive density is {best.elpd_loo:.1f}."
-    apart = f"{_ELPD:g} or two standard errors"
+    apart = f"than {_ELPD:g} or two standard errors."
     if not same:
-        return (
-            f"By leave-one-out {best.label} predicts best: all others are lower by more than "
-            f"{apart}."
-        )
+        return f"By leave-one-out {best.label} predicts best: all others are lower by more {apart}"
     return (
         f"Leave-one-out does not distinguish {best.label} from {'; '.join(same)}: differences of "
-        f"less than {apart}."
+        f"less {apart}"
     )
 
 
 def _about_noise(comparison: Comparison) -> str:
     """The noise model of the best fit, and how far the best fits of the others are from it."""
-    best = comparison.best
-    others = []
+    best, others = comparison.best, []
     for name in comparison.noises:
-        own = [item for item in comparison.candidates if item.noise == name and item.rank]
-        if own and name != best.noise:
-            others.append(f"with {name} noise {_difference(own[0].delta_bic)} higher")
+        own = (item for item in comparison.candidates if item.noise == name and item.rank)
+        if name != best.noise and (first := next(own, None)):
+            others.append(f"with {name} noise {_difference(first.delta_bic)} higher")
     return (
         f"The lowest BIC is that of {best.noise} noise ({best.label})"
         + (f"; it is {join_words(others)}." if others else ".")
@@ -275,38 +259,32 @@ def _about_noise(comparison: Comparison) -> str:
 
 def _about_correlation(comparison: Comparison) -> str:
     """That a ranking with correlated residuals is unreliable, and its effective sample sizes."""
-    observed = {name: comparison.observed.get(name, []) for name in comparison.effective}
-    rows = {
-        name: sum(v is not None and math.isfinite(v) for v in values)
-        for name, values in observed.items()
-    }
-    worth = ", ".join(
-        f"{count:.0f}" + (f" of {rows[name]}" if rows[name] else "") + f" in {name}"
-        for name, count in comparison.effective.items()
-    )
-    return (
-        "the ranking is not reliable. Even the law that fits best leaves residuals that "
-        "are correlated from row to row. The likelihoods in dBIC and dAICc are weighted by "
-        f"effective sample sizes ({worth}), an approximation; correlated noise alone can put a "
+    worth = []
+    for name, count in comparison.effective.items():
+        values = comparison.observed.get(name, [])
+        rows = sum(value is not None and math.isfinite(value) for value in values)
+        worth.append(f"{count:.0f}{f' of {rows}' * bool(rows)} in {name}")
+    text = (
+        "the ranking is not reliable. Even the law that fits best leaves residuals that are "
+        "correlated from row to row. The likelihoods in dBIC and dAICc are weighted by effective "
+        f"sample sizes ({', '.join(worth)}), an approximation; correlated noise alone can put a "
         "wrong law first"
-        + (
-            ""
-            if len(comparison.noises) > 1
-            else ". The log evidence and leave-one-out, which assume independent residuals, are "
-            "not given. Use --noise white,ar1 to compare noise models"
-        )
+    )
+    if len(comparison.noises) > 1:
+        return text
+    return (
+        f"{text}. The log evidence and leave-one-out, which assume independent residuals, are not "
+        "given. Use --noise white,ar1 to compare noise models"
     )
 
 
 def _about_isotropic(isotropic: list[Candidate]) -> str:
     positive = [item for item in isotropic if not item.negative]
-    following = [item.label for item in positive if item.follows]
-    if following:
-        return f"Isotropic friction, opposite to sliding at every point, is enough: {following[0]}."
+    enough = "friction, opposite to sliding at every point, is enough"
+    if following := [item.label for item in positive if item.follows]:
+        return f"Isotropic {enough}: {following[0]}."
     if any(item.follows is None for item in positive):
-        return (
-            "Whether isotropic friction, opposite to sliding at every point, is enough is unclear."
-        )
+        return f"Whether isotropic {enough} is unclear."
     text = (
         "No isotropic law (friction opposite to sliding at every point) with non-negative "
         "coefficients follows the path"
