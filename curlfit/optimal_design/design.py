@@ -329,23 +329,21 @@ def _notes(
 ) -> tuple[str, ...]:
     early = 0 if until is None else sum(one.rest > until for one in records)
     far = [one.distance for one in records if until is None and one.distance > _LONGEST_DISTANCE]
-    notes = {
-        "these errors hold if the law is correct and noise is independent from row to row; the "
-        "discrepancy of a law does not average out: `--discrepancy 0.05` allows for one": (
-            not discrepancy
-        ),
-        "these errors allow for accelerations that the law lacks, of "
-        f"{100 * discrepancy:.2g} % of what friction does and independent from throw to "
-        "throw; where they recur, more throws help less": discrepancy,
-        "with independent noise more rows always reduce the errors: the highest rate is chosen": (
-            len(rates) > 1
-        ),
-        f"of {len(records)} records {early} end at {until or 0:g} s, before the stone is at "
-        "rest": early,
-        f"{len(far)} of {len(records)} throws go up to {max(far, default=0):.1f} m; from the hog "
-        f"line to the far back line there are {_LONGEST_DISTANCE:.1f} m": far,
-    }
-    return tuple(note for note, said in notes.items() if said)
+    notes = (
+        (not discrepancy, "these errors hold if the law is correct and noise is independent from "
+         "row to row; the discrepancy of a law does not average out: `--discrepancy 0.05` allows "
+         "for one"),
+        (discrepancy, "these errors allow for accelerations that the law lacks, of "
+         f"{100 * discrepancy:.2g} % of what friction does and independent from throw to throw; "
+         "where they recur, more throws help less"),
+        (len(rates) > 1, "with independent noise more rows always reduce the errors: the highest "
+         "rate is chosen"),
+        (early, f"of {len(records)} records {early} end at {until or 0:g} s, before the stone is "
+         "at rest"),
+        (far, f"{len(far)} of {len(records)} throws go up to {max(far, default=0):.1f} m; from the "
+         f"hog line to the far back line there are {_LONGEST_DISTANCE:.1f} m"),
+    )  # fmt: skip
+    return tuple(note for applies, note in notes if applies)
 
 
 def scenarios(

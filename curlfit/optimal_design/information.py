@@ -32,7 +32,7 @@ import numpy as np
 from curlfit.errors import InputError
 from curlfit.friction import Law, Load, no_motion_because
 from curlfit.inference.fit.systematics import residual_changes
-from curlfit.inference.identifiability import Bounded, confined, r_factor, visible
+from curlfit.inference.identifiability import Bounded, confined, r_factor, stderr_of, visible
 from curlfit.inference.least_squares import Indices
 from curlfit.inference.likelihood import linearize, predict_many, prepare_many
 from curlfit.inference.model import Model
@@ -58,9 +58,6 @@ _REFINEMENTS = 3  # 120 s/255^3 is a hundred thousandth of a second
 _ROWS = 256  # in a column of a batch
 _BATCH = 16  # columns; few, so that one or two throws do not leave most of them empty
 _ROUNDING = 1e-13  # relative to the largest singular value of the columns of the initial state
-_UNDETERMINED = (
-    1e-3  # fraction of a combination outside the determined subspace above which it is unknown
-)
 
 
 class PlannedThrow(NamedTuple):
@@ -388,10 +385,7 @@ def standard_error(factor: Floats, weights: Floats) -> float | None:
     """
     _, singular, right = np.linalg.svd(factor)
     mask = visible(singular)
-    along = right[mask] @ weights
-    if np.linalg.norm(weights - right[mask].T @ along) > _UNDETERMINED * np.linalg.norm(weights):
-        return None
-    return float(np.linalg.norm(along / singular[mask]))
+    return stderr_of(weights, right[mask], singular[mask])
 
 
 class CandidateSet(NamedTuple):
