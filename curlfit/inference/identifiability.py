@@ -28,6 +28,7 @@ _LITTLE_PART = 0.05  # the same for a direction that is weakly determined
 _ROOM = 0.1  # standard errors within the bounds, below which these determine a direction
 _WHOLE = np.arange(1.0, 7)[:, None, None]  # denominators of simple ratios
 _WEAK = 1.0  # singular value below which a direction is known to no better than typical sizes
+_UNDETERMINED = 1e-3  # share of a sum outside the determined directions, above which it is unknown
 WEAK_ERROR = 0.5
 """Standard error over typical size, from which an estimate is weakly determined: a 95 % interval
 then reaches a typical size to either side."""
@@ -177,6 +178,20 @@ def confined(jacobian: Floats, bounded: Bounded, typical: Floats) -> Floats:
         return jacobian
     rows = right * null[..., None]
     return jacobian - (scaled @ rows.mT) @ rows / typical[..., None, :]
+
+
+def stderr_of(weights: Floats, right: Floats, singular: Floats) -> float | None:
+    """Standard error of a weighted sum; None where it is undetermined.
+
+    Parameters
+    ----------
+    weights : in scaled parameters.
+    right, singular : determined directions, as orthonormal rows, and the singular value of each.
+    """
+    along = right @ weights
+    if np.linalg.norm(weights - right.T @ along) > _UNDETERMINED * np.linalg.norm(weights):
+        return None
+    return float(np.linalg.norm(along / singular))
 
 
 def inverted(singular: Floats, counts: Booleans) -> Floats:

@@ -14,8 +14,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 
 import numpy as np
@@ -25,8 +24,7 @@ from curlfit.foreign import quoted
 from curlfit.friction import Law, Load, check_load
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.systematics import shifts, widths_of
-from curlfit.inference.identifiability import Identifiability, analyse, classify
-from curlfit.inference.parameters import START
+from curlfit.inference.identifiability import Identifiability, analyse, classify, r_factor
 from curlfit.numerics.arrays import Floats
 from curlfit.optimal_design.information import (
     Assumptions,
@@ -123,11 +121,12 @@ def design(
     (4, 3)
     """
     progress = progress or (lambda text: None)
-    kind, values, load, stone = _assumed(law, coefficients, load, stone)
-    sigma = _noise(NOISE if sigma is None else sigma)
+    law, values, load, stone = _assumed(law, coefficients, load, stone)
     rates = (rate,) if isinstance(rate, int | float) else tuple(rate)
-    _check(v0, omega0, rates, until, throws, relative_error)
-    assumed = Assumptions(kind, load, values, sigma, until, discrepancy)
+    sigma = NOISE if sigma is None else sigma
+    _check(sigma, v0, omega0, rates, until, throws, relative_error)
+    sigma = {name: float(sigma[name]) for name in CHANNELS if name in sigma}
+    assumed = Assumptions(law, load, values, sigma, until, discrepancy)
     pair = None if separate is None else CoefficientPair(assumed, separate)
     planned = [
         PlannedThrow(float(v), float(w), float(hertz), stone)
@@ -140,54 +139,39 @@ def design(
         )
     if not 0 <= discrepancy < math.inf:
         raise InputError(f"discrepancy = {discrepancy:g}; expected 0 or more, over the friction")
-    for one_load in ("uniform", "consistent") if kind.sums or separate else (load,):
-        prepare_information(replace(assumed, load=check_load(one_load)), planned[0])
+    for one in assumed.by_load.values() if law.sums or separate else (assumed,):
+        prepare_information(one, planned[0])
     progress("the information of each throw")
-    records = record_information(assumed, planned)
-    factors = [marginal_factor(assumed, one) for one in records]
-    candidates = CandidateSet.from_factors(factors)
+    records, factors = assumed.records(planned), marginal_factors(assumed, planned)
+    candidates, together = CandidateSet.from_factors(factors), combined(factors)
     if not candidates.rank:
-        raise InputError(f"these throws determine no coefficient of law {kind.name}")
-    together = _identifiability(assumed, combined(factors))
-    # The determined coefficients and combinations.
-    quantities = {
+        raise InputError(f"these throws determine no coefficient of law {law.name}")
+    known = _identifiability(assumed, together)
+    quantities = {  # determined coefficients and combinations
         name: {name: 1.0}
-        for name, unseen in zip(assumed.names, together.unseen, strict=True)
+        for name, unseen in zip(assumed.names, known.unseen, strict=True)
         if not unseen
-    } | {item.expression: item.weights for item in together.combinations}
-    a_criterion = error_criterion(candidates, np.eye(len(assumed.free)))
-    best = {
-        name: _expected(assumed, indices, candidates.together(indices))
-        for name, criterion in (("D", d_criterion), ("A", a_criterion))
-        if (indices := select_design(candidates, criterion, throws)) is not None
-    }
-    if not best:
-        raise InputError(
-            f"no {throws} of these throws determine what all of them together do; increase "
-            "the number of throws, or give other candidates"
-        )
-    exact = replace(assumed, discrepancy=0.0)
-    by_load: dict[Load, list[Floats]] = {} if discrepancy else {load: factors}
+    } | {item.expression: item.weights for item in known.combinations}
+    best = _best(assumed, candidates, throws)
     if pair is None:
         if load == "consistent":
             progress("the directions hidden under uniform load")
-            by_load["uniform"] = marginal_factors(replace(exact, load="uniform"), planned)
-            together = _identifiability(assumed, combined(by_load["uniform"]))
-        names = _undetermined_pair(together)
-        pair = None if names is None else CoefficientPair(exact, names)
+            uniform = assumed.by_load["uniform"]
+            known = _identifiability(uniform, combined(marginal_factors(uniform, planned)))
+        names = _undetermined_pair(known)
+        pair = None if names is None else CoefficientPair(assumed, names)
     progress("errors against noise, rate and number of throws")
-    made = next(iter(best.values())).throws
-    curves = _curves(assumed, planned, records, candidates, made, quantities)
+    made = [planned[index] for index in next(iter(best.values())).throws]
+    curves = _curves(assumed, made, candidates, quantities)
     progress("systematic errors")
-    found = scenarios(assumed, [planned[index] for index in made], quantities)
-    separation = None
+    found, separation = scenarios(assumed, made, quantities), None
     if pair is not None:
         separation = analyse_separation(
-            exact, pair, planned, throws, relative_error, by_load, progress
+            assumed.by_load, pair, planned, throws, relative_error, progress
         )
-    items = {item.name: item for item in kind.coefficients()}
+    items = {item.name: item for item in law.coefficients()}
     return Design(
-        law=kind.name,
+        law=law.name,
         load=load,
         stone=stone,
         coefficients=dict(zip(items, values.tolist(), strict=True)),
@@ -218,10 +202,24 @@ def design(
 
 def _identifiability(assumed: Assumptions, factor: Floats) -> Identifiability:
     """What an R factor of information determines."""
-    return analyse(
-        factor / assumed.typical, assumed.names, assumed.bounded.values, assumed.typical,
-        bounded=assumed.bounded,
-    )  # fmt: skip
+    typical, bounded = assumed.typical, assumed.bounded
+    return analyse(factor / typical, assumed.names, bounded.values, typical, bounded=bounded)
+
+
+def _best(assumed: Assumptions, candidates: CandidateSet, throws: int) -> dict[str, ExpectedErrors]:
+    """The optimal throws and their errors by criterion."""
+    criteria = {"D": d_criterion, "A": error_criterion(candidates, np.eye(len(assumed.free)))}
+    best = {
+        name: _expected(assumed, indices, candidates.together(indices))
+        for name, criterion in criteria.items()
+        if (indices := select_design(candidates, criterion, throws)) is not None
+    }
+    if not best:
+        raise InputError(
+            f"no {throws} of these throws determine what all of them together do; increase "
+            "the number of throws, or give other candidates"
+        )
+    return best
 
 
 def _expected(assumed: Assumptions, indices: tuple[int, ...], factor: Floats) -> ExpectedErrors:
@@ -234,22 +232,18 @@ def _expected(assumed: Assumptions, indices: tuple[int, ...], factor: Floats) ->
     }
     stderr = {name: error for name, (error, _) in judged.items()}
     return ExpectedErrors(
-        throws=indices,
-        stderr=stderr | {item.expression: item.stderr for item in found.combinations},
-        verdicts={name: verdict for name, (_, verdict) in judged.items()},
-        combinations=found.combinations,
-        rank=found.rank,
-        singular_values=tuple(map(float, found.singular_values)),
-        null_directions=found.null_directions,
-    )
+        indices,
+        stderr | {item.expression: item.stderr for item in found.combinations},
+        {name: verdict for name, (_, verdict) in judged.items()},
+        found.combinations, found.rank, tuple(found.singular_values.tolist()),
+        found.null_directions,
+    )  # fmt: skip
 
 
 def _assumed(
-    law: str | type[Law] | FitResult,
-    coefficients: Mapping[str, float] | None,
-    load: str | None,
+    law: str | type[Law] | FitResult, coefficients: Mapping[str, float] | None, load: str | None,
     stone: Stone | None,
-) -> tuple[type[Law], Floats, Load, Stone]:
+) -> tuple[type[Law], Floats, Load, Stone]:  # fmt: skip
     """Assumed law, values of its coefficients, load and stone."""
     fitted = {}
     if isinstance(law, FitResult):
@@ -261,36 +255,27 @@ def _assumed(
     return type(instance), values, check_load(load or "uniform"), stone or Stone()
 
 
-def _noise(sigma: Mapping[str, float]) -> dict[str, float]:
-    for name, value in sigma.items():
+def _check(
+    sigma: Mapping[str, float], v0: Sequence[float], omega0: Sequence[float],
+    rates: Sequence[float], until: float | None, throws: int, relative_error: float,
+) -> None:  # fmt: skip
+    for name in sigma:
         if name not in CHANNELS:
             raise InputError(
                 f"sigma: no channel {quoted(name)}; the channels are {', '.join(CHANNELS)}"
             )
-        if not (math.isfinite(value) and value > 0):
-            raise InputError(f"sigma of {name} = {value:g}: expected a positive number")
     if not sigma:
         raise InputError("sigma: nothing is measured; expected the noise of at least one channel")
-    return {name: float(sigma[name]) for name in CHANNELS if name in sigma}
-
-
-def _check(
-    v0: Sequence[float],
-    omega0: Sequence[float],
-    rates: Sequence[float],
-    until: float | None,
-    throws: int,
-    relative_error: float,
-) -> None:
-    for name, values in (("v0", v0), ("rate", rates)):
-        if not values or any(not (math.isfinite(one) and one > 0) for one in values):
-            shown = ",".join(f"{one:g}" for one in values)
-            raise InputError(f"{name} = {shown}: expected positive numbers")
+    positive: dict[str, Sequence[float]] = {"v0": v0, "rate": rates}
+    single = {f"sigma of {name}": value for name, value in sigma.items()}
+    single |= {"until": 1.0 if until is None else until, "relative error": relative_error}
+    for name, values in (positive | {name: (value,) for name, value in single.items()}).items():
+        if not values or not all(math.isfinite(value) and value > 0 for value in values):
+            shown = ",".join(f"{value:g}" for value in values)
+            number = "a positive number" if name in single else "positive numbers"
+            raise InputError(f"{name} = {shown}: expected {number}")
     if not omega0 or not all(map(math.isfinite, omega0)):
         raise InputError("omega0: expected finite numbers")
-    for name, value in (("until", until), ("relative error", relative_error)):
-        if value is not None and not (math.isfinite(value) and value > 0):
-            raise InputError(f"{name} = {value:g}: expected a positive number")
     if isinstance(throws, bool) or not isinstance(throws, int) or not 1 <= throws <= _MAX_THROWS:
         raise InputError(f"throws = {throws}: expected a whole number from 1 to {_MAX_THROWS}")
 
@@ -306,41 +291,33 @@ def _undetermined_pair(found: Identifiability) -> tuple[str, str] | None:
 
 def _curves(
     assumed: Assumptions,
-    planned: Sequence[PlannedThrow],
-    records: Sequence[RecordInformation],
+    made: Sequence[PlannedThrow],
     candidates: CandidateSet,
-    made: Sequence[int],
     quantities: Mapping[str, Mapping[str, float]],
 ) -> dict[str, dict[str, list[float | None]]]:
     """Standard errors against noise of position, noise of angle, rate and number of throws."""
-
-    def series(at: Iterable[float], factors: Iterable[Floats]) -> dict[str, list[float | None]]:
-        rows = [assumed.errors(factor, quantities) for factor in factors]
-        return {"at": list[float | None](at)} | {
-            name: [row[name] for row in rows] for name in quantities
-        }
-
-    def together(other: Assumptions) -> Floats:
-        return combined([marginal_factor(other, records[index]) for index in made])
-
-    found = {}
+    records, factors = assumed.records(made), {}
     for name, channels in (("place", _POSITION), ("angle", _ANGLE)):
         if noisy := assumed.sigma.keys() & channels:
-            others = (assumed.noisier(noisy, factor) for factor in _FACTORS)
-            found[name] = series(_FACTORS, map(together, others))
-    at_rate = []
-    for rate in _RATES:
-        distinct = {index: planned[index]._replace(rate=rate) for index in made}
-        factors = marginal_factors(assumed, list(distinct.values()))
-        known = dict(zip(distinct, factors, strict=True))
-        at_rate.append(combined([known[index] for index in made]))
-    found["rate"] = series(_RATES, at_rate)
-    chosen = {
-        float(count): indices
+            others = {by: assumed.noisier(noisy, by) for by in _FACTORS}
+            factors[name] = {
+                by: combined([marginal_factor(other, one) for one in records])
+                for by, other in others.items()
+            }
+    factors["rate"] = {
+        rate: combined(marginal_factors(assumed, [one._replace(rate=rate) for one in made]))
+        for rate in _RATES
+    }
+    factors["throws"] = {
+        float(count): candidates.together(indices)
         for count in _COUNTS
         if (indices := select_design(candidates, d_criterion, count)) is not None
     }
-    found["throws"] = series(chosen, map(candidates.together, chosen.values()))
+    found: dict[str, dict[str, list[float | None]]] = {}
+    for name, by_place in factors.items():
+        rows = [assumed.errors(factor, quantities) for factor in by_place.values()]
+        found[name] = {"at": [*by_place]}
+        found[name] |= {quantity: [row[quantity] for row in rows] for quantity in quantities}
     return found
 
 
@@ -350,31 +327,23 @@ def _notes(
     records: Sequence[RecordInformation],
     discrepancy: float,
 ) -> tuple[str, ...]:
-    notes = [
-        "these errors hold if the law is correct and noise is independent from row to row; the "
-        "discrepancy of a law does not average out: `--discrepancy 0.05` allows for one"
-    ]
-    if discrepancy:
-        notes = [
-            "these errors allow for accelerations that the law lacks, of "
-            f"{100 * discrepancy:.2g} % of what friction does and independent from throw to "
-            "throw; where they recur, more throws help less"
-        ]
-    if len(rates) > 1:
-        notes.append(
-            "with independent noise more rows always reduce the errors: the highest rate is chosen"
-        )
-    if until is not None and (early := sum(one.rest > until for one in records)):
-        notes.append(
-            f"of {len(records)} records {early} end at {until:g} s, before the stone is at rest"
-        )
-    far = [one.distance for one in records if one.distance > _LONGEST_DISTANCE]
-    if until is None and far:
-        notes.append(
-            f"{len(far)} of {len(records)} throws go up to {max(far):.1f} m; from the hog line to "
-            f"the far back line there are {_LONGEST_DISTANCE:.1f} m"
-        )
-    return tuple(notes)
+    early = 0 if until is None else sum(one.rest > until for one in records)
+    far = [one.distance for one in records if until is None and one.distance > _LONGEST_DISTANCE]
+    notes = (
+        (not discrepancy, "these errors hold if the law is correct and noise is independent from "
+         "row to row; the discrepancy of a law does not average out: `--discrepancy 0.05` allows "
+         "for one"),
+        (discrepancy, "these errors allow for accelerations that the law lacks, of "
+         f"{100 * discrepancy:.2g} % of what friction does and independent from throw to throw; "
+         "where they recur, more throws help less"),
+        (len(rates) > 1, "with independent noise more rows always reduce the errors: the highest "
+         "rate is chosen"),
+        (early, f"of {len(records)} records {early} end at {until or 0:g} s, before the stone is "
+         "at rest"),
+        (far, f"{len(far)} of {len(records)} throws go up to {max(far, default=0):.1f} m; from the "
+         f"hog line to the far back line there are {_LONGEST_DISTANCE:.1f} m"),
+    )  # fmt: skip
+    return tuple(note for applies, note in notes if applies)
 
 
 def scenarios(
@@ -395,29 +364,20 @@ def scenarios(
         for one in count
         for sense, heading in ways
     ]
+    columns = np.append(assumed.free, len(assumed.parameters) + np.arange(len(widths)))
     records = record_information(assumed, varied, widths)
-    conditions = len(assumed.values) + len(START) + np.arange(len(widths))
-    columns = np.concatenate([assumed.free, conditions])
     factors = [marginal_factor(assumed, one, columns) for one in records]
+    each = np.reshape(factors, (len(count), len(ways), *factors[0].shape))
     found = []
     for name, chosen in SCENARIOS.items():
-        whole = combined(
-            [
-                factors[len(ways) * index + ways.index(way)] * math.sqrt(number / len(chosen))
-                for index, number in enumerate(count.values())
-                for way in chosen
-            ]
-        )
-        factor = whole[:, :n]
-        gradients = {
-            condition: factor.T @ whole[:, n + k] / typical for k, condition in enumerate(widths)
-        }
-        by_condition = shifts(factor / typical, gradients, typical)
+        own = each[:, [ways.index(way) for way in chosen]]
+        share = np.sqrt(np.array([*count.values()]) / len(chosen))
+        whole = r_factor((share[:, None, None, None] * own).reshape(-1, len(columns)))
+        factor, by_condition = whole[:, :n], whole[:, :n].T @ whole[:, n:] / typical[:, None]
+        gradients = dict(zip(widths, by_condition.T, strict=True))
+        moved = shifts(factor / typical, gradients, typical)
         by_quantity = {
-            quantity: {
-                condition: float(row @ (shift / typical))
-                for condition, shift in by_condition.items()
-            }
+            quantity: {key: float(row @ (shift / typical)) for key, shift in moved.items()}
             for quantity, row in rows.items()
         }
         stderr = {quantity: standard_error(factor, row) for quantity, row in rows.items()}

@@ -32,7 +32,7 @@ import numpy as np
 from curlfit.errors import InputError
 from curlfit.friction import Law, Load, no_motion_because
 from curlfit.inference.fit.systematics import residual_changes
-from curlfit.inference.identifiability import Bounded, confined, r_factor, visible
+from curlfit.inference.identifiability import Bounded, confined, r_factor, stderr_of, visible
 from curlfit.inference.least_squares import Indices
 from curlfit.inference.likelihood import linearize, predict_many, prepare_many
 from curlfit.inference.model import Model
@@ -40,7 +40,7 @@ from curlfit.inference.noise.accelerations import Responses
 from curlfit.inference.parameters import START, ParameterSet
 from curlfit.inference.problem import LEVEL_AND_STILL, Problem
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.numerics.batches import stacked
+from curlfit.numerics.batches import in_batches, stacked
 from curlfit.stone import Stone
 from curlfit.throws.throw import CHANNELS
 
@@ -58,9 +58,6 @@ _REFINEMENTS = 3  # 120 s/255^3 is a hundred thousandth of a second
 _ROWS = 256  # in a column of a batch
 _BATCH = 16  # columns; few, so that one or two throws do not leave most of them empty
 _ROUNDING = 1e-13  # relative to the largest singular value of the columns of the initial state
-_UNDETERMINED = (
-    1e-3  # fraction of a combination outside the determined subspace above which it is unknown
-)
 
 
 class PlannedThrow(NamedTuple):
@@ -116,6 +113,11 @@ class Assumptions:
     until: float | None = None
     discrepancy: float = 0.0
 
+    @cached_property
+    def parameters(self) -> ParameterSet:
+        """The coefficients and the initial state."""
+        return ParameterSet.build(self.law)
+
     @property
     def model(self) -> Model:
         """Law and load."""
@@ -126,27 +128,26 @@ class Assumptions:
         """Number of the channels x, y, phi, speed, omega that are computed: 3 or 5."""
         return 5 if {"speed", "omega"} & self.sigma.keys() else 3
 
-    @cached_property
+    @property
     def free(self) -> Indices:
         """Which coefficients are estimated."""
-        found: Indices = np.flatnonzero(ParameterSet.build(self.law).free[: len(self.values)])
-        return found
+        return np.flatnonzero(self.parameters.free[: len(self.values)])
 
-    @cached_property
+    @property
     def names(self) -> list[str]:
         """Names of the free coefficients."""
-        return [self.law.coefficients()[index].name for index in self.free]
+        return [self.parameters.names[index] for index in self.free]
 
-    @cached_property
+    @property
     def typical(self) -> Floats:
         """Their typical sizes."""
-        return np.array([self.law.coefficients()[index].typical for index in self.free])
+        return self.parameters.typical[self.free]
 
-    @cached_property
+    @property
     def bounded(self) -> Bounded:
         """Their values and bounds; one beyond which the value lies was not that of its fit."""
-        items, values = (np.array(self.law.coefficients())[self.free], self.values[self.free])
-        lower, upper = np.array([(item.lower, item.upper) for item in items]).reshape(-1, 2).T
+        known = self.parameters
+        values, lower, upper = (part[self.free] for part in (self.values, known.lower, known.upper))
         return Bounded(
             values, np.where(values > lower, lower, -np.inf),
             np.where(values < upper, upper, np.inf),
@@ -167,6 +168,23 @@ class Assumptions:
         """The same with the noise of some channels multiplied."""
         sigma = dict(self.sigma)
         return replace(self, sigma=sigma | {name: factor * sigma[name] for name in channels})
+
+    @cached_property
+    def by_load(self) -> dict[Load, Assumptions]:
+        """The same for an exact law, under each load."""
+        loads: tuple[Load, ...] = ("uniform", "consistent")
+        own = {} if self.discrepancy else {self.load: self}
+        return {load: replace(self, load=load, discrepancy=0.0) for load in loads} | own
+
+    @cached_property
+    def _known(self) -> dict[PlannedThrow, RecordInformation]:
+        return {}
+
+    def records(self, throws: Sequence[PlannedThrow]) -> list[RecordInformation]:
+        """The information of each of several throws, computed once."""
+        if new := [throw for throw in dict.fromkeys(throws) if throw not in self._known]:
+            self._known.update(zip(new, record_information(self, new), strict=True))
+        return [self._known[throw] for throw in throws]
 
 
 def prepare_information(assumed: Assumptions, throw: PlannedThrow) -> None:
@@ -193,57 +211,59 @@ def record_information(
     InputError : a stone that does not come to rest, or for which there is no motion; a record
         with fewer than two rows or more than `MOST_ROWS`.
     """
-    model, channels = assumed.model, assumed.channels
-    typical = np.array([item.typical for item in (*assumed.law.coefficients(), *START)])
-    clocks, ends = [], _rests(assumed, throws)
-    for throw, (rest, _) in zip(throws, ends, strict=True):
-        end = rest if assumed.until is None else assumed.until
-        rows = math.floor(end * throw.rate + 1e-9) + 1
-        if not 2 <= rows <= MOST_ROWS:
-            raise InputError(
-                f"{end:.4g} s at {throw.rate:g} Hz make {rows} rows; expected 2 to {MOST_ROWS}"
-            )
-        clocks.append(np.arange(rows) / throw.rate)
+    model, channels, ends = assumed.model, range(assumed.channels), _rests(assumed, throws)
+    clocks = [_clock(assumed, throw, rest) for throw, (rest, _) in zip(throws, ends, strict=True)]
     responses: list[Responses] = []
     if assumed.discrepancy:  # to accelerations of the size of the friction
-        even = [np.linspace(0.0, clock[-1], _ROWS) for clock in clocks]
-        paths = _paths(assumed, throws, even)
-        responses = [
-            Responses.of(clock, path, throw.stone)
-            for clock, path, throw in zip(even, paths, throws, strict=True)
-        ]
+        even = np.linspace(0.0, [clock[-1] for clock in clocks], _ROWS, axis=-1)
+        about = zip(even, _paths(assumed, throws, even), throws, strict=True)
+        responses = [Responses.of(times, path, throw.stone) for times, path, throw in about]
     # Long records are split into several columns of a batch.
-    parts = [
+    columns = [
         (index, clock[first : first + _ROWS])
         for index, clock in enumerate(clocks)
         for first in range(0, len(clock), _ROWS)
     ]
-    factors: list[list[Floats]] = [[] for _ in throws]
-    for first in range(0, len(parts), _BATCH):
-        some = parts[first : first + _BATCH]
-        batch = some + [some[-1]] * (_BATCH - len(some))
-        values, problems = _stacked(assumed, [(throws[k], clock) for k, clock in batch], channels)
-        jacobian = np.asarray(linearize(model, values, problems)[1]) * typical
+
+    def factors_of(some: Indices) -> Floats:
+        owners = [columns[place][0] for place in some]
+        batch = [(throws[columns[place][0]], columns[place][1]) for place in some]
+        values, problems = _stacked(assumed, batch, len(channels))
+        jacobian = np.asarray(linearize(model, values, problems)[1]) * assumed.parameters.typical
         if widths:
             paths = predict_many(model, values, problems, _BATCH)
             changes = residual_changes(model, problems, values, paths, widths, "linear", _BATCH)
             jacobian = np.concatenate([jacobian, np.stack(list(changes.values()), -1)], -1)
-        for column, (index, _) in enumerate(some):
-            if not np.isfinite(own := jacobian[column]).all():
-                raise _no_motion(assumed, throws[index])
-            if responses:
-                here = problems.times[column]
-                lacking = np.stack([responses[index].at(here, row) for row in range(channels)])
-                lacking *= assumed.discrepancy * problems.weight[column][..., None]
-                own = np.concatenate([own, lacking], -1)
-            factors[index].append(r_factor(own))
+        if (lost := ~np.isfinite(jacobian).all((1, 2, 3))).any():
+            raise _no_motion(assumed, batch[int(np.argmax(lost))][0])
+        if responses:
+            about = zip(owners, problems.times, strict=True)
+            lacking = [[responses[own].at(t, row) for row in channels] for own, t in about]
+            scale = assumed.discrepancy * problems.weight[..., None]
+            jacobian = np.concatenate([jacobian, scale * lacking], -1)
+        return r_factor(jacobian)
+
+    factors = in_batches(factors_of, (np.arange(len(columns)),), _BATCH)
+    owner = np.array([index for index, _ in columns])
     shapes = responses[0].by_channel.shape[-1] if responses else 0
     return [
         RecordInformation(
-            len(clock), float(clock[-1]), *end, r_factor(np.concatenate(parts, 1)), shapes
+            len(clock), float(clock[-1]), *end,
+            r_factor(np.concatenate(factors[owner == index], 1)), shapes,
         )
-        for clock, end, parts in zip(clocks, ends, factors, strict=True)
-    ]
+        for index, (clock, end) in enumerate(zip(clocks, ends, strict=True))
+    ]  # fmt: skip
+
+
+def _clock(assumed: Assumptions, throw: PlannedThrow, rest: float) -> Floats:
+    """Times of the rows of a record, s."""
+    end = rest if assumed.until is None else assumed.until
+    rows = math.floor(end * throw.rate + 1e-9) + 1
+    if not 2 <= rows <= MOST_ROWS:
+        raise InputError(
+            f"{end:.4g} s at {throw.rate:g} Hz make {rows} rows; expected 2 to {MOST_ROWS}"
+        )
+    return np.arange(rows) / throw.rate
 
 
 def _paths(
@@ -310,7 +330,7 @@ def _no_motion(assumed: Assumptions, throw: PlannedThrow) -> InputError:
 
 def marginal_factors(assumed: Assumptions, throws: Sequence[PlannedThrow]) -> list[Floats]:
     """R factor of the information of each throw on the free coefficients."""
-    return [marginal_factor(assumed, one) for one in record_information(assumed, throws)]
+    return [marginal_factor(assumed, one) for one in assumed.records(throws)]
 
 
 def marginal_factor(
@@ -329,31 +349,25 @@ def marginal_factor(
     -------
     Upper triangular, shape (columns, columns), scaled by typical sizes.
     """
-    sigma, k = assumed.sigma, len(assumed.law.coefficients())
+    sigma, width = assumed.sigma, record.factors.shape[-1]
     rows = [
-        record.factors[row] / sigma[name]
-        for row, name in enumerate(CHANNELS[: len(record.factors)])
+        factor / sigma[name]
+        for name, factor in zip(CHANNELS, record.factors, strict=False)
         if name in sigma
     ]
-    width = record.factors.shape[-1]
     lacking = np.arange(width - record.shapes, width)
     # a priori the amplitudes of the shapes have unit variance
     everything = np.concatenate([*rows, np.eye(width)[lacking]])
-    estimated = {
-        "x0": "x" in sigma, "y0": "y" in sigma, "phi0": "phi" in sigma,
-        "heading": {"x", "y"} <= sigma.keys(),
-    }  # fmt: skip
-    state = [k + column for column, item in enumerate(START) if estimated.get(item.name, True)]
+    needed = {"x0": {"x"}, "y0": {"y"}, "phi0": {"phi"}, "heading": {"x", "y"}}
+    names = assumed.parameters.names
+    state = [names.index(item.name) for item in START if needed.get(item.name, set()) <= {*sigma}]
     wanted = everything[:, assumed.free if columns is None else columns]
-    start = everything[:, [*state, *lacking]]
-    left, singular, _ = np.linalg.svd(start, full_matrices=False)
+    left, singular, _ = np.linalg.svd(everything[:, [*state, *lacking]], full_matrices=False)
     left = left[:, singular > _ROUNDING * singular[0]]
     for _ in range(2):  # twice, against rounding errors
         wanted = wanted - left @ (left.T @ wanted)
     factor = r_factor(wanted)
-    full = np.zeros((factor.shape[1], factor.shape[1]))
-    full[: len(factor)] = factor
-    return full
+    return np.pad(factor, ((0, factor.shape[1] - len(factor)), (0, 0)))
 
 
 def combined(factors: Sequence[Floats]) -> Floats:
@@ -371,10 +385,7 @@ def standard_error(factor: Floats, weights: Floats) -> float | None:
     """
     _, singular, right = np.linalg.svd(factor)
     mask = visible(singular)
-    along = right[mask] @ weights
-    if np.linalg.norm(weights - right[mask].T @ along) > _UNDETERMINED * np.linalg.norm(weights):
-        return None
-    return float(np.linalg.norm(along / singular[mask]))
+    return stderr_of(weights, right[mask], singular[mask])
 
 
 class CandidateSet(NamedTuple):

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from contextlib import suppress
 from typing import Any
 
 import jax
@@ -71,34 +71,30 @@ class CoefficientPair:
     """
 
     def __init__(self, assumed: Assumptions, pair: Sequence[str]) -> None:
-        law = assumed.law
-        values = {
-            item.name: (value, item.unit)
-            for item, value in zip(law.coefficients(), assumed.values.tolist(), strict=True)
-            if item.name in assumed.names
-        }
+        law, items = assumed.law, assumed.law.coefficients()
+        values = dict(zip([item.name for item in items], assumed.values.tolist(), strict=True))
+        units = {item.name: item.unit for item in items if item.name in assumed.names}
         if len(pair) != 2 or pair[0] == pair[1]:
             raise InputError(
                 "separate: expected two different coefficients, such as mu1_eta,mu2_eta"
             )
         for name in pair:
-            if name not in values:
+            if name not in units:
                 raise InputError(
                     f"separate: law {law.name} has no free coefficient {quoted(name)}; it has "
-                    + ", ".join(values)
+                    + ", ".join(units)
                 )
         self.names = one, other = pair[0], pair[1]
-        (a, unit), (b, other_unit) = values[one], values[other]
-        if unit != other_unit:
+        if units[one] != units[other]:
             raise InputError(
-                f"separate: {one} ({unit}) and {other} ({other_unit}) have different units, and "
-                "no difference"
+                f"separate: {one} ({units[one]}) and {other} ({units[other]}) have different "
+                "units, and no difference"
             )
         self.difference = assumed.weights({one: 1.0, other: -1.0})
         self.sum = assumed.weights({one: 1.0, other: 1.0})
-        self.total = a + b
-        self.of = "difference" if abs(a - b) > 1e-9 * (abs(a) + abs(b)) else "mean"
-        self.size = abs(a - b) if self.of == "difference" else abs(a + b) / 2
+        a, b = values[one], values[other]
+        self.total, differ = a + b, abs(a - b) > 1e-9 * (abs(a) + abs(b))
+        self.of, self.size = ("difference", abs(a - b)) if differ else ("mean", abs(a + b) / 2)
         if not self.size > 0:
             raise InputError(
                 f"separate: {one} and {other} are both zero; --set them, so that an error can be "
@@ -153,96 +149,72 @@ def prove_unidentifiable(
         found = _force_derivative(assumed.law, assumed.values, along, bodies, v, omega)
         return tuple((units * np.abs(found).max(1)).tolist())
 
-    by_difference = largest(pair.difference)
-    by_sum = largest(pair.sum)
-    whole = combined(factors)
-    singular = np.linalg.svd(whole, compute_uv=False)
+    by_difference, by_sum, whole = largest(pair.difference), largest(pair.sum), combined(factors)
     hidden = max(by_difference) < _NO_EFFECT * max(by_sum)
     hidden &= standard_error(whole, pair.difference) is None
     is_front_back = assumed.law.name == "front-back" and set(pair.names) == {"mu1_eta", "mu2_eta"}
+    singular = np.linalg.svd(whole, compute_uv=False).tolist()
     return Proof(
-        states=_STATES,
-        by_difference=by_difference,
-        by_sum=by_sum,
-        throws=len(factors),
-        singular_values=tuple(map(float, singular)),
-        hidden=bool(hidden),
-        because=HIDDEN if is_front_back and hidden else "",
-    )
+        _STATES, by_difference, by_sum, len(factors), tuple(singular), hidden,
+        HIDDEN if is_front_back and hidden else "",
+    )  # fmt: skip
 
 
 def analyse_separation(
-    assumed: Assumptions,
+    by_load: Mapping[Load, Assumptions],
     pair: CoefficientPair,
     candidates: Sequence[PlannedThrow],
     throws: int,
     required: float,
-    known: Mapping[Load, list[Floats]],
     progress: Callable[[str], None],
 ) -> Separation:
     """What it takes to separate two coefficients.
 
     Parameters
     ----------
+    by_load : an exact law under each load.
     candidates, throws : candidates, and number of throws.
     required : relative error.
-    known : R factors of the candidates under the loads already computed.
     progress : called with the current step.
     """
-
-    def factors(load: Load, throws: Sequence[PlannedThrow]) -> list[Floats]:
-        return marginal_factors(replace(assumed, load=load), throws)
-
     stone = candidates[0].stone
     progress("the proof for the uniform load")
     varied = [PlannedThrow(v0, omega0, _PROOF_RATE, stone) for v0, omega0 in _PROOF]
-    proof = prove_unidentifiable(assumed, pair, stone, factors("uniform", varied))
-    scenarios, own = [], dict(known)
-    loads: tuple[Load, ...] = ("uniform", "consistent")
-    for load in loads:
+    uniform, consistent = by_load["uniform"], by_load["consistent"]
+    proof = prove_unidentifiable(uniform, pair, stone, marginal_factors(uniform, varied))
+    scenarios = []
+    for load, assumed in by_load.items():
         progress(f"the candidates under {load} load")
-        own[load] = own.get(load) or factors(load, candidates)
-        scenarios.append(_load_scenario(pair, load, own[load], throws, required))
-    ordinary = min(
-        range(len(candidates)),
-        key=lambda index: (
-            abs(math.log(candidates[index].v0 / _ORDINARY[0]))
-            + abs(abs(candidates[index].omega0) - _ORDINARY[1]),
-            -candidates[index].rate,
-        ),
-    )
+        factors = marginal_factors(assumed, candidates)
+        scenarios.append(_load_scenario(pair, load, factors, throws, required))
+
+    def strangeness(one: PlannedThrow) -> tuple[float, float]:
+        v0, omega0 = _ORDINARY
+        return abs(math.log(one.v0 / v0)) + abs(abs(one.omega0) - omega0), -one.rate
+
+    ordinary = min(candidates, key=strangeness)
     best = scenarios[-1].throws
     changes = []
     for name, factor in _CHANGES if best is not None else ():
         value = factor * getattr(stone, name)
         progress(f"the stone with {name} = {value:.3g} m")
         other = stone.with_values({name: value})
-        modified = [candidates[index]._replace(stone=other) for index in (*(best or ()), ordinary)]
-        try:
-            *found, draw = factors("consistent", modified)
-        except InputError:  # no motion
-            changes.append(StoneChange(name, value, None, None, None))
-            continue
-        both = [own["consistent"][ordinary], draw]
-        changes.append(
-            StoneChange(
-                name,
-                value,
+        made = [*(candidates[index] for index in best or ()), ordinary]
+        modified = [throw._replace(stone=other) for throw in made]
+        errors: tuple[float | None, ...] = (None,) * 3
+        with suppress(InputError):  # no motion
+            *found, draw = marginal_factors(consistent, modified)
+            both = [*marginal_factors(consistent, [ordinary]), draw]
+            errors = (
                 standard_error(combined(found), pair.difference),
                 standard_error(combined(both) * math.sqrt(throws / 2), pair.difference),
                 pair.tolerated_change(both, required),
             )
-        )
+        changes.append(StoneChange(name, value, *errors))
     return Separation(
-        pair=pair.names,
-        size=pair.size,
-        of=pair.of,
-        wanted=required,
-        proof=proof,
-        ways=tuple(scenarios),
-        ordinary=ordinary,
-        changes=tuple(changes),
-    )
+        pair.names, pair.size, pair.of, required, proof, tuple(scenarios),
+        candidates.index(ordinary), tuple(changes),
+    )  # fmt: skip
 
 
 def _load_scenario(

@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from curlfit.errors import InputError
+from curlfit.inference.fit.advice import curl_warnings
 from curlfit.inference.fit.result import FitResult
-from curlfit.prediction.ensemble import TrajectoryEnsemble
-from curlfit.prediction.request import ThrowStart
+from curlfit.numerics.arrays import Floats
+from curlfit.prediction.request import ThrowRequest, ThrowStart
 from curlfit.prediction.result import COMPONENT_LABELS, DETECTION, PREDICTED, Discrepancy, HeldOut
+from curlfit.prediction.simulation import Simulation
 from curlfit.sheet import STONE_RADIUS, TEE, WIDTH
 from curlfit.throws.throw import Throw
 
@@ -21,51 +23,67 @@ _EXTRAPOLATION = 1.02  # of the fitted range of speed or spin, beyond which a wa
 _RELEVANT = 1e-3  # m and rad; smaller effects of null directions at rest are negligible
 
 
-def extrapolation(fit: FitResult, best: TrajectoryEnsemble, new: bool) -> list[str]:
-    """Warnings where the throw leaves the fitted range of speed or spin."""
-    seen_speed, seen_spin = fit.fitted["speed"], fit.fitted["omega"]
-    speed = np.hypot(*best.state[0, 3:5])
-    omega, y = best.state[0, 5], best.state[0, 1]
-    found = []
-    fastest, slowest = float(seen_speed.max()), float(seen_speed.min())
-    if speed[0] > _EXTRAPOLATION * fastest:
-        found.append(
-            f"the initial speed of {speed[0]:.3g} m/s is above the fitted range, up to "
-            f"{fastest:.3g} m/s: an extrapolation"
+def remarks(
+    fit: FitResult, found: Simulation, request: ThrowRequest, anywhere: bool
+) -> tuple[list[str], list[str]]:
+    """Warnings and notes; `anywhere` is where neither user nor data say where the throw starts."""
+    null_warnings, null_notes = _null_direction_effects(fit, found)
+    law_warnings, law_notes = _discrepancy_remarks(found.discrepancy)
+    notes = [*null_notes, *law_notes]
+    if anywhere and request.line == "hog" and not request.new:
+        notes.append(
+            "the data do not state where on the sheet y = 0 lies; the throw is assumed to start on "
+            "the near hog line, which affects the resting position but not the motion"
         )
-    slow = np.flatnonzero(speed < slowest / _EXTRAPOLATION)
+    if request.new:
+        notes.append(
+            "the variation of the ice from throw to throw cannot be estimated from a single throw"
+        )
+    return [
+        *_extrapolation(fit, found, request.new), *null_warnings, *law_warnings,
+        *curl_warnings([fit]), *_off_the_sheet(found),
+    ], notes  # fmt: skip
+
+
+def _extrapolation(fit: FitResult, found: Simulation, new: bool) -> list[str]:
+    """Warnings where the throw leaves the fitted range of speed or spin."""
+    seen, spins = fit.fitted["speed"], np.abs(fit.fitted["omega"])
+    speed, (omega, *_), y = found.best.speed[0], found.best.state[0, 5], found.best.state[0, 1]
+
+    def outside(what: str, first: float, lowest: float, highest: float) -> list[str]:
+        side = "above" if first > _EXTRAPOLATION * highest else "below"
+        if side == "below" and not 0 < first < lowest / _EXTRAPOLATION:
+            return []
+        end = f"up to {highest:.3g}" if side == "above" else f"from {lowest:.3g}"
+        name, unit = what.split()
+        return [
+            f"the initial {name} of {first:.3g} {unit} is {side} the fitted range, {end} {unit}: "
+            "an extrapolation"
+        ]
+
+    warnings = outside("speed m/s", speed[0], 0.0, seen.max())
+    slow = np.flatnonzero(speed < seen.min() / _EXTRAPOLATION)
     distance = float(y[-1] - y[slow[0]]) if len(slow) else 0.0
     if distance > 0.01:
-        found.append(
-            f"the last {distance:.2g} m, below {slowest:.2g} m/s, are slower than the fitted "
+        warnings.append(
+            f"the last {distance:.2g} m, below {seen.min():.2g} m/s, are slower than the fitted "
             "range: an extrapolation"
         )
-    spins = np.abs(seen_spin)
-    if new and abs(omega[0]) > _EXTRAPOLATION * spins.max():
-        found.append(
-            f"the initial spin of {abs(omega[0]):.3g} rad/s is above the fitted range, up to "
-            f"{spins.max():.3g} rad/s: an extrapolation"
-        )
-    if new and 0 < abs(omega[0]) < spins.min() / _EXTRAPOLATION:
-        found.append(
-            f"the initial spin of {abs(omega[0]):.3g} rad/s is below the fitted range, from "
-            f"{spins.min():.3g} rad/s: an extrapolation"
-        )
-    if new and omega[0] * seen_spin[0] < 0:
-        found.append(
+    if new:
+        warnings += outside("spin rad/s", abs(omega), spins.min(), spins.max())
+    if new and omega * fit.fitted["omega"][0] < 0:
+        warnings.append(
             "it turns the opposite way to the fitted throw: mirror symmetry of the ice is assumed"
         )
-    return found
+    return warnings
 
 
-def null_direction_effects(
-    fit: FitResult, probed: dict[str, TrajectoryEnsemble], best: TrajectoryEnsemble
-) -> tuple[list[str], list[str]]:
+def _null_direction_effects(fit: FitResult, found: Simulation) -> tuple[list[str], list[str]]:
     """Warnings about null directions of the fit that affect the throw, and notes on the others."""
     warnings: list[str] = []
     notes: list[str] = []
     for index, direction in enumerate(fit.null_directions):
-        ends = probed[f"null {index}"]
+        ends = found.probed[f"null {index}"]
         names = " and ".join(direction) if len(direction) < 3 else ", ".join(direction)
         what = f"{names} {'is' if len(direction) == 1 else 'are'} not determined"
         what += " individually" if len(direction) > 1 else ""
@@ -74,8 +92,8 @@ def null_direction_effects(
                 f"{what}; at the ends of the allowed range the stone does not come to rest"
             )
             continue
-        moved = float(np.hypot(*(ends.state[:, :2, -1] - best.state[0, :2, -1]).T).max())
-        turned = float(np.abs(ends.state[:, 2, -1] - best.state[0, 2, -1]).max())
+        off = ends.end - found.best.end
+        moved, turned = np.hypot(off[:, 0], off[:, 1]).max(), np.abs(off[:, 2]).max()
         if max(moved, turned) < _RELEVANT:
             size = "less than 0.01 mm" if moved < 1e-5 else f"{1000 * moved:.2g} mm"
             notes.append(
@@ -91,7 +109,7 @@ def null_direction_effects(
     return warnings, notes
 
 
-def discrepancy_remarks(discrepancy: Discrepancy) -> tuple[list[str], list[str]]:
+def _discrepancy_remarks(discrepancy: Discrepancy) -> tuple[list[str], list[str]]:
     """Warnings and notes on the model discrepancy."""
 
     def listing(sizes: Mapping[str, float], shown: Collection[str]) -> str:
@@ -128,29 +146,22 @@ def discrepancy_remarks(discrepancy: Discrepancy) -> tuple[list[str], list[str]]
     ]
 
 
-def off_the_sheet(best: TrajectoryEnsemble) -> list[str]:
+def _off_the_sheet(found: Simulation) -> list[str]:
     """A warning where the stone leaves the sheet."""
-    x, y = best.state[0, :2]
+    x, y = found.best.state[0, :2]
     outside = np.flatnonzero(np.abs(x) + STONE_RADIUS > WIDTH / 2)
-    if len(outside):
-        return [
-            f"it touches the side of a {WIDTH:g} m wide sheet {abs(y[outside[0]] - TEE):.3g} m "
-            f"{'before' if y[outside[0]] < TEE else 'beyond'} the tee, and would be removed"
-        ]
-    return []
+    return [
+        f"it touches the side of a {WIDTH:g} m wide sheet {abs(y[first] - TEE):.3g} m "
+        f"{'before' if y[first] < TEE else 'beyond'} the tee, and would be removed"
+        for first in outside[:1]
+    ]
 
 
 def compare_held_out(
-    throw: Throw,
-    fit: FitResult,
-    throw_start: ThrowStart,
-    discrepancy: Discrepancy,
-    best: TrajectoryEnsemble,
-    full: TrajectoryEnsemble,
-    random: np.random.Generator,
+    throw: Throw, fit: FitResult, begin: ThrowStart, found: Simulation, random: np.random.Generator
 ) -> HeldOut:
     """Comparison of the prediction with measured rows after the fitted ones."""
-    first, last = fit.data["from"], fit.data["to"]
+    last = fit.data["to"]
     _require_same_throw(throw, fit)
     later = np.flatnonzero(throw.t > last)
     if not len(later):
@@ -159,39 +170,44 @@ def compare_held_out(
             "--until"
         )
     later = thin(later)
-    t = throw.t[later] - first
-    at, middle = full.positions_at(t), best.positions_at(t)[0]
-    shift = (*throw_start.shift, 0.0)
-    channels, observed = {}, {"t": t}
-    for row, name in enumerate(PREDICTED):
-        values = getattr(throw, name)[later] + shift[row]
-        observed[name] = values
-        finite = np.isfinite(values)
-        if not finite.any():
+    observed = {"t": throw.t[later] - fit.data["from"]}
+    predicted = found.full.positions_at(observed["t"]).swapaxes(0, 1)
+    best = found.best.positions_at(observed["t"])[0]
+    channels = {}
+    for row, (name, shift) in enumerate(zip(PREDICTED, (*begin.shift, 0.0), strict=True)):
+        values = observed[name] = getattr(throw, name)[later] + shift
+        seen = np.isfinite(values)
+        if not seen.any():
             continue
-        sigma = discrepancy.noise.get(name, fit.sigma.get(name, 0.0))
-        given, course = throw.sigma.get(name), throw.relative_sigma.get(name)
-        if given is None and course is not None and f"sigma_{name}" in fit.observed:
-            fitted = np.interp(fit.observed["t"], throw.t, course)
-            given = course * np.nanmedian(fit.observed[f"sigma_{name}"] / fitted)
-        noise = np.full(len(later), sigma) if given is None else given[later]
-        noisy = at[:, row] + noise * random.standard_normal(at[:, row].shape)
+        noise = _noise(throw, fit, found.discrepancy, name)[later]
+        noisy = predicted[row] + noise * random.standard_normal(predicted[row].shape)
         low95, low68, high68, high95 = np.quantile(noisy, [0.025, 0.16, 0.84, 0.975], axis=0)
-        off = (values - middle[row])[finite]
-        end = int(np.flatnonzero(finite)[-1])
-        channels[name] = {
-            "rows": float(finite.sum()),
-            "rms": float(np.sqrt(np.mean(off**2))),
-            "inside_68": float(((values >= low68) & (values <= high68))[finite].mean()),
-            "inside_95": float(((values >= low95) & (values <= high95))[finite].mean()),
-            "end": float(off[-1]),
-            "end_sd": float(noisy[:, end].std()),
+        off = (values - best[row])[seen]
+        numbers = {
+            "rows": seen.sum(),
+            "rms": np.sqrt(np.mean(off**2)),
+            "inside_68": ((values >= low68) & (values <= high68))[seen].mean(),
+            "inside_95": ((values >= low95) & (values <= high95))[seen].mean(),
+            "end": off[-1],
+            "end_sd": noisy[:, np.flatnonzero(seen)[-1]].std(),
         }
+        channels[name] = {key: float(value) for key, value in numbers.items()}
     if not channels:
         raise InputError(f"{throw.name}: no x, y or phi after t = {last:g} s")
-    return HeldOut(
-        throw.name, float(throw.t[later[0]]), float(throw.t[later[-1]]), channels, observed
-    )
+    first, last = map(float, throw.t[later[[0, -1]]])
+    return HeldOut(throw.name, first, last, channels, observed)
+
+
+def _noise(throw: Throw, fit: FitResult, discrepancy: Discrepancy, name: str) -> Floats:
+    """Standard deviation of the noise of a channel in each row."""
+    if (given := throw.sigma.get(name)) is not None:
+        return given
+    course = throw.relative_sigma.get(name)
+    if course is not None and f"sigma_{name}" in fit.observed:
+        fitted = np.interp(fit.observed["t"], throw.t, course)
+        return course * np.nanmedian(fit.observed[f"sigma_{name}"] / fitted)
+    sigma = discrepancy.noise.get(name, fit.sigma.get(name, 0.0))
+    return np.full(len(throw.t), sigma)
 
 
 def _require_same_throw(throw: Throw, fit: FitResult) -> None:

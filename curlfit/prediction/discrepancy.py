@@ -57,15 +57,10 @@ class MissingAccelerations(NamedTuple):
 
     def applied_to(self, ensemble: TrajectoryEnsemble, spin: float = 1.0) -> TrajectoryEnsemble:
         """Each trajectory under one draw; `spin` is relative to that of the fitted throw."""
-        log_speed = np.log(np.clip(ensemble.mean_speeds(), SPEEDS[0], SPEEDS[-1]))
-        grid = np.log(SPEEDS)
-        accelerations = np.array(
-            [
-                [np.interp(at, grid, component) for component in draw]
-                for at, draw in zip(log_speed, self.acceleration, strict=True)
-            ]
-        )
-        return ensemble.with_accelerations(accelerations * np.array([spin, 1.0, spin])[:, None])
+        log_speed = np.log(np.maximum(ensemble.mean_speed, SPEEDS[0]))
+        draws, grid = zip(log_speed, self.acceleration, strict=True), np.log(SPEEDS)
+        found = np.array([[np.interp(at, grid, one) for one in draw] for at, draw in draws])
+        return ensemble.with_accelerations(found * np.array([spin, 1.0, spin])[:, None])
 
 
 @dataclass(frozen=True)
@@ -90,12 +85,13 @@ class DiscrepancyPosterior:
         inner = np.linalg.solve(lower.mT[which], right[..., None])
         amplitudes = (root[which] @ inner)[..., 0]
         change = -amplitudes @ (self._data.from_standard @ np.asarray(self._data.coupling)).T
-        ceilings = np.array([self.summary.ceilings[component] for component in COMPONENTS])
+        ceilings = np.array([*self.summary.ceilings.values()])
         fitted = amplitudes.reshape(draws, len(COMPONENTS), -1) * ceilings[:, None]
-        sizes = random.choice(SIZES, (draws, len(COMPONENTS)), p=_prior_weights()) * ceilings
+        prior = np.exp(log_prior(SIZES[:, None]))
+        sizes = random.choice(SIZES, (draws, len(COMPONENTS)), p=prior / prior.sum()) * ceilings
         normal = random.standard_normal((draws, len(COMPONENTS), len(self._unseen_shapes)))
-        unseen = normal @ self._unseen_shapes
-        return MissingAccelerations(fitted @ shapes() + sizes[..., None] * unseen, change)
+        unseen = sizes[..., None] * (normal @ self._unseen_shapes)
+        return MissingAccelerations(fitted @ shapes() + unseen, change)
 
     def shift_parameters(self, values: Floats, missing: MissingAccelerations) -> Floats:
         """Draws of the parameters corrected for the missing accelerations, with errors enlarged
@@ -128,27 +124,26 @@ def discrepancy_posterior(fit: FitResult) -> DiscrepancyPosterior:
         data.responses[-1, : len(fit.events)] = _response_of_events(fit, responses)
     channels = [*CHANNELS, "events"][: len(data.weight)]
     found = estimate("discrepancy", data, [name not in fit.sigma for name in channels])
-    sizes = np.sqrt(found.weights @ GRID**2)
-    log_likelihood, excess = found.log_likelihood, {}
-    for index, component in enumerate(COMPONENTS if data.enough.any() else ()):
-        without = log_likelihood[GRID[:, index] == SIZES[0]].max()
-        excess[component] = float(np.sqrt(2 * (log_likelihood.max() - without)))
-    scales = zip(channels, found.scale, data.enough, strict=True)
+    best = found.log_likelihood.max()
+    without = [found.log_likelihood[column == SIZES[0]].max() for column in GRID.T]
+    excess = np.sqrt(2 * (best - without))
+
+    def by_component(values: Floats) -> dict[str, float]:
+        return dict(zip(COMPONENTS, map(float, values), strict=True))
+
     summary = Discrepancy(
-        dict(zip(COMPONENTS, map(float, sizes * responses.size), strict=True)),
-        float(data.span),
-        {name: float(fit.sigma[name] * scale) for name, scale, enough in scales
-         if enough and name in fit.sigma},
-        excess,
-        dict(zip(COMPONENTS, map(float, responses.size), strict=True)),
-        responses.friction,
-    )  # fmt: skip
+        sizes=by_component(np.sqrt(found.weights @ GRID**2) * responses.size),
+        span=float(data.span),
+        noise={
+            name: float(fit.sigma[name] * scale)
+            for name, scale, enough in zip(channels, found.scale, data.enough, strict=True)
+            if enough and name in fit.sigma
+        },
+        excess=by_component(excess) if data.enough.any() else {},
+        ceilings=by_component(responses.size),
+        friction=responses.friction,
+    )
     return DiscrepancyPosterior(summary, fit, data, found, _unseen_shapes(fit.fitted["speed"]))
-
-
-def _prior_weights() -> Floats:
-    weights: Floats = np.exp(log_prior(SIZES[:, None]))
-    return weights / weights.sum()
 
 
 def _unseen_shapes(speed: Floats) -> Floats:

@@ -100,13 +100,12 @@ def _resting_place(prediction: Prediction, axes: Any) -> None:
         alpha=0.2, lw=0, zorder=2,
     )  # fmt: skip
     rest = prediction.rest
-    both = np.array(rest.get("both", np.add(rest["parameter"], rest["model"])))
     for first, last, alpha, _ in _LEVELS:
         style = {"fc": draw.PREDICTION_COLOR, "alpha": alpha, "ec": "none", "zorder": 3}
-        _ellipse(axes, *_interval(prediction, first, last), both, **style)
+        _ellipse(axes, *_interval(prediction, first, last), rest["both"], **style)
     own = 1.96 * np.array([prediction.quantities[name].parameter_sd for name in _REST])
     _ellipse(
-        axes, np.array([x, y]), own, np.array(rest["parameter"]), fc="none", ec=draw.FIT_COLOR,
+        axes, np.array([x, y]), own, rest["parameter"], fc="none", ec=draw.FIT_COLOR,
         lw=0.8, ls="--", zorder=5, label="95 %, parameter uncertainty only",
     )  # fmt: skip
     _stone(axes, (x, y), hollow=True)

@@ -20,11 +20,10 @@ GUARD = -(HOUSE + TEE_TO_HOG) / 2
 """Resting position of a guard, m beyond the tee: halfway between the house and the hog line."""
 TAKEOUT = 1.5
 """Speed in m/s at which a takeout passes the tee."""
-WEIGHTS = {
-    "draw": "rests on the tee line",
-    "guard": f"rests halfway between hog line and house, {-GUARD:.3f} m before the tee line",
-    "takeout": f"passes the tee line at {TAKEOUT:g} m/s",
-}
+WEIGHTS = {"draw": (0.0, 0.0), "guard": (GUARD, 0.0), "takeout": (0.0, TAKEOUT)}
+"""Place in m beyond the tee line that a throw reaches, and its speed there."""
+_STARTING_LINES = tuple(LINES)[:-1]
+_FASTEST_SPIN = 100.0  # rad/s
 
 
 class ThrowRequest(NamedTuple):
@@ -48,121 +47,98 @@ class ThrowRequest(NamedTuple):
 
     def require(self, fit: FitResult, check: Throw | None) -> None:
         """Raise `InputError` for contradictory or impossible requests."""
-        names = [item.name for item in START]
-        for name, value in self.start.items():
+        start, target, names = self.start, self.target, [item.name for item in START]
+        for name, value in start.items():
             if name not in names:
                 raise InputError(
                     f"start: unknown {quoted(name)}; expected some of {', '.join(names)}"
                 )
             if not math.isfinite(value):
                 raise InputError(f"{name} = {value}: expected a finite number")
-        if not 0 < self.start.get("v0", 1.0) <= SPEED:
+        if target is not None and (isinstance(target, str) or len(target) != 2):
             raise InputError(
-                f"v0 = {self.start['v0']:g} m/s: expected a speed up to {SPEED:g} m/s; none is "
-                "thrown at more than about 4 m/s"
+                f"target {quoted(target)}: expected (x, y), m from the tee; (0, 0) is the tee"
             )
-        if not abs(self.start.get("omega0", 0.0)) <= 100:
-            raise InputError(f"omega0 = {self.start['omega0']:g} rad/s: expected at most 100 rad/s")
-        if self.line not in (*list(LINES)[:-1], "data"):
-            raise InputError(
-                f"start on {quoted(self.line)}: expected one of {', '.join(list(LINES)[:-1])}, data"
-            )
-        if self.target is not None and (isinstance(self.target, str) or len(self.target) != 2):
-            raise InputError(
-                f"target {quoted(self.target)}: expected (x, y), m from the tee; (0, 0) is the tee"
-            )
-        if self.target is not None and not abs(self.target[0]) <= WIDTH / 2:
-            raise InputError(
-                f"target {self.target[0]:g} m to the side: expected at most {WIDTH / 2:g} m, half "
-                "the width of the sheet"
-            )
-        if self.target is not None and self.weight is not None:
-            raise InputError("a target and a weight are given; expected one of them")
-        if self.weight is not None and self.weight not in WEIGHTS:
-            raise InputError(f"weight {quoted(self.weight)}: expected {', '.join(WEIGHTS)}")
-        if self.tee_speed is not None and self.weight != "takeout":
-            raise InputError("a speed at the tee needs the weight takeout")
-        if self.aimed and "v0" in self.start:
-            raise InputError("v0 is given, but the target or weight determines it; leave one out")
-        if self.target is not None and "heading" in self.start:
-            raise InputError("heading is given, but the target determines it; leave one out")
-        if check is not None and self.new:
-            raise InputError(
-                "measured rows are compared with the fitted throw; leave out the start, target or "
-                "weight"
-            )
-        spin = fit.parameters["omega0"]
-        if self.new and "omega0" not in self.start and spin.verdict == "not identifiable":
-            raise InputError("the fit does not determine the spin (omega0); give one")
-
-    def target_point(self) -> tuple[float | None, float, float] | None:
-        """x and y from the tee, and the speed there; x is None where it is free."""
-        x = None if "heading" in self.start else 0.0
-        if self.target is not None:
-            return (*self.target, 0.0)
-        if self.weight is None:
-            return None
-        if self.weight == "takeout":
-            return x, 0.0, TAKEOUT if self.tee_speed is None else self.tee_speed
-        return x, GUARD if self.weight == "guard" else 0.0, 0.0
+        v0, omega0 = start.get("v0", 1.0), start.get("omega0", 0.0)
+        aside = 0.0 if target is None else target[0]
+        unknown_spin = fit.parameters["omega0"].verdict == "not identifiable"
+        for refused, why in (
+            (not 0 < v0 <= SPEED, f"v0 = {v0:g} m/s: expected a speed up to {SPEED:g} m/s; none "
+             "is thrown at more than about 4 m/s"),
+            (not abs(omega0) <= _FASTEST_SPIN,
+             f"omega0 = {omega0:g} rad/s: expected at most {_FASTEST_SPIN:g} rad/s"),
+            (self.line not in (*_STARTING_LINES, "data"), f"start on {quoted(self.line)}: expected "
+             f"one of {', '.join(_STARTING_LINES)}, data"),
+            (not abs(aside) <= WIDTH / 2, f"target {aside:g} m to the side: expected at most "
+             f"{WIDTH / 2:g} m, half the width of the sheet"),
+            (target is not None and self.weight is not None,
+             "a target and a weight are given; expected one of them"),
+            (self.weight not in (None, *WEIGHTS),
+             f"weight {quoted(self.weight)}: expected {', '.join(WEIGHTS)}"),
+            (self.tee_speed is not None and self.weight != "takeout",
+             "a speed at the tee needs the weight takeout"),
+            (self.aimed and "v0" in start,
+             "v0 is given, but the target or weight determines it; leave one out"),
+            (target is not None and "heading" in start,
+             "heading is given, but the target determines it; leave one out"),
+            (check is not None and self.new, "measured rows are compared with the fitted throw; "
+             "leave out the start, target or weight"),
+            (self.new and "omega0" not in start and unknown_spin,
+             "the fit does not determine the spin (omega0); give one"),
+        ):  # fmt: skip
+            if refused:
+                raise InputError(why)
 
     def goal(self) -> dict[str, Any] | None:
-        """The target point as recorded."""
-        target = self.target_point()
-        if target is None:
+        """The point that the stone is to reach, from the tee, and its speed there; x is None where
+        it is free."""
+        if self.target is not None:
+            x, y = self.target
+            words = "to the tee" if (x, y) == (0.0, 0.0) else "target"
+            return {"words": words, "x": x, "y": y, "speed": 0.0}
+        if self.weight is None:
             return None
-        x, y, speed = target
-        words = self.weight or ("to the tee" if (x, y) == (0.0, 0.0) else "target")
-        return {"words": words, "x": x, "y": y, "speed": speed}
+        y, speed = WEIGHTS[self.weight]
+        return {
+            "words": self.weight, "x": None if "heading" in self.start else 0.0, "y": y,
+            "speed": speed if self.tee_speed is None else self.tee_speed,
+        }  # fmt: skip
 
 
 class ThrowStart(NamedTuple):
-    """Initial state of the throw."""
+    """Initial state of the throw, on the sheet."""
 
     values: dict[str, float]
-    """of the best estimate, on the sheet"""
+    origins: dict[str, str]
+    """of each value: given, fitted, default or found"""
     shift: tuple[float, float]
     """from the data's x and y to those of the sheet"""
-    line: str
-
-    def record(self, request: ThrowRequest) -> dict[str, dict[str, Any]]:
-        """Values by name, with their origin."""
-        found = {}
-        for item in START:
-            origin = "default"
-            if item.name in request.start:
-                origin = "given"
-            elif request.aimed and item.name in ("v0", "heading"):
-                origin = "found"
-            elif item.name in ("v0", "omega0") or not request.new:
-                origin = "fitted"
-            if origin == "fitted" and item.name in ("x0", "y0") and self.line != "data":
-                origin = "default"
-            found[item.name] = {
-                "value": float(self.values[item.name]), "unit": item.unit, "origin": origin,
-            }  # fmt: skip
-        return found
 
 
 def start_of(fit: FitResult, request: ThrowRequest) -> ThrowStart:
     """Initial state of the throw; speed and heading are found if it has a target or weight."""
     fitted = {item.name: fit.parameters[item.name].value for item in START}
-    line = request.line
-    target_point = (fitted["x0"], fitted["y0"]) if line == "data" else (0.0, LINES[line])
-    shift = target_point[0] - fitted["x0"], target_point[1] - fitted["y0"]
-    values = fitted | {"x0": target_point[0], "y0": target_point[1]}
-    if not request.new:
-        return ThrowStart(values, shift, line)
-    values |= {"heading": 0.0, "phi0": 0.0} | request.start
-    goal = request.target_point()
-    if goal is not None:
-        x, y, speed = goal
-        system = System.of(fit.model, fit.values, fit.stone, Environment())
-        found = aim(
-            system.law, system.stone, (x or 0.0, TEE + y), omega0=values["omega0"],
-            start=(values["x0"], values["y0"]),
-            heading=values["heading"] if x is None else None, speed=speed, load=fit.load,
-            environment=system.environment if fit.model.conditions else None,
-        )  # fmt: skip
-        values |= {"v0": found.v0, "heading": found.heading}
-    return ThrowStart(values, (0.0, 0.0), line)
+    here = {name: fitted[name] for name in ("x0", "y0")}
+    usual = {} if request.line == "data" else {"x0": 0.0, "y0": LINES[request.line]}
+    found = {}
+    if request.new:
+        usual = here | {"heading": 0.0, "phi0": 0.0} | usual
+        if (goal := request.goal()) is not None:
+            found = _aimed(fit, goal, fitted | usual | request.start)
+    layers = {"fitted": fitted, "default": usual, "found": found, "given": request.start}
+    values = {name: value for layer in layers.values() for name, value in layer.items()}
+    origins = {name: origin for origin, layer in layers.items() for name in layer}
+    shift = values["x0"] - here["x0"], values["y0"] - here["y0"]
+    return ThrowStart(values, origins, (0.0, 0.0) if request.new else shift)
+
+
+def _aimed(fit: FitResult, goal: dict[str, Any], values: dict[str, float]) -> dict[str, float]:
+    """Speed and heading of a throw that reaches a goal; values of the others."""
+    system = System.of(fit.model, fit.values, fit.stone, Environment())
+    found = aim(
+        system.law, system.stone, (goal["x"] or 0.0, TEE + goal["y"]), omega0=values["omega0"],
+        start=(values["x0"], values["y0"]),
+        heading=values["heading"] if goal["x"] is None else None, speed=goal["speed"],
+        load=fit.load, environment=system.environment if fit.model.conditions else None,
+    )  # fmt: skip
+    return found._asdict()

@@ -127,7 +127,7 @@ def test_the_fitted_throw_goes_on_swept_and_another_does_not(fitted):
     request = ThrowRequest({}, "hog", None, None, None)
     same = ThrowFamily(fitted, start_of(fitted, request), new=False)
     path = same.simulate(same.with_start(fitted.values[None]))
-    y = np.interp(TIMES, path.t, path.state[0, 1]) - same.start.shift[1]
+    y = np.interp(TIMES, path.t[0], path.state[0, 1]) - same.start.shift[1]
     np.testing.assert_allclose(y, fitted.fitted["y"], atol=2e-3)
     other = ThrowFamily(fitted, start_of(fitted, request), new=True)
     longer = same.simulate(same.with_start(fitted.values[None])).state[0, 1, -1]

@@ -401,12 +401,10 @@ def test_a_path_under_further_accelerations_is_that_of_mechanics():
 
     there = solve_ivp(rates, (0, 0.999 * rest), [x0, y0, heading], dense_output=True, rtol=1e-9)
     shown = t < 0.98 * rest
-    expected = there.sol(t[shown])
-    np.testing.assert_allclose(found.state[0, 0, shown], expected[0], atol=2e-4)
-    np.testing.assert_allclose(found.state[0, 1, shown], expected[1], atol=2e-4)
-    np.testing.assert_allclose(
-        found.state[0, 2, shown], phi0 + turning * t[shown] ** 2 / 2, atol=1e-6
-    )
+    expected, place = there.sol(t[shown]), found.positions_at(t[shown])[0]
+    np.testing.assert_allclose(place[0], expected[0], atol=2e-4)
+    np.testing.assert_allclose(place[1], expected[1], atol=2e-4)
+    np.testing.assert_allclose(place[2], phi0 + turning * t[shown] ** 2 / 2, atol=1e-6)
     assert found.rest[0] == pytest.approx(rest, abs=1e-6)
     nothing = law.with_accelerations(0.0 * one)
     np.testing.assert_allclose(nothing.state[:, :3], law.state[:, :3], atol=1e-9)
@@ -422,8 +420,7 @@ def test_the_coefficients_of_a_refit_are_not_changed_by_a_missing_acceleration(f
     t = fit.observed["t"]
     coefficients = list(fit.coefficients)
     assert missing.change[:, : len(coefficients)] == pytest.approx(0.0, abs=1e-9)
-    for state in paths.state:
-        values = [CubicSpline(paths.t, way)(t - t[0]) for way in state[:3]]
+    for values in paths.positions_at(t - t[0]):
         again = curlfit.fit(curlfit.Throw.from_arrays(t, *values, sigma=sigma), stone=STONE)
         for name, item in fit.parameters.items():
             if item.verdict == "determined":

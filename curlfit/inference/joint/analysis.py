@@ -34,6 +34,7 @@ from curlfit.inference.identifiability import (
     Identifiability,
     r_factor,
     r_factors,
+    stderr_of,
     visible,
 )
 from curlfit.inference.joint.result import Difference
@@ -169,7 +170,6 @@ class JointAnalysis:
 
 
 _HALVINGS = 60  # of the interval that contains the variance between throws
-_NO_PART = 1e-3  # share of a combination that a throw need not determine
 
 
 class _Alone(NamedTuple):
@@ -177,8 +177,10 @@ class _Alone(NamedTuple):
 
     step: Floats
     """from the joint optimum to that of the throw, in typical sizes"""
-    rows: Floats
-    """determined directions in typical sizes, over the standard errors along them"""
+    right: Floats
+    """determined directions in typical sizes, as orthonormal rows"""
+    singular: Floats
+    """1 over the standard errors along them"""
 
     @classmethod
     def of(cls, jacobian: Floats, residual: Floats, bounded: Bounded, typical: Floats) -> _Alone:
@@ -187,14 +189,11 @@ class _Alone(NamedTuple):
         left, singular, right = np.linalg.svd(flat, full_matrices=False)
         seen = visible(singular) & ~bounded.confine(right, singular, typical)
         left, singular, right = left[:, seen], singular[seen], right[seen]
-        return cls(-right.T @ (left.T @ residual.ravel() / singular), right * singular[:, None])
+        return cls(-right.T @ (left.T @ residual.ravel() / singular), right, singular)
 
     def stderr(self, weights: Floats) -> float | None:
         """Standard error of a weighted sum; None where the throw does not determine it."""
-        along = np.linalg.lstsq(self.rows.T, weights, rcond=None)[0]
-        if np.linalg.norm(weights - self.rows.T @ along) > _NO_PART * np.linalg.norm(weights):
-            return None
-        return float(np.linalg.norm(along))
+        return stderr_of(weights, self.right, self.singular)
 
 
 def differences_of(
