@@ -17,7 +17,7 @@ import curlfit
 from curlfit import LAWS, InitialState, Stone, fit_together, simulate
 from curlfit.environment import Environment
 from curlfit.errors import InputError
-from curlfit.inference.joint.analysis import _difference
+from curlfit.inference.joint.differences import _difference
 from curlfit.options.settings import load_fit_and_chain
 
 LAW = LAWS["front-back"]
