@@ -326,12 +326,10 @@ class Covariance:
         if self.others is not None:
             of_others, dof_of_others = self.others.variance(weights)
             parts, dof = np.column_stack([parts, of_others]), np.column_stack([dof, dof_of_others])
-        if self.has_priors or self.others is not None:  # the rest is due to what is known
+        if self.has_priors:  # which are known exactly
             rest = ((weights @ self.matrix) * weights).sum(-1) - parts.sum(-1)
-            parts, dof = (
-                np.column_stack([parts, rest]),
-                np.pad(dof, ((0, 0), (0, 1)), constant_values=np.inf),
-            )
+            parts = np.column_stack([parts, rest])
+            dof = np.column_stack([dof, np.full(len(dof), np.inf)])
         return satterthwaite(parts, dof)
 
     @property
@@ -413,7 +411,7 @@ class OtherThrows(NamedTuple):
             effect[..., one.open] = one.effect
             effect = effect[np.isfinite(one.dof)][..., common]
             parts = effect.mT @ effect
-            rows = parts.reshape(len(parts), -1)
+            rows = parts.reshape(len(parts), int(common.sum()) ** 2)
             matrices.append(parts.sum(0))
             squares.append(rows.T @ (rows / one.dof[np.isfinite(one.dof), None]))
         total, all_squares = np.sum(matrices, 0), np.sum(squares, 0)
