@@ -221,12 +221,13 @@ class Factors(NamedTuple):
     ) -> Factors:
         """From those of the data alone, the parameters with their bounds, the priors, and which
         parameters the throws have in common, if they are fitted together."""
-        whole, reduction, about = of_data, None, (bounded, typical, common)
+        whole, reduction = of_data, None
         if penalty is not None:
             prior, slope = penalty.residual_and_slope(bounded.values)
             diagonal = slope[..., None] * np.eye(slope.shape[-1])
             priors = np.concatenate([diagonal, prior[..., None]], -1)
         if common is not None:
+            about = bounded, typical, common
             # Priors of what is in common count once.
             alone = of_data if penalty is None else _stacked(of_data, priors * ~common[:, None])
             reduction = Reduction.of(alone, *about)

@@ -174,13 +174,13 @@ def _result(
         ]
     throws = [replace(one, quantities=quantities_of(one)) for one in throws]
     implausible = [f"{one.data['file']}: {one.status}" for one in throws if _implausible(one)]
-    first, names = throws[0], np.array(rounds.throws[0].parameters.names)
-    shared = tuple(map(str, names[common]))
+    first, parameters = throws[0], rounds.throws[0].parameters
+    shared = tuple(parameters.names_where(common))
     coefficients = {name: first.parameters[name] for name in shared}
     combinations = tuple(item for item in first.combinations if set(item.weights) <= set(shared))
     plain = rounds.loss == "linear" and rounds.noises[0].kind == "white"
     differences = differences_of(
-        solution, tasks, names, coefficients, combinations, rounds.unknown & plain
+        solution, tasks, parameters.names, coefficients, combinations, rounds.unknown & plain
     )
     among = {item.expression: item for item in differences if item.significant}
     factors = r_factors(solution.jacobian, solution.residual)

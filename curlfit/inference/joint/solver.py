@@ -52,8 +52,8 @@ def minimize_jointly(
     if penalty is not None:
         penalty.weight[count:] = 0.0
         penalty = Penalty(*map(joined, penalty))
-    ends = map(joined, (padded.start, padded.lower, padded.upper))
-    whole = stacked([Tasks(padded.problems, *ends, typical, penalty)])
+    start, lower, upper = map(joined, (padded.start, padded.lower, padded.upper))
+    whole = stacked([Tasks(padded.problems, start, lower, upper, typical, penalty)])
     whole = whole._replace(typical=typical, common=common)
     found: Solution = jax.tree.map(lambda leaf: leaf[0], solve(model, whole, _CONTROL, once=False))
     values = found.values[Blocks.of(common, count).index]
