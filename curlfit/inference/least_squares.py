@@ -28,6 +28,7 @@ from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.numerics.arrow_matrix import Blocks
 from curlfit.numerics.batches import BATCH, in_batches, stacked, unstacked
 from curlfit.numerics.compiled import compiled
 
@@ -105,8 +106,8 @@ class Tasks(NamedTuple):
     """shape (parameters,)"""
     penalty: Penalty | None = None
     """each field of the shape of `start`"""
-    blocks: Indices | None = None
-    """of the parameters of each throw, shape (throws, parameters of a throw); None with one"""
+    common: Booleans | None = None
+    """which parameters of a throw the others have in common with it; None with one throw"""
 
     @classmethod
     def of(cls, throws: Iterable[tuple[ParameterSet, Problem, Floats]]) -> Tasks:
@@ -123,7 +124,7 @@ class Tasks(NamedTuple):
             itemgetter(as_slice(which)),
             (self.problems, self.start, self.lower, self.upper, self.penalty),
         )
-        return Tasks(problems, start, lower, upper, self.typical, penalty, self.blocks)
+        return Tasks(problems, start, lower, upper, self.typical, penalty, self.common)
 
     @property
     def _loss(self) -> str:
@@ -136,7 +137,9 @@ class Tasks(NamedTuple):
         if model.family is not None:
             pad = partial(model.family.padded, model.law)
             penalty, typical = jax.tree.map(pad, penalty), pad(typical, 1.0)
-        blocks = np.arange(len(typical))[None] if self.blocks is None else self.blocks
+        alone = np.ones(len(typical), bool)
+        together = self.problems.observed.shape[1] if self.common is not None else 1
+        blocks = Blocks.of(alone if self.common is None else self.common, together)
         return (
             model.of_program, self._loss,
             *map(model.vector, (self.start, self.lower, self.upper)),
@@ -146,7 +149,7 @@ class Tasks(NamedTuple):
 
 def _solve(
     model: Model, loss: str, starts: Array, lower: Array, upper: Array, penalties: Penalty | None,
-    problems: Problem, typical: Array, blocks: Array, control: Control,
+    problems: Problem, typical: Array, blocks: Blocks, control: Control,
 ) -> Solution:  # fmt: skip
     # Imported only to compile the program: it takes half as long to load as JAX.
     import optimistix as optx
@@ -160,7 +163,7 @@ def _solve(
             return weighted_residuals(model, values, problem)
 
         together = problem.observed.ndim > 2
-        return jax.vmap(one)(values[blocks], problem) if together else one(values, problem)
+        return jax.vmap(one)(values[blocks.index], problem) if together else one(values, problem)
 
     def solved(
         start: Array, lower: Array, upper: Array, penalty: Penalty | None, problem: Problem

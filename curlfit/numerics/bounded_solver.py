@@ -19,9 +19,10 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import lineax as lx
 import optimistix as optx
 from jax import Array
+
+from curlfit.numerics.arrow_matrix import ArrowMatrix, Blocks
 
 _LEAST_DAMPING, _MOST_DAMPING = 1e-12, 1e8  # relative to the squared columns (Marquardt)
 _LESS, _MORE = 0.1, 3.0  # factors of the damping after a step as predicted, and a rejected one ...
@@ -36,7 +37,7 @@ _REGULAR = 1e-14  # damping that keeps the normal matrix nonsingular on an exact
 
 Quadratic = Any
 """The Gauss-Newton model of the loss, half the sum of squares, about some values: an
-`EvalGradHessian` of optimistix."""
+`EvalGradHessian` of optimistix, whose Hessian is an `ArrowMatrix`."""
 
 
 class BoundedDescent(optx.AbstractDescent):
@@ -57,15 +58,14 @@ class BoundedDescent(optx.AbstractDescent):
 
     def query(self, y: Array, f_info: Quadratic, state: Any) -> Any:
         """The values, and the gradient and Hessian there in parameters over typical sizes."""
-        hessian = f_info.hessian.as_matrix() * (self.typical[:, None] * self.typical)
-        return y, f_info.grad * self.typical, hessian
+        return y, f_info.grad * self.typical, f_info.hessian.scaled(self.typical)
 
     def step(self, step_size: Any, state: Any) -> tuple[Array, Any]:
         """The step whose damping is one over the step size."""
         values, gradient, hessian = state
         lower, upper = ((end - values) / self.typical for end in (self.lower, self.upper))
         held = (lower >= 0) & (gradient >= 0) | (upper <= 0) & (gradient <= 0) | (lower >= upper)
-        square = jnp.where(held, 0.0, jnp.diagonal(hessian))
+        square = jnp.where(held, 0.0, hessian.diagonal())
         size = jnp.sqrt(jnp.maximum(square, 1e-24 * square.max() + 1e-300))
 
         def outside(held: Array, step: Array) -> Array:
@@ -76,10 +76,9 @@ class BoundedDescent(optx.AbstractDescent):
             step = jnp.where(held, jnp.clip(step, lower, upper), 0.0)
             free = jnp.where(held, 0.0, 1 / size)
             # Scaled to unit diagonal, so that the damping keeps it nonsingular.
-            diagonal = jnp.where(held, 1.0, 1 / step_size + _REGULAR)
-            matrix = hessian * (free[:, None] * free) + jnp.diag(diagonal)
-            right = -(gradient + hessian @ step) * free
-            return held, jnp.where(held, step, _solution(matrix, right) * free)
+            matrix = hessian.scaled(free, jnp.where(held, 1.0, 1 / step_size + _REGULAR))
+            right = -(gradient + hessian.mv(step)) * free
+            return held, jnp.where(held, step, matrix.solve(right) * free)
 
         start = held, jnp.zeros_like(values)
         _, step = _repeated(narrower, lambda *sets: outside(*sets).any(), start)
@@ -126,7 +125,7 @@ class GainRatio(optx.AbstractSearch):
         before, now = f_info.f, f_eval_info.f
         rounding = (state.reduction <= _ROUNDING * before) & (now <= (1 + _ROUNDING) * before)
         accept = (now <= before) | rounding
-        accept &= jnp.isfinite(now) & jnp.isfinite(f_eval_info.hessian.as_matrix()).all()
+        accept &= jnp.isfinite(now) & f_eval_info.hessian.is_finite()
         known = jnp.isfinite(before) & jnp.isfinite(now) & ~rounding
         fall = jnp.where(known, before, 1.0) - jnp.where(known, now, 0.0)
         gain = jnp.where(known, fall / jnp.maximum(state.reduction, 1e-300), 1.0)
@@ -168,16 +167,16 @@ class BoundedLeastSquares(optx.AbstractLeastSquaresSolver):
     control: Any
     """with `extrapolated`, the share of the loss that the last step, which is not evaluated, may
     gain; `remaining`, the share that the step after it might gain; and the `most` evaluations"""
-    blocks: Array
-    """indices of the parameters of each block, shape (blocks, parameters of a block)"""
+    blocks: Blocks
     penalty: Any
-    """adds to the loss, by `added_to(loss, gradient, hessian, values)`; None for nothing"""
+    """adds its `quadratic(values)` to the loss: terms of the loss, of its gradient and of the
+    diagonal of its Hessian; None for nothing"""
     rtol: float
     atol: float
     norm: Callable[..., Any]
 
     def __init__(
-        self, descent: BoundedDescent, search: GainRatio, control: Any, blocks: Array, penalty: Any
+        self, descent: BoundedDescent, search: GainRatio, control: Any, blocks: Blocks, penalty: Any
     ) -> None:
         self.descent, self.search, self.control = descent, search, control
         self.blocks, self.penalty = blocks, penalty
@@ -188,8 +187,9 @@ class BoundedLeastSquares(optx.AbstractLeastSquaresSolver):
         self, fn: Any, y: Array, args: Any, options: Any, f_struct: Any, aux_struct: Any, tags: Any
     ) -> SolverState:
         """Required by optimistix."""
-        size, width = y.size, self.blocks.shape[-1]
-        model = _quadratic(jnp.full((), jnp.inf), jnp.zeros(size), jnp.zeros((size, size)))
+        count, width = self.blocks.index.shape
+        nothing = self.blocks.normal(jnp.zeros((count, 0, width)))
+        model = _quadratic(jnp.full((), jnp.inf), jnp.zeros_like(y), nothing)
         no, unknown = jnp.zeros((), bool), jnp.full((*f_struct.shape, 1 + width), jnp.nan)
         return SolverState(
             self.descent.moved(y, jnp.zeros_like(y)), model, unknown[..., 0], unknown[..., 1:],
@@ -242,7 +242,7 @@ class BoundedLeastSquares(optx.AbstractLeastSquaresSolver):
         success = (~failed & (last | (not_shrinking & light) | small)) | stalled
 
         step = jnp.where(last, change, 0.0)
-        along = step[self.blocks].reshape(-1, *(1,) * (residual.ndim - 1), jacobian.shape[-1])
+        along = step[self.blocks.index].reshape(-1, *(1,) * (residual.ndim - 1), jacobian.shape[-1])
         residual = residual + (jacobian * along).sum(-1)
         state = SolverState(
             self.descent.moved(y, change), model, residual, jacobian,
@@ -252,8 +252,8 @@ class BoundedLeastSquares(optx.AbstractLeastSquaresSolver):
         return self.descent.moved(y, step), state, aux
 
     def _evaluated(self, function: Any, values: Array) -> tuple[Quadratic, Array, Array, Any]:
-        count, width = self.blocks.shape
-        seeds = jnp.zeros((values.size, width)).at[self.blocks, jnp.arange(width)].set(1.0)
+        index, (count, width) = self.blocks.index, self.blocks.index.shape
+        seeds = jnp.zeros((values.size, width)).at[index, jnp.arange(width)].set(1.0)
 
         def along(seed: Array) -> Any:
             return jax.jvp(function, (values,), (seed,), has_aux=True)
@@ -261,13 +261,14 @@ class BoundedLeastSquares(optx.AbstractLeastSquaresSolver):
         residual, jacobian, aux = jax.vmap(along, 1, (None, -1, None))(seeds)
         rows = residual.reshape(count, -1, 1)
         columns = jacobian.reshape(count, -1, width)
-        gradient = jnp.zeros(values.size).at[self.blocks].add((columns.mT @ rows)[..., 0])
-        place = self.blocks[:, :, None], self.blocks[:, None, :]
-        hessian = jnp.zeros((values.size,) * 2).at[place].add(columns.mT @ columns)
-        terms = (residual**2).sum() / 2, gradient, hessian
+        loss = (residual**2).sum() / 2
+        gradient = jnp.zeros(values.size).at[index].add((columns.mT @ rows)[..., 0])
+        hessian = self.blocks.normal(columns)
         if self.penalty is not None:
-            terms = self.penalty.added_to(*terms, values)
-        return _quadratic(*terms), residual, jacobian, aux
+            of_loss, of_gradient, of_hessian = self.penalty.quadratic(values)
+            loss, gradient = loss + of_loss, gradient + of_gradient
+            hessian = hessian.scaled(jnp.ones_like(values), of_hessian)
+        return _quadratic(loss, gradient, hessian), residual, jacobian, aux
 
     def terminate(
         self, fn: Any, y: Array, args: Any, options: Any, state: SolverState, tags: Any
@@ -287,24 +288,8 @@ class BoundedLeastSquares(optx.AbstractLeastSquaresSolver):
         return y, aux, {}
 
 
-def _quadratic(loss: Array, gradient: Array, hessian: Array) -> Quadratic:
-    return optx.FunctionInfo.EvalGradHessian(
-        loss, gradient, lx.MatrixLinearOperator(hessian, lx.positive_semidefinite_tag)
-    )
-
-
-def _solution(matrix: Array, right: Array) -> Array:
-    """Solution of a positive-definite system, by elimination without pivoting: LAPACK, which JAX
-    would otherwise call, takes a tenth of a second to load."""
-
-    def eliminated(k: Any, system: Array) -> Array:
-        row = jax.lax.dynamic_index_in_dim(system, k, -2)
-        row = row / jax.lax.dynamic_index_in_dim(row, k, -1)
-        rest = system - jax.lax.dynamic_index_in_dim(system, k, -1) * row
-        return jnp.where(jnp.arange(len(matrix))[:, None] == k, row, rest)
-
-    system = jnp.concatenate([matrix, right[:, None]], -1)
-    return jax.lax.fori_loop(0, len(matrix), eliminated, system)[:, -1]
+def _quadratic(loss: Array, gradient: Array, hessian: ArrowMatrix) -> Quadratic:
+    return optx.FunctionInfo.EvalGradHessian(loss, gradient, hessian)
 
 
 def _repeated(body: Callable[..., Any], condition: Callable[..., Any], carry: Any) -> Any:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from io import StringIO
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +18,8 @@ import curlfit
 from curlfit import LAWS, InitialState, Stone, fit_together, simulate
 from curlfit.environment import Environment
 from curlfit.errors import InputError
-from curlfit.inference.joint.analysis import _difference
+from curlfit.inference.joint.differences import _difference
+from curlfit.inference.joint.fit import _warnings_of
 from curlfit.options.settings import load_fit_and_chain
 
 LAW = LAWS["front-back"]
@@ -247,6 +249,13 @@ def test_what_cannot_be_fitted_together_is_refused(three):
         fit_together(three[:1])
     with pytest.raises(InputError, match="no coefficient 'mu'; it has mu1_xi"):
         fit_together(three, share=["mu"])
+
+
+def test_a_warning_of_several_throws_is_one():
+    of_throws = {"a": ("old", "all"), "b": ("old", "all"), "c": ("old", "all"), "d": ("old", "all"),
+                 "e": ("all", "own")}  # fmt: skip
+    throws = [SimpleNamespace(data={"file": k}, warnings=v) for k, v in of_throws.items()]
+    assert _warnings_of(throws) == ["a, b and 2 more: old", "all", "e: own"]
 
 
 def test_on_the_command_line(three, tmp_path):

@@ -11,6 +11,7 @@ from scipy.optimize import least_squares
 
 from curlfit.inference.least_squares import Control
 from curlfit.numerics import bounded_solver as bounded
+from curlfit.numerics.arrow_matrix import Blocks
 
 LOWER, UPPER = np.array([0, -0.005, -0.3, 0]), np.array([np.inf, 0.005, 0.3, np.inf])
 
@@ -30,7 +31,7 @@ def problem(seed):
 def solved(residual, start=(0.0,) * 4, lower=LOWER, upper=UPPER, blocks=None):
     """The optimum of a function of the values, by optimistix."""
     start, lower, upper = map(jnp.asarray, (start, lower, upper))
-    blocks = jnp.arange(start.size)[None] if blocks is None else blocks
+    blocks = Blocks.of(np.ones(start.size, bool)) if blocks is None else blocks
     solver = bounded.BoundedLeastSquares(
         descent=bounded.BoundedDescent(lower, upper, jnp.ones(start.size)),
         search=bounded.GainRatio(1e-2), control=Control(1e-2, 1e-14, 1e-18), blocks=blocks,
@@ -69,13 +70,15 @@ def test_problems_side_by_side_take_the_steps_of_each_alone():
 def test_blocks_with_common_parameters_have_the_optimum_of_all_rows():
     """Two blocks share their first two parameters; one tangent serves a parameter of both."""
     one, other = problem(0), problem(1)
-    blocks = jnp.array([[0, 1, 2, 3], [0, 1, 4, 5]])
+    layout = Blocks.of(np.array([True, True, False, False]), 2)
+    blocks = layout.index
+    np.testing.assert_array_equal(blocks, [[0, 1, 2, 3], [0, 1, 4, 5]])
     lower, upper = (np.append(end, end[2:]) for end in (LOWER, UPPER))
 
     def rows(z):
         return jnp.stack([one(z[blocks[0]], jnp), other(z[blocks[1]], jnp)])
 
-    found = solved(rows, np.zeros(6), lower, upper, blocks)
+    found = solved(rows, np.zeros(6), lower, upper, layout)
     whole = solved(lambda z: rows(z).reshape(-1), np.zeros(6), lower, upper)
     assert found.state.success
     np.testing.assert_allclose(found.value, whole.value, rtol=1e-9, atol=1e-12)
@@ -116,15 +119,23 @@ def test_a_start_without_a_derivative_has_no_residual():
     assert np.isnan(found.state.residual).all()
 
 
-def test_elimination_solves_as_lapack_does_and_needs_none_of_it():
+@pytest.mark.parametrize("blocks", [1, 3])
+def test_elimination_solves_as_lapack_does_and_needs_none_of_it(blocks):
     random = np.random.default_rng(0)
-    factor = random.normal(size=(10, 10)) * 10.0 ** random.uniform(-3, 0, 10)
-    matrix = factor @ factor.T
-    size = np.sqrt(np.diagonal(matrix))
-    matrix = matrix / np.outer(size, size) + 1e-10 * np.eye(10)
-    right = random.normal(size=10)
-    program = jax.jit(bounded._solution).lower(matrix, right)
+    layout = Blocks.of(np.arange(10) < 4, blocks)
+    size = 4 + 6 * blocks
+    rows = random.normal(size=(blocks, 12, 10)) * 10.0 ** random.uniform(-3, 0, 10)
+    whole = np.zeros((blocks, 12, size))
+    for one, index, part in zip(whole, layout.index, rows, strict=True):
+        one[:, index] = part
+    matrix = whole.reshape(-1, size).T @ whole.reshape(-1, size)
+    scale = 1 / np.sqrt(np.diagonal(matrix))
+    right, dense = random.normal(size=size), matrix * np.outer(scale, scale) + 1e-10 * np.eye(size)
+    arrow = layout.normal(jnp.asarray(rows)).scaled(jnp.asarray(scale), 1e-10)
+    np.testing.assert_allclose(arrow.diagonal(), np.diagonal(dense), rtol=1e-12)
+    np.testing.assert_allclose(arrow.mv(right), dense @ right, rtol=1e-9, atol=1e-12)
+    program = jax.jit(lambda matrix, right: matrix.solve(right)).lower(arrow, right)
     assert "custom_call" not in program.as_text()
-    found, expected = program.compile()(matrix, right), np.linalg.solve(matrix, right)
-    allowed = 10 * np.finfo(float).eps * np.linalg.cond(matrix)
+    found, expected = program.compile()(arrow, right), np.linalg.solve(dense, right)
+    allowed = 10 * np.finfo(float).eps * np.linalg.cond(dense)
     assert np.linalg.norm(found - expected) < allowed * np.linalg.norm(expected)

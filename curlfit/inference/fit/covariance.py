@@ -19,11 +19,12 @@ from curlfit.inference.identifiability import (
     analyse,
     classify,
     confined,
+    inverted,
     r_factor,
     slack,
     visible,
 )
-from curlfit.inference.least_squares import Solution
+from curlfit.inference.least_squares import Indices, Solution
 from curlfit.inference.noise.losses import precision, root_slope
 from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Problem
@@ -137,6 +138,66 @@ _KNOWN = 1e-3  # share of estimated variances in a sum below which the sum count
 _MEDIAN_EFFICIENCY = 0.37  # of sigma from the median absolute residual, Gaussian noise (Huber 1981)
 
 
+class Reduction(NamedTuple):
+    """What throws say about the parameters that they have in common, where the own parameters of
+    each follow these; all along the first axis."""
+
+    others: Floats
+    """R factor of all other throws, whose last column is the residual: rows to be added to those of
+    a throw, with zeros for its own parameters"""
+    follow: Floats
+    """change of the parameters of a throw, first axis, with those in common, second axis"""
+    rank: Floats
+    """number of directions of its own parameters that a throw determines"""
+    common: Booleans
+
+    @classmethod
+    def of(cls, factors: Floats, bounded: Bounded, typical: Floats, common: Booleans) -> Reduction:
+        """From R factors of the Jacobians with the residuals as the last column."""
+        free = (bounded.upper > bounded.lower) & ~common
+        problem = LinearizedProblem(factors[..., -1], factors[..., :-1], *bounded, typical, free)
+        scaled = factors[..., :-1] * typical
+        own = scaled * (free & ~problem.at_bound())[:, None]
+        left, singular, right = np.linalg.svd(own, full_matrices=False)
+        seen = visible(singular)
+        left = left * seen[:, None]
+        rest = factors - left @ (left.mT @ factors)
+        rest[..., :-1] *= common
+        inverse = right.mT * inverted(singular, seen)[:, None] @ left.mT
+        follow = np.diag(1.0 * common) - (inverse @ scaled) * common
+        follow = follow * typical[:, None] / typical
+        return cls(_of_others(rest), follow, seen.sum(-1), common)
+
+    def gradient(self, gradients: Floats) -> Floats:
+        """That of all throws by the parameters of each, from the gradients of each throw."""
+        reduced = (self.follow.mT @ gradients[..., None])[..., 0]
+        return gradients + self.common * (reduced.sum(0) - reduced)
+
+    def chi_squared_change(self, throws: Indices, steps: Floats) -> Floats:
+        """Change of chi squared of the others of some throws, whose parameters take steps."""
+        rows = self.others[throws]
+        change = (rows[..., :-1] @ steps[..., None])[..., 0]
+        found: Floats = (change * (change + 2 * rows[..., -1])).sum(-1)
+        return found
+
+
+def _stacked(*factors: Floats) -> Floats:
+    """R factor of the rows of several."""
+    return r_factor(np.concatenate(factors, -2))
+
+
+def _of_others(rows: Floats) -> Floats:
+    """R factor of the rows of all throws but each, from those before it and those after it."""
+
+    def before(rows: Floats) -> list[Floats]:
+        found = [np.zeros((rows.shape[-1],) * 2)]
+        for one in rows[:-1]:
+            found.append(_stacked(found[-1], one))
+        return found
+
+    return _stacked(np.stack(before(rows)), np.stack(before(rows[::-1])[::-1]))
+
+
 class Factors(NamedTuple):
     """R factors of the Jacobian of a problem, or of many along the first axis; the last column is
     the residual over its sigma."""
@@ -146,19 +207,37 @@ class Factors(NamedTuple):
     """with the priors"""
     confined: Floats
     """with the priors, without the directions that only the bounds determine (`confined`)"""
+    reduction: Reduction | None = None
+    """of throws that are fitted together, whose others are contained in all of these"""
 
     @classmethod
     def of(
-        cls, of_data: Floats, bounded: Bounded, typical: Floats, penalty: Penalty | None
+        cls,
+        of_data: Floats,
+        bounded: Bounded,
+        typical: Floats,
+        penalty: Penalty | None,
+        common: Booleans | None = None,
     ) -> Factors:
-        """From those of the data alone, the parameters with their bounds, and the priors."""
-        whole = of_data
+        """From those of the data alone, the parameters with their bounds, the priors, and which
+        parameters the throws have in common, if they are fitted together."""
+        whole, reduction = of_data, None
         if penalty is not None:
             prior, slope = penalty.residual_and_slope(bounded.values)
-            rows = [slope[..., None] * np.eye(slope.shape[-1]), prior[..., None]]
-            whole = r_factor(np.concatenate([of_data, np.concatenate(rows, -1)], -2))
+            diagonal = slope[..., None] * np.eye(slope.shape[-1])
+            priors = np.concatenate([diagonal, prior[..., None]], -1)
+        if common is not None:
+            about = bounded, typical, common
+            # Priors of what is in common count once.
+            alone = of_data if penalty is None else _stacked(of_data, priors * ~common[:, None])
+            reduction = Reduction.of(alone, *about)
+            whole = _stacked(of_data, reduction.others)
+            others = reduction if penalty is None else Reduction.of(of_data, *about)
+            of_data = whole if penalty is None else _stacked(of_data, others.others)
+        if penalty is not None:
+            whole = _stacked(whole, priors)
         inside = confined(whole[..., :-1], bounded, typical)
-        return cls(of_data, whole, np.concatenate([inside, whole[..., -1:]], -1))
+        return cls(of_data, whole, np.concatenate([inside, whole[..., -1:]], -1), reduction)
 
     def at(self, row: int) -> Factors:
         """Those of one problem."""
@@ -195,6 +274,8 @@ class Covariance:
     leverage: Floats
     """of each value on its own fitted value, 0 to 1, shape (channels, n)"""
     has_priors: bool
+    others: OtherThrows | None = None
+    """of a throw that is fitted together with others"""
 
     @classmethod
     def of(
@@ -234,7 +315,7 @@ class Covariance:
         whole = problem._replace(jacobian=searched.whole[:, :-1])
         return cls(
             names, bounded.values, typical, searched.confined, known, of_data, at_bound, open_,
-            matrix, float(problem.distance(sigmas.number.sum(), whole)), effect,
+            matrix, float(problem.distance(sigmas.total, whole)), effect,
             sigmas.dof(leverage), leverage, has_priors,
         )  # fmt: skip
 
@@ -242,11 +323,15 @@ class Covariance:
         """For the variances of weighted sums of the open parameters, one per row of weights; None
         where all sigmas were given."""
         parts = ((self.effect @ weights.T) ** 2).sum(1).T
-        of_priors = np.zeros((len(weights), 1))
-        if self.has_priors:
-            total = ((weights @ self.matrix) * weights).sum(-1, keepdims=True)
-            of_priors = total - parts.sum(-1, keepdims=True)
-        return satterthwaite(np.hstack([parts, of_priors]), np.append(self.dof, np.inf))
+        dof = np.broadcast_to(self.dof, parts.shape)
+        if self.others is not None:
+            of_others, dof_of_others = self.others.variance(weights)
+            parts, dof = np.column_stack([parts, of_others]), np.column_stack([dof, dof_of_others])
+        if self.has_priors:  # which are known exactly
+            rest = ((weights @ self.matrix) * weights).sum(-1) - parts.sum(-1)
+            parts = np.column_stack([parts, rest])
+            dof = np.column_stack([dof, np.full(len(dof), np.inf)])
+        return satterthwaite(parts, dof)
 
     @property
     def combinations(self) -> tuple[Combination, ...]:
@@ -302,9 +387,50 @@ def satterthwaite(parts: Floats, dof: Floats) -> list[float | None]:
     1946, eq. 17); None where all are known, or those with finite `dof` contribute less than a
     thousandth, so that Student's distribution is normal to rounding of what is printed."""
     size = np.abs(parts)
-    known = ~(size[:, np.isfinite(dof)].sum(-1) > _KNOWN * size.sum(-1))
+    known = ~(np.where(np.isfinite(dof), size, 0.0).sum(-1) > _KNOWN * size.sum(-1))
     found = parts.sum(-1) ** 2 / np.where(known, 1.0, (parts**2 / dof).sum(-1))
     return [None if exact else n for n, exact in zip(found.tolist(), known, strict=True)]
+
+
+class OtherThrows(NamedTuple):
+    """What the noise of the other throws contributes to the variances of a throw's estimates."""
+
+    follow: Floats
+    """change of the open parameters with those in common, shape (open, common)"""
+    matrix: Floats
+    """covariance of those in common due to channels whose sigma was estimated"""
+    squares: Floats
+    """sum of the squares of its parts by channel, each over its degrees of freedom, by pairs of
+    parameters in common"""
+
+    @classmethod
+    def of_each(cls, found: Sequence[Covariance], reduction: Reduction) -> list[OtherThrows]:
+        """For each of some throws that are fitted together."""
+        matrices, squares, common = [], [], reduction.common
+        for one in found:
+            effect = np.zeros((*one.effect.shape[:-1], len(common)))
+            effect[..., one.open] = one.effect
+            effect = effect[np.isfinite(one.dof)][..., common]
+            parts = effect.mT @ effect
+            rows = parts.reshape(len(parts), int(common.sum()) ** 2)
+            matrices.append(parts.sum(0))
+            squares.append(rows.T @ (rows / one.dof[np.isfinite(one.dof), None]))
+        total, all_squares = np.sum(matrices, 0), np.sum(squares, 0)
+        return [
+            cls(follow[one.open][:, common], total - matrix, all_squares - square)
+            for one, follow, matrix, square in zip(
+                found, reduction.follow, matrices, squares, strict=True
+            )
+        ]
+
+    def variance(self, weights: Floats) -> tuple[Floats, Floats]:
+        """Of weighted sums of the open parameters, one per row of weights, the part that is due to
+        estimated sigmas of the others, and its degrees of freedom."""
+        along = weights @ self.follow
+        pairs = (along[:, :, None] * along[:, None]).reshape(len(along), -1)
+        part, square = pairs @ self.matrix.ravel(), ((pairs @ self.squares) * pairs).sum(-1)
+        part = np.maximum(part, 0.0)
+        return part, np.where(square > 0, part**2 / np.where(square > 0, square, 1.0), np.inf)
 
 
 class Sigmas(NamedTuple):
@@ -314,6 +440,8 @@ class Sigmas(NamedTuple):
     """of values"""
     estimated: Booleans
     loss: str
+    total: int
+    """number of values in all channels, of all throws that are fitted together"""
 
     def dof(self, leverage: Floats) -> Floats:
         """Degrees of freedom n - p of each sigma; infinite where it was given. The sum of the

@@ -168,12 +168,16 @@ def penalties(throws: Sequence[PreparedThrow], *, first: bool = False) -> Penalt
     return stacked(known) if known else None
 
 
-def local_bounds(throws: Sequence[PreparedThrow]) -> tuple[Floats, Floats, Floats]:
+def local_bounds(
+    throws: Sequence[PreparedThrow], common: Booleans | None = None
+) -> tuple[Floats, Floats, Floats]:
     """Offsets of many throws from the problems' coordinates to the data's, bounds in the former;
-    each of shape (throws, parameters)."""
+    each of shape (throws, parameters). Bounds of parameters in `common` hold for all throws."""
     offset = np.stack([one.offset for one in throws])
     lower = np.stack([one.parameters.lower for one in throws]) - offset
     upper = np.stack([one.parameters.upper for one in throws]) - offset
+    if common is not None:
+        lower[:, common], upper[:, common] = lower[:, common].max(0), upper[:, common].min(0)
     return offset, lower, upper
 
 

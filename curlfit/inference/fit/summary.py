@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
-from functools import partial
-from typing import Any, NamedTuple
+from dataclasses import asdict, replace
+from operator import itemgetter
+from typing import Any, NamedTuple, Self
 
 import jax
 import numpy as np
@@ -14,6 +14,8 @@ from curlfit.inference.fit.covariance import (
     CONVERGED,
     Covariance,
     Factors,
+    OtherThrows,
+    Reduction,
     Sigmas,
     nonquadratic_estimates,
     one_sigma_points,
@@ -43,7 +45,7 @@ from curlfit.inference.noise.whitening import posterior_mean
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import ROWS_OF_DATA, Problem
-from curlfit.numerics.arrays import Floats
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import BATCH, stacked
 from curlfit.throws.plausibility import Finding, examine_fit
 from curlfit.throws.throw import CHANNELS, Throw
@@ -84,7 +86,7 @@ def summarize_many(
     *,
     curves: bool = True,
     widths: Mapping[str, float] | None = None,
-    bounds: bool = True,
+    common: Booleans | None = None,
 ) -> list[FitResult]:
     """The same for fits of one model, loss and noise model, to problems of one shape.
 
@@ -95,62 +97,121 @@ def summarize_many(
         can they be omitted.
     widths : of the fixed conditions whose systematic errors the records contain, from
         `systematics.widths_of`; only with curves.
-    bounds : whether the records warn of parameters at their bounds.
+    common : of throws that were fitted together, the parameters that they have in common.
     """
     if not fits:
         return []
-    problems = stacked([fit.problem for fit in fits])
-    solutions = stacked([fit.solution for fit in fits])
-    model = fits[0].model
-    paths = predict_many(model, solutions.values, problems, batch) if curves else None
-    penalty, loss = penalties([fit.prepared for fit in fits]), fits[0].loss
-    sets = [fit.prepared.parameters for fit in fits]
-    typical, (offset, *ends) = sets[0].typical, local_bounds([fit.prepared for fit in fits])
-    local = Bounded(solutions.values, *ends)
-    statistics = residual_statistics(problems, solutions, paths)
-    channels = ROWS_OF_DATA[: problems.observed.shape[1]]
-    factors = Factors.of(r_factors(solutions.jacobian, solutions.residual), local, typical, penalty)
-    estimator = factors
-    if loss != "linear":
-        robust = robust_jacobians(problems, solutions, statistics.residual, loss)
-        estimator = Factors.of(r_factors(robust, solutions.residual), local, typical, penalty)
-    found = [
-        Covariance.of(
-            own.names, Bounded(*(part[row] + offset[row] for part in local)), typical, own.free,
-            (factors.at(row), estimator.at(row)), fits[row].solution.jacobian,
-            Sigmas(statistics.number[row], np.isin(channels, [*fits[row].sigma]), loss),
-        )
-        for row, own in enumerate(sets)
-    ]  # fmt: skip
-    around = one_sigma_points(found, *local, typical)
-    of_owners = jax.tree.map(lambda leaf: leaf[around.owner], problems)
-    chi_squared = chi_squared_of_many(model, around.point, of_owners, batch)
-    delta = chi_squared - solutions.chi_squared[around.owner]
-    if penalty is not None:
-        there, best = Penalty(*(part[around.owner] for part in penalty)), solutions.values
-        delta += there.chi_squared(around.point) - there.chi_squared(best[around.owner])
-    # Chi squared of one of several throws fitted together has a slope at the joint optimum.
-    factor = factors.confined
-    gradient = 2 * (factor[..., :-1].mT @ factor[..., -1:])[..., 0]
-    step = around.point - solutions.values[around.owner]
-    delta = delta - (gradient[around.owner] * step).sum(-1)
-    nonquadratic = nonquadratic_estimates(found, around, delta, typical)
+    many = _Many.of(fits, common)
+    paths = (
+        predict_many(many.model, many.solutions.values, many.problems, batch) if curves else None
+    )
+    statistics = residual_statistics(many.problems, many.solutions, paths)
+    found, reduction = many.covariances(statistics)
+    nonquadratic = many.nonquadratic(found, reduction, batch)
     systematics = [Systematics()] * len(fits)
     if paths is not None and widths:
-        changes = residual_changes(
-            model, problems, solutions.values, paths, widths, loss, batch,
-            calibrations_of([fit.prepared for fit in fits]),
+        systematics = many.systematics(found, reduction, paths, widths, batch)
+    return list(map(_record, fits, statistics.each(len(fits)), found, nonquadratic, systematics))
+
+
+class _Many(NamedTuple):
+    """Fits of one model and loss, with what they need along the first axis."""
+
+    fits: Sequence[LeastSquaresFit]
+    throws: list[PreparedThrow]
+    problems: Problem
+    solutions: Solution
+    offset: Floats
+    bounded: Bounded
+    """in the problems' coordinates"""
+    typical: Floats
+    penalty: Penalty | None
+    common: Booleans | None
+
+    @classmethod
+    def of(cls, fits: Sequence[LeastSquaresFit], common: Booleans | None) -> Self:
+        throws, solutions = [fit.prepared for fit in fits], stacked([fit.solution for fit in fits])
+        offset, *ends = local_bounds(throws, common)
+        return cls(
+            fits, throws, stacked([fit.problem for fit in fits]), solutions, offset,
+            Bounded(solutions.values, *ends), throws[0].parameters.typical, penalties(throws),
+            common,
         )  # fmt: skip
-        gradients = {
-            name: np.einsum("tcn,tcnp->tp", change, solutions.jacobian)
-            for name, change in changes.items()
-        }
-        systematics = [
+
+    @property
+    def model(self) -> Model:
+        return self.fits[0].model
+
+    @property
+    def loss(self) -> str:
+        return self.fits[0].loss
+
+    def covariances(
+        self, statistics: ResidualStatistics
+    ) -> tuple[list[Covariance], Reduction | None]:
+        """Of each throw, and how throws that are fitted together act on one another."""
+        solutions, loss = self.solutions, self.loss
+        about = self.bounded, self.typical, self.penalty, self.common
+        factors = estimator = Factors.of(r_factors(solutions.jacobian, solutions.residual), *about)
+        if loss != "linear":
+            robust = robust_jacobians(self.problems, solutions, statistics.residual, loss)
+            estimator = Factors.of(r_factors(robust, solutions.residual), *about)
+        channels = ROWS_OF_DATA[: self.problems.observed.shape[1]]
+        number, found = statistics.number, []
+        for row, fit in enumerate(self.fits):
+            own, total = fit.prepared.parameters, number[row if self.common is None else ...].sum()
+            known = Sigmas(number[row], np.isin(channels, [*fit.sigma]), loss, total)
+            absolute = Bounded(*(part[row] + self.offset[row] for part in self.bounded))
+            both = factors.at(row), estimator.at(row)
+            found.append(
+                Covariance.of(
+                    own.names, absolute, self.typical, own.free, both, fit.solution.jacobian, known
+                )
+            )
+        reduction = estimator.reduction
+        if reduction is not None:
+            others = OtherThrows.of_each(found, reduction)
+            found = [replace(one, others=own) for one, own in zip(found, others, strict=True)]
+        return found, factors.reduction
+
+    def nonquadratic(
+        self, found: Sequence[Covariance], reduction: Reduction | None, batch: int
+    ) -> list[dict[str, bool]]:
+        """See `nonquadratic_estimates`; the others of a throw are quadratic."""
+        around = one_sigma_points(found, *self.bounded, self.typical)
+        owner, best = around.owner, self.solutions.values[around.owner]
+        problems = jax.tree.map(itemgetter(owner), self.problems)
+        delta = chi_squared_of_many(self.model, around.point, problems, batch)
+        delta = delta - self.solutions.chi_squared[owner]
+        if self.penalty is not None:
+            there = Penalty(*(part[owner] for part in self.penalty))
+            delta += there.chi_squared(around.point) - there.chi_squared(best)
+        if reduction is not None:
+            delta += reduction.chi_squared_change(owner, around.point - best)
+        return nonquadratic_estimates(found, around, delta, self.typical)
+
+    def systematics(
+        self,
+        found: Sequence[Covariance],
+        reduction: Reduction | None,
+        paths: Floats,
+        widths: Mapping[str, float],
+        batch: int,
+    ) -> list[Systematics]:
+        """Errors due to conditions, which are common to throws that are fitted together."""
+        calibrations = calibrations_of(self.throws, jointly=self.common is not None)
+        changes = residual_changes(
+            self.model, self.problems, self.solutions.values, paths, widths, self.loss, batch,
+            calibrations,
+        )  # fmt: skip
+        gradients = {}
+        for name, change in changes.items():
+            gradient = np.einsum("tcn,tcnp->tp", change, self.solutions.jacobian)
+            gradients[name] = gradient if reduction is None else reduction.gradient(gradient)
+        return [
             Systematics(dict(widths), one.shifts({name: g[row] for name, g in gradients.items()}))
             for row, one in enumerate(found)
         ]
-    record = partial(_record, bounds=bounds)
-    return list(map(record, fits, statistics.each(len(fits)), found, nonquadratic, systematics))
 
 
 def _record(
@@ -159,8 +220,6 @@ def _record(
     found: Covariance,
     nonquadratic: dict[str, bool],
     systematics: Systematics,
-    *,
-    bounds: bool,
 ) -> FitResult:
     law, prepared, noise = fit.model.law, fit.prepared, fit.noise
     throw, parameters = prepared.throw, prepared.parameters
@@ -179,7 +238,7 @@ def _record(
     outliers = outliers_of(throw, statistics.residual, lag1, found.dof, found.leverage, fit.loss)
     warnings = [str(one) for one in unusual]
     warnings += _rival_warnings(rival, throw)
-    warnings += _parameter_warnings(fit, found, bounds=bounds)
+    warnings += _parameter_warnings(fit, found)
     warnings += correlation_warnings(statistics, noise.kind)
     warnings += _error_warnings(parameters, nonquadratic, systematics)
     if outliers and fit.loss == "linear":
@@ -309,16 +368,14 @@ def _status(fit: LeastSquaresFit, distance: float, unusual: Sequence[Finding]) -
     return f"converged ({steps})"
 
 
-def _parameter_warnings(fit: LeastSquaresFit, found: Covariance, *, bounds: bool) -> list[str]:
-    """Warnings about inadmissible coefficients and, if requested, parameters at a bound."""
+def _parameter_warnings(fit: LeastSquaresFit, found: Covariance) -> list[str]:
+    """Warnings about inadmissible coefficients and parameters at a bound."""
     warnings = []
     fault = fit.model.law.from_vector(fit.solution.values).fault()
     if fault is not None:
         warnings.append(f"{fault}; the fitted coefficients are not those of a friction law")
-    if bounds:
-        parameters = fit.prepared.parameters
-        warnings += found.bound_warnings(parameters.lower, parameters.upper)
-    return warnings
+    parameters = fit.prepared.parameters
+    return warnings + found.bound_warnings(parameters.lower, parameters.upper)
 
 
 def _error_warnings(

@@ -13,22 +13,27 @@ from curlfit.foreign import quoted
 from curlfit.friction import Law, find_law, no_motion_because
 from curlfit.inference.derived import check_derived
 from curlfit.inference.fit.advice import curl_warnings
-from curlfit.inference.fit.prepared import PreparedThrow
+from curlfit.inference.fit.covariance import Reduction
+from curlfit.inference.fit.prepared import PreparedThrow, local_bounds, penalties
 from curlfit.inference.fit.quantities import quantities_of
-from curlfit.inference.fit.result import Estimate, FitResult, Systematics
+from curlfit.inference.fit.result import Estimate, FitResult
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.summary import IMPLAUSIBLE, summarize_many
 from curlfit.inference.fit.systematics import calibrations_of, widths_of
-from curlfit.inference.identifiability import Combination, expression
-from curlfit.inference.joint.analysis import JointAnalysis, differences_of
+from curlfit.inference.identifiability import Bounded, Combination, r_factors
+from curlfit.inference.joint.differences import differences_of
 from curlfit.inference.joint.result import Difference, JointResult
-from curlfit.inference.joint.solver import Layout, Progress, minimize_jointly
+from curlfit.inference.joint.solver import Progress, minimize_jointly
+from curlfit.inference.least_squares import Solution, Tasks
 from curlfit.inference.model import Model
 from curlfit.inference.problem import problem_shape
 from curlfit.numerics.arrays import Booleans
 from curlfit.numerics.batches import unstacked
+from curlfit.output.text import join_words
 from curlfit.settings.choices import Fitting, takes
 from curlfit.throws.throw import Throw, require_throw
+
+_NAMED = 3  # throws whose files a warning of several names
 
 
 @takes(Fitting, "law", "load")
@@ -75,42 +80,44 @@ def fit_together(
     load = _common(throws, "load", "uniform") if load is None else load
     given = {**choices, "law": law, "load": load}
     chosen = [Fitting.of(throw.settings, **given) for throw in throws]
-    common = chosen[0]
+    first = chosen[0]
     shared = _shared(law, share)
-    check_derived(common.derive, [item.name for item in law.coefficients()])
+    check_derived(first.derive, [item.name for item in law.coefficients()])
     any_swept = any(one.swept is not None for one in chosen)
     prepared = [
         PreparedThrow.of(throw, one, others_swept=any_swept)
         for throw, one in zip(throws, chosen, strict=True)
     ]
-    shared = (*shared, *prepared[0].parameters.conditions)
+    parameters = prepared[0].parameters
+    shared = (*shared, *parameters.conditions)
+    common = np.isin(parameters.names, shared)
     channels, rows = zip(*(problem_shape(one.throw) for one in prepared), strict=True)
     shape = max(channels), max(rows)
-    model = Model(law, common.load, prepared[0].parameters.conditions)
-    rounds = Rounds(model, prepared, loss=common.loss, noise=common.noise, shape=shape)
-    layout = Layout([one.local_parameters for one in prepared], shared)
-    first = Layout([one.first_parameters for one in prepared], shared)
-    initial = [
-        one.with_start(values, common.start)
+    model = Model(law, first.load, parameters.conditions)
+    rounds = Rounds(model, prepared, loss=first.loss, noise=first.noise, shape=shape)
+    starts = [
+        one.with_start(values, first.start)
         for one, values in zip(prepared, rounds.starts()[1][0], strict=True)
     ]
-    best = layout.joined(np.stack(initial))
-    solution = minimize_jointly(model, rounds.problems, first, best, progress)
+    tasks = Tasks(
+        rounds.problems, np.stack(starts), *local_bounds(prepared, common)[1:], parameters.typical,
+        penalties(prepared, first=True),
+    )  # fmt: skip
+    solution = minimize_jointly(model, tasks, common, progress)
     every = np.arange(len(prepared))
-    while np.isfinite(solution.chi_squared) and len(rounds.revise(every, solution.each)):
-        best = solution.values
-        solution = minimize_jointly(model, rounds.problems, layout, best, progress)
+    while np.isfinite(solution.chi_squared).all() and len(rounds.revise(every, solution)):
+        tasks = tasks._replace(start=solution.values, penalty=penalties(prepared))
+        solution = minimize_jointly(model, tasks, common, progress)
     for failure in rounds.failures.values():
         raise failure
-    if not np.isfinite(solution.chi_squared):
+    if not np.isfinite(solution.chi_squared).all():
         raise UnusableFitError(
-            f"law {law.name} with {common.load} load gives no finite path for these throws"
-            + no_motion_because(common.load)
+            f"law {law.name} with {first.load} load gives no finite path for these throws"
+            + no_motion_because(first.load)
         )
-    analysis = JointAnalysis(rounds, layout, solution)
-    errors = calibrations_of(rounds.throws, jointly=True).shape[1]
-    result = _result(analysis, shared, widths_of(model, common.systematics, errors))
-    return result.with_derived(common.derive)
+    errors = calibrations_of(prepared, jointly=True).shape[1]
+    widths = widths_of(model, first.systematics, errors)
+    return _result(rounds, tasks, solution, common, widths).with_derived(first.derive)
 
 
 def _differs_by_spin(item: Difference, counter_clockwise: Booleans) -> bool:
@@ -155,53 +162,83 @@ def _shared(law: type[Law], share: str | Sequence[str]) -> tuple[str, ...]:
 
 
 def _result(
-    analysis: JointAnalysis, shared: tuple[str, ...], widths: Mapping[str, float]
+    rounds: Rounds, tasks: Tasks, solution: Solution, common: Booleans, widths: Mapping[str, float]
 ) -> JointResult:
-    rounds, layout, known = analysis.rounds, analysis.layout, analysis.identifiability
-    solutions = unstacked(analysis.solution.each)
-    fits = [rounds.record(throw, solution) for throw, solution in enumerate(solutions)]
-    single = [summarize_many([fit], 1, bounds=False)[0] for fit in fits]
-    systematic = analysis.shifts(widths)
-    throws = [_of_throw(analysis, *one, widths, systematic) for one in enumerate(single)]
-    coefficients = {name: throws[0].parameters[name] for name in shared}
-    combinations = tuple(item for item in known.combinations if set(item.weights) <= set(shared))
+    fits = [rounds.record(row, one) for row, one in enumerate(unstacked(solution))]
+    throws = summarize_many(fits, widths=widths, common=common)
+    status = _status(throws, solution)
+    if not status.startswith("converged"):
+        throws = [
+            one if _implausible(one) else replace(one, converged=False, status=status)
+            for one in throws
+        ]
+    throws = [replace(one, quantities=quantities_of(one)) for one in throws]
+    implausible = [f"{one.data['file']}: {one.status}" for one in throws if _implausible(one)]
+    first, parameters = throws[0], rounds.throws[0].parameters
+    shared = tuple(parameters.names_where(common))
+    coefficients = {name: first.parameters[name] for name in shared}
+    combinations = tuple(item for item in first.combinations if set(item.weights) <= set(shared))
     plain = rounds.loss == "linear" and rounds.noises[0].kind == "white"
     differences = differences_of(
-        analysis.solution, layout, coefficients, combinations, rounds.problems,
-        rounds.unknown & plain,
-    )  # fmt: skip
+        solution, tasks, parameters.names, coefficients, combinations, rounds.unknown & plain
+    )
     among = {item.expression: item for item in differences if item.significant}
-    implausible = [
-        f"{item.data['file']}: {item.status}"
-        for item in single
-        if item.status.startswith(IMPLAUSIBLE)
-    ]
-    warnings = [
-        *_heterogeneity_warnings(differences, throws, rounds),
-        *curl_warnings(throws),
-        *analysis.covariance.bound_warnings(*layout.bounds[:2]),
-        *(f"{item.data['file']}: {warning}" for item in single for warning in item.warnings),
-    ]
-    of_shared = {
-        name: systematic[name]
-        for name in (*shared, *(item.expression for item in known.combinations))
-        if name in systematic
-    }
+    factors = r_factors(solution.jacobian, solution.residual)
+    bounded = Bounded(solution.values, tasks.lower, tasks.upper)
+    own_ranks = Reduction.of(factors, bounded, tasks.typical, common).rank
+    open_ = np.array(
+        [[item.verdict not in ("fixed", "at bound") for item in one.parameters.values()]
+         for one in throws]
+    )  # fmt: skip
+    named = {*shared, *(item.expression for item in combinations)}
     return JointResult(
         law=rounds.model.law.name,
         load=rounds.model.load,
         share=shared,
-        converged=analysis.converged and not implausible,
-        status=". ".join(implausible) or analysis.status,
-        warnings=tuple(warnings),
+        converged=all(one.converged for one in throws),
+        status=". ".join(implausible) or status,
+        warnings=(
+            *_heterogeneity_warnings(differences, throws, rounds),
+            *curl_warnings(throws),
+            *_warnings_of(throws),
+        ),
         coefficients={name: _among(item, among.get(name)) for name, item in coefficients.items()},
         combinations=tuple(_among(item, among.get(item.expression)) for item in combinations),
-        rank=known.rank,
-        parameters=int(analysis.covariance.open.sum()),
+        rank=int(first.rank + own_ranks[1:].sum()),
+        parameters=int(open_[0, common].sum() + open_[:, ~common].sum()),
         differences=differences,
         throws=tuple(throws),
-        systematics=Systematics(dict(widths), of_shared),
+        systematics=replace(
+            first.systematics,
+            shifts={name: by for name, by in first.systematics.shifts.items() if name in named},
+        ),
     )
+
+
+def _status(throws: Sequence[FitResult], solution: Solution) -> str:
+    """How the search for the optimum of all throws ended."""
+    ends = (one.status for one in throws if not (one.converged or _implausible(one)))
+    converged = "converged" if solution.success.all() else "not converged"
+    return next(ends, f"{converged} ({solution.steps[0]} steps)")
+
+
+def _implausible(fit: FitResult) -> bool:
+    return fit.status.startswith(IMPLAUSIBLE)
+
+
+def _warnings_of(throws: Sequence[FitResult]) -> list[str]:
+    """Warnings of single throws; of several with the same, one."""
+    files: dict[str, list[str]] = {}
+    for one in throws:
+        for warning in one.warnings:
+            files.setdefault(warning, []).append(one.data["file"])
+    found = []
+    for warning, some in files.items():
+        named = (
+            some if len(some) <= _NAMED else [*some[: _NAMED - 1], f"{len(some) - _NAMED + 1} more"]
+        )
+        found.append(warning if len(some) == len(throws) else f"{join_words(named)}: {warning}")
+    return found
 
 
 _Shared = TypeVar("_Shared", Estimate, Combination)
@@ -213,49 +250,6 @@ def _among(item: _Shared, difference: Difference | None) -> _Shared:
         return item
     throws = sum(one is not None for one in difference.each)
     return replace(item, stderr=difference.shared_stderr, dof=float(throws - 1))
-
-
-def _of_throw(
-    analysis: JointAnalysis,
-    throw: int,
-    single: FitResult,
-    widths: Mapping[str, float],
-    systematic: Mapping[str, dict[str, float]],
-) -> FitResult:
-    """The record of a throw with the estimates, errors and information of the joint fit."""
-    layout, known = analysis.layout, analysis.identifiability
-    index = layout.index[throw]
-    estimates = {
-        name: analysis.estimate(item, int(joint))
-        for joint, (name, item) in zip(index, single.parameters.items(), strict=True)
-    }
-    named = dict(zip((layout.names[joint] for joint in index), estimates, strict=True))
-    shifts = {name: systematic[joint] for joint, name in named.items() if joint in systematic}
-    combinations = []
-    for item in known.combinations:
-        if set(item.weights) <= named.keys():  # not of what other throws have for themselves
-            weights = {named[joint]: weight for joint, weight in item.weights.items()}
-            combinations.append(replace(item, expression=expression(weights), weights=weights))
-            shifts[combinations[-1].expression] = systematic[item.expression]
-    result = single
-    prior = analysis.rounds.throws[throw].local_parameters.penalty
-    if prior is not None:  # including the priors of shared parameters
-        own = float(prior.chi_squared(analysis.solution.each.values[throw]))
-        result = replace(result, prior_chi_squared=own)
-    if not result.status.startswith(IMPLAUSIBLE):
-        # The search was for all throws together: chi squared of each has a slope at its end.
-        same = analysis.converged and result.status.startswith("converged")
-        status = result.status if same else analysis.status
-        result = replace(result, converged=analysis.converged, status=status)
-    result = replace(
-        result,
-        parameters=estimates,
-        combinations=tuple(combinations),
-        systematics=Systematics(dict(widths), shifts),
-        **analysis.of_throw(throw, tuple(estimates)),
-        information=result.information | analysis.information(index[layout.free[index]]),
-    )
-    return replace(result, quantities=quantities_of(result))
 
 
 def _heterogeneity_warnings(

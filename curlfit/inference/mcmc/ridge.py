@@ -263,7 +263,8 @@ def _about_solution(
     jacobian = optimum.jacobian.reshape(-1, len(values))
     gradient, information = optimum.residual.ravel() @ jacobian, jacobian.T @ jacobian
     if parameters.penalty is not None:
-        _, gradient, information = parameters.penalty.added_to(0.0, gradient, information, values)
+        _, slope, square = parameters.penalty.quadratic(values)
+        gradient, information = gradient + slope, information + np.diag(square)
     ends = np.stack([parameters.lower, parameters.upper])
     at_bound = (np.abs(values - ends) < _NEAR * parameters.typical).any(0)
     return _about(

@@ -1,0 +1,149 @@
+"""Whether throws that were fitted together agree.
+
+The estimate that each throw alone would give, to first order about the joint optimum, is compared
+with the shared one (Cochran 1954). Where sigma is not given it is that of the throw alone, since
+the joint fit takes the misfit to a common value for noise. The spread between throws is that at
+which the differences are as large as expected (Paule and Mandel 1982).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import chdtrc
+
+from curlfit.inference.fit.result import Estimate
+from curlfit.inference.identifiability import Bounded, Combination, stderr_of, visible
+from curlfit.inference.joint.result import Difference
+from curlfit.inference.least_squares import Solution, Tasks, residual_sigma
+from curlfit.numerics.arrays import Booleans, Floats
+
+_HALVINGS = 60  # of the interval that contains the variance between throws
+
+
+class _Alone(NamedTuple):
+    """What a throw alone determines, to first order about the joint optimum."""
+
+    step: Floats
+    """from the joint optimum to that of the throw, in typical sizes"""
+    right: Floats
+    """determined directions in typical sizes, as orthonormal rows"""
+    singular: Floats
+    """1 over the standard errors along them"""
+
+    @classmethod
+    def of(cls, jacobian: Floats, residual: Floats, bounded: Bounded, typical: Floats) -> _Alone:
+        """`jacobian`, of the weighted residuals, is in typical sizes, shape (channels, n, p)."""
+        flat = jacobian.reshape(-1, len(typical))
+        left, singular, right = np.linalg.svd(flat, full_matrices=False)
+        seen = visible(singular) & ~bounded.confine(right, singular, typical)
+        left, singular, right = left[:, seen], singular[seen], right[seen]
+        return cls(-right.T @ (left.T @ residual.ravel() / singular), right, singular)
+
+    def stderr(self, weights: Floats) -> float | None:
+        """Standard error of a weighted sum; None where the throw does not determine it."""
+        return stderr_of(weights, self.right, self.singular)
+
+
+def differences_of(
+    solution: Solution,
+    tasks: Tasks,
+    names: Sequence[str],
+    coefficients: Mapping[str, Estimate],
+    combinations: Sequence[Combination],
+    unknown: Booleans,
+) -> tuple[Difference, ...]:
+    """Differences of the shared coefficients as each throw alone gives them, to first order.
+
+    Parameters
+    ----------
+    tasks : the throws, of which the optimum together is the solution.
+    names : of the parameters of a throw.
+    unknown : whether sigma was estimated from least squares, shape (throws, channels).
+    """
+    wanted = {
+        name: ({name: 1.0}, item.value)
+        for name, item in coefficients.items()
+        if item.verdict in ("determined", "weak")
+    } | {item.expression: (item.weights, item.value) for item in combinations}
+    throws = _each_alone(solution, tasks, unknown)
+    found = []
+    for expression, (weights, value) in wanted.items():
+        whole = np.array([weights.get(name, 0.0) for name in names]) * tasks.typical
+        each: list[tuple[float, float] | None] = []
+        weight = []
+        for (joint, own), free in zip(throws, tasks.upper > tasks.lower, strict=True):
+            vector = whole[free]
+            stderr, assumed = own.stderr(vector), joint.stderr(vector)
+            if stderr is None or assumed is None:
+                each.append(None)
+                continue
+            each.append((value + float(vector @ own.step), stderr))
+            weight.append(assumed**-2)
+        if len(weight) > 1:
+            found.append(_difference(expression, each, np.array(weight)))
+    return tuple(found)
+
+
+def _each_alone(solution: Solution, tasks: Tasks, unknown: Booleans) -> list[tuple[_Alone, _Alone]]:
+    """Of each throw, with the noise of the joint fit and with that of its own."""
+    free, typical = tasks.upper > tasks.lower, tasks.typical
+    jacobians = solution.jacobian * typical
+
+    def analysed(scale: Floats) -> list[_Alone]:
+        return [
+            _Alone.of(
+                jacobian[..., own] / sigma[:, None, None], residual / sigma[:, None],
+                Bounded(*(part[own] for part in ends)), typical[own],
+            )
+            for jacobian, residual, sigma, own, *ends in zip(
+                jacobians, solution.residual, scale, free, solution.values, tasks.lower,
+                tasks.upper, strict=True,
+            )
+        ]  # fmt: skip
+
+    joint = analysed(np.ones(unknown.shape))
+    steps = np.zeros(free.shape)
+    for step, own, one in zip(steps, free, joint, strict=True):
+        step[own] = one.step
+    left = solution.residual + (jacobians @ steps[:, None, :, None])[..., 0]
+    problems = tasks.problems
+    sigma = residual_sigma(solution._replace(residual=left), problems, free)
+    sigma = np.where(unknown, sigma * problems.weight.max(-1), 1.0)
+    return list(zip(joint, analysed(sigma), strict=True))
+
+
+def _difference(
+    expression: str, each: Iterable[tuple[float, float] | None], shared: Floats
+) -> Difference:
+    """`shared` are the weights of the throws in the joint fit."""
+    each = tuple(each)
+    estimate, stderr = np.array([item for item in each if item is not None]).T
+    variance, degrees = stderr**2, len(stderr) - 1
+
+    def about_mean(between: float) -> tuple[float, float, float]:
+        """Mean of the throws, its variance, and chi squared about it."""
+        weight = 1 / (variance + between)
+        mean = float(weight @ estimate / weight.sum())
+        return mean, float(1 / weight.sum()), float(weight @ (estimate - mean) ** 2)
+
+    q = about_mean(0.0)[2]
+    low, high = 0.0, float(estimate.var(ddof=1)) if q > degrees else 0.0
+    while about_mean(high)[2] > degrees:
+        high *= 2
+    for _ in range(_HALVINGS if high else 0):
+        middle = (low + high) / 2
+        low, high = (middle, high) if about_mean(middle)[2] > degrees else (low, middle)
+    mean, of_mean, _ = about_mean(high)
+    share = shared / shared.sum()
+    return Difference(
+        expression=expression,
+        each=each,
+        p_value=float(chdtrc(degrees, q)),
+        spread=float(np.sqrt(high)),
+        mean=mean,
+        stderr=float(np.sqrt(of_mean)),
+        shared_stderr=float(np.sqrt(share**2 @ (variance + high))),
+    )
