@@ -1,4 +1,4 @@
-"""The path: closed forms, scipy, diffrax, symmetry, order of convergence, derivatives."""
+"""The path: closed forms, scipy, symmetry, order of convergence, derivatives."""
 
 from __future__ import annotations
 
