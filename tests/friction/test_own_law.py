@@ -82,8 +82,9 @@ def test_a_saved_fit_never_runs_the_file_of_its_law(folder, monkeypatch):
 
 def test_a_law_that_the_user_names_is_that_of_the_saved_fit(folder, monkeypatch):
     monkeypatch.delitem(LAWS, "WetSide")  # as in another process
+    (folder / "again.py").write_text(LAW)
     run = curlfit(
-        "simulate", "--fit", "fit", "--law=my_law.py:WetSide", "--out", "again.csv", cwd=folder
+        "simulate", "--fit", "fit", "--law=again.py:WetSide", "--out", "again.csv", cwd=folder
     )
     assert (run.returncode, run.stderr) == (0, "")
     other = LAW.replace("lean", "tilt")
