@@ -168,7 +168,8 @@ def test_what_is_at_a_bound_or_fixed_has_no_error(throw, fit):
     held = curlfit.fit(throw, "coulomb", fix={"mu": MU})
     assert held.derive("2*mu").verdict == "fixed"
     assert held.derive("mu*v0").stderr == pytest.approx(MU * held["v0"].stderr)
-    stuck = curlfit.fit(throw, "coulomb", bounds={"mu": (0.0, 0.9 * MU)})
+    bound = fit["mu"].value - fit["mu"].stderr
+    stuck = curlfit.fit(throw, "coulomb", bounds={"mu": (0.0, bound)})
     found = stuck.derive("mu*v0")
     assert (found.verdict, found.stderr) == ("at bound", None)
 

@@ -232,9 +232,6 @@ def test_given_sigmas_are_kept():
     found = curlfit.fit(given, "front-back", noise="ar1")
     assert found.sigma == {}
     assert all(0.1 < value < 2 for value in found.noise.memory.values())
-    both = curlfit.fit(given, noise="ar1+discrepancy", details=False)
-    assert both.sigma == {}
-    assert 0.1 < both.noise.memory["y"] < 2
 
 
 def test_it_is_saved_and_sampled(tmp_path):

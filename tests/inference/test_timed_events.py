@@ -236,7 +236,7 @@ def test_draws_that_differ_are_fitted_together_and_stay_usable():
     assert not any("slope_x" in text for text in result.warnings)
 
 
-@pytest.mark.parametrize("loss", ["linear", "student"])
+@pytest.mark.parametrize("loss", ["linear", pytest.param("student", marks=pytest.mark.slow)])
 def test_fitted_values_are_those_of_the_motion_under_every_loss(loss):
     events = record(hog_to_hog=14.2, hog_to_rest=12.5, rest=TEE + 0.6, curl=1.0)
     result = curlfit.fit(Throw.from_events(events), "coulomb", loss=loss)
