@@ -115,40 +115,6 @@ def test_the_restricted_likelihood_is_that_of_the_covariance():
         assert slope[index] == pytest.approx((up - down) / 2e-5, rel=1e-5, abs=1e-5)
 
 
-@pytest.mark.slow
-def test_a_swaying_camera_is_no_missing_force():
-    """The right law: errors hold the truth, coefficients are not exchanged, and the path of the law
-    is as near to the data as with independent noise."""
-    pulls = {"white": [], "ar1": [], "discrepancy": []}
-    sway, jitter = 0.01, 0.004 * np.array([0.2, 1.0, 0.6])  # of x, y and phi
-    t = np.arange(0.0, 20.0, 0.08)
-    for seed in range(3):
-        path = filmed(noise=dict.fromkeys(SIGMA, 0), times=t, v=START["v0"], omega=START["omega0"])
-        random = np.random.default_rng(seed)
-        root = np.linalg.cholesky(np.exp(-np.abs(t[:, None] - t) / 0.6))
-        slow = sway * root @ random.standard_normal((len(t), 3))
-        noise = (slow + jitter * random.standard_normal((len(t), 3))).T
-        throw = curlfit.Throw.from_arrays(t, *(path.observed[:3] + noise))
-        fits = {kind: curlfit.fit(throw, noise=kind, details=False) for kind in pulls}
-        for kind, found in fits.items():
-            assert found.converged
-            total = found.combinations[0]
-            errors = [
-                (found[name].value - TRUE[name]) / found[name].stderr
-                for name in ("mu1_xi", "mu2_xi")
-            ]
-            pulls[kind] += [*errors, (total.value - 0.018) / total.stderr]
-        for kind in ("ar1", "discrepancy"):
-            for name, size in fits["white"].rms.items():
-                assert fits[kind].rms[name] < 1.1 * size
-            assert 0.3 < fits[kind].noise.memory["x"] < 1.2
-            assert fits[kind].noise.white["y"] > 3 * fits[kind].noise.white["x"]
-    size = {kind: np.sqrt(np.mean(np.square(found))) for kind, found in pulls.items()}
-    assert size["white"] > 2
-    assert 0.4 < size["ar1"] < 1.7
-    assert 0.4 < size["discrepancy"] < 1.7
-
-
 @pytest.mark.parametrize("noise", ["ar1", pytest.param("discrepancy", marks=pytest.mark.slow)])
 def test_a_file_without_noise_is_fitted_as_with_independent_noise(noise):
     """Eq. 12 is a formula: its residuals are smoother than any noise."""
@@ -208,23 +174,6 @@ def test_the_memory_of_the_noise_is_found():
         assert max(abs(item.lag1) for item in found.independence.values()) < 0.35
     assert np.exp(np.mean(np.log(lasting))) == pytest.approx(-0.1 / np.log(0.8), rel=0.25)
     assert np.mean(sizes) == pytest.approx(1, abs=0.15)
-
-
-@pytest.mark.slow
-def test_errors_under_a_wrong_law_are_what_repetition_shows():
-    # white errors are off by far more, which is what the model is for
-    off = {"white": [], "discrepancy": []}
-    for seed in range(6):
-        throw = thrown(seed, 0.0, "power", {"c": 0.008, "k": -0.4})
-        for noise, found in off.items():
-            fit = curlfit.fit(throw, "coulomb", noise=noise, details=False)
-            found += [
-                (fit.parameters[name].value - START.get(name, 0.0)) / fit.parameters[name].stderr
-                for name in ("x0", "heading", "v0", "omega0")
-            ]
-    size = {noise: float(np.sqrt(np.mean(np.square(found)))) for noise, found in off.items()}
-    assert size["white"] > 2.5
-    assert 0.4 < size["discrepancy"] < 1.6
 
 
 def test_given_sigmas_are_kept():
