@@ -22,6 +22,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import jax
 import numpy as np
 import pytest
+from rich.console import Console
 from scipy.integrate import solve_ivp
 
 import curlfit
@@ -184,6 +185,45 @@ def eq12_fit(eq12: curlfit.Throw) -> curlfit.FitResult:
 @pytest.fixture(scope="session")
 def eq12_posterior(eq12_fit: curlfit.FitResult) -> tuple[curlfit.FitResult, curlfit.Chain]:
     return curlfit.sample(eq12_fit, seed=1)
+
+
+NOISE = {"x": 0.005, "y": 0.005, "phi": 0.01}
+TIMES = np.linspace(0.0, 20.0, 201)
+
+
+def filmed(
+    law: curlfit.Law | None = None,
+    seed: int = 0,
+    noise: dict[str, float] = NOISE,
+    times: np.ndarray = TIMES,
+    **how: Any,
+) -> curlfit.Throw:
+    """A throw of `front-back` or another law, with independent noise in the channels named.
+
+    Of `how`, what `simulate` does not know is of the initial state. Times and initial speed are
+    alike in most tests, so that one program serves them.
+    """
+    start = {name: how.pop(name) for name in set(how) - {"stone", "load", "environment"}}
+    path = curlfit.simulate(
+        law or curlfit.LAWS["front-back"](),
+        how.pop("stone", curlfit.Stone()),
+        curlfit.InitialState(**({"v": 2.1, "omega": 1.2} | start)),
+        times,
+        **how,
+    ).to_numpy()
+    random = np.random.default_rng(seed)
+    channels = {
+        name: getattr(path, name) + size * random.standard_normal(len(times))
+        for name, size in noise.items()
+    }
+    return curlfit.Throw.from_arrays(times, **channels)
+
+
+def shown(fit: curlfit.FitResult, width: int = 110) -> str:
+    """The words of the report of a fit."""
+    text = StringIO()
+    curlfit.print_fit(fit, Console(width=width, file=text))
+    return " ".join(text.getvalue().split())
 
 
 class Ring(NamedTuple):

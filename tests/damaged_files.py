@@ -16,7 +16,6 @@ import resource
 import signal
 import sys
 import traceback
-from collections.abc import Callable
 from contextlib import redirect_stdout, suppress
 from dataclasses import asdict, dataclass, field
 from io import StringIO
@@ -181,24 +180,10 @@ class Outcome(NamedTuple):
         return None
 
 
-def watched(begin: Callable[[], int], errors: Path) -> Outcome:
-    """The outcome of the process that `begin` starts, which writes its stderr to `errors`."""
-    _, wait, usage = os.wait4(begin(), 0)
-    return Outcome(
-        os.waitstatus_to_exitcode(wait),
-        usage.ru_maxrss / 1024,
-        usage.ru_utime + usage.ru_stime,
-        errors.read_text(errors="replace"),
-    )
-
-
 def forked(words: list[str], errors: Path) -> Outcome:
-    """The command in a copy of this process."""
-
-    def begin() -> int:
-        child = os.fork()
-        if child:
-            return child
+    """The command in a copy of this process, which writes its stderr to `errors`."""
+    child = os.fork()
+    if not child:
         status = 70
         try:
             for name, stream in ((os.devnull, 1), (str(errors), 2)):
@@ -217,24 +202,13 @@ def forked(words: list[str], errors: Path) -> Outcome:
             sys.stdout.flush()
             sys.stderr.flush()
             os._exit(status)
-
-    return watched(begin, errors)
-
-
-def started(words: list[str], errors: Path) -> Outcome:
-    """The command in a process of its own, as users have it."""
-
-    def begin() -> int:
-        streams = [
-            (os.POSIX_SPAWN_OPEN, 1, os.devnull, os.O_WRONLY, 0o600),
-            (os.POSIX_SPAWN_OPEN, 2, str(errors), os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600),
-        ]
-        limit = _FIT_SECONDS if words[0] in ("fit", "report") else _SECONDS
-        line = f'ulimit -t {limit}; exec timeout {_WAIT * limit} "$@"'
-        run = ["sh", "-c", line, "sh", sys.executable, "-m", "curlfit", *words]
-        return os.posix_spawnp(run[0], run, os.environ, file_actions=streams)
-
-    return watched(begin, errors)
+    _, wait, usage = os.wait4(child, 0)
+    return Outcome(
+        os.waitstatus_to_exitcode(wait),
+        usage.ru_maxrss / 1024,
+        usage.ru_utime + usage.ru_stime,
+        errors.read_text(errors="replace"),
+    )
 
 
 @dataclass
@@ -263,14 +237,14 @@ class Tally:
             self.faults.append(f"{what}: {fault}: {outcome.errors[-2000:]}")
 
 
-def tally(folder: Path, seed: int, count: int, how: Callable[[list[str], Path], Outcome]) -> Tally:
+def tally(folder: Path, seed: int, count: int) -> Tally:
     """What becomes of `count` files of a seed."""
     chance, errors, found = random.Random(seed), folder / "errors", Tally()
-    found.plain_mb = how(["check", str(folder / "nothing")], errors).megabytes
+    found.plain_mb = forked(["check", str(folder / "nothing")], errors).megabytes
     for k in range(count):
         words = arguments(chance, folder)
         verb = words[0] if len(words) == 1 or "--out" not in words[-1] else f"{words[0]} --out"
-        found.add(verb, how(words, errors), f"seed {seed}, file {k}, {words}")
+        found.add(verb, forked(words, errors), f"seed {seed}, file {k}, {words}")
     return found
 
 
@@ -287,4 +261,4 @@ if __name__ == "__main__":
     folder, seed, count = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
     imported(folder)
     gc.freeze()  # pages that copies need not write to
-    print(json.dumps(asdict(tally(folder, seed, count, forked))))
+    print(json.dumps(asdict(tally(folder, seed, count))))

@@ -91,15 +91,16 @@ def test_laws_with_a_closed_form(load):
 
 
 @pytest.mark.parametrize(
-    ("name", "load"), [(name, load) for load, names in CLOSED.items() for name in sorted(names)]
-)
+    ("name", "load"),
+    [("front-back", "uniform"), ("pressure", "uniform"), ("stribeck", "consistent"),
+     ("debris", "consistent")],
+)  # fmt: skip
 def test_closed_form_and_quadrature_agree_with_all_derivatives(name, load):
     kind = LAWS[name]
     written = _as_written(kind)
     assert has_closed_form(kind, load)
     assert not has_closed_form(written, load)
-    values = np.array([0.004, 0.05, 0.012, 0.006][: len(kind.coefficients())])
-    values = np.array([0.02, 0.009, 0.003]) if name == "tensor" else values
+    values = np.array(MU[: len(kind.coefficients())])
 
     def felt(p, law):
         stone = dataclasses.replace(STONE, R=p[-3])
@@ -131,17 +132,11 @@ def test_polynomials_are_the_traction_at_every_point(name, front):
         lambda p: p.angle * p.e_xi,
         lambda p: abs(p.eta) * p.e_xi,
         lambda p: p.e_xi if p.eta > 0 else -p.e_xi,
-        lambda p: p.e_xi if p.xi == 0.5 else -p.e_xi,
-        lambda p: np.where(p.xi == 0.5, 1.0, 2.0) * p.e_xi,
         lambda p: np.asarray(p.xi) * p.e_xi,
-        lambda p: np.hypot(p.slide_xi, p.slide_eta) * p.e_xi,
         lambda p: p.e_xi / p.eta,
-        lambda p: p.e_xi / (1 + p.speed),
         lambda p: p.e_xi**1.5,
         lambda p: p.e_xi * p.e_eta,
-        lambda p: p.e_xi * p.speed**2,
         lambda p: p.e_xi * p.xi**3,
-        lambda p: p.e_xi.shape,
         lambda p: p.e_xi + (p.turned > 1e3) * p.e_xi * p.xi**3,
         lambda p: p.e_xi + (p.time > 1e3) * 0.1,
     ],
@@ -189,13 +184,8 @@ def test_a_law_without_a_transverse_force_is_one_with_a_coefficient_of_zero():
 # forward.
 UNEVEN = {
     "cubed": lambda p: (p.e_eta**2, 0.0, 0.0),
-    "pulled": lambda p: (0.0, 0.0, 0.1),
-    "dragged": lambda p: (0.0, 0.1, 0.0),
     "edged": lambda p: (1.0 * (p.angle < 1.0) * p.front, 0.0, 0.0),
-    "fast": lambda p: (p.speed, 0.0, 0.0),
     "ahead": lambda p: (0.3 * p.eta, 0.0, 0.0),
-    "in front": lambda p: (0.3 * p.front, 0.0, 0.0),
-    "sideways": lambda p: (0.3 * p.slide_xi, 0.0, 0.0),
     "askew": lambda p: (0.1 * p.e_xi * p.speed, 0.0, 0.0),
     "stepped": lambda p: (p.speed, 0.3 * (p.e_xi > 0), 0.0),
     "leaning": lambda p: (1 / (p.speed + 0.1), 0.1 * (1 - p.xi), 0.0),
@@ -232,7 +222,7 @@ def test_any_friction_is_summed(uneven):
     exact = t_xi.mean(), t_eta.mean(), (np.cos(a) * t_eta - np.sin(a) * t_xi).mean()
     found = over_weight(Uneven(0.01), "uniform", v, u / STONE.R)
     np.testing.assert_allclose(found, exact, rtol=2e-6, atol=1e-10)
-    closed = {"fast", "ahead", "in front", "edged", "asking Python"}
+    closed = {"ahead", "edged", "asking Python"}
     assert has_closed_form(Uneven, "uniform") == (uneven in closed)
 
 
@@ -248,35 +238,14 @@ def test_first_order_law_is_the_limit_of_the_ring():
     assert gaps[1] / gaps[2] == pytest.approx(4, rel=0.05)
 
 
-def test_split_is_invisible_under_uniform_load_and_seen_under_consistent():
-    swapped = LAWS["front-back"](MU[0], MU[1], MU[3], MU[2])
-    for omega in (0.5, 20.0, -60.0):
-        a = over_weight(FRONT_BACK, "uniform", 2.0, omega)
-        b = over_weight(swapped, "uniform", 2.0, omega)
-        np.testing.assert_allclose(a, b, rtol=1e-14)
-    a = over_weight(FRONT_BACK, "consistent", 2.0, 1.0)
-    b = over_weight(swapped, "consistent", 2.0, 1.0)
-    assert abs(a[1] / b[1] - 1) == pytest.approx(0.007, abs=0.002)
-
-
 @pytest.mark.parametrize("load", ["uniform", "consistent"])
-@pytest.mark.parametrize("name", sorted(LAWS))
-def test_mirror(name, load):
-    law = LAWS[name]()
-    mirrored = dataclasses.replace(law, b12=-law.b12) if name == "tensor" else law
-    one, other = over_weight(law, load, 1.3, 4.0), over_weight(mirrored, load, 1.3, -4.0)
-    np.testing.assert_allclose(one * [-1, 1, -1], other, rtol=1e-12, atol=1e-17)
+def test_rest_pure_spin_and_no_spin_are_finite_with_their_derivatives(load):
+    def force(x):
+        return sum(accelerations(FRONT_BACK, STONE, load, x[0], x[1]))
 
-
-@pytest.mark.parametrize(("v", "omega"), [(0.0, 0.0), (0.0, 3.0), (1.0, 0.0)])
-@pytest.mark.parametrize("load", ["uniform", "consistent"])
-def test_rest_pure_spin_and_no_spin_are_finite_with_their_derivatives(v, omega, load):
-    def f(x):
-        return np.array(1.0) * 0 + sum(accelerations(FRONT_BACK, STONE, load, x[0], x[1]))
-
-    assert np.isfinite(f(np.array([v, omega])))
-    assert np.isfinite(jax.jacfwd(f)(np.array([v, omega]))).all()
-    assert np.isfinite(jax.grad(f)(np.array([v, omega]))).all()
+    both = jax.jit(lambda x: (*jax.value_and_grad(force)(x), jax.jacfwd(force)(x)))
+    for motion in ((0.0, 0.0), (0.0, 3.0), (1.0, 0.0)):
+        assert all(np.isfinite(found).all() for found in both(np.array(motion)))
 
 
 def test_power_is_numpys_with_its_derivatives_and_nan_below_zero():
@@ -300,12 +269,13 @@ def test_a_law_must_declare_its_coefficients():
             mu: float = 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "values"),
+    # the load of `pressure` is found by iteration, that of `radial` in one step
     [("pressure", (0.01, 0.5)), ("radial", (0.01, 0.02, 0.03, 0.015))],
 )
 def test_second_derivatives_under_a_consistent_load(name, values):
-    # The load of `pressure` is found by iteration, that of `radial` in one step.
     def found(x):
         law, stone = LAWS[name].from_vector(x), Stone(h=x[-1])
         return jnp.stack(accelerations(law, stone, "consistent", x[-3], x[-2]))

@@ -1,8 +1,11 @@
-"""Ice that is not level, and the air: scipy, closed forms, symmetry, derivatives, aim."""
+"""Ice that is not level or worn, sweeping, and the air: scipy, closed forms, symmetry, derivatives,
+aim."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 
 import jax
 import jax.numpy as jnp
@@ -10,10 +13,11 @@ import numpy as np
 import pytest
 from conftest import G
 from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
 
 from curlfit import LAWS, InitialState, Stone, aim, simulate
 from curlfit.dynamics.contact import accelerations
-from curlfit.environment import AIR_DENSITY, FRONTAL_AREA, Environment
+from curlfit.environment import AIR_DENSITY, FRONTAL_AREA, WEAR_KNOTS, Environment
 
 pytestmark = pytest.mark.numerical
 
@@ -27,66 +31,110 @@ friction = jax.jit(partial(accelerations, stone=STONE, load="uniform"))
 
 
 @jax.jit
-def motion(mu, start, environment):
+def motion(mu, start, environment, times):
     """x, y, phi, vx, vy, omega and the time of rest, by vectors, so that one program serves all."""
     path = simulate(
-        LAW.from_vector(mu), STONE, InitialState(*start), TIMES, t0=0.0,
+        LAW.from_vector(mu), STONE, InitialState(*start), times, t0=0.0,
         environment=Environment(*environment),
     )  # fmt: skip
     return jnp.stack([path.x, path.y, path.phi, path.vx, path.vy, path.omega]), path.rest
 
 
-def moved(mu=PAPER, start=START, environment=(0.0, 0.0, 0.0)):
-    found, rest = motion(*(np.array(part, float) for part in (mu, start, environment)))
+LEVEL = Environment()
+
+
+def moved(mu=PAPER, start=START, environment=LEVEL, times=TIMES):
+    parts = mu, start, [*vars(environment).values()], times
+    found, rest = motion(*(np.array(part, float) for part in parts))
     return np.asarray(found), float(rest)
 
 
-def integrated(mu, start, environment):
-    """x, y, phi by scipy's method of order 8."""
-    law, (slope_x, slope_y, drag) = LAW(*mu), environment
-    k = 0.5 * AIR_DENSITY * FRONTAL_AREA / STONE.m * drag
+SWEPT = (5.03, 9.41)
+WORN = Environment(1e-3, -5e-4, 0.8, wear=0.003, wear_10=0.06, wear_20=-0.04, wear_30=0.05,
+                   sweep=0.8, swept_from=SWEPT[0], swept_to=SWEPT[1])  # fmt: skip
 
-    def rates(_, state):
-        _, _, v, beta, _, omega = state
+
+def integrated(environment, start, mu=PAPER, times=TIMES):
+    """x, y, phi by scipy's method of order 8, and the last time, which is that of rest."""
+    law, first = LAW(*mu), start[2]
+    k = 0.5 * AIR_DENSITY * FRONTAL_AREA / STONE.m * environment.drag
+    knots = CubicSpline(
+        [0.0, 10.0, 20.0, 30.0],
+        [0.0, environment.wear_10, environment.wear_20, environment.wear_30],
+        bc_type="natural",
+    )
+
+    def rates(_, state, sweep):
+        x, y, v, beta, _, omega = state
         s, c = np.sin(beta), np.cos(beta)
         a = friction(law, v=v, omega=omega)
-        dv = float(a.eta) + G * (s * slope_x + c * slope_y) - k * v**2
-        turning = (float(a.xi) + G * (c * slope_x - s * slope_y)) / v
-        return [v * s, v * c, dv, turning, omega, float(a.angular)]
+        along = (x - start[0]) * np.sin(first) + (y - start[1]) * np.cos(first)
+        factor = sweep * (1 + environment.wear * along + float(knots(along)))
+        down = G * (s * environment.slope_x + c * environment.slope_y) - k * v**2
+        aside = G * (c * environment.slope_x - s * environment.slope_y)
+        turning = (factor * float(a.xi) + aside) / v
+        return [v * s, v * c, factor * float(a.eta) + down, turning, omega,
+                factor * float(a.angular)]  # fmt: skip
 
-    def rest(_, state):
+    def rest(_, state, sweep):
         v, u = state[2], STONE.rho * abs(state[5])
         return min(np.hypot(v, u) - 1e-7, max(v - 1e-9, u - 2e-6))
 
     rest.terminal = True
     x, y, beta, v, phi, omega = start
-    found = solve_ivp(
-        rates, (0, TIMES[-1]), [x, y, v, beta, phi, omega], method="DOP853", rtol=1e-12, atol=1e-14,
-        events=rest, dense_output=True,
-    )  # fmt: skip
-    assert found.success
-    return found.sol(np.minimum(TIMES, found.t[-1]))[[0, 1, 4]], found.t[-1]
+    state, found = [x, y, v, beta, phi, omega], np.empty((3, len(times)))
+    swept = environment.swept_from < times[-1]
+    ends = (0.0, *SWEPT, times[-1]) if swept else (0.0, times[-1])
+    for number, (begin, end) in enumerate(pairwise(ends)):
+        part = solve_ivp(
+            rates, (begin, end), state, args=(environment.sweep if number == 1 else 1.0,),
+            method="DOP853", rtol=1e-12, atol=1e-14, events=rest, dense_output=True,
+        )  # fmt: skip
+        assert part.success
+        later = times >= begin
+        found[:, later] = part.sol(np.minimum(times[later], part.t[-1]))[[0, 1, 4]]
+        state = part.y[:, -1]
+    return found, part.t[-1]
 
 
 @pytest.mark.parametrize(
     ("environment", "start"),
     [
-        ((2e-3, -1e-3, 0.8), START),
-        ((-1e-3, 2e-3, 3.0), (0.0, 0.0, -0.7, 2.5, 0.0, -4.0)),
-        ((1e-4, 0.0, 0.0), (0.0, 0.0, 0.0, 2.0, 0.0, 1.0)),
+        (Environment(2e-3, -1e-3, 0.8), START),
+        (Environment(-1e-3, 2e-3, 3.0), (0.0, 0.0, -0.7, 2.5, 0.0, -4.0)),
+        (Environment(1e-4, 0.0, 0.0), (0.0, 0.0, 0.0, 2.0, 0.0, 1.0)),
     ],
 )
 def test_path_to_rest_agrees_with_order_8_integration(environment, start):
     found, rest = moved(start=start, environment=environment)
-    exact, end = integrated(PAPER, start, environment)
+    exact, end = integrated(environment, start)
     assert np.abs(found[:3] - exact).max() < 1e-7  # m, m, rad
     assert rest == pytest.approx(end, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("environment", "error"),
+    # the third derivative of the friction jumps where the stone passes a knot
+    [(replace(WORN, wear_10=0.0, wear_20=0.0, wear_30=0.0), 5e-8), (WORN, 1e-6)],
+)
+def test_path_of_a_swept_stone_on_worn_ice_agrees_with_integration_in_pieces(environment, error):
+    times, start = TIMES / 2, (0.0, 0.0, 0.3, 2.06, 0.0, 1.005)
+    found, _ = moved(start=start, environment=environment, times=times)
+    assert np.abs(found[:3] - integrated(environment, start, times=times)[0]).max() < error
+
+
+def test_sweeping_and_times_are_counted_from_the_same_zero():
+    one, rest = moved(environment=WORN)
+    later = replace(WORN, swept_from=64 + SWEPT[0], swept_to=64 + SWEPT[1])
+    path = simulate(LAW(*PAPER), STONE, InitialState(*START), 64 + TIMES, environment=later)
+    np.testing.assert_allclose(np.stack([path.x, path.y]), one[:2], atol=1e-12)
+    assert path.rest == pytest.approx(64 + rest, abs=1e-9)
 
 
 def test_constant_friction_and_a_slope_along_the_throw_decelerate_uniformly():
     mu, slope, v = 0.012, 2e-3, 1.7
     loss = G * (mu - slope)
-    found, rest = moved((mu,) * 4, (0, 0, 0, v, 0, 0), (0.0, slope, 0.0))
+    found, rest = moved((mu,) * 4, (0, 0, 0, v, 0, 0), Environment(slope_y=slope))
     t = np.minimum(TIMES, v / loss)
     np.testing.assert_allclose(found[1], v * t - loss * t**2 / 2, atol=1e-8)
     np.testing.assert_allclose(found[4], v - loss * t, atol=1e-7)
@@ -96,7 +144,7 @@ def test_constant_friction_and_a_slope_along_the_throw_decelerate_uniformly():
 
 def test_without_friction_a_stone_falls_as_a_stone_thrown_in_vacuum():
     """slope_x > 0 falls to the right, slope_y > 0 along the throw; the spin stays."""
-    found, _ = moved((0,) * 4, START, (3e-4, 2e-4, 0.0))
+    found, _ = moved((0,) * 4, START, Environment(3e-4, 2e-4))
     x, y, beta, v, phi, omega = START
     np.testing.assert_allclose(found[0], x + v * np.sin(beta) * TIMES + G * 3e-4 * TIMES**2 / 2,
                                atol=1e-7)  # fmt: skip
@@ -107,7 +155,7 @@ def test_without_friction_a_stone_falls_as_a_stone_thrown_in_vacuum():
 
 def test_the_air_alone_slows_with_the_square_of_the_speed():
     drag, v = 5.0, 2.5
-    found, _ = moved((0,) * 4, (0, 0, 0, v, 0, 1), (0.0, 0.0, drag))
+    found, _ = moved((0,) * 4, (0, 0, 0, v, 0, 1), Environment(drag=drag))
     k = Environment(drag=drag).drag_rate(STONE.m)
     assert k == pytest.approx(0.5 * 1.27 * (0.914 / np.pi * 0.114) * drag / 19.0)
     np.testing.assert_allclose(found[4], v / (1 + k * v * TIMES), atol=1e-8)
@@ -116,8 +164,9 @@ def test_the_air_alone_slows_with_the_square_of_the_speed():
 
 def test_mirrored_in_the_centre_line_the_motion_is_the_mirror_image():
     x, y, beta, v, phi, omega = START
-    one, rest = moved(environment=(2e-3, 1e-3, 0.8))
-    other, other_rest = moved(start=(-x, y, -beta, v, -phi, -omega), environment=(-2e-3, 1e-3, 0.8))
+    one, rest = moved(environment=Environment(2e-3, 1e-3, 0.8))
+    start = (-x, y, -beta, v, -phi, -omega)
+    other, other_rest = moved(start=start, environment=Environment(-2e-3, 1e-3, 0.8))
     signs = np.array([-1, 1, -1, -1, 1, -1])[:, None]
     np.testing.assert_allclose(other, signs * one, atol=1e-12)
     assert other_rest == pytest.approx(rest, abs=1e-9)
@@ -128,46 +177,30 @@ def test_turned_with_the_slope_the_path_is_turned():
     x, y, beta, v, phi, omega = START
     slope = np.array([2e-3, -1e-3])
     matrix = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-    one, _ = moved(environment=(*slope, 0.8))
+    one, _ = moved(environment=Environment(*slope, 0.8))
     other, _ = moved(start=(*(matrix @ [x, y]), beta + turn, v, phi, omega),
-                     environment=(*(matrix @ slope), 0.8))  # fmt: skip
+                     environment=Environment(*(matrix @ slope), 0.8))  # fmt: skip
     np.testing.assert_allclose(other[:2], matrix @ one[:2], atol=1e-10)
     np.testing.assert_allclose(other[2], one[2], atol=1e-10)
 
 
-def test_level_ice_and_still_air_change_nothing():
-    start = InitialState(*START)
-    bare = simulate(LAW(*PAPER), STONE, start, TIMES)
-    same = simulate(LAW(*PAPER), STONE, start, TIMES, environment=Environment())
-    np.testing.assert_array_equal(bare.x, same.x)
-    np.testing.assert_allclose(moved()[0][:3], np.stack([bare.x, bare.y, bare.phi]), atol=1e-12)
-
-
-def _places(p):
-    return motion(jnp.array(PAPER), p[3:], p[:3])[0][:3]
-
-
-def test_derivatives_by_slope_drag_and_heading_agree_with_finite_differences():
-    p = np.array([2e-3, -1e-3, 0.8, *START])
-    steps = {0: 1e-5, 1: 1e-5, 2: 1e-2, 5: 1e-3}  # slope_x, slope_y, drag, heading
+def test_derivatives_agree_with_finite_differences():
+    level = np.array([*vars(WORN).values()], float)
+    p = np.array([*level, *START])
+    steps = {0: 1e-5, 1: 1e-5, 2: 1e-2, 4: 1e-3, 8: 1e-4, 12: 1e-3}
+    assert [*vars(WORN)][4] == "sweep"
+    assert [*vars(WORN)][8] == "wear_20"
     directions = np.eye(len(p))[list(steps)]
 
-    @jax.jit
-    def along(p):
-        return jax.vmap(lambda e: jax.jvp(_places, (p,), (e,))[1])(directions)
+    def places(p):
+        return motion(np.array(PAPER), p[10:], p[:10], TIMES)[0][:3]
 
-    @jax.jit
-    def last(p):
-        return jax.jacrev(lambda p: _places(p)[:, 30])(p)
-
-    forward, reverse = np.asarray(along(p)), np.asarray(last(p))
-    for row, (k, step) in enumerate(steps.items()):
-        e = step * np.eye(len(p))[k]
-        near, far = _places(p + e) - _places(p - e), _places(p + 2 * e) - _places(p - 2 * e)
+    forward = jax.jit(lambda p: jax.vmap(lambda e: jax.jvp(places, (p,), (e,))[1])(directions))(p)
+    for slope, e, step in zip(np.asarray(forward), directions, steps.values(), strict=True):
+        near, far = (places(p + k * step * e) - places(p - k * step * e) for k in (1, 2))
         difference = np.asarray(8 * near - far) / (12 * step)
-        size = np.abs(forward[row]).max()
-        np.testing.assert_allclose(forward[row], difference, rtol=0, atol=2e-6 * size)
-        np.testing.assert_allclose(reverse[:, k], forward[row, :, 30], rtol=0, atol=1e-9 * size)
+        tolerance = 2e-6 * np.abs(slope).max()
+        np.testing.assert_allclose(slope, difference, rtol=0, atol=tolerance)
 
 
 @pytest.mark.parametrize("heading", [None, 0.05])
@@ -176,7 +209,7 @@ def test_aim_on_sloping_ice_comes_to_rest_on_the_target(heading):
     found = aim(LAW(*PAPER), STONE, target, omega0=1.2, start=(0.1, -3.0), heading=heading,
                 environment=environment)  # fmt: skip
     path, _ = moved(start=(0.1, -3.0, found.heading, found.v0, 0.0, 1.2),
-                    environment=(1e-3, -5e-4, 0.8))  # fmt: skip
+                    environment=environment)  # fmt: skip
     assert path[1, -1] == pytest.approx(25.0, abs=5e-8)
     if heading is None:
         assert path[0, -1] == pytest.approx(0.4, abs=5e-8)
@@ -186,3 +219,17 @@ def test_aim_on_sloping_ice_comes_to_rest_on_the_target(heading):
     assert found.v0 > level.v0 + 0.01  # uphill, and through the air
     if heading is None:
         assert found.heading < level.heading - 1e-3  # the ice falls to the right
+
+
+def test_friction_along_the_sheet_is_a_natural_spline():
+    """Beyond the last knot it goes on as a line; equal steps make the line that `wear` is."""
+    values = [0.1, -0.2, 0.3]
+    knots = CubicSpline([0.0, 10.0, 20.0, 30.0], [0.0, *values], bc_type="natural")
+    environment = Environment(wear_10=values[0], wear_20=values[1], wear_30=values[2])
+    slope, *bends = environment.wear_along()
+    y = np.linspace(0.0, 30.0, 31)
+    found = sum(bend * np.maximum(y - k, 0) ** 3 for bend, k in zip(bends, WEAR_KNOTS, strict=True))
+    np.testing.assert_allclose(slope * y + found, knots(y), atol=1e-13)
+    assert sum(bends) == pytest.approx(0.0, abs=1e-15)
+    straight = Environment(wear_10=0.1, wear_20=0.2, wear_30=0.3).wear_along()
+    assert straight == pytest.approx(Environment(wear=0.01).wear_along(), abs=1e-15)

@@ -17,7 +17,6 @@ from curlfit import (
     DataError,
     InitialState,
     Stone,
-    Throw,
     fit,
     law_with,
     simulate,
@@ -82,6 +81,11 @@ def test_where_and_when_a_sliding_stone_stops_and_how_that_changes(mu, v):
     np.testing.assert_allclose(slopes[[1, 3, 6], :3], exact, rtol=1e-7, atol=1e-9 * way)
     # Spin of either sign delays the rest alike: at no spin its slope is zero.
     np.testing.assert_allclose(slopes[[1, 3, 6], 3], 0, atol=1e-9 * way / mu)
+    # The rest is the same if the last row is before it.
+    early = times * time / 2000
+    assert _value(values, early, law="coulomb", load="uniform")[6] == pytest.approx(time, rel=1e-9)
+    slopes = np.asarray(_slopes(values, early, law="coulomb", load="uniform"))[6, :3]
+    np.testing.assert_allclose(slopes, exact[2], rtol=1e-7, atol=1e-9 * way)
 
 
 @pytest.mark.numerical
@@ -89,19 +93,10 @@ def test_where_and_when_a_sliding_stone_stops_and_how_that_changes(mu, v):
     ("values", "law", "load"),
     [
         ((*FRONT_BACK, HEADING, 2.1, 1.2), "front-back", "uniform"),
-        ((*FRONT_BACK, HEADING, 0.05, 0.2), "front-back", "uniform"),
         ((*FRONT_BACK, HEADING, 1.2, 30.0), "front-back", "uniform"),
-        ((0.0, 0.0, 0.009, 0.008, HEADING, 2.0, 1.5), "front-back", "uniform"),
         ((0.0, 0.05, 0.009, 0.008, HEADING, 1.2, -30.0), "front-back", "uniform"),
-        *(
-            pytest.param(values, law, load, marks=pytest.mark.slow)
-            for values, law, load in [
-                ((*FRONT_BACK, HEADING, 2.1, 1.2), "front-back", "consistent"),
-                ((*FRONT_BACK, HEADING, 6.0, 60.0), "front-back", "uniform"),
-                ((*FRONT_BACK, HEADING, 6.0, -60.0), "front-back", "consistent"),
-                ((0.012, HEADING, 6.0, 60.0), "coulomb", "uniform"),
-                ((0.012, HEADING, 1.9, 1.6), "coulomb", "uniform"),
-            ]
+        pytest.param(
+            (*FRONT_BACK, HEADING, 6.0, -60.0), "front-back", "consistent", marks=pytest.mark.slow
         ),
     ],
 )
@@ -196,24 +191,17 @@ def honest(result, start):
         (100, 2, {"v0": 6.0, "omega0": 60.0}, {"mu2_xi", "mu1_eta + mu2_eta"}),
         (10, 20, {"v0": 2.1, "omega0": 0.0}, {"mu1_eta + mu2_eta"}),
         (200, 1, {"v0": 0.05, "omega0": 0.1}, set()),
-        pytest.param(
-            1000, 2, {"v0": 2.1, "omega0": 1.2}, {"mu1_eta + mu2_eta"}, marks=pytest.mark.slow
-        ),
-        pytest.param(
-            1000, 20, {"v0": 2.1, "omega0": 1.2}, {"mu1_xi", "mu2_xi"}, marks=pytest.mark.slow
-        ),
     ],
-    ids=["1 Hz", "2 s", "6 m/s, 60 rad/s", "no spin", "0.05 m/s", "1 kHz, 2 s", "1 kHz"],
+    ids=["1 Hz", "2 s", "6 m/s, 60 rad/s", "no spin", "0.05 m/s"],
 )
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_what_a_fit_says_of_hard_data_is_so(rate, until, start, told, seed):
     fine = 0.1 if start["v0"] < 1 else 1.0
     throw = thrown(
         seed, rate=rate, until=until, noise_xy=0.002 * fine, noise_phi=0.004 * fine, **start
     )
     throw = replace(throw, defaults={"as_given": True})  # no one throws a stone that spins so
-    # Of condensed data the start is that of the first mean, a little later.
-    found = honest(fit(throw, stone=STONE), start if rate * until < 6000 else {})
+    found = honest(fit(throw, stone=STONE), start)
     assert found >= told
     if start["omega0"] == 0:  # friction across the motion needs spin to show
         assert not {"mu1_xi", "mu2_xi"} & found
@@ -222,12 +210,5 @@ def test_what_a_fit_says_of_hard_data_is_so(rate, until, start, told, seed):
 def test_a_crawl_below_the_noise_is_refused_in_one_sentence():
     throw = thrown(1, rate=100, until=2, noise_xy=0.02, v0=0.05, omega0=0.0)
     with pytest.raises(DataError, match="never moves") as refusal:
-        fit(throw, stone=STONE)
-    assert "\n" not in str(refusal.value)
-
-
-def test_two_rows_are_refused_in_one_sentence():
-    throw = Throw.from_arrays([0.0, 1.0], [0.0, 0.0], [0.0, 2.0], [0.0, 1.0])
-    with pytest.raises(DataError, match="2 rows for 10 parameters") as refusal:
         fit(throw, stone=STONE)
     assert "\n" not in str(refusal.value)

@@ -11,7 +11,7 @@ import curlfit
 from curlfit import LAWS, InitialState, Stone, simulate
 from curlfit.comparison.compare import plan
 from curlfit.dynamics.contact import accelerations
-from curlfit.friction import LOADS, LocalLaw
+from curlfit.friction import LocalLaw
 from curlfit.friction.family import family_of
 from curlfit.inference.initial_values import POINTS, accelerations_and_slopes
 from curlfit.inference.model import Model
@@ -19,8 +19,7 @@ from curlfit.numerics.batches import stacked
 
 STONE = Stone(R=0.065, rho=0.1, h=0.057)
 FAMILY = family_of([law for law, _ in plan(None, "uniform")])
-TIMES = np.linspace(0, 25, 61)
-both_loads = pytest.mark.parametrize("load", LOADS)
+TIMES = np.linspace(0, 25, 61)  # as many as in test_laws.py
 
 
 def coefficients(law):
@@ -44,9 +43,9 @@ def test_all_laws_of_the_ring_are_in_one():
     }
 
 
-@both_loads
 @pytest.mark.parametrize("law", FAMILY.members, ids=lambda law: law.name)
-def test_a_member_has_its_own_accelerations_and_derivatives(law, load):
+def test_a_member_has_its_own_accelerations_and_derivatives(law):
+    load = "consistent" if law.name == "pressure" else "uniform"
     values = coefficients(law)
     columns = FAMILY.columns(law, len(values))
     for motion in ((2.0, 1.0, 0.4, 3.0), (0.3, -9.0, -2.0, 8.0)):
@@ -57,6 +56,8 @@ def test_a_member_has_its_own_accelerations_and_derivatives(law, load):
         )
         assert np.abs(own[1]) > 1e-3
         np.testing.assert_allclose(found, own, rtol=1e-12, atol=1e-15)
+        if law.name not in ("debris", "power", "tensor"):  # of all other laws as of these
+            continue
         (by_family, *found), (by_own, *own) = (
             _slopes(kind, vector, STONE, there, load=load)
             for kind, vector in ((FAMILY, FAMILY.vector(law, values)), (law, values))
@@ -68,9 +69,9 @@ def test_a_member_has_its_own_accelerations_and_derivatives(law, load):
             np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-13)
 
 
-@pytest.mark.parametrize("name", ["debris", "power", "front-back"])
+@pytest.mark.parametrize("name", ["debris", "power"])
 def test_a_member_takes_its_own_steps(name):
-    # angles at which debris has a kink, a steep law, and one with neither
+    # angles at which debris has a kink, and a steep law
     law = LAWS[name]
     values = coefficients(law)
     start = InitialState(v=2.0, omega=1.3)
@@ -110,16 +111,6 @@ def test_a_law_of_the_user_and_a_single_law_have_no_family():
     assert pair.name not in LAWS
 
 
-def test_vectors_of_a_member_and_back():
-    law = LAWS["coulomb"]
-    vector = np.arange(1.0, 8.0)  # one coefficient and the start
-    own = FAMILY.vector(law, vector)
-    assert own[0] == FAMILY.members.index(law)
-    assert len(own) == len(FAMILY.coefficients()) + 6
-    np.testing.assert_array_equal(own[FAMILY.columns(law, 7)], vector)
-    assert (FAMILY.padded(law, vector, 1.0)[[0, 2, 3]] == 1.0).all()
-
-
 @pytest.mark.parametrize("name", ["tensor", "power"])
 @pytest.mark.parametrize("family", [None, FAMILY], ids=["alone", "member"])
 def test_forces_along_a_path_and_their_slopes(name, family):
@@ -148,11 +139,9 @@ def test_forces_along_a_path_and_their_slopes(name, family):
         )
 
 
-@both_loads
-def test_a_fit_beside_others_is_the_fit(eq12, load):
-    law = LAWS["pressure"]
-    alone = curlfit.fit(eq12, law, load=load, details=False)
-    beside = curlfit.fit(eq12, law, load=load, details=False, family=FAMILY)
+def test_a_fit_beside_others_is_the_fit(eq12):
+    alone = curlfit.fit(eq12, "coulomb", details=False)
+    beside = curlfit.fit(eq12, "coulomb", details=False, family=FAMILY)
     assert beside.coefficients.keys() == alone.coefficients.keys()
     for name, item in alone.parameters.items():
         other = beside.parameters[name]

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +32,12 @@ def fitted(name):
     case = CERTIFIED[name]
     throw = curlfit.load_throw(FOLDER / case["file"]).with_sigma(case["sigma"])
     return curlfit.fit(
-        throw, case["law"], load=case["load"], stone=curlfit.Stone(**case["stone"]), fix=case["fix"]
+        throw,
+        case["law"],
+        load=case["load"],
+        stone=curlfit.Stone(**case["stone"]),
+        fix=case["fix"],
+        details=False,
     )
 
 
@@ -51,7 +53,10 @@ def compared(name, result):
 
 
 @pytest.mark.numerical
-@pytest.mark.parametrize("name", CERTIFIED)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.slow if name == "power" else ()) for name in CERTIFIED],
+)
 def test_fit_has_the_certified_digits(name):
     case = CERTIFIED[name]
     result = fitted(name)
@@ -67,12 +72,6 @@ def test_fit_has_the_certified_digits(name):
         squares = case["sum_of_squares"][channel]
         assert (residual**2).sum() == pytest.approx(squares, rel=2e-5)
         assert result.rms[channel] == pytest.approx(case["rms"][channel], rel=1e-5)
-
-
-def test_what_only_matters_as_a_sum_is_certified_as_a_sum():
-    for name, case in CERTIFIED.items():
-        split = {"mu1_eta", "mu2_eta"} <= set(case["values"])
-        assert split == (name == "front_back_consistent_split")
 
 
 @pytest.mark.parametrize("name", CERTIFIED)
@@ -111,22 +110,3 @@ def test_certified_values_come_out_again(name):
     again = program.certify(name, program.CASES[name])
     for part in ("values", "stderr", "sum_of_squares", "rms"):
         assert again[part] == pytest.approx(CERTIFIED[name][part], rel=1e-11)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in FEWER if "split" not in name])
-def test_a_shorter_step_gives_the_missing_digits(name):
-    script = (
-        "from curlfit.dynamics import equations; equations.STEP /= 4\n"
-        "import test_certified as t\n"
-        f"values, _, sigmas = t.compared({name!r}, t.fitted({name!r}))\n"
-        "print(values.max(), sigmas.max())"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", script], cwd=Path(__file__).parent, check=True, text=True,
-        capture_output=True, timeout=500,
-        env={**os.environ, "CURLFIT_CACHE": "off", "PYTHONPATH": str(FOLDER.parent)},
-    )  # fmt: skip
-    relative, sigmas = map(float, done.stdout.split())
-    # Beneath 1e-8 standard errors the descent ends where rounding of the misfit lets it.
-    assert relative < 1e-8 or sigmas < 1e-8

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from io import StringIO
 
 import numpy as np
 import pytest
-from rich.console import Console
+from conftest import NOISE, TIMES, shown
 
 import curlfit
 from curlfit import LAWS, InitialState, InputError, Stone, Throw, load_fit, simulate
 from curlfit.environment import Environment
 from curlfit.inference.conditions import CONDITIONS, WIDTHS, if_off
-from curlfit.inference.report import print_fit
 from curlfit.prediction.ensemble import ThrowFamily
 from curlfit.prediction.request import ThrowRequest, start_of
 from curlfit.sheet import TEE
@@ -21,7 +19,6 @@ from curlfit.sheet import TEE
 LAW = LAWS["front-back"](mu1_xi=0.005, mu2_xi=0.05, mu1_eta=0.009, mu2_eta=0.009)
 TRUTH = {"mu1_xi": 0.005, "mu2_xi": 0.05, "mu2_eta": 0.009}
 SPLIT = {"mu1_eta": 0.009}  # held, so that all others are determined
-NOISE = {"x": 0.005, "y": 0.005, "phi": 0.01}
 ASSUMED = {
     "slope_x": 0.0, "slope_y": 0.0, "drag": 0.0, "R": 0.065, "rho": 0.1, "h": 0.057,
     "length_scale": 1.0, "time_scale": 1.0, "wear": 0.0,
@@ -33,7 +30,6 @@ ALONE = dict.fromkeys(("slope_x", "slope_y", "drag", "wear"), "determined") | {
 }  # fmt: skip
 """What one throw says of them under uniform load, the split held."""
 START = InitialState(x=0.5, y=-1.0, heading=0.03, v=2.1, phi=0.4, omega=1.4)
-TIMES = np.linspace(0.0, 20.0, 201)
 
 
 def measured(conditions=(), start=START, load="uniform", noise=0.0, seed=0):
@@ -93,9 +89,7 @@ def test_coefficients_that_are_determined_together_have_a_systematic_error_toget
     shift = fit.systematics.shifts[total.expression]["slope_y"]
     assert shift == pytest.approx(2e-4, rel=0.02)  # half of the ring each: twice the slope
     assert total.value + shift == pytest.approx(0.018, abs=0.03 * shift)
-    text = StringIO()
-    print_fit(fit, Console(width=110, file=text))
-    said = " ".join(text.getvalue().split())
+    said = shown(fit)
     assert "std. error systematic verdict" in said
     assert "Systematic errors come from conditions that the fit holds fixed; the largest: " in said
     assert (
@@ -106,9 +100,7 @@ def test_coefficients_that_are_determined_together_have_a_systematic_error_toget
     fit.save(tmp_path / "fit.json")
     again = load_fit(tmp_path)
     assert again.systematics == fit.systematics
-    text = StringIO()
-    print_fit(again, Console(width=110, file=text))
-    assert " ".join(text.getvalue().split()) == said
+    assert shown(again) == said
 
 
 def test_widths_may_be_given_and_conditions_may_be_known():
@@ -121,16 +113,11 @@ def test_widths_may_be_given_and_conditions_may_be_known():
     only = curlfit.fit(throw, fix=SPLIT, systematics={"all": 0, "slope_x": 1e-4}).systematics
     assert only.errors["mu1_xi"] == pytest.approx(abs(shift), rel=1e-6)
     small = curlfit.fit(throw, fix=SPLIT, systematics={"all": 0, "slope_x": 1e-9})
-    text = StringIO()
-    print_fit(small, Console(width=110, file=text))
-    assert "systematic  verdict" in text.getvalue()
-    assert "Systematic errors" not in text.getvalue()  # none that counts
-    assert "\n\n\n" not in text.getvalue()
+    assert "systematic verdict" in shown(small)
+    assert "Systematic errors" not in shown(small)  # none that counts
     none = curlfit.fit(throw, fix=SPLIT, systematics={"all": 0})
     assert (none.systematics.widths, none.systematics.errors) == ({}, {})
-    text = StringIO()
-    print_fit(none, Console(width=110, file=text))
-    assert "ystematic" not in text.getvalue()
+    assert "ystematic" not in shown(none)
     assert all(if_off(name, width).startswith("if ") for name, width in WIDTHS.items())
 
 
@@ -178,25 +165,7 @@ def test_a_condition_is_fixed_at_a_value_or_estimated(name):
         assert item.value == pytest.approx(true[name], abs=1e-3 * item.stderr)
 
 
-def test_nothing_is_predicted_in_lengths_that_are_not_true():
-    fit = curlfit.fit(measured(off("length_scale")), fix=SPLIT | ASSUMED | off("length_scale"))
-    with pytest.raises(InputError, match="length_scale of this fit is not 1"):
-        curlfit.predict(fit)
-
-
-def test_in_the_mirror_the_slope_changes_sign_and_the_coefficients_stay():
-    throw = measured({"slope_x": 2e-4}, noise=1.0)
-    mirrored = replace(throw, x=-throw.x, phi=-throw.phi)
-    held = {name: value for name, value in (SPLIT | ASSUMED).items() if name != "slope_x"}
-    one, other = (curlfit.fit(each, fix=held, free=["slope_x"]) for each in (throw, mirrored))
-    signs = dict.fromkeys(("slope_x", "x0", "heading", "phi0", "omega0"), -1)
-    for name, item in one.parameters.items():
-        if item.stderr is not None:
-            found, expected = other.parameters[name], signs.get(name, 1) * item.value
-            assert found.value == pytest.approx(expected, abs=1e-3 * item.stderr)
-            assert found.stderr == pytest.approx(item.stderr, rel=1e-3)
-
-
+@pytest.mark.slow
 def test_a_prediction_carries_the_slope_that_was_fixed():
     """`curlfit.predict` but for its bands, which no condition enters and which take long."""
     slope = {"slope_x": 2e-4}
@@ -228,6 +197,7 @@ def pair():
     ]
 
 
+@pytest.mark.slow
 def test_opposite_spins_determine_the_slope(pair):
     joint = curlfit.fit_together(pair, fix=SPLIT, free=["slope_x"])
     assert joint.converged

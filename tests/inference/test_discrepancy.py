@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import TIMES, filmed
 from scipy.linalg import block_diag
 
 import curlfit
-from curlfit import LAWS, InitialState, Stone, Throw, simulate
-from curlfit.inference.fit.fit import fit_throws
+from curlfit import LAWS, InitialState, Stone, simulate
 from curlfit.inference.fit.prepared import linearized_fit, problem_of
 from curlfit.inference.noise import accelerations
 from curlfit.inference.noise.accelerations import Responses
@@ -18,7 +18,6 @@ from curlfit.throws.throw import CHANNELS
 
 STONE = Stone()
 SERIES = ("x", "y", "phi")
-TIMES = np.linspace(0.0, 20.0, 201)
 
 
 def path_of(law, start):
@@ -54,45 +53,8 @@ def test_responses_are_the_derivatives_of_the_path(component, name, sign):
             np.testing.assert_allclose(response, expected[channel], atol=tolerance)
 
 
-def thrown(law, count, noise=0.005):
-    random = np.random.default_rng(11)
-    found = []
-    for index in range(count):
-        start = InitialState(
-            v=random.uniform(1.9, 2.2), omega=(-1) ** index * random.uniform(0.6, 2.0)
-        )
-        path = path_of(law, start)[:3]
-        series = path + noise * np.array([[1], [1], [2]]) * random.standard_normal(path.shape)
-        found.append((start, Throw.from_arrays(TIMES, *series)))
-    return found
-
-
-def pulls_of(thrown, law, noise):
-    fits = fit_throws([throw for _, throw in thrown], law, noise=noise)
-    return np.array(
-        [
-            [
-                (fit.parameters[name].value - true) / fit.parameters[name].stderr
-                for name, true in (("v0", start.v), ("omega0", start.omega))
-            ]
-            for (start, _), fit in zip(thrown, fits, strict=True)
-        ]
-    )
-
-
-@pytest.mark.slow
-def test_errors_hold_the_truth_under_a_wrong_law():
-    throws = thrown(LAWS["stribeck"](), 24)
-    white = pulls_of(throws, "coulomb", "white")
-    assert np.sqrt((white**2).mean(0)).min() > 10
-    own = np.sqrt((pulls_of(throws, "coulomb", "discrepancy") ** 2).mean(0))
-    # 24 values each: chi squared within 0.1 %, and some room for a discrepancy that recurs
-    assert (own < 2.0).all()
-    assert (own > 0.4).all()
-
-
 def test_under_the_right_law_errors_are_those_of_noise_and_somewhat_larger():
-    (_, throw), *_ = thrown(LAWS["coulomb"](), 1)
+    throw = filmed(LAWS["coulomb"](), seed=11)
     white, own = (curlfit.fit(throw, "coulomb", noise=kind) for kind in ("white", "discrepancy"))
     for name, item in white.parameters.items():
         ratio = own.parameters[name].stderr / item.stderr
@@ -106,7 +68,7 @@ def test_under_the_right_law_errors_are_those_of_noise_and_somewhat_larger():
 @pytest.fixture(scope="module")
 def wrong_law():
     """A fit by a wrong law, with a gap in x."""
-    (_, throw), *_ = thrown(LAWS["stribeck"](), 1)
+    throw = filmed(LAWS["power"](0.008, -0.4), seed=11)
     x = throw.x.copy()
     x[60:80] = np.nan
     return curlfit.fit(replace(throw, x=x), "coulomb", noise="discrepancy")
@@ -198,34 +160,3 @@ def test_the_law_is_fitted_as_without_a_discrepancy(wrong_law):
     for name, size in white.rms.items():
         assert wrong_law.rms[name] == pytest.approx(size, rel=0.01)
     assert wrong_law["v0"].stderr > 5 * white["v0"].stderr
-
-
-@pytest.mark.slow
-def test_a_memory_is_told_from_a_discrepancy():
-    """Wrong law and AR(1) noise of 0.5 s: without a memory the errors are far too small."""
-    random, memory = np.random.default_rng(5), 0.5
-    carry = np.exp(-(TIMES[1] - TIMES[0]) / memory)
-    throws = []
-    for start, throw in thrown(LAWS["stribeck"](), 8, noise=0.0):
-        noise = random.standard_normal((3, len(TIMES)))
-        for row in range(1, len(TIMES)):
-            noise[:, row] = carry * noise[:, row - 1] + np.sqrt(1 - carry**2) * noise[:, row]
-        series = np.stack([throw.x, throw.y, throw.phi]) + noise * [[0.005], [0.005], [0.01]]
-        throws.append((start, Throw.from_arrays(TIMES, *series)))
-    fits = fit_throws([throw for _, throw in throws], "coulomb", noise="discrepancy")
-    lasting = [next(iter(fit.noise.memory.values())) for fit in fits]
-    assert np.exp(np.mean(np.log(lasting))) == pytest.approx(memory, rel=0.4)
-    assert not any("too small" in text for fit in fits for text in fit.warnings)
-    own = np.sqrt((pulls_of(throws, "coulomb", "discrepancy") ** 2).mean())
-    assert 0.4 < own < 1.8
-    assert np.sqrt((pulls_of(throws, "coulomb", "ar1") ** 2).mean()) > 1.5 * own
-
-
-def test_a_mirrored_throw_has_the_same_discrepancy():
-    (_, throw), *_ = thrown(LAWS["stribeck"](), 1)
-    mirrored = Throw.from_arrays(TIMES, -throw.x, throw.y, -throw.phi)
-    one, other = (curlfit.fit(item, "coulomb", noise="discrepancy") for item in (throw, mirrored))
-    assert other.noise.sizes == pytest.approx(one.noise.sizes, rel=1e-3)
-    item = one.parameters["mu"]
-    assert other.parameters["mu"].value == pytest.approx(item.value, abs=1e-3 * item.stderr)
-    assert other.parameters["mu"].stderr == pytest.approx(item.stderr, rel=1e-3)

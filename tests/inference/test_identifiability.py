@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import curlfit
-from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.identifiability import Bounded, analyse, expression
 
 
@@ -61,20 +59,6 @@ def test_two_null_directions_leave_two_sums():
     assert {item.expression for item in found.combinations} == {"a + c", "b + d"}
 
 
-def test_a_parameter_that_does_nothing():
-    jacobian = np.stack([np.ones(10) * 50, np.zeros(10)], 1)
-    found = _analysed(jacobian, ["a", "idle"])
-    np.testing.assert_array_equal(found.unseen, [False, True])
-    assert found.null_directions == ({"idle": 1.0},)
-    assert not found.combinations
-
-
-def test_fewer_observations_than_parameters():
-    found = _analysed([[100.0, 100.0, 0.0]], ["a", "b", "c"])
-    assert found.rank == 1
-    assert {item.expression for item in found.combinations} == {"a + b"}
-
-
 @pytest.mark.parametrize(
     ("weights", "text"),
     [
@@ -97,16 +81,6 @@ def test_what_is_lost_in_rounding_beside_a_large_number_is_not_seen():
     assert not found.combinations
 
 
-def test_the_rank_is_that_of_the_scaled_matrix():
-    jacobians = np.random.default_rng(5).standard_normal((6, 40, 3)) * 30
-    jacobians[3, :, 2] = jacobians[3, :, 1]
-    jacobians[4, :, 0] *= 1e-5
-    typical = np.array([1.0, 0.1, 0.1])
-    for jacobian in jacobians:
-        found = analyse(jacobian, ["a", "b", "c"], np.ones(3), typical)
-        assert found.rank == np.linalg.matrix_rank(jacobian * typical, tol=1e-3)
-
-
 def test_a_direction_that_only_the_bounds_limit_is_not_determined():
     """The difference of two coefficients has a standard error of 50, their bounds a width of 1."""
     rotated = np.array([[10.0, 10.0], [0.02, -0.02]]) / np.sqrt(2)
@@ -121,22 +95,3 @@ def test_a_direction_that_only_the_bounds_limit_is_not_determined():
     assert (total.expression, total.stderr) == ("a + b", pytest.approx(0.1 * np.sqrt(2)))
     wider = analyse(rotated, *about, bounded=Bounded(values, values - 5, values + 5))
     assert wider.rank == 2  # a room of 0.28 standard errors
-
-
-def test_errors_under_consistent_load_are_those_of_repetition():
-    true = {"mu1_xi": 0.005, "mu2_xi": 0.05, "v0": 2.1, "omega0": 1.2}
-    law, times = curlfit.LAWS["front-back"](), np.linspace(0, 20, 201)
-    start = curlfit.InitialState(v=true["v0"], omega=true["omega0"])
-    path = curlfit.simulate(law, curlfit.Stone(), start, times, load="consistent").to_numpy()
-    throws = []
-    for seed in range(60):
-        noise = np.random.default_rng(seed).standard_normal((3, 201))
-        channels = (path.x, path.y, path.phi) + noise * [[0.005], [0.005], [0.01]]
-        throws.append(curlfit.Throw.from_arrays(times, *channels))
-    fits = fit_throws(throws, "front-back", load="consistent")
-    assert all(fit.converged for fit in fits)
-    for name, value in true.items():
-        pulls = [(fit[name].value - value) / fit[name].stderr for fit in fits]
-        assert abs(np.mean(pulls)) < 4 / np.sqrt(60)
-        assert 0.7 < np.std(pulls) < 1.4
-    assert {fit["mu2_eta"].verdict for fit in fits} == {"not identifiable"}

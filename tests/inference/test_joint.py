@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
-from io import StringIO
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from conftest import command
-from rich.console import Console
 from scipy.optimize import brentq, least_squares
-from scipy.stats import chi2
 
 import curlfit
 from curlfit import LAWS, InitialState, Stone, fit_together, simulate
-from curlfit.environment import Environment
 from curlfit.errors import InputError
 from curlfit.inference.joint.differences import _difference
 from curlfit.inference.joint.fit import _warnings_of
@@ -24,6 +19,7 @@ from curlfit.options.settings import load_fit_and_chain
 
 LAW = LAWS["front-back"]
 STONE = Stone()
+SPINS = (1.0, 1.5, 2.2)
 
 
 def sheet(count, law=None, seed=0, spread=0.0):
@@ -35,39 +31,16 @@ def sheet(count, law=None, seed=0, spread=0.0):
         own = replace(law, mu2_xi=law.mu2_xi + spread * random.standard_normal())
         throws.append(
             curlfit.synthetic_throw(
-                own,
-                STONE,
-                v0=2 + 0.02 * place,
-                omega0=(1.0, 1.5, 2.2)[place % 3] * (-1) ** place,
-                heading=0.01 * place,
-                noise_xy=0.005,
-                noise_phi=0.01,
-                seed=100 * seed + place,
+                own, STONE, v0=2 + 0.02 * place, omega0=SPINS[place % 3] * (-1) ** place,
+                heading=0.01 * place, noise_xy=0.005, noise_phi=0.01, seed=100 * seed + place,
             )
-        )
+        )  # fmt: skip
     return throws
 
 
 @pytest.fixture(scope="module")
 def three():
     return sheet(3)
-
-
-def test_with_nothing_shared_each_throw_is_fitted_as_alone(three, tmp_path):
-    joint = fit_together(three, share=[])
-    assert joint.converged
-    for one, throw in zip(joint.throws, three, strict=True):
-        alone = curlfit.fit(throw, "front-back")
-        for name, item in alone.parameters.items():
-            if item.stderr is not None:
-                other = one.parameters[name]
-                assert abs(other.value - item.value) < 1e-4 * item.stderr
-                # the noise is estimated at almost the same place
-                assert other.stderr == pytest.approx(item.stderr, rel=1e-3)
-        assert [item.expression for item in one.combinations] == ["mu1_eta + mu2_eta"]
-        one.save(tmp_path / "fit.json")
-        again = curlfit.load_fit(tmp_path)
-        assert again.combinations[0].weights == {"mu1_eta": 1.0, "mu2_eta": 1.0}
 
 
 def test_the_optimum_and_its_errors_are_scipy_s(three):
@@ -113,7 +86,7 @@ def test_the_optimum_and_its_errors_are_scipy_s(three):
                 assert error == pytest.approx(expected, rel=1e-3)
 
 
-@pytest.mark.parametrize("loss", ["linear", "soft-l1", "cauchy", "student"])
+@pytest.mark.parametrize("loss", ["linear", pytest.param("student", marks=pytest.mark.slow)])
 def test_copies_of_a_throw_have_its_errors_over_the_root_of_their_number(three, loss):
     """Exactly so: the information on shared coefficients adds up."""
     alone = curlfit.fit(three[0], "front-back", loss=loss)
@@ -143,15 +116,6 @@ def test_short_throws_together_have_the_degrees_of_freedom_of_all(three):
     assert given.coefficients["mu1_xi"].dof is given.combinations[0].dof is None
 
 
-def test_the_load_is_that_of_the_files(three):
-    stated = [throw.with_defaults(load="consistent") for throw in three[:2]]
-    joint = fit_together(stated, "coulomb")
-    assert joint.load == joint.throws[0].load == "consistent"
-    with pytest.raises(InputError, match="state different values of load, consistent and uniform"):
-        fit_together([stated[0], three[1]], "coulomb")
-    assert fit_together([stated[0], three[1]], "coulomb", load="uniform").load == "uniform"
-
-
 def test_a_bound_that_all_throws_press_on_is_said_once(three):
     joint = fit_together(three, bounds={"mu2_xi": (0.0, 0.04)})
     assert joint.coefficients["mu2_xi"].verdict == "at bound"
@@ -160,27 +124,9 @@ def test_a_bound_that_all_throws_press_on_is_said_once(three):
     ]
 
 
-@pytest.mark.parametrize("count", [3, pytest.param(12, marks=pytest.mark.slow)])
-def test_shared_coefficients_are_covered(count):
-    # squared deviations in standard errors of three quantities: chi squared, 15 or 9 of it
-    squares, truth = [], LAW()
-    for seed in range(5 if count == 3 else 3):
-        joint = fit_together(sheet(count, seed=seed))
-        assert joint.converged
-        for name in ("mu1_xi", "mu2_xi"):
-            item = joint.coefficients[name]
-            squares.append(((item.value - getattr(truth, name)) / item.stderr) ** 2)
-        (total,) = joint.combinations
-        true = truth.mu1_eta + truth.mu2_eta
-        squares.append(((total.value - true) / total.stderr) ** 2)
-        assert not any(item.p_value < 1e-4 for item in joint.differences)
-    low, high = chi2.ppf([0.001, 0.999], len(squares))
-    assert low < sum(squares) < high
-
-
 def test_a_coefficient_that_varies_is_found_and_its_spread_measured():
     spread = 0.002
-    joint = fit_together(sheet(12, spread=spread))
+    joint = fit_together(sheet(4, spread=spread))
     varying = {item.expression: item for item in joint.differences}
     assert varying["mu2_xi"].significant
     assert not varying["mu1_xi"].significant
@@ -190,23 +136,13 @@ def test_a_coefficient_that_varies_is_found_and_its_spread_measured():
     assert any("mu2_xi varies between throws" in warning for warning in joint.warnings)
     assert not any("--free slope_x" in warning for warning in joint.warnings)
     # what each throw says alone is what its own fit says, to first order
-    alone = curlfit.fit(sheet(12, spread=spread)[0], "front-back").parameters["mu2_xi"]
+    alone = curlfit.fit(sheet(4, spread=spread)[0], details=False).parameters["mu2_xi"]
     estimate, error = varying["mu2_xi"].each[0]
     assert abs(estimate - alone.value) < 0.5 * alone.stderr
     assert error == pytest.approx(alone.stderr, rel=0.2)
 
 
-def test_throws_of_both_spins_that_differ_are_told_of_the_slope():
-    environment = Environment(slope_x=3e-4)
-    throws = [
-        curlfit.synthetic_throw(LAW(), STONE, v0=2.1, omega0=omega, noise_xy=0.005, noise_phi=0.01,
-                                seed=seed, environment=environment)
-        for seed, omega in enumerate((1.2, -1.2, 1.6))
-    ]  # fmt: skip
-    joint = fit_together(throws)
-    assert any("--free slope_x" in warning for warning in joint.warnings)
-
-
+@pytest.mark.slow
 def test_a_coefficient_may_be_each_throw_s_own():
     throws = sheet(3, spread=0.003, seed=4)
     joint = fit_together(throws, share=["mu1_xi", "mu1_eta", "mu2_eta"])
@@ -224,31 +160,14 @@ def test_throws_of_different_lengths_and_channels_go_together(three):
     assert abs(item.value - 0.05) < 4 * item.stderr
 
 
-def test_the_scatter_of_speed_and_spin_has_their_units(three):
-    joint = fit_together(three)
-    rms = dict.fromkeys(("x", "phi", "speed", "omega"), 0.002)
-    data = joint.throws[0].data | {"sigma": dict.fromkeys(rms, "estimated")}
-    known = {"rms": rms, "sigma": rms, "data": data}
-    joint = replace(joint, throws=tuple(replace(one, **known) for one in joint.throws))
-    text = StringIO()
-    curlfit.print_joint(joint, Console(width=140, file=text))
-    for unit in ("(mm)", "(mrad)", "(mm/s)", "(mrad/s)"):
-        assert text.getvalue().count(unit) == 1
-
-
-def test_outliers_in_one_throw_do_not_pull_the_others(three):
-    x = three[0].x.copy()
-    x[::20] += 0.5
-    plain = fit_together(three).coefficients["mu2_xi"]
-    robust = fit_together([replace(three[0], x=x), *three[1:]], loss="student")
-    assert abs(robust.coefficients["mu2_xi"].value - plain.value) < plain.stderr
-
-
 def test_what_cannot_be_fitted_together_is_refused(three):
     with pytest.raises(InputError, match="1 throw to fit together; expected two or more"):
         fit_together(three[:1])
     with pytest.raises(InputError, match="no coefficient 'mu'; it has mu1_xi"):
         fit_together(three, share=["mu"])
+    stated = three[0].with_defaults(load="consistent")
+    with pytest.raises(InputError, match="state different values of load, consistent and uniform"):
+        fit_together([stated, three[1]])
 
 
 def test_a_warning_of_several_throws_is_one():
@@ -261,9 +180,9 @@ def test_a_warning_of_several_throws_is_one():
 def test_on_the_command_line(three, tmp_path):
     from curlfit.throws.synthetic import write_table
 
-    for place, throw in enumerate(three):
-        (tmp_path / f"throw{place}.csv").write_text(write_table(throw))
     names = [f"throw{place}.csv" for place in range(3)]
+    for name, throw in zip(names, three, strict=True):
+        (tmp_path / name).write_text(write_table(throw))
 
     done = command("fit", *names, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -271,9 +190,6 @@ def test_on_the_command_line(three, tmp_path):
     assert "a folder for each throw: throw0, throw1, throw2" in " ".join(done.stdout.split())
     with pytest.raises(InputError, match=r"expected the fit of one throw, such as .*throw0"):
         load_fit_and_chain(tmp_path / "joint-fit")
-    record = json.loads((tmp_path / "joint-fit" / "joint.json").read_text())
-    assert record["combinations"][0]["expression"] == "mu1_eta + mu2_eta"
-    assert len(record["throws"]) == 3
     assert (tmp_path / "joint-fit" / "joint.png").stat().st_size > 20_000
     for words, expected in (
         (("show", "joint-fit/throw1"), "front-back law"),
@@ -286,9 +202,11 @@ def test_on_the_command_line(three, tmp_path):
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "throw0.csv").write_text((tmp_path / "throw1.csv").read_text())
     words = "throw0.csv", "other/throw0.csv", "throw2.csv"
-    done = command("fit", *words, "--no-sample", "--no-figures", "--out", "alike", cwd=tmp_path)
+    done = command("fit", *words, "--no-figures", "--derive", "mu2_xi*g", "--out", "alike",
+                   cwd=tmp_path)  # fmt: skip
     assert "other-throw0, throw2" in " ".join(done.stdout.split()), done
-    assert command("show", "alike", cwd=tmp_path).returncode == 0
+    alike = curlfit.load_joint(tmp_path / "alike")
+    assert alike["mu2_xi*g"].stderr == pytest.approx(9.81 * alike["mu2_xi"].stderr)
     for words, message in (
         ((*names, "--share", "mu"), "law front-back has no such coefficient"),
         (("throw0.csv", "--share", "all"), "--share needs several files"),
@@ -298,38 +216,37 @@ def test_on_the_command_line(three, tmp_path):
         refused = command("fit", *words, cwd=tmp_path)
         assert refused.returncode == 2
         assert message in refused.stderr
-        assert "Traceback" not in refused.stderr
 
 
-@pytest.mark.parametrize("load", ["uniform", "consistent"])
+@pytest.mark.parametrize("load", ["uniform", pytest.param("consistent", marks=pytest.mark.slow)])
 def test_throws_of_different_friction_do_not_hide_it_in_their_noise(load):
     """The error of the mean is the scatter of what single fits give, over the root of their number.
 
     In the joint fit a throw's misfit to the common value is part of its residuals.
     """
     random, throws = np.random.default_rng(500), []
-    for place, factor in enumerate(1 + 0.008 * random.standard_normal(6)):
+    for place, factor in enumerate(1 + 0.008 * random.standard_normal(4)):
         law = LAW(mu1_eta=0.009 * factor, mu2_eta=0.009 * factor)
         throws.append(
             curlfit.synthetic_throw(
                 law, STONE, load=load, v0=2 + 0.02 * place, noise_xy=0.005, noise_phi=0.01,
-                omega0=(1.0, 1.5, 2.2)[place % 3] * (-1) ** place, seed=place,
-            )
+                omega0=SPINS[place % 3] * (-1) ** place, seed=place,
+            ).with_defaults(load=load)
         )  # fmt: skip
-    joint = fit_together(throws, load=load)
+    joint = fit_together(throws)
+    assert joint.load == joint.throws[0].load == load
     (total,) = (item for item in joint.combinations if "mu1_eta" in item.weights)
     (differs,) = (item for item in joint.differences if item.expression == total.expression)
     weights = [total.weights["mu1_eta"], total.weights["mu2_eta"]]
-    alone = [curlfit.fit(throw, load=load) for throw in throws]
+    alone = [curlfit.fit(throw, details=False) for throw in throws]
     split = 1 if load == "uniform" else 0.98  # the path determines about this sum
     values = [one.combinations[0].value * sum(weights) / (1 + split) for one in alone]
     scatter = np.std(values, ddof=1)
-    assert scatter / np.sqrt(6) == pytest.approx(7e-5, rel=0.1)
-    assert differs.stderr == pytest.approx(scatter / np.sqrt(6), rel=0.05)
+    assert differs.stderr == pytest.approx(scatter / 2, rel=0.05)
     assert differs.spread == pytest.approx(scatter, rel=0.05)
     assert total.stderr == differs.shared_stderr
     assert differs.stderr <= total.stderr < 1.5 * differs.stderr
-    assert total.dof == 5
+    assert total.dof == 3
     for (_, error), one in zip(differs.each, alone, strict=True):
         assert error == pytest.approx(one.combinations[0].stderr, rel=0.1)
     true = 0.009 * sum(weights)

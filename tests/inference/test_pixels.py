@@ -17,7 +17,7 @@ from tests.sample_files import project, table
 LAW = LAWS["front-back"](mu1_xi=0.004, mu2_xi=0.05, mu1_eta=0.009, mu2_eta=0.009)
 STONE = Stone(R=0.065, rho=0.1)
 START = InitialState(x=0.0, y=0.0, heading=0.0, v=2.25, phi=0.0, omega=1.4)
-TIMES = np.arange(0.0, 26.0, 0.08)
+TIMES = np.arange(0.0, 26.0, 0.12)  # fewer than 256, so that a program serves it that others need
 PATH = simulate(LAW, STONE, START, TIMES).to_numpy()
 SHEET = np.array([[-2.2, 2.2, 0.0] * 4, np.repeat([-1.0, 10.0, 20.0, 30.0], 3)])
 TRUE = {"mu2_xi": 0.05, "x0": 0.0, "curl": float(PATH.x[-1])}
@@ -79,7 +79,7 @@ def test_the_noise_is_one_number_of_pixels(seen, tmp_path):
     for name in "xy":
         sigma = fit.observed[f"sigma_{name}"]
         assert sigma.min() == pytest.approx(fit.sigma[name])
-        np.testing.assert_allclose(sigma / throw.relative_sigma[name], 0.2, rtol=0.08)
+        np.testing.assert_allclose(sigma / throw.relative_sigma[name], 0.2, rtol=0.12)
         assert fit.data["sigma"][name] == "estimated"
     fit.save(tmp_path / "fit.json")
     saved = load_fit(tmp_path / "fit.json")

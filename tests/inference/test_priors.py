@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from io import StringIO
 
 import numpy as np
 import pytest
-from rich.console import Console
+from conftest import NOISE, shown
 from scipy import stats
 from scipy.optimize import minimize_scalar
 
 import curlfit
 from curlfit import LAWS, DataError, InputError, Stone, load_fit, sample, synthetic_throw
 from curlfit.friction import Parameter
-from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.priors import Prior, parse_priors, penalty_of
-from curlfit.inference.report import print_fit
 
-NOISE = {"x": 0.005, "y": 0.005, "phi": 0.01}
 SPLIT = {"mu1_eta": 0.009}  # held, so that all others are determined
 
 
@@ -38,12 +34,6 @@ def throw():
 @pytest.fixture(scope="module")
 def without(throw):
     return curlfit.fit(throw, fix=SPLIT)
-
-
-def shown(fit):
-    text = StringIO()
-    print_fit(fit, Console(width=110, file=text))
-    return " ".join(text.getvalue().split())
 
 
 @pytest.mark.parametrize(
@@ -69,17 +59,10 @@ def test_a_prior_is_read_and_written(text, kind, values):
     ("text", "said"),
     [
         ("", "is no prior; expected MEAN"),
-        ("0.1", "is no prior; expected MEAN"),
         ("gamma:1,2", "is no prior; expected MEAN"),
         ("lognormal:1", "lognormal:MEDIAN,SIGMA"),
-        ("half-normal:1,2", "half-normal:SD"),
-        ("uniform:a,b", "uniform:LOW,HIGH"),
-        ("normal:1", "is no prior; expected MEAN"),
         ("0.1+-0", "expected a positive width"),
-        ("0.1+--1", "expected a positive width"),
-        ("half-normal:0", "expected a positive width"),
         ("half-normal:inf", "expected finite numbers"),
-        ("uniform:0,nan", "expected finite numbers"),
         ("lognormal:0.05,-1", "expected a positive width"),
         ("lognormal:-0.05,1", "expected a positive median"),
         ("uniform:2,1", "is empty; expected LOW below HIGH"),
@@ -163,38 +146,15 @@ def test_a_normal_prior_is_one_more_datum(throw, without):
     assert np.abs(np.array(fit.information["gradient"]) * error).max() < 1e-2
 
 
-def test_a_narrow_prior_holds_the_value_and_a_wide_one_says_nothing(throw, without):
-    narrow = curlfit.fit(throw, fix=SPLIT, priors={"mu2_xi": "0.051+-1e-9"})
-    item = narrow.parameters["mu2_xi"]
-    assert item.value == pytest.approx(0.051, abs=2e-9)
-    assert item.stderr == pytest.approx(1e-9, rel=1e-3)
-    held = curlfit.fit(throw, fix=SPLIT | {"mu2_xi": 0.051})
-    wide = curlfit.fit(throw, fix=SPLIT, priors={"mu2_xi": "0.3+-100"})
-    for fit, same in ((narrow, held), (wide, without)):
-        for name, item in same.parameters.items():
-            if item.stderr is not None:
-                found = fit.parameters[name]
-                assert abs(found.value - item.value) < 1e-3 * item.stderr, name
-                assert found.stderr == pytest.approx(item.stderr, rel=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("text", "density"),
-    [
-        ("lognormal:0.0503,0.002", stats.lognorm(0.002, scale=0.0503)),
-        ("half-normal:0.0006", stats.halfnorm(scale=0.0006)),
-    ],
-)
-def test_optima_are_those_of_scipy_on_chi_squared_and_log_density(throw, without, text, density):
-    name = "mu2_xi"
+def test_the_optimum_is_that_of_scipy_on_chi_squared_and_log_density(throw, without):
+    name, density = "mu2_xi", stats.lognorm(0.002, scale=0.0503)
     before = without.parameters[name]
 
     def objective(value):
-        fit = curlfit.fit(throw, fix=SPLIT | {name: value}, systematics={"all": 0})
+        fit = curlfit.fit(throw, fix=SPLIT | {name: value}, details=False)
         return fit.chi_squared - 2 * density.logpdf(value)
 
-    fit = curlfit.fit(throw, fix=SPLIT, priors={name: text})
-    found = fit.parameters[name]
+    found = curlfit.fit(throw, fix=SPLIT, priors={name: "lognormal:0.0503,0.002"})[name]
     assert abs(found.value - before.value) > before.stderr  # the prior matters
     ends = found.value + 3 * before.stderr * np.array([-1, 1])
     best = minimize_scalar(objective, bounds=ends, method="bounded", options={"xatol": 1e-9})
@@ -260,16 +220,16 @@ def test_the_posterior_has_the_prior_in_it_and_a_chain_of_another_is_refused(
             sample(curlfit.fit(throw, priors=priors), checkpoint=file, resume=True, seed=3)
 
 
+@pytest.mark.slow
 def test_a_profile_has_the_prior_in_it(throw, without, split):
     before = without.parameters["mu1_xi"]
     prior = {"mu1_xi": f"{before.value + before.stderr}+-{before.stderr}"}
     for fit, name in (
         (curlfit.fit(throw, fix=SPLIT, priors=prior), "mu1_xi"),
-        (split, "mu1_eta"),
         (split, "mu2_eta"),
     ):
         item = fit.parameters[name]
-        found = curlfit.profile(fit, name, points=9)
+        found = curlfit.profile(fit, name, points=7)
         narrow = found.intervals[0]  # where chi squared, the prior counted, is 1 higher
         assert narrow.low == pytest.approx(item.value - item.stderr, abs=0.02 * item.stderr)
         assert narrow.high == pytest.approx(item.value + item.stderr, abs=0.02 * item.stderr)
@@ -289,53 +249,14 @@ def test_throws_together_count_the_prior_of_what_they_share_once(throw):
     assert rests.coefficients["mu1_eta"].stderr == pytest.approx(0.001, rel=1e-3)
 
 
-def test_of_a_parameter_of_their_own_throws_have_a_prior_each(throw):
-    throws = [throw, thrown(omega0=-1.5, seed=2)]
-    free = curlfit.fit_together(throws, share=[], fix=SPLIT)
-    widths = [one.parameters["v0"].stderr for one in free.throws]
-    prior = {"v0": f"2.1+-{widths[0]!r}"}
-    found = curlfit.fit_together(throws, share=[], fix=SPLIT, priors=prior)
-    for one, width in zip(found.throws, widths, strict=True):
-        assert one.parameters["v0"].stderr == pytest.approx(
-            1 / np.hypot(1 / width, 1 / widths[0]), rel=0.02
-        )
-
-
-def test_many_throws_side_by_side_are_each_fitted_as_alone(throw, split):
-    priors = {"mu1_eta": "0.008+-0.001", "mu2_xi": "lognormal:0.06,0.004"}
-    throws = [throw, thrown(omega0=-1.5, seed=2)]
-    for one, many in zip(throws, fit_throws(throws, priors=priors), strict=True):
-        alone = curlfit.fit(one, priors=priors)
-        assert many.prior_chi_squared == pytest.approx(alone.prior_chi_squared, rel=1e-3)
-        for name, item in alone.parameters.items():
-            other = many.parameters[name]
-            assert abs(other.value - item.value) < 1e-3 * item.stderr, name
-            assert other.stderr == pytest.approx(item.stderr, rel=1e-4)
-            assert (other.verdict, other.prior) == (item.verdict, item.prior)
-
-
 def test_a_prior_does_not_make_the_estimated_noise_larger(throw):
     """The first fit weights 1 m like 1 rad: there the prior would outweigh the data."""
-    priors = {"mu2_xi": "0.06+-0.002"}
-    throws = [replace(one, sigma={}) for one in (throw, thrown(omega0=-1.5, seed=2))]
-    plain = [curlfit.fit(one, fix=SPLIT) for one in throws]
-    for fits in (
-        [curlfit.fit(one, fix=SPLIT, priors=priors) for one in throws],
-        fit_throws(throws, fix=SPLIT, priors=priors),
-        curlfit.fit_together(throws, share=[], fix=SPLIT, priors=priors).throws,
-    ):
-        for fit, without in zip(fits, plain, strict=True):
-            assert fit.sigma == pytest.approx(without.sigma, rel=1e-4)
-            item, other = fit.parameters["mu2_xi"], without.parameters["mu2_xi"]
-            weight = 1 / (1 + (other.stderr / 0.002) ** 2)
-            expected = weight * other.value + (1 - weight) * 0.06
-            assert item.value == pytest.approx(expected, abs=0.01 * other.stderr)
-            assert fit.prior_chi_squared == pytest.approx(25, rel=0.1)
-
-
-def test_an_interval_ends_at_the_bounds(eq12_fit):
-    item = eq12_fit["mu1_xi"]
-    low, high = replace(item, value=item.stderr).interval()
-    assert (low, item.lower) == (0.0, 0.0)
-    assert high > item.stderr
-    assert item.interval()[0] > 0
+    throw = replace(throw, sigma={})
+    without = curlfit.fit(throw, fix=SPLIT)
+    fit = curlfit.fit(throw, fix=SPLIT, priors={"mu2_xi": "0.06+-0.002"})
+    assert fit.sigma == pytest.approx(without.sigma, rel=1e-4)
+    item, other = fit.parameters["mu2_xi"], without.parameters["mu2_xi"]
+    weight = 1 / (1 + (other.stderr / 0.002) ** 2)
+    expected = weight * other.value + (1 - weight) * 0.06
+    assert item.value == pytest.approx(expected, abs=0.01 * other.stderr)
+    assert fit.prior_chi_squared == pytest.approx(25, rel=0.1)

@@ -4,34 +4,27 @@ from __future__ import annotations
 
 from functools import partial
 
-import numpy as np
 import pytest
+from conftest import TIMES as T, filmed
 
 import curlfit
-from curlfit import LAWS, InitialState, Stone, simulate
 from curlfit.inference.fit.advice import NOISE
 from curlfit.inference.fit.result import load_fit
 from curlfit.inference.report import identifiability
 
-T = np.arange(0.0, 15.05, 0.1)
+TIMES = T[:151]
 
 
 @pytest.fixture(scope="module")
 def seen():
     """All channels of a throw, with noise."""
-    path = simulate(LAWS["front-back"](), Stone(), InitialState(v=2.1, omega=1.3), T).to_numpy()
-    random = np.random.default_rng(4)
-    return {
-        name: getattr(path, name) + sigma * random.standard_normal(len(T))
-        for name, sigma in NOISE.items()
-    }
+    return filmed(seed=4, noise=NOISE, times=TIMES, omega=1.3)
 
 
 def fitted(seen, *channels, **choices):
-    throw = curlfit.Throw.from_arrays(
-        T, **{name: seen[name] for name in channels}, sigma={name: NOISE[name] for name in channels}
-    )
-    return curlfit.fit(throw, "front-back", **choices)
+    sigma = {name: NOISE[name] for name in channels}
+    series = {name: getattr(seen, name) for name in channels}
+    return curlfit.fit(curlfit.Throw.from_arrays(TIMES, **series, sigma=sigma), **choices)
 
 
 @pytest.mark.parametrize(

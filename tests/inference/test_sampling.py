@@ -9,12 +9,12 @@ import emcee
 import numpy as np
 import pytest
 import xarray
+from conftest import filmed, shown
 from emcee.moves import DEMove, MHMove, StretchMove
 from scipy import stats
 
 import curlfit
-from curlfit import Stone, fit, law_with, load_chain, sample, synthetic_throw
-from curlfit.inference.fit.result import load_fit
+from curlfit import Stone, fit, load_chain, sample
 from curlfit.inference.mcmc.ridge import RidgeProposal
 from curlfit.inference.mcmc.sampler import SideBySide
 from curlfit.inference.mcmc.summary import Diagnosis, steps_to_discard
@@ -36,8 +36,8 @@ def test_the_ridge_is_explored_to_its_ends_evenly(eq12_posterior):
     assert max(found.r_hat.values()) < 1.01
     assert min(found.ess.values()) > 2000
     assert min(found.ess_tail.values()) > 2000
-    said = " ".join(_report(result).split())
-    assert re.search(r"at least \d+ in the bulk \(\S+\) and \d+ in the tail \(\S+\), R-hat", said)
+    told = r"at least \d+ in the bulk \(\S+\) and \d+ in the tail \(\S+\), R-hat"
+    assert re.search(told, shown(result))
 
 
 def test_determined_parameters_agree_with_least_squares(eq12_posterior):
@@ -49,13 +49,6 @@ def test_determined_parameters_agree_with_least_squares(eq12_posterior):
         assert abs(found.mean[name] - item.value) < 0.15 * item.stderr
     (one,) = result.combinations
     assert found.sd[one.expression] == pytest.approx(one.stderr, rel=0.08)
-
-
-def test_the_same_seed_gives_the_same_chain_also_from_a_saved_fit(eq12_posterior, tmp_path):
-    result, chain = eq12_posterior
-    result.save(tmp_path / "fit.json")
-    _, again = sample(load_fit(tmp_path), seed=1)
-    np.testing.assert_array_equal(again.values, chain.values)
 
 
 def test_chains_are_stored_for_curlfit_and_for_emcee(eq12_posterior, tmp_path):
@@ -79,30 +72,18 @@ def test_chains_are_stored_for_curlfit_and_for_emcee(eq12_posterior, tmp_path):
 
 def test_a_parameter_at_its_bound_has_half_a_posterior(eq12):
     result = fit(eq12, stone=Stone(R=0.065, rho=0.1))
-    result, chain = sample(result, effective=2000)
+    result, chain = sample(result, effective=1000)
     values = chain.of({"mu1_xi": 1.0})
     assert result.posterior.converged
     assert values.min() >= 0
     # A linear slope of the log-posterior at a bound makes an exponential.
     assert values.std() == pytest.approx(values.mean(), rel=0.1)
     assert np.quantile(values, 0.5) == pytest.approx(values.mean() * np.log(2), rel=0.1)
-    assert "68 % of posterior" in _report(result)
-
-
-def _report(result):
-    from rich.console import Console
-
-    console = Console(width=110, record=True, file=open("/dev/null", "w"))  # noqa: SIM115
-    with console.file:
-        curlfit.print_fit(result, console)
-        return console.export_text()
+    assert "68 % of posterior" in shown(result)
 
 
 def test_a_run_that_is_too_short_says_so():
-    throw = synthetic_throw(
-        law_with("front-back", {}), Stone(R=0.054, rho=0.1), noise_xy=0.005, noise_phi=0.01
-    )
-    result, _ = sample(fit(throw), most_steps=20)
+    result, _ = sample(fit(filmed()), most_steps=20)
     assert not result.posterior.converged
     assert result.posterior.status.startswith("not converged after 20 steps")
 
@@ -136,10 +117,10 @@ def test_ensemble_moves_leave_a_skew_target_as_it_is(move):
         inside = (x > 0).all(1)
         return np.where(inside, -(x @ [1, 1 / 3]), -np.inf)
 
-    chain = _run(SideBySide(move), log_prob, draws, 4000)
+    chain = _run(SideBySide(move), log_prob, draws, 2500)
     mean, sd = chain[500:].mean((0, 1)), chain[500:].std((0, 1))
-    np.testing.assert_allclose(mean, [1, 3], rtol=0.05)
-    np.testing.assert_allclose(sd, [1, 3], rtol=0.06)
+    np.testing.assert_allclose(mean, [1, 3], rtol=0.06)
+    np.testing.assert_allclose(sd, [1, 3], rtol=0.08)
 
 
 def test_ensembles_do_not_mix():
@@ -186,16 +167,12 @@ def test_the_density_of_a_ridge_is_a_density():
     np.testing.assert_allclose(proposal.log_density(values), expected)
 
 
+@pytest.mark.slow
 def test_a_curved_ridge_is_sampled_from_end_to_end():
     """Without an angle, `omega0` is known neither in sign nor size. Turning the other way, with
     front and back exchanged, leads along the same path."""
-    random, times = np.random.default_rng(3), np.linspace(0, 18, 61)
-    law = curlfit.find_law("front-back")(0.004, 0.05)
-    start = curlfit.InitialState(v=2.1, omega=1.2)
-    path = curlfit.simulate(law, curlfit.Stone(), start, times).to_numpy()
-    throw = curlfit.Throw.from_arrays(
-        times, *(channel + 0.003 * random.standard_normal(61) for channel in (path.x, path.y))
-    )
+    noise = {"x": 0.003, "y": 0.003}
+    throw = filmed(seed=3, noise=noise, times=np.linspace(0, 18, 61))
     fit, chain = curlfit.sample(curlfit.fit(throw, details=False), effective=1000)
     assert fit.posterior.converged
     kept = chain.values[chain.discarded :].reshape(-1, len(chain.names))
@@ -216,7 +193,7 @@ def _walk(random, steps, memory, walkers=128):
 
 
 @pytest.mark.numerical
-@pytest.mark.parametrize("steps", [40, 81, 400])
+@pytest.mark.parametrize("steps", [40, 81])
 def test_diagnostics_are_those_of_arviz(steps):
     """Walkers are its chains for effective sample sizes, ensembles for R-hat."""
     random = np.random.default_rng(steps)
@@ -245,24 +222,6 @@ def test_diagnostics_are_those_of_arviz(steps):
         (arviz.rhat(ensembles, method="rank"), found.r_hat),
     ):
         np.testing.assert_allclose(ours, [float(expected[str(k)]) for k in range(4)], rtol=1e-12)
-
-
-def test_effective_sample_sizes_are_those_of_autoregressive_chains():
-    """Their autocorrelation time is (1 + a)/(1 - a)."""
-    memory = np.array([0.0, 0.5, 0.8])
-    values = _walk(np.random.default_rng(1), 4000, memory)
-    expected = 3600 * 128 * (1 - memory) / (1 + memory)
-    np.testing.assert_allclose(Diagnosis(values, 4).bulk, expected, rtol=0.03)
-
-
-def test_r_hat_sees_ensembles_that_differ_in_place_width_or_time():
-    values = _walk(np.random.default_rng(2), 200, [0.0] * 4)
-    values[:, :32, 1] += 0.5
-    values[:, :32, 2] *= 2  # the means agree
-    values[:, :, 3] += np.linspace(-1, 1, 200)[:, None]
-    found = Diagnosis(values, 4).r_hat
-    assert found[0] < 1.002
-    assert (found[1:] > 1.02).all()
 
 
 def test_a_chain_of_few_steps_has_few_effective_samples():

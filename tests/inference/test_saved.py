@@ -53,68 +53,54 @@ def read_only_folder():
         yield
 
 
-def writers(fit, chain, compared, folder):
+def claims(folder):
+    """`reproduce` without its work, of which the first file cannot be written."""
+    with pytest.MonkeyPatch.context() as patch:
+        found = type("Found", (), {"claims": ()})
+        patch.setattr("curlfit.paper.reproduce.reproduce", lambda *_: found)
+        patch.setattr("curlfit.paper.claim.page", lambda found, format: "claims")
+        run("reproduce", "--out", folder)
+
+
+def run(*words):
+    found = invoke(words)
+    if found.exception is not None:
+        raise found.exception
+
+
+def drawn(file):
     figure = Figure()
     figure.add_subplot().plot([1, 2])
-
-    def run(*words):
-        found = invoke([str(word) for word in words])
-        if isinstance(found.exception, InputError):
-            raise found.exception
-        assert found.exit_code == 0, found.exception
-
-    def reproduce():
-        with pytest.MonkeyPatch.context() as patch:
-            # the page and its figures are not made where the first file cannot be written
-            found = type("Found", (), {"claims": ()})
-            patch.setattr("curlfit.paper.reproduce.reproduce", lambda *_: found)
-            patch.setattr("curlfit.paper.claim.page", lambda found, format: "claims")
-            run("reproduce", "--out", folder)
-
-    fit.save(folder / "saved" / "fit.json")
-    chain.save(folder / "saved" / "chain.h5")
-    compared.save(folder / "both" / "compare.json")
-    return {
-        "fit.json": lambda: fit.save(folder / "fit.json"),
-        "chain.h5": lambda: chain.save(folder / "chain.h5"),
-        "compare.json": lambda: compared.save(folder / "compare.json"),
-        "a.png": lambda: save_figure(figure, folder / "a.png"),
-        "a.pdf": lambda: save_figure(figure, folder / "a.pdf"),
-        "a.svg": lambda: save_figure(figure, folder / "a.svg"),
-        "fit.pdf": lambda: run("plot", folder / "saved", "--format", "pdf", "--out", folder),
-        "compare.png": lambda: run("plot", folder / "both", "--out", folder),
-        "claims.json": reproduce,
-        "a.csv": lambda: run("simulate", "--until", 1, "--out", folder / "a.csv"),
-        "eq12.csv": lambda: paper.write_jensen_shegelski(folder / "eq12.csv"),
-    }
+    save_figure(figure, file)
 
 
-NAMES = [
-    "fit.json", "chain.h5", "compare.json", "a.png", "a.pdf", "a.svg", "fit.pdf", "compare.png",
-    "claims.json", "a.csv", "eq12.csv",
-]  # fmt: skip
+WRITERS = {
+    "fit.json": lambda file, saved: saved[0].save(file),
+    "chain.h5": lambda file, saved: saved[1].save(file),
+    "a.png": lambda file, _: drawn(file),
+    "a.svg": lambda file, _: drawn(file),
+    "claims.json": lambda file, _: claims(file.parent),
+    "a.csv": lambda file, _: run("simulate", "--until", 1, "--out", file),
+    "eq12.csv": lambda file, _: paper.write_jensen_shegelski(file),
+}
 
 
 @pytest.mark.parametrize("trouble", [full_disk, read_only_folder])
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", WRITERS)
 def test_what_cannot_be_written_is_said_and_what_was_there_stays(
-    eq12_posterior, compared, tmp_path, name, trouble
+    eq12_posterior, tmp_path, name, trouble
 ):
-    for folder in ("saved", "both"):
-        (tmp_path / folder).mkdir()
-    write = writers(*eq12_posterior, compared, tmp_path)
-    assert list(write) == NAMES
-    before = SIMULATED if name == "a.csv" else "what was there"
-    (tmp_path / name).write_text(before)
+    before, file = SIMULATED if name == "a.csv" else "what was there", tmp_path / name
+    file.write_text(before)
     with trouble(), pytest.raises(InputError, match="cannot be written") as caught:
-        write[name]()
+        WRITERS[name](file, eq12_posterior)
     assert caught.value.exit_status == 2
     assert "\n" not in str(caught.value)
-    assert (tmp_path / name).read_text() == before
-    assert sorted(file.name for file in tmp_path.iterdir()) == sorted(["saved", "both", name])
-    write[name]()
-    assert (tmp_path / name).stat().st_size > 100 or name == "claims.json"
-    assert (tmp_path / name).read_bytes() != before.encode()
+    assert file.read_text() == before
+    assert [*tmp_path.iterdir()] == [file]
+    WRITERS[name](file, eq12_posterior)
+    assert file.stat().st_size > 100 or name == "claims.json"
+    assert file.read_bytes() != before.encode()
 
 
 def test_a_full_disk_leaves_no_half_of_a_compiled_program(tmp_path):
@@ -143,12 +129,11 @@ print(left, len(os.listdir(folder)))
 """
 
 
-@pytest.mark.parametrize("words", [["show", "DIR"], ["laws"], ["simulate", "--until", "1"]])
-def test_what_cannot_be_printed_is_said(eq12_fit, tmp_path, words):
-    eq12_fit.save(tmp_path / "fit.json")
+@pytest.mark.parametrize("words", [["laws"], ["simulate", "--until", "1"]])
+def test_what_cannot_be_printed_is_said(tmp_path, words):
     with open("/dev/full", "w") as full:
         run = subprocess.run(
-            [sys.executable, "-m", "curlfit", *[word.replace("DIR", ".") for word in words]],
+            [sys.executable, "-m", "curlfit", *words],
             cwd=tmp_path, stdout=full, stderr=subprocess.PIPE, text=True, check=False,
         )  # fmt: skip
     assert (run.returncode, run.stderr) == (2, "curlfit: output: No space left on device\n")
@@ -168,28 +153,18 @@ def test_what_a_killed_run_left_half_written_is_cleared(tmp_path):
     assert sorted(tmp_path.iterdir()) == [new, folder]
 
 
-def test_results_are_shown_and_drawn_without_the_data(eq12_posterior, compared, tmp_path):
+def test_results_are_shown_and_drawn_without_the_data(compared, tmp_path):
     data = tmp_path / "gone.csv"
     data.write_bytes(DATA.read_bytes())
-    fit = replace(curlfit.fit(curlfit.load_throw(data)), posterior=eq12_posterior[0].posterior)
-    for folder in ("fit", "both"):
-        (tmp_path / folder).mkdir()
-    fit.save(tmp_path / "fit" / "fit.json")
-    eq12_posterior[1].save(tmp_path / "fit" / "chain.h5")
+    curlfit.fit(curlfit.load_throw(data)).save(tmp_path / "fit.json")
+    (tmp_path / "both").mkdir()
     compared.save(tmp_path / "both" / "compare.json")
     data.unlink()
-    for words, said in (
-        (["show", "fit"], "gone.csv"),
-        (["show", "fit/fit.json"], "Posterior: converged"),
-        (["show", "both"], "front-back"),
-        (["plot", "fit"], "corner.png"),
-        (["plot", "fit/fit.json", "--out", "more"], "more/corner.png"),
-        (["plot", "both"], "compare.png"),
-    ):
+    for words, said in ((["show", "fit.json"], "gone.csv"), (["plot", "both"], "compare.png")):
         run = command(*words, cwd=tmp_path)
         assert (run.returncode, run.stderr) == (0, "")
         assert said in run.stdout
-    assert (tmp_path / "fit" / "corner.png").stat().st_size > 10_000
+    assert (tmp_path / "both" / "compare.png").stat().st_size > 10_000
 
 
 def record_of(result, folder, change):
@@ -210,9 +185,10 @@ def test_records_that_have_more_than_this_version_knows(eq12_posterior, compared
         record["combinations"][0]["new"] = 1
 
     fit = eq12_posterior[0]
+    same = load_fit(record_of(fit, tmp_path, lambda record: None))
+    assert same.to_json() == fit.to_json()
     again = load_fit(record_of(fit, tmp_path, later))
-    assert again.parameters == fit.parameters
-    assert again.posterior == fit.posterior
+    assert (again.parameters, again.posterior) == (fit.parameters, fit.posterior)
 
     def later_still(record):
         record["candidates"][0]["new"] = record["stone"]["new"] = 1
@@ -243,19 +219,13 @@ def test_what_cannot_be_read_is_refused(eq12_fit, compared, tmp_path, change, sa
 @pytest.mark.parametrize(
     ("place", "value", "said"),
     [
-        ("stone", 1, "stone: 1 found, expected an object"),
         ("stone.R", "x", "stone.R: 'x' found, expected a number"),
         ("stone.R", -1.0, "stone: stone.R = -1.0 m: expected a positive"),
         ("parameters.mu1_xi.value", [1], "parameters.mu1_xi.value: a list found, expected a num"),
         ("parameters.mu1_xi.verdict", "sure", "parameters.mu1_xi.verdict: 'sure' found, expected"),
-        ("parameters.mu1_xi.unit", None, "parameters.mu1_xi.unit: null found, expected text"),
-        ("parameters.v0", "gone", "parameters.v0: 'gone' found, expected an object"),
         ("converged", 1, "converged: 1 found, expected true or false"),
-        ("n_observations", 1.5, "n_observations: 1.5 found, expected a whole number"),
         ("warnings", "abc", "warnings: 'abc' found, expected a list"),
-        ("identifiability.rank", [], "identifiability.rank: a list found, expected a whole number"),
         ("observed.x", [1.0, 2.0], "observed: expected series of 201 values"),
-        ("observed.x", [[1.0]], "observed.x: a list found, expected a number"),
         ("covariance.matrix", [[1.0]], "covariance: expected a square matrix"),
         ("combinations", [{"expression": "a"}], "combinations.0: no 'weights' in it"),
         ("null_directions", 3, None),
@@ -279,7 +249,7 @@ def test_what_is_of_another_type_is_refused_with_its_key(eq12_fit, tmp_path, pla
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("key", ["sampling", "lag1", "reference", "data"])
+@pytest.mark.parametrize("key", ["sampling", "data"])
 def test_a_record_of_an_earlier_version_is_to_be_fitted_again(eq12_fit, tmp_path, key):
     file = record_of(eq12_fit, tmp_path, lambda record: record.pop(key))
     with pytest.raises(DataError, match=f"no '{key}' in it; .* an earlier version: fit again"):
@@ -291,8 +261,8 @@ def test_a_record_of_an_earlier_version_is_to_be_fitted_again(eq12_fit, tmp_path
 )
 def test_what_is_no_record_is_refused(tmp_path, text):
     (tmp_path / "fit.json").write_text(text)
-    for words in (["show"], ["plot"], ["report"], ["predict"], ["export", "--to", "csv"]):
-        run = invoke([words[0], str(tmp_path), *words[1:]])
+    for verb in ("show", "predict"):
+        run = invoke([verb, tmp_path])
         assert isinstance(run.exception, DataError), run.exception
         assert "this is not JSON; expected a fit.json of curlfit" in str(run.exception)
 
@@ -312,11 +282,8 @@ def test_a_chain_is_of_its_fit_wherever_it_is_read(eq12_posterior, tmp_path):
     other = replace(chain, subject=chain.subject | {"data": "#1234"})
     fit.save(tmp_path / "fit.json")
     other.save(tmp_path / "chain.h5")
-    for words in (
-        ["show"], ["plot"], ["report"], ["predict"], ["export", "--to", "netcdf"],
-        ["profile", "--param", "mu1_xi"],
-    ):  # fmt: skip
-        run = invoke([words[0], str(tmp_path), *words[1:]])
+    for words in (["show"], ["plot"], ["predict"], ["export", "--to", "netcdf"]):
+        run = invoke([words[0], tmp_path, *words[1:]])
         assert str(run.exception) == (
             f"{tmp_path / 'chain.h5'}: the chain is of another fit: not the same data; sample this "
             "one again"
@@ -346,20 +313,17 @@ def test_a_chain_is_as_large_as_its_file(eq12_posterior, tmp_path, name, shape, 
 
 def test_damaged_records_are_read_or_refused(eq12_posterior, compared, tmp_path):
     fit, chain = eq12_posterior
-    profile = curlfit.profile(fit, "mu1_xi", points=5)
-    pair = curlfit.profile(fit, ["mu1_xi", "mu2_xi"], points=5)
-    results = {"fit": fit, "compare": compared, "profile": profile, "pair": pair}
-    for name, result in results.items():
-        (tmp_path / name).mkdir()
-        result.save(tmp_path / name / f"{result.kind}.json")
+    for result in (fit, compared):
+        (tmp_path / result.kind).mkdir()
+        result.save(tmp_path / result.kind / f"{result.kind}.json")
     chain.save(tmp_path / "fit" / "chain.h5")
     run = subprocess.run(
-        [sys.executable, "-W", "error", damaged_records.__file__, tmp_path, "1", "60"],
+        [sys.executable, "-W", "error", damaged_records.__file__, tmp_path, "1", "40"],
         capture_output=True, text=True, check=False,
         env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
     )  # fmt: skip
     assert run.returncode == 0, run.stderr
     found = json.loads(run.stdout)
     assert found["faults"] == []
-    assert found["statuses"]["0"] > 5
-    assert found["statuses"]["2"] > 20
+    assert found["statuses"]["0"] > 4
+    assert found["statuses"]["2"] > 12

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import damaged_files
 import pytest
-from damaged_files import Outcome, started, tally
+from damaged_files import Outcome
 
 
 def worker(folder: Path, seed: int, count: int) -> dict:
@@ -49,10 +49,3 @@ def test_many_damaged_files_are_read_or_refused(tmp_path, seed):
     found = worker(tmp_path, seed, 2000)
     print(json.dumps(found))
     assert found["faults"] == []
-
-
-@pytest.mark.slow
-def test_so_they_are_by_processes_of_their_own(tmp_path):
-    found = tally(tmp_path, 30, 200, started)
-    print(json.dumps(found.statuses), found.most_mb, found.most_seconds)
-    assert found.faults == []

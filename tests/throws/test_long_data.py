@@ -40,6 +40,7 @@ def test_means_over_blocks_keep_time_place_and_noise(long):
     assert "30001 rows condensed to" in short.notes[-1]
 
 
+@pytest.mark.slow
 def test_the_fit_is_that_of_all_rows_while_the_stone_moves(long):
     moving = long.select_rows(until=22.0)
     whole = curlfit.fit(replace(moving, notes=()), "front-back")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -61,13 +60,6 @@ def test_the_curl_is_the_departure_from_the_first_direction(until, rest, turned)
     assert motion.curl == pytest.approx(-x[-1], rel=0.08)
 
 
-def test_a_throw_along_x_without_an_angle_is_told_of_it(written):
-    columns = {"t": GOOD["t"], "x": GOOD["y"], "y": -GOOD["x"]}
-    (finding,) = require_plausible(load_throw(written(columns)))
-    assert typed_flag(str(finding), "axes") == "x-along"
-    assert require_plausible(load_throw(written(columns), axes="x-along")) == ()
-
-
 def test_the_good_throw_is_good(written):
     throw = load_throw(written(GOOD))
     assert require_plausible(throw) == ()
@@ -113,18 +105,6 @@ def test_wrong_units_are_refused_and_mended(written, made, said, flag):
         require_plausible(Throw.from_arrays(**arrays))
     assert f'`Throw.from_arrays(..., units="{flag}")`' in str(caught.value)
     is_good(Throw.from_arrays(**arrays, units=flag))
-
-
-@pytest.mark.parametrize("low", [0.0, -180.0])
-@pytest.mark.parametrize("header", ["phi", "angle", "phi_rad"])
-def test_wrapped_degrees_are_refused_whatever_the_header_says(written, low, header):
-    columns = wrapped(360, low, DEGREES)(GOOD)
-    columns[header] = columns.pop("phi")
-    file = written(columns)
-    with pytest.raises(InputError, match=r"jump by 360 as degrees do; give `?--units angle=deg"):
-        load_throw(file)
-    phi = load_throw(file, units="angle=deg").phi
-    np.testing.assert_allclose(phi - phi[0], GOOD["phi"] - GOOD["phi"][0], atol=1e-9)
 
 
 def test_a_wrapped_angle_in_arrays_is_refused(written):
@@ -262,7 +242,7 @@ def sliding(
     ],
 )  # fmt: skip
 def test_odd_throws_of_stones_are_taken(odd):
-    for seed in range(20):
+    for seed in range(10):
         assert require_plausible(sliding(**odd, seed=seed)) == ()
 
 
@@ -340,47 +320,6 @@ def test_certified_throws_and_the_paper_s_are_plausible():
         assert bool(require_plausible(load_throw(file))) == hard, file
     data = Path(__file__).parents[2] / "data" / "jensen_shegelski_2004.csv"
     assert require_plausible(load_throw(data)) == ()
-
-
-@pytest.mark.slow
-def test_throws_of_every_law_are_plausible():
-    """200 throws of each law, as the calibration draws them: none is refused.
-
-    Under `tensor` they are drawn to curl to either side, whatever the spin.
-    """
-    sys.path.append(str(Path(__file__).parents[1] / "statistics"))
-    from calibration import BOXES, START, TRIALS, thrown
-
-    random = np.random.default_rng(8)
-    for law in BOXES:
-        for _ in range(200):
-            box = BOXES[law] | START
-            true = {name: random.uniform(*limits) for name, limits in box.items()}
-            true["omega0"] *= random.choice([-1, 1])
-            throw = thrown(TRIALS[f"ranks {law}"], true, random)
-            if throw is None:
-                continue
-            found = examine(throw)
-            assert not [item for item in found if item.refused], (law, found)
-            assert not found or law == "tensor", (law, found)
-
-
-@pytest.mark.parametrize(
-    ("made", "said", "flag"),
-    [
-        (scaled(t=1000), "s for 24.5 m, where friction on ice stops a stone within 50 s", "t=ms"),
-        (scaled(x=100, y=100), "the path is 2.45e+03 m long, and a sheet 45.7 m", "length=cm"),
-    ],
-)
-def test_few_rows_in_wrong_units_are_refused(written, made, said, flag):
-    few = {name: values[::25] for name, values in GOOD.items()}
-    assert require_plausible(load_throw(written(few))) == ()
-    file = written(made(few))
-    with pytest.raises(InputError) as caught:
-        require_plausible(load_throw(file))
-    assert said in str(caught.value)
-    assert typed_flag(str(caught.value), "units") == flag
-    assert require_plausible(load_throw(file, units=flag)) == ()
 
 
 # After the fit

@@ -105,10 +105,8 @@ def test_ignored_columns_are_named(write):
         ("0,0,0,0\n1,1,1,1\n", 1, None, "expected a header"),
         (PLAIN.replace("x", "z"), 1, None, "no column for x among t, z, y, phi"),
         (PLAIN.replace("phi", "x_cm"), 1, None, "both mean x"),
-        (PLAIN.replace("x", "q\v\x1b"), 1, None, r"no column for x among t, q\x0b\x1b, y, phi"),
         (PLAIN.replace("0.2", "hello"), 3, "x", "'hello' found, expected a finite number"),
         (PLAIN.replace("0.2", "1_000"), 3, "x", "'1_000' found"),
-        (PLAIN.replace("0.2", "inf"), 3, "x", "'inf' found"),
         (PLAIN.replace("0.2", "1e999"), 3, "x", "'1e999' found"),
         (PLAIN.replace("\n1,", "\n,"), 3, "t", "the time is missing"),
         (PLAIN.replace("\n2,", "\n1,").replace("0.4,3", "9,3"), 4, "t", "places 8.8 m apart"),
@@ -150,15 +148,10 @@ def test_arrays():
         Throw.from_arrays([0, 1, 1], [0, 0, 0], [0, 2, 3])
 
 
-def test_until_cuts_and_refuses():
-    throw = load_throw(DATA)
-    assert len(throw.select_rows(until=20)) == 201
-    with pytest.raises(ValueError, match=r"no row .* until = -1 s; its times are 0 \.\. 22.9 s"):
-        throw.select_rows(until=-1)
-
-
 def test_rows_are_chosen_by_their_times():
     throw = load_throw(DATA)
+    with pytest.raises(ValueError, match=r"no row .* until = -1 s; its times are 0 \.\. 22.9 s"):
+        throw.select_rows(until=-1)
     some = throw.select_rows(since=1.0, until=5.0, exclude=[(2.0, 3.0), (4.55, 4.95)])
     expected = [t for t in throw.t if 1 <= t <= 5 and not 2 <= t <= 3 and not 4.55 < t < 4.95]
     np.testing.assert_array_equal(some.t, expected)

@@ -126,11 +126,9 @@ def test_sigmas_are_set(read):
     ("text", "line", "words"),
     [
         ("hog_to_hog = 14\n", None, "hog_to_hog alone gives the mean speed and no friction"),
-        ("hog_to_hog = 14\ncurl = 1 m left\n", None, "alone gives the mean speed"),
         ("rest = 0.6\ncurl = 1 m left\n", None, "no time; expected lines such as"),
         ("hog_to_hog = -14\nhog_to_rest = 3\n", 1, "expected a number above 0"),
         ("hog_to_hog = 142\nhog_to_rest = 3\n", 1, "142 found, expected a number up to 60"),
-        ("hog_to_hog,rest\n,2\n14.2,1\n", 2, "no time; expected"),
         ("hog_to_hog = fast\nhog_to_rest = 3\n", 1, "'fast' found, expected a number"),
         ("hog_to_hog = 14 m\nhog_to_rest = 3\n", 1, "unknown unit"),
         ("hog_to_hog = 14\nhog_to_hog = 14\n", 2, "given twice"),
@@ -138,21 +136,15 @@ def test_sigmas_are_set(read):
         ("hog_to_hog = 14\nhog_to_rest = 10\nrest = 400\n", 3, "up to 40"),
         (THREE + "curl = 4 ft\n", 3, "to which side. Expected curl = 4 ft left"),
         (THREE + "curl = 4 ft\nhandle = in-turn\n", 4, "of which hand"),
-        (THREE + "curl = 4 ft\nhandle = red\n", 4, "'red' found"),
         (THREE + "curl = 4 ft\nhandle = left\n", 4, "expected clockwise, counter-clockwise"),
         (THREE + "curl = -4 ft left\n", 3, "a sign and a word"),
-        (THREE + "curl = 4 ft left right\n", 3, "expected a number and left or right"),
         (THREE + "curl = 4 ft past\n", 3, "expected a number and left or right"),
-        (THREE + "curl = left\n", 3, "expected a number and left or right"),
         (THREE + "curl = 4 4 left\n", 3, "found, expected a number"),
         (THREE + "turns = 2.5\n", 3, "in which sense"),
-        (THREE + "sigma_rest = 0\n", 3, "above 0"),
         ("hog_to_hog = 14.2\nrest = -7\n", 2, "-7 m past the far tee lies before a line"),
-        ("hog_to_tee = 20\nrest = 1 m short\n", 2, "crossed by hog_to_tee"),
         ("hog_to_hog = 14.2\nhog_to_tee = 14.1\n", 2, "expected more than hog_to_hog = 14.2 s"),
         ("hog_to_hog,rest\n", 1, "no rows"),
         ("hog_to_hog,rest\n14.2\n", 2, "1 cells, expected 2"),
-        ("hog_to_hog,rest\n14.2,here\n", 2, "expected a number"),
         ("hog_to_hog = 1e999\nrest = 1\n", 1, "found, expected a number"),
     ],
 )  # fmt: skip
@@ -233,9 +225,3 @@ def test_an_evening_by_the_command_line(tmp_path, monkeypatch):
     ):  # fmt: skip
         assert words in text, words
     assert (tmp_path / "evening-2-fit" / "fit.png").stat().st_size > 10_000
-    run = invoke(["check", "evening.csv"])
-    assert "timings, 2 events at lines and at rest" in run.stdout
-    (tmp_path / "watch.txt").write_text(THREE + "curl = 4 ft\n")
-    run = invoke(["fit", "watch.txt"])
-    assert run.exit_code != 0
-    assert isinstance(run.exception, DataError)
