@@ -58,7 +58,7 @@ def minimize_jointly(
     found: Solution = jax.tree.map(lambda leaf: leaf[0], solve(model, whole, _CONTROL, once=False))
     values = found.values[Blocks.of(common, count).index]
     if progress is not None:
-        progress(int(found.steps), float(found.objective))
+        progress(int(found.steps), float(found.chi_squared.sum() + found.penalty))
     of_priors = np.zeros(count) if throws.penalty is None else throws.penalty.chi_squared(values)
     return Solution(
         values, found.residual[:count], found.jacobian[:count], np.full(count, found.steps),
