@@ -36,13 +36,6 @@ def test_what_is_there_is_left(tmp_path):
     assert (tmp_path / "data" / "tracker.txt").exists()
 
 
-def test_a_file_is_no_folder(tmp_path):
-    (tmp_path / "name").write_text("")
-    error = run("example", tmp_path / "name").exception
-    assert isinstance(error, curlfit.InputError)
-    assert "a file; expected a folder" in str(error)
-
-
 def test_the_version_names_what_computes(tmp_path):
     text = command("--version", cwd=tmp_path).stdout
     assert text.startswith(f"curlfit {curlfit.__version__}\n")

@@ -7,7 +7,6 @@ import pytest
 from conftest import G
 
 import curlfit
-from curlfit.cli import main
 from curlfit.sheet import LINES
 
 ROWS = ("--until", 20, "--dt", 1)
@@ -91,24 +90,3 @@ def test_flags_go_before_the_fit(typed):
     assert np.ptp(x) == 0
     assert "# stone.R = 0.05\n# stone.rho = 0.1\n" in text
     assert "# stone.m = 19\n" in text
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ("--line house", "--line house: expected one of hack, back, tee, hog, centre, far-hog"),
-        ("--line hog --y0 2", "--line and --y0: expected one of them"),
-        ("--sweep 3:5", "--sweep 3:5: expected A:B=V"),
-        ("--sweep 5:3=1", "with A before B"),
-        ("--sweep 3:5=-1", "the ratio of friction, of 0 or more"),
-        ("--slope-x nan", "--slope-x nan: expected a number"),
-        ("--fit nowhere", "nowhere"),
-    ],
-)
-def test_what_cannot_be_simulated_is_refused(capsys, monkeypatch, folder, words, said):
-    monkeypatch.chdir(folder)
-    monkeypatch.setattr("sys.argv", ["curlfit", "simulate", *words.split()])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 2
-    assert said in capsys.readouterr().err

@@ -17,10 +17,10 @@ from curlfit.comparison.adequacy import sides_of_curl
 from curlfit.comparison.compare import compare, plan
 from curlfit.comparison.report import conclusions, document, print_comparison
 from curlfit.comparison.result import load_comparison
-from curlfit.errors import DataError
 
 COMPARED = [name for name, law in LAWS.items() if law.shipped() and not law.approximates]
 ISOTROPIC = {"coulomb", "power", "pressure", "angular", "stribeck", "debris"}
+RIVALS = ["front-back", "coulomb"]
 
 
 @pytest.fixture(scope="module")
@@ -122,10 +122,10 @@ def correlated_throw(seed, law, memory=1.0):
 
 
 def test_correlated_noise_does_not_reject_the_true_law():
-    """Counted as if rows were independent, 13 of 16 such throws reject Coulomb's law (dBIC > 6)."""
+    """As it would, were rows counted as if they were independent (dBIC > 6)."""
     law, rejected = LAWS["coulomb"](), 0
-    for seed in range(6):
-        found = compare(correlated_throw(seed, law), ["coulomb", "angular", "front-back"])
+    for seed in range(5):
+        found = compare(correlated_throw(seed, law), RIVALS)
         text = " ".join(conclusions(found))
         assert found.of("coulomb").follows is not False
         assert "No law follows" not in text
@@ -136,22 +136,19 @@ def test_correlated_noise_does_not_reject_the_true_law():
 
 
 def test_correlated_noise_does_not_hide_the_true_law():
-    found = compare(correlated_throw(1, LAWS["front-back"]()), ["coulomb", "angular", "front-back"])
+    found = compare(correlated_throw(1, LAWS["front-back"]()), RIVALS)
     assert found.best.law == "front-back"
     assert found.of("coulomb").follows is False
     assert found.of("coulomb").delta_bic > 20
 
 
-def test_independent_rows_count_in_full(clean):
-    found = compare(clean, ["front-back"])
-    item, n = found.best, found.fits[0].n_observations
-    assert found.effective == {}
+def test_given_noise_is_not_counted_and_not_estimated(eq12, clean):
+    free = compare(clean, ["front-back"])
+    assert free.effective == {}  # independent rows count in full
+    item, n = free.best, free.fits[0].n_observations
     expected = item.n_parameters * np.log(n) - 2 * item.log_likelihood
     assert item.bic == pytest.approx(expected, rel=1e-12)
-    assert not document(found).warnings
-
-
-def test_given_noise_is_not_counted_and_not_estimated(eq12):
+    assert not document(free).warnings
     given = eq12.with_sigma({"x": 0.01, "y": 0.02, "phi": 0.01})
     found = compare(given, ["front-back"])
     item, result = found.best, found.fits[0]
@@ -166,9 +163,7 @@ def test_given_noise_is_not_counted_and_not_estimated(eq12):
 @pytest.mark.parametrize(
     "law",
     [
-        name
-        if name in ("power", "semi-empirical", "debris")
-        else pytest.param(name, marks=pytest.mark.slow)
+        name if name in ("semi-empirical", "debris") else pytest.param(name, marks=pytest.mark.slow)
         for name in COMPARED
     ],
 )
@@ -216,11 +211,8 @@ def spoiled(clean):
     return replace(clean, **channels)
 
 
-RIVALS = ["coulomb", "angular", "radial", "tensor", "front-back"]
-
-
-@pytest.mark.parametrize("loss", ["student", "huber"])
-def test_outliers_change_neither_the_first_law_nor_its_coefficients(loss, clean, spoiled, tmp_path):
+@pytest.mark.parametrize("loss", ["student", pytest.param("huber", marks=pytest.mark.slow)])
+def test_outliers_change_neither_the_first_law_nor_its_coefficients(loss, clean, spoiled):
     before = compare(clean, RIVALS, loss=loss)
     after = compare(spoiled, RIVALS, loss=loss)
     for found in (before, after):
@@ -229,9 +221,8 @@ def test_outliers_change_neither_the_first_law_nor_its_coefficients(loss, clean,
         assert found.best.follows
         assert found.side == "right"
         assert found.best.curl_explained > 0.95
-        assert not any(item.follows for item in found.candidates if item.law == "coulomb")
-        others = [item.delta_bic for item in found.candidates[1:] if item.rank]
-        assert min(others) > 6  # "strong", Kass and Raftery (1995)
+        assert not found.of("coulomb").follows
+        assert found.of("coulomb").delta_bic > 6  # "strong", Kass and Raftery (1995)
     for name, one in before.best.coefficients.items():
         if one["stderr"] is not None:
             assert abs(after.best.coefficients[name]["value"] - one["value"]) < one["stderr"], name
@@ -241,31 +232,17 @@ def test_outliers_change_neither_the_first_law_nor_its_coefficients(loss, clean,
     for name, noise in (("x", 0.005), ("y", 0.005), ("phi", 0.01)):
         assert after.best.residual_size[name] == pytest.approx(noise, rel=0.25)
         assert after.best.rms[name] > 5 * noise
-    after.save(tmp_path / "compare.json")
-    assert load_comparison(tmp_path).to_json() == after.to_json()
-
-
-def test_criteria_under_a_loss_are_those_of_its_noise(clean):
-    item = compare(clean, ["front-back"], loss="student").best
-    result = curlfit.fit(clean, "front-back", loss="student")
-    total = 0.0
-    for name in ("x", "y", "phi"):
-        residual = getattr(clean, name) - result.fitted[name]
-        sigma = t.fit(residual, fdf=4, floc=0)[2]
-        total += t.logpdf(residual, 4, scale=sigma).sum()
-    assert item.log_likelihood == pytest.approx(total, abs=1e-3)
-    assert item.bic == pytest.approx(
-        item.n_parameters * np.log(result.n_observations) - 2 * total, abs=2e-3
-    )
-
-
-def test_the_report_names_the_loss(spoiled):
-    words = _text(compare(spoiled, ["coulomb"], loss="student"))
-    assert "student loss" in words
+    words = _text(after)
+    assert f"{loss} loss" in words
     assert "robust scale" in words
-    words = _text(compare(spoiled, ["coulomb"]))
-    assert "loss" not in words
-    assert "rms of the residuals" in words
+    if loss == "student":  # criteria are those of its density
+        total = 0.0
+        for name in ("x", "y", "phi"):
+            residual = getattr(clean, name) - before.fits[0].fitted[name]
+            total += t.logpdf(residual, 4, scale=t.fit(residual, fdf=4, floc=0)[2]).sum()
+        item, n = before.best, before.fits[0].n_observations
+        assert item.log_likelihood == pytest.approx(total, abs=1e-3)
+        assert item.bic == pytest.approx(item.n_parameters * np.log(n) - 2 * total, abs=2e-3)
 
 
 def _text(found):
@@ -276,19 +253,14 @@ def _text(found):
 
 def test_saved_comparison_reads_back_the_same(of_eq12, tmp_path):
     of_eq12.save(tmp_path / "compare.json")
+    words = _text(of_eq12)
+    assert "loss" not in words
+    assert "rms of the residuals" in words
     again = load_comparison(tmp_path)
     assert again.to_json() == of_eq12.to_json()
     record = json.loads((tmp_path / "compare.json").read_text())
     assert [item["rank"] for item in record["candidates"]][:3] == [1, 2, 3]
     assert curlfit.comparison_figure(again).axes
-
-
-def test_what_is_not_a_comparison_is_refused(tmp_path):
-    with pytest.raises(DataError, match="no such file"):
-        load_comparison(tmp_path)
-    (tmp_path / "compare.json").write_text("{}")
-    with pytest.raises(DataError, match=r"not a compare\.json"):
-        load_comparison(tmp_path)
 
 
 def test_plan_takes_a_law_without_ring_once():

@@ -122,12 +122,20 @@ def test_a_prior_counts_as_a_row_that_is_never_left_out():
     np.testing.assert_allclose(found.left_out, expected, rtol=1e-9)
 
 
-def test_a_ridge_is_no_parameter(throw):
-    coulomb, pressure = curlfit.compare(throw, ["coulomb", "pressure"]).candidates
+@pytest.fixture(scope="module")
+def of_all(throw):
+    return curlfit.compare(throw)
+
+
+def test_a_ridge_is_no_parameter(of_all):
+    """Under uniform load `pressure` is `coulomb`, and tells and costs as much."""
+    coulomb, pressure = of_all.of("coulomb"), of_all.of("pressure")
     assert pressure.not_identifiable == ("k",)
-    assert pressure.elpd_loo == pytest.approx(coulomb.elpd_loo, abs=1e-4)
-    assert pressure.p_loo == pytest.approx(coulomb.p_loo, abs=1e-4)
-    assert pressure.delta_elpd_se == pytest.approx(0.0, abs=1e-4)
+    for name in ("elpd_loo", "p_loo", "delta_elpd", "delta_elpd_se"):
+        assert getattr(pressure, name) == pytest.approx(getattr(coulomb, name), abs=1e-4)
+    assert coulomb.log_evidence == pytest.approx(pressure.log_evidence, abs=1e-3)
+    assert coulomb.weight == pytest.approx(pressure.weight, abs=1e-3)
+    assert 0.1 < coulomb.weight <= 0.5
 
 
 @pytest.mark.parametrize("push", [0.0, 0.7, 8.0, 49.0, 51.0, 1e6])
@@ -154,16 +162,20 @@ def test_a_row_that_alone_determines_a_parameter_is_not_predicted():
     )
 
 
-def test_differences_are_of_rows_and_there_is_none_where_a_row_tells_of_its_neighbours(throw, eq12):
-    found = curlfit.compare(throw, ["coulomb", "angular"])
-    one, other = (leave_one_out(found.fits[k]).left_out for k in (0, 1))
-    best = max(one.sum(), other.sum())
-    assert [item.delta_elpd for item in found.candidates] == pytest.approx(
-        [one.sum() - best, other.sum() - best]
-    )
-    assert max(item.delta_elpd_se for item in found.candidates) == pytest.approx(
-        np.sqrt(len(one)) * np.std(one - other, ddof=1)
-    )
-    smooth = curlfit.compare(eq12, ["coulomb"]).best
+def test_differences_are_of_rows_and_there_is_none_where_a_row_tells_of_its_neighbours(
+    throw, of_all, eq12
+):
+    rows = [leave_one_out(fit).left_out for fit in of_all.fits]
+    totals = [row.sum() for row in rows]
+    best = rows[int(np.argmax(totals))]
+    for item, row, total in zip(of_all.candidates, rows, totals, strict=True):
+        assert item.delta_elpd == pytest.approx(total - max(totals))
+        assert item.delta_elpd_se == pytest.approx(
+            np.sqrt(len(row)) * np.std(row - best, ddof=1), abs=1e-9
+        )
+    smooth = curlfit.compare(eq12, ["coulomb"])
+    assert smooth.effective
+    smooth = smooth.best
     assert smooth.elpd_loo is smooth.delta_elpd is smooth.p_loo is None
+    assert smooth.log_evidence is smooth.weight is None
     assert leave_one_out(curlfit.fit(throw, "coulomb", loss="student")) is None

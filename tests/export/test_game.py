@@ -29,6 +29,7 @@ from curlfit.inference.conditions import CONDITIONS
 
 THROWS = ((2.35, -1.1, 0.2), (2.1, 2.0, -0.1), (1.0, 14.0, 0.0))  # none of those of `tabulate`
 CM = 0.01
+HERE = Path(__file__).parent
 RINGS = [name for name, law in LAWS.items() if issubclass(law, LocalLaw) and name != "debris"]
 
 
@@ -99,126 +100,68 @@ def test_swept_ice_and_the_length_of_a_step(table):
     assert lost[1] == pytest.approx(lost[0] / 2, rel=0.02)
 
 
-C = """
-#include <stdio.h>
-#include <stdlib.h>
-#include "curlfit_stone.h"
-
-int main(int count, char **words)
-{
-    double a[3];
-    curlfit_stone s;
-    if (count != 5) return 2;
-    s.x = 0.3, s.y = 1.0, s.vx = atof(words[1]), s.vy = atof(words[2]), s.phi = 0.0;
-    s.omega = atof(words[3]);
-    curlfit_accelerations(0.7, s.omega, a);
-    while (curlfit_step(&s, atof(words[4]), 1.0)) continue;
-    printf("%.12g %.12g %.12g %.12g %.12g %.12g %g\\n", a[0], a[1], a[2], s.x, s.y, s.phi,
-           fabs(s.vx) + fabs(s.vy) + fabs(s.omega));
-    return 0;
+COMPILERS = {
+    "c": (("cc", "gcc"), ("-std=c99",)),
+    "c++": (("c++", "g++"), ("-x", "c++", "-std=c++17")),
 }
-"""
-JS = """
-import { accelerations, step } from "./curlfit_stone.mjs";
-const [vx, vy, omega, dt] = process.argv.slice(2).map(Number);
-const s = { x: 0.3, y: 1, vx, vy, phi: 0, omega };
-const a = accelerations(0.7, omega);
-while (step(s, dt));
-console.log(...a, s.x, s.y, s.phi, Math.abs(s.vx) + Math.abs(s.vy) + Math.abs(s.omega));
-"""
+
+
+def compiled(language, folder, code):
+    """The command that runs a program beside the exported header."""
+    names, options = COMPILERS[language]
+    compiler = next(filter(None, map(shutil.which, names)), None)
+    if compiler is None:
+        pytest.skip(f"no compiler of {language}")
+    (folder / "run.c").write_text(code)
+    strict = ["-O2", "-Wall", "-Wextra", "-Werror"]
+    words = [compiler, *options, *strict, "run.c", "-o", "run", "-lm"]
+    subprocess.run(words, cwd=folder, check=True)
+    return [str(folder / "run")]
 
 
 def compiled_as(language, folder, table):
     """The command that runs the exported stone."""
-    if language == "js":
-        node = shutil.which("node")
-        if node is None:
-            pytest.skip("no node to run JavaScript")
-        (folder / "curlfit_stone.mjs").write_text(javascript_module(table))
-        (folder / "run.mjs").write_text(JS)
-        return [node, str(folder / "run.mjs")]
-    compiler, options = (
-        (shutil.which("cc") or shutil.which("gcc"), ["-std=c99"]) if language == "c"
-        else (shutil.which("c++") or shutil.which("g++"), ["-x", "c++", "-std=c++17"])
-    )  # fmt: skip
-    if compiler is None:
-        pytest.skip(f"no compiler of {language}")
-    (folder / "curlfit_stone.h").write_text(c_header(table))
-    (folder / "run.c").write_text(C)
-    strict = ["-O2", "-Wall", "-Wextra", "-pedantic", "-Werror"]
-    words = [compiler, *options, *strict, "run.c", "-o", f"run-{language}", "-lm"]
-    subprocess.run(words, cwd=folder, check=True)
-    return [str(folder / f"run-{language}")]
+    if language != "js":
+        (folder / "curlfit_stone.h").write_text(c_header(table))
+        return compiled(language, folder, (HERE / "stone.c").read_text())
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("no node to run JavaScript")
+    (folder / "curlfit_stone.mjs").write_text(javascript_module(table))
+    shutil.copy(HERE / "stone.mjs", folder / "run.mjs")
+    return [node, str(folder / "run.mjs")]
+
+
+def ran(words, throw, *more):
+    """The numbers that a program prints of a throw."""
+    start = started(*throw)
+    numbers = map(str, (start.vx, start.vy, start.omega, *more))
+    done = subprocess.run([*words, *numbers], capture_output=True, text=True, check=True)
+    return np.array(done.stdout.split(), float)
 
 
 @pytest.mark.parametrize("language", ["c", "c++", "js"])
 def test_the_exported_stone_comes_to_rest_there_too(tmp_path, table, ends, language):
     words = compiled_as(language, tmp_path, table)
     for throw, (_, end) in zip(THROWS, ends, strict=True):
-        start = started(*throw)
         for dt in (0.001, 1 / 60):
-            numbers = map(str, (start.vx, start.vy, start.omega, dt))
-            done = subprocess.run([*words, *numbers], capture_output=True, text=True, check=True)
-            found = np.array(done.stdout.split(), float)
+            found = ran(words, throw, dt)
             np.testing.assert_allclose(
-                found[:3], table.accelerations(0.7, start.omega), rtol=1e-9, atol=1e-12
+                found[:3], table.accelerations(0.7, throw[1]), rtol=1e-9, atol=1e-12
             )
             assert math.hypot(found[3] - end[0], found[4] - end[1]) < 2 * table.resting_place
             assert found[6] == 0
 
 
-BODY = """
-#include <cstdio>
-#include <cstdlib>
-
-struct b2Vec2 {
-    float x, y;
-    b2Vec2(float x, float y) : x(x), y(y) {}
-};
-
-struct b2Body {  // what a Box2D body does without collisions
-    b2Vec2 place, velocity;
-    float spin;
-    b2Vec2 GetLinearVelocity() const { return velocity; }
-    float GetAngularVelocity() const { return spin; }
-    void SetLinearVelocity(b2Vec2 v) { velocity = v; }
-    void SetAngularVelocity(float w) { spin = w; }
-    void move(float dt) { place.x += dt * velocity.x; place.y += dt * velocity.y; }
-};
-"""
-FRAMES = """
-int main(int, char **words)
-{
-    b2Body body = {b2Vec2(0.3f, 1.0f), b2Vec2(std::atof(words[1]), std::atof(words[2])),
-                   static_cast<float>(std::atof(words[3]))};
-    for (int k = 0; k < 100000; k++) {
-        slow_down(&body, 0.001);
-        body.move(0.001f);
-    }
-    std::printf("%.9g %.9g %g\\n", body.place.x, body.place.y,
-                std::fabs(body.velocity.x) + std::fabs(body.velocity.y) + std::fabs(body.spin));
-}
-"""
-
-
 def test_frames_as_in_digitalcurling_end_there_too(tmp_path, table, ends):
     """The page's own lines, in single precision."""
-    compiler = shutil.which("c++") or shutil.which("g++")
-    if compiler is None:
-        pytest.skip("no compiler of C++")
     page = (Path(__file__).parents[2] / "notebooks" / "in_a_game.md").read_text()
     (code,) = re.findall(r"<!-- frame -->\n```cpp\n(.*?)```", page, re.S)
     (tmp_path / "curlfit_stone.h").write_text(c_header(table))
-    (tmp_path / "run.cpp").write_text(BODY + code + FRAMES)
-    words = [compiler, "-std=c++17", "-O2", "-Wall", "-Wextra", "run.cpp", "-o", "run"]
-    subprocess.run(words, cwd=tmp_path, check=True)
+    program = (HERE / "frames.cpp").read_text()
+    words = compiled("c++", tmp_path, program.replace("// FRAME", code))
     for throw, (_, end) in zip(THROWS, ends, strict=True):
-        start = started(*throw)
-        numbers = map(str, (start.vx, start.vy, start.omega))
-        done = subprocess.run(
-            [tmp_path / "run", *numbers], capture_output=True, text=True, check=True
-        )
-        x, y, speed = map(float, done.stdout.split())
+        x, y, speed = ran(words, throw)
         assert math.hypot(x - end[0], y - end[1]) < CM
         assert speed == 0
 
@@ -240,18 +183,12 @@ def test_the_record_is_complete(table):
     assert record["error"]["resting_place"] == table.resting_place
 
 
-def test_what_no_table_holds_is_refused(eq12_fit):
-    def like(law):
-        item = eq12_fit.parameters["mu1_xi"]
-        own = {one.name: replace(item, value=one.default) for one in find_law(law).coefficients()}
-        start = {name: eq12_fit.parameters[name] for name in ("x0", "y0", "heading", "v0")}
-        rest = {name: eq12_fit.parameters[name] for name in ("phi0", "omega0")}
-        return replace(eq12_fit, law=law, parameters=own | start | rest)
-
-    with pytest.raises(InputError, match="depends on the angle turned"):
-        tabulate(like("debris"))
-    with pytest.raises(InputError, match="has no contact ring"):
-        tabulate(like("semi-empirical"))
+def of_law(fit, law, load="uniform"):
+    """The fit, as it would be of another law."""
+    item = fit.parameters["mu1_xi"]
+    own = {one.name: replace(item, value=one.default) for one in find_law(law).coefficients()}
+    others = {name: one for name, one in fit.parameters.items() if name not in fit.coefficients}
+    return replace(fit, law=law, load=load, parameters=own | others)
 
 
 def with_conditions(fit, **values):
@@ -266,10 +203,15 @@ def with_conditions(fit, **values):
     })  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ["wear", "wear_20"])
-def test_friction_that_changes_along_the_throw_is_refused(eq12_fit, name):
-    with pytest.raises(InputError, match=rf"changes along the throw \({name} = 0.02\)"):
-        tabulate(with_conditions(eq12_fit, **{name: 0.02}))
+def test_what_no_table_holds_is_refused(eq12_fit):
+    for fit, said in (
+        (of_law(eq12_fit, "debris"), "depends on the angle turned"),
+        (of_law(eq12_fit, "semi-empirical"), "has no contact ring"),
+        (with_conditions(eq12_fit, wear=0.02), r"changes along the throw \(wear = 0.02\)"),
+        (with_conditions(eq12_fit, wear_20=0.02), r"changes along the throw \(wear_20 = 0.02\)"),
+    ):
+        with pytest.raises(InputError, match=said):
+            tabulate(fit)
 
 
 def test_slope_drag_and_sweeping_of_a_fit_are_named(eq12_fit, table, tmp_path):
@@ -292,12 +234,7 @@ def test_slope_drag_and_sweeping_of_a_fit_are_named(eq12_fit, table, tmp_path):
 @pytest.mark.parametrize("load", LOADS)
 @pytest.mark.parametrize("law", RINGS)
 def test_every_law_of_the_ring(eq12_fit, law, load):
-    item = eq12_fit.parameters["mu1_xi"]
-    own = {one.name: replace(item, value=one.default) for one in find_law(law).coefficients()}
-    others = {
-        name: one for name, one in eq12_fit.parameters.items() if name not in eq12_fit.coefficients
-    }
-    fit = replace(eq12_fit, law=law, load=load, parameters=own | others)
+    fit = of_law(eq12_fit, law, load)
     found = tabulate(fit)
     assert found.resting_place < CM
     start = InitialState(v=2.2, omega=1.7)

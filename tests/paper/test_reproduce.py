@@ -12,7 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import DATA, Reference, command, front_back, invoke
+from conftest import DATA, Reference, front_back, invoke
 from docstring_examples import run_examples
 
 import curlfit
@@ -376,18 +376,6 @@ def test_what_is_written(found, written):
         assert item["why"].replace("|", r"\|") in page
         assert item["id"] in shown
     assert max(map(len, shown.splitlines()[:-1])) <= 110
-
-
-@pytest.mark.parametrize(
-    ("out", "said"),
-    [(DATA, "this is a file, expected a folder"), ("/proc/no", "output folder cannot be written")],
-)
-def test_refusals(tmp_path, out, said):
-    run = command("reproduce", "--out", out, cwd=tmp_path)
-    assert run.returncode == 2
-    assert said in run.stderr
-    assert "Traceback" not in run.stderr
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_studies_can_be_drawn_without_jax(found, tmp_path):

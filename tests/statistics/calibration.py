@@ -34,7 +34,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import binom, chisquare, ttest_1samp
-from tables import HERE, LEVELS, head, marked, put, reasons, row, share
+from tables import HERE, LEVELS, correlated, head, marked, put, reasons, row, share
 
 import curlfit
 
@@ -217,11 +217,7 @@ def thrown(
         return None
     series = {}
     for name, sigma in SIGMA.items():
-        noise = random.standard_normal(len(t))
-        for k in range(1, len(t)):
-            noise[k] = trial.correlation * noise[k - 1] + (
-                np.sqrt(1 - trial.correlation**2) * noise[k]
-            )
+        noise = correlated(random.standard_normal(len(t)), trial.correlation)
         series[name] = getattr(path, name) + sigma * noise
     throw = curlfit.Throw.from_arrays(t, **series)
     return throw.with_sigma(SIGMA) if trial.known else throw

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from tables import asked, head, put, row
+from tables import asked, correlated, head, put, row
 
 import curlfit
 from curlfit.inference.fit.fit import fit_throws
@@ -67,10 +67,8 @@ def filmed(case: Case, random: np.random.Generator) -> tuple[curlfit.Throw, list
     rows = int((path.speed > 0).sum()) + 10
     noise = JITTER * case.jitter * random.standard_normal((rows, 3))
     if case.memory:
-        sway, carry = random.standard_normal((rows, 3)), np.exp(-1 / (case.frames * case.memory))
-        for k in range(1, rows):
-            sway[k] = carry * sway[k - 1] + np.sqrt(1 - carry**2) * sway[k]
-        noise += SWAY * sway
+        carry = np.exp(-1 / (case.frames * case.memory))
+        noise += SWAY * correlated(random.standard_normal((rows, 3)).T, carry).T
     series = np.array([path.x, path.y, path.phi])[:, :rows] + noise.T
     return curlfit.Throw.from_arrays(t[:rows], *series), [mu1_xi, mu2_xi, eta]
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from tables import LEVELS, asked, head, put, row, share
+from tables import LEVELS, asked, correlated, head, put, row, share
 
 import curlfit
 from curlfit.environment import Environment
@@ -110,9 +110,7 @@ def thrown(case: Case, random: np.random.Generator) -> tuple[curlfit.Throw, dict
     scale = conditions.get("length_scale", 1.0)
     noise = random.standard_normal((3, len(TIMES)))
     if case.memory:
-        carry = math.exp(-(TIMES[1] - TIMES[0]) / case.memory)
-        for k in range(1, len(TIMES)):
-            noise[:, k] = carry * noise[:, k - 1] + math.sqrt(1 - carry**2) * noise[:, k]
+        noise = correlated(noise, math.exp(-(TIMES[1] - TIMES[0]) / case.memory))
     throw = curlfit.Throw.from_arrays(
         conditions.get("time_scale", 1.0) * TIMES, scale * path.x + 0.005 * noise[0],
         scale * path.y + 0.005 * noise[1], path.phi + 0.01 * noise[2],

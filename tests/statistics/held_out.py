@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from tables import put, reasons, share
+from tables import correlated, put, reasons, row, share
 
 import curlfit
 
@@ -91,7 +91,7 @@ def answers(
             left["all but at rest at 20 s"] += 1
             continue
         seen = slice(0, 201)
-        noise = [_noise(case, random, 201) for _ in range(3)]
+        noise = [correlated(random.standard_normal(201), case.correlation) for _ in range(3)]
         throw = curlfit.Throw.from_arrays(
             t[seen], path.x[seen] + NOISE_XY * noise[0], path.y[seen] + NOISE_XY * noise[1],
             path.phi[seen] + NOISE_PHI * noise[2],
@@ -103,13 +103,6 @@ def answers(
         given += 1
         predicted = curlfit.predict(fit, line="data", draws=500, seed=given)
         yield _judged(predicted, path)
-
-
-def _noise(case: Case, random: np.random.Generator, rows: int) -> np.ndarray:
-    white = random.standard_normal(rows)
-    for k in range(1, rows):
-        white[k] = case.correlation * white[k - 1] + np.sqrt(1 - case.correlation**2) * white[k]
-    return white
 
 
 def _judged(predicted: curlfit.Prediction, path: curlfit.Trajectory) -> Answer:
@@ -177,7 +170,7 @@ def table(case: Case, found: list[Answer], left: Counter[str]) -> str:
             f"{np.median([getattr(answer, kind)[name] for answer in found]):.2g}"
             for kind in ("off", "half")
         ]
-        lines.append(f"| {name.replace('_', ' ')} | {' | '.join(cells)} |")
+        lines.append(row([name.replace("_", " "), *cells]))
     return "\n".join(lines) + "\n"
 
 

@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Iterable
 from pathlib import Path
 
+import numpy as np
 from scipy.stats import binomtest
 
 HERE = Path(__file__).parent
@@ -32,6 +33,13 @@ def share(inside: int, of: int, nominal: float) -> str:
     if not of:
         return ""
     return marked(f"{100 * inside / of:.1f} %", binomtest(inside, of, nominal).pvalue)
+
+
+def correlated(noise: np.ndarray, carry: float) -> np.ndarray:
+    """The noise with each value along the last axis correlated so much with the one before."""
+    for k in range(1, noise.shape[-1]):
+        noise[..., k] = carry * noise[..., k - 1] + np.sqrt(1 - carry**2) * noise[..., k]
+    return noise
 
 
 def row(cells: Iterable[object]) -> str:

@@ -45,16 +45,11 @@ def test_every_shipped_law_is_tried_in_its_own_bounds():
             assert own[one].lower <= low < high <= own[one].upper
 
 
-def test_share_marks_what_chance_does_not_explain():
-    assert share(95, 100, 0.95) == "95.0 %"
-    assert share(80, 100, 0.95) == "80.0 % (!)"
-    assert share(8, 10, 0.95) == "80.0 %"
-    assert share(0, 0, 0.95) == ""
-
-
-def test_reasons_are_counted():
-    assert reasons(["", "b", "a", "b"]) == "b 2, a 1"
-    assert reasons(["", ""]) == ""
+def test_cells_are_marked_and_reasons_counted():
+    assert [share(k, n, 0.95) for k, n in ((95, 100), (80, 100), (8, 10), (0, 0))] == [
+        "95.0 %", "80.0 % (!)", "80.0 %", "",
+    ]  # fmt: skip
+    assert [reasons(found) for found in (["", "b", "a", "b"], ["", ""])] == ["b 2, a 1", ""]
 
 
 def test_ranks_say_what_left_and_why():
@@ -98,17 +93,6 @@ def test_uneven_ranks_of_one_sense_are_seen(sense):
     assert ("(!)" in left, "(!)" in right) == (sense == 1, sense == -1)
     assert found.cells == 7
     assert BINS == 10
-
-
-def test_coverage_of_one_sense_is_told_apart():
-    answers = [
-        Answer(sense, {"white": Outcome({"mu": good(k, held=(held, held)), "a + b": good(k)})})
-        for sense in (1, -1)
-        for k, held in enumerate([True] * 68 + [sense == 1] * 27 + [False] * 5)
-    ]
-    text = ranks_table(TRIALS["ranks coulomb"], answers).text
-    assert "counter-clockwise 95.0 % (!) and 95.0 % (100 throws)" in text
-    assert "clockwise 68.0 % and 68.0 % (!) (100 throws)" in text
 
 
 def test_noise_says_pulls_and_warnings():

@@ -9,6 +9,7 @@ from camera import CASES, filmed
 import curlfit
 
 
+@pytest.mark.slow
 def test_a_discrepancy_leaves_the_law_nearest_to_the_data():
     random = np.random.default_rng(1)
     *_, (throw, _) = (filmed(CASES[1], random) for _ in range(33))

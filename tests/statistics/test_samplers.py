@@ -9,8 +9,10 @@ from tables import HERE
 
 from curlfit.comparison.criteria import log_evidence, log_likelihood
 
+each = pytest.mark.parametrize("case", CASES, ids=["coulomb", "ridge", "bound"])
 
-@pytest.mark.parametrize("case", CASES, ids=["coulomb", "ridge", "bound"])
+
+@each
 def test_log_evidence_is_that_of_nested_sampling_in_the_table(case):
     text = (HERE / "README.md").read_text().split("<!-- evidence -->")[1]
     (line,) = [line for line in text.splitlines() if line.startswith(f"| {case.title} |")]
@@ -23,7 +25,7 @@ def test_log_evidence_is_that_of_nested_sampling_in_the_table(case):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("case", CASES, ids=["coulomb", "ridge", "bound"])
+@each
 def test_log_evidence_against_nested_sampling(case):
     fit = fitted(case)
     expected, error, _ = nested(fit, seed=1)
@@ -32,7 +34,7 @@ def test_log_evidence_against_nested_sampling(case):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("case", CASES, ids=["coulomb", "ridge", "bound"])
+@each
 def test_leave_one_out_against_importance_sampling(case):
     fit = fitted(case)
     found, expected = closed_form(fit), psis(fit, seed=1)

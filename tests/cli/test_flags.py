@@ -1,0 +1,192 @@
+"""Conditions, priors, systematic errors, rows and sweeping: in every verb that has their flags,
+in a configuration, and in the file of the data."""
+
+from __future__ import annotations
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from curlfit import (
+    LAWS,
+    InitialState,
+    Stone,
+    Throw,
+    load_comparison,
+    load_fit,
+    load_joint,
+    load_profile,
+    simulate,
+)
+from curlfit.environment import Environment
+from curlfit.inference.conditions import CONDITIONS
+from curlfit.throws.synthetic import write_table
+
+COULOMB = ("--law", "coulomb")
+QUICK = ("--no-sample", "--no-figures")
+ASSUMED = ("--free", "slope_x", "--prior", "mu=0.01+-0.001")
+SYSTEMATIC = ("--systematic", "all=0,slope_y=1e-3")
+ROWS = ("--since", "1", "--exclude", "3:3.55,12:13", "--until", "18")
+SWEPT = ("--sweep", "6:11")
+CHOSEN = (*COULOMB, *ASSUMED, *ROWS, *SWEPT)
+KEPT = 171 - 6 - 11
+"""Of 201 rows, ten a second."""
+OWN = "# since = 1\n# until = 18\n# exclude = [[3, 3.55], [12, 13]]\n# swept = [6, 11]\n"
+SETTINGS = """
+law = "coulomb"
+free = ["slope_x"]
+prior.mu = "0.01+-0.001"
+systematic = {all = 0, slope_y = 1e-3}
+since = 1
+until = 18
+exclude = [[3, 3.55], [12, 13]]
+swept = [6, 11]
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Throws on ice that falls 0.2 mm/m to the right, the first swept from 6 to 11 s."""
+    folder, random = tmp_path_factory.mktemp("flags"), np.random.default_rng(5)
+    for name, omega, swept in (("a", 1.3, 0.8), ("b", -1.6, 1.0)):
+        path = simulate(
+            LAWS["coulomb"](0.009), Stone(), InitialState(v=2.0, omega=omega),
+            np.linspace(0, 20, 201),
+            environment=Environment(slope_x=2e-4, sweep=swept, swept_from=6.0, swept_to=11.0),
+        ).to_numpy()  # fmt: skip
+        noisy = [
+            series + size * random.standard_normal(201)
+            for series, size in ((path.x, 0.005), (path.y, 0.005), (path.phi, 0.01))
+        ]
+        (folder / f"{name}.csv").write_text(write_table(Throw.from_arrays(path.t, *noisy)))
+    (folder / "own.csv").write_text(OWN + (folder / "a.csv").read_text())
+    (folder / "c.toml").write_text(SETTINGS)
+    return folder
+
+
+def holds(fit, **true):
+    """Whether estimates with an error agree with the true values."""
+    for name, value in true.items():
+        assert fit[name].verdict == "determined"
+        assert abs(fit[name].value - value) < 4 * fit[name].stderr, name
+
+
+def test_a_fit_says_what_was_chosen(typed, folder):
+    out = typed("fit", "a.csv", *CHOSEN, *SYSTEMATIC, *QUICK)
+    said = " ".join(out[: out.index("Written:")].split())
+    fit = load_fit(folder / "a-fit")
+    assert set(fit.conditions) == {"slope_x", "sweep"}
+    holds(fit, slope_x=2e-4, mu=0.009, sweep=0.8)
+    assert fit["sweep"].stderr < 0.0125
+    assert fit.data["swept"] == (6.0, 11.0)
+    shift = fit.systematics.shifts["mu"]["slope_y"]
+    assert 9e-4 < shift < 1.01e-3
+    for words in (
+        f"{KEPT} rows, t = 1 .. 18 s", "slope_x (m/m)",
+        "The path and the priors determine 9 of 9 parameters",
+        f"slopes down along the throw by 1 mm/m, the true mu is {shift:.2g} higher",
+    ):  # fmt: skip
+        assert words in said
+    assert " ".join(typed("show", "a-fit").split()) == said
+    record = json.loads(typed("show", "a-fit", "--json"))
+    assert record["systematics"]["widths"] == {"slope_y": 1e-3}
+    assert record["parameters"]["mu"]["prior"] == "0.01+-0.001"
+    assert record["prior_chi_squared"] == pytest.approx(1.0, rel=0.2)  # one width off
+
+
+def test_settings_of_files_mean_what_the_flags_mean(typed, folder):
+    typed("fit", "a.csv", *CHOSEN, *SYSTEMATIC, *QUICK, "--out", "flags")
+    typed("fit", "a.csv", "--config", "c.toml", *QUICK, "--out", "config")
+    flags, config = (
+        json.loads((folder / name / "fit.json").read_text()) for name in ("flags", "config")
+    )
+    assert config == flags
+    typed("fit", "own.csv", *COULOMB, *ASSUMED, *SYSTEMATIC, *QUICK)
+    own = load_fit(folder / "own-fit")
+    assert own.data["rows"] == KEPT
+    np.testing.assert_array_equal(own.values, load_fit(folder / "flags").values)
+    # a flag is over the file, table by table
+    typed("fit", "a.csv", "--config", "c.toml", "--prior", "mu=0.02+-0.01", *QUICK, "--out", "both")
+    assert load_fit(folder / "both").parameters["mu"].prior == "0.02+-0.01"
+
+
+def test_a_fit_that_does_not_know_of_the_sweeping_proposes_the_flag(typed):
+    words = ("fit", "a.csv", *COULOMB, "--free", "slope_x", *QUICK)
+    out = typed(*words, "--out", "plain")
+    said = " ".join(out.split())
+    assert "Warning: the friction changes abruptly, by a factor of about 0." in said
+    flag = said.split("`--sweep ")[1].split("`")[0]
+    again = typed(*words, "--sweep", flag, "--out", "again")
+    assert "changes abruptly" not in again
+
+
+def test_a_joint_fit_shares_conditions_and_each_throw_keeps_what_its_file_states(typed, folder):
+    quick = (*COULOMB, *ASSUMED, "--no-figures")
+    out = typed("fit", "own.csv", "b.csv", *quick, "--systematic", "rho=0", "--out", "joint")
+    said = " ".join(out[: out.index("Written:")].split())
+    joint = load_joint(folder / "joint")
+    assert joint.coefficients["mu"].prior == "0.01+-0.001"
+    holds(joint, slope_x=2e-4, mu=0.009)
+    assert {"slope_x", "rho"}.isdisjoint(joint.systematics.widths)
+    assert joint.systematics.errors["mu"] > 0
+    assert "shared: mu, slope_x" in said
+    assert "Systematic errors come from conditions that the fit holds fixed" in said
+    assert " ".join(typed("show", "joint").split()) == said
+    swept, other = (load_fit(folder / "joint" / name) for name in ("own", "b"))
+    assert swept.systematics.widths == joint.systematics.widths
+    assert (swept.data["swept"], other.data["swept"]) == ((6.0, 11.0), None)
+    holds(swept, sweep=0.8)
+    assert (swept.data["since"], other.data["since"]) == (1.0, None)
+    # flags override what the files state, of all throws
+    typed("fit", "own.csv", "b.csv", *quick, "--since", 0.5, "--sweep", "6:10.9", "--out", "over")
+    for name in ("own", "b"):
+        data = load_fit(folder / "over" / name).data
+        assert data["swept"] == (6.0, 10.9)
+        assert data["from"] == data["since"] == 0.5
+
+
+def test_profile_compare_and_batch_have_the_flags(typed, folder):
+    typed("fit", "a.csv", *CHOSEN, *QUICK, "--out", "alone")
+    alone = load_fit(folder / "alone")
+
+    out = typed("profile", "a.csv", "--param", "slope_x", *CHOSEN, "--points", 9, "--no-figures")
+    found = load_profile(folder / "a-profile-slope_x")
+    assert found.verdict == "limited"
+    near = found.intervals[0]
+    assert (near.high - near.low) / 2 == pytest.approx(alone["slope_x"].stderr, rel=0.05)
+    assert found.data["rows"] == KEPT
+    said = " ".join(out[: out.index("Written:")].split())
+    assert " ".join(typed("show", "a-profile-slope_x").split()) == said
+
+    typed("compare", "a.csv", "--laws", "coulomb", *CHOSEN[2:], "--no-figures")
+    comparison = load_comparison(folder / "a-compare")
+    (one,) = comparison.candidates
+    assert comparison.data["rows"] == KEPT
+    assert one.coefficients["mu"]["value"] == pytest.approx(alone["mu"].value, rel=1e-6)
+
+    # there are columns of sweep, since one of the files states it
+    words = (*COULOMB, *ASSUMED, *SYSTEMATIC, "--workers", 1, "--out", "table.csv")
+    typed("batch", "own.csv", "b.csv", *words)
+    plain, swept = csv.DictReader((folder / "table.csv").read_text().splitlines())
+    assert swept["status"] == plain["status"] == "ok"
+    assert (plain["sweep"], plain["sweep_verdict"]) == ("", "")
+    assert int(swept["n_observations"]) == 3 * KEPT
+    for name in ("slope_x", "mu", "sweep"):
+        item = alone[name]
+        assert float(swept[name]) == pytest.approx(item.value, abs=1e-3 * item.stderr)
+        assert float(swept[f"{name}_stderr"]) == pytest.approx(item.stderr, rel=1e-3)
+    assert 9e-4 < float(swept["mu_systematic"]) < 1.01e-3
+    assert float(swept["slope_x_systematic"]) < 1e-3
+
+
+def test_the_conditions_are_listed_with_their_widths(typed):
+    out = " ".join(typed("laws", "--conditions").split())
+    for item in CONDITIONS:
+        assert f"{item.name} {item.meaning}; standard uncertainty {item.width:g}" in out
+        assert item.basis in out
+    listed = json.loads(typed("laws", "--conditions", "--json"))
+    assert [(one["name"], one["width"]) for one in listed] == [
+        (item.name, item.width) for item in CONDITIONS
+    ]
