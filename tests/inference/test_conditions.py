@@ -222,7 +222,8 @@ def test_opposite_spins_cancel_the_shift_by_the_slope(pair):
     assert abs(together) < 0.1 * min(map(abs, shifts))
     assert any("`--free slope_x` fits a common slope" in warning for warning in joint.warnings)
     for throw in joint.throws:
-        assert throw.systematics.shifts["mu1_xi"] == joint.systematics.shifts["mu1_xi"]
+        shifts = throw.systematics.shifts["mu1_xi"]  # to rounding
+        assert shifts == pytest.approx(joint.systematics.shifts["mu1_xi"], rel=1e-8)
     # a condition that does not go by the spin shifts both alike
     common = joint.systematics.shifts["mu2_xi"]["rho"]
     each = [fit.systematics.shifts["mu2_xi"]["rho"] for fit in alone]

@@ -54,7 +54,11 @@ def test_degrees_of_freedom_are_welch_s():
     effect = np.zeros((2, 1, 2))  # of one residual per channel
     effect[[0, 1], 0, [0, 1]] = np.sqrt(parts)
     covariance = SimpleNamespace(
-        effect=effect, matrix=np.diag(parts), dof=np.array([4.0, 8.0]), has_priors=False
+        effect=effect,
+        matrix=np.diag(parts),
+        dof=np.array([4.0, 8.0]),
+        has_priors=False,
+        others=None,
     )
     expected = parts.sum() ** 2 / (parts**2 / (np.array(counts) - 1)).sum()
     weights = np.array([[1.0, -1.0]])

@@ -44,7 +44,7 @@ def discrepancy_found_once():
     """That of a fit takes most of the time of a prediction, of which one fit has many here."""
     with pytest.MonkeyPatch.context() as patch:
         found = lru_cache(discrepancy_posterior)
-        patch.setattr("curlfit.prediction.predict.discrepancy_posterior", found)
+        patch.setattr("curlfit.prediction.simulation.discrepancy_posterior", found)
         yield
 
 

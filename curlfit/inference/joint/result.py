@@ -89,7 +89,7 @@ class JointResult(NamedEstimates):
     JointResult, converged (... steps): front-back law, uniform load, 2 throws together
     mu1_xi = ..., mu2_xi = ..., mu1_eta + mu2_eta = ...
     not identifiable: mu1_eta, mu2_eta
-    2 warnings, see curlfit.print_joint
+    1 warning, see curlfit.print_joint
     >>> len(joint.throws)
     2
     """
