@@ -186,10 +186,7 @@ def _result(
     factors = r_factors(solution.jacobian, solution.residual)
     bounded = Bounded(solution.values, tasks.lower, tasks.upper)
     own_ranks = Reduction.of(factors, bounded, tasks.typical, common).rank
-    open_ = np.array(
-        [[item.verdict not in ("fixed", "at bound") for item in one.parameters.values()]
-         for one in throws]
-    )  # fmt: skip
+    open_ = np.array([np.isin(parameters.names, one.covariance["names"]) for one in throws])
     named = {*shared, *(item.expression for item in combinations)}
     return JointResult(
         law=rounds.model.law.name,
