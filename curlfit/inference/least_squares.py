@@ -137,9 +137,9 @@ class Tasks(NamedTuple):
         if model.family is not None:
             pad = partial(model.family.padded, model.law)
             penalty, typical = jax.tree.map(pad, penalty), pad(typical, 1.0)
-        alone = np.ones(len(typical), bool)
-        together = self.problems.observed.shape[1] if self.common is not None else 1
-        blocks = Blocks.of(alone if self.common is None else self.common, together)
+        blocks = Blocks.of(np.ones(len(typical), bool))
+        if self.common is not None:
+            blocks = Blocks.of(self.common, self.problems.observed.shape[1])
         return (
             model.of_program, self._loss,
             *map(model.vector, (self.start, self.lower, self.upper)),

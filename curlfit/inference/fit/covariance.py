@@ -6,11 +6,12 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from curlfit.inference.fit.factors import Factors, LinearizedProblem, Reduction
 from curlfit.inference.fit.systematics import shifts
 from curlfit.inference.identifiability import (
     Bounded,
@@ -18,114 +19,11 @@ from curlfit.inference.identifiability import (
     Identifiability,
     analyse,
     classify,
-    confined,
-    inverted,
-    r_factor,
-    slack,
-    visible,
 )
-from curlfit.inference.least_squares import Indices, Solution
+from curlfit.inference.least_squares import Solution
 from curlfit.inference.noise.losses import precision, root_slope
-from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Booleans, Floats
-
-_LOOSE = 0.1  # typical sizes inside its bound from which a parameter is not held by it
-_NEAR = 1e-6  # typical sizes from a bound within which a parameter is at the bound
-_PUSHED = 10.0  # least push against a bound over the slopes by the parameters inside theirs ...
-_LEAST_PUSH, _CLEAR_PUSH = 1e-6, 1e-3  # ... within these limits, half chi squared per typical size
-
-
-class LinearizedProblem(NamedTuple):
-    """The problem of one throw or of several, linearized at its optimum.
-
-    Or many such problems, along the first axis of each field.
-    """
-
-    residual: Floats
-    """over its sigma, shape (rows,)"""
-    jacobian: Floats
-    """shape (rows, parameters)"""
-    values: Floats
-    lower: Floats
-    upper: Floats
-    typical: Floats
-    free: Booleans
-
-    def at_bound(self) -> Booleans:
-        """Free parameters at a bound that the data push against it, however weakly.
-
-        Along a valley that descends without end the push may be tiny. It is distinguished from the
-        end of an exact ridge, where there is none, by the remaining slope along the other
-        parameters.
-        """
-        push, low, high = self._pushes()
-        rest = np.abs(push * (self.free & ~low & ~high)).max(-1, keepdims=True)
-        least = np.clip(_PUSHED * rest, _LEAST_PUSH, _CLEAR_PUSH)
-        return low & (push > least) | high & (push < -least)
-
-    def movable(self) -> Booleans:
-        """Free parameters except those that only a bound keeps from moving, however weakly."""
-        push, low, high = self._pushes()
-        return self.free & ~(low & (push > 0)) & ~(high & (push < 0))
-
-    def _pushes(self) -> tuple[Floats, Booleans, Booleans]:
-        """The push toward lower bounds, and which parameters are at a lower, at an upper bound."""
-        near = _NEAR * self.typical
-        return (
-            (self.residual[..., None, :] @ self.jacobian)[..., 0, :] * self.typical,
-            self.free & (self.values <= self.lower + near),
-            self.free & (self.values >= self.upper - near),
-        )
-
-    def open(self, at_bound: Booleans) -> tuple[Booleans, Floats]:
-        """The parameters of one optimum that can move, and the contribution of those held at a
-        bound to their spread.
-
-        A parameter that the data hardly push against its bound is not held by it: it is at the
-        end of a ridge and counts as open.
-        """
-        if not at_bound.any():
-            return self.free, np.zeros((int(self.free.sum()), 0))
-        push = np.abs(self.residual @ self.jacobian)
-        room = self.upper - self.lower
-        held = at_bound.copy()
-        for _ in range(2):
-            open_ = self.free & ~held
-            distance, columns = slack(
-                self.jacobian[:, open_], self.jacobian[:, held], push[held], self.typical[held],
-                room[held],
-            )  # fmt: skip
-            loose = distance > _LOOSE * self.typical[held]
-            if not loose.any():
-                break
-            held[held] = ~loose
-        return open_, columns
-
-    def newton_decrement(self, where: Booleans) -> Floats:
-        """Length of the remaining Gauss-Newton step, in sigmas, along determined directions.
-
-        A null direction would have to be followed over a thousand typical sizes.
-        """
-        jacobian = self.jacobian * (self.typical * where)[..., None, :]
-        left, singular, _ = np.linalg.svd(jacobian, full_matrices=False)
-        along = (self.residual[..., None, :] @ left)[..., 0, :]
-        return np.linalg.norm(along * visible(singular), axis=-1)
-
-    def distance(self, count: Any, whole: LinearizedProblem) -> Any:
-        """Distance to the optimum in standard errors, over the noise where `count` values scatter
-        by more than their sigma.
-
-        `whole` is the problem with the directions that only the bounds determine. A step along them
-        would leave the bounds; without them, parameters at a bound may seem free to move. Both are
-        upper limits.
-        """
-        reduced = (self.residual**2).sum(-1) / np.maximum(count, 1)
-        decrement = self.newton_decrement(self.movable())
-        if not np.array_equal(self.jacobian, whole.jacobian):
-            decrement = np.minimum(decrement, whole.newton_decrement(whole.movable()))
-        return decrement / np.sqrt(np.maximum(reduced, 1.0))
-
 
 CONVERGED = 0.01
 """Distance to the optimum, in standard errors, at which a fit has converged."""
@@ -136,114 +34,6 @@ _SMALL = 0.1  # standard error over typical size, below which an estimate is det
 _QUADRATIC = 0.5  # largest departure from one of the rise of chi squared at one standard error
 _KNOWN = 1e-3  # share of estimated variances in a sum below which the sum counts as known
 _MEDIAN_EFFICIENCY = 0.37  # of sigma from the median absolute residual, Gaussian noise (Huber 1981)
-
-
-class Reduction(NamedTuple):
-    """What throws say about the parameters that they have in common, where the own parameters of
-    each follow these; all along the first axis."""
-
-    others: Floats
-    """R factor of all other throws, whose last column is the residual: rows to be added to those of
-    a throw, with zeros for its own parameters"""
-    follow: Floats
-    """change of the parameters of a throw, first axis, with those in common, second axis"""
-    rank: Floats
-    """number of directions of its own parameters that a throw determines"""
-    common: Booleans
-
-    @classmethod
-    def of(cls, factors: Floats, bounded: Bounded, typical: Floats, common: Booleans) -> Reduction:
-        """From R factors of the Jacobians with the residuals as the last column."""
-        free = (bounded.upper > bounded.lower) & ~common
-        problem = LinearizedProblem(factors[..., -1], factors[..., :-1], *bounded, typical, free)
-        scaled = factors[..., :-1] * typical
-        own = scaled * (free & ~problem.at_bound())[:, None]
-        left, singular, right = np.linalg.svd(own, full_matrices=False)
-        seen = visible(singular)
-        left = left * seen[:, None]
-        rest = factors - left @ (left.mT @ factors)
-        rest[..., :-1] *= common
-        inverse = right.mT * inverted(singular, seen)[:, None] @ left.mT
-        follow = np.diag(1.0 * common) - (inverse @ scaled) * common
-        follow = follow * typical[:, None] / typical
-        return cls(_of_others(rest), follow, seen.sum(-1), common)
-
-    def gradient(self, gradients: Floats) -> Floats:
-        """That of all throws by the parameters of each, from the gradients of each throw."""
-        reduced = (self.follow.mT @ gradients[..., None])[..., 0]
-        return gradients + self.common * (reduced.sum(0) - reduced)
-
-    def chi_squared_change(self, throws: Indices, steps: Floats) -> Floats:
-        """Change of chi squared of the others of some throws, whose parameters take steps."""
-        rows = self.others[throws]
-        change = (rows[..., :-1] @ steps[..., None])[..., 0]
-        found: Floats = (change * (change + 2 * rows[..., -1])).sum(-1)
-        return found
-
-
-def _stacked(*factors: Floats) -> Floats:
-    """R factor of the rows of several."""
-    return r_factor(np.concatenate(factors, -2))
-
-
-def _of_others(rows: Floats) -> Floats:
-    """R factor of the rows of all throws but each, from those before it and those after it."""
-
-    def before(rows: Floats) -> list[Floats]:
-        found = [np.zeros((rows.shape[-1],) * 2)]
-        for one in rows[:-1]:
-            found.append(_stacked(found[-1], one))
-        return found
-
-    return _stacked(np.stack(before(rows)), np.stack(before(rows[::-1])[::-1]))
-
-
-class Factors(NamedTuple):
-    """R factors of the Jacobian of a problem, or of many along the first axis; the last column is
-    the residual over its sigma."""
-
-    of_data: Floats
-    whole: Floats
-    """with the priors"""
-    confined: Floats
-    """with the priors, without the directions that only the bounds determine (`confined`)"""
-    reduction: Reduction | None = None
-    """of throws that are fitted together, whose others are contained in all of these"""
-
-    @classmethod
-    def of(
-        cls,
-        of_data: Floats,
-        bounded: Bounded,
-        typical: Floats,
-        penalty: Penalty | None,
-        common: Booleans | None = None,
-    ) -> Factors:
-        """From those of the data alone, the parameters with their bounds, the priors, and which
-        parameters the throws have in common, if they are fitted together."""
-        whole, reduction = of_data, None
-        if penalty is not None:
-            prior, slope = penalty.residual_and_slope(bounded.values)
-            diagonal = slope[..., None] * np.eye(slope.shape[-1])
-            priors = np.concatenate([diagonal, prior[..., None]], -1)
-        if common is not None:
-            about = bounded, typical, common
-            # Priors of what is in common count once.
-            alone = of_data if penalty is None else _stacked(of_data, priors * ~common[:, None])
-            reduction = Reduction.of(alone, *about)
-            whole = _stacked(of_data, reduction.others)
-            others = reduction if penalty is None else Reduction.of(of_data, *about)
-            of_data = whole if penalty is None else _stacked(of_data, others.others)
-        if penalty is not None:
-            whole = _stacked(whole, priors)
-        inside = confined(whole[..., :-1], bounded, typical)
-        return cls(of_data, whole, np.concatenate([inside, whole[..., -1:]], -1), reduction)
-
-    def at(self, row: int) -> Factors:
-        """Those of one problem."""
-        same = self.whole is self.of_data
-        of_data = self.of_data[row]
-        return Factors(of_data, of_data if same else self.whole[row], self.confined[row])
 
 
 @dataclass(frozen=True, eq=False)

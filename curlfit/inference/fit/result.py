@@ -387,7 +387,7 @@ class FitResult(NamedEstimates):
         """The class of the law.
 
         A record runs no code: a law that is not one of curlfit's must be known already, because it
-        is defined in this session or was read from a file that the user named.
+        is defined in this process or was read from a file that the user named.
 
         Raises
         ------

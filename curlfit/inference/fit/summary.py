@@ -13,14 +13,13 @@ import numpy as np
 from curlfit.inference.fit.covariance import (
     CONVERGED,
     Covariance,
-    Factors,
     OtherThrows,
-    Reduction,
     Sigmas,
     nonquadratic_estimates,
     one_sigma_points,
     robust_jacobians,
 )
+from curlfit.inference.fit.factors import Factors, Reduction
 from curlfit.inference.fit.prepared import PreparedThrow, linearized, local_bounds, penalties
 from curlfit.inference.fit.residuals import (
     ResidualStatistics,
