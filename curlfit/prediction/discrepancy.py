@@ -8,7 +8,9 @@ are drawn from their posterior, which retains sizes that the data could not have
 any information it is the prior.
 
 Beyond the fitted speeds the data contain no information: the discrepancy there is a process of the
-same covariance, conditioned to be zero at the fitted speeds, with sizes drawn from the prior.
+same covariance, conditioned to be zero at the fitted speeds, with sizes drawn from the prior. Below
+them its components by rotation grow, to all of the friction at most, as 1/v^2: with 1/v, which is
+rotation relative to translation, simulated resting places under another law are not covered.
 
 A prediction is the path of the law; its bands extend to the side that the residuals indicate: each
 draw contains the posterior mean times a random factor, uniform between 0 and 2.
@@ -72,7 +74,7 @@ class DiscrepancyPosterior:
     _data: Linearized
     _estimate: Estimate
     _unseen_shapes: Floats
-    """functions of speed that are zero at the fitted speeds, shape (functions, speeds)"""
+    """functions of speed that are zero at the fitted speeds, shape (3, functions, speeds)"""
 
     def draw(self, draws: int, random: np.random.Generator) -> MissingAccelerations:
         """Draws of missing accelerations."""
@@ -89,8 +91,8 @@ class DiscrepancyPosterior:
         fitted = amplitudes.reshape(draws, len(COMPONENTS), -1) * ceilings[:, None]
         prior = np.exp(log_prior(SIZES[:, None]))
         sizes = random.choice(SIZES, (draws, len(COMPONENTS)), p=prior / prior.sum()) * ceilings
-        normal = random.standard_normal((draws, len(COMPONENTS), len(self._unseen_shapes)))
-        unseen = sizes[..., None] * (normal @ self._unseen_shapes)
+        normal = random.standard_normal((draws, *self._unseen_shapes.shape[:2]))
+        unseen = sizes[..., None] * np.einsum("dcf,cfs->dcs", normal, self._unseen_shapes)
         return MissingAccelerations(fitted @ shapes() + unseen, change)
 
     def shift_parameters(self, values: Floats, missing: MissingAccelerations) -> Floats:
@@ -143,18 +145,24 @@ def discrepancy_posterior(fit: FitResult) -> DiscrepancyPosterior:
         ceilings=by_component(responses.size),
         friction=responses.friction,
     )
-    return DiscrepancyPosterior(summary, fit, data, found, _unseen_shapes(fit.fitted["speed"]))
+    unseen = _unseen_shapes(fit.fitted["speed"], responses.size / responses.largest)
+    return DiscrepancyPosterior(summary, fit, data, found, unseen)
 
 
-def _unseen_shapes(speed: Floats) -> Floats:
-    """As `shapes`, of the process conditioned to be zero at the fitted ones of `SPEEDS`."""
+def _unseen_shapes(speed: Floats, share: Floats) -> Floats:
+    """Functions of speed, by component, that are zero at the fitted speeds.
+
+    `share` is the size of the components over that by all of the friction.
+    """
     fitted = np.clip(SPEEDS, speed.min(), speed.max()) == SPEEDS
     whole = covariance(SPEEDS[:, None], SPEEDS)
     # a small diagonal term, since the covariance is numerically singular
     known = whole[fitted][:, fitted] + 1e-6 * np.eye(int(fitted.sum()))
     conditional = whole - whole[:, fitted] @ np.linalg.solve(known, whole[fitted])
     conditional[fitted] = conditional[:, fitted] = 0.0
-    return leading_functions(conditional)
+    growth = (speed[speed > 0] ** -1.0).mean() ** -2 / SPEEDS**2
+    growth = np.clip(growth, 1.0, 1.0 / share[:, None])
+    return leading_functions(conditional) * growth[:, None]
 
 
 def _response_of_events(fit: FitResult, responses: Responses) -> Floats:

@@ -18,7 +18,7 @@ from scipy.optimize import brentq
 import curlfit
 from curlfit import InputError, UnusableFitError, sheet
 from curlfit.inference.fit.fit import fit_throws
-from curlfit.inference.noise.accelerations import COMPONENTS
+from curlfit.inference.noise.accelerations import COMPONENTS, SPEEDS
 from curlfit.inference.problem import LEVEL_AND_STILL
 from curlfit.numerics import compiled
 from curlfit.prediction.discrepancy import discrepancy_posterior
@@ -485,11 +485,27 @@ def test_a_missing_force_is_less_than_the_friction(game_fit):
     turning = np.gradient(np.unwrap(np.arctan2(*CubicSpline(t, path, axis=1)(t, 1))), t)
     bend = np.sqrt(np.mean((speed * turning)[speed > 0.05] ** 2))
     expected = {"across": max(bend, 0.05 * friction), "along": friction, "turning": moment}
+    largest = {"across": friction, "along": friction, "turning": friction * STONE.R / STONE.rho**2}
     made = found.draw(2000, np.random.default_rng(1)).acceleration
+    seen = np.flatnonzero(speed.min() <= SPEEDS)
     for place, way in enumerate(COMPONENTS):
         assert discrepancy.ceilings[way] == pytest.approx(expected[way], rel=0.01)
         assert discrepancy.sizes[way] <= discrepancy.ceilings[way]
-        assert (made[:, place].std(0) < 1.5 * discrepancy.ceilings[way]).all()
+        size = made[:, place].std(0)
+        assert (size[seen] < 1.5 * discrepancy.ceilings[way]).all()
+        assert (size < 1.5 * largest[way]).all()
+
+
+def test_below_the_fitted_speeds_curl_may_grow():
+    throw, _ = game_throw(seed=4, until=12.0)
+    fit = curlfit.fit(throw, stone=STONE)
+    found = discrepancy_posterior(fit)
+    made = found.draw(2000, np.random.default_rng(1)).acceleration.std(0)
+    third = np.argmin(np.abs(SPEEDS - fit.fitted["speed"].min() / 3))
+    across, along, turning = made[:, third] / [*found.summary.ceilings.values()]
+    assert across > 2.5 * along
+    assert turning > 2.5 * along
+    assert along < 1.0
 
 
 def test_what_cannot_be_seen_has_the_size_of_the_prior():

@@ -57,6 +57,8 @@ class Responses(NamedTuple):
     """derivatives by components and shapes, shape (channels, times, 3 * SHAPES)"""
     size: Floats
     """those accelerations, across, along and turning, m/s^2 (rad/s^2); shape (3,)"""
+    largest: Floats
+    """the same if all of the friction acted in that component"""
 
     @property
     def friction(self) -> float:
@@ -84,9 +86,8 @@ class Responses(NamedTuple):
         slow = np.minimum(slow, -0.1 * mean)
         ratio = float(np.mean(np.minimum(stone.R * np.abs(omega) / speed, 1.0)))
         bend = float(np.sqrt(np.mean((speed * np.gradient(heading, t)) ** 2)))
-        sizes = mean * np.array(
-            [max(bend / mean, _STRAIGHT), 1.0, stone.R / stone.rho**2 * max(ratio, 0.01)]
-        )
+        largest = mean * np.array([1.0, 1.0, stone.R / stone.rho**2])
+        sizes = largest * np.array([np.clip(bend / mean, _STRAIGHT, 1.0), 1.0, max(ratio, 0.01)])
         shape = np.array([np.interp(np.log(speed), np.log(SPEEDS), row) for row in shapes()])
         found = np.zeros((len(CHANNELS), 3, SHAPES, _GRID))
         integral = partial(running_integral, steps=np.diff(t))
@@ -106,7 +107,7 @@ class Responses(NamedTuple):
                 spin_change,
             )
         by_channel = found.reshape(len(CHANNELS), 3 * SHAPES, _GRID).swapaxes(1, 2)
-        return cls(t, by_channel, sizes)
+        return cls(t, by_channel, sizes, largest)
 
     def at(self, times: Floats, channel: int) -> Floats:
         """Responses of a channel at some times, constant after the end of the path."""
