@@ -77,12 +77,12 @@ class Record(Displayed):
     """Base of all results: `save` writes one as JSON, `read` reads it.
 
     Class attributes: `kind`, the name of its file; `marks`, entries that tell it from others of
-    this kind; `groups`, fields that are written together, as an object of this name.
+    this kind; `written_together`, fields that are written as one object, by its name.
     """
 
     kind: ClassVar[str] = ""
     marks: ClassVar[dict[str, str]] = {}
-    groups: ClassVar[dict[str, tuple[str, ...]]] = {}
+    written_together: ClassVar[dict[str, tuple[str, ...]]] = {}
 
     def to_json(self) -> dict[str, Any]:
         """The record as it is written; NaN is null, and infinities are text."""
@@ -162,7 +162,7 @@ def plain(value: Any, *, series: bool = True) -> Any:
     names += getattr(value, "written", ())
     found = {name: plain(getattr(value, name), series=series) for name in names}
     if isinstance(value, Record):
-        group_of = {name: group for group, inside in value.groups.items() for name in inside}
+        group_of = {name: group for group, inside in value.written_together.items() for name in inside}
         whole: dict[str, Any] = {"schema": SCHEMA, **value.marks}
         for name, item in found.items():
             (whole.setdefault(group_of[name], {}) if name in group_of else whole)[name] = item
@@ -187,7 +187,7 @@ def structured(value: Any, kind: Any) -> Any:
         return _converter().structure(value, kind)
     except (BaseExceptionGroup, ValueError) as error:
         *place, because = _first(error)
-        groups = getattr(kind, "groups", {})
+        groups = getattr(kind, "written_together", {})
         place[:0] = [group for group, inside in groups.items() if place and place[0] in inside]
         where = f"{'.'.join(place)}: " if place else ""
         raise DataError(
@@ -356,7 +356,7 @@ def _of_object(made: Any, kind: Any) -> Any:
         name: override(struct_hook=made.get_structure_hook(hints[name]), omit=not read)
         for name, read in known.items()
     }
-    usual, groups = make(kind, made, **overrides), getattr(kind, "groups", {})
+    usual, groups = make(kind, made, **overrides), getattr(kind, "written_together", {})
 
     def hook(value: Any, _: Any) -> Any:
         if type(value) is not dict:

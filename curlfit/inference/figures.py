@@ -10,7 +10,7 @@ from matplotlib.patches import Patch
 from curlfit import sheet
 from curlfit.inference.corner_figure import corner_figure
 from curlfit.inference.fit.result import FitResult, require_fit
-from curlfit.inference.joint.result import Difference, JointResult
+from curlfit.inference.joint.result import JointResult, Variation
 from curlfit.numerics.arrays import Floats
 from curlfit.output import figures as draw
 from curlfit.output.ticks import neat_axis, unit_for
@@ -128,7 +128,7 @@ def joint_figure(result: JointResult) -> draw.Picture:
     --------
     >>> curlfit.joint_figure(joint).savefig("joint.png")
     """
-    count, shown = len(result.throws), result.differences
+    count, shown = len(result.throws), result.variation
     columns = min(count, 3)
     paths = any(one.rms for one in result.throws)  # timed events have no measured path
     names_below = 0.17 * -(-count // columns + 1) if paths else 0.2
@@ -178,7 +178,7 @@ def _paths(axes: Any, result: JointResult, styles: list[dict[str, Any]]) -> None
     draw.x_along_y(axes)
 
 
-def _estimates(axes: Any, item: Difference, styles: list[dict[str, Any]]) -> None:
+def _estimates(axes: Any, item: Variation, styles: list[dict[str, Any]]) -> None:
     """Estimates of each throw alone, by row, and their mean."""
     ends = item.mean - item.stderr, item.mean + item.stderr
     axes.axvspan(*ends, color=draw.DATA_COLOR, alpha=0.25, lw=0)

@@ -9,15 +9,20 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
-from curlfit.dynamics.trajectory import InitialState
+from curlfit.dynamics.trajectory import InitialState, simulate
 from curlfit.environment import Environment
 from curlfit.friction import Law
 from curlfit.inference.model import Model
 from curlfit.inference.parameters import START
 from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Floats
+from curlfit.numerics.batches import BATCH, in_batches
+from curlfit.numerics.compiled import compiled
 from curlfit.stone import UNITS as STONE_UNITS, Stone
 
 
@@ -63,3 +68,36 @@ def assumed_conditions(model: Model, problems: Problem) -> Floats:
         elif name not in ("length_scale", "time_scale"):
             found[:, column] = getattr(problems.environment, name)
     return found
+
+
+def motions(
+    model: Model, values: Floats, stone: Stone, environment: Environment, times: Floats
+) -> tuple[Floats, Floats]:
+    """Motions of many parameter vectors at times since the start: x, y, phi, vx, vy and omega, shape
+    (vectors, 6, times), and the times of rest. One program serves any number of vectors."""
+    found: tuple[Floats, Floats] = in_batches(
+        lambda some: _motions(model, some, stone, environment, times), (values,)
+    )
+    return found
+
+
+def prepare_motions(
+    model: Model, parameters: int, stone: Stone, environment: Environment, times: Floats
+) -> None:
+    """Begin compiling the program of `motions`."""
+    _motions.prepare(model, np.zeros((BATCH, parameters)), stone, environment, times)
+
+
+@compiled("model")
+def _motions(
+    model: Model, values: Array, stone: Stone, environment: Environment, times: Array
+) -> tuple[Array, Array]:
+    def one(values: Array) -> tuple[Array, Array]:
+        system = System.of(model, values, stone, environment)
+        path = simulate(
+            system.law, system.stone, system.start, times, load=model.load, t0=0.0,
+            environment=system.environment,
+        )  # fmt: skip
+        return jnp.stack([path.x, path.y, path.phi, path.vx, path.vy, path.omega]), path.rest
+
+    return jax.vmap(one)(values)

@@ -4,21 +4,16 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple, cast
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
 
-from curlfit.dynamics.trajectory import simulate
 from curlfit.environment import Environment
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.model import Model
 from curlfit.inference.parameters import START
 from curlfit.inference.problem import LEVEL_AND_STILL, environment_of
-from curlfit.inference.system import System
+from curlfit.inference.system import motions, prepare_motions
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.numerics.batches import BATCH, in_batches
-from curlfit.numerics.compiled import compiled
+from curlfit.numerics.batches import BATCH
 from curlfit.prediction.request import ThrowStart
 from curlfit.stone import Stone
 
@@ -219,18 +214,14 @@ class ThrowFamily:
 
 def prepare_ensemble(fit: FitResult) -> None:
     """Begin compiling the program for the trajectories of parameter vectors."""
-    values = np.zeros((BATCH, len(fit.values)))
-    _propagated.prepare(fit.model, values, fit.stone, LEVEL_AND_STILL, np.zeros(len(_GRID)))
+    prepare_motions(fit.model, len(fit.values), fit.stone, LEVEL_AND_STILL, np.zeros(len(_GRID)))
 
 
 def simulate_ensemble(
     model: Model, values: Floats, stone: Stone, environment: Environment, t: Floats
 ) -> TrajectoryEnsemble:
     """The trajectories of parameter vectors, at increasing times from 0."""
-    # In batches of one size, so that any number of throws runs the same program.
-    state, rest = in_batches(
-        lambda some: _propagated(model, some, stone, environment, t), (values,)
-    )
+    state, rest = motions(model, values, stone, environment, t)
     return TrajectoryEnsemble(np.minimum(t, rest[:, None]), state)
 
 
@@ -261,18 +252,3 @@ def _forward_filled(values: Floats, known: Booleans) -> Floats:
     """Values with each unknown one replaced by the last known one before it."""
     last = np.maximum.accumulate(np.where(known, np.arange(values.shape[1]), 0), 1)
     return np.take_along_axis(values, last, 1)
-
-
-@compiled("model")
-def _propagated(
-    model: Model, values: Array, stone: Stone, environment: Environment, times: Array
-) -> tuple[Array, Array]:
-    def one(values: Array) -> tuple[Array, Array]:
-        system = System.of(model, values, stone, environment)
-        path = simulate(
-            system.law, system.stone, system.start, times, load=model.load, t0=0.0,
-            environment=system.environment,
-        )  # fmt: skip
-        return jnp.stack([path.x, path.y, path.phi, path.vx, path.vy, path.omega]), path.rest
-
-    return jax.vmap(one)(values)

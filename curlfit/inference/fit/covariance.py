@@ -77,6 +77,7 @@ class Covariance:
         factors: tuple[Factors, Factors],
         jacobian: Floats,
         sigmas: Sigmas,
+        has_priors: bool,
     ) -> Self:
         """At the optimum of a problem.
 
@@ -86,6 +87,7 @@ class Covariance:
         factors : those of the search, and those whose normal equations are the estimator's, which
             differ under a robust loss.
         jacobian : of the weighted residuals, shape (channels, n, parameters).
+        has_priors : whether there is information besides these residuals.
         """
         searched, estimator = factors
         problem = LinearizedProblem(
@@ -96,8 +98,7 @@ class Covariance:
         ends = Bounded(*(part[open_] for part in bounded))
         about = list(itertools.compress(names, open_)), ends.values, typical[open_], slack, ends
         known = of_data = analyse(estimator.whole[:, :-1][:, open_], *about)
-        has_priors = estimator.whole is not estimator.of_data
-        if has_priors:
+        if estimator.whole is not estimator.of_data:
             of_data = analyse(estimator.of_data[:, :-1][:, open_], *about)
         matrix, by_open = known.covariance - slack @ slack.T, jacobian[..., open_]
         effect = by_open @ matrix

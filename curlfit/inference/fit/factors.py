@@ -17,7 +17,6 @@ from curlfit.inference.identifiability import (
     slack,
     visible,
 )
-from curlfit.inference.least_squares import Indices
 from curlfit.inference.priors import Penalty
 from curlfit.numerics.arrays import Booleans, Floats
 
@@ -167,12 +166,13 @@ class Reduction:
         reduced = (self.follow.mT @ gradients[..., None])[..., 0]
         return gradients + self.common * (reduced.sum(0) - reduced)
 
-    def chi_squared_change(self, throws: Indices, steps: Floats) -> Floats:
-        """Change of chi squared of the others of some throws, whose parameters take steps."""
-        rows = self.others[throws]
-        change = (rows[..., :-1] @ steps[..., None])[..., 0]
-        found: Floats = (change * (change + 2 * rows[..., -1])).sum(-1)
-        return found
+
+def chi_squared_change(rows: Floats, steps: Floats) -> Floats:
+    """Change of the sum of squares of rows, with the residual as the last column, by a step of the
+    parameters; of many along the first axis."""
+    change = (rows[..., :-1] @ steps[..., None])[..., 0]
+    found: Floats = (change * (change + 2 * rows[..., -1])).sum(-1)
+    return found
 
 
 def _stacked(*factors: Floats) -> Floats:
@@ -200,9 +200,13 @@ class Factors(NamedTuple):
         typical: Floats,
         penalty: Penalty | None,
         common: Booleans | None = None,
+        others: Floats | None = None,
     ) -> Factors:
         """From those of the data alone, the parameters with their bounds, the priors, and which
-        parameters the throws have in common, if they are fitted together."""
+        parameters the throws have in common, if they are fitted together; or rows of what others
+        say of the parameters of each."""
+        if others is not None:
+            of_data = _stacked(of_data, others)
         whole, reduction = of_data, None
         if penalty is not None:
             prior, slope = penalty.residual_and_slope(bounded.values)

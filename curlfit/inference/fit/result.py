@@ -313,7 +313,7 @@ class FitResult(NamedEstimates):
     """
 
     kind: ClassVar[str] = "fit"
-    groups: ClassVar[dict[str, tuple[str, ...]]] = {
+    written_together: ClassVar[dict[str, tuple[str, ...]]] = {
         "identifiability": ("rank", "singular_values", "null_directions")
     }
 

@@ -132,6 +132,20 @@ class Rounds:
             again |= here
         return which[again & ~np.isin(which, [*self.failures])]
 
+    def with_own_sigma(self, solutions: Solution) -> Solution:
+        """Optima of all throws with the sigmas of their own residuals in place of those that the
+        fit estimated before, where that is by least squares with independent noise."""
+        plain = self.loss == "linear" and self.noises[0].kind == "white"
+        if not (plain and self.unknown.any()):
+            return solutions
+        sigma = residual_sigma(solutions, self.problems, self.free) + SIGMA_FLOOR
+        ratio = np.where(self.unknown, self.sigma / sigma, 1.0)[..., None]
+        self.sigma = np.where(self.unknown, sigma, self.sigma)
+        self._reweight(np.arange(len(self.throws)))
+        return solutions._replace(
+            residual=solutions.residual * ratio, jacobian=solutions.jacobian * ratio[..., None]
+        )
+
     def record(
         self, index: int, solution: Solution, tried: int = 1, rival: Floats | None = None
     ) -> LeastSquaresFit:

@@ -19,7 +19,7 @@ from curlfit.inference.fit.covariance import (
     one_sigma_points,
     robust_jacobians,
 )
-from curlfit.inference.fit.factors import Factors, Reduction
+from curlfit.inference.fit.factors import Factors, Reduction, chi_squared_change
 from curlfit.inference.fit.prepared import PreparedThrow, linearized, local_bounds, penalties
 from curlfit.inference.fit.residuals import (
     ResidualStatistics,
@@ -86,6 +86,7 @@ def summarize_many(
     curves: bool = True,
     widths: Mapping[str, float] | None = None,
     common: Booleans | None = None,
+    others: Floats | None = None,
 ) -> list[FitResult]:
     """The same for fits of one model, loss and noise model, to problems of one shape.
 
@@ -97,10 +98,12 @@ def summarize_many(
     widths : of the fixed conditions whose systematic errors the records contain, from
         `systematics.widths_of`; only with curves.
     common : of throws that were fitted together, the parameters that they have in common.
+    others : rows of what other throws say of the parameters of each, in place of priors of these,
+        with the residual as the last column, shape (throws, rows, parameters + 1).
     """
     if not fits:
         return []
-    many = _Many.of(fits, common)
+    many = _Many.of(fits, common, others)
     paths = (
         predict_many(many.model, many.solutions.values, many.problems, batch) if curves else None
     )
@@ -126,15 +129,21 @@ class _Many(NamedTuple):
     typical: Floats
     penalty: Penalty | None
     common: Booleans | None
+    others: Floats | None
 
     @classmethod
-    def of(cls, fits: Sequence[LeastSquaresFit], common: Booleans | None) -> Self:
+    def of(
+        cls, fits: Sequence[LeastSquaresFit], common: Booleans | None, others: Floats | None
+    ) -> Self:
         throws, solutions = [fit.prepared for fit in fits], stacked([fit.solution for fit in fits])
         offset, *ends = local_bounds(throws, common)
+        penalty = penalties(throws)
+        if penalty is not None and others is not None:
+            known = (others[..., :-1] != 0).any((0, 1))
+            penalty = penalty._replace(weight=penalty.weight * ~known)
         return cls(
             fits, throws, stacked([fit.problem for fit in fits]), solutions, offset,
-            Bounded(solutions.values, *ends), throws[0].parameters.typical, penalties(throws),
-            common,
+            Bounded(solutions.values, *ends), throws[0].parameters.typical, penalty, common, others,
         )  # fmt: skip
 
     @property
@@ -150,7 +159,7 @@ class _Many(NamedTuple):
     ) -> tuple[list[Covariance], Reduction | None]:
         """Of each throw, and how throws that are fitted together act on one another."""
         solutions, loss = self.solutions, self.loss
-        about = self.bounded, self.typical, self.penalty, self.common
+        about = self.bounded, self.typical, self.penalty, self.common, self.others
         factors = estimator = Factors.of(r_factors(solutions.jacobian, solutions.residual), *about)
         if loss != "linear":
             robust = robust_jacobians(self.problems, solutions, statistics.residual, loss)
@@ -164,9 +173,10 @@ class _Many(NamedTuple):
             both = factors.at(row), estimator.at(row)
             found.append(
                 Covariance.of(
-                    own.names, absolute, self.typical, own.free, both, fit.solution.jacobian, known
+                    own.names, absolute, self.typical, own.free, both, fit.solution.jacobian, known,
+                    self.penalty is not None or self.others is not None,
                 )
-            )
+            )  # fmt: skip
         reduction = estimator.reduction
         if reduction is not None:
             others = OtherThrows.of_each(found, reduction)
@@ -185,8 +195,9 @@ class _Many(NamedTuple):
         if self.penalty is not None:
             there = Penalty(*(part[owner] for part in self.penalty))
             delta += there.chi_squared(around.point) - there.chi_squared(best)
-        if reduction is not None:
-            delta += reduction.chi_squared_change(owner, around.point - best)
+        rows = self.others if reduction is None else reduction.others
+        if rows is not None:
+            delta += chi_squared_change(rows[owner], around.point - best)
         return nonquadratic_estimates(found, around, delta, self.typical)
 
     def systematics(
@@ -453,8 +464,8 @@ def _estimates(
             reason = "without the priors the data do not determine it"
         elif verdict in ("determined", "weak") and item.name in misleading:
             verdict, reason = "weak", "chi squared is far from quadratic within its standard error"
-        elif verdict == "weak":
-            reason = f"its standard error is more than half its typical size, {item.typical:g}"
+        else:
+            reason = weakness(verdict, item.typical)
         if verdict == "determined" and item.name in rival:
             verdict, reason = "weak", f"{rival[item.name]:.3g} fits as well"
         estimates[item.name] = Estimate(
@@ -472,3 +483,10 @@ def _estimates(
             prior="" if prior is None else str(prior),
         )
     return estimates
+
+
+def weakness(verdict: str, typical: float) -> str:
+    """Why an estimate of a typical size is weakly determined; nothing for another verdict."""
+    if verdict != "weak":
+        return ""
+    return f"its standard error is more than half its typical size, {typical:g}"

@@ -1,4 +1,5 @@
-"""Joint fit of several throws: shared coefficients, own initial states and noise."""
+"""Joint fit of several throws: coefficients in common or about a common mean, own initial states and
+noise."""
 
 from __future__ import annotations
 
@@ -13,17 +14,21 @@ from curlfit.foreign import quoted
 from curlfit.friction import Law, find_law, no_motion_because
 from curlfit.inference.derived import check_derived
 from curlfit.inference.fit.advice import curl_warnings
+from curlfit.inference.fit.covariance import Covariance
 from curlfit.inference.fit.factors import Reduction
 from curlfit.inference.fit.prepared import PreparedThrow, local_bounds, penalties
 from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.fit.result import Estimate, FitResult
 from curlfit.inference.fit.rounds import Rounds
-from curlfit.inference.fit.summary import IMPLAUSIBLE, summarize_many
+from curlfit.inference.fit.summary import IMPLAUSIBLE, summarize_many, weakness
 from curlfit.inference.fit.systematics import calibrations_of, widths_of
 from curlfit.inference.identifiability import Bounded, Combination, r_factors
-from curlfit.inference.joint.differences import differences_of
-from curlfit.inference.joint.result import Difference, JointResult
+from curlfit.inference.joint.draw import Draw
+from curlfit.inference.joint.effects import Covariates, Effects
+from curlfit.inference.joint.population import pool
+from curlfit.inference.joint.result import JointResult, Variation
 from curlfit.inference.joint.solver import Progress, minimize_jointly
+from curlfit.inference.joint.variation import variations_of
 from curlfit.inference.least_squares import Solution, Tasks
 from curlfit.inference.model import Model
 from curlfit.inference.problem import problem_shape
@@ -34,6 +39,8 @@ from curlfit.settings.choices import Fitting, takes
 from curlfit.throws.throw import Throw, require_throw
 
 _NAMED = 3  # throws whose files a warning of several names
+_VARYING = 4  # throws from which on their coefficients may vary
+_FEWEST = 3  # throws that determine what varies
 
 
 @takes(Fitting, "law", "load")
@@ -41,12 +48,18 @@ def fit_together(
     throws: Sequence[Throw],
     law: str | type[Law] | None = None,
     *,
-    share: str | Sequence[str] = "all",
+    share: str | Sequence[str] | None = None,
+    by: str | Sequence[str] = (),
+    trend: str | Sequence[str] = (),
     load: str | None = None,
     progress: Progress | None = None,
     **choices: Any,
 ) -> JointResult:
     """Fit one law to several throws that share some or all of its coefficients.
+
+    The coefficients of four throws or more vary about their mean: what the throws determine has a
+    standard deviation between throws, estimated by restricted maximum likelihood, and each throw
+    has its own value. The mean may differ between groups of throws and drift.
 
     The choices hold for all throws; where one is not given, each throw's own applies. The prior of
     a shared parameter counts once.
@@ -55,14 +68,18 @@ def fit_together(
     ----------
     throws : at least two; each has its own initial state, noise and, if its file says so, stone.
     law, load : as in `fit`; the defaults of the throws must agree.
-    share : "all" coefficients, or the names of those that the throws share; each throw has its own
-        values of the others. Conditions, such as the slope of the ice, are always shared.
+    share : "all" coefficients, or the names of those that are equal in all throws; each throw has
+        its own values of the others. Conditions, such as the slope of the ice, are always equal.
+    by : labels of the throws, such as "sheet", by which they form groups whose means differ.
+    trend : labels, such as "start", along whose numbers or clock times the means change in
+        proportion.
     progress : called with the number of steps done and chi squared.
     {choices}
 
     Raises
     ------
-    InputError : as in `fit`; fewer than two throws; a name that is not a coefficient.
+    InputError : as in `fit`; fewer than two throws; a name that is not a coefficient; labels that
+        a throw lacks, or that give no groups or numbers.
     UnusableFitError : a throw has no finite path from the initial values found from its data.
 
     Examples
@@ -81,7 +98,13 @@ def fit_together(
     given = {**choices, "law": law, "load": load}
     chosen = [Fitting.of(throw.settings, **given) for throw in throws]
     first = chosen[0]
-    shared = _shared(law, share)
+    shared = _shared(law, share or "all")
+    covariates = Covariates.of(throws, _listed(by), _listed(trend))
+    varies = bool(by or trend) or (share is None and len(throws) >= _VARYING)
+    if first.loss != "linear" and varies:
+        if by or trend:
+            raise InputError("by, trend: groups and trends are estimated with loss linear")
+        varies = False
     check_derived(first.derive, [item.name for item in law.coefficients()])
     any_swept = any(one.swept is not None for one in chosen)
     prepared = [
@@ -117,10 +140,17 @@ def fit_together(
         )
     errors = calibrations_of(prepared, jointly=True).shape[1]
     widths = widths_of(model, first.systematics, errors)
-    return _result(rounds, tasks, solution, common, widths).with_derived(first.derive)
+    result, weights = _equal(rounds, tasks, solution, common, widths, covariates.values)
+    if varies and weights:
+        result = _varying(result, rounds, tasks, solution, common, weights, covariates)
+    return result.with_derived(first.derive)
 
 
-def _differs_by_spin(item: Difference, counter_clockwise: Booleans) -> bool:
+def _listed(names: str | Sequence[str]) -> list[str]:
+    return [names] if isinstance(names, str) else [*names]
+
+
+def _differs_by_spin(item: Variation, counter_clockwise: Booleans) -> bool:
     """Whether throws of the same sense of spin agree much better than all throws do."""
     known = np.array([one is not None for one in item.each])
     value, error = np.array([one for one in item.each if one is not None]).T
@@ -161,55 +191,147 @@ def _shared(law: type[Law], share: str | Sequence[str]) -> tuple[str, ...]:
     return shared
 
 
-def _result(
-    rounds: Rounds, tasks: Tasks, solution: Solution, common: Booleans, widths: Mapping[str, float]
-) -> JointResult:
+def _equal(
+    rounds: Rounds,
+    tasks: Tasks,
+    solution: Solution,
+    common: Booleans,
+    widths: Mapping[str, float],
+    covariates: Floats,
+) -> tuple[JointResult, dict[str, Floats]]:
+    """The result where the shared coefficients are equal in all throws, and the weights of the
+    parameters in those quantities that may vary."""
     fits = [rounds.record(row, one) for row, one in enumerate(unstacked(solution))]
     throws = summarize_many(fits, widths=widths, common=common)
     status = _status(throws, solution)
-    if not status.startswith("converged"):
-        throws = [
-            one if _implausible(one) else replace(one, converged=False, status=status)
-            for one in throws
-        ]
-    throws = [replace(one, quantities=quantities_of(one)) for one in throws]
-    implausible = [f"{one.data['file']}: {one.status}" for one in throws if _implausible(one)]
+    throws = _with_status(throws, status)
     first, parameters = throws[0], rounds.throws[0].parameters
     shared = tuple(parameters.names_where(common))
     coefficients = {name: first.parameters[name] for name in shared}
     combinations = tuple(item for item in first.combinations if set(item.weights) <= set(shared))
     plain = rounds.loss == "linear" and rounds.noises[0].kind == "white"
-    differences = differences_of(
-        solution, tasks, parameters.names, coefficients, combinations, rounds.unknown & plain
-    )
-    among = {item.expression: item for item in differences if item.significant}
+    variation = variations_of(
+        solution, tasks, parameters.names, coefficients, combinations, rounds.unknown & plain,
+        covariates,
+    )  # fmt: skip
+    among = {item.expression: item for item in variation if item.significant}
     factors = r_factors(solution.jacobian, solution.residual)
     bounded = Bounded(solution.values, tasks.lower, tasks.upper)
     own_ranks = Reduction.of(factors, bounded, tasks.typical, common).rank
     open_ = np.array([np.isin(parameters.names, one.covariance["names"]) for one in throws])
     named = {*shared, *(item.expression for item in combinations)}
-    return JointResult(
+    result = JointResult(
         law=rounds.model.law.name,
         load=rounds.model.load,
         share=shared,
         converged=all(one.converged for one in throws),
-        status=". ".join(implausible) or status,
+        status=_implausible_ones(throws) or status,
         warnings=(
-            *_heterogeneity_warnings(differences, throws, rounds),
-            *curl_warnings(throws),
-            *_warnings_of(throws),
+            *_spin_warnings(variation, throws, rounds), *_equality_warnings(variation),
+            *_throw_warnings(throws),
         ),
         coefficients={name: _among(item, among.get(name)) for name, item in coefficients.items()},
         combinations=tuple(_among(item, among.get(item.expression)) for item in combinations),
         rank=int(first.rank + own_ranks[1:].sum()),
         parameters=int(open_[0, common].sum() + open_[:, ~common].sum()),
-        differences=differences,
+        variation=variation,
         throws=tuple(throws),
         systematics=replace(
             first.systematics,
             shifts={name: by for name, by in first.systematics.shifts.items() if name in named},
         ),
     )
+    of_law = {item.name for item in rounds.model.law.coefficients()}
+    weights = {name: {name: 1.0} for name, one in coefficients.items()
+               if one.verdict == "determined"}  # fmt: skip
+    weights |= {item.expression: item.weights for item in combinations}
+    told = {one.expression for one in variation if sum(map(bool, one.each)) >= _FEWEST}
+    return result, {
+        name: np.array([by_name.get(own, 0.0) for own in parameters.names])
+        for name, by_name in weights.items()
+        if name in told and by_name.keys() <= of_law
+    }
+
+
+def _varying(
+    result: JointResult,
+    rounds: Rounds,
+    tasks: Tasks,
+    solution: Solution,
+    common: Booleans,
+    weights: dict[str, Floats],
+    covariates: Covariates,
+) -> JointResult:
+    """The result where what the throws determine varies about its mean."""
+    variation = {one.expression: one for one in result.variation}
+    guess = np.array([_first_spread(variation[name]) for name in weights])
+    found = pool(rounds, tasks, solution, common, weights, guess, covariates.values)
+    fits = [rounds.record(row, one) for row, one in enumerate(unstacked(found.solution))]
+    throws = [
+        replace(one, systematics=before.systematics)
+        for one, before in zip(summarize_many(fits, others=found.others), result.throws, strict=True)
+    ]
+    status = _status(throws, found.solution)
+    throws = _with_status(throws, status)
+    known = found.of_mean(result.share, tasks.lower[0, common], tasks.upper[0, common])
+    spreads = dict(zip(found.varying, map(float, found.spreads), strict=True))
+    spin = float(np.median([abs(one.parameters["omega0"].value) for one in throws]))
+    draw = Draw(rounds.model, rounds.throws[0].stone, spin)
+    units = {name: item.unit for name, item in result.coefficients.items()}
+    effects = Effects.of(found, covariates, draw, units)
+    return replace(
+        result,
+        converged=all(one.converged for one in throws),
+        status=_implausible_ones(throws) or status,
+        warnings=(*_spin_warnings(result.variation, throws, rounds), *_throw_warnings(throws)),
+        coefficients={
+            name: one if one.verdict == "fixed" else _of_mean(one, known, row, found.dof)
+            for row, (name, one) in enumerate(result.coefficients.items())
+        },
+        combinations=tuple(replace(one, dof=found.dof) for one in known.combinations),
+        variation=tuple(
+            replace(one, spread=spreads.get(one.expression, 0.0), shared_stderr=None)
+            for one in result.variation
+        ),
+        varies=True,
+        groups=effects.groups,
+        differences=effects.differences,
+        trend=effects.trend,
+        throws=tuple(throws),
+    )
+
+
+def _of_mean(item: Estimate, known: Covariance, row: int, dof: float) -> Estimate:
+    stderr, verdict, _ = known.classified(row)
+    return replace(
+        item, value=float(known.values[row]), stderr=stderr, verdict=verdict,
+        dof=None if stderr is None else dof, reason=weakness(verdict, item.typical),
+    )  # fmt: skip
+
+
+def _first_spread(item: Variation) -> float:
+    errors = [one[1] for one in item.each if one is not None]
+    return max(item.spread, 0.1 * float(np.median(errors)))
+
+
+def _with_status(throws: Sequence[FitResult], status: str) -> list[FitResult]:
+    """The throws with their quantities, and with the status of all if that is no success."""
+    if not status.startswith("converged"):
+        throws = [
+            one if _implausible(one) else replace(one, converged=False, status=status)
+            for one in throws
+        ]
+    return [replace(one, quantities=quantities_of(one)) for one in throws]
+
+
+def _implausible_ones(throws: Sequence[FitResult]) -> str:
+    return ". ".join(
+        f"{one.data['file']}: {one.status}" for one in throws if _implausible(one)
+    )
+
+
+def _throw_warnings(throws: Sequence[FitResult]) -> list[str]:
+    return [*curl_warnings(throws), *_warnings_of(throws)]
 
 
 def _status(throws: Sequence[FitResult], solution: Solution) -> str:
@@ -241,7 +363,7 @@ def _warnings_of(throws: Sequence[FitResult]) -> list[str]:
 _Shared = TypeVar("_Shared", Estimate, Combination)
 
 
-def _among(item: _Shared, difference: Difference | None) -> _Shared:
+def _among(item: _Shared, difference: Variation | None) -> _Shared:
     """A shared estimate with its error as that of the mean over throws that differ in it."""
     if difference is None:
         return item
@@ -249,25 +371,28 @@ def _among(item: _Shared, difference: Difference | None) -> _Shared:
     return replace(item, stderr=difference.shared_stderr, dof=float(throws - 1))
 
 
-def _heterogeneity_warnings(
-    differences: Sequence[Difference], throws: Sequence[FitResult], rounds: Rounds
+def _spin_warnings(
+    variation: Sequence[Variation], throws: Sequence[FitResult], rounds: Rounds
 ) -> list[str]:
-    """Warnings about shared coefficients that differ from throw to throw."""
-    significant = [item for item in differences if item.significant]
-    warnings = [
-        f"{item.expression} varies between throws by more than its errors ({item.p_text}); "
-        "its standard error is that of the mean over such throws, and large residuals of single "
-        "throws may be due to the common value rather than to their data"
-        for item in reversed(significant)
-    ]
+    """A warning if throws of opposite spins differ."""
     # For a throw without a path the curl is at most one number, which the heading absorbs.
     paths = any(one.throw.has_path for one in rounds.throws)
     senses = np.array([one.parameters["omega0"].value > 0 for one in throws])
-    differ = any(_differs_by_spin(item, senses) for item in significant)
-    if differ and paths and not rounds.model.has_slope:
-        warnings.insert(
-            0,
-            "throws of opposite spins differ, as they do on ice that is not level; `--free "
-            "slope_x` fits a common slope",
-        )
-    return warnings
+    differ = any(_differs_by_spin(item, senses) for item in variation if item.significant)
+    if not differ or not paths or rounds.model.has_slope:
+        return []
+    return [
+        "throws of opposite spins differ, as they do on ice that is not level; `--free slope_x` "
+        "fits a common slope"
+    ]
+
+
+def _equality_warnings(variation: Sequence[Variation]) -> list[str]:
+    """Warnings about equal coefficients that differ from throw to throw."""
+    return [
+        f"{item.expression} varies between throws by more than its errors ({item.p_text}); "
+        "its standard error is that of the mean over such throws, and large residuals of single "
+        "throws may be due to the common value rather than to their data"
+        for item in reversed(variation)
+        if item.significant
+    ]

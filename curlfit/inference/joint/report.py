@@ -25,7 +25,7 @@ from curlfit.output.text import compact, format_estimate, lower
 from curlfit.throws.throw import UNITS
 
 if TYPE_CHECKING:
-    from curlfit.inference.joint.result import Difference, JointResult
+    from curlfit.inference.joint.result import Variation, JointResult
 
 _HIDDEN = ("x0", "y0", "phi0", "heading")
 
@@ -44,7 +44,7 @@ def print_joint(result: JointResult, console: Console | None = None) -> None:
 def document(result: JointResult) -> Document:
     """Shared coefficients, how the throws differ in them, and each throw's own parameters."""
     throws = f"{len(result.throws)} throws together"
-    differing = [item.expression for item in result.differences if item.significant]
+    differing = [item.expression for item in result.variation if item.significant]
     hidden = result.rank < result.parameters
     determined = f"The throws determine {result.rank} of {result.parameters} parameters."
     return Document(
@@ -78,7 +78,7 @@ def document(result: JointResult) -> Document:
 
 
 def _shared(result: JointResult) -> PlainTable:
-    differences = {item.expression: item for item in result.differences}
+    differences = {item.expression: item for item in result.variation}
     items: dict[str, Any] = {one.expression: one for one in result.combinations}
     return PlainTable(
         (
@@ -90,7 +90,7 @@ def _shared(result: JointResult) -> PlainTable:
     )
 
 
-def _said(item: Difference | None) -> Text | str:
+def _said(item: Variation | None) -> Text | str:
     if item is None:
         return ""
     if not item.significant:
@@ -114,7 +114,7 @@ def _throws(result: JointResult) -> PlainTable:
         for name in own:
             item = one.parameters[name]
             row[f">{name}"] = format_estimate(item.value, item.stderr)[0]
-        for difference in result.differences:
+        for difference in result.variation:
             alone = difference.each[place]
             row[f">{difference.expression} alone"] = "" if alone is None else compact(*alone)
         for name in first.rms:

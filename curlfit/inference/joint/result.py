@@ -24,6 +24,7 @@ from curlfit.inference.fit.result import (
     load_fit,
 )
 from curlfit.inference.identifiability import Combination
+from curlfit.inference.joint.effects import Effect
 from curlfit.output.text import p_text
 from curlfit.records import UNSAVED, keys, plain, require, structured
 
@@ -31,17 +32,18 @@ _SIGNIFICANT = 0.01
 
 
 @dataclass(frozen=True)
-class Difference:
-    """How a coefficient, or a combination of coefficients, differs from throw to throw.
+class Variation:
+    """How a coefficient, or a combination of coefficients, varies from throw to throw.
 
     Attributes
     ----------
     expression : the coefficient or combination.
     each : estimate and standard error from each throw alone, None where it gives none.
-    p_value : probability of differences at least as large if the throws agree (chi squared).
+    p_value : probability of differences at least as large if the throws agree, apart from groups
+        and trends (chi squared).
     spread : standard deviation between throws beyond what the errors explain.
     mean, stderr : mean over such throws and its standard error, including the spread between them.
-    shared_stderr : standard error of the shared estimate as one of this mean.
+    shared_stderr : standard error of an estimate of equal values as one of this mean.
     significant : p_value below 0.01.
     """
 
@@ -73,13 +75,21 @@ class JointResult(NamedEstimates):
     ----------
     law, load, share : what was fitted; names of the shared coefficients.
     converged, status, warnings : whether the fit may be used, and why it may mislead.
-    coefficients : the shared ones, by name. Where throws differ in one, its standard error is that
-        of an estimate of the mean over such throws, with one degree of freedom less than throws.
+    varies : whether what the throws determine varies about its mean from throw to throw; if not,
+        the coefficients are equal in all throws.
+    coefficients : the shared ones, by name: those of the mean of the throws, or the equal ones.
+        Where throws differ in one that is taken as equal, its standard error is that of an estimate
+        of the mean over such throws, with one degree of freedom less than throws.
     combinations : what is determined where single shared coefficients are not; likewise.
-    rank, parameters : directions that the throws determine together, and number of free parameters.
-    differences : of each determined shared coefficient or combination.
-    throws : a `FitResult` for each throw; its standard errors and its information are those of the
-        joint fit, so that predictions from it use all throws.
+    rank, parameters : directions that the throws determine together, and number of free parameters,
+        not counting what varies.
+    variation : of each determined shared coefficient or combination.
+    groups, differences, trend : the mean of each group of throws, its difference from the first
+        group of the same label, and the change of the mean along a trend; of each quantity that
+        varies, and of a draw to the tee.
+    throws : a `FitResult` for each throw, with its own coefficients if these vary; its standard
+        errors and its information are those of the joint fit, so that predictions from it use all
+        throws.
     systematics : errors of what is shared due to the conditions that the fit holds fixed.
     derived : quantities requested by `--derive` and `with_derived`.
 
@@ -95,7 +105,7 @@ class JointResult(NamedEstimates):
     """
 
     kind: ClassVar[str] = "joint"
-    groups: ClassVar[dict[str, tuple[str, ...]]] = {"identifiability": ("rank", "parameters")}
+    written_together: ClassVar[dict[str, tuple[str, ...]]] = {"identifiability": ("rank", "parameters")}
 
     law: str
     load: LoadName
@@ -107,7 +117,11 @@ class JointResult(NamedEstimates):
     combinations: tuple[Combination, ...]
     rank: int
     parameters: int
-    differences: tuple[Difference, ...]
+    variation: tuple[Variation, ...]
+    varies: bool = False
+    groups: tuple[Effect, ...] = ()
+    differences: tuple[Effect, ...] = ()
+    trend: tuple[Effect, ...] = ()
     throws: tuple[FitResult, ...] = field(default=(), metadata=UNSAVED)
     systematics: Systematics = field(default_factory=Systematics)
     derived: tuple[Derived, ...] = ()
@@ -172,8 +186,8 @@ class JointResult(NamedEstimates):
     def require_consistent(self) -> None:
         """Raise `ValueError` where what was read contradicts itself."""
         require("share", set(self.share) <= self.coefficients.keys(), "names of coefficients")
-        for one in self.differences:
-            require("differences", len(one.each) == len(self.differences[0].each), "equal lengths")
+        for one in self.variation:
+            require("variation", len(one.each) == len(self.variation[0].each), "equal lengths")
 
     def with_law(self, law: str | type[Law] | None) -> JointResult:
         """The result, whose law is that of a user's file; see `FitResult.with_law`."""

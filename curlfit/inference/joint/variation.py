@@ -1,4 +1,4 @@
-"""Whether throws that were fitted together agree.
+"""Whether throws that were fitted together agree, apart from what covariates explain.
 
 The estimate that each throw alone would give, to first order about the joint optimum, is compared
 with the shared one (Cochran 1954). Where sigma is not given it is that of the throw alone, since
@@ -16,7 +16,7 @@ from scipy.special import chdtrc
 
 from curlfit.inference.fit.result import Estimate
 from curlfit.inference.identifiability import Bounded, Combination, stderr_of, visible
-from curlfit.inference.joint.result import Difference
+from curlfit.inference.joint.result import Variation
 from curlfit.inference.least_squares import Solution, Tasks, residual_sigma
 from curlfit.numerics.arrays import Booleans, Floats
 
@@ -47,21 +47,23 @@ class _Alone(NamedTuple):
         return stderr_of(weights, self.right, self.singular)
 
 
-def differences_of(
+def variations_of(
     solution: Solution,
     tasks: Tasks,
     names: Sequence[str],
     coefficients: Mapping[str, Estimate],
     combinations: Sequence[Combination],
     unknown: Booleans,
-) -> tuple[Difference, ...]:
-    """Differences of the shared coefficients as each throw alone gives them, to first order.
+    covariates: Floats,
+) -> tuple[Variation, ...]:
+    """Variation of the shared coefficients as each throw alone gives them, to first order.
 
     Parameters
     ----------
     tasks : the throws, of which the optimum together is the solution.
     names : of the parameters of a throw.
     unknown : whether sigma was estimated from least squares, shape (throws, channels).
+    covariates : on which the coefficients depend, with mean zero, shape (throws, covariates).
     """
     wanted = {
         name: ({name: 1.0}, item.value)
@@ -82,8 +84,8 @@ def differences_of(
                 continue
             each.append((value + float(vector @ own.step), stderr))
             weight.append(assumed**-2)
-        if len(weight) > 1:
-            found.append(_difference(expression, each, np.array(weight)))
+        if len(weight) > 1 + covariates.shape[1]:
+            found.append(_variation(expression, each, np.array(weight), covariates))
     return tuple(found)
 
 
@@ -115,22 +117,31 @@ def _each_alone(solution: Solution, tasks: Tasks, unknown: Booleans) -> list[tup
     return list(zip(joint, analysed(sigma), strict=True))
 
 
-def _difference(
-    expression: str, each: Iterable[tuple[float, float] | None], shared: Floats
-) -> Difference:
+def _variation(
+    expression: str,
+    each: Iterable[tuple[float, float] | None],
+    shared: Floats,
+    covariates: Floats | None = None,
+) -> Variation:
     """`shared` are the weights of the throws in the joint fit."""
     each = tuple(each)
+    known = [item is not None for item in each]
     estimate, stderr = np.array([item for item in each if item is not None]).T
-    variance, degrees = stderr**2, len(stderr) - 1
+    design = np.ones((len(stderr), 1))
+    if covariates is not None:
+        design = np.column_stack([design, covariates[known]])
+    variance, degrees = stderr**2, len(stderr) - np.linalg.matrix_rank(design)
 
     def about_mean(between: float) -> tuple[float, float, float]:
-        """Mean of the throws, its variance, and chi squared about it."""
-        weight = 1 / (variance + between)
-        mean = float(weight @ estimate / weight.sum())
-        return mean, float(1 / weight.sum()), float(weight @ (estimate - mean) ** 2)
+        """Mean of the throws, its variance, and chi squared about the expected values."""
+        root = (variance + between) ** -0.5
+        inverse = np.linalg.pinv(design * root[:, None])
+        found = inverse @ (estimate * root)
+        off = (estimate - design @ found) * root
+        return float(found[0]), float((inverse[0] ** 2).sum()), float(off @ off)
 
     q = about_mean(0.0)[2]
-    low, high = 0.0, float(estimate.var(ddof=1)) if q > degrees else 0.0
+    low, high = 0.0, float(estimate.var()) if q > degrees else 0.0
     while about_mean(high)[2] > degrees:
         high *= 2
     for _ in range(_HALVINGS if high else 0):
@@ -138,7 +149,7 @@ def _difference(
         low, high = (middle, high) if about_mean(middle)[2] > degrees else (low, middle)
     mean, of_mean, _ = about_mean(high)
     share = shared / shared.sum()
-    return Difference(
+    return Variation(
         expression=expression,
         each=each,
         p_value=float(chdtrc(degrees, q)),

@@ -1,0 +1,152 @@
+"""Throws whose coefficients vary about a mean that may depend on groups and drift.
+
+Each throw's own parameters are at their optimum for its coefficients; what is left of its residuals
+is to first order a measurement of these. The coefficients follow from the mixed model of all throws
+(`curlfit.numerics.mixed_model`), and both steps alternate until nothing moves: Gauss-Newton on the
+likelihood whose deviations are integrated out by Laplace's approximation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from curlfit.inference.fit.covariance import Covariance, Sigmas
+from curlfit.inference.fit.factors import Factors
+from curlfit.inference.fit.rounds import Rounds
+from curlfit.inference.identifiability import Bounded, r_factors
+from curlfit.inference.least_squares import Solution, Tasks, minimize_many
+from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.numerics.mixed_model import MixedFit, MixedModel
+
+_MOST = 12  # linearizations
+_SETTLED = 0.01  # standard errors of a throw's coefficients
+_FEW = 64  # throws for which a program compiled quickly is better than a fast one
+_UNKNOWN = 1e4  # typical sizes squared: a variance from which a direction is not determined
+_EXACT = 1e-16  # the same below which one is exact
+
+
+class Population(NamedTuple):
+    """The fit of the mean, and the throws at their own coefficients."""
+
+    fit: MixedFit
+    """in typical sizes from the reference"""
+    reference: Floats
+    """values of the common parameters"""
+    typical: Floats
+    varying: tuple[str, ...]
+    """coefficients and combinations that vary"""
+    weights: Floats
+    """of the common parameters in these, shape (varying, common)"""
+    solution: Solution
+    others: Floats
+    """rows of what the other throws say of the parameters of each, with the residual as the last
+    column, shape (throws, rows, parameters + 1)"""
+
+    @property
+    def spreads(self) -> Floats:
+        """Standard deviations between throws."""
+        found: Floats = np.sqrt(self.fit.variances)
+        return found
+
+    def of_mean(self, names: Sequence[str], lower: Floats, upper: Floats) -> Covariance:
+        """What all throws say of the common parameters of their mean, within bounds."""
+        size = len(self.typical)
+        best, (mean, matrix) = self.fit.estimate[:size], self.fit.unbounded
+        rows = _rows(mean[:size], matrix[:size, :size], best, self.typical)
+        bounded = Bounded(self.reference + self.typical * best, lower, upper)
+        factors = Factors.of(rows, bounded, self.typical, None)
+        nothing = np.zeros((1, 1, size))
+        sigmas = Sigmas(np.ones(1, int), np.zeros(1, bool), "linear", size)
+        return Covariance.of(
+            names, bounded, self.typical, upper > lower, (factors, factors), nothing, sigmas, True
+        )
+
+    @property
+    def covariance(self) -> Floats:
+        """Of the estimate of the fit along what is determined."""
+        squares, axes = np.linalg.eigh(self.fit.covariance)
+        found: Floats = (axes * np.where(squares < _UNKNOWN, squares, 0.0)) @ axes.T
+        return found
+
+    @property
+    def dof(self) -> float:
+        """Degrees of freedom of the spreads."""
+        throws, covariates = self.fit.model.covariates.shape
+        return max(throws - 1.0 - covariates, 1.0)
+
+
+def pool(
+    rounds: Rounds,
+    tasks: Tasks,
+    solution: Solution,
+    common: Booleans,
+    weights: Mapping[str, Floats],
+    guess: Floats,
+    covariates: Floats,
+) -> Population:
+    """The mean of throws and their deviations from it.
+
+    Parameters
+    ----------
+    rounds : of the fit; sigmas that it estimated are estimated again as the throws come to their
+        own coefficients.
+    tasks, solution : the throws, and their optimum with equal coefficients, where this begins.
+    weights : of the parameters in what varies, by expression, each of shape (parameters,).
+    guess : standard deviations between throws.
+    covariates : with mean zero, shape (throws, covariates).
+    """
+    typical, size = tasks.typical[common], int(common.sum())
+    free = (tasks.upper > tasks.lower)[0, common]
+    reference = solution.values[0, common]
+    whole = np.array([*weights.values()])[:, common]
+    directions = np.linalg.pinv(whole * typical * free)
+    lower, upper = (
+        np.where(free, (end[0, common] - reference) / typical, sign * np.inf)
+        for sign, end in ((-1, tasks.lower), (1, tasks.upper))
+    )
+    values, penalty, fit = np.array(solution.values), tasks.penalty, None
+    if penalty is not None:
+        penalty = penalty._replace(weight=penalty.weight * ~common)
+    for _ in range(_MOST):
+        if fit is not None:
+            held = [np.where(common, values, end) for end in (tasks.lower, tasks.upper)]
+            own = tasks._replace(start=values, lower=held[0], upper=held[1], penalty=penalty)
+            solution = minimize_many(rounds.model, own, few=len(values) <= _FEW)
+            values = np.array(solution.values)
+        solution = rounds.with_own_sigma(solution)
+        factors = r_factors(solution.jacobian, solution.residual)
+        bounded = Bounded(values, tasks.lower, tasks.upper)
+        reduction = Factors.of(factors, bounded, tasks.typical, penalty, common).reduction
+        assert reduction is not None
+        rows = reduction.rows[..., :-1][..., common] * typical
+        now = (values[:, common] - reference) / typical
+        target = (rows @ now[..., None])[..., 0] - reduction.rows[..., -1]
+        fit = MixedModel.of(rows, target, directions, covariates).fitted(guess**2, lower, upper)
+        mean, matrix = fit.predicted_by_others()
+        along = whole * typical
+        errors = np.sqrt(np.einsum("kq,nqr,kr->nk", along, matrix, along))
+        move = fit.vectors - now
+        distance = float((np.abs(move @ along.T) / np.maximum(errors, 1e-300)).max())
+        if distance < _SETTLED:
+            break
+        steps = reduction.follow[:, :, common] @ (typical * move)[..., None]
+        values = np.clip(values + steps[..., 0], tasks.lower, tasks.upper)
+    others = np.zeros((len(values), size, len(tasks.typical) + 1))
+    for one, *about in zip(others, mean, matrix, now, strict=True):
+        one[:, np.append(common, True)] = _rows(*about, typical)
+    ended = np.full(len(values), distance < _SETTLED)
+    return Population(
+        fit, reference, typical, tuple(weights), whole, solution._replace(success=ended), others
+    )
+
+
+def _rows(mean: Floats, matrix: Floats, at: Floats, typical: Floats) -> Floats:
+    """Rows whose squares are the quadratic of a normal density of parameters, at some values, with
+    the residual as the last column; mean, covariance and values are in typical sizes."""
+    squares, axes = np.linalg.eigh(matrix)
+    known = squares < _UNKNOWN
+    rows = axes.T * (known / np.sqrt(np.maximum(squares, _EXACT)))[:, None]
+    return np.column_stack([rows / typical, rows @ (at - mean)])

@@ -1,0 +1,158 @@
+"""Linear mixed models: vectors that vary about a mean that depends on covariates.
+
+The observations of block i are
+
+    z_i = A_i (m + D (E x_i + u_i)) + noise of unit variance,    u_i ~ N(0, diag(variances)),
+
+for the mean m, effects E of covariates x_i (with mean zero), and deviations u_i in some directions
+D. m and E are estimated by generalised least squares given the variances, these by restricted
+maximum likelihood (Patterson and Thompson 1971, Biometrika 58, 545). All costs are linear in the
+number of blocks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple, Self
+
+import numpy as np
+from scipy.optimize import lsq_linear, minimize
+
+from curlfit.numerics.arrays import Booleans, Floats
+
+_DIFFUSE = 1e-8  # information on each component of the mean, so that undetermined ones stay put
+_RANGE = np.log([1e-6, 1e6])  # of variances over their initial values
+_ZERO = 1e-4  # of a variance over that of a typical block, below which it counts as zero
+
+
+class MixedModel(NamedTuple):
+    """Sums of squares and products of each block, from which all else follows."""
+
+    products: Floats
+    """of the columns A_i D, A_i, A_i D x_i and z_i, shape (blocks, columns, columns)"""
+    directions: Floats
+    """D, shape (mean, deviations)"""
+    covariates: Floats
+    """x_i, shape (blocks, covariates)"""
+
+    @classmethod
+    def of(cls, rows: Floats, target: Floats, directions: Floats, covariates: Floats) -> Self:
+        """From A_i, shape (blocks, rows, mean), and z_i, shape (blocks, rows)."""
+        along = rows @ directions
+        effects = along[:, :, None, :] * covariates[:, None, :, None]
+        flat = effects.reshape(*along.shape[:2], covariates.shape[1] * directions.shape[1])
+        whole = np.concatenate([along, rows, flat, target[..., None]], -1)
+        return cls(whole.mT @ whole, directions, covariates)
+
+    def marginal(self, variances: Floats) -> tuple[Floats, Floats]:
+        """The products of each block with the deviations integrated out, without their columns, and
+        the logarithm of the determinant of the covariance of its observations."""
+        k, root = len(variances), np.sqrt(variances)
+        inner = np.eye(k) + root[:, None] * self.products[:, :k, :k] * root
+        cross = root[:, None] * self.products[:, :k, k:]
+        rest = self.products[:, k:, k:] - cross.mT @ np.linalg.solve(inner, cross)
+        return rest, np.linalg.slogdet(inner)[1]
+
+    def criterion(self, variances: Floats) -> float:
+        """-2 times the logarithm of the restricted likelihood, up to a constant."""
+        each, determinants = self.marginal(variances)
+        normal, right, square = _parts(each.sum(0))
+        value = determinants.sum() + np.linalg.slogdet(normal)[1] + square
+        return float(value - right @ np.linalg.solve(normal, right))
+
+    def fitted(self, guess: Floats, lower: Floats, upper: Floats) -> MixedFit:
+        """The estimate; `guess` is of the variances, the bounds are those of the mean."""
+
+        def of_logarithm(v: Floats) -> float:
+            return self.criterion(guess * np.exp(v))
+
+        found = minimize(of_logarithm, np.zeros(len(guess)), bounds=[_RANGE] * len(guess))
+        variances = guess * np.exp(found.x)
+        information = np.diagonal(self.products, axis1=1, axis2=2)[:, : len(guess)]
+        typical = 1 / np.maximum(np.median(information, axis=0), 1e-300)
+        small = variances < _ZERO * typical
+        if small.any() and self.criterion(np.where(small, 0.0, variances)) < found.fun + _ZERO:
+            variances = np.where(small, 0.0, variances)
+        return MixedFit(self, variances, lower, upper)
+
+
+def _parts(products: Floats) -> tuple[Floats, Floats, float]:
+    """Normal matrix and right side of the mean and the effects, and the sum of squares."""
+    normal, right, square = products[..., :-1, :-1], products[..., :-1, -1], products[..., -1, -1]
+    return normal + _DIFFUSE * np.eye(normal.shape[-1]), right, square
+
+
+@dataclass(frozen=True, eq=False)
+class MixedFit:
+    """The estimate of a mixed model; the mean is within its bounds."""
+
+    model: MixedModel
+    variances: Floats
+    lower: Floats
+    upper: Floats
+
+    @cached_property
+    def _each(self) -> Floats:
+        return self.model.marginal(self.variances)[0]
+
+    @cached_property
+    def free(self) -> tuple[Floats, Booleans]:
+        """The mean and the effects, and which of them are not at a bound."""
+        normal, right, _ = _parts(self._each.sum(0))
+        found = np.linalg.solve(normal, right)
+        ends = np.full((2, len(found)), [[-np.inf], [np.inf]])
+        ends[:, : len(self.lower)] = self.lower, self.upper
+        open_ = np.ones(len(found), bool)
+        if ((found < ends[0]) | (found > ends[1])).any():
+            root = np.linalg.cholesky(normal)
+            bounded = lsq_linear(root.T, np.linalg.solve(root, right), ends, method="bvls")
+            found, open_ = bounded.x, bounded.active_mask == 0
+        return found, open_
+
+    @property
+    def estimate(self) -> Floats:
+        """The mean, then the effects of each covariate."""
+        return self.free[0]
+
+    @cached_property
+    def covariance(self) -> Floats:
+        """Of the estimate, while what is at a bound stays there."""
+        normal, open_ = _parts(self._each.sum(0))[0], self.free[1]
+        found = np.zeros_like(normal)
+        found[np.ix_(open_, open_)] = np.linalg.inv(normal[np.ix_(open_, open_)])
+        return found
+
+    @property
+    def unbounded(self) -> tuple[Floats, Floats]:
+        """The estimate without bounds, and its covariance."""
+        normal, right, _ = _parts(self._each.sum(0))
+        return np.linalg.solve(normal, right), np.linalg.inv(normal)
+
+    def at(self, covariates: Floats) -> Floats:
+        """Matrix from the estimate to the mean where the covariates have some values, each of shape
+        (..., covariates)."""
+        directions = self.model.directions
+        by_effect = covariates[..., None, :, None] * directions[:, None, :]
+        flat = by_effect.reshape(*by_effect.shape[:-2], -1 if by_effect.size else 0)
+        mean = np.broadcast_to(np.eye(len(directions)), (*flat.shape[:-1], len(directions)))
+        return np.concatenate([mean, flat], -1)
+
+    @cached_property
+    def vectors(self) -> Floats:
+        """What is expected of each block given its observations, shape (blocks, mean)."""
+        k, root, products = len(self.variances), np.sqrt(self.variances), self.model.products
+        inner = np.eye(k) + root[:, None] * products[:, :k, :k] * root
+        right = products[:, :k, -1] - products[:, :k, k:-1] @ self.estimate
+        deviations = root * np.linalg.solve(inner, (root * right)[..., None])[..., 0]
+        means = self.at(self.model.covariates) @ self.estimate
+        return means + deviations @ self.model.directions.T
+
+    def predicted_by_others(self) -> tuple[Floats, Floats]:
+        """Mean and covariance of the vector of each block before its own observations."""
+        normal, right, _ = _parts(self._each.sum(0) - self._each)
+        to = self.at(self.model.covariates)
+        mean = to @ np.linalg.solve(normal, right[..., None])
+        directions = self.model.directions
+        between = directions * self.variances @ directions.T
+        return mean[..., 0], to @ np.linalg.inv(normal) @ to.mT + between
