@@ -164,7 +164,9 @@ def plain(value: Any, *, series: bool = True) -> Any:
     names += getattr(value, "written", ())
     found = {name: plain(getattr(value, name), series=series) for name in names}
     if isinstance(value, Record):
-        group_of = {name: group for group, inside in value.written_together.items() for name in inside}
+        group_of = {
+            name: group for group, inside in value.written_together.items() for name in inside
+        }
         whole: dict[str, Any] = {"schema": SCHEMA, **value.marks}
         for name, item in found.items():
             (whole.setdefault(group_of[name], {}) if name in group_of else whole)[name] = item

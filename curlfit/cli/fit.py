@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -16,7 +16,7 @@ from curlfit.options import settings as s
 from curlfit.options.output import COMPILES, Output, Saved, progress_line
 from curlfit.output.display import corner_of, figures_of
 from curlfit.settings.choices import SEED, Choices, Fitting, Reading
-from curlfit.settings.forms import SWITCH, TEXT, option, whole
+from curlfit.settings.forms import NAMES, SWITCH, TEXT, option, whole
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -52,6 +52,8 @@ def fit(
     *data: Path,
     flags: Fitting = Fitting(),
     share: Annotated[str | None, option(TEXT, "all|NAME,...")] = None,
+    by: Annotated[Sequence[str], option(NAMES, "LABEL,...")] = (),
+    trend: Annotated[Sequence[str], option(NAMES, "LABEL,...")] = (),
     reading: Reading = Reading(),
     config: s.Config = None,
     sampling: Sampling = Sampling(),
@@ -72,7 +74,14 @@ def fit(
         angle_deg ...). Leading lines `# key = value` are its defaults. Several files are fitted
         jointly.
     share
-        With several files: coefficients common to all throws. [default: all]
+        With several throws: coefficients that are equal in all of them. [default: all; from four
+        throws on they vary about their mean]
+    by
+        With several throws: labels by which they form groups that differ, such as `sheet`; the
+        columns of the table, or of that of `--throws`.
+    trend
+        With several throws: labels along which the ice changes, such as `start` (clock times or
+        numbers).
     """
     from curlfit.options.figures import remove_figure
     from curlfit.output.files import prepare_folder
@@ -95,10 +104,11 @@ def fit(
         if words := replace(sampling, no_sample=False).words():
             flag = words[0].partition("=")[0]
             raise InputError(f"{flag}: several throws are fitted without sampling")
-        return _fit_jointly(jobs, share, output)
+        return _fit_jointly(jobs, share, by, trend, output)
     (file,) = data
-    if share is not None:
-        raise InputError("--share needs several files")
+    for name, value in (("share", share), ("by", by), ("trend", trend)):
+        if value:
+            raise InputError(f"--{name} needs several throws")
     request = s.request_fit(file, config, reading, flags, sampling.seed)
     seed = request.seed
     folder = output.out or s.result_folder(file, "fit", reading)
@@ -207,7 +217,11 @@ def _sample(
 
 
 def _fit_jointly(
-    named: Mapping[str, s.ConfiguredThrow[Fitting]], share: str | None, output: Output
+    named: Mapping[str, s.ConfiguredThrow[Fitting]],
+    share: str | None,
+    by: Sequence[str],
+    trend: Sequence[str],
+    output: Output,
 ) -> Saved:
     """Fit several throws jointly and print the report; write `joint.json`, figures, single fits."""
     from curlfit.friction import find_law
@@ -226,9 +240,9 @@ def _fit_jointly(
                     f"{first}; give one with --{key}"
                 )
     law = find_law(chosen.law)
-    names = "all" if share in (None, "all") else [name.strip() for name in str(share).split(",")]
     own = [item.name for item in law.coefficients()]
-    for name in [] if names == "all" else names:
+    shared = None if share in (None, "all") else [one.strip() for one in str(share).split(",")]
+    for name in shared or ():
         if name not in own:
             raise InputError(
                 f"--share {name}: law {law.name} has no such coefficient; it has {', '.join(own)}"
@@ -251,7 +265,7 @@ def _fit_jointly(
         from curlfit.inference.joint.fit import fit_together
 
         result = fit_together(
-            throws, share=names, **common,
+            throws, share=shared or share, by=by, trend=trend, **common,
             progress=lambda step, chi_squared: show(f"step {step}, chi squared {chi_squared:.6g}"),
         )  # fmt: skip
     for name, one in zip(named, result.throws, strict=True):

@@ -73,8 +73,8 @@ def assumed_conditions(model: Model, problems: Problem) -> Floats:
 def motions(
     model: Model, values: Floats, stone: Stone, environment: Environment, times: Floats
 ) -> tuple[Floats, Floats]:
-    """Motions of many parameter vectors at times since the start: x, y, phi, vx, vy and omega, shape
-    (vectors, 6, times), and the times of rest. One program serves any number of vectors."""
+    """Motions of many parameter vectors at times since the start: x, y, phi, vx, vy and omega, of
+    shape (vectors, 6, times), and times of rest. One program serves any number of vectors."""
     found: tuple[Floats, Floats] = in_batches(
         lambda some: _motions(model, some, stone, environment, times), (values,)
     )

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from scipy.optimize import lsq_linear, minimize
@@ -77,7 +77,7 @@ class MixedModel(NamedTuple):
         return MixedFit(self, variances, lower, upper)
 
 
-def _parts(products: Floats) -> tuple[Floats, Floats, float]:
+def _parts(products: Floats) -> tuple[Floats, Floats, Any]:
     """Normal matrix and right side of the mean and the effects, and the sum of squares."""
     normal, right, square = products[..., :-1, :-1], products[..., :-1, -1], products[..., -1, -1]
     return normal + _DIFFUSE * np.eye(normal.shape[-1]), right, square
@@ -100,14 +100,14 @@ class MixedFit:
     def free(self) -> tuple[Floats, Booleans]:
         """The mean and the effects, and which of them are not at a bound."""
         normal, right, _ = _parts(self._each.sum(0))
-        found = np.linalg.solve(normal, right)
+        found: Any = np.linalg.solve(normal, right)
         ends = np.full((2, len(found)), [[-np.inf], [np.inf]])
         ends[:, : len(self.lower)] = self.lower, self.upper
-        open_ = np.ones(len(found), bool)
+        open_: Booleans = np.ones(len(found), bool)
         if ((found < ends[0]) | (found > ends[1])).any():
             root = np.linalg.cholesky(normal)
             bounded = lsq_linear(root.T, np.linalg.solve(root, right), ends, method="bvls")
-            found, open_ = bounded.x, bounded.active_mask == 0
+            found, open_ = np.array(bounded.x), np.array(bounded.active_mask == 0)
         return found, open_
 
     @property
@@ -127,7 +127,8 @@ class MixedFit:
     def unbounded(self) -> tuple[Floats, Floats]:
         """The estimate without bounds, and its covariance."""
         normal, right, _ = _parts(self._each.sum(0))
-        return np.linalg.solve(normal, right), np.linalg.inv(normal)
+        matrix: Any = np.linalg.inv(normal)
+        return matrix @ right, matrix
 
     def at(self, covariates: Floats) -> Floats:
         """Matrix from the estimate to the mean where the covariates have some values, each of shape

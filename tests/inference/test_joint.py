@@ -13,8 +13,8 @@ from scipy.optimize import brentq, least_squares
 import curlfit
 from curlfit import LAWS, InitialState, Stone, fit_together, simulate
 from curlfit.errors import InputError
-from curlfit.inference.joint.differences import _difference
 from curlfit.inference.joint.fit import _warnings_of
+from curlfit.inference.joint.variation import _variation
 from curlfit.options.settings import load_fit_and_chain
 
 LAW = LAWS["front-back"]
@@ -126,8 +126,8 @@ def test_a_bound_that_all_throws_press_on_is_said_once(three):
 
 def test_a_coefficient_that_varies_is_found_and_its_spread_measured():
     spread = 0.002
-    joint = fit_together(sheet(4, spread=spread))
-    varying = {item.expression: item for item in joint.differences}
+    joint = fit_together(sheet(4, spread=spread), share="all")
+    varying = {item.expression: item for item in joint.variation}
     assert varying["mu2_xi"].significant
     assert not varying["mu1_xi"].significant
     assert not varying["mu1_eta + mu2_eta"].significant
@@ -209,7 +209,7 @@ def test_on_the_command_line(three, tmp_path):
     assert alike["mu2_xi*g"].stderr == pytest.approx(9.81 * alike["mu2_xi"].stderr)
     for words, message in (
         ((*names, "--share", "mu"), "law front-back has no such coefficient"),
-        (("throw0.csv", "--share", "all"), "--share needs several files"),
+        (("throw0.csv", "--share", "all"), "--share needs several throws"),
         (("throw0.csv", "throw0.csv"), "two files of the same name"),
         (("throw0.csv", "none.csv"), "no such file"),
     ):
@@ -233,10 +233,10 @@ def test_throws_of_different_friction_do_not_hide_it_in_their_noise(load):
                 omega0=SPINS[place % 3] * (-1) ** place, seed=place,
             ).with_defaults(load=load)
         )  # fmt: skip
-    joint = fit_together(throws)
+    joint = fit_together(throws, share="all")
     assert joint.load == joint.throws[0].load == load
     (total,) = (item for item in joint.combinations if "mu1_eta" in item.weights)
-    (differs,) = (item for item in joint.differences if item.expression == total.expression)
+    (differs,) = (item for item in joint.variation if item.expression == total.expression)
     weights = [total.weights["mu1_eta"], total.weights["mu2_eta"]]
     alone = [curlfit.fit(throw, details=False) for throw in throws]
     split = 1 if load == "uniform" else 0.98  # the path determines about this sum
@@ -251,6 +251,12 @@ def test_throws_of_different_friction_do_not_hide_it_in_their_noise(load):
         assert error == pytest.approx(one.combinations[0].stderr, rel=0.1)
     true = 0.009 * sum(weights)
     assert abs(total.value - true) < 3 * total.stderr
+    varying = fit_together(throws)
+    (mean,) = varying.combinations
+    assert mean.value == pytest.approx(differs.mean, abs=0.1 * differs.stderr)
+    assert mean.stderr == pytest.approx(differs.stderr, rel=0.05)
+    assert mean.dof == 3
+    assert not varying.warnings
 
 
 def test_the_spread_between_throws_is_that_of_paule_and_mandel():
@@ -259,7 +265,7 @@ def test_the_spread_between_throws_is_that_of_paule_and_mandel():
     random = np.random.default_rng(8)
     error = np.array([1, 2, 1, 0.3, 4, 1, 2, 0.5])
     value = 10 + random.standard_normal(8) * np.hypot(error, 3.0)
-    item = _difference("mu", list(zip(value, error, strict=True)), error**-2.0)
+    item = _variation("mu", list(zip(value, error, strict=True)), error**-2.0)
 
     def excess(variance):
         weight = 1 / (error**2 + variance)
@@ -269,6 +275,6 @@ def test_the_spread_between_throws_is_that_of_paule_and_mandel():
     weight = 1 / (error**2 + item.spread**2)
     assert item.mean == pytest.approx(np.average(value, weights=weight))
     assert item.stderr == pytest.approx(weight.sum() ** -0.5)
-    alike = _difference("mu", [(10.0, one) for one in error], error**-2.0)
+    alike = _variation("mu", [(10.0, one) for one in error], error**-2.0)
     assert (alike.spread, alike.p_value) == (0.0, 1.0)
     assert alike.shared_stderr == pytest.approx(alike.stderr) == (error**-2.0).sum() ** -0.5

@@ -225,8 +225,8 @@ def test_draws_that_differ_are_fitted_together_and_stay_usable():
         Throw.from_events(record(**drawn(mu, TEE, side, random)))
         for mu, side in zip(frictions, sides, strict=True)
     ]
-    result = fit_together(evening, "coulomb")
-    assert [item.significant for item in result.differences] == [True]
+    result = fit_together(evening, "coulomb", share="all")
+    assert [item.significant for item in result.variation] == [True]
     assert {one.converged for one in result.throws} == {True}
     assert {one.status for one in result.throws} == {result.status}
     # two numbers along the sheet fit any law, if not one friction

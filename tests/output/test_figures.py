@@ -11,7 +11,7 @@ import curlfit
 from curlfit.comparison.figures import comparison_figure
 from curlfit.comparison.result import Candidate, Comparison
 from curlfit.inference.figures import corner_figure, fit_figure, joint_figure
-from curlfit.inference.joint.result import Difference, JointResult
+from curlfit.inference.joint.result import JointResult, Variation
 from curlfit.inference.mcmc.chain import Chain
 from curlfit.options.figures import FigureFiles, write_figures
 from curlfit.output.figures import PALETTE, Picture, measured_slopes
@@ -432,12 +432,12 @@ def a_joint_result(throws, differences):
     return JointResult(
         law="front-back", load="uniform", share=("mu1_xi",), converged=True, status="converged",
         warnings=(), coefficients={}, combinations=(), rank=1, parameters=1,
-        differences=differences, throws=throws,
+        variation=differences, throws=throws,
     )  # fmt: skip
 
 
 def test_throws_of_a_stop_watch_have_no_path_to_draw(eq12_fit):
-    found = Difference("mu1_xi", ((0.01, 1e-4), (0.02, 1e-4)), 0.0, 5e-3, 0.015, 5e-3)
+    found = Variation("mu1_xi", ((0.01, 1e-4), (0.02, 1e-4)), 0.0, 5e-3, 0.015, 5e-3)
     figure = joint_figure(a_joint_result((replace(eq12_fit, rms={}),) * 2, (found,)))
     require_room(figure)
     (estimates,) = figure.axes
@@ -453,7 +453,7 @@ def test_a_joint_figure_has_room_for_all(eq12_fit):
     )
     each = tuple((0.0417265 + 1e-6 * k, 2e-6) for k in range(12))
     differences = tuple(
-        Difference(name, each, 0.3, 0.0, 0.04172, 1e-6)
+        Variation(name, each, 0.3, 0.0, 0.04172, 1e-6)
         for name in ("mu1_xi", "mu2_xi", "mu1_eta + mu2_eta")
     )
     figure = joint_figure(a_joint_result(throws, differences))

@@ -218,8 +218,8 @@ class Factors(NamedTuple):
             alone = of_data if penalty is None else _stacked(of_data, priors * ~common[:, None])
             reduction = Reduction.of(alone, *about)
             whole = _stacked(of_data, reduction.others)
-            others = reduction if penalty is None else Reduction.of(of_data, *about)
-            of_data = whole if penalty is None else _stacked(of_data, others.others)
+            plain = reduction if penalty is None else Reduction.of(of_data, *about)
+            of_data = whole if penalty is None else _stacked(of_data, plain.others)
         if penalty is not None:
             whole = _stacked(whole, priors)
         inside = confined(whole[..., :-1], bounded, typical)

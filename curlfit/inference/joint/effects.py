@@ -34,7 +34,8 @@ class Effect(WithInterval):
         over g), "curl" (m) or "hog_to_hog" (s).
     value, stderr, dof : estimate, its standard error and the degrees of freedom of that.
     p : probability of a value at least as far from zero by chance; None for the mean of a group.
-    by : the label that distinguishes the groups, or along which the trend runs.
+    by : the label that distinguishes the groups, or along which the trend runs; empty for all
+        throws together.
     group, against : the group, and the one that it is compared with; empty for a trend.
     unit : of the value.
     """
@@ -71,7 +72,8 @@ class Covariates(NamedTuple):
         InputError : a throw lacks a label; there is one group, or a group of one throw; a trend
             is along no number; columns depend on one another.
         """
-        groups, trends, columns = {}, {}, []
+        groups, trends = {}, {}
+        columns: list[Sequence[float]] = []
         for name in by:
             labels = _labels(throws, name)
             groups[name] = tuple(sorted(set(labels), key=_natural))
@@ -182,7 +184,12 @@ class Effects(NamedTuple):
                 )
             return made
 
-        groups, differences, trend = [], [], []
+        differences, trend = [], []
+        middle = fit.at(0 * covariates.mean)
+        mean = np.append(
+            offset + found.weights * typical @ middle @ fit.estimate, draw.quantities(centre)
+        )
+        groups = effects(middle, mean, False, by="")
         for by, members in covariates.groups.items():
             at = np.array([covariates.of_group(by, name) for name in members])
             to, drawn = fit.at(at), draw.quantities(common(at))

@@ -1,5 +1,5 @@
-"""Joint fit of several throws: coefficients in common or about a common mean, own initial states and
-noise."""
+"""Joint fit of several throws: coefficients in common or about a common mean, own initial states
+and noise."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from curlfit.inference.joint.variation import variations_of
 from curlfit.inference.least_squares import Solution, Tasks
 from curlfit.inference.model import Model
 from curlfit.inference.problem import problem_shape
-from curlfit.numerics.arrays import Booleans
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import unstacked
 from curlfit.output.text import join_words
 from curlfit.settings.choices import Fitting, takes
@@ -143,7 +143,8 @@ def fit_together(
     result, weights = _equal(rounds, tasks, solution, common, widths, covariates.values)
     if varies and weights:
         result = _varying(result, rounds, tasks, solution, common, weights, covariates)
-    return result.with_derived(first.derive)
+    each = tuple(replace(one, quantities=quantities_of(one)) for one in result.throws)
+    return replace(result, throws=each).with_derived(first.derive)
 
 
 def _listed(names: str | Sequence[str]) -> list[str]:
@@ -227,7 +228,8 @@ def _equal(
         converged=all(one.converged for one in throws),
         status=_implausible_ones(throws) or status,
         warnings=(
-            *_spin_warnings(variation, throws, rounds), *_equality_warnings(variation),
+            *_spin_warnings(variation, throws, rounds),
+            *_equality_warnings(variation),
             *_throw_warnings(throws),
         ),
         coefficients={name: _among(item, among.get(name)) for name, item in coefficients.items()},
@@ -269,7 +271,9 @@ def _varying(
     fits = [rounds.record(row, one) for row, one in enumerate(unstacked(found.solution))]
     throws = [
         replace(one, systematics=before.systematics)
-        for one, before in zip(summarize_many(fits, others=found.others), result.throws, strict=True)
+        for one, before in zip(
+            summarize_many(fits, others=found.others), result.throws, strict=True
+        )
     ]
     status = _status(throws, found.solution)
     throws = _with_status(throws, status)
@@ -315,19 +319,16 @@ def _first_spread(item: Variation) -> float:
 
 
 def _with_status(throws: Sequence[FitResult], status: str) -> list[FitResult]:
-    """The throws with their quantities, and with the status of all if that is no success."""
-    if not status.startswith("converged"):
-        throws = [
-            one if _implausible(one) else replace(one, converged=False, status=status)
-            for one in throws
-        ]
-    return [replace(one, quantities=quantities_of(one)) for one in throws]
+    """The throws, with the status of all if that is no success."""
+    if status.startswith("converged"):
+        return [*throws]
+    return [
+        one if _implausible(one) else replace(one, converged=False, status=status) for one in throws
+    ]
 
 
 def _implausible_ones(throws: Sequence[FitResult]) -> str:
-    return ". ".join(
-        f"{one.data['file']}: {one.status}" for one in throws if _implausible(one)
-    )
+    return ". ".join(f"{one.data['file']}: {one.status}" for one in throws if _implausible(one))
 
 
 def _throw_warnings(throws: Sequence[FitResult]) -> list[str]:

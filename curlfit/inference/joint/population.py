@@ -107,11 +107,11 @@ def pool(
         np.where(free, (end[0, common] - reference) / typical, sign * np.inf)
         for sign, end in ((-1, tasks.lower), (1, tasks.upper))
     )
-    values, penalty, fit = np.array(solution.values), tasks.penalty, None
+    values, penalty = np.array(solution.values), tasks.penalty
     if penalty is not None:
         penalty = penalty._replace(weight=penalty.weight * ~common)
-    for _ in range(_MOST):
-        if fit is not None:
+    for step in range(_MOST):
+        if step:
             held = [np.where(common, values, end) for end in (tasks.lower, tasks.upper)]
             own = tasks._replace(start=values, lower=held[0], upper=held[1], penalty=penalty)
             solution = minimize_many(rounds.model, own, few=len(values) <= _FEW)
@@ -135,8 +135,8 @@ def pool(
         steps = reduction.follow[:, :, common] @ (typical * move)[..., None]
         values = np.clip(values + steps[..., 0], tasks.lower, tasks.upper)
     others = np.zeros((len(values), size, len(tasks.typical) + 1))
-    for one, *about in zip(others, mean, matrix, now, strict=True):
-        one[:, np.append(common, True)] = _rows(*about, typical)
+    for one, first, second, at in zip(others, mean, matrix, now, strict=True):
+        one[:, np.append(common, True)] = _rows(first, second, at, typical)
     ended = np.full(len(values), distance < _SETTLED)
     return Population(
         fit, reference, typical, tuple(weights), whole, solution._replace(success=ended), others

@@ -21,12 +21,18 @@ from curlfit.inference.report import (
 )
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Section, command_line, show
-from curlfit.output.text import compact, format_estimate, lower
+from curlfit.output.text import compact, format_estimate, join_words, labelled, lower, p_text
 from curlfit.throws.throw import UNITS
 
 if TYPE_CHECKING:
-    from curlfit.inference.joint.result import Variation, JointResult
+    from curlfit.inference.joint.result import JointResult, Variation
 
+_DRAWN = ("friction", "curl", "hog_to_hog")
+_WORDS = {
+    "curl": ("curl", "more", "less", "m"),
+    "hog_to_hog": ("hog to hog", "longer", "shorter", "s"),
+}
+_CHANCE = 0.05  # probability above which an effect is within the errors
 _HIDDEN = ("x0", "y0", "phi0", "heading")
 
 
@@ -57,13 +63,19 @@ def document(result: JointResult) -> Document:
         ),
         about=(status_line(result),),
         lines=[
+            *effect_lines(result),
             *lines_of(result),
-            f"Differs between throws: {', '.join(differing)}." if differing else "",
+            f"Differs between throws: {', '.join(differing)}."
+            if differing and not result.varies
+            else "",
         ],
         sections=(
             Section(
                 "coefficients", "Coefficients",
-                (_shared(result), derived_table(result.derived), _throws(result)),
+                (
+                    *effect_lines(result), _shared(result), _effects(result),
+                    derived_table(result.derived), _throws(result),
+                ),
             ),
             Section("determined", f"What the throws{' do not' * hidden} determine", (determined,)),
             Section("quality", "Systematic errors", (systematics(result),), brief=False),
@@ -79,20 +91,72 @@ def document(result: JointResult) -> Document:
 
 def _shared(result: JointResult) -> PlainTable:
     differences = {item.expression: item for item in result.variation}
+    heading = "~spread between throws" if result.varies else "~differs between throws"
     items: dict[str, Any] = {one.expression: one for one in result.combinations}
     return PlainTable(
         (
             estimate_cells(name, item, result.systematics, "shared")
-            | {"~differs between throws": _said(differences.get(name))}
+            | {heading: _said(differences.get(name), result.varies)}
             for name, item in (result.coefficients | items).items()
         ),
-        "What the throws have in common, with standard errors",
+        f"{'Means of the throws' if result.varies else 'What the throws have in common'}, with "
+        "standard errors",
     )
 
 
-def _said(item: Variation | None) -> Text | str:
+def effect_lines(result: JointResult) -> list[str]:
+    """A draw to the tee, and what groups and trends do to it, in sentences."""
+    of_all = {one.parameter: one for one in result.groups if not one.by}
+    if not of_all:
+        return []
+    friction = of_all["friction"]
+    found = [
+        f"A draw to the tee: mean friction {compact(friction.value, friction.stderr)}, "
+        + ", ".join(
+            f"{said} {compact(of_all[name].value, of_all[name].stderr)} {unit}"
+            for name, (said, *_, unit) in _WORDS.items()
+        )
+        + "."
+    ]
+    effects = [*result.differences, *result.trend]
+    for about in dict.fromkeys((one.by, one.group, one.against) for one in effects):
+        by, group, against = about
+        mine = {one.parameter: one for one in effects if (one.by, one.group, one.against) == about}
+        per = mine["friction"].unit.partition("/")[2]
+        head = f"{by} {group} against {against}" if group else f"Per {per or 'unit'} of {by}"
+        first = mine["friction"]
+        percent = (100 * abs(value) / friction.value for value in (first.value, first.stderr))
+        parts = [f"friction {compact(*percent)} % {'higher' if first.value > 0 else 'lower'}"]
+        for name, (said, more, less, unit) in _WORDS.items():
+            one = mine[name]
+            word = more if one.value > 0 else less
+            parts.append(f"{said} {compact(abs(one.value), one.stderr)} {unit} {word}")
+        chance = [name for name, one in mine.items() if name in _DRAWN and (one.p or 0) > _CHANCE]
+        within = f" ({join_words(chance)} within the errors)".replace("_", " ") if chance else ""
+        found.append(f"{head[:1].upper()}{head[1:]}: {', '.join(parts)}{within}.")
+    return found
+
+
+def _effects(result: JointResult) -> PlainTable:
+    rows = []
+    for one in [*result.groups, *result.differences, *result.trend]:
+        if one.parameter in _DRAWN or not one.by:
+            continue
+        what = f"{one.by} {one.group}".strip() + (f" - {one.against}" if one.against else "")
+        value, error = format_estimate(one.value, one.stderr)
+        rows.append(
+            {"": what, "quantity": labelled(one.parameter, one.unit), ">estimate": value}
+            | {">std. error": error, "p": "" if one.p is None else p_text(one.p)}
+        )
+    return PlainTable(rows, "Groups and trends")
+
+
+def _said(item: Variation | None, varies: bool) -> Text | str:
     if item is None:
         return ""
+    if varies and item.spread > 0:
+        share = f", {abs(100 * item.spread / item.mean):.2g} %" if item.mean else ""
+        return Text(f"{item.spread:.2g}{share} ({item.p_text})")
     if not item.significant:
         return Text(f"no ({item.p_text})", style="green")
     return Text(

@@ -84,9 +84,9 @@ class JointResult(NamedEstimates):
     rank, parameters : directions that the throws determine together, and number of free parameters,
         not counting what varies.
     variation : of each determined shared coefficient or combination.
-    groups, differences, trend : the mean of each group of throws, its difference from the first
-        group of the same label, and the change of the mean along a trend; of each quantity that
-        varies, and of a draw to the tee.
+    groups, differences, trend : the mean of all throws and of each group, the differences of groups
+        from the first one of the same label, and the change of the mean along a trend; of each
+        quantity that varies, and of a draw to the tee.
     throws : a `FitResult` for each throw, with its own coefficients if these vary; its standard
         errors and its information are those of the joint fit, so that predictions from it use all
         throws.
@@ -105,7 +105,9 @@ class JointResult(NamedEstimates):
     """
 
     kind: ClassVar[str] = "joint"
-    written_together: ClassVar[dict[str, tuple[str, ...]]] = {"identifiability": ("rank", "parameters")}
+    written_together: ClassVar[dict[str, tuple[str, ...]]] = {
+        "identifiability": ("rank", "parameters")
+    }
 
     law: str
     load: LoadName

@@ -1,0 +1,86 @@
+"""Mixed models against dense matrices, and their coverage."""
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+from scipy.stats import multivariate_normal
+
+from curlfit.numerics.mixed_model import MixedModel
+
+MEAN, EFFECTS, SPREADS = np.array([1.0, 2.0, 0.3]), np.array([[0.5, -0.2]]), np.array([0.3, 0.6])
+DIRECTIONS = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 0.5]])
+
+
+def simulated(blocks, seed, spreads=SPREADS):
+    random = np.random.default_rng(seed)
+    covariates = (np.arange(blocks) % 2 - 0.5)[:, None]
+    rows = random.normal(size=(blocks, 3, 3)) * [5, 5, 1]
+    deviations = spreads * random.normal(size=(blocks, 2))
+    vectors = MEAN + (covariates @ EFFECTS + deviations) @ DIRECTIONS.T
+    target = (rows @ vectors[..., None])[..., 0] + random.normal(size=(blocks, 3))
+    return rows, target, covariates, vectors
+
+
+def dense(rows, target, covariates, variances):
+    """-2 log restricted likelihood, the estimate and its covariance, block by block."""
+    found, normal, right, square = 0.0, 0.0, 0.0, 0.0
+    for own, z, x in zip(rows, target, covariates, strict=True):
+        along = own @ DIRECTIONS
+        matrix = np.eye(3) + along @ np.diag(variances) @ along.T
+        design = np.concatenate([own, along * x], 1)
+        normal = normal + design.T @ np.linalg.solve(matrix, design)
+        right = right + design.T @ np.linalg.solve(matrix, z)
+        found += -2 * multivariate_normal.logpdf(z, np.zeros(3), matrix) - 3 * np.log(2 * np.pi)
+    best = np.linalg.solve(normal, right)
+    return found + np.linalg.slogdet(normal)[1] - right @ best + square, best, np.linalg.inv(normal)
+
+
+def test_the_estimate_is_that_of_the_dense_likelihood():
+    rows, target, covariates, _ = simulated(40, 1)
+    model = MixedModel.of(rows, target, DIRECTIONS, covariates)
+    assert model.criterion(SPREADS**2) == pytest.approx(
+        dense(rows, target, covariates, SPREADS**2)[0], abs=1e-5
+    )
+    found = model.fitted(np.full(2, 0.1), np.full(3, -np.inf), np.full(3, np.inf))
+    peer = minimize(
+        lambda v: dense(rows, target, covariates, np.exp(v))[0], np.log([0.1, 0.1]),
+        method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-9},
+    )  # fmt: skip
+    assert np.log(found.variances) == pytest.approx(peer.x, abs=1e-3)
+    _, best, covariance = dense(rows, target, covariates, found.variances)
+    assert found.estimate == pytest.approx(best, abs=1e-6)
+    assert found.covariance == pytest.approx(covariance, abs=1e-6)
+
+
+def test_a_block_before_its_own_observations_is_as_without_it():
+    rows, target, covariates, _ = simulated(12, 2)
+    found = MixedModel.of(rows, target, DIRECTIONS, covariates).fitted(
+        np.full(2, 0.1), np.full(3, -np.inf), np.full(3, np.inf)
+    )
+    mean, matrix = found.predicted_by_others()
+    _, best, covariance = dense(rows[1:], target[1:], covariates[1:], found.variances)
+    to = found.at(covariates[:1])[0]
+    assert mean[0] == pytest.approx(to @ best, abs=1e-6)
+    between = DIRECTIONS * found.variances @ DIRECTIONS.T
+    assert matrix[0] == pytest.approx(to @ covariance @ to.T + between, abs=1e-6)
+
+
+def test_without_deviations_their_size_is_zero_in_half_of_the_cases():
+    zero = 0
+    for seed in range(20):
+        rows, target, covariates, _ = simulated(10, seed, spreads=np.zeros(2))
+        model = MixedModel.of(rows, target, DIRECTIONS, covariates)
+        found = model.fitted(np.full(2, 1e-3), np.full(3, -np.inf), np.full(3, np.inf))
+        zero += int((found.variances == 0).sum())
+    assert 10 <= zero <= 32
+
+
+def test_a_mean_outside_its_bounds_stays_at_them():
+    rows, target, covariates, _ = simulated(40, 3)
+    model = MixedModel.of(rows, target, DIRECTIONS, covariates)
+    found = model.fitted(np.full(2, 0.1), np.array([1.2, -9.0, -9.0]), np.full(3, 9.0))
+    assert found.estimate[0] == 1.2
+    assert found.covariance[0, 0] == 0
+    free, _ = found.unbounded
+    assert free[0] < 1.2
+    assert found.estimate[1] != pytest.approx(free[1], abs=1e-9)
