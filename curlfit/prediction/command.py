@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter
 
 from curlfit.errors import InputError
 from curlfit.options import settings as s
 from curlfit.options.output import COMPILES, Output, Saved
-from curlfit.settings.choices import COUNT, SEED, Choices, Reading
-from curlfit.settings.forms import NUMBER, PATH, SWITCH, TEXT, numbers, option
+from curlfit.settings.choices import COUNT, SEED, Choices, Named, Reading
+from curlfit.settings.forms import LABELS, NUMBER, PATH, SWITCH, TEXT, numbers, option
 
+if TYPE_CHECKING:
+    from curlfit.prediction.request import Call
+
+_SIDES = {"left", "right"}
 _CHECK = Group("Comparison with measured rows", sort_key=1)
 
 
@@ -43,6 +48,44 @@ class Goal(Choices):
     ] = None
 
 
+@Parameter(name="*", group=Group("Another throw in curlers' terms", sort_key=0))
+@dataclass(frozen=True, kw_only=True)
+class Called(Choices):
+    """Another throw in curlers' terms.
+
+    Attributes
+    ----------
+    hog_to_hog : Weight: time between the hog lines, s.
+    broom : Where the broom is, seen from the thrower, at the far tee: `4 ft left`, `1.2 m right`.
+    turn : `clockwise` or `counter-clockwise`; `in` or `out` of a right-hander.
+    sheet : Sheet of ice, of a joint fit by sheets.
+    group : Group of a joint fit, by the labels of `--by`: `thrower=Anna`; or the place along a
+        trend: `start=21:30`. [default: the mean of the groups; the end of the trend]
+    """
+
+    hog_to_hog: Annotated[float | None, option(NUMBER, "S")] = None
+    broom: Annotated[str | None, option(TEXT, "OFFSET")] = None
+    turn: Annotated[str | None, option(TEXT, "TURN")] = None
+    sheet: Annotated[str | None, option(TEXT, "NAME")] = None
+    group: Annotated[Named, option(LABELS, "LABEL=NAME")] = field(default_factory=dict)
+
+    def call(self) -> Call:
+        """The throw. Raises `InputError` for an offset without a side."""
+        from curlfit.prediction.request import Call
+        from curlfit.throws.readers.notation import parse_quantity
+
+        labels = dict(self.group) | ({} if self.sheet is None else {"sheet": self.sheet})
+        broom = None
+        if self.broom is not None:
+            found = parse_quantity(self.broom, "x")
+            if math.isnan(found.value) or not (found.words <= _SIDES and len(found.words) < 2):
+                raise InputError(f"--broom {self.broom}: expected a length, left or right")
+            if found.value and not (found.words or found.signed):
+                raise InputError(f"--broom {self.broom}: to which side? Expected 4 ft left")
+            broom = -found.value if "left" in found.words else found.value
+        return Call(labels, self.hog_to_hog, broom, self.turn)
+
+
 def predict(
     fit: Path,
     /,
@@ -50,6 +93,7 @@ def predict(
     line: Annotated[str | None, option(TEXT, "LINE", name="--from")] = None,
     start: s.Start = s.Start(),
     goal: Goal = Goal(),
+    called: Called = Called(),
     check: Annotated[Path | None, option(PATH, "DATA", group=_CHECK)] = None,
     reading: Reading = Reading(),
     draws: Annotated[int, option(COUNT, "N")] = 1000,
@@ -72,12 +116,15 @@ def predict(
 
     `curlfit predict throw-fit --target=-0.6,0.3`: to rest left of the tee and behind it
 
+    `curlfit predict evening-fit --sheet 2 --hog-to-hog 13.9 --broom "4 ft left" --turn in`: the
+    next stone on the ice of a joint fit
+
     `curlfit fit a.csv --until 12`, then `curlfit predict a-fit --check a.csv`: was it right?
 
     Parameters
     ----------
     fit
-        A saved fit: its folder, or the fit.json in it.
+        A saved fit, also of several throws: its folder, or the file in it.
     line
         Line on which the throw starts: `hack`, `back`, `tee`, `hog` (the near ones), `centre` or
         `far-hog`; or `data`: at the start of the data, with y from the hack. [default: hog; data
@@ -94,7 +141,13 @@ def predict(
     drawn = output.drawn()
     if goal.to_tee + (goal.weight is not None) + (goal.target is not None) > 1:
         raise InputError("--to-tee, --weight and --target: expected one of them")
-    result, chain = s.load_fit_and_chain(fit, law)
+    result: Any
+    if s.kind_of(fit) == "joint":
+        from curlfit.inference.joint.result import load_joint
+
+        result, chain = load_joint(fit).with_law(law), None
+    else:
+        result, chain = s.load_fit_and_chain(fit, law)
     throw = None
     if check is not None:
         from curlfit.throws.load import load_throw
@@ -105,7 +158,7 @@ def predict(
         from curlfit.prediction.predict import predict as prediction_of
 
         found = prediction_of(
-            result, chain, start=start.given(), line=line,
+            result, chain, start=start.given(), call=called.call(), line=line,
             target=(0.0, 0.0) if goal.to_tee else goal.target, weight=goal.weight,
             tee_speed=goal.tee_speed, draws=draws, seed=seed, check=throw,
         )  # fmt: skip

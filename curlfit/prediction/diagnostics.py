@@ -28,14 +28,22 @@ def remarks(
 ) -> tuple[list[str], list[str]]:
     """Warnings and notes; `anywhere` is where neither user nor data say where the throw starts."""
     null_warnings, null_notes = _null_direction_effects(fit, found)
-    law_warnings, law_notes = _discrepancy_remarks(found.discrepancy)
-    notes = [*null_notes, *law_notes]
+    law_warnings: list[str] = []
+    notes = [*null_notes]
+    if found.discrepancy is not None:
+        law_warnings, law_notes = _discrepancy_remarks(found.discrepancy)
+        notes += law_notes
+    else:
+        notes.append(
+            "the bands contain the spread between the throws of the joint fit, and with it what "
+            "the law lacks at the speeds and spins of these"
+        )
     if anywhere and request.line == "hog" and not request.new:
         notes.append(
             "the data do not state where on the sheet y = 0 lies; the throw is assumed to start on "
             "the near hog line, which affects the resting position but not the motion"
         )
-    if request.new:
+    if request.new and found.discrepancy is not None:
         notes.append(
             "the variation of the ice from throw to throw cannot be estimated from a single throw"
         )
@@ -198,7 +206,7 @@ def compare_held_out(
     return HeldOut(throw.name, first, last, channels, observed)
 
 
-def _noise(throw: Throw, fit: FitResult, discrepancy: Discrepancy, name: str) -> Floats:
+def _noise(throw: Throw, fit: FitResult, discrepancy: Discrepancy | None, name: str) -> Floats:
     """Standard deviation of the noise of a channel in each row."""
     if (given := throw.sigma.get(name)) is not None:
         return given
@@ -206,7 +214,8 @@ def _noise(throw: Throw, fit: FitResult, discrepancy: Discrepancy, name: str) ->
     if course is not None and f"sigma_{name}" in fit.observed:
         fitted = np.interp(fit.observed["t"], throw.t, course)
         return course * np.nanmedian(fit.observed[f"sigma_{name}"] / fitted)
-    sigma = discrepancy.noise.get(name, fit.sigma.get(name, 0.0))
+    known = {} if discrepancy is None else discrepancy.noise
+    sigma = known.get(name, fit.sigma.get(name, 0.0))
     return np.full(len(throw.t), sigma)
 
 

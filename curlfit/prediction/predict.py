@@ -28,13 +28,14 @@ from curlfit.friction import Law
 from curlfit.inference.fit.fit import fit as fit_throw, refit
 from curlfit.inference.fit.prepared import prepare_linearized
 from curlfit.inference.fit.result import FitResult, require_fit
+from curlfit.inference.joint.result import JointResult
 from curlfit.inference.mcmc.chain import Chain
 from curlfit.inference.mcmc.ridge import ridge_proposal
 from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Floats
 from curlfit.prediction import diagnostics
 from curlfit.prediction.ensemble import ThrowFamily, prepare_ensemble
-from curlfit.prediction.request import ThrowRequest, ThrowStart, start_of
+from curlfit.prediction.request import CENTRED, Call, ThrowRequest, ThrowStart, start_of
 from curlfit.prediction.result import Prediction
 from curlfit.prediction.simulation import Simulation
 from curlfit.throws.throw import CHANNELS, Throw
@@ -43,10 +44,11 @@ _ROUNDS = 200  # of draws, until enough are within the bounds
 
 
 def predict(
-    fit: FitResult,
+    fit: FitResult | JointResult,
     chain: Chain | None = None,
     *,
     start: Mapping[str, float] | None = None,
+    call: Call = CENTRED,
     line: str | None = None,
     target: tuple[float, float] | None = None,
     weight: str | None = None,
@@ -63,7 +65,9 @@ def predict(
 
     Parameters
     ----------
-    fit, chain : a converged fit and, if there is one, its posterior sample.
+    fit, chain : a converged fit and, if there is one, its posterior sample. A joint fit of throws
+        that vary predicts another one of them: the bands contain the spread between throws.
+    call : the throw in curlers' terms, and its group in a joint fit.
     start : any of x0, y0 (m on the sheet), heading (rad), v0 (m/s), phi0 (rad), omega0 (rad/s);
         taken as exact.
     line : where the throw starts: "hack", "back", "tee", "hog", "centre" or "far-hog"; "data" is
@@ -94,7 +98,18 @@ def predict(
     >>> round(prediction.quantities["time"].value, 1)
     24.3
     """
+    random, together = np.random.default_rng(seed), isinstance(fit, JointResult)
+    drawn = None
+    if isinstance(fit, JointResult):
+        fit, drawn = fit.another(call.labels, draws, random)
+        line = line or "hog"
     require_fit(fit)
+    start = {**call.start(fit, start or {}, line or "hog"), **(start or {})}
+    if together and not (start or target or weight):
+        raise InputError(
+            "a joint fit predicts another throw: give its weight as hog to hog time or v0, or "
+            "where it is to rest"
+        )
     request = ThrowRequest(dict(start or {}), line or "hog", target, weight, tee_speed)
     if line is None and not request.new and fit.counts_from_hack:
         request = request._replace(line="data")
@@ -110,9 +125,12 @@ def predict(
         )
     prepare_ensemble(fit)
     prepare_linearized(fit)
-    random, begin = np.random.default_rng(seed), start_of(fit, request)
-    values, source = _drawn_values(fit, chain, draws, random)
-    found = Simulation.of(fit, ThrowFamily(fit, begin, request.new), values, random)
+    begin = start_of(fit, request)
+    values, source = drawn, "throws"
+    if values is None:
+        values, source = _drawn_values(fit, chain, draws, random)
+    exact = None if together else random
+    found = Simulation.of(fit, ThrowFamily(fit, begin, request.new), values, exact)
     warned, noted = diagnostics.remarks(fit, found, request, line is None)
     if (used := len(found.plain.t)) < draws:
         warned.append(f"{1 - used / draws:.1%} of the draws do not come to rest and are left out")
@@ -135,6 +153,7 @@ def predict(
         line="" if "y0" in request.start else request.line,
         goal=request.goal(),
         draws={"number": draws, "used": used, "source": source, "seed": seed},
+        labels=dict(call.labels),
         measured=_measured_rows(fit, begin),
         warnings=tuple(warned),
         notes=(*notes, *noted),

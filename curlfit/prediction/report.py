@@ -21,7 +21,7 @@ from curlfit.output.document import (
 )
 from curlfit.output.text import format_estimate, labelled, lower, rows_text, sided, stone_text
 from curlfit.prediction.result import OUTCOMES, QUANTITIES, HeldOut, Prediction, Quantity
-from curlfit.sheet import FOOT, STONE_RADIUS, TEE_TO_BACK
+from curlfit.sheet import FOOT, STONE_RADIUS, TEE, TEE_TO_BACK
 
 _LINES = {
     "hack": "at the hack", "back": "on the near back line", "tee": "on the near tee line",
@@ -55,7 +55,9 @@ def document(prediction: Prediction) -> Document:
     fitted = prediction.of == "fitted"
     what = "the fitted throw, extrapolated to rest" if fitted else "another throw on this ice"
     aim = [] if prediction.goal is None else [_aim(prediction)]
+    aim += [] if fitted else [_called(prediction)]
     source = (
+        "the throws of the joint fit, by Student's t" if draws["source"] == "throws" else
         "the chain" if draws["source"] == "chain" else "the covariance of the fit (there is no "
         "chain.h5): Gaussian along determined directions, uniform along the others"
     )  # fmt: skip
@@ -151,6 +153,21 @@ def _aim(prediction: Prediction) -> str:
         return f"With {' and '.join(found)} it comes to rest {where}"
     place = "the tee line" if x is None else "the tee"
     return f"With {' and '.join(found)} it passes {place} at {goal['speed']:g} m/s"
+
+
+def _called(prediction: Prediction) -> str:
+    """The throw in curlers' terms."""
+    start = {name: item["value"] for name, item in prediction.start.items()}
+    broom = start["x0"] + math.tan(start["heading"]) * (TEE - start["y0"])
+    inches = round(abs(broom) / FOOT * 12)
+    side = "right" if broom > 0 else "left"
+    found = [f"{name} {label}" for name, label in prediction.labels.items()]
+    if "hog_to_hog" in prediction.quantities:
+        found.append(f"{prediction.quantities['hog_to_hog'].value:.2f} s hog to hog")
+    aimed = f"{inches // 12} ft {inches % 12} in to the {side} of" if inches else "on"
+    found.append(f"broom {aimed} the centre line at the tee")
+    text = ", ".join(found)
+    return f"{text[:1].upper()}{text[1:]}."
 
 
 def _quantities(prediction: Prediction) -> PlainTable:

@@ -120,8 +120,9 @@ class Prediction(Record):
     of : "fitted" for the fitted throw, extrapolated to rest, "new" for another one.
     line : the line on which it starts, "data" for the start of the data, "" for a given position.
     goal : None, or "words", "x", "y" (m from the tee; x None where free), "speed".
-    draws : "number", "used", "source" ("chain" or "covariance"), "seed".
-    misfit : the model discrepancy.
+    draws : "number", "used", "source" ("chain", "covariance" or "throws" of a joint fit), "seed".
+    labels : of a throw on the ice of a joint fit.
+    misfit : the model discrepancy; None where the throws of a joint fit contain its effect.
     series : t (s since the start) and x, y, phi, speed, omega of the best estimate; of x, y, phi
         also "x_parameter_sd", "x_model_sd" and the quantiles "x_2.5" ...
     band : x as a function of y: "y", "x" and "x_2.5" ..., up to the y that half of the draws
@@ -163,7 +164,7 @@ class Prediction(Record):
     line: str
     goal: _Goal | None
     draws: _Draws
-    misfit: Discrepancy
+    misfit: Discrepancy | None
     series: Annotated[dict[str, Floats], Names(_SERIES)] = field(metadata=SERIES)
     band: Annotated[dict[str, Floats], Names(_BAND)] = field(metadata=SERIES)
     rest: _Rest
@@ -172,6 +173,7 @@ class Prediction(Record):
     sensitivity: dict[str, _Sensitivity]
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
+    labels: dict[str, str] = field(default_factory=dict)
     check: HeldOut | None = None
     measured: dict[str, Floats] = field(default_factory=dict, metadata=SERIES)
     sample: Annotated[Arrays, Names(("t", *PREDICTED, "rest"))] = field(

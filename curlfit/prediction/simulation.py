@@ -37,13 +37,17 @@ class Simulation(NamedTuple):
     """for the same draws, each with a draw of the model discrepancy"""
     probed: dict[str, TrajectoryEnsemble]
     """at the best estimate with small changes"""
-    discrepancy: Discrepancy
+    discrepancy: Discrepancy | None
 
     @classmethod
     def of(
-        cls, fit: FitResult, throws: ThrowFamily, values: Floats, random: np.random.Generator
+        cls,
+        fit: FitResult,
+        throws: ThrowFamily,
+        values: Floats,
+        random: np.random.Generator | None,
     ) -> Self:
-        """Simulate a throw for drawn parameter vectors.
+        """Simulate a throw for drawn parameter vectors; without `random`, the law is exact.
 
         Raises
         ------
@@ -63,17 +67,18 @@ class Simulation(NamedTuple):
                 f"the {fit.law} law as fitted does not bring this stone to rest"
                 + no_motion_because(fit.load)
             )
-        discrepancy = discrepancy_posterior(fit)
-        missing = discrepancy.draw(len(values), random)
-        shifted = throws.with_start(discrepancy.shift_parameters(values, missing))
-        full = missing.applied_to(throws.simulate(shifted), throws.spin_ratio)
+        full, summary = plain, None
+        if random is not None:
+            discrepancy = discrepancy_posterior(fit)
+            missing, summary = discrepancy.draw(len(values), random), discrepancy.summary
+            shifted = throws.with_start(discrepancy.shift_parameters(values, missing))
+            full = missing.applied_to(throws.simulate(shifted), throws.spin_ratio)
         use = plain.good & full.good
         if use.mean() < 0.5:
             raise UnusableFitError(
                 f"only {use.mean():.0%} of the draws come to rest; the fit is too uncertain for "
                 "this throw"
             )
-        summary = discrepancy.summary
         return cls(throws.t, best, plain.select(use), full.select(use), probed, summary)
 
     def summary(self) -> dict[str, Any]:

@@ -6,12 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from curlfit.errors import InputError
 from curlfit.inference.model import Model
 from curlfit.inference.parameters import START
 from curlfit.inference.problem import LEVEL_AND_STILL
 from curlfit.inference.system import motions
 from curlfit.numerics.arrays import Floats
-from curlfit.sheet import LINES, TEE
+from curlfit.sheet import HOG_TO_HOG, LINES, TEE
 from curlfit.stone import GRAVITY, Stone
 
 _START = LINES["hog"]
@@ -35,15 +36,41 @@ class Draw(NamedTuple):
 
     def quantities(self, coefficients: Floats) -> Floats:
         """Those of `DRAW`, shape (vectors, 3), for vectors of the coefficients and conditions."""
-        start = {"x0": 0.0, "y0": _START, "heading": 0.0, "phi0": 0.0, "omega0": self.spin}
-        first = [start.get(item.name, _USUAL) for item in START]
-        speed = coefficients.shape[1] + [item.name for item in START].index("v0")
-        values = np.column_stack([coefficients, np.tile(first, (len(coefficients), 1))])
-        about = self.stone, LEVEL_AND_STILL, _TIMES
+        speed = np.full(len(coefficients), _USUAL)
         for _ in range(_ROUNDS):  # the distance is nearly proportional to the square of the speed
-            state, _ = motions(self.model, values, *about)
-            values[:, speed] *= np.sqrt(_LENGTH / (state[:, 1, -1] - _START))
-        x, y = motions(self.model, values, *about)[0][:, :2].swapaxes(0, 1)
-        friction = values[:, speed] ** 2 / (2 * GRAVITY * _LENGTH)
-        crossing = [np.interp(LINES["far-hog"], own, _TIMES) for own in y]
-        return np.column_stack([friction, -np.sign(self.spin) * x[:, -1], crossing])
+            x, y = self._paths(coefficients, speed)
+            speed *= np.sqrt(_LENGTH / (y[:, -1] - _START))
+        x, y = self._paths(coefficients, speed)
+        friction = speed**2 / (2 * GRAVITY * _LENGTH)
+        return np.column_stack([friction, -np.sign(self.spin) * x[:, -1], _hog_to_hog(y)])
+
+    def speed(self, coefficients: Floats, hog_to_hog: float) -> float:
+        """Speed in m/s at the near hog line of a stone that takes so many s to the far one.
+
+        Raises
+        ------
+        InputError : it does not get there.
+        """
+        speed = np.array([HOG_TO_HOG / hog_to_hog + _USUAL / 4])
+        for _ in range(_ROUNDS):
+            _, y = self._paths(coefficients[None], speed)
+            if not y[0, -1] > LINES["far-hog"]:
+                speed *= 1.1
+                continue
+            speed *= np.sqrt(_hog_to_hog(y) / hog_to_hog)
+        if not abs(_hog_to_hog(self._paths(coefficients[None], speed)[1])[0] - hog_to_hog) < 1e-3:
+            raise InputError(f"hog to hog {hog_to_hog:g} s: it stops before the far hog line")
+        return float(speed[0])
+
+    def _paths(self, coefficients: Floats, speed: Floats) -> tuple[Floats, Floats]:
+        """x and y of throws along the centre line."""
+        start = {"x0": 0.0, "y0": _START, "heading": 0.0, "phi0": 0.0, "omega0": self.spin}
+        own = [np.broadcast_to(start.get(item.name, speed), speed.shape) for item in START]
+        values = np.column_stack([coefficients, *own])
+        state, _ = motions(self.model, values, self.stone, LEVEL_AND_STILL, _TIMES)
+        return state[:, 0], state[:, 1]
+
+
+def _hog_to_hog(y: Floats) -> Floats:
+    """Times in s at which paths from the near hog line cross the far one."""
+    return np.array([np.interp(LINES["far-hog"], own, _TIMES) for own in y])

@@ -1,4 +1,4 @@
-"""Groups of throws and trends: their covariates, and what these do to the coefficients."""
+"""Groups of throws and trends: their covariates, and records of what these do."""
 
 from __future__ import annotations
 
@@ -12,13 +12,11 @@ import numpy as np
 from curlfit.errors import InputError
 from curlfit.foreign import quoted
 from curlfit.inference.identifiability import WithInterval
-from curlfit.inference.joint.draw import DRAW, Draw
-from curlfit.inference.joint.population import Population
 from curlfit.numerics.arrays import Floats
 from curlfit.output.text import join_words
+from curlfit.records import Matrix
 from curlfit.throws.throw import Throw
 
-_STEP = 1e-3  # typical sizes, of differences
 _CLOCK = re.compile(r"(\d{1,2})[:h](\d{2})(?::(\d{2}))?")
 _DAY = 24.0  # h
 _LATE = 12.0  # h by which a clock goes back at midnight
@@ -142,66 +140,79 @@ def _numbers(name: str, labels: Sequence[str]) -> tuple[list[float], str]:
     return found, "1" if clocks[0] is None else "h"
 
 
-class Effects(NamedTuple):
-    """All of a joint fit."""
+@dataclass(frozen=True, eq=False)
+class Means:
+    """The means of the parameters in common.
 
-    groups: tuple[Effect, ...] = ()
-    differences: tuple[Effect, ...] = ()
-    trend: tuple[Effect, ...] = ()
+    Attributes
+    ----------
+    names : the parameters.
+    groups, trends : names of the groups by label, and units of trends by label.
+    centre, last : values of the covariates, a column for each group but the first and each trend:
+        their means over the throws, which have been subtracted from all, and those of the last
+        throw.
+    estimate, covariance : of the parameters of the mean of all throws and then, by covariate, of
+        its effects along the directions in which throws vary.
+    directions : changes of the parameters in these, shape (parameters, directions).
+    spreads : standard deviations between throws along them. dof : degrees of freedom of these.
+    """
 
-    @classmethod
-    def of(
-        cls, found: Population, covariates: Covariates, draw: Draw, units: Mapping[str, str]
-    ) -> Self:
-        """Of a population; `units` are those of the coefficients."""
-        from scipy.special import stdtr  # slow to load
+    names: tuple[str, ...]
+    groups: dict[str, tuple[str, ...]]
+    trends: dict[str, str]
+    centre: Floats
+    last: Floats
+    estimate: Floats
+    covariance: Matrix
+    directions: Matrix
+    spreads: Floats
+    dof: float
 
-        fit, typical, covariance = found.fit, found.typical, found.covariance
-        size = len(typical)
+    def at(self, columns: Floats) -> Floats:
+        """Matrix from the estimate to the parameters where covariates have some values."""
+        size, k = self.directions.shape
+        effects = columns[:, None, None] * self.directions
+        flat = np.moveaxis(effects, 0, 1).reshape(size, len(columns) * k)
+        return np.concatenate([np.eye(size), flat], 1)
 
-        def common(at: Floats) -> Floats:
-            """Common parameters where the covariates have some values, shape (..., size)."""
-            points: Floats = found.reference + typical * (fit.at(at) @ fit.estimate)
-            return points
+    def columns(self, labels: Mapping[str, str]) -> Floats:
+        """The covariates of another throw: of its group, or the mean of all groups; along a trend
+        at its label, or as at the last throw.
 
-        centre = common(np.zeros((1, len(covariates.mean))))
-        steps = np.concatenate([_STEP * np.diag(typical), -_STEP * np.diag(typical)])
-        ends = draw.quantities(centre + steps)
-        slopes = (ends[:size] - ends[size:]).T / (2 * _STEP)
-        rows = np.concatenate([found.weights * typical, slopes])
-        offset = found.weights @ found.reference
-        names = {name: units.get(name, "1") for name in found.varying} | DRAW
-
-        def effects(to: Floats, values: Floats, tested: bool, **about: str) -> list[Effect]:
-            errors = np.sqrt(np.einsum("ij,jk,ik->i", rows @ to, covariance, rows @ to))
-            made = []
-            for (name, unit), value, error in zip(names.items(), values, errors, strict=True):
-                p = 2 * float(stdtr(found.dof, -abs(value) / error)) if tested and error else None
-                per = f"{unit}/{about['per']}" if about.get("per", "1") != "1" else unit
-                known = {key: text for key, text in about.items() if key != "per"}
-                made.append(
-                    Effect(name, float(value), float(error), found.dof, p, unit=per, **known)
+        Raises
+        ------
+        InputError : an unknown label or group.
+        """
+        for name in labels:
+            if name not in (*self.groups, *self.trends):
+                known = join_words([*self.groups, *self.trends]) or "none"
+                raise InputError(
+                    f"{name}: the fit distinguishes no throws by {quoted(name)}; it has {known}"
                 )
-            return made
+        found, place = np.zeros(len(self.centre)), 0
+        for name, members in self.groups.items():
+            if name in labels:
+                if labels[name] not in members:
+                    raise InputError(
+                        f"{name} {quoted(labels[name])}: expected {join_words(members, 'or')}"
+                    )
+                own = slice(place, place + len(members) - 1)
+                found[own] = np.array([labels[name] == one for one in members[1:]])
+                found[own] -= self.centre[own]
+            place += len(members) - 1
+        for column, name in enumerate(self.trends, place):
+            found[column] = self.last[column]
+            if name in labels:
+                found[column] = _numbers(name, [labels[name]])[0][0] - self.centre[column]
+        return found
 
-        differences, trend = [], []
-        middle = fit.at(0 * covariates.mean)
-        mean = np.append(
-            offset + found.weights * typical @ middle @ fit.estimate, draw.quantities(centre)
-        )
-        groups = effects(middle, mean, False, by="")
-        for by, members in covariates.groups.items():
-            at = np.array([covariates.of_group(by, name) for name in members])
-            to, drawn = fit.at(at), draw.quantities(common(at))
-            linear = offset + to @ fit.estimate @ (found.weights * typical).T
-            values = np.concatenate([linear, drawn], 1)
-            for group, matrix, value in zip(members, to, values, strict=True):
-                groups += effects(matrix, value, False, by=by, group=group)
-            for group, matrix, value in zip(members[1:], to[1:], values[1:], strict=True):
-                about = {"by": by, "group": group, "against": members[0]}
-                differences += effects(matrix - to[0], value - values[0], True, **about)
-        for along, unit in covariates.trends.items():
-            one = covariates.of_trend(along)
-            to = fit.at(one) - fit.at(0 * one)
-            trend += effects(to, rows @ to @ fit.estimate, True, by=along, per=unit)
-        return cls(tuple(groups), tuple(differences), tuple(trend))
+    def draw(self, labels: Mapping[str, str], number: int, random: Any) -> tuple[Floats, Floats]:
+        """The mean parameters of another throw, and draws of its own, shape (number, parameters):
+        by Student's t, since the spreads are estimated."""
+        to = self.at(self.columns(labels))
+        between = self.directions * self.spreads**2 @ self.directions.T
+        squares, axes = np.linalg.eigh(to @ self.covariance @ to.T + between)
+        root = axes * np.sqrt(np.maximum(squares, 0.0))
+        tails = np.sqrt(self.dof / random.chisquare(self.dof, (number, 1)))
+        mean = to @ self.estimate
+        return mean, mean + tails * random.standard_normal((number, len(mean))) @ root.T

@@ -24,10 +24,11 @@ from curlfit.inference.fit.summary import IMPLAUSIBLE, summarize_many, weakness
 from curlfit.inference.fit.systematics import calibrations_of, widths_of
 from curlfit.inference.identifiability import Bounded, Combination, r_factors
 from curlfit.inference.joint.draw import Draw
-from curlfit.inference.joint.effects import Covariates, Effects
+from curlfit.inference.joint.effects import Covariates
 from curlfit.inference.joint.population import pool
 from curlfit.inference.joint.result import JointResult, Variation
 from curlfit.inference.joint.solver import Progress, minimize_jointly
+from curlfit.inference.joint.summary import Effects, means_of
 from curlfit.inference.joint.variation import variations_of
 from curlfit.inference.least_squares import Solution, Tasks
 from curlfit.inference.model import Model
@@ -297,7 +298,7 @@ def _varying(
             replace(one, spread=spreads.get(one.expression, 0.0), shared_stderr=None)
             for one in result.variation
         ),
-        varies=True,
+        means=means_of(found, covariates, result.share),
         groups=effects.groups,
         differences=effects.differences,
         trend=effects.trend,

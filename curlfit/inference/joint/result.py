@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
@@ -12,6 +12,7 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
+from curlfit.errors import InputError
 from curlfit.foreign import safe_name
 from curlfit.friction import Law
 from curlfit.inference.derived import Derived, derive
@@ -24,7 +25,8 @@ from curlfit.inference.fit.result import (
     load_fit,
 )
 from curlfit.inference.identifiability import Combination
-from curlfit.inference.joint.effects import Effect
+from curlfit.inference.joint.effects import Effect, Means
+from curlfit.numerics.arrays import Floats
 from curlfit.output.text import p_text
 from curlfit.records import UNSAVED, keys, plain, require, structured
 
@@ -75,8 +77,8 @@ class JointResult(NamedEstimates):
     ----------
     law, load, share : what was fitted; names of the shared coefficients.
     converged, status, warnings : whether the fit may be used, and why it may mislead.
-    varies : whether what the throws determine varies about its mean from throw to throw; if not,
-        the coefficients are equal in all throws.
+    means : how the mean depends on groups and trends, and throws vary about it; None if the
+        coefficients are equal in all throws.
     coefficients : the shared ones, by name: those of the mean of the throws, or the equal ones.
         Where throws differ in one that is taken as equal, its standard error is that of an estimate
         of the mean over such throws, with one degree of freedom less than throws.
@@ -120,7 +122,7 @@ class JointResult(NamedEstimates):
     rank: int
     parameters: int
     variation: tuple[Variation, ...]
-    varies: bool = False
+    means: Means | None = None
     groups: tuple[Effect, ...] = ()
     differences: tuple[Effect, ...] = ()
     trend: tuple[Effect, ...] = ()
@@ -132,6 +134,39 @@ class JointResult(NamedEstimates):
     def _estimates(self) -> dict[str, Estimate]:
         """What is shared, by name."""
         return self.coefficients
+
+    @property
+    def varies(self) -> bool:
+        """Whether what the throws determine varies about its mean."""
+        return self.means is not None
+
+    def another(
+        self, labels: Mapping[str, str], number: int, random: np.random.Generator
+    ) -> tuple[FitResult, Floats]:
+        """A throw on the same ice that has not been thrown, and draws of its parameters.
+
+        It is that of the throws with as many of the labels as possible that was thrown last, with
+        the coefficients of the mean.
+
+        Raises
+        ------
+        InputError : labels that the fit does not distinguish.
+        """
+        alike = [len(one.data["labels"].items() & labels.items()) for one in self.throws]
+        near = self.throws[max(range(len(alike)), key=lambda row: (alike[row], row))]
+        if self.means is None:
+            raise InputError("the coefficients are equal in all throws; fit without --share")
+        mean, drawn = self.means.draw(labels, number, random)
+        place = [list(near.parameters).index(name) for name in self.means.names]
+        values = np.tile(near.values, (number, 1))
+        values[:, place] = drawn
+        bounds = near.parameter_set
+        best = {
+            name: replace(near.parameters[name], value=float(value))
+            for name, value in zip(self.means.names, mean, strict=True)
+        }
+        fit = replace(near, parameters=near.parameters | best)
+        return fit, np.clip(values, bounds.lower, bounds.upper)
 
     def derive(self, expression: str) -> Derived:
         """A quantity derived from what the throws share; see `FitResult.derive`.
