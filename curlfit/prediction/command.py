@@ -57,6 +57,8 @@ class Called(Choices):
     ----------
     hog_to_hog : Weight: time between the hog lines, s.
     broom : Where the broom is, seen from the thrower, at the far tee: `4 ft left`, `1.2 m right`.
+    thrower_sd : Scatter of the thrower, standard deviations of weight and broom: `0.15 s, 4 in`.
+        [default: none]
     turn : `clockwise` or `counter-clockwise`; `in` or `out` of a right-hander.
     sheet : Sheet of ice, of a joint fit by sheets.
     group : Group of a joint fit, by the labels of `--by`: `thrower=Anna`; or the place along a
@@ -65,6 +67,7 @@ class Called(Choices):
 
     hog_to_hog: Annotated[float | None, option(NUMBER, "S")] = None
     broom: Annotated[str | None, option(TEXT, "OFFSET")] = None
+    thrower_sd: Annotated[str | None, option(TEXT, "TIME, LENGTH")] = None
     turn: Annotated[str | None, option(TEXT, "TURN")] = None
     sheet: Annotated[str | None, option(TEXT, "NAME")] = None
     group: Annotated[Named, option(LABELS, "LABEL=NAME")] = field(default_factory=dict)
@@ -83,7 +86,13 @@ class Called(Choices):
             if found.value and not (found.words or found.signed):
                 raise InputError(f"--broom {self.broom}: to which side? Expected 4 ft left")
             broom = -found.value if "left" in found.words else found.value
-        return Call(labels, self.hog_to_hog, broom, self.turn)
+        thrower = None
+        if self.thrower_sd is not None:
+            time, comma, length = self.thrower_sd.partition(",")
+            if not comma:
+                raise InputError(f"--thrower-sd {self.thrower_sd}: expected TIME, LENGTH")
+            thrower = parse_quantity(time, "t").value, parse_quantity(length, "x").value
+        return Call(labels, self.hog_to_hog, broom, thrower, self.turn)
 
 
 def predict(

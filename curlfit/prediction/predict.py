@@ -129,8 +129,8 @@ def predict(
     values, source = drawn, "throws"
     if values is None:
         values, source = _drawn_values(fit, chain, draws, random)
-    exact = None if together else random
-    found = Simulation.of(fit, ThrowFamily(fit, begin, request.new), values, exact)
+    family = ThrowFamily(fit, begin, request.new)
+    found = Simulation.of(fit, family, values, random, call if together else None)
     warned, noted = diagnostics.remarks(fit, found, request, line is None)
     if (used := len(found.plain.t)) < draws:
         warned.append(f"{1 - used / draws:.1%} of the draws do not come to rest and are left out")

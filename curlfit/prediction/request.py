@@ -118,6 +118,8 @@ class Call(NamedTuple):
     """s between the hog lines, which gives the speed"""
     broom: float | None = None
     """m to the right of the centre line at the far tee, where the stone is aimed from the hack"""
+    thrower: tuple[float, float] | None = None
+    """standard deviations: of the time between hog lines in s, and of the aim at the broom in m"""
     turn: str | None = None
     """"clockwise" or "counter-clockwise"; "in" and "out" as of a right-hander"""
 
@@ -143,7 +145,8 @@ class Call(NamedTuple):
                 )
             spin = {**found, **given}.get("omega0", fit.parameters["omega0"].value)
             coefficients = fit.values[: -len(START)]
-            found["v0"] = Draw(fit.model, fit.stone, spin).speed(coefficients, self.hog_to_hog)
+            draw = Draw(fit.model, fit.stone, spin)
+            found["v0"] = float(draw.speeds(coefficients[None], self.hog_to_hog)[0])
         return found
 
 

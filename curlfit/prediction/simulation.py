@@ -15,6 +15,7 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.numerics.arrays import Floats
 from curlfit.prediction.discrepancy import discrepancy_posterior
 from curlfit.prediction.ensemble import VARIED, ThrowFamily, TrajectoryEnsemble
+from curlfit.prediction.request import CENTRED, Call
 from curlfit.prediction.result import PREDICTED, QUANTITIES, Discrepancy, Quantity
 from curlfit.sheet import END, HOUSE, LINES, STONE_RADIUS, TEE
 
@@ -45,16 +46,18 @@ class Simulation(NamedTuple):
         fit: FitResult,
         throws: ThrowFamily,
         values: Floats,
-        random: np.random.Generator | None,
+        random: np.random.Generator,
+        call: Call | None = None,
     ) -> Self:
-        """Simulate a throw for drawn parameter vectors; without `random`, the law is exact.
+        """Simulate a throw for drawn parameter vectors; with a call, those of a joint fit, which
+        contain the error of the law.
 
         Raises
         ------
         UnusableFitError : it, or most of the draws, do not come to rest.
         """
         vectors = {"best": throws.with_start(fit.values[None]), **throws.probes()}
-        vectors["draws"] = throws.with_start(values)
+        vectors["draws"] = throws.with_start(values, call or CENTRED, random)
         whole = throws.simulate(np.concatenate([*vectors.values()]))
         ends = np.cumsum([0, *map(len, vectors.values())]).tolist()
         probed = {
@@ -68,7 +71,7 @@ class Simulation(NamedTuple):
                 + no_motion_because(fit.load)
             )
         full, summary = plain, None
-        if random is not None:
+        if call is None:
             discrepancy = discrepancy_posterior(fit)
             missing, summary = discrepancy.draw(len(values), random), discrepancy.summary
             shifted = throws.with_start(discrepancy.shift_parameters(values, missing))

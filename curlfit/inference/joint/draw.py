@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from curlfit.stone import GRAVITY, Stone
 _START = LINES["hog"]
 _LENGTH = TEE - _START
 _USUAL = 2.2  # m/s, from which the speed is found
-_ROUNDS = 12
+_ROUNDS, _FEW_ROUNDS = 12, 6
 _TIMES = np.linspace(0.0, 37.5, 301)
 
 DRAW = {"friction": "1", "curl": "m", "hog_to_hog": "s"}
@@ -44,23 +44,27 @@ class Draw(NamedTuple):
         friction = speed**2 / (2 * GRAVITY * _LENGTH)
         return np.column_stack([friction, -np.sign(self.spin) * x[:, -1], _hog_to_hog(y)])
 
-    def speed(self, coefficients: Floats, hog_to_hog: float) -> float:
-        """Speed in m/s at the near hog line of a stone that takes so many s to the far one.
+    def speeds(self, coefficients: Floats, hog_to_hog: Any) -> Floats:
+        """Speeds in m/s at the near hog line of stones that take so many s to the far one, for
+        vectors of the coefficients and conditions; the times are one for each or one for all.
 
         Raises
         ------
-        InputError : it does not get there.
+        InputError : most do not get there.
         """
-        speed = np.array([HOG_TO_HOG / hog_to_hog + _USUAL / 4])
-        for _ in range(_ROUNDS):
-            _, y = self._paths(coefficients[None], speed)
-            if not y[0, -1] > LINES["far-hog"]:
-                speed *= 1.1
-                continue
-            speed *= np.sqrt(_hog_to_hog(y) / hog_to_hog)
-        if not abs(_hog_to_hog(self._paths(coefficients[None], speed)[1])[0] - hog_to_hog) < 1e-3:
-            raise InputError(f"hog to hog {hog_to_hog:g} s: it stops before the far hog line")
-        return float(speed[0])
+        speed = HOG_TO_HOG / hog_to_hog + _USUAL / 4 + np.zeros(len(coefficients))
+        for _ in range(_FEW_ROUNDS):
+            _, y = self._paths(coefficients, speed)
+            there = y[:, -1] > LINES["far-hog"]
+            speed *= np.where(there, np.sqrt(_hog_to_hog(y) / hog_to_hog), 1.1)
+        if there.mean() < 0.5:
+            time = float(np.mean(hog_to_hog))
+            raise InputError(f"hog to hog {time:g} s: it stops before the far hog line")
+        return speed
+
+    def hog_to_hog(self, coefficients: Floats, speed: Floats) -> Floats:
+        """Times in s between the hog lines of stones of some speeds at the near one."""
+        return _hog_to_hog(self._paths(coefficients, speed)[1])
 
     def _paths(self, coefficients: Floats, speed: Floats) -> tuple[Floats, Floats]:
         """x and y of throws along the centre line."""
