@@ -29,7 +29,7 @@ from curlfit.inference.joint.population import pool
 from curlfit.inference.joint.result import JointResult, Variation
 from curlfit.inference.joint.solver import Progress, minimize_jointly
 from curlfit.inference.joint.summary import Effects, means_of
-from curlfit.inference.joint.variation import variations_of
+from curlfit.inference.joint.variation import told_by_each, variations_of
 from curlfit.inference.least_squares import Solution, Tasks
 from curlfit.inference.model import Model
 from curlfit.inference.problem import problem_shape
@@ -202,7 +202,7 @@ def _equal(
     covariates: Floats,
 ) -> tuple[JointResult, dict[str, Floats]]:
     """The result where the shared coefficients are equal in all throws, and the weights of the
-    parameters in those quantities that may vary."""
+    parameters in what may vary."""
     fits = [rounds.record(row, one) for row, one in enumerate(unstacked(solution))]
     throws = summarize_many(fits, widths=widths, common=common)
     status = _status(throws, solution)
@@ -212,10 +212,16 @@ def _equal(
     coefficients = {name: first.parameters[name] for name in shared}
     combinations = tuple(item for item in first.combinations if set(item.weights) <= set(shared))
     plain = rounds.loss == "linear" and rounds.noises[0].kind == "white"
-    variation = variations_of(
-        solution, tasks, parameters.names, coefficients, combinations, rounds.unknown & plain,
-        covariates,
-    )  # fmt: skip
+    by_name = {
+        name: {name: 1.0}
+        for name, item in coefficients.items()
+        if item.verdict in ("determined", "weak")
+    } | {item.expression: item.weights for item in combinations}
+    weights = {
+        name: np.array([own.get(one, 0.0) for one in parameters.names])
+        for name, own in by_name.items()
+    }
+    variation = variations_of(solution, tasks, weights, rounds.unknown & plain, covariates)
     among = {item.expression: item for item in variation if item.significant}
     factors = r_factors(solution.jacobian, solution.residual)
     bounded = Bounded(solution.values, tasks.lower, tasks.upper)
@@ -244,16 +250,13 @@ def _equal(
             shifts={name: by for name, by in first.systematics.shifts.items() if name in named},
         ),
     )
-    of_law = {item.name for item in rounds.model.law.coefficients()}
-    weights = {name: {name: 1.0} for name, one in coefficients.items()
-               if one.verdict == "determined"}  # fmt: skip
-    weights |= {item.expression: item.weights for item in combinations}
+    of_law = [item.name for item in rounds.model.law.coefficients()]
     told = {one.expression for one in variation if sum(map(bool, one.each)) >= _FEWEST}
-    return result, {
-        name: np.array([by_name.get(own, 0.0) for own in parameters.names])
-        for name, by_name in weights.items()
-        if name in told and by_name.keys() <= of_law
-    }
+    return result, told_by_each(
+        solution, tasks, common,
+        {name: own for name, own in weights.items()
+         if name in told and by_name[name].keys() <= set(of_law)},
+    )  # fmt: skip
 
 
 def _varying(

@@ -22,7 +22,7 @@ from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.mixed_model import MixedFit, MixedModel
 
 _MOST = 12  # linearizations
-_SETTLED = 0.01  # standard errors of a throw's coefficients
+_SETTLED = 2e-3  # standard errors that a throw's coefficients still move by
 _FEW = 64  # throws for which a program compiled quickly is better than a fast one
 _UNKNOWN = 1e4  # typical sizes squared: a variance from which a direction is not determined
 _EXACT = 1e-16  # the same below which one is exact
@@ -55,7 +55,7 @@ class Population(NamedTuple):
         """What all throws say of the common parameters of their mean, within bounds."""
         size = len(self.typical)
         best, (mean, matrix) = self.fit.estimate[:size], self.fit.unbounded
-        rows = _rows(mean[:size], matrix[:size, :size], best, self.typical)
+        rows = _rows(mean[:size], matrix[:size, :size], best) / np.append(self.typical, 1.0)
         bounded = Bounded(self.reference + self.typical * best, lower, upper)
         factors = Factors.of(rows, bounded, self.typical, None)
         nothing = np.zeros((1, 1, size))
@@ -126,27 +126,25 @@ def pool(
         target = (rows @ now[..., None])[..., 0] - reduction.rows[..., -1]
         fit = MixedModel.of(rows, target, directions, covariates).fitted(guess**2, lower, upper)
         mean, matrix = fit.predicted_by_others()
-        along = whole * typical
-        errors = np.sqrt(np.einsum("kq,nqr,kr->nk", along, matrix, along))
-        move = fit.vectors - now
-        distance = float((np.abs(move @ along.T) / np.maximum(errors, 1e-300)).max())
+        told, move = _rows(mean, matrix, now), (fit.vectors - now)[..., None]
+        left = (rows @ move)[..., 0], (told[..., :-1] @ move)[..., 0]
+        distance = float(np.hypot(*(np.linalg.norm(part, axis=-1) for part in left)).max())
         if distance < _SETTLED:
             break
-        steps = reduction.follow[:, :, common] @ (typical * move)[..., None]
+        steps = reduction.follow[:, :, common] @ (typical[:, None] * move)
         values = np.clip(values + steps[..., 0], tasks.lower, tasks.upper)
     others = np.zeros((len(values), size, len(tasks.typical) + 1))
-    for one, first, second, at in zip(others, mean, matrix, now, strict=True):
-        one[:, np.append(common, True)] = _rows(first, second, at, typical)
+    others[..., np.append(common, True)] = told / np.append(typical, 1.0)
     ended = np.full(len(values), distance < _SETTLED)
     return Population(
         fit, reference, typical, tuple(weights), whole, solution._replace(success=ended), others
     )
 
 
-def _rows(mean: Floats, matrix: Floats, at: Floats, typical: Floats) -> Floats:
-    """Rows whose squares are the quadratic of a normal density of parameters, at some values, with
-    the residual as the last column; mean, covariance and values are in typical sizes."""
+def _rows(mean: Floats, matrix: Floats, at: Floats) -> Floats:
+    """Rows whose squares are the quadratic of normal densities of parameters, at some values, with
+    the residual as the last column."""
     squares, axes = np.linalg.eigh(matrix)
     known = squares < _UNKNOWN
-    rows = axes.T * (known / np.sqrt(np.maximum(squares, _EXACT)))[:, None]
-    return np.column_stack([rows / typical, rows @ (at - mean)])
+    rows = axes.mT * (known / np.sqrt(np.maximum(squares, _EXACT)))[..., None]
+    return np.concatenate([rows, rows @ (at - mean)[..., None]], -1)

@@ -8,14 +8,20 @@ which the differences are as large as expected (Paule and Mandel 1982).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtrc
 
-from curlfit.inference.fit.result import Estimate
-from curlfit.inference.identifiability import Bounded, Combination, stderr_of, visible
+from curlfit.inference.fit.factors import Reduction
+from curlfit.inference.identifiability import (
+    WEAK_ERROR,
+    Bounded,
+    r_factors,
+    stderr_of,
+    visible,
+)
 from curlfit.inference.joint.result import Variation
 from curlfit.inference.least_squares import Solution, Tasks, residual_sigma
 from curlfit.numerics.arrays import Booleans, Floats
@@ -47,12 +53,46 @@ class _Alone(NamedTuple):
         return stderr_of(weights, self.right, self.singular)
 
 
+def told_by_each(
+    solution: Solution, tasks: Tasks, common: Booleans, wanted: Mapping[str, Floats]
+) -> dict[str, Floats]:
+    """Those of some coefficients and combinations that a throw of average information determines
+    beside one another, the best determined first.
+
+    Parameters
+    ----------
+    wanted : weights of the parameters of a throw by coefficient or combination.
+    """
+    factors = r_factors(solution.jacobian, solution.residual)
+    bounded = Bounded(solution.values, tasks.lower, tasks.upper)
+    typical = tasks.typical * (tasks.upper > tasks.lower)[0]
+    rows = Reduction.of(factors, bounded, tasks.typical, common).rows[..., :-1] * typical
+    information = (rows.mT @ rows).mean(0)
+
+    def errors(names: Iterable[str]) -> Floats:
+        """Standard errors over typical sizes, where nothing else varies."""
+        weights = np.array([wanted[name] * typical for name in names])
+        directions = np.linalg.pinv(weights)
+        squares = np.diagonal(np.linalg.pinv(directions.T @ information @ directions))
+        size = np.abs(weights).max(1)
+        known = (size > 0) & (squares > 0)
+        found: Floats = np.where(known, np.sqrt(squares) / np.where(known, size, 1.0), np.inf)
+        return found
+
+    chosen: list[str] = []
+    while rest := [name for name in wanted if name not in chosen]:
+        worst = {name: errors([*chosen, name]).max() for name in rest}
+        best = min(rest, key=worst.__getitem__)
+        if not worst[best] < WEAK_ERROR:
+            break
+        chosen.append(best)
+    return {name: wanted[name] for name in wanted if name in chosen}
+
+
 def variations_of(
     solution: Solution,
     tasks: Tasks,
-    names: Sequence[str],
-    coefficients: Mapping[str, Estimate],
-    combinations: Sequence[Combination],
+    wanted: Mapping[str, Floats],
     unknown: Booleans,
     covariates: Floats,
 ) -> tuple[Variation, ...]:
@@ -61,19 +101,14 @@ def variations_of(
     Parameters
     ----------
     tasks : the throws, of which the optimum together is the solution.
-    names : of the parameters of a throw.
+    wanted : weights of the parameters of a throw by coefficient or combination.
     unknown : whether sigma was estimated from least squares, shape (throws, channels).
     covariates : on which the coefficients depend, with mean zero, shape (throws, covariates).
     """
-    wanted = {
-        name: ({name: 1.0}, item.value)
-        for name, item in coefficients.items()
-        if item.verdict in ("determined", "weak")
-    } | {item.expression: (item.weights, item.value) for item in combinations}
     throws = _each_alone(solution, tasks, unknown)
     found = []
-    for expression, (weights, value) in wanted.items():
-        whole = np.array([weights.get(name, 0.0) for name in names]) * tasks.typical
+    for expression, weights in wanted.items():
+        whole, value = weights * tasks.typical, float(weights @ solution.values[0])
         each: list[tuple[float, float] | None] = []
         weight = []
         for (joint, own), free in zip(throws, tasks.upper > tasks.lower, strict=True):
