@@ -19,6 +19,7 @@ from typing import (
     Annotated,
     Any,
     ClassVar,
+    NotRequired,
     Self,
     TypedDict,
     Union,
@@ -54,7 +55,8 @@ class Axes(int):
 
 
 def keys(every: bool = True, /, **kinds: Any) -> Any:
-    """The keys of an object and their types, as an annotation; `every` one is needed."""
+    """The keys of an object and their types, as an annotation; `every` one is needed, except those
+    that are `NotRequired`."""
     return TypedDict("keys", kinds, total=every)  # type: ignore[operator]
 
 
@@ -345,7 +347,10 @@ def _of_object(made: Any, kind: Any) -> Any:
     from cattrs.gen import make_dict_structure_fn, override
     from cattrs.gen.typeddicts import make_dict_structure_fn as of_keys
 
-    hints = get_type_hints(kind, include_extras=True)
+    hints = {
+        name: get_args(hint)[0] if get_origin(hint) is NotRequired else hint
+        for name, hint in get_type_hints(kind, include_extras=True).items()
+    }
     make: Any = make_dict_structure_fn
     if is_dataclass(kind):
         required = [item.name for item in saved_fields(kind)]

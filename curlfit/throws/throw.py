@@ -39,7 +39,7 @@ class Throw(Displayed):
 
     Axes and signs: y along the sheet, x to the right, phi counter-clockwise. Two throws are equal
     if their values, sigmas, reference and defaults are equal, whatever their origin (`name`,
-    `notes`, `lines`).
+    `notes`, `lines`, `labels`).
 
     Attributes
     ----------
@@ -63,6 +63,8 @@ class Throw(Displayed):
     lines : line of each row in the file, for messages.
     events : measured times and positions at lines and at rest (`curlfit.throws.events`).
     assumed : values, by name, at which a fit fixes unmeasured components of the initial state.
+    labels : what a table says of the throw besides measurements, as text by name: `sheet`,
+        `stone`, `thrower`, `start` ...
 
     Raises
     ------
@@ -91,6 +93,7 @@ class Throw(Displayed):
     lines: NDArray[np.int64] | None = None
     events: tuple[Event, ...] = ()
     assumed: dict[str, float] = field(default_factory=dict)
+    labels: dict[str, str] = field(default_factory=dict)
     conventions: Conventions | None = field(default=None, repr=False)
     relative_sigma: dict[str, Floats] = field(default_factory=dict)
     calibration: Floats | None = None

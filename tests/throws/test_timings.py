@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 
@@ -10,6 +11,7 @@ import pytest
 from conftest import invoke
 from sample_files import TIMINGS
 
+from curlfit import fit, load_fit
 from curlfit.batch.settings import usual_law
 from curlfit.errors import DataError, InputError
 from curlfit.throws.load import load_throw, load_throws
@@ -30,6 +32,7 @@ def values(throw):
 
 def test_a_record(read):
     throw = read(TIMINGS)
+    assert throw.labels == {}
     assert not throw.has_path
     assert throw.defaults["law"] == "front-back"  # curl and turns were measured
     found = {event.name: event for event in throw.events}
@@ -225,3 +228,27 @@ def test_an_evening_by_the_command_line(tmp_path, monkeypatch):
     ):  # fmt: skip
         assert words in text, words
     assert (tmp_path / "evening-2-fit" / "fit.png").stat().st_size > 10_000
+
+
+def test_a_table_says_of_which_throw_each_row_is(tmp_path):
+    file = tmp_path / "evening.csv"
+    file.write_text(
+        "Draw,Start, sheet ,Who threw,hog_to_hog,rest,remark,humidity\n"
+        "1,19:05,A,Anna,14.2,0.3,,40\n2,19:12,,Bea,13.9,0.2,early,41\n3,19:20,B,Bea,14,0,n/a,40\n"
+    )
+    first, second, _ = (part.throw for part in load_throws(file))
+    assert first.labels == {"draw": "1", "start": "19:05", "sheet": "A", "who_threw": "Anna"}
+    assert second.labels == {"draw": "2", "start": "19:12", "who_threw": "Bea"}
+    assert first.notes.count("columns not used: remark, humidity") == 1
+    assert second.with_defaults(law="power").with_sigma({"time": 0.2}).labels == second.labels
+    fit(second, systematics={"all": 0}).save(tmp_path / "fit.json")
+    saved = load_fit(tmp_path)
+    assert saved.data["labels"] == saved.throw.labels == second.labels
+    record = json.loads((tmp_path / "fit.json").read_text())
+    del record["data"]["labels"]  # of an earlier version
+    (tmp_path / "fit.json").write_text(json.dumps(record))
+    assert load_fit(tmp_path).throw.labels == {}
+    record["data"]["labels"] = {"sheet": 1}
+    (tmp_path / "fit.json").write_text(json.dumps(record))
+    with pytest.raises(DataError, match="labels"):
+        load_fit(tmp_path)

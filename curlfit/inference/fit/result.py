@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
 from importlib import import_module
 from os import PathLike
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, NotRequired
 
 import numpy as np
 
@@ -47,6 +47,7 @@ DataOfFit = Annotated[
         file=str, rows=int, **{"from": float}, to=float,
         law_file=str | None, since=float | None, until=float | None, exclude=list[Pair],
         swept=Pair | None, sigma=dict[ChannelName, str], notes=list[str],
+        labels=NotRequired[dict[str, str]],
     ),
 ]  # fmt: skip
 """The same, and how they were chosen."""
@@ -471,6 +472,7 @@ class FitResult(NamedEstimates):
             relative_sigma={name: by_row for name, by_row in sigma.items() if name in self.sigma},
             name=self.data["file"],
             reference=self.reference,
+            labels=self.data.get("labels", {}),
             events=tuple(event for event, _ in self.timed),
             assumed={
                 item.name: self.parameters[item.name].value

@@ -271,6 +271,7 @@ def _record(
             "swept": prepared.swept,
             "sigma": {name: "estimated" if name in fit.sigma else "given" for name in rms},
             "notes": list(throw.notes),
+            "labels": dict(throw.labels),
             "flags": list(prepared.flags),
         },
         converged=converged,

@@ -45,7 +45,10 @@ def assemble(parsed: ParsedFile, reading: Reading) -> dict[str, Any]:
     if reading.as_given:
         settings["as_given"] = True
     parsed = replace(parsed, notes=list(parsed.notes))
-    common = {"name": str(parsed.source), "reference": parsed.reference, "defaults": settings}
+    common = {
+        "name": str(parsed.source), "reference": parsed.reference, "defaults": settings,
+        "labels": dict(parsed.labels),
+    }  # fmt: skip
     if parsed.events:
         if reading.reference is not None or convention != AxisConvention():
             raise InputError(

@@ -39,7 +39,7 @@ class ParsedFile:
     ignored : headers of unknown quantity.
     settings : defaults given in the file. notes : remarks of the reader.
     lines : line number of each row; None if there are none.
-    events, assumed : as in `curlfit.throws.throw.Throw`; with events there are no columns.
+    events, assumed, labels : as in `curlfit.throws.throw.Throw`; with events there are no columns.
     """
 
     source: Path | str
@@ -52,6 +52,7 @@ class ParsedFile:
     lines: np.ndarray | None = None
     events: list[Event] = field(default_factory=list)
     assumed: dict[str, float] = field(default_factory=dict)
+    labels: dict[str, str] = field(default_factory=dict)
 
     def error(self, message: str, row: int | None = None, quantity: str | None = None) -> DataError:
         """An error with its location in the file."""

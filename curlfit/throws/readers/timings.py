@@ -16,7 +16,15 @@ from curlfit.throws.events import SIGMA_TIME, Event
 from curlfit.throws.readers.defaults import begun
 from curlfit.throws.readers.notation import Quantity, parse_quantity
 from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile
-from curlfit.throws.readers.text import TextFile, cells, header_cells, lines_of, separator_of
+from curlfit.throws.readers.text import (
+    GAPS,
+    TextFile,
+    cells,
+    header_cells,
+    is_number,
+    lines_of,
+    separator_of,
+)
 
 TIMES: dict[str, tuple[str, str | None]] = {
     "back_to_hog": ("back", "hog"),
@@ -25,6 +33,8 @@ TIMES: dict[str, tuple[str, str | None]] = {
     "hog_to_rest": ("far-hog", None),
 }
 """Lines between which each time is measured; None is rest."""
+LABELS = {"sheet", "stone", "thrower", "start", "draw", "end", "team", "handle"}
+"""Columns that say of which throw a row is; any other that has words in most rows is kept too."""
 SIGMA_REST = 0.05
 """Standard deviation in m of a position measured with a tape: a judgement."""
 SIGMA_TURNS = 0.1
@@ -71,6 +81,15 @@ class _Entry(NamedTuple):
     unit: str
 
 
+class _Row(NamedTuple):
+    """One record: the line where it begins, its measurements, and what else is said of it."""
+
+    line: int
+    entries: dict[str, _Entry]
+    labels: dict[str, str]
+    notes: list[str]
+
+
 def _contents(file: TextFile, reading: Reading) -> Contents:
     """The only record, or the rows of a table with one throw per row.
 
@@ -81,14 +100,10 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
     """
     rows = _rows(file)
     return Contents(
-        [f"line {_first_line(row)}" for row in rows],
+        [f"line {row.line}" for row in rows],
         lambda index: _record(file, rows, index),
         note="{} throws, one in each row; taken: {} (--shot selects another)",
     )
-
-
-def _first_line(entries: dict[str, _Entry]) -> int:
-    return min((entry.line for entry in entries.values()), default=0)
 
 
 def is_table(head: list[str]) -> bool:
@@ -138,35 +153,53 @@ def _pair(line: str) -> tuple[str, str, str] | None:
     return None
 
 
-def _rows(file: TextFile) -> list[dict[str, _Entry]]:
-    """Entries by quantity of each record in the file."""
+def _rows(file: TextFile) -> list[_Row]:
+    """Each record in the file."""
     body = [
         (index, text)
         for index, line in enumerate(file.lines)
         if (text := line.split("#", 1)[0].strip()) and not text.startswith("[")
     ]
     if not is_table([text for _, text in body]):
-        return [_entries(file, body)]
+        return [_Row(body[0][0] + 1 if body else 0, _entries(file, body), {}, [])]
     if len(body) > _MOST_ROWS:
         raise file.error(f"more than {_MOST_ROWS} throws", body[_MOST_ROWS][0])
     first, head = body[0]
-    header, separator = _header(head), separator_of(head)
-    rows = []
+    separator = separator_of(head)
+    names = header_cells(head, separator)
+    header = [_key(name) or (None, "") for name in names]
+    table = []
     for index, text in body[1:]:
         values = cells(text, separator)
         if len(values) != len(header):
             fault = f"{len(values)} cells, expected {len(header)} as in the header"
             raise file.error(fault, index)
-        rows.append(
-            {
-                key: _Entry(index + 1, value, unit)
-                for (key, unit), value in zip(header, values, strict=True)
-                if key is not None and value.strip() not in ("", "-", "--")
-            }
-        )
-    if not rows:
+        table.append((index + 1, [None if one.lower() in GAPS else one for one in values]))
+    if not table:
         raise file.error("a header but no rows", first)
-    return rows
+    kept = {k: "handle" for k, (key, _) in enumerate(header) if key == "handle"}
+    unused = []
+    for place, (name, (key, _)) in enumerate(zip(names, header, strict=True)):
+        label = "_".join(name.lower().split())
+        words = sum(not is_number(values[place] or "0") for _, values in table)
+        if key is None and (label in LABELS or 2 * words > len(table)):
+            kept[place] = label
+        elif key is None and name:
+            unused.append(name)
+    notes = [f"columns not used: {', '.join(unused)}"] if unused else []
+    return [
+        _Row(
+            line,
+            {
+                key: _Entry(line, value, unit)
+                for (key, unit), value in zip(header, values, strict=True)
+                if key is not None and value is not None
+            },
+            {label: text for k, label in kept.items() if (text := values[k]) is not None},
+            notes,
+        )
+        for line, values in table
+    ]
 
 
 def _entries(file: TextFile, body: Sequence[tuple[int, str]]) -> dict[str, _Entry]:
@@ -184,15 +217,16 @@ def _entries(file: TextFile, body: Sequence[tuple[int, str]]) -> dict[str, _Entr
     return found
 
 
-def _record(file: TextFile, rows: list[dict[str, _Entry]], index: int) -> ParsedFile:
+def _record(file: TextFile, rows: list[_Row], index: int) -> ParsedFile:
     several = len(rows) > 1
     parsed = begun(file, "timings", source=f"{file.path} row {index + 1}" if several else None)
     parsed.settings.setdefault("law", _usual_law(rows))
-    record = _Record(file, rows[index], _first_line(rows[index]) if several else None)
+    row = rows[index]
+    record = _Record(file, row.entries, row.line if several else None)
     parsed.events = record.events()
     record.require_friction(parsed.events)
     spin, said = record.spin()
-    parsed.assumed = {"omega0": spin}
+    parsed.assumed, parsed.labels = {"omega0": spin}, row.labels
     crossed = {y for event in parsed.events for y in (event.at, event.since)}
     places = ", ".join(
         f"{name.replace('far-', 'far ')} line at {y:.3f} m"
@@ -203,6 +237,7 @@ def _record(file: TextFile, rows: list[dict[str, _Entry]], index: int) -> Parsed
         f"y from the hack, x from the line of delivery: the stone's centre crosses the {places} "
         f"(far tee {LINES['far-tee']:.3f} m)",
         said,
+        *row.notes,
     ]
     return parsed
 
@@ -212,10 +247,10 @@ def usual_law(path: Path) -> str:
     return _usual_law(_rows(TextFile(path, lines_of(path))))
 
 
-def _usual_law(rows: list[dict[str, _Entry]]) -> str:
+def _usual_law(rows: list[_Row]) -> str:
     """The law that the measurements determine: curl and turns need one that curls and slows the
     spin as stones do, times and positions along the sheet a mean friction."""
-    both = sum({"curl", "turns"} <= row.keys() for row in rows)
+    both = sum({"curl", "turns"} <= row.entries.keys() for row in rows)
     return "front-back" if 2 * both >= len(rows) > 0 else "coulomb"
 
 
