@@ -70,11 +70,15 @@ class Part(NamedTuple):
     ----------
     shot, stone_index : arguments of `load_throw` that select it; None if the file has only one.
     throw : the throw, or the error if it cannot be read.
+    alone : why a throw determines nothing without others; None if it does.
+    left_out : whether a joint fit leaves it out, as the notes of the others say.
     """
 
     shot: int | None
     stone_index: int | None
     throw: Throw | CurlfitError
+    alone: CurlfitError | None = None
+    left_out: bool = False
 
 
 @takes(Reading)
@@ -107,11 +111,15 @@ def parts_of(file: str | PathLike[str], reading: Reading) -> list[Part]:
     own: dict[str, int | None] = {"shot": reading.shot, "stone_index": reading.stone_index}
     parts = []
     for k, parse in parses:
+        alone = None
         try:
-            throw: Throw | CurlfitError = throw_of(parse(), reading)
+            parsed = parse()
+            alone = parsed.alone
+            throw: Throw | CurlfitError = throw_of(parsed, reading)
         except CurlfitError as error:
             throw = error
-        parts.append(Part(**own | {key: k}, throw=throw))
+        left_out = number is None and k is not None and k - 1 in contents.left_out
+        parts.append(Part(**own | {key: k}, throw=throw, alone=alone, left_out=left_out))
     return parts
 
 
