@@ -208,6 +208,8 @@ class Reading(Choices):
         same stone: its direction from the stone is the angle.
     keep : Rows of a table of stopwatch times, by their lines in the file, that a joint fit uses
         although their values are odd beside those of the others.
+    throws : Table with a column `file` (or `track`) and labels of these throws, such as `sheet`,
+        `stone`, `thrower`, `start`.
     as_given : Accept data that are implausible for a curling stone, with a warning.
     """
 
@@ -219,6 +221,7 @@ class Reading(Choices):
     shot: Annotated[int | None, option(COUNT, metavar="N")] = None
     handle: Annotated[int | None, option(COUNT, metavar="N")] = None
     keep: Annotated[Sequence[int], option(LINES, metavar="LINE,...")] = ()
+    throws: Annotated[str | None, option(FILE, metavar="NOTES.csv")] = None
     as_given: Annotated[bool, option(SWITCH)] = False
 
 

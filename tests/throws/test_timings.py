@@ -5,16 +5,19 @@ from __future__ import annotations
 import json
 import math
 import re
+import sys
+from functools import partial
+from zipfile import ZipFile
 
 import numpy as np
 import pytest
 from conftest import invoke
-from sample_files import TIMINGS
+from sample_files import PLAIN, TIMINGS
 
 from curlfit import fit, load_fit, load_joint
 from curlfit.batch.settings import usual_law
 from curlfit.errors import DataError, InputError
-from curlfit.throws.load import load_throw, load_throws
+from curlfit.throws.load import holds_timed_rows, load_throw, load_throws
 from curlfit.throws.readers.notation import parse_quantity
 
 FOOT = 0.3048
@@ -360,3 +363,67 @@ def test_rows_of_weight_alone_need_one_that_determines_friction(tmp_path, monkey
     assert run.exit_code == 0, run.exception
     rows = (tmp_path / "results.csv").read_text().splitlines()[1:]
     assert [row.split(",")[3] for row in rows] == ["failed", "failed", "ok"]
+
+
+def test_labels_of_tracks(tmp_path):
+    for name in ("a.csv", "b.csv", "c.csv"):
+        (tmp_path / name).write_text(PLAIN)
+    notes = tmp_path / "notes.csv"
+    folder = tmp_path.name
+    notes.write_text(f"file,sheet,hog_to_hog,humidity\na.csv,2,14.2,40\n{folder}/b,3,,41\n")
+    a, b, c = (load_throw(tmp_path / f"{name}.csv", throws=notes) for name in "abc")
+    assert (a.labels, b.labels, c.labels) == ({"sheet": "2"}, {"sheet": "3"}, {})
+    assert a.notes[-1] == (
+        f"labels from {notes}, line 2; its measurements are not used; columns not used: humidity"
+    )
+    assert c.notes[-1] == f"{notes} says nothing of it"
+    assert a == c
+    for text, words in (
+        ("sheet,stone\n1,2\n", "no names of throws; expected a column `file` or `track`"),
+        ("track,sheet\na,1\na.csv,2\n", "line 3: 'a.csv' is named again"),
+        ("# empty\n", "comments only"),
+    ):
+        notes.write_text(text)
+        with pytest.raises(DataError, match=words):
+            load_throw(tmp_path / "a.csv", throws=notes)
+
+
+CELL = '<table:table-cell office:value-type="{}" {}><text:p>{}</text:p></table:table-cell>'
+SHEETS = (
+    '<office:document-content xmlns:office="urn:oasis:names:tc:opendocument:xmlns:office:1.0" '
+    'xmlns:table="urn:oasis:names:tc:opendocument:xmlns:table:1.0" '
+    'xmlns:text="urn:oasis:names:tc:opendocument:xmlns:text:1.0"><office:body><office:spreadsheet>'
+    '<table:table table:name="empty"/><table:table table:name="evening">{}</table:table>'
+    "</office:spreadsheet></office:body></office:document-content>"
+)
+
+
+def test_a_spreadsheet_is_read_as_its_text(tmp_path):
+    pytest.importorskip("python_calamine")
+    said = partial(CELL.format, "string", "")
+    clock = CELL.format("time", 'office:time-value="PT19H05M00S"', "19:05")
+    number = CELL.format("float", 'office:value="13.5"', "13.5")
+    rows = (
+        said('# law = "power"'), "", said("start") + said("hog to hog") + said("curl"),
+        clock + number + said("3\'3\" left; or so"), clock + number + said("3\'3\" left"),
+    )  # fmt: skip
+    table = "".join(f"<table:table-row>{row}</table:table-row>" for row in rows)
+    file = tmp_path / "evening.ods"
+    with ZipFile(file, "w") as archive:
+        archive.writestr("mimetype", "application/vnd.oasis.opendocument.spreadsheet")
+        archive.writestr("content.xml", SHEETS.format(table))
+        archive.writestr("META-INF/manifest.xml", "<manifest/>")
+    assert holds_timed_rows(file)
+    bad, good = load_throws(file)
+    assert bad.throw.line == 4
+    assert good.throw.labels == {"start": "19:05"}
+    assert good.throw.defaults["law"] == "power"
+    assert values(good.throw) == pytest.approx({"hog_to_hog": 13.5, "curl": -39 * INCH})
+
+
+def test_a_spreadsheet_without_its_reader_is_refused_with_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "python_calamine", None)
+    file = tmp_path / "evening.xlsx"
+    file.write_bytes(b"PK\x03\x04" + bytes(40))
+    with pytest.raises(DataError, match=r"save the sheet as CSV, or .* 'curlfit\[spreadsheet\]'"):
+        load_throw(file)

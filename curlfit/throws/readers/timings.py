@@ -37,7 +37,9 @@ TIMES: dict[str, tuple[str, str | None]] = {
     "hog_to_rest": ("far-hog", None),
 }
 """Lines between which each time is measured; None is rest."""
-LABELS = {"sheet", "stone", "thrower", "start", "draw", "end", "team", "handle"}
+LABELS = {
+    "sheet", "stone", "thrower", "start", "draw", "end", "team", "handle", "file", "track",
+}  # fmt: skip
 """Columns that say of which throw a row is; any other that has words in most rows is kept too."""
 SIGMA_REST = 0.05
 """Standard deviation in m of a position measured with a tape: a judgement."""
@@ -218,29 +220,34 @@ def _pair(line: str) -> tuple[str, str, str] | None:
     return None
 
 
-def _rows(file: TextFile) -> list[_Row]:
-    """Each record in the file."""
+def _rows(file: TextFile, *, table: bool = False) -> list[_Row]:
+    """Each record in the file, which is a `table` even if it has one column of times or none."""
     body = [
         (index, text)
         for index, line in enumerate(file.lines)
-        if (text := line.split("#", 1)[0].strip()) and not text.startswith("[")
+        if (text := line.split("#", 1)[0].strip(" ")).strip() and not text.startswith("[")
     ]
-    if not is_table([text for _, text in body]):
+    if not table and not is_table([text for _, text in body]):
+        body = [(index, text.strip()) for index, text in body]
         return [_Row(body[0][0] + 1 if body else 0, _entries(file, body), {}, [])]
     if len(body) > _MOST_ROWS:
         raise file.error(f"more than {_MOST_ROWS} throws", body[_MOST_ROWS][0])
     first, head = body[0]
     separator = separator_of(head)
     names = header_cells(head, separator)
+    while len(names) > 1 and not names[-1]:
+        names.pop()
     header = [_key(name) or (None, "") for name in names]
-    table = []
+    found = []
     for index, text in body[1:]:
         values = _cells(text, separator, len(names))
+        while len(values) > len(header) and not values[-1]:
+            values.pop()
         if len(values) != len(header):
             fault = f"{len(values)} cells, expected {len(header)} as in the header"
             raise file.error(fault, index)
-        table.append((index + 1, [None if one.lower() in GAPS else one for one in values]))
-    if not table:
+        found.append((index + 1, [None if one.lower() in GAPS else one for one in values]))
+    if not found:
         raise file.error("a header but no rows", first)
     kept = {k: "handle" for k, (key, _) in enumerate(header) if key == "handle"}
     unused = []
@@ -251,8 +258,8 @@ def _rows(file: TextFile) -> list[_Row]:
             continue
         if label not in LABELS and _is_like_a_measurement(name):
             notes.append(f"column {name} is not understood; expected {_COLUMNS}")
-        words = sum(not is_number(values[place] or "0") for _, values in table)
-        if label in LABELS or 2 * words > len(table):
+        words = sum(not is_number(values[place] or "0") for _, values in found)
+        if label in LABELS or 2 * words > len(found):
             kept[place] = label
         else:
             unused.append(name)
@@ -269,7 +276,7 @@ def _rows(file: TextFile) -> list[_Row]:
             {label: cell for place, label in kept.items() if (cell := values[place])},
             notes,
         )
-        for line, values in table
+        for line, values in found
     ]
 
 
@@ -328,6 +335,41 @@ def _read_record(parsed: ParsedFile, record: _Record) -> None:
 def usual_law(path: Path) -> str:
     """The law that a file is fitted with if none is named. Raises `DataError` as the reader."""
     return _usual_law(_rows(TextFile(path, lines_of(path))))
+
+
+def labels_in(table: Path, source: str) -> tuple[dict[str, str], str]:
+    """What a table with a column `file` or `track` says of a throw, and a note on it.
+
+    Parameters
+    ----------
+    source : its file, which is named there with or without its folder and suffix.
+
+    Raises
+    ------
+    DataError : as the reader; no such column, or the throw is named twice.
+    """
+    file = TextFile(table, lines_of(table))
+    head, path, found = file.head(), Path(source.partition(" row ")[0]).resolve(), []
+    rows = [
+        (row, row.labels.pop("file", None) or row.labels.pop("track", None))
+        for row in _rows(file, table=True)
+    ]
+    for row, name in rows:
+        parts = Path((name or "").replace("\\", "/")).parts
+        if parts and parts in (
+            path.parts[-len(parts) :],
+            path.with_suffix("").parts[-len(parts) :],
+        ):
+            found.append(row)
+    if not any(name for _, name in rows):
+        raise file.error("no names of throws; expected a column `file` or `track`", head)
+    if len(found) > 1:
+        raise file.error(f"{quoted(path.name)} is named again", found[1].line - 1)
+    if not found:
+        return {}, f"{table} says nothing of it"
+    unused = ["its measurements are not used"] if found[0].entries else []
+    said = [f"labels from {table}, line {found[0].line}", *unused, *found[0].notes]
+    return found[0].labels, "; ".join(said)
 
 
 def _usual_law(rows: list[_Row]) -> str:
