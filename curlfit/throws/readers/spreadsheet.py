@@ -16,7 +16,8 @@ BEGINNINGS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
 
 
 def text_of_sheet(raw: bytes, path: Path, most_bytes: int) -> str:
-    """The cells as a table separated by semicolons, with clock times as HH:MM; row n is line n.
+    """The cells as a table separated by semicolons; row n is line n. Clock times are HH:MM, with
+    seconds if any has some.
 
     Raises
     ------
@@ -41,10 +42,11 @@ def text_of_sheet(raw: bytes, path: Path, most_bytes: int) -> str:
         raise DataError(fault, file=path) from None
     if rows is None:
         raise DataError("a spreadsheet without data", file=path)
+    exact = any(_has_seconds(cell) for row in rows for cell in row)
     lines = StringIO()
     write = csv.writer(lines, delimiter=";", lineterminator="\n").writerow
     for row in rows:
-        found = [_text(cell) for cell in row]
+        found = [_text(cell, "%H:%M:%S.%f" if exact else "%H:%M") for cell in row]
         if found[0].startswith("#") or not any(found):
             lines.write(" ".join(filter(None, found)) + "\n")
         else:
@@ -52,12 +54,18 @@ def text_of_sheet(raw: bytes, path: Path, most_bytes: int) -> str:
     return lines.getvalue()
 
 
-def _text(cell: Any) -> str:
+def _has_seconds(cell: Any) -> bool:
+    if isinstance(cell, timedelta):
+        return bool(cell % timedelta(minutes=1))
+    return isinstance(cell, time | datetime) and bool(cell.second or cell.microsecond)
+
+
+def _text(cell: Any, clock: str) -> str:
     if isinstance(cell, timedelta):
         cell = (datetime.min + cell % timedelta(days=1)).time()
     if isinstance(cell, time | datetime):
         is_clock = isinstance(cell, time) or cell.year < 1901
-        return f"{cell:%H:%M}" if is_clock else f"{cell:%Y-%m-%d %H:%M}"
+        return cell.strftime(clock if is_clock else f"%Y-%m-%d {clock}")
     if isinstance(cell, date):
         return cell.isoformat()
     if isinstance(cell, float) and cell.is_integer():
