@@ -52,7 +52,7 @@ def _read(files: Sequence[str | PathLike[str]], plan: BatchSettings) -> list[tup
             parts = parts_of(file, plan)
         except CurlfitError as error:
             parts = [Part(None, None, error)]
-        found += [(file, part) for part in parts]
+        found += [(file, part._replace(throw=part.alone or part.throw)) for part in parts]
     return found
 
 

@@ -172,7 +172,7 @@ def prepare_all(
 
     Raises
     ------
-    InputError : as `prepare`; two files have the same name.
+    InputError : as `prepare`; two files have the same name; no throw determines friction.
     """
     from curlfit.errors import CurlfitError
     from curlfit.inference.joint.result import folder_names
@@ -181,14 +181,21 @@ def prepare_all(
     configured = read_config(config)
     chosen = Reading.of(configured, vars(reading))
     throws: list[Throw] = []
+    alone: list[CurlfitError | None] = []
     for file in files:
         if not holds_timed_rows(file, reading.format):
             throws.append(load_throw(file, **vars(chosen)))
+            alone.append(None)
             continue
         for part in parts_of(file, chosen):
+            if part.left_out:
+                continue
             if isinstance(part.throw, CurlfitError):
                 raise part.throw
             throws.append(part.throw)
+            alone.append(part.alone)
+    if alone and (fault := alone[0]) is not None and all(alone):
+        raise fault
     found: dict[str, ConfiguredThrow[Chosen]] = {}
     for name, throw in zip(folder_names([one.name for one in throws]), throws, strict=True):
         if name in found:

@@ -52,6 +52,7 @@ if TYPE_CHECKING:
 else:  # values by name; cyclopts passes several words only to what is declared a collection
     Named = Collection[str]
 COUNT = whole(1)
+LINES = Several(COUNT, "a list of line numbers", "line numbers with commas between")
 FILE = Form("a name of a file", lambda file: TEXT.checked("", fspath(file)), written="a word")
 LOAD = OneOf("load", ("uniform", "consistent"))
 LOSS = OneOf("loss", ("linear", "huber", "soft-l1", "cauchy", "student"))
@@ -205,6 +206,10 @@ class Reading(Choices):
     shot : Shot of a log with several, from 1. [with `batch`: each]
     handle : Object of a Tracker export, from 1, that marks the handle or any other point of the
         same stone: its direction from the stone is the angle.
+    keep : Rows of a table of stopwatch times, by their lines in the file, that a joint fit uses
+        although their values are odd beside those of the others.
+    throws : Table with a column `file` (or `track`) and labels of these throws, such as `sheet`,
+        `stone`, `thrower`, `start`.
     as_given : Accept data that are implausible for a curling stone, with a warning.
     """
 
@@ -215,6 +220,8 @@ class Reading(Choices):
     stone_index: Annotated[int | None, option(COUNT, metavar="N")] = None
     shot: Annotated[int | None, option(COUNT, metavar="N")] = None
     handle: Annotated[int | None, option(COUNT, metavar="N")] = None
+    keep: Annotated[Sequence[int], option(LINES, metavar="LINE,...")] = ()
+    throws: Annotated[str | None, option(FILE, metavar="NOTES.csv")] = None
     as_given: Annotated[bool, option(SWITCH)] = False
 
 

@@ -10,7 +10,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from curlfit.errors import CurlfitError, InputError
+from curlfit.errors import CurlfitError, DataError, InputError
 from curlfit.foreign import quoted
 from curlfit.settings.choices import Reading, takes
 from curlfit.throws.readers.assemble import assemble
@@ -19,9 +19,10 @@ from curlfit.throws.readers.columns import parse_units
 from curlfit.throws.readers.digitalcurling import DIGITALCURLING
 from curlfit.throws.readers.homography import load_homography
 from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile
+from curlfit.throws.readers.spreadsheet import BEGINNINGS
 from curlfit.throws.readers.table import TABLE
 from curlfit.throws.readers.text import TextFile, lines_of
-from curlfit.throws.readers.timings import TIMINGS, is_table
+from curlfit.throws.readers.timings import TIMINGS, is_table, labels_in
 from curlfit.throws.readers.tracker import TRACKER
 from curlfit.throws.throw import Throw
 
@@ -70,11 +71,15 @@ class Part(NamedTuple):
     ----------
     shot, stone_index : arguments of `load_throw` that select it; None if the file has only one.
     throw : the throw, or the error if it cannot be read.
+    alone : why a throw determines nothing without others; None if it does.
+    left_out : whether a joint fit leaves it out, as the notes of the others say.
     """
 
     shot: int | None
     stone_index: int | None
     throw: Throw | CurlfitError
+    alone: CurlfitError | None = None
+    left_out: bool = False
 
 
 @takes(Reading)
@@ -107,11 +112,15 @@ def parts_of(file: str | PathLike[str], reading: Reading) -> list[Part]:
     own: dict[str, int | None] = {"shot": reading.shot, "stone_index": reading.stone_index}
     parts = []
     for k, parse in parses:
+        alone = None
         try:
-            throw: Throw | CurlfitError = throw_of(parse(), reading)
+            parsed = parse()
+            alone = parsed.alone
+            throw: Throw | CurlfitError = throw_of(parsed, reading)
         except CurlfitError as error:
             throw = error
-        parts.append(Part(**own | {key: k}, throw=throw))
+        left_out = number is None and k is not None and k - 1 in contents.left_out
+        parts.append(Part(**own | {key: k}, throw=throw, alone=alone, left_out=left_out))
     return parts
 
 
@@ -119,15 +128,22 @@ def throw_of(parsed: ParsedFile, reading: Reading) -> Throw:
     """The throw in a parsed file. Raises `DataError` or `InputError` with the place of a fault."""
     make: Callable[..., Throw] = Throw.from_events if parsed.events else Throw.from_arrays
     given = Reading(**{name: getattr(reading, name) for name in Reading.forms()})
-    return replace(make(**assemble(parsed, reading)), read_with=tuple(given.words()))
+    throw = replace(make(**assemble(parsed, reading)), read_with=tuple(given.words()))
+    if reading.throws is None:
+        return throw
+    labels, note = labels_in(Path(reading.throws), throw.name)
+    return replace(throw, labels=throw.labels | labels, notes=(*throw.notes, note))
 
 
 def _beginning(file: str | PathLike[str]) -> list[str]:
     """The first lines of a file; none if it cannot be read."""
     try:
+        with Path(file).open("rb") as start:
+            if start.read(4) in BEGINNINGS:
+                return lines_of(Path(file))
         with Path(file).open(encoding="utf-8-sig", errors="replace") as stream:
             return stream.read(_BEGINNING).splitlines()
-    except (OSError, ValueError):
+    except (OSError, ValueError, DataError):
         return []
 
 

@@ -5,19 +5,23 @@ from __future__ import annotations
 import json
 import math
 import re
+import sys
+from functools import partial
+from zipfile import ZipFile
 
 import numpy as np
 import pytest
 from conftest import invoke
-from sample_files import TIMINGS
+from sample_files import PLAIN, TIMINGS
 
-from curlfit import fit, load_fit
+from curlfit import fit, load_fit, load_joint
 from curlfit.batch.settings import usual_law
 from curlfit.errors import DataError, InputError
-from curlfit.throws.load import load_throw, load_throws
+from curlfit.throws.load import holds_timed_rows, load_throw, load_throws
 from curlfit.throws.readers.notation import parse_quantity
 
 FOOT = 0.3048
+INCH = FOOT / 12
 THREE = "hog_to_hog = 14.2\nrest = 0.6\n"
 
 
@@ -79,7 +83,14 @@ def test_times_in_any_form(read, text):
         ("curl = 120cm to the left", -1.2),
         ("curl = 4 ft 6 in left", -4.5 * FOOT), ("curl = 4,5 ft right", 4.5 * FOOT),
         ("curl = -4 ft", -4 * FOOT), ("curl = +1.2", 1.2), ("curl = 0", 0.0),
-        ("curl_ft = 4 L", -4 * FOOT),
+        ("curl_ft = 4 L", -4 * FOOT), ("curl = 3'3\" left", -39 * INCH),
+        ("curl = 3' 3\" right", 39 * INCH), ("curl = 3' left", -3 * FOOT),
+        ('curl = 39" left', -39 * INCH), ("curl = 39'' left", -39 * INCH),
+        ("curl = 3 ft 3 in left", -39 * INCH), ("curl = 3ft3in left", -39 * INCH),
+        ("curl = 3\u2032 3\u2033 left", -39 * INCH), ("curl = 3\u20193\u201d L", -39 * INCH),
+        ("curl = 3'3 left", -39 * INCH), ("curl = \"3'3\" left\"", -39 * INCH),
+        ("curl = \"3'3\"\"\nhandle = cw", 39 * INCH), ("curl = '1.2 m left'", -1.2),
+        ("curl = 1.2 m left\nhandle = in", -1.2),
         ("curl = 1.2\nhandle = clockwise", 1.2), ("curl = 1.2\nhandle: ccw", -1.2),
         ("curl = 1.2\nhandle = in-turn right-handed", 1.2),
         ("curl = 1.2\nhandle = out turn\nhand = right", -1.2),
@@ -102,7 +113,8 @@ def test_the_side_of_the_curl(read, line, x):
         ("rest = 0.6", 0.6), ("rest: 2 ft past the tee", 2 * FOOT), ("rest = -0.6", -0.6),
         ("rest = 60 cm short of the tee line", -0.6),
         ("rest = 3 ft in front of the tee", -3 * FOOT),
-        ("rest = 3 ft behind", 3 * FOOT),
+        ("rest = 3 ft behind", 3 * FOOT), ("rest = 1'2\" in front of the tee", -14 * INCH),
+        ("rest = 0'11\" short", -11 * INCH), ("rest = -1'2\"", -14 * INCH),
     ],
 )  # fmt: skip
 def test_the_place_of_rest(read, line, y):
@@ -143,6 +155,7 @@ def test_sigmas_are_set(read):
         (THREE + "curl = -4 ft left\n", 3, "a sign and a word"),
         (THREE + "curl = 4 ft past\n", 3, "expected a number and left or right"),
         (THREE + "curl = 4 4 left\n", 3, "found, expected a number"),
+        (THREE + "curl = 1 m 20 left\n", 3, "'1 m 20 left' found, expected a unit of 20"),
         (THREE + "turns = 2.5\n", 3, "in which sense"),
         ("hog_to_hog = 14.2\nrest = -7\n", 2, "-7 m past the far tee lies before a line"),
         ("hog_to_hog = 14.2\nhog_to_tee = 14.1\n", 2, "expected more than hog_to_hog = 14.2 s"),
@@ -252,3 +265,165 @@ def test_a_table_says_of_which_throw_each_row_is(tmp_path):
     (tmp_path / "fit.json").write_text(json.dumps(record))
     with pytest.raises(DataError, match="labels"):
         load_fit(tmp_path)
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+def test_feet_and_inches_and_gaps_in_a_table(tmp_path, separator):
+    file = tmp_path / "evening.csv"
+    rows = (
+        ["hog to hog", "hog to rest", "curl", "rest", "handle"],
+        ["14.2", "11", "3'3\" left", "1'2\" past", "out"],
+        ["14.2", "n/a", '"3\'3"" left"', '39" short', "in"],
+        ["14.2", "--", "nan", "-", "in"],
+        ["-", "", "", "n/a", "out"],
+        ["14.2", "11", '"3\'3" left"', '"0.3 m"', "out"],
+    )
+    file.write_text("\n".join(map(separator.join, rows)) + "\n")
+    first, second, third, fourth, fifth = load_throws(file)
+    assert values(first.throw) == pytest.approx(
+        {"hog_to_hog": 14.2, "hog_to_rest": 11, "curl": -39 * INCH, "rest": 38.405 + 14 * INCH}
+    )
+    assert values(second.throw) == pytest.approx(
+        {"hog_to_hog": 14.2, "curl": -39 * INCH, "rest": 38.405 - 39 * INCH}
+    )
+    assert values(fifth.throw)["curl"] == pytest.approx(-39 * INCH)
+    assert second.throw.labels == {"handle": "in"}
+    assert values(third.throw) == {"hog_to_hog": 14.2}
+    assert (second.alone, third.alone.line) == (None, 4)
+    assert isinstance(fourth.throw, DataError)
+    assert [part.left_out for part in load_throws(file)] == [False, False, False, True, False]
+    with pytest.raises(DataError, match=r"line 4.*hog_to_hog alone gives the mean speed"):
+        load_throw(file, shot=3)
+
+
+def evening(folder, *changed, rows=12):
+    """A table of nearly equal throws on lines 2 ... with some rows in other words."""
+    lines = [f"{13.5 + k % 4 / 10},{12 - k % 3},{3.1 + k % 5 / 10} ft left" for k in range(rows)]
+    for k, text in changed:
+        lines[k] = text
+    file = folder / "evening.csv"
+    file.write_text("hog_to_hog,hog_to_rest,curl\n" + "\n".join(lines) + "\n")
+    return file
+
+
+@pytest.mark.parametrize(
+    "row", ["31.65,11,3.2 ft left", "13.6,11,33 ft left", "13.6,11,9.9 m left"]
+)
+def test_an_odd_row_is_left_out_of_a_joint_fit_unless_it_is_kept(tmp_path, row):
+    file = evening(tmp_path, (4, row))
+    parts = load_throws(file)
+    assert [k for k, part in enumerate(parts) if part.left_out] == [4]
+    (note,) = (note for note in parts[0].throw.notes if "odd" in note)
+    assert "line 6 (" in note
+    assert "--keep 6 uses" in note
+    kept = load_throws(file, keep=[6])
+    assert not any(part.left_out for part in kept)
+    assert kept[4].throw.read_with == ("--keep=6",)
+    file.write_text("# keep = [6]\n" + file.read_text())
+    assert [k for k, part in enumerate(load_throws(file)) if part.left_out] == [4]  # now line 7
+
+
+def test_guards_and_takeouts_are_not_odd_and_few_rows_are_left_out(tmp_path):
+    varied = ((1, "9.1,-,-"), (2, "15.4,6.5,0.4 m left"), (3, "13,12.5,6 ft right"))
+    assert not any(part.left_out for part in load_throws(evening(tmp_path, *varied)))
+    absurd = ((1, "31,11,1 m left"), (2, "35,11,1 m left"))
+    parts = load_throws(evening(tmp_path, *absurd))
+    assert not any(part.left_out for part in parts)
+    assert any("kept since they are more than a tenth: line 3" in n for n in parts[0].throw.notes)
+    assert not any(
+        "odd" in n for n in load_throws(evening(tmp_path, absurd[0], rows=4))[0].throw.notes
+    )
+
+
+def test_rows_of_weight_alone_need_one_that_determines_friction(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    a, v, d = 0.0085 * 9.81, 2.25, np.array([21.945, 28.346])
+    hog, tee = (v - np.sqrt(v**2 - 2 * a * d)) / a  # from the near hog line
+    header, alone = "hog_to_hog,hog_to_tee,hog spilt,humidity\n", "13.5,,,40\n,,,41\n"
+    file = tmp_path / "evening.csv"
+    file.write_text(header + 2 * alone)
+    run = invoke(["fit", "evening.csv"])
+    assert run.exit_code == 2
+    assert "line 2: hog_to_hog alone gives the mean speed" in str(run.exception)
+    file.write_text(header + alone + f"{hog},{tee},,40\n")
+    run = invoke(["fit", "evening.csv", "--no-figures", "--out", "joint"])
+    assert run.exit_code == 0, run.exception
+    said = " ".join(run.stdout.split())
+    for words in (
+        "Note: left out of a joint fit, since no time was measured: line 3.",
+        "Note: column hog spilt is not understood; expected one of back_to_hog, hog_to_hog",
+        "Note: columns not used: hog spilt, humidity.",
+    ):  # fmt: skip
+        assert said.count(words) == 1, words
+    joint = load_joint(tmp_path / "joint")
+    assert joint["mu"].value == pytest.approx(0.0085, rel=1e-5)
+    v0 = [one["v0"].value for one in joint.throws]
+    assert v0 == pytest.approx([d[0] / 13.5 + a * 13.5 / 2, v], rel=1e-5)
+    run = invoke(["batch", "evening.csv"])
+    assert run.exit_code == 0, run.exception
+    rows = (tmp_path / "results.csv").read_text().splitlines()[1:]
+    assert [row.split(",")[3] for row in rows] == ["failed", "failed", "ok"]
+
+
+def test_labels_of_tracks(tmp_path):
+    for name in ("a.csv", "b.csv", "c.csv"):
+        (tmp_path / name).write_text(PLAIN)
+    notes = tmp_path / "notes.csv"
+    folder = tmp_path.name
+    notes.write_text(f"file,sheet,hog_to_hog,humidity\na.csv,2,14.2,40\n{folder}/b,3,,41\n")
+    a, b, c = (load_throw(tmp_path / f"{name}.csv", throws=notes) for name in "abc")
+    assert (a.labels, b.labels, c.labels) == ({"sheet": "2"}, {"sheet": "3"}, {})
+    assert a.notes[-1] == (
+        f"labels from {notes}, line 2; its measurements are not used; columns not used: humidity"
+    )
+    assert c.notes[-1] == f"{notes} says nothing of it"
+    assert a == c
+    for text, words in (
+        ("sheet,stone\n1,2\n", "no names of throws; expected a column `file` or `track`"),
+        ("track,sheet\na,1\na.csv,2\n", "line 3: 'a.csv' is named again"),
+        ("# empty\n", "comments only"),
+    ):
+        notes.write_text(text)
+        with pytest.raises(DataError, match=words):
+            load_throw(tmp_path / "a.csv", throws=notes)
+
+
+CELL = '<table:table-cell office:value-type="{}" {}><text:p>{}</text:p></table:table-cell>'
+SHEETS = (
+    '<office:document-content xmlns:office="urn:oasis:names:tc:opendocument:xmlns:office:1.0" '
+    'xmlns:table="urn:oasis:names:tc:opendocument:xmlns:table:1.0" '
+    'xmlns:text="urn:oasis:names:tc:opendocument:xmlns:text:1.0"><office:body><office:spreadsheet>'
+    '<table:table table:name="empty"/><table:table table:name="evening">{}</table:table>'
+    "</office:spreadsheet></office:body></office:document-content>"
+)
+
+
+def test_a_spreadsheet_is_read_as_its_text(tmp_path):
+    pytest.importorskip("python_calamine")
+    said = partial(CELL.format, "string", "")
+    clock = CELL.format("time", 'office:time-value="PT19H05M00S"', "19:05")
+    number = CELL.format("float", 'office:value="13.5"', "13.5")
+    rows = (
+        said('# law = "power"'), "", said("start") + said("hog to hog") + said("curl"),
+        clock + number + said("3\'3\" left; or so"), clock + number + said("3\'3\" left"),
+    )  # fmt: skip
+    table = "".join(f"<table:table-row>{row}</table:table-row>" for row in rows)
+    file = tmp_path / "evening.ods"
+    with ZipFile(file, "w") as archive:
+        archive.writestr("mimetype", "application/vnd.oasis.opendocument.spreadsheet")
+        archive.writestr("content.xml", SHEETS.format(table))
+        archive.writestr("META-INF/manifest.xml", "<manifest/>")
+    assert holds_timed_rows(file)
+    bad, good = load_throws(file)
+    assert bad.throw.line == 4
+    assert good.throw.labels == {"start": "19:05"}
+    assert good.throw.defaults["law"] == "power"
+    assert values(good.throw) == pytest.approx({"hog_to_hog": 13.5, "curl": -39 * INCH})
+
+
+def test_a_spreadsheet_without_its_reader_is_refused_with_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "python_calamine", None)
+    file = tmp_path / "evening.xlsx"
+    file.write_bytes(b"PK\x03\x04" + bytes(40))
+    with pytest.raises(DataError, match=r"save the sheet as CSV, or .* 'curlfit\[spreadsheet\]'"):
+        load_throw(file)

@@ -81,6 +81,7 @@ def document(result: JointResult) -> Document:
             Section("quality", "Systematic errors", (systematics(result),), brief=False),
         ),
         warnings=result.warnings,
+        notes=_notes(result),
         title=f"{throws}: {result.law} law",
         settings=settings_of(result.throws[0])
         | {"Data": ", ".join(_files(result)), "Sigma": "", "In common": ", ".join(result.share)},
@@ -186,6 +187,12 @@ def _throws(result: JointResult) -> PlainTable:
             row[f">{name}\n(m{UNITS[name]})"] = "" if rms is None else f"{1000 * rms:.3g}"
         rows.append(row)
     return PlainTable(rows, "Each throw, with what it says alone")
+
+
+def _notes(result: JointResult) -> list[str]:
+    """Remarks of the reader on all throws."""
+    first, *others = (one.data["notes"] for one in result.throws)
+    return [note for note in first if all(note in one for one in others)]
 
 
 def _files(result: JointResult) -> list[str]:

@@ -19,7 +19,7 @@ from curlfit.throws.reference import Reference
 
 _SETTINGS = (
     "since", "until", "exclude", "swept", "law", "load", "stone", "sigma", "seed", "reference",
-    "axes", "as_given",
+    "axes", "as_given", "keep",
 )  # fmt: skip
 _MOST_SETTINGS, _MOST_NOTES = 500, 5
 _FORMS = {**Modelling.forms(), **Reading.forms(), "seed": SEED}

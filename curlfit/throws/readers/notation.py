@@ -1,4 +1,4 @@
-"""Quantities as people write them: `14,2 s`, `4 ft left`, `4 ft 6 in`, `0.6 m past the tee`."""
+"""Quantities as people write them: `14,2 s`, `4 ft left`, `3'3"`, `0.6 m past the tee`."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from curlfit.throws.readers.text import parse_number
 _NUMBER = re.compile(
     r"(?P<sign>[-+\u2212]?)\s*(?P<size>\d[\d.,]*|[.,]\d+)(?P<power>e[-+]?\d+)?", re.I
 )
+_INCHES = re.compile(r"(?<=\d)\s*(?:[\"\u2033\u201d]|['\u2032\u2019]{2})")
+_FEET = re.compile(r"(?<=\d)\s*['\u2032\u2019]")
 _FILLING = {
     "to", "the", "of", "from", "tee", "line", "centre", "center", "a", "turn", "about", "handed",
     "hander", "stone", "player", "thrower",
@@ -57,11 +59,16 @@ def parse_quantity(text: str, quantity: str, unit: str = "", *, per: float = 1.0
     ------
     InputError : no number, an unknown unit or word.
     """
-    rest = re.sub(r"(?i)\bin\s+front\b", "front", text.strip().strip("\"'").strip())
+    rest = text.strip()
+    if units_of(quantity) is units_of("x"):
+        # a last mark of inches belongs to the number, unless the text begins with one too
+        rest = re.sub(r"^([\"'])(.*)\1$", r"\2", rest).lstrip("\"'")
+        rest = _FEET.sub(" ft ", _INCHES.sub(" in ", rest))
+    rest = re.sub(r"(?i)\bin\s+front\b", "front", rest.strip("\"'").strip())
     if rest in _SIGNS:
         return Quantity(_SIGNS[rest], True, frozenset())
     sign, value, signed, units = 1.0, 0.0, False, units_of(quantity)
-    given = unit
+    given, before = unit, ""
     numbers, bare = 0, False
     while match := _NUMBER.match(rest):
         if numbers and (match["sign"] or bare):
@@ -77,11 +84,15 @@ def parse_quantity(text: str, quantity: str, unit: str = "", *, per: float = 1.0
             rest, given = rest[own.end() :].strip(), said
         elif said and said not in WORDS and said not in _FILLING:
             in_unit(quantity, said)  # raises
+        elif before in ("ft", "foot", "feet"):
+            given = "in"  # 3 ft 6
+        elif numbers:
+            raise InputError(f"{quoted(text.strip())} found, expected a unit of {match[0].strip()}")
         value += size * (in_unit(quantity, given).factor if given else per)
         if match["sign"]:
             signed, sign = True, -1.0 if match["sign"] != "+" else 1.0
         numbers += 1
-        given = unit
+        given, before = unit, given
     words = re.sub(r"(?i)\b(counter|anti)[\s-]+(?=clock)", r"\1", rest)
     said_words = re.findall(r"[^\W\d_]+|\d[\d.,]*", words.lower())
     unknown = [word for word in said_words if word not in WORDS and word not in _FILLING]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,7 +13,7 @@ import numpy as np
 from curlfit.errors import DataError, InputError
 from curlfit.foreign import LARGEST, quoted
 from curlfit.numerics.arrays import Floats
-from curlfit.settings.choices import Reading
+from curlfit.settings.choices import Reading, given
 from curlfit.throws.events import Event
 from curlfit.throws.readers.columns import Column, parse_header, parse_units, with_unit
 from curlfit.throws.readers.text import EXPECTED, TextFile
@@ -40,6 +40,7 @@ class ParsedFile:
     settings : defaults given in the file. notes : remarks of the reader.
     lines : line number of each row; None if there are none.
     events, assumed, labels : as in `curlfit.throws.throw.Throw`; with events there are no columns.
+    alone : why it determines nothing without others; None if it does.
     """
 
     source: Path | str
@@ -53,6 +54,7 @@ class ParsedFile:
     events: list[Event] = field(default_factory=list)
     assumed: dict[str, float] = field(default_factory=dict)
     labels: dict[str, str] = field(default_factory=dict)
+    alone: DataError | None = None
 
     def error(self, message: str, row: int | None = None, quantity: str | None = None) -> DataError:
         """An error with its location in the file."""
@@ -95,12 +97,14 @@ class Contents(NamedTuple):
     parse : reads the one of an index.
     among : indices of those that are throws by themselves; all, if None.
     note : on the one of several that is taken, with places for their number and its own.
+    left_out : indices of those that a joint fit leaves out, as the notes of the others say.
     """
 
     labels: Sequence[str]
     parse: Callable[[int], ParsedFile]
     among: Sequence[int] | None = None
     note: str = ""
+    left_out: Collection[int] = ()
 
 
 class Format(NamedTuple):
@@ -126,9 +130,12 @@ class Format(NamedTuple):
 
     def check(self, source: Path | str, reading: Reading) -> None:
         """Raise `InputError` for a choice of something that such files do not hold."""
-        nothing = {"shot": "no shots", "stone_index": "one stone", "handle": "no objects"}
+        nothing = {
+            "shot": "no shots", "stone_index": "one stone", "handle": "no objects",
+            "keep": "no throws in rows",
+        }  # fmt: skip
         for name, what in nothing.items():
-            if getattr(reading, name) is not None and name not in self.selections:
+            if given(getattr(reading, name)) and name not in self.selections:
                 flag = name.replace("_", "-")
                 raise InputError(f"--{flag}: {source} is a {self.name} file and holds {what}")
 
@@ -139,7 +146,8 @@ class Format(NamedTuple):
 
         Raises
         ------
-        DataError : several throws, of which one must be selected. InputError : no such throw.
+        DataError : several throws, of which one must be selected, or one that determines nothing
+            by itself. InputError : no such throw.
         """
         labels, count = contents.labels, len(contents.labels)
         flag = flag or f"--{self.selected_by.replace('_', '-')}"
@@ -154,6 +162,8 @@ class Format(NamedTuple):
             raise DataError(fault, file=source)
         index = choose(self.what, flag, number, labels, usual or 0)
         parsed = contents.parse(index)
+        if parsed.alone is not None:
+            raise parsed.alone
         if count > 1 and contents.note:
             parsed.notes.insert(0, contents.note.format(count, index + 1))
         return parsed

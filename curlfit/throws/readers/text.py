@@ -17,6 +17,7 @@ import numpy as np
 from curlfit.errors import DataError
 from curlfit.foreign import quoted
 from curlfit.numerics.arrays import Floats
+from curlfit.throws.readers.spreadsheet import BEGINNINGS, text_of_sheet
 
 GAPS = {"", "nan", "na", "n/a", "null", "none", "-", "--"}
 EXPECTED = "expected a header such as t,x,y,phi (time in s, position in m, angle in rad)"
@@ -56,7 +57,8 @@ def lines_of(path: Path, *, most_bytes: int = _MOST_BYTES, settings: bool = Fals
 
 
 def _text_of(path: Path, most_bytes: int, what: str) -> str:
-    """The file's text with "\\n" line ends: UTF-8, UTF-16 with byte order mark, or Windows cp1252.
+    """The file's text with "\\n" line ends: UTF-8, UTF-16 with byte order mark, or Windows cp1252;
+    a spreadsheet as text.
 
     Raises
     ------
@@ -76,11 +78,8 @@ def _text_of(path: Path, most_bytes: int, what: str) -> str:
         raise DataError(fault, file=path) from None
     if len(raw) > most_bytes:
         raise DataError(f"larger than {most_bytes // 1000} kB; expected {what}", file=path)
-    if raw.startswith((b"PK\x03\x04", b"\xd0\xcf\x11\xe0")):
-        raise DataError(
-            "this is a spreadsheet or another archive, not a text file; save the sheet as CSV",
-            file=path,
-        )
+    if raw.startswith(BEGINNINGS):
+        return text_of_sheet(raw, path, most_bytes)
     encoding = "utf-16" if raw[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
     try:
         text = raw.decode(encoding)
