@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from curlfit.inference.mcmc.chain import Chain
 
 
+_FEW = 4  # throws from which on those without a path have no figure of their own
+
+
 @Parameter(name="*", group="Sampling")
 @dataclass(frozen=True, kw_only=True)
 class Sampling(Choices):
@@ -271,7 +274,8 @@ def _fit_jointly(
     for name, one in zip(named, result.throws, strict=True):
         own_folder = prepare_folder(folder / name)
         one.save(own_folder / "fit.json")
-        drawn.replace(own_folder, ["fit"], partial(figures_of, one))
+        if one.rms or len(named) < _FEW:  # times alone are seen in one figure
+            drawn.replace(own_folder, ["fit"], partial(figures_of, one))
     folders = list(named)
     if len(folders) > 3:
         folders[1:-1] = ["..."]

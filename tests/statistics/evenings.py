@@ -153,11 +153,14 @@ def main() -> None:
         mine = [one[name] for one in found]
         off = np.array([one.value - one.truth for one in mine])
         error = np.array([one.error for one in mine])
+        spans = {level: np.array([one.intervals[level] for one in mine]).T for level in LEVELS}
+        true = np.array([one.truth for one in mine])
         counts = [
-            share(sum(one.intervals[level][0] <= one.truth <= one.intervals[level][1] for one in mine),
-                  len(mine), size)
+            share(
+                int(((spans[level][0] <= true) & (true <= spans[level][1])).sum()), len(mine), size
+            )
             for level, size in LEVELS.items()
-        ]  # fmt: skip
+        ]
         numbers = (np.sqrt(np.mean((off / error) ** 2)), np.median(error), np.sqrt(np.mean(off**2)))
         lines.append(row([name, *counts, *(f"{number:.2g}" for number in numbers)]))
     put(f"evenings {asked.kind}", f"{len(found)} evenings.\n\n" + "\n".join(lines) + "\n")

@@ -51,6 +51,12 @@ class Population(NamedTuple):
         found: Floats = np.sqrt(self.fit.variances)
         return found
 
+    def of_mean_at(self, columns: Floats) -> Floats:
+        """The common parameters of the mean where covariates have some values, shape (...,
+        parameters)."""
+        found: Floats = self.reference + self.typical * (self.fit.at(columns) @ self.fit.estimate)
+        return found
+
     def of_mean(self, names: Sequence[str], lower: Floats, upper: Floats) -> Covariance:
         """What all throws say of the common parameters of their mean, within bounds."""
         size = len(self.typical)

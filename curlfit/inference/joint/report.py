@@ -116,6 +116,7 @@ def effect_lines(result: JointResult) -> list[str]:
         + ", ".join(
             f"{said} {compact(of_all[name].value, of_all[name].stderr)} {unit}"
             for name, (said, *_, unit) in _WORDS.items()
+            if name in of_all
         )
         + "."
     ]
@@ -129,7 +130,8 @@ def effect_lines(result: JointResult) -> list[str]:
         percent = (100 * abs(value) / friction.value for value in (first.value, first.stderr))
         parts = [f"friction {compact(*percent)} % {'higher' if first.value > 0 else 'lower'}"]
         for name, (said, more, less, unit) in _WORDS.items():
-            one = mine[name]
+            if (one := mine.get(name)) is None:
+                continue
             word = more if one.value > 0 else less
             parts.append(f"{said} {compact(abs(one.value), one.stderr)} {unit} {word}")
         chance = [name for name, one in mine.items() if name in _DRAWN and (one.p or 0) > _CHANCE]

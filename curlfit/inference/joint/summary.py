@@ -13,6 +13,7 @@ from curlfit.inference.joint.population import Population
 from curlfit.numerics.arrays import Floats
 
 _STEP = 1e-3  # typical sizes, of differences
+_FLAT = 1e-4  # m, curl of a law that cannot curl
 
 
 def means_of(found: Population, covariates: Covariates, names: tuple[str, ...]) -> Means:
@@ -36,63 +37,74 @@ def means_of(found: Population, covariates: Covariates, names: tuple[str, ...]) 
 class Effects(NamedTuple):
     """All of a joint fit."""
 
-    groups: tuple[Effect, ...] = ()
-    differences: tuple[Effect, ...] = ()
-    trend: tuple[Effect, ...] = ()
+    groups: tuple[Effect, ...]
+    differences: tuple[Effect, ...]
+    trend: tuple[Effect, ...]
 
     @classmethod
     def of(
         cls, found: Population, covariates: Covariates, draw: Draw, units: Mapping[str, str]
     ) -> Self:
         """Of a population; `units` are those of the coefficients."""
+        told, at = _Quantities.of(found, draw, units), found.fit.at
+        nothing = 0 * covariates.mean
+        groups = told.effects(at(nothing), told.values(nothing[None])[0])
+        differences, trend = [], []
+        for by, members in covariates.groups.items():
+            columns = np.array([covariates.of_group(by, name) for name in members])
+            to, values = at(columns), told.values(columns)
+            for row, group in enumerate(members):
+                groups += told.effects(to[row], values[row], by=by, group=group)
+                if row:
+                    by_group = {"by": by, "group": group, "against": members[0]}
+                    off = values[row] - values[0]
+                    differences += told.effects(to[row] - to[0], off, tested=True, **by_group)
+        for along, unit in covariates.trends.items():
+            to = at(covariates.of_trend(along)) - at(nothing)
+            change = told.slopes @ to @ found.fit.estimate
+            trend += told.effects(to, change, tested=True, by=along, per=unit)
+        return cls(tuple(groups), tuple(differences), tuple(trend))
+
+
+class _Quantities(NamedTuple):
+    """What is said of groups and trends: what varies, and a draw to the tee."""
+
+    found: Population
+    draw: Draw
+    units: dict[str, str]
+    """by name of the quantity"""
+    slopes: Floats
+    """derivatives by the parameters of the mean in typical sizes, shape (quantities, parameters)"""
+
+    @classmethod
+    def of(cls, found: Population, draw: Draw, units: Mapping[str, str]) -> Self:
+        steps = _STEP * np.diag(found.typical)
+        centre, size = found.of_mean_at(np.zeros(found.fit.model.covariates.shape[1])), len(steps)
+        drawn = draw.quantities(np.concatenate([[centre], centre + steps, centre - steps]))
+        slopes = (drawn[1 : size + 1] - drawn[size + 1 :]).T / (2 * _STEP)
+        shown = {name: unit for name, unit in DRAW.items() if name != "curl" or drawn[0, 1] > _FLAT}
+        names = {name: units.get(name, "1") for name in found.varying} | shown
+        kept = np.isin([*DRAW], [*shown])
+        whole = np.concatenate([found.weights * found.typical, slopes[kept]])
+        return cls(found, draw, names, whole)
+
+    def values(self, columns: Floats) -> Floats:
+        """The quantities where covariates have some values, shape (points, quantities)."""
+        points = self.found.of_mean_at(columns)
+        drawn = self.draw.quantities(points)[:, np.isin([*DRAW], [*self.units])]
+        return np.concatenate([points @ self.found.weights.T, drawn], 1)
+
+    def effects(
+        self, to: Floats, values: Floats, *, tested: bool = False, per: str = "1", by: str = "",
+        **group: str,
+    ) -> list[Effect]:  # fmt: skip
+        """Values whose changes are the slopes times `to`, a matrix, times those of the estimate."""
         from scipy.special import stdtr  # slow to load
 
-        fit, typical, covariance = found.fit, found.typical, found.covariance
-        size = len(typical)
-
-        def common(at: Floats) -> Floats:
-            """Common parameters where the covariates have some values, shape (..., size)."""
-            points: Floats = found.reference + typical * (fit.at(at) @ fit.estimate)
-            return points
-
-        centre = common(np.zeros((1, len(covariates.mean))))
-        steps = np.concatenate([_STEP * np.diag(typical), -_STEP * np.diag(typical)])
-        ends = draw.quantities(centre + steps)
-        slopes = (ends[:size] - ends[size:]).T / (2 * _STEP)
-        rows = np.concatenate([found.weights * typical, slopes])
-        offset = found.weights @ found.reference
-        names = {name: units.get(name, "1") for name in found.varying} | DRAW
-
-        def effects(to: Floats, values: Floats, tested: bool, **about: str) -> list[Effect]:
-            errors = np.sqrt(np.einsum("ij,jk,ik->i", rows @ to, covariance, rows @ to))
-            made = []
-            for (name, unit), value, error in zip(names.items(), values, errors, strict=True):
-                p = 2 * float(stdtr(found.dof, -abs(value) / error)) if tested and error else None
-                per = f"{unit}/{about['per']}" if about.get("per", "1") != "1" else unit
-                known = {key: text for key, text in about.items() if key != "per"}
-                made.append(
-                    Effect(name, float(value), float(error), found.dof, p, unit=per, **known)
-                )
-            return made
-
-        differences, trend = [], []
-        middle = fit.at(0 * covariates.mean)
-        mean = np.append(
-            offset + found.weights * typical @ middle @ fit.estimate, draw.quantities(centre)
-        )
-        groups = effects(middle, mean, False, by="")
-        for by, members in covariates.groups.items():
-            at = np.array([covariates.of_group(by, name) for name in members])
-            to, drawn = fit.at(at), draw.quantities(common(at))
-            linear = offset + to @ fit.estimate @ (found.weights * typical).T
-            values = np.concatenate([linear, drawn], 1)
-            for group, matrix, value in zip(members, to, values, strict=True):
-                groups += effects(matrix, value, False, by=by, group=group)
-            for group, matrix, value in zip(members[1:], to[1:], values[1:], strict=True):
-                about = {"by": by, "group": group, "against": members[0]}
-                differences += effects(matrix - to[0], value - values[0], True, **about)
-        for along, unit in covariates.trends.items():
-            one = covariates.of_trend(along)
-            to = fit.at(one) - fit.at(0 * one)
-            trend += effects(to, rows @ to @ fit.estimate, True, by=along, per=unit)
-        return cls(tuple(groups), tuple(differences), tuple(trend))
+        matrix, dof, made = self.slopes @ to, self.found.dof, []
+        errors = np.sqrt(np.einsum("ij,jk,ik->i", matrix, self.found.covariance, matrix))
+        for (name, unit), value, error in zip(self.units.items(), values, errors, strict=True):
+            p = 2 * float(stdtr(dof, -abs(value) / error)) if tested and error else None
+            unit = unit if per == "1" else f"{unit}/{per}"
+            made.append(Effect(name, float(value), float(error), dof, p, by, unit=unit, **group))
+        return made
