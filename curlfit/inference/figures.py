@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from curlfit import sheet
@@ -136,7 +137,11 @@ def joint_figure(result: JointResult) -> draw.Picture:
     figure = draw.Picture(figsize=(draw.WIDTH, height), layout="constrained")
     ratios = (1.0, 0.35 + 0.065 * count) if paths else (1.0,)
     rows = figure.add_gridspec(len(ratios), 1, height_ratios=ratios)
-    styles = draw.line_styles(count) if paths else [{"color": draw.FIT_COLOR}] * count
+    groups = [*dict.fromkeys(_group(result, one) for one in result.throws)]
+    styles = draw.line_styles(count) if paths and not groups[1:] else [
+        {"color": draw.PALETTE[groups.index(_group(result, one)) % len(draw.PALETTE)]}
+        for one in result.throws
+    ]  # fmt: skip
     heading = f"{draw.law_and_load(result)}: {count} throws together"
     handles = []
     if paths:
@@ -148,8 +153,15 @@ def joint_figure(result: JointResult) -> draw.Picture:
         figure.suptitle(heading)
     panels: Any = []
     if shown:
-        label = "mean, with its standard error"
+        label = "expected of the throw" if result.means else "mean, with its standard error"
         handles.append(Patch(color=draw.DATA_COLOR, alpha=0.35, lw=0, label=label))
+        if result.means:
+            handles.append(Line2D([], [], color="k", marker="o", ms=3, label="alone"))
+            handles.append(Line2D([], [], color="k", ls="", label="with all throws", **_POOLED))
+        if groups[1:]:
+            for row, name in enumerate(groups):
+                color = draw.PALETTE[row % len(draw.PALETTE)]
+                handles.append(Patch(color=color, label=name))
         grid = rows[-1].subgridspec(1, len(shown), wspace=0.05)
         panels = grid.subplots(sharey=True, squeeze=False)[0]
         panels[0].set_yticks(
@@ -158,9 +170,10 @@ def joint_figure(result: JointResult) -> draw.Picture:
         panels[0].set_ylim(count - 0.4, -0.6)
     figure.legend(handles=handles, loc="outside lower center", ncols=columns + 1)
     for axes, item in zip(panels, shown, strict=True):
-        _estimates(axes, item, styles)
+        _estimates(axes, result, item, styles)
         differs = "differs" if item.significant else "no significant difference"
-        draw.title(axes, f"{differs}, {item.p_text}", columns=len(shown), margin=0.25)
+        beside = " beside groups" if result.differences else ""
+        draw.title(axes, f"{differs}{beside}, {item.p_text}", columns=len(shown), margin=0.25)
     figure.draw_without_rendering()  # ticks and the note depend on the layout
     symbols = {name: item.symbol for name, item in result.throws[0].parameters.items()}
     for axes, item in zip(panels, shown, strict=True):
@@ -178,21 +191,40 @@ def _paths(axes: Any, result: JointResult, styles: list[dict[str, Any]]) -> None
     draw.x_along_y(axes)
 
 
-def _estimates(axes: Any, item: Variation, styles: list[dict[str, Any]]) -> None:
-    """Estimates of each throw alone, by row, and their mean."""
-    ends = item.mean - item.stderr, item.mean + item.stderr
-    axes.axvspan(*ends, color=draw.DATA_COLOR, alpha=0.25, lw=0)
-    for row, (alone, style) in enumerate(zip(item.each, styles, strict=True)):
+def _group(result: JointResult, throw: FitResult) -> str:
+    """The group of a throw by the first label of the fit; empty without groups."""
+    by = next(iter(result.means.groups), None) if result.means else None
+    return "" if by is None else f"{by} {throw.data['labels'].get(by, '')}"
+
+
+def _estimates(
+    axes: Any, result: JointResult, item: Variation, styles: list[dict[str, Any]]
+) -> None:
+    """Estimates of each throw alone, by row, and their mean or, where throws vary, what is expected
+    of each and its estimate from all throws."""
+    weights = next(
+        (one.weights for one in result.combinations if one.expression == item.expression),
+        {item.expression: 1.0},
+    )
+    if result.means is None:
+        ends = item.mean - item.stderr, item.mean + item.stderr
+        axes.axvspan(*ends, color=draw.DATA_COLOR, alpha=0.25, lw=0)
+    for row, (alone, style, one) in enumerate(zip(item.each, styles, result.throws, strict=True)):
+        color = style["color"]
+        if result.means is not None:
+            mean, sd = result.means.expected(weights, one.data["labels"])
+            axes.barh(row, 2 * sd, left=mean - sd, height=0.9, color=color, alpha=0.25, lw=0)
+            pooled = sum(by * one.parameters[name].value for name, by in weights.items())
+            axes.plot(pooled, row, color=color, zorder=3, **_POOLED)
         if alone is not None:
             value, stderr = alone
-            axes.errorbar(
-                value, row, xerr=stderr, fmt="o", color=style["color"], markersize=3, lw=1
-            )
+            axes.errorbar(value, row, xerr=stderr, fmt="o", color=color, markersize=3, lw=1)
 
 
 Events = list[tuple[Event, float]]  # each with its fitted value
 
 _LINE = draw.LINE | {"lw": 0.8}
+_POOLED: dict[str, Any] = {"marker": "D", "ms": 4.5, "mfc": "w"}
 _MEASURED: dict[str, Any] = {
     "color": "0.25", "fmt": "o", "markersize": 3, "capsize": 2, "lw": 1, "zorder": 5,
 }  # fmt: skip

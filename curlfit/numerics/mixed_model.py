@@ -21,7 +21,8 @@ from scipy.optimize import lsq_linear, minimize
 
 from curlfit.numerics.arrays import Booleans, Floats
 
-_DIFFUSE = 1e-8  # information on each component of the mean, so that undetermined ones stay put
+_UNSEEN = 1e-3, 1e-9  # singular values, also over the largest, below which nothing is determined
+_DIFFUSE = 1e-10  # information on effects over the largest, so that undetermined ones are zero
 _RANGE = np.log([1e-6, 1e6])  # of variances over their initial values
 _ZERO = 1e-4  # of a variance over that of a typical block, below which it counts as zero
 
@@ -35,15 +36,21 @@ class MixedModel(NamedTuple):
     """D, shape (mean, deviations)"""
     covariates: Floats
     """x_i, shape (blocks, covariates)"""
+    null: Floats
+    """directions of the mean that nothing determines, where it is held, as orthonormal columns"""
 
     @classmethod
     def of(cls, rows: Floats, target: Floats, directions: Floats, covariates: Floats) -> Self:
         """From A_i, shape (blocks, rows, mean), and z_i, shape (blocks, rows)."""
+        squares, axes = np.linalg.eigh((rows.mT @ rows).sum(0))
+        least = max(_UNSEEN[0] ** 2, _UNSEEN[1] ** 2 * squares[-1])
+        null = axes[:, squares < least]
+        directions = directions - null @ (null.T @ directions)
         along = rows @ directions
         effects = along[:, :, None, :] * covariates[:, None, :, None]
         flat = effects.reshape(*along.shape[:2], covariates.shape[1] * directions.shape[1])
         whole = np.concatenate([along, rows, flat, target[..., None]], -1)
-        return cls(whole.mT @ whole, directions, covariates)
+        return cls(whole.mT @ whole, directions, covariates, null)
 
     def marginal(self, variances: Floats) -> tuple[Floats, Floats]:
         """The products of each block with the deviations integrated out, without their columns, and
@@ -57,9 +64,19 @@ class MixedModel(NamedTuple):
     def criterion(self, variances: Floats) -> float:
         """-2 times the logarithm of the restricted likelihood, up to a constant."""
         each, determinants = self.marginal(variances)
-        normal, right, square = _parts(each.sum(0))
+        normal, right, square = self.parts(each.sum(0))
         value = determinants.sum() + np.linalg.slogdet(normal)[1] + square
         return float(value - right @ np.linalg.solve(normal, right))
+
+    def parts(self, products: Floats) -> tuple[Floats, Floats, Any]:
+        """Normal matrix and right side of the mean and the effects, and the sum of squares."""
+        normal = products[..., :-1, :-1].copy()
+        size = len(self.null)
+        normal[..., :size, :size] += self.null @ self.null.T
+        effects = np.arange(size, normal.shape[-1])
+        largest = np.diagonal(normal, axis1=-2, axis2=-1).max(-1, keepdims=True)
+        normal[..., effects, effects] += _DIFFUSE * largest
+        return normal, products[..., :-1, -1], products[..., -1, -1]
 
     def fitted(self, guess: Floats, lower: Floats, upper: Floats) -> MixedFit:
         """The estimate; `guess` is of the variances, the bounds are those of the mean."""
@@ -75,12 +92,6 @@ class MixedModel(NamedTuple):
         if small.any() and self.criterion(np.where(small, 0.0, variances)) < found.fun + _ZERO:
             variances = np.where(small, 0.0, variances)
         return MixedFit(self, variances, lower, upper)
-
-
-def _parts(products: Floats) -> tuple[Floats, Floats, Any]:
-    """Normal matrix and right side of the mean and the effects, and the sum of squares."""
-    normal, right, square = products[..., :-1, :-1], products[..., :-1, -1], products[..., -1, -1]
-    return normal + _DIFFUSE * np.eye(normal.shape[-1]), right, square
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +110,7 @@ class MixedFit:
     @cached_property
     def free(self) -> tuple[Floats, Booleans]:
         """The mean and the effects, and which of them are not at a bound."""
-        normal, right, _ = _parts(self._each.sum(0))
+        normal, right, _ = self.model.parts(self._each.sum(0))
         found: Any = np.linalg.solve(normal, right)
         ends = np.full((2, len(found)), [[-np.inf], [np.inf]])
         ends[:, : len(self.lower)] = self.lower, self.upper
@@ -117,16 +128,19 @@ class MixedFit:
 
     @cached_property
     def covariance(self) -> Floats:
-        """Of the estimate, while what is at a bound stays there."""
-        normal, open_ = _parts(self._each.sum(0))[0], self.free[1]
+        """Of the estimate along what is determined, while what is at a bound stays there."""
+        normal, open_ = self.model.parts(self._each.sum(0))[0], self.free[1]
         found = np.zeros_like(normal)
         found[np.ix_(open_, open_)] = np.linalg.inv(normal[np.ix_(open_, open_)])
+        size, null = len(self.model.null), self.model.null
+        found[:size] -= null @ (null.T @ found[:size])
+        found[:, :size] -= (found[:, :size] @ null) @ null.T
         return found
 
     @property
     def unbounded(self) -> tuple[Floats, Floats]:
-        """The estimate without bounds, and its covariance."""
-        normal, right, _ = _parts(self._each.sum(0))
+        """The estimate without bounds, and its covariance, one along the null directions."""
+        normal, right, _ = self.model.parts(self._each.sum(0))
         matrix: Any = np.linalg.inv(normal)
         return matrix @ right, matrix
 
@@ -150,8 +164,9 @@ class MixedFit:
         return means + deviations @ self.model.directions.T
 
     def predicted_by_others(self) -> tuple[Floats, Floats]:
-        """Mean and covariance of the vector of each block before its own observations."""
-        normal, right, _ = _parts(self._each.sum(0) - self._each)
+        """Mean and covariance of the vector of each block before its own observations; along the
+        null directions the variance is one."""
+        normal, right, _ = self.model.parts(self._each.sum(0) - self._each)
         to = self.at(self.model.covariates)
         mean = to @ np.linalg.solve(normal, right[..., None])
         directions = self.model.directions

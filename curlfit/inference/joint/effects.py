@@ -206,6 +206,16 @@ class Means:
                 found[column] = _numbers(name, [labels[name]])[0][0] - self.centre[column]
         return found
 
+    def expected(
+        self, weights: Mapping[str, float], labels: Mapping[str, str]
+    ) -> tuple[float, float]:
+        """A weighted sum of the parameters of another throw: mean and standard deviation."""
+        known = {name: one for name, one in labels.items() if name in (*self.groups, *self.trends)}
+        vector = np.array([weights.get(name, 0.0) for name in self.names])
+        row = vector @ self.at(self.columns(known))
+        between = ((vector @ self.directions * self.spreads) ** 2).sum()
+        return float(row @ self.estimate), float(np.sqrt(row @ self.covariance @ row + between))
+
     def draw(self, labels: Mapping[str, str], number: int, random: Any) -> tuple[Floats, Floats]:
         """The mean parameters of another throw, and draws of its own, shape (number, parameters):
         by Student's t, since the spreads are estimated."""

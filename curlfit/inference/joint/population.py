@@ -24,8 +24,7 @@ from curlfit.numerics.mixed_model import MixedFit, MixedModel
 _MOST = 12  # linearizations
 _SETTLED = 2e-3  # standard errors that a throw's coefficients still move by
 _FEW = 64  # throws for which a program compiled quickly is better than a fast one
-_UNKNOWN = 1e4  # typical sizes squared: a variance from which a direction is not determined
-_EXACT = 1e-16  # the same below which one is exact
+_EXACT = 1e-16  # typical sizes squared: a variance below which a direction is exact
 
 
 class Population(NamedTuple):
@@ -61,7 +60,9 @@ class Population(NamedTuple):
         """What all throws say of the common parameters of their mean, within bounds."""
         size = len(self.typical)
         best, (mean, matrix) = self.fit.estimate[:size], self.fit.unbounded
-        rows = _rows(mean[:size], matrix[:size, :size], best) / np.append(self.typical, 1.0)
+        rows = _rows(mean[:size], matrix[:size, :size], best, self.fit.model.null) / np.append(
+            self.typical, 1.0
+        )
         bounded = Bounded(self.reference + self.typical * best, lower, upper)
         factors = Factors.of(rows, bounded, self.typical, None)
         nothing = np.zeros((1, 1, size))
@@ -69,13 +70,6 @@ class Population(NamedTuple):
         return Covariance.of(
             names, bounded, self.typical, upper > lower, (factors, factors), nothing, sigmas, True
         )
-
-    @property
-    def covariance(self) -> Floats:
-        """Of the estimate of the fit along what is determined."""
-        squares, axes = np.linalg.eigh(self.fit.covariance)
-        found: Floats = (axes * np.where(squares < _UNKNOWN, squares, 0.0)) @ axes.T
-        return found
 
     @property
     def dof(self) -> float:
@@ -132,7 +126,7 @@ def pool(
         target = (rows @ now[..., None])[..., 0] - reduction.rows[..., -1]
         fit = MixedModel.of(rows, target, directions, covariates).fitted(guess**2, lower, upper)
         mean, matrix = fit.predicted_by_others()
-        told, move = _rows(mean, matrix, now), (fit.vectors - now)[..., None]
+        told, move = _rows(mean, matrix, now, fit.model.null), (fit.vectors - now)[..., None]
         left = (rows @ move)[..., 0], (told[..., :-1] @ move)[..., 0]
         distance = float(np.hypot(*(np.linalg.norm(part, axis=-1) for part in left)).max())
         if distance < _SETTLED:
@@ -147,10 +141,10 @@ def pool(
     )
 
 
-def _rows(mean: Floats, matrix: Floats, at: Floats) -> Floats:
+def _rows(mean: Floats, matrix: Floats, at: Floats, null: Floats) -> Floats:
     """Rows whose squares are the quadratic of normal densities of parameters, at some values, with
-    the residual as the last column."""
+    the residual as the last column; nothing is known along the null directions."""
     squares, axes = np.linalg.eigh(matrix)
-    known = squares < _UNKNOWN
-    rows = axes.mT * (known / np.sqrt(np.maximum(squares, _EXACT)))[..., None]
+    rows = axes.mT / np.sqrt(np.maximum(squares, _EXACT))[..., None]
+    rows = rows - (rows @ null) @ null.T
     return np.concatenate([rows, rows @ (at - mean)[..., None]], -1)

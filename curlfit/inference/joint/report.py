@@ -157,9 +157,9 @@ def _effects(result: JointResult) -> PlainTable:
 def _said(item: Variation | None, varies: bool) -> Text | str:
     if item is None:
         return ""
-    if varies and item.spread > 0:
-        share = f", {abs(100 * item.spread / item.mean):.2g} %" if item.mean else ""
-        return Text(f"{item.spread:.2g}{share} ({item.p_text})")
+    if varies:
+        share = f", {abs(100 * item.spread / item.mean):.2g} %" if item.mean and item.spread else ""
+        return f"{item.spread:.2g}{share} ({item.p_text})"
     if not item.significant:
         return Text(f"no ({item.p_text})", style="green")
     return Text(

@@ -27,7 +27,7 @@ def means_of(found: Population, covariates: Covariates, names: tuple[str, ...]) 
         centre=covariates.mean,
         last=covariates.values[-1],
         estimate=np.append(found.reference, np.zeros(effects)) + scale * found.fit.estimate,
-        covariance=scale[:, None] * found.covariance * scale,
+        covariance=scale[:, None] * found.fit.covariance * scale,
         directions=found.typical[:, None] * found.fit.model.directions,
         spreads=found.spreads,
         dof=found.dof,
@@ -102,7 +102,7 @@ class _Quantities(NamedTuple):
         from scipy.special import stdtr  # slow to load
 
         matrix, dof, made = self.slopes @ to, self.found.dof, []
-        errors = np.sqrt(np.einsum("ij,jk,ik->i", matrix, self.found.covariance, matrix))
+        errors = np.sqrt(np.einsum("ij,jk,ik->i", matrix, self.found.fit.covariance, matrix))
         for (name, unit), value, error in zip(self.units.items(), values, errors, strict=True):
             p = 2 * float(stdtr(dof, -abs(value) / error)) if tested and error else None
             unit = unit if per == "1" else f"{unit}/{per}"

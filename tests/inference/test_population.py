@@ -1,0 +1,208 @@
+"""Throws that vary: groups, trends, predictions of another throw, and the command line."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import command
+from scipy.optimize import brentq
+
+import curlfit
+from curlfit import InputError, sheet
+from curlfit.prediction.request import Call
+from curlfit.throws.events import Event
+
+STONE = curlfit.Stone(R=0.065)
+LAW = curlfit.law_with("front-back", {"mu1_xi": 0.004, "mu2_xi": 0.05})
+TIMES = np.append(np.linspace(0.0, 40.0, 401), 300.0)
+HOG, FAR = sheet.LINES["hog"], sheet.LINES["far-hog"]
+
+
+def path_of(law, v, omega):
+    start = curlfit.InitialState(y=HOG, v=v, omega=omega)
+    return curlfit.simulate(law, STONE, start, TIMES).to_numpy()
+
+
+def crossing(path):
+    return float(np.interp(FAR, path.y[:-1], path.t[:-1]))
+
+
+def evening(count=12, apart=0.05, rising=0.02, spread=0.01, seed=1, mirrored=1):
+    """Draws on two sheets in turn, timed exactly as far as errors of 0.05 s and 5 cm go."""
+    random, throws = np.random.default_rng(seed), []
+    for draw in range(count):
+        one = draw % 2 + 1
+        factor = 1 + apart * (one - 1.5) + rising * draw / 10 + spread * random.standard_normal()
+        law = replace(LAW, mu1_eta=0.009 * factor, mu2_eta=0.009 * factor)
+        side = mirrored * (1 if draw // 2 % 2 else -1)
+        path = path_of(law, random.uniform(2.19, 2.29), side * 1.3)
+        rest = curlfit.simulate(
+            law, STONE, curlfit.InitialState(y=HOG, v=path.speed[0], omega=side * 1.3), TIMES
+        ).rest
+        hog, off = crossing(path), 0.05 * random.standard_normal(5)
+        throw = curlfit.Throw.from_events([
+            Event("hog_to_hog", "time", hog + off[0], 0.05, FAR, HOG),
+            Event("hog_to_rest", "time", float(rest) - hog + off[1], 0.05, None, FAR),
+            Event("rest", "y", path.y[-1] + off[2], 0.05),
+            Event("curl", "x", path.x[-1] + side * off[3], 0.05, since=HOG),
+            Event("turns", "phi", path.phi[-1] + side * 2 * np.pi * off[4], 0.3, since=HOG),
+        ])  # fmt: skip
+        labels = {"sheet": f"{one}", "hour": f"{draw / 10}"}
+        throws.append(replace(throw, labels=labels))
+    return throws
+
+
+@pytest.fixture(scope="module")
+def joint():
+    return curlfit.fit_together(evening(), "front-back", stone=STONE, by="sheet", trend="hour")
+
+
+def one_of(effects, parameter, **about):
+    (found,) = (
+        item for item in effects
+        if item.parameter == parameter and all(getattr(item, k) == v for k, v in about.items())
+    )  # fmt: skip
+    return found
+
+
+def test_groups_and_trend_are_found(joint):
+    assert joint.converged
+    total = "mu1_eta + mu2_eta"
+    difference, trend = one_of(joint.differences, total), one_of(joint.trend, total)
+    assert abs(difference.value - 0.05 * 0.018) < 2.5 * difference.stderr
+    assert difference.stderr < 0.3 * difference.value
+    assert abs(trend.value - 0.02 * 0.018) < 2.5 * trend.stderr
+    assert difference.p < 0.001
+    assert difference.dof == trend.dof == 9
+    one, two = (one_of(joint.groups, total, group=name) for name in ("1", "2"))
+    assert two.value - one.value == pytest.approx(difference.value, rel=1e-9)
+    assert joint.means is not None
+    assert not joint.warnings
+
+
+def test_a_draw_to_the_tee_is_that_of_the_mean_law(joint):
+    """Against a root of the simulated distance."""
+    values = {name: item.value for name, item in joint.coefficients.items()}
+    law = curlfit.law_with("front-back", values)
+    spin = float(np.median([abs(one.parameters["omega0"].value) for one in joint.throws]))
+    v = brentq(lambda v: path_of(law, v, spin).y[-1] - sheet.TEE, 1.8, 2.8)
+    path = path_of(law, v, spin)
+    about = {"by": ""}
+    friction = one_of(joint.groups, "friction", **about)
+    assert friction.value == pytest.approx(v**2 / (2 * 9.81 * (sheet.TEE - HOG)), rel=2e-4)
+    assert one_of(joint.groups, "curl", **about).value == pytest.approx(-path.x[-1], abs=1e-3)
+    assert one_of(joint.groups, "hog_to_hog", **about).value == pytest.approx(
+        crossing(path), abs=2e-3
+    )
+
+
+def test_mirrored_throws_give_the_same(joint):
+    other = curlfit.fit_together(
+        evening(mirrored=-1), "front-back", stone=STONE, by="sheet", trend="hour"
+    )
+    for ours, theirs in zip(joint.differences, other.differences, strict=True):
+        assert theirs.value == pytest.approx(ours.value, abs=0.02 * ours.stderr)
+        assert theirs.stderr == pytest.approx(ours.stderr, rel=0.02)
+
+
+def test_each_throw_is_between_its_own_and_the_mean(joint):
+    (place,) = (
+        row for row, one in enumerate(joint.variation) if one.expression == "mu1_eta + mu2_eta"
+    )
+    weights = {"mu1_eta": 1.0, "mu2_eta": 1.0}
+    for row, one in enumerate(joint.throws):
+        alone, _ = joint.variation[place].each[row]
+        mean, _ = joint.means.expected(weights, one.data["labels"])
+        pooled = sum(one.parameters[name].value for name in weights)
+        low, high = sorted((alone, mean))
+        assert low - 1e-5 < pooled < high + 1e-5
+
+
+def test_another_throw_takes_its_given_time_and_has_the_spread(joint):
+    call = Call({"sheet": "2", "hour": "1.3"}, hog_to_hog=13.4)
+    found = curlfit.predict(joint, call=call, start={"omega0": 1.3}, draws=400)
+    hog = found.quantities["hog_to_hog"]
+    assert hog.value == pytest.approx(13.4, abs=0.01)
+    assert hog.sd < 0.01
+    law = replace(LAW, mu1_eta=0.009 * 1.051, mu2_eta=0.009 * 1.051)
+    v = brentq(lambda v: crossing(path_of(law, v, 1.3)) - 13.4, 1.9, 2.8)
+    rest = found.quantities["rest_y"]
+    assert rest.quantiles["2.5"] < path_of(law, v, 1.3).y[-1] - sheet.TEE < rest.quantiles["97.5"]
+    scattered = curlfit.predict(
+        joint, call=call._replace(thrower=(0.15, 0.1)), start={"omega0": 1.3}, draws=400
+    )
+    assert scattered.quantities["hog_to_hog"].sd == pytest.approx(0.15, rel=0.15)
+    assert scattered.quantities["rest_y"].sd > 2 * rest.sd
+    for labels, message in (({"sheet": "3"}, "expected 1 or 2"), ({"ice": "1"}, "no throws by")):
+        with pytest.raises(InputError, match=message):
+            curlfit.predict(joint, call=Call(labels), start={"v0": 2.2})
+
+
+def test_without_spread_the_mean_is_the_equal_value():
+    """A spread of zero is a joint fit of equal coefficients."""
+    throws = evening(8, apart=0.0, rising=0.0, spread=0.0, seed=3)
+    equal = curlfit.fit_together(throws, "coulomb", stone=STONE, share="all")
+    varying = curlfit.fit_together(throws, "coulomb", stone=STONE)
+    (one,) = varying.variation
+    if one.spread == 0:
+        assert varying["mu"].value == pytest.approx(equal["mu"].value, rel=1e-6)
+    assert varying["mu"].stderr >= 0.99 * equal["mu"].stderr
+
+
+@pytest.mark.parametrize(
+    ("labels", "words", "message"),
+    [
+        ([{"sheet": "1"}, {"sheet": "2"}, {}], {"by": "sheet"}, "no label 'sheet'"),
+        ([{"sheet": "1"}] * 3, {"by": "sheet"}, "all throws have '1'"),
+        ([{"start": "late"}] * 3, {"trend": "start"}, "expected numbers or times"),
+        ([{"a": "1", "b": "3"}, {"a": "2", "b": "4"}, {"a": "2", "b": "4"}],
+         {"by": ["a", "b"]}, "do not distinguish"),
+    ],
+)  # fmt: skip
+def test_labels_that_give_no_effects_are_refused(labels, words, message):
+    throws = [replace(one, labels=own) for one, own in zip(evening(3), labels, strict=True)]
+    with pytest.raises(InputError, match=message):
+        curlfit.fit_together(throws, "coulomb", **words)
+
+
+def test_a_clock_may_pass_midnight():
+    from curlfit.inference.joint.effects import Covariates
+
+    throws = [
+        replace(one, labels={"start": text})
+        for one, text in zip(evening(3), ("23:30", "23:45", "0:15"), strict=True)
+    ]
+    found = Covariates.of(throws, [], ["start"])
+    assert np.diff(found.values[:, 0]) == pytest.approx([0.25, 0.5])
+    assert found.trends == {"start": "h"}
+
+
+def test_on_the_command_line(tmp_path):
+    rows = ["sheet;start;hog_to_hog;rest"]
+    for draw in range(6):
+        law = curlfit.law_with("coulomb", {"mu": 0.0085 + 0.0005 * (draw % 2) + 1e-5 * draw**2})
+        path = path_of(law, 2.25, 0.0)
+        rows.append(f"{draw % 2 + 1};19:{draw}0;{crossing(path):.2f};{path.y[-1] - sheet.TEE:.2f}")
+    (tmp_path / "evening.csv").write_text("\n".join(rows) + "\n")
+    done = command("fit", "evening.csv", "--by", "sheet", "--no-figures", "--out", "out",
+                   cwd=tmp_path)  # fmt: skip
+    assert "Sheet 2 against 1: friction" in done.stdout, done
+    saved = json.loads((tmp_path / "out" / "joint.json").read_text())
+    (mu,) = (one for one in saved["differences"] if one["parameter"] == "mu")
+    assert {"value", "stderr", "p", "group", "against"} <= mu.keys()
+    assert mu["value"] == pytest.approx(5e-4, rel=0.2)
+    words = ("predict", "out", "--sheet", "2", "--hog-to-hog", "13.4", "--broom", "4 ft left")
+    done = command(*words, "--turn", "in", "--omega0", "0", "--no-figures", cwd=tmp_path)
+    assert "Sheet 2, 13.40 s hog to hog, broom 4 ft 0 in to the left" in " ".join(
+        done.stdout.split()
+    ), done
+    for wrong, message in (
+        (("predict", "out", "--sheet", "3", "--v0", "2.2"), "expected 1 or 2"),
+        (("predict", "out"), "a joint fit predicts another throw"),
+        (("predict", "out", "--v0", "2.2", "--broom", "4 ft"), "to which side?"),
+        (("fit", "evening.csv", "--by", "ice"), "no label 'ice'"),
+    ):
+        refused = command(*wrong, cwd=tmp_path)
+        assert refused.returncode == 2
+        assert message in refused.stderr, refused
