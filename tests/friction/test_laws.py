@@ -236,7 +236,7 @@ SLOW = pytest.mark.slow
     ("name", "values", "load"),
     [  # laws of one kind have one code path; front-back is in test_motion.py
         ("power", (0.004, 2.0), "uniform"),
-        ("tensor", (0.02, 0.009, 0.0005), "uniform"),
+        pytest.param("tensor", (0.02, 0.009, 0.0005), "uniform", marks=SLOW),
         ("debris", (0.013, 0.008, 2.0), "uniform"),
         ("debris", (0.013, 0.008, 0.0), "uniform"),
         ("semi-empirical", (0.005, 0.085, 0.1, 0.1, -0.3), "uniform"),

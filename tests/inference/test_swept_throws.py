@@ -97,6 +97,7 @@ def test_swept_and_unswept_throws_are_fitted_side_by_side(mixed, fitted):
     np.testing.assert_allclose(other.values, alone.values, rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_swept_and_unswept_throws_are_fitted_jointly(mixed, fitted):
     joint = curlfit.fit_together(mixed)
     assert joint.converged

@@ -70,6 +70,7 @@ def written(found, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(reproduction, "reproduce", known)
         run = invoke(["reproduce", "--out", str(folder)])
+        patch.setattr(reproduction, "reproduce", lambda *_: found)  # the figures are there
         as_json = invoke(["reproduce", "--out", str(folder), "--json"])
         silent = invoke(["reproduce", "--out", str(folder), "--quiet"])
     assert (run.exit_code, as_json.exit_code, silent.exit_code) == (0, 0, 0)
