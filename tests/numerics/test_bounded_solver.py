@@ -132,7 +132,7 @@ def test_elimination_solves_as_lapack_does_and_needs_none_of_it(blocks):
     matrix = whole.reshape(-1, size).T @ whole.reshape(-1, size)
     scale = 1 / np.sqrt(np.diagonal(matrix))
     right, dense = random.normal(size=size), matrix * np.outer(scale, scale) + 1e-10 * np.eye(size)
-    arrow = layout.normal(jnp.asarray(rows)).scaled(jnp.asarray(scale), 1e-10)
+    arrow = jax.jit(lambda rows, scale: layout.normal(rows).scaled(scale, 1e-10))(rows, scale)
     np.testing.assert_allclose(arrow.diagonal(), np.diagonal(dense), rtol=1e-12)
     np.testing.assert_allclose(arrow.mv(right), dense @ right, rtol=1e-9, atol=1e-12)
     program = jax.jit(lambda matrix, right: matrix.solve(right)).lower(arrow, right)
