@@ -112,17 +112,6 @@ def test_settings_of_files_mean_what_the_flags_mean(typed, folder):
     assert load_fit(folder / "both").parameters["mu"].prior == "0.02+-0.01"
 
 
-@pytest.mark.slow
-def test_a_fit_that_does_not_know_of_the_sweeping_proposes_the_flag(typed):
-    words = ("fit", "a.csv", *COULOMB, "--free", "slope_x", *QUICK)
-    out = typed(*words, "--out", "plain")
-    said = " ".join(out.split())
-    assert "Warning: the friction changes abruptly, by a factor of about 0." in said
-    flag = said.split("`--sweep ")[1].split("`")[0]
-    again = typed(*words, "--sweep", flag, "--out", "again")
-    assert "changes abruptly" not in again
-
-
 def test_a_joint_fit_shares_conditions_and_each_throw_keeps_what_its_file_states(typed, folder):
     quick = (*COULOMB, *ASSUMED, "--no-figures")
     out = typed("fit", "own.csv", "b.csv", *quick, "--systematic", "rho=0", "--out", "joint")

@@ -135,13 +135,12 @@ both_loads = pytest.mark.parametrize("load", LOADS)
 any_law = pytest.mark.parametrize(("name", "values"), LAWS_OF_THE_RING)
 
 
-@pytest.mark.numerical
 @pytest.mark.parametrize(
     ("name", "values", "load", "start"),
     [
         *((*law, "uniform", FAST_SPIN) for law in LAWS_OF_THE_RING),
         *(
-            (*law, "consistent", THROW)
+            pytest.param(*law, "consistent", THROW, marks=pytest.mark.numerical)
             for law in dict(LAWS_OF_THE_RING).items()
             if law[0] in UNLIKE
         ),
