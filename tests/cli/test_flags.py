@@ -112,6 +112,7 @@ def test_settings_of_files_mean_what_the_flags_mean(typed, folder):
     assert load_fit(folder / "both").parameters["mu"].prior == "0.02+-0.01"
 
 
+@pytest.mark.slow
 def test_a_joint_fit_shares_conditions_and_each_throw_keeps_what_its_file_states(typed, folder):
     quick = (*COULOMB, *ASSUMED, "--no-figures")
     out = typed("fit", "own.csv", "b.csv", *quick, "--systematic", "rho=0", "--out", "joint")

@@ -112,6 +112,7 @@ def test_swept_and_unswept_throws_are_fitted_jointly(mixed, fitted):
     np.testing.assert_allclose(other.rms["y"], curlfit.fit(mixed[1]).rms["y"], rtol=0.01)
 
 
+@pytest.mark.slow
 def test_the_fitted_throw_goes_on_swept_and_another_does_not(fitted):
     request = ThrowRequest({}, "hog", None, None, None)
     same = ThrowFamily(fitted, start_of(fitted, request), new=False)
