@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from conftest import command
 
 ROOT = Path(__file__).parents[1]
 NUMBER = r"-?\d+\.\d+"
@@ -29,7 +30,7 @@ def typed(line: str, folder: Path) -> str:
     """What a `curlfit` line prints as a user types it."""
     program, *words = shlex.split(line)
     assert program == "curlfit"
-    found = run(["-m", "curlfit", *words], folder)
+    found = command(*words, cwd=folder)
     assert (found.returncode, found.stderr) == (0, ""), line
     return found.stdout
 

@@ -11,6 +11,8 @@ import sys
 import time
 from contextlib import suppress
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pandas
 import psutil
@@ -94,7 +96,7 @@ def test_each_row_is_the_fit_of_that_throw(season, done):
     assert [row["file"] for row in rows] == [str(file) for file in sorted(season.glob("*.csv"))]
     total = "mu1_eta + mu2_eta"
     for row in rows[2:]:
-        alone = curlfit.fit(curlfit.load_throw(row["file"]))
+        alone = curlfit.fit(curlfit.load_throw(row["file"]), details=False)
         assert row["status"] == ("ok" if alone.converged else "not usable")
         for name, item in alone.parameters.items():
             assert row[f"{name}_verdict"] == item.verdict, (row["file"], name)
@@ -143,6 +145,7 @@ def mixed():
     }
 
 
+@pytest.mark.slow
 def test_throws_of_every_kind_side_by_side_are_fitted_as_alone():
     throws = mixed()
     for (kind, throw), found in zip(throws.items(), fit_throws(list(throws.values())), strict=True):
@@ -204,8 +207,9 @@ def test_the_sums_that_laws_name_are_all_that_uniform_load_hides(name):
     typical = np.array([item.typical for item in law.coefficients()])
     default = np.array([item.default for item in law.coefficients()])
 
+    @jax.jit
     def forces(c):
-        return np.stack(accelerations(law.from_vector(c), Stone(), "uniform", *states)[:3])
+        return jnp.stack(accelerations(law.from_vector(c), Stone(), "uniform", *states)[:3])
 
     columns = []
     for k in range(len(names)):
@@ -233,7 +237,7 @@ def test_a_log_has_a_row_for_each_shot_and_an_export_one_for_each_object(logs):
     assert rows[1]["reason"].endswith("no stone moves in end 0 shot 1")
     for row in rows[:1] + rows[2:]:
         which = {"shot": row["shot"], "stone_index": row["stone_index"]}
-        alone = curlfit.fit(curlfit.load_throw(row["file"], **which))
+        alone = curlfit.fit(curlfit.load_throw(row["file"], **which), details=False)
         assert row["n_observations"] == alone.n_observations
         assert row["rms_y"] == pytest.approx(alone.rms["y"], rel=1e-3)
     assert fit_files(files[-1:], BatchSettings.of(shot=2)) == rows[-1:]

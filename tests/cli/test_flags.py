@@ -112,16 +112,7 @@ def test_settings_of_files_mean_what_the_flags_mean(typed, folder):
     assert load_fit(folder / "both").parameters["mu"].prior == "0.02+-0.01"
 
 
-def test_a_fit_that_does_not_know_of_the_sweeping_proposes_the_flag(typed):
-    words = ("fit", "a.csv", *COULOMB, "--free", "slope_x", *QUICK)
-    out = typed(*words, "--out", "plain")
-    said = " ".join(out.split())
-    assert "Warning: the friction changes abruptly, by a factor of about 0." in said
-    flag = said.split("`--sweep ")[1].split("`")[0]
-    again = typed(*words, "--sweep", flag, "--out", "again")
-    assert "changes abruptly" not in again
-
-
+@pytest.mark.slow
 def test_a_joint_fit_shares_conditions_and_each_throw_keeps_what_its_file_states(typed, folder):
     quick = (*COULOMB, *ASSUMED, "--no-figures")
     out = typed("fit", "own.csv", "b.csv", *quick, "--systematic", "rho=0", "--out", "joint")
@@ -147,10 +138,13 @@ def test_a_joint_fit_shares_conditions_and_each_throw_keeps_what_its_file_states
         assert data["from"] == data["since"] == 0.5
 
 
-def test_profile_compare_and_batch_have_the_flags(typed, folder):
+@pytest.fixture
+def alone(typed, folder):
     typed("fit", "a.csv", *CHOSEN, *QUICK, "--out", "alone")
-    alone = load_fit(folder / "alone")
+    return load_fit(folder / "alone")
 
+
+def test_profile_and_compare_have_the_flags(typed, folder, alone):
     out = typed("profile", "a.csv", "--param", "slope_x", *CHOSEN, "--points", 9, "--no-figures")
     found = load_profile(folder / "a-profile-slope_x")
     assert found.verdict == "limited"
@@ -166,6 +160,9 @@ def test_profile_compare_and_batch_have_the_flags(typed, folder):
     assert comparison.data["rows"] == KEPT
     assert one.coefficients["mu"]["value"] == pytest.approx(alone["mu"].value, rel=1e-6)
 
+
+@pytest.mark.slow
+def test_batch_has_the_flags(typed, folder, alone):
     # there are columns of sweep, since one of the files states it
     words = (*COULOMB, *ASSUMED, *SYSTEMATIC, "--workers", 1, "--out", "table.csv")
     typed("batch", "own.csv", "b.csv", *words)

@@ -48,7 +48,7 @@ def test_a_name_is_no_formula_in_a_table_and_its_row_is_found_again(tmp_path):
     (tmp_path / "in").mkdir()
     for name in ("=1+1.csv", "n\nl.csv"):
         shutil.copy(DATA, tmp_path / "in" / name)
-    words = ("batch", *("=1+1.csv", "n\nl.csv"), "--law=coulomb", "--workers=1", "--out=../t.csv")
+    words = ("batch", *("=1+1.csv", "n\nl.csv"), "--workers=1", "--out=../t.csv")
     ran = command(*words, cwd=tmp_path / "in")
     assert "2 ok" in ran.stdout, ran
     rows = list(csv.DictReader((tmp_path / "t.csv").read_text().splitlines()))

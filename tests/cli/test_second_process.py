@@ -135,7 +135,7 @@ for words in VERBS:
 
 
 @pytest.mark.skipif(cores() < 2, reason="one core draws where it computes")
-@pytest.mark.parametrize("delay", [0.0, 0.4])
+@pytest.mark.parametrize("delay", [pytest.param(0.0, marks=pytest.mark.slow), 0.4])
 def test_ctrl_c_is_answered_while_everything_is_loading(tmp_path, delay):
     run = started("fit", DATA, "--out", tmp_path)
     while run.poll() is None and not psutil.Process(run.pid).children():
@@ -147,7 +147,9 @@ def test_ctrl_c_is_answered_while_everything_is_loading(tmp_path, delay):
 
 
 @pytest.mark.skipif(cores() < 2, reason="one core draws where it computes")
-@pytest.mark.parametrize("blow", [signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize(
+    "blow", [signal.SIGTERM, pytest.param(signal.SIGKILL, marks=pytest.mark.slow)]
+)
 def test_no_process_is_left_by_a_stopped_fit(tmp_path, blow):
     run = started("fit", DATA, "--effective", 10**8, "--max-steps", 10**6, "--out", tmp_path)
     while run.poll() is None and not (tmp_path / "chain.h5").exists():

@@ -163,7 +163,7 @@ def test_given_noise_is_not_counted_and_not_estimated(eq12, clean):
 @pytest.mark.parametrize(
     "law",
     [
-        name if name in ("semi-empirical", "debris") else pytest.param(name, marks=pytest.mark.slow)
+        name if name == "semi-empirical" else pytest.param(name, marks=pytest.mark.slow)
         for name in COMPARED
     ],
 )
@@ -211,7 +211,8 @@ def spoiled(clean):
     return replace(clean, **channels)
 
 
-@pytest.mark.parametrize("loss", ["student", pytest.param("huber", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("loss", ["student", "huber"])
 def test_outliers_change_neither_the_first_law_nor_its_coefficients(loss, clean, spoiled):
     before = compare(clean, RIVALS, loss=loss)
     after = compare(spoiled, RIVALS, loss=loss)

@@ -162,6 +162,7 @@ def test_a_row_that_alone_determines_a_parameter_is_not_predicted():
     )
 
 
+@pytest.mark.slow
 def test_differences_are_of_rows_and_there_is_none_where_a_row_tells_of_its_neighbours(
     throw, of_all, eq12
 ):

@@ -12,7 +12,6 @@ import inspect
 import json
 import re
 import shutil
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -49,10 +48,8 @@ BLOCKS = [
     if not set(lines) & set(NOT_HERE)
 ]
 BASH = list(dict.fromkeys([MAIN, *(line for _, lines, _ in BLOCKS for line in lines)]))
+BASH.remove("curlfit reproduce")  # of which all is in tests/paper, and in a notebook
 OUTPUTS = [(name, lines, text) for name, lines, text in BLOCKS if text]
-FIRST = tuple(
-    f"curlfit {verb} " for verb in ("fit", "simulate", "batch", "predict", "profile", "export")
-)
 TABLE = re.search(r"A text table with a header:\n\n```text\n(.*?)```", PAGES["data"], re.S)[1]
 INLINE = set(re.findall(r"`(curlfit(?: [^`]+))`", BOOK)) - set(BASH)
 LINK = re.compile(r"\]\((?!https?:)([^)#\s]*)(?:#([^)\s]*))?\)")
@@ -69,12 +66,7 @@ def clone(tmp_path_factory):
 @pytest.fixture(scope="module")
 def printed(clone):
     """What each command of the blocks prints, in one folder."""
-    # a fit may resume another, or read what was simulated before
-    first = [line for line in BASH if line.startswith(FIRST)]
-    jobs = [first, *[[line] for line in BASH if line not in first]]
-    with ThreadPoolExecutor(2) as pool:
-        done = pool.map(lambda job: {line: typed(line, clone) for line in job}, jobs)
-        return {line: text for part in done for line, text in part.items()}
+    return {line: typed(line, clone) for line in BASH}
 
 
 def test_every_block_is_known():
@@ -108,7 +100,6 @@ def test_the_commands_write_what_the_book_says(printed, clone):
     }.items():
         folder = clone / f"jensen_shegelski_2004-{kind}"
         assert {file.name for file in folder.iterdir()} >= files
-    assert {"claims.json", "claims.md"} < {file.name for file in (clone / "reproduction").iterdir()}
     (resumed,) = [line for line in BASH if line.endswith("--resume")]
     assert "Posterior: converged" in " ".join(printed[resumed].split())
 

@@ -92,9 +92,13 @@ def test_laws_with_a_closed_form(load):
 
 @pytest.mark.parametrize(
     ("name", "load"),
-    [("front-back", "uniform"), ("pressure", "uniform"), ("stribeck", "consistent"),
-     ("debris", "consistent")],
-)  # fmt: skip
+    [
+        ("front-back", "uniform"),
+        pytest.param("pressure", "uniform", marks=pytest.mark.slow),
+        pytest.param("stribeck", "consistent", marks=pytest.mark.slow),
+        ("debris", "consistent"),
+    ],
+)
 def test_closed_form_and_quadrature_agree_with_all_derivatives(name, load):
     kind = LAWS[name]
     written = _as_written(kind)

@@ -197,7 +197,7 @@ def _derivatives(p, times, load):
     [
         ("uniform", 2.06, 1.005, 20.0),
         ("uniform", 2.06, 1.005, 40.0),  # to rest
-        ("consistent", 2.06, -1.5, 40.0),
+        pytest.param("consistent", 2.06, -1.5, 40.0, marks=pytest.mark.slow),
         ("uniform", 0.05, 30.0, 40.0),
     ],
 )

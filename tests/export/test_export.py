@@ -115,7 +115,12 @@ def test_the_posterior_goes_to_arviz(typed, folder):
 @pytest.mark.parametrize(
     ("words", "file", "left"),
     [
-        (("export", "sampled", "--to", "netcdf", "--out", "out"), "out/posterior.nc", []),
+        pytest.param(
+            ("export", "sampled", "--to", "netcdf", "--out", "out"),
+            "out/posterior.nc",
+            [],
+            marks=pytest.mark.slow,
+        ),
         (("example", "out"), "out/data/jensen_shegelski_2004.csv", ["camera_1.csv"]),
     ],
 )

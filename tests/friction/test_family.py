@@ -43,7 +43,17 @@ def test_all_laws_of_the_ring_are_in_one():
     }
 
 
-@pytest.mark.parametrize("law", FAMILY.members, ids=lambda law: law.name)
+SLOPES = ("debris", "power", "tensor")
+"""Laws of each kind: with an edge, summed over the ring, in closed form."""
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        pytest.param(law, id=law.name, marks=() if law.name in SLOPES[:2] else pytest.mark.slow)
+        for law in FAMILY.members
+    ],
+)
 def test_a_member_has_its_own_accelerations_and_derivatives(law):
     load = "consistent" if law.name == "pressure" else "uniform"
     values = coefficients(law)
@@ -56,7 +66,7 @@ def test_a_member_has_its_own_accelerations_and_derivatives(law):
         )
         assert np.abs(own[1]) > 1e-3
         np.testing.assert_allclose(found, own, rtol=1e-12, atol=1e-15)
-        if law.name not in ("debris", "power", "tensor"):  # of all other laws as of these
+        if law.name not in SLOPES:  # of all other laws as of these
             continue
         (by_family, *found), (by_own, *own) = (
             _slopes(kind, vector, STONE, there, load=load)

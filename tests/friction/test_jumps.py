@@ -95,6 +95,7 @@ def test_jumps_are_found_where_they_are():
     np.testing.assert_allclose(kind().edges(0.0).front, [1.0], atol=1e-10)
 
 
+@pytest.mark.slow
 def test_two_sides_are_recovered_from_a_path():
     def traction(ring, load):
         mu = np.where(ring.xi < 0, 0.006, 0.012)

@@ -124,9 +124,9 @@ LAWS_OF_THE_RING = [
     ("tensor", (0.02, 0.009, 0.0005)),
     ("front-back", (0.005, 0.05, 0.009, 0.009)),
 ]
-UNLIKE = ("power", "pressure", "debris", "tensor", "front-back")
+UNLIKE = ("power", "pressure", "debris", "front-back")
 """Laws whose paths under the consistent load are found in different ways: by sums over the ring,
-with a load that is iterated, with a moving edge, and in closed form (twice). The force of every law
+with a load that is iterated, with a moving edge, and in closed form. The force of every law
 under it is tested by itself."""
 THROW = InitialState(x=1.0, y=-2.0, heading=0.3, v=2.0, phi=0.5, omega=1.5)
 EXACT = 5e-8  # m and rad; the book promises 1e-7
@@ -135,13 +135,12 @@ both_loads = pytest.mark.parametrize("load", LOADS)
 any_law = pytest.mark.parametrize(("name", "values"), LAWS_OF_THE_RING)
 
 
-@pytest.mark.numerical
 @pytest.mark.parametrize(
     ("name", "values", "load", "start"),
     [
         *((*law, "uniform", FAST_SPIN) for law in LAWS_OF_THE_RING),
         *(
-            (*law, "consistent", THROW)
+            pytest.param(*law, "consistent", THROW, marks=pytest.mark.numerical)
             for law in dict(LAWS_OF_THE_RING).items()
             if law[0] in UNLIKE
         ),
@@ -236,10 +235,10 @@ SLOW = pytest.mark.slow
     ("name", "values", "load"),
     [  # laws of one kind have one code path; front-back is in test_motion.py
         ("power", (0.004, 2.0), "uniform"),
-        ("tensor", (0.02, 0.009, 0.0005), "uniform"),
+        pytest.param("tensor", (0.02, 0.009, 0.0005), "uniform", marks=SLOW),
         ("debris", (0.013, 0.008, 2.0), "uniform"),
         ("debris", (0.013, 0.008, 0.0), "uniform"),
-        ("semi-empirical", (0.005, 0.085, 0.1, 0.1, -0.3), "uniform"),
+        pytest.param("semi-empirical", (0.005, 0.085, 0.1, 0.1, -0.3), "uniform", marks=SLOW),
         pytest.param("pressure", (0.01, 1.5), "uniform", marks=SLOW),
         pytest.param("stribeck", (0.02, -0.004), "consistent", marks=SLOW),
         pytest.param("radial", (0.02, 0.003, 0.01, 0.015), "consistent", marks=SLOW),

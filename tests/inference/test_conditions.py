@@ -121,7 +121,9 @@ def test_widths_may_be_given_and_conditions_may_be_known():
     assert all(if_off(name, width).startswith("if ") for name, width in WIDTHS.items())
 
 
-@pytest.mark.parametrize("choices", [{"loss": "student"}, {"noise": "ar1"}])
+@pytest.mark.parametrize(
+    "choices", [{"noise": "ar1"}, pytest.param({"loss": "student"}, marks=pytest.mark.slow)]
+)
 def test_systematic_errors_hold_for_robust_losses_and_correlated_noise(choices):
     """The same noise, and two slopes of the ice: the estimates differ by the shift."""
     random = np.random.default_rng(3)

@@ -61,6 +61,7 @@ def test_a_batch_has_the_answers_of_single_fits(throws, choices):
                 assert other.stderr == pytest.approx(item.stderr, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_throws_that_share_nothing_are_fitted_together_as_alone(throws):
     """With every coefficient known, a joint fit is a fit of each throw by itself."""
     values = {item.name: getattr(LAW, item.name) for item in LAW.coefficients()}

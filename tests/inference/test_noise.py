@@ -183,6 +183,7 @@ def test_given_sigmas_are_kept():
     assert all(0.1 < value < 2 for value in found.noise.memory.values())
 
 
+@pytest.mark.slow
 def test_it_is_saved_and_sampled(tmp_path):
     found = curlfit.fit(thrown(2, 0.9), "front-back", noise="ar1")
     found.save(tmp_path / "fit.json")

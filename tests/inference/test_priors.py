@@ -235,6 +235,7 @@ def test_a_profile_has_the_prior_in_it(throw, without, split):
         assert narrow.high == pytest.approx(item.value + item.stderr, abs=0.02 * item.stderr)
 
 
+@pytest.mark.slow
 def test_throws_together_count_the_prior_of_what_they_share_once(throw):
     throws = [throw, thrown(omega0=-1.5, seed=2)]
     joint = curlfit.fit_together(throws, fix=SPLIT).coefficients["mu1_xi"]

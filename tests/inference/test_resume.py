@@ -37,9 +37,8 @@ def snapshot(folder):
     return {file.name: file.read_bytes() for file in folder.iterdir()}
 
 
-@pytest.mark.parametrize(
-    "blow", [signal.SIGINT, pytest.param(signal.SIGKILL, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("blow", [signal.SIGINT, signal.SIGKILL])
 def test_a_process_struck_in_mid_sampling_goes_on_as_if_nothing_had_been(tmp_path, blow):
     struck, whole = tmp_path / "struck", tmp_path / "whole"
     fit = ("fit", DATA, "--no-figures", "--seed", 5)
@@ -124,7 +123,7 @@ def test_ctrl_c_at_any_point_loses_no_step_and_adds_none(
     assert result.posterior == short[0].posterior
 
 
-@pytest.mark.parametrize("steps", [10, 30])
+@pytest.mark.parametrize("steps", [10, pytest.param(30, marks=pytest.mark.slow)])
 def test_the_change_of_moves_is_resumed_too(eq12_fit, tmp_path, monkeypatch, steps):
     # as though the ridge proposals failed: from the first block on, ensemble moves do the work
     monkeypatch.setattr(sampling, "_LEAST_ACCEPTANCE", 2.0)

@@ -26,7 +26,7 @@ from curlfit.throws.synthetic import SIMULATED
 
 @pytest.fixture(scope="module")
 def compared(eq12):
-    return curlfit.compare(eq12, ["coulomb", "front-back"])
+    return curlfit.compare(eq12, ["front-back", "coulomb"])
 
 
 @contextmanager

@@ -97,6 +97,7 @@ def test_swept_and_unswept_throws_are_fitted_side_by_side(mixed, fitted):
     np.testing.assert_allclose(other.values, alone.values, rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_swept_and_unswept_throws_are_fitted_jointly(mixed, fitted):
     joint = curlfit.fit_together(mixed)
     assert joint.converged
@@ -111,6 +112,7 @@ def test_swept_and_unswept_throws_are_fitted_jointly(mixed, fitted):
     np.testing.assert_allclose(other.rms["y"], curlfit.fit(mixed[1]).rms["y"], rtol=0.01)
 
 
+@pytest.mark.slow
 def test_the_fitted_throw_goes_on_swept_and_another_does_not(fitted):
     request = ThrowRequest({}, "hog", None, None, None)
     same = ThrowFamily(fitted, start_of(fitted, request), new=False)

@@ -191,6 +191,7 @@ def test_three_numbers_determine_one_friction_coefficient(tmp_path):
     assert again.throw.assumed["y0"] == HOG
 
 
+@pytest.mark.slow
 def test_eight_draws_of_an_evening_give_one_friction():
     random = np.random.default_rng(3)
     evening = [
@@ -217,6 +218,7 @@ def test_eight_draws_of_an_evening_give_one_friction():
     assert abs(found.value - 0.0085) < 3 * found.stderr
 
 
+@pytest.mark.slow
 def test_draws_that_differ_are_fitted_together_and_stay_usable():
     """Chi squared of each has a slope at the joint optimum, which is no fault of the search."""
     random = np.random.default_rng(7)
@@ -317,11 +319,15 @@ def curled():
 
 
 def test_a_law_that_cannot_curl_names_the_measured_curl(curled):
-    words = "the coulomb law cannot curl a stone: the measured curl of 1.00 m to the left is in "
     found = curlfit.fit(curled, "coulomb")
     (said,) = (item for item in found.warnings if "cannot curl" in item)
+    words = "the coulomb law cannot curl a stone: the measured curl of 1.00 m to the left is in "
     assert said.startswith(words + "the heading; ")
     assert abs(found["heading"].value + 1.0 / 28.7) < 1e-3  # the chord of the curl
+
+
+@pytest.mark.slow
+def test_so_does_a_joint_fit(curled):
     joint = fit_together([curled] * 8, "coulomb")
     (said,) = (item for item in joint.warnings if "cannot" in item)
     assert "the measured curls of 8 of 8 throws are in the heading" in said

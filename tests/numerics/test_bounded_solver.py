@@ -60,9 +60,10 @@ def test_the_optimum_within_bounds_is_that_of_scipy(seed):
 def test_problems_side_by_side_take_the_steps_of_each_alone():
     starts = np.array([[0.0, 0, 0, 0], [5, 0, 0.3, 200], [0, 0.005, -0.3, 0]])
     residual = problem(2)
-    many = jax.vmap(lambda start: solved(lambda z: residual(z, jnp), start))(starts)
+    one = jax.jit(lambda start: solved(lambda z: residual(z, jnp), start))
+    many = jax.vmap(one)(starts)
     for row, start in enumerate(starts):
-        alone = solved(lambda z: residual(z, jnp), start)
+        alone = one(start)
         assert many.state.evaluations[row] == alone.state.evaluations
         np.testing.assert_allclose(many.value[row], alone.value, rtol=1e-9, atol=1e-12)
 
@@ -131,7 +132,7 @@ def test_elimination_solves_as_lapack_does_and_needs_none_of_it(blocks):
     matrix = whole.reshape(-1, size).T @ whole.reshape(-1, size)
     scale = 1 / np.sqrt(np.diagonal(matrix))
     right, dense = random.normal(size=size), matrix * np.outer(scale, scale) + 1e-10 * np.eye(size)
-    arrow = layout.normal(jnp.asarray(rows)).scaled(jnp.asarray(scale), 1e-10)
+    arrow = jax.jit(lambda rows, scale: layout.normal(rows).scaled(scale, 1e-10))(rows, scale)
     np.testing.assert_allclose(arrow.diagonal(), np.diagonal(dense), rtol=1e-12)
     np.testing.assert_allclose(arrow.mv(right), dense @ right, rtol=1e-9, atol=1e-12)
     program = jax.jit(lambda matrix, right: matrix.solve(right)).lower(arrow, right)

@@ -12,7 +12,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from curlfit.numerics import program_cache as cache
+from curlfit.errors import warn_once
+from curlfit.numerics import compiled, program_cache as cache
 
 CODE = """
 import numpy as np
@@ -33,29 +34,35 @@ print(len(calls))
 
 
 @pytest.fixture
-def traced(tmp_path):
-    """How often a new process traces the function; its cache lies in a folder of the test."""
-    script = tmp_path / "script.py"
-    script.write_text(CODE)
+def traced(tmp_path, monkeypatch, capsys):
+    """How often the function is traced where no program is loaded, as in a new process; its cache
+    lies in a folder of the test."""
 
     def run(stderr=False, **settings):
-        place = {"CURLFIT_CACHE": str(tmp_path / "cache")} | settings
-        done = subprocess.run(
-            [sys.executable, "-W", "error", str(script)], env=os.environ | place,
-            capture_output=True, text=True, check=False,
-        )  # fmt: skip
-        assert done.returncode == 0, done.stderr
-        if stderr:
-            return int(done.stdout), done.stderr
-        assert done.stderr == ""
-        return int(done.stdout)
+        monkeypatch.setattr(compiled, "_programs", {})
+        for name, value in ({"CURLFIT_CACHE": str(tmp_path / "cache")} | settings).items():
+            monkeypatch.setenv(name, value)
+        cache.folder.cache_clear()
+        warn_once.cache_clear()
+        exec(CODE, {"__name__": "script"})
+        out, err = capsys.readouterr()
+        assert stderr or err == ""
+        return (int(out), err) if stderr else int(out)
 
     run.folder = tmp_path / "cache" / "programs"
-    return run
+    yield run
+    cache.folder.cache_clear()
 
 
-def test_a_second_process_traces_nothing(traced):
+def test_a_second_process_traces_nothing(traced, tmp_path):
     assert traced() == 3
+    for count in (3, 0):  # and in processes of their own
+        place = os.environ | {"CURLFIT_CACHE": str(tmp_path / "other")}
+        done = subprocess.run(
+            [sys.executable, "-W", "error", "-c", CODE], env=place, capture_output=True, text=True,
+            check=False,
+        )  # fmt: skip
+        assert (done.returncode, done.stdout, done.stderr) == (0, f"{count}\n", "")
     assert len(list(traced.folder.iterdir())) == 3  # each word and shape has its own
     assert traced() == 0
 
@@ -77,12 +84,19 @@ def test_a_single_wrong_bit_is_noticed_and_the_program_made_again(traced):
     assert traced() == 0
 
 
-def test_a_cache_of_jax_named_by_the_user_is_left_to_jax(traced, tmp_path):
+def test_a_cache_of_jax_named_by_the_user_is_left_to_jax(tmp_path):
     """What JAX takes out of its cache and stores again cannot be run."""
-    own = {"JAX_COMPILATION_CACHE_DIR": str(tmp_path / "jax")}
-    every = {"JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
-    assert traced(**own, **every) == 3
-    assert list(traced.folder.iterdir()) == []
+    place = {
+        "CURLFIT_CACHE": str(tmp_path / "cache"),
+        "JAX_COMPILATION_CACHE_DIR": str(tmp_path / "jax"),
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+    }
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", CODE], env=os.environ | place, capture_output=True,
+        text=True, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout, done.stderr) == (0, "3\n", "")
+    assert list((tmp_path / "cache" / "programs").iterdir()) == []
     assert list((tmp_path / "jax").iterdir()) != []
 
 
@@ -268,7 +282,7 @@ PLACES = [0.0, 20 - 0.0981 * 10**2 / 2, 2**2 / (2 * 0.0981)]
 
 
 @pytest.fixture(scope="module")
-def compiled(tmp_path_factory):
+def shared(tmp_path_factory):
     """A cache for uses that are traced anew and compile to the same."""
     return tmp_path_factory.mktemp("cache")
 
@@ -281,8 +295,8 @@ SLOPES = "[jax.grad(lambda v: y(v)[place])(2.0).item() for place in (1, 2)]", [1
     ("imports", "wide", "use", "expected"),
     [("import curlfit, jax", None, *SLOPES), ("import jax, curlfit", "0", *PATHS)],
 )
-def test_the_first_use_may_be_traced(imports, wide, use, expected, compiled):
-    env = os.environ | {"CURLFIT_CACHE": str(compiled)}
+def test_the_first_use_may_be_traced(imports, wide, use, expected, shared):
+    env = os.environ | {"CURLFIT_CACHE": str(shared)}
     env.pop("JAX_ENABLE_X64", None)
     run = subprocess.run(
         [sys.executable, "-W", "error", "-c", FIRST_USE.format(imports=imports, use=use)],

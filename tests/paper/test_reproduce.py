@@ -33,11 +33,36 @@ PNG = b"\x89PNG\r\n\x1a\n"
 
 
 @pytest.fixture(scope="module")
-def found():
-    parts = []
-    result = curlfit.reproduce(progress=lambda part, done, total: parts.append((done, total)))
+def made(tmp_path_factory):
+    """What the command computes; and its folder and what it prints, at first and of the same
+    computation."""
+    from curlfit.paper import reproduce as reproduction
+
+    folder = tmp_path_factory.mktemp("reproduction") / "new" / "folder"
+    compute, parts, results = reproduction.reproduce, [], []
+
+    def watched(progress, arrived):
+        def tell(part, done, total):
+            parts.append((done, total))
+            progress(part, done, total)
+
+        results.append(compute(tell, arrived))
+        return results[0]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(reproduction, "reproduce", watched)
+        run = invoke(["reproduce", "--out", str(folder)])
+        patch.setattr(reproduction, "reproduce", lambda *_: results[0])
+        as_json = invoke(["reproduce", "--out", str(folder), "--json"])
+        silent = invoke(["reproduce", "--out", str(folder), "--quiet"])
+    assert (run.exit_code, as_json.exit_code, silent.exit_code) == (0, 0, 0)
     assert parts == [(k, 4) for k in range(5)]
-    return result
+    return results[0], (folder, run.stdout, as_json.stdout, silent.stdout)
+
+
+@pytest.fixture(scope="module")
+def found(made):
+    return made[0]
 
 
 @pytest.mark.parametrize("name", ["reproduce", "Reproduction"])
@@ -53,27 +78,6 @@ def test_a_reproduction_shows_its_verdicts(found):
         sorted(IDS)
     )
     assert all(html.escape(claim.why) in found._repr_html_() for claim in found.claims)
-
-
-@pytest.fixture(scope="module")
-def written(found, tmp_path_factory):
-    """The command in this process, with the computation replaced by the one at hand."""
-
-    from curlfit.paper import reproduce as reproduction
-
-    def known(progress, arrived):
-        for name in STUDIES:
-            arrived(name, found)
-        return found
-
-    folder = tmp_path_factory.mktemp("reproduction") / "new" / "folder"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(reproduction, "reproduce", known)
-        run = invoke(["reproduce", "--out", str(folder)])
-        as_json = invoke(["reproduce", "--out", str(folder), "--json"])
-        silent = invoke(["reproduce", "--out", str(folder), "--quiet"])
-    assert (run.exit_code, as_json.exit_code, silent.exit_code) == (0, 0, 0)
-    return folder, run.stdout, as_json.stdout, silent.stdout
 
 
 def at(found, series, *times):
@@ -357,8 +361,8 @@ def test_ratio_and_split(found):
     assert abs(abs(near[0]) - 0.007) < 5e-4
 
 
-def test_what_is_written(found, written):
-    folder, shown, as_json, silent = written
+def test_what_is_written(made):
+    _, (folder, shown, as_json, silent) = made
     record = json.loads((folder / "claims.json").read_text())
     assert [list(item) for item in record] == [KEYS] * len(IDS)
     assert [item["id"] for item in record] == IDS

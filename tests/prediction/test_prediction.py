@@ -194,7 +194,8 @@ def test_data_that_lie_on_the_sheet_are_left_where_they_are(tmp_path):
         throw.t, throw.x, throw.y, throw.phi, strict=True))]  # fmt: skip
     (tmp_path / "a.csv").write_text("\n".join(lines))
     for words, first in (("from-tee", sheet.LINES["tee"]), (None, HOG)):
-        one = curlfit.fit(curlfit.load_throw(tmp_path / "a.csv", axes=words), stone=STONE)
+        throw = curlfit.load_throw(tmp_path / "a.csv", axes=words)
+        one = curlfit.fit(throw, stone=STONE, details=False)
         assert curlfit.predict(one, draws=100).series["y"][0] == pytest.approx(first, abs=0.02)
 
 
@@ -307,6 +308,7 @@ def test_bands_are_those_of_brute_force(fit):
         assert sd == pytest.approx(size, rel=4 / np.sqrt(2 * k)), name
 
 
+@pytest.mark.slow
 def test_chain_and_covariance_say_the_same(eq12_posterior):
     fit, chain = eq12_posterior
     one, other = curlfit.predict(fit, chain), curlfit.predict(fit)
@@ -391,7 +393,7 @@ def game_throw(v0=2.2, omega0=1.5, seed=0, until=np.inf):
 
 @pytest.fixture(scope="module")
 def game_fit():
-    found = curlfit.fit(game_throw()[0], stone=STONE)
+    found = curlfit.fit(game_throw()[0], stone=STONE, details=False)
     assert found.parameters["mu1_xi"].verdict == "at bound"
     return found
 
@@ -429,6 +431,7 @@ def test_a_path_under_further_accelerations_is_that_of_mechanics(still):
     np.testing.assert_allclose(nothing.state[:, :3], law.state[:, :3], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_coefficients_of_a_refit_are_not_changed_by_a_missing_acceleration(fit):
     """They are those of least squares by definition; the start follows the acceleration."""
     found = discrepancy_posterior(fit)
@@ -447,6 +450,7 @@ def test_the_coefficients_of_a_refit_are_not_changed_by_a_missing_acceleration(f
                 assert abs(off) < 0.15 * item.stderr, name
 
 
+@pytest.mark.slow
 def test_a_coefficient_at_its_bound_is_as_one_fixed_there(game_fit):
     fixed = curlfit.fit(game_throw()[0], stone=STONE, fix={"mu1_xi": 0.0})
     one, other = discrepancy_posterior(game_fit).summary, discrepancy_posterior(fixed).summary
@@ -465,7 +469,8 @@ def test_a_coefficient_at_its_bound_is_as_one_fixed_there(game_fit):
 @pytest.mark.parametrize("until", [9.0, 30.0])
 def test_bands_of_a_law_at_its_bound_are_as_wide_as_its_errors(until):
     throw, rest = game_throw(seed=4, until=until)
-    found = curlfit.predict(curlfit.fit(throw, stone=STONE), line="data", draws=400)
+    fit = curlfit.fit(throw, stone=STONE, details=False)
+    found = curlfit.predict(fit, line="data", draws=400)
     for name, true in (("rest_x", rest[0]), ("rest_y", rest[1] - sheet.TEE)):
         item = found.quantities[name]
         half = (item.quantiles["84"] - item.quantiles["16"]) / 2
@@ -498,7 +503,7 @@ def test_a_missing_force_is_less_than_the_friction(game_fit):
 
 def test_below_the_fitted_speeds_curl_may_grow():
     throw, _ = game_throw(seed=4, until=12.0)
-    fit = curlfit.fit(throw, stone=STONE)
+    fit = curlfit.fit(throw, stone=STONE, details=False)
     found = discrepancy_posterior(fit)
     made = found.draw(2000, np.random.default_rng(1)).acceleration.std(0)
     third = np.argmin(np.abs(SPEEDS - fit.fitted["speed"].min() / 3))
@@ -521,6 +526,7 @@ def test_what_cannot_be_seen_has_the_size_of_the_prior():
     assert found.excess["turning"] == pytest.approx(0.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_what_is_not_detected_is_not_zero_but_what_the_record_could_not_show(fit):
     fine = discrepancy_posterior(curlfit.fit(thrown(noise=(0.0005, 0.001)), stone=STONE)).summary
     usual, coarse = (
@@ -543,7 +549,8 @@ def test_what_is_missed_along_a_throw_is_missed_along_a_turned_one(eq12):
     for turn in (0.0, 0.2):
         s, c = np.sin(turn), np.cos(turn)
         x, y = c * eq12.x + s * eq12.y, c * eq12.y - s * eq12.x
-        found.append(curlfit.fit(replace(eq12, x=x, y=y).with_sigma(sigma)))
+        turned = replace(eq12, x=x, y=y).with_sigma(sigma)
+        found.append(curlfit.fit(turned, details=False))
     one, other = (discrepancy_posterior(fit).summary.sizes for fit in found)
     assert other["along"] == pytest.approx(one["along"], rel=0.05)
     # and the errors of the resting position are turned with the throw
@@ -751,6 +758,7 @@ def test_the_same_seed_gives_the_same_prediction(fit):
     assert one == again != other
 
 
+@pytest.mark.slow
 def test_of_correlated_noise_the_parameters_error_is_that_of_its_model():
     random = np.random.default_rng(2)
     throw = thrown(noise=(0.0, 0.0))

@@ -209,6 +209,7 @@ def test_the_split_is_exactly_flat_under_uniform_load(flat, eq12_fit):
     assert "no noise is that smooth" in text  # the warning of the fit
 
 
+@pytest.mark.slow
 def test_under_consistent_load_it_slopes_and_how_much_is_said(sloping):
     inside = (sloping.at >= sloping.free[0]) & (sloping.at <= sloping.free[1])
     delta = sloping.delta[inside]
@@ -223,6 +224,7 @@ def test_under_consistent_load_it_slopes_and_how_much_is_said(sloping):
     assert "noise would have to be 3.3 times smaller, or the rows 11 times as many" in text
 
 
+@pytest.mark.slow
 def test_with_less_noise_the_consistent_split_is_determined(sloping, eq12):
     """As much less as was said."""
     fit = curlfit.fit(eq12, load="consistent")
