@@ -110,7 +110,14 @@ class ThrowRequest(NamedTuple):
 
 
 class Call(NamedTuple):
-    """A throw in curlers' terms."""
+    """A throw in curlers' terms.
+
+    Examples
+    --------
+    >>> call = curlfit.Call({"sheet": "2"}, hog_to_hog=12.75, broom=-0.9, turn="in")
+    >>> call.broom
+    -0.9
+    """
 
     labels: Mapping[str, str] = {}
     """its group in a joint fit, such as the sheet"""

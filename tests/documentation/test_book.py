@@ -24,7 +24,7 @@ from curlfit.sheet import CIRCLES, LINES
 
 pytestmark = pytest.mark.documentation
 NOTEBOOKS = ROOT / "notebooks"
-ELSEWHERE = ("tracked_throws", "stopwatch_evening")
+ELSEWHERE = ("tracked_throws", "stopwatch_evening", "two_sheets", "next_stone")
 ENTRIES = [
     entry
     for tree in re.findall(r"```{toctree}\n(.*?)```", (NOTEBOOKS / "index.md").read_text(), re.S)
