@@ -17,7 +17,6 @@ from functools import cached_property
 from typing import Any, NamedTuple, Self
 
 import numpy as np
-from scipy.optimize import lsq_linear, minimize
 
 from curlfit.numerics.arrays import Booleans, Floats
 
@@ -55,11 +54,15 @@ class MixedModel(NamedTuple):
     def marginal(self, variances: Floats) -> tuple[Floats, Floats]:
         """The products of each block with the deviations integrated out, without their columns, and
         the logarithm of the determinant of the covariance of its observations."""
-        k, root = len(variances), np.sqrt(variances)
-        inner = np.eye(k) + root[:, None] * self.products[:, :k, :k] * root
+        k, (root, inner) = len(variances), self.information_on_deviations(variances)
         cross = root[:, None] * self.products[:, :k, k:]
         rest = self.products[:, k:, k:] - cross.mT @ np.linalg.solve(inner, cross)
         return rest, np.linalg.slogdet(inner)[1]
+
+    def information_on_deviations(self, variances: Floats) -> tuple[Floats, Floats]:
+        """Standard deviations, and the information on the deviations over these of each block."""
+        k, root = len(variances), np.sqrt(variances)
+        return root, np.eye(k) + root[:, None] * self.products[:, :k, :k] * root
 
     def criterion(self, variances: Floats) -> float:
         """-2 times the logarithm of the restricted likelihood, up to a constant."""
@@ -80,6 +83,7 @@ class MixedModel(NamedTuple):
 
     def fitted(self, guess: Floats, lower: Floats, upper: Floats) -> MixedFit:
         """The estimate; `guess` is of the variances, the bounds are those of the mean."""
+        from scipy.optimize import minimize  # slow to load
 
         def of_logarithm(v: Floats) -> float:
             return self.criterion(guess * np.exp(v))
@@ -92,6 +96,15 @@ class MixedModel(NamedTuple):
         if small.any() and self.criterion(np.where(small, 0.0, variances)) < found.fun + _ZERO:
             variances = np.where(small, 0.0, variances)
         return MixedFit(self, variances, lower, upper)
+
+
+def to_mean(directions: Floats, covariates: Floats) -> Floats:
+    """Matrix from the mean of all blocks and the effects, by covariate and direction, to the mean
+    where the covariates have some values, of shape (..., covariates)."""
+    by_effect = covariates[..., None, :, None] * directions[:, None, :]
+    flat = by_effect.reshape(*by_effect.shape[:-2], -1 if by_effect.size else 0)
+    mean = np.broadcast_to(np.eye(len(directions)), (*flat.shape[:-1], len(directions)))
+    return np.concatenate([mean, flat], -1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +123,8 @@ class MixedFit:
     @cached_property
     def free(self) -> tuple[Floats, Booleans]:
         """The mean and the effects, and which of them are not at a bound."""
+        from scipy.optimize import lsq_linear  # slow to load
+
         normal, right, _ = self.model.parts(self._each.sum(0))
         found: Any = np.linalg.solve(normal, right)
         ends = np.full((2, len(found)), [[-np.inf], [np.inf]])
@@ -147,17 +162,13 @@ class MixedFit:
     def at(self, covariates: Floats) -> Floats:
         """Matrix from the estimate to the mean where the covariates have some values, each of shape
         (..., covariates)."""
-        directions = self.model.directions
-        by_effect = covariates[..., None, :, None] * directions[:, None, :]
-        flat = by_effect.reshape(*by_effect.shape[:-2], -1 if by_effect.size else 0)
-        mean = np.broadcast_to(np.eye(len(directions)), (*flat.shape[:-1], len(directions)))
-        return np.concatenate([mean, flat], -1)
+        return to_mean(self.model.directions, covariates)
 
     @cached_property
     def vectors(self) -> Floats:
         """What is expected of each block given its observations, shape (blocks, mean)."""
-        k, root, products = len(self.variances), np.sqrt(self.variances), self.model.products
-        inner = np.eye(k) + root[:, None] * products[:, :k, :k] * root
+        k, products = len(self.variances), self.model.products
+        root, inner = self.model.information_on_deviations(self.variances)
         right = products[:, :k, -1] - products[:, :k, k:-1] @ self.estimate
         deviations = root * np.linalg.solve(inner, (root * right)[..., None])[..., 0]
         means = self.at(self.model.covariates) @ self.estimate

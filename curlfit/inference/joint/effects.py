@@ -13,6 +13,7 @@ from curlfit.errors import InputError
 from curlfit.foreign import quoted
 from curlfit.inference.identifiability import WithInterval
 from curlfit.numerics.arrays import Floats
+from curlfit.numerics.mixed_model import to_mean
 from curlfit.output.text import join_words
 from curlfit.records import Matrix
 from curlfit.throws.throw import Throw
@@ -170,10 +171,7 @@ class Means:
 
     def at(self, columns: Floats) -> Floats:
         """Matrix from the estimate to the parameters where covariates have some values."""
-        size, k = self.directions.shape
-        effects = columns[:, None, None] * self.directions
-        flat = np.moveaxis(effects, 0, 1).reshape(size, len(columns) * k)
-        return np.concatenate([np.eye(size), flat], 1)
+        return to_mean(self.directions, columns)
 
     def columns(self, labels: Mapping[str, str]) -> Floats:
         """The covariates of another throw: of its group, or the mean of all groups; along a trend

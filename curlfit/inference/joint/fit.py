@@ -225,7 +225,7 @@ def _equal(
     among = {item.expression: item for item in variation if item.significant}
     factors = r_factors(solution.jacobian, solution.residual)
     bounded = Bounded(solution.values, tasks.lower, tasks.upper)
-    own_ranks = Reduction.of(factors, bounded, tasks.typical, common).rank
+    reduction = Reduction.of(factors, bounded, tasks.typical, common)
     open_ = np.array([np.isin(parameters.names, one.covariance["names"]) for one in throws])
     named = {*shared, *(item.expression for item in combinations)}
     result = JointResult(
@@ -241,7 +241,7 @@ def _equal(
         ),
         coefficients={name: _among(item, among.get(name)) for name, item in coefficients.items()},
         combinations=tuple(_among(item, among.get(item.expression)) for item in combinations),
-        rank=int(first.rank + own_ranks[1:].sum()),
+        rank=int(first.rank + reduction.rank[1:].sum()),
         parameters=int(open_[0, common].sum() + open_[:, ~common].sum()),
         variation=variation,
         throws=tuple(throws),
@@ -253,7 +253,7 @@ def _equal(
     of_law = [item.name for item in rounds.model.law.coefficients()]
     told = {one.expression for one in variation if sum(map(bool, one.each)) >= _FEWEST}
     return result, told_by_each(
-        solution, tasks, common,
+        reduction, tasks.typical * (tasks.upper > tasks.lower)[0],
         {name: own for name, own in weights.items()
          if name in told and by_name[name].keys() <= set(of_law)},
     )  # fmt: skip

@@ -18,7 +18,6 @@ from curlfit.inference.fit.factors import Reduction
 from curlfit.inference.identifiability import (
     WEAK_ERROR,
     Bounded,
-    r_factors,
     stderr_of,
     visible,
 )
@@ -54,19 +53,17 @@ class _Alone(NamedTuple):
 
 
 def told_by_each(
-    solution: Solution, tasks: Tasks, common: Booleans, wanted: Mapping[str, Floats]
+    reduction: Reduction, typical: Floats, wanted: Mapping[str, Floats]
 ) -> dict[str, Floats]:
     """Those of some coefficients and combinations that a throw of average information determines
     beside one another, the best determined first.
 
     Parameters
     ----------
+    typical : sizes of the parameters of a throw; 0 of fixed ones.
     wanted : weights of the parameters of a throw by coefficient or combination.
     """
-    factors = r_factors(solution.jacobian, solution.residual)
-    bounded = Bounded(solution.values, tasks.lower, tasks.upper)
-    typical = tasks.typical * (tasks.upper > tasks.lower)[0]
-    rows = Reduction.of(factors, bounded, tasks.typical, common).rows[..., :-1] * typical
+    rows = reduction.rows[..., :-1] * typical
     information = (rows.mT @ rows).mean(0)
 
     def errors(names: Iterable[str]) -> Floats:
