@@ -266,7 +266,9 @@ def analyse(
         null_directions=tuple(_named(row, names, unseen) for row in null),
         covariance=covariance,
         unseen=unseen,
-        combinations=_combinations(right[~strong], weak, names, values, typical, covariance),
+        combinations=_combinations(
+            right[~seen], inverse[:, seen & ~strong].T, weak, names, values, typical, covariance
+        ),
     )
 
 
@@ -287,28 +289,37 @@ def classify(
 
 
 def _combinations(
-    dim: Floats,
+    null: Floats,
+    loose: Floats,
     weak: Booleans,
     names: Sequence[str],
     values: Floats,
     typical: Floats,
     covariance: Floats,
 ) -> tuple[Combination, ...]:
-    """Determined combinations of the weak parameters; `dim` are the directions that are weakly
-    determined or not at all."""
+    """Determined combinations of the weak parameters, from the directions that are not determined
+    and those that are weakly, times the standard errors along these. Weights near whole numbers
+    become these where that makes no variance more than twice as large."""
     if not weak.any():
         return ()
-    _, size, rows = np.linalg.svd((dim * typical)[:, weak])
-    rank = (size > size[0] * max(len(dim), weak.sum()) * np.finfo(float).eps).sum()
+    unit = loose / np.linalg.norm(loose, axis=-1, keepdims=True)
+    for least, wholes in ((_LITTLE_PART, _WHOLE[:1]), (0.0, _WHOLE)):
+        dim = np.concatenate([null, np.where(np.abs(unit) > least, unit, 0.0)])
+        _, size, rows = np.linalg.svd((dim * typical)[:, weak])
+        rank = (size > size[0] * max(len(dim), weak.sum()) * np.finfo(float).eps).sum()
+        rows = _tidy_basis(rows[rank:], least or _NO_PART, wholes)
+        vectors = np.zeros((len(rows), len(names)))
+        vectors[:, weak] = rows
+        variances = ((vectors @ covariance) * vectors).sum(-1)
+        scaled = vectors * typical
+        if (
+            np.abs(scaled @ null.T) < _NO_PART * np.linalg.norm(scaled, axis=1)[:, None]
+        ).all() and (2 * (scaled @ loose.T) ** 2 <= variances[:, None]).all():
+            break
     sums: dict[str, Combination] = {}
-    for row in _tidy_basis(rows[rank:]):
-        weights = _named(row, names, weak)
-        if len(weights) < 2:
-            continue
-        vector = np.zeros(len(names))
-        vector[weak] = row
-        stderr = math.sqrt(vector @ covariance @ vector)
-        if stderr < typical[weak].max():
+    for row, vector, variance in zip(rows, vectors, variances, strict=True):
+        weights, stderr = _named(row, names, weak), math.sqrt(variance)
+        if len(weights) > 1 and stderr < typical[weak].max():
             text, value = expression(weights), float(vector @ values)
             sums.setdefault(text, Combination(text, weights, value, stderr))
     return tuple(sums.values())
@@ -352,9 +363,9 @@ def slack(
 
 
 def expression(weights: dict[str, float]) -> str:
-    """A combination as text: {"a": 1, "b": 1} is "a + b", {"a": 1, "b": -2} is "a - 2 b"."""
+    """A combination as text: {"a": 1, "b": 1} is "a + b", {"a": -2, "b": 1} is "b - 2 a"."""
     text = ""
-    for name, weight in weights.items():
+    for name, weight in sorted(weights.items(), key=lambda item: item[1] < 0):
         size = abs(weight)
         factor = "" if size == 1 else f"{Fraction(size).limit_denominator(12)} "
         if factor and abs(Fraction(size).limit_denominator(12) - size) > 1e-9:
@@ -364,7 +375,7 @@ def expression(weights: dict[str, float]) -> str:
     return text
 
 
-def _tidy_basis(rows: Floats) -> Floats:
+def _tidy_basis(rows: Floats, close: float = _NO_PART, wholes: Floats = _WHOLE) -> Floats:
     """A basis of the same space in reduced row echelon form, with ratios of small integers where
     close."""
     if not rows.size:
@@ -373,10 +384,10 @@ def _tidy_basis(rows: Floats) -> Floats:
     size = np.abs(rows)
     first = np.argmax(size > 0.999 * size.max(-1, keepdims=True), -1)[:, None]
     rows = rows / np.take_along_axis(rows, first, -1)
-    near = np.round(rows * _WHOLE) / _WHOLE
+    near = np.round(rows * wholes) / wholes
     off = np.abs(near - rows)
     near = np.take_along_axis(near, off.argmin(0)[None], 0)[0]
-    return np.where(off.min(0) < _NO_PART, near, rows)
+    return np.where(off.min(0) < close, near, rows)
 
 
 def _echelon(rows: Floats) -> Floats:

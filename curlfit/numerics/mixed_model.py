@@ -18,12 +18,13 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.numerics.arrays import Floats
 
 _UNSEEN = 1e-3, 1e-9  # singular values, also over the largest, below which nothing is determined
 _DIFFUSE = 1e-10  # information on effects over the largest, so that undetermined ones are zero
 _RANGE = np.log([1e-6, 1e6])  # of variances over their initial values
 _ZERO = 1e-4  # of a variance over that of a typical block, below which it counts as zero
+_OUTSIDE = 1e-9  # beyond a bound, by rounding
 
 
 class MixedModel(NamedTuple):
@@ -82,7 +83,8 @@ class MixedModel(NamedTuple):
         return normal, products[..., :-1, -1], products[..., -1, -1]
 
     def fitted(self, guess: Floats, lower: Floats, upper: Floats) -> MixedFit:
-        """The estimate; `guess` is of the variances, the bounds are those of the mean."""
+        """The estimate; `guess` is of the variances, the bounds are those of the means of all
+        blocks and of what is expected of each."""
         from scipy.optimize import minimize  # slow to load
 
         def of_logarithm(v: Floats) -> float:
@@ -107,9 +109,35 @@ def to_mean(directions: Floats, covariates: Floats) -> Floats:
     return np.concatenate([mean, flat], -1)
 
 
+def within(normal: Floats, right: Floats, sides: Floats, limits: Floats) -> tuple[Floats, Floats]:
+    """The minimum of x . normal x / 2 - right . x where sides x >= limits, and the sides at their
+    limit: least distance programming (Lawson and Hanson 1974, ch. 23)."""
+    from scipy.optimize import nnls  # slow to load
+
+    free: Any = np.linalg.solve(normal, right)
+    violated = limits - sides @ free
+    if not (violated > _OUTSIDE).any():
+        return free, sides[:0]
+    root: Any = np.linalg.cholesky(normal)
+    along = np.linalg.solve(root, sides.T)
+    size = np.maximum(np.linalg.norm(along, axis=0), np.finfo(float).tiny)
+    scale = (violated / size).max()
+    rows = np.vstack([along, violated / scale]) / size
+    weights, _ = nnls(rows, np.append(np.zeros(len(free)), 1.0))
+    step = scale * (rows[:-1] @ weights) / (1 - rows[-1] @ weights)
+    return free + np.linalg.solve(root.T, step), sides[weights > 0]
+
+
+def bounded(normal: Floats, right: Floats, to: Floats, lower: Floats, upper: Floats) -> Floats:
+    """The minimum of x . normal x / 2 - right . x where `to` x is within bounds, which contain zero
+    but for rounding."""
+    sides, limits = _sides(to[None], lower, upper)
+    return within(normal, right, sides, np.minimum(limits, 0.0))[0]
+
+
 @dataclass(frozen=True, eq=False)
 class MixedFit:
-    """The estimate of a mixed model; the mean is within its bounds."""
+    """The estimate of a mixed model; the mean of each block is within the bounds."""
 
     model: MixedModel
     variances: Floats
@@ -121,32 +149,24 @@ class MixedFit:
         return self.model.marginal(self.variances)[0]
 
     @cached_property
-    def free(self) -> tuple[Floats, Booleans]:
-        """The mean and the effects, and which of them are not at a bound."""
-        from scipy.optimize import lsq_linear  # slow to load
-
-        normal, right, _ = self.model.parts(self._each.sum(0))
-        found: Any = np.linalg.solve(normal, right)
-        ends = np.full((2, len(found)), [[-np.inf], [np.inf]])
-        ends[:, : len(self.lower)] = self.lower, self.upper
-        open_: Booleans = np.ones(len(found), bool)
-        if ((found < ends[0]) | (found > ends[1])).any():
-            root = np.linalg.cholesky(normal)
-            bounded = lsq_linear(root.T, np.linalg.solve(root, right), ends, method="bvls")
-            found, open_ = np.array(bounded.x), np.array(bounded.active_mask == 0)
-        return found, open_
+    def _bounded(self) -> tuple[Floats, Floats]:
+        """The mean and the effects, and the sides of bounds that they are at."""
+        means = self.at(np.unique(self.model.covariates, axis=0))
+        sides, limits = _sides(means, self.lower, self.upper)
+        return within(*self.model.parts(self._each.sum(0))[:2], sides, limits)
 
     @property
     def estimate(self) -> Floats:
         """The mean, then the effects of each covariate."""
-        return self.free[0]
+        return self._bounded[0]
 
     @cached_property
     def covariance(self) -> Floats:
         """Of the estimate along what is determined, while what is at a bound stays there."""
-        normal, open_ = self.model.parts(self._each.sum(0))[0], self.free[1]
-        found = np.zeros_like(normal)
-        found[np.ix_(open_, open_)] = np.linalg.inv(normal[np.ix_(open_, open_)])
+        normal = self.model.parts(self._each.sum(0))[0]
+        found: Any = np.linalg.inv(normal)
+        to_held = self._bounded[1] @ found
+        found = found - to_held.T @ np.linalg.pinv(to_held @ self._bounded[1].T) @ to_held
         size, null = len(self.model.null), self.model.null
         found[:size] -= null @ (null.T @ found[:size])
         found[:, :size] -= (found[:, :size] @ null) @ null.T
@@ -169,10 +189,16 @@ class MixedFit:
         """What is expected of each block given its observations, shape (blocks, mean)."""
         k, products = len(self.variances), self.model.products
         root, inner = self.model.information_on_deviations(self.variances)
-        right = products[:, :k, -1] - products[:, :k, k:-1] @ self.estimate
-        deviations = root * np.linalg.solve(inner, (root * right)[..., None])[..., 0]
-        means = self.at(self.model.covariates) @ self.estimate
-        return means + deviations @ self.model.directions.T
+        right = root * (products[:, :k, -1] - products[:, :k, k:-1] @ self.estimate)
+        means, scaled = self.at(self.model.covariates) @ self.estimate, self.model.directions * root
+        deviations = np.linalg.solve(inner, right[..., None])[..., 0]
+        found: Floats = means + deviations @ scaled.T
+        beyond = (found < self.lower - _OUTSIDE) | (found > self.upper + _OUTSIDE)
+        for row in np.flatnonzero(beyond.any(1)):
+            mean = means[row]
+            ends = self.lower - mean, self.upper - mean
+            found[row] = mean + scaled @ bounded(inner[row], right[row], scaled, *ends)
+        return found
 
     def predicted_by_others(self) -> tuple[Floats, Floats]:
         """Mean and covariance of the vector of each block before its own observations; along the
@@ -183,3 +209,10 @@ class MixedFit:
         directions = self.model.directions
         between = directions * self.variances @ directions.T
         return mean[..., 0], to @ np.linalg.inv(normal) @ to.mT + between
+
+
+def _sides(to: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
+    """Bounds of `to` x, matrices of shape (points, vector, x), as sides x >= limits."""
+    ends = np.concatenate([lower, -upper])
+    sides = np.concatenate([to, -to], 1)[:, np.isfinite(ends)].reshape(-1, to.shape[-1])
+    return sides, np.tile(ends[np.isfinite(ends)], len(to))

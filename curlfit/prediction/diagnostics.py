@@ -79,9 +79,9 @@ def _extrapolation(fit: FitResult, found: Simulation, new: bool) -> list[str]:
         )
     if new:
         warnings += outside("spin rad/s", abs(omega), spins.min(), spins.max())
-    if new and omega * fit.fitted["omega"][0] < 0:
+    if new and (omega * fit.fitted["omega"] < 0).all():
         warnings.append(
-            "it turns the opposite way to the fitted throw: mirror symmetry of the ice is assumed"
+            "it turns the opposite way to what was fitted: mirror symmetry of the ice is assumed"
         )
     return warnings
 

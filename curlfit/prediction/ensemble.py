@@ -15,7 +15,8 @@ from curlfit.inference.problem import LEVEL_AND_STILL, environment_of
 from curlfit.inference.system import motions, prepare_motions
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import BATCH
-from curlfit.prediction.request import CENTRED, Call, ThrowStart
+from curlfit.prediction.call import CENTRED, Call
+from curlfit.prediction.request import ThrowStart
 from curlfit.sheet import TEE
 from curlfit.stone import Stone
 
@@ -177,25 +178,29 @@ class ThrowFamily:
     def with_start(self, values: Floats, call: Call = CENTRED, random: Any = None) -> Floats:
         """Parameter vectors with the initial state of this throw.
 
-        Where the call gives the time between hog lines, each has the speed at which it takes that
-        time; with `random`, time and broom have the thrower's scatter.
+        A spin that was not given has the error of the fitted one. Where the call gives the time
+        between hog lines, each has the speed at which it takes that time; with `random`, time and
+        broom have the thrower's scatter.
         """
         own = values.copy()
         if self.new:
             own[:, self._first :] = [self.start.values[item.name] for item in START]
-            time, draw = call.hog_to_hog, Draw(self.fit.model, self.fit.stone, own[0, -1])
+            if self.start.origins["omega0"] != "given":
+                own[:, -1] = self.spin_ratio * values[:, -1]
+            time, draw = call.hog_to_hog, Draw(self.fit.model, self.fit.stone)
             scatter = call.thrower if random is not None else None
             if scatter is not None:
                 if time is None:
                     speed = own[:1, self._first + 3]
-                    time = draw.hog_to_hog(self.fit.values[None, : self._first], speed)[0]
+                    best = self.fit.values[None, : self._first]
+                    time = draw.hog_to_hog(best, self.start.values["omega0"], speed)[0]
                 normal = random.standard_normal((2, len(own)))
                 time = time + scatter[0] * normal[0]
                 off = scatter[1] * normal[1] / TEE
                 own[:, self._first] += off * own[0, self._first + 1]
                 own[:, self._first + 2] += off
             if time is not None:
-                own[:, self._first + 3] = draw.speeds(own[:, : self._first], time)
+                own[:, self._first + 3] = draw.speeds(own[:, : self._first], own[:, -1], time)
         else:
             own[:, self._first : self._first + 2] += self.start.shift
         return own

@@ -182,6 +182,7 @@ def _rate(prediction: Prediction, axes: Any, name: str) -> None:
     for rows, style, _ in _measured_rows(prediction):
         draw.plot_rate(axes, rows, name, style)
     axes.plot(series["t"], series[name], color=draw.FIT_COLOR)
+    axes.set(xlabel="t (s)", ylabel=draw.RATE_LABEL[name])
     axes.set(xlim=(0, 1.05 * prediction.quantities["time"].value), ylim=(0, None))
     if name == "omega":
         low, high = float(series[name].min()), float(series[name].max())

@@ -7,8 +7,8 @@ discrepancy (see `curlfit.prediction.discrepancy`): each draw is simulated again
 accelerations. Neither contains measurement noise, which is added where a prediction is compared
 with measured rows.
 
-A given initial state is taken as exact. Without one the throw is the fitted one, whose initial
-state has the errors of the fit.
+A given initial state is taken as exact, a spin that is not given has the errors of the fit. Without
+any the throw is the fitted one, whose initial state has the errors of the fit.
 
 Positions are on the sheet: x to the right of the centre line, y from the hack that the stone is
 thrown from (`curlfit.sheet`). The origin of the data is arbitrary, so the initial position is
@@ -34,8 +34,9 @@ from curlfit.inference.mcmc.ridge import ridge_proposal
 from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Floats
 from curlfit.prediction import diagnostics
+from curlfit.prediction.call import CENTRED, Call
 from curlfit.prediction.ensemble import ThrowFamily, prepare_ensemble
-from curlfit.prediction.request import CENTRED, Call, ThrowRequest, ThrowStart, start_of
+from curlfit.prediction.request import ThrowRequest, ThrowStart, start_of
 from curlfit.prediction.result import Prediction
 from curlfit.prediction.simulation import Simulation
 from curlfit.throws.throw import CHANNELS, Throw
@@ -104,13 +105,16 @@ def predict(
         fit, drawn = fit.another(call.labels, draws, random)
         line = line or "hog"
     require_fit(fit)
-    start = {**call.start(fit, start or {}, line or "hog"), **(start or {})}
+    given = dict(start or {})
+    called = call.start(fit, given, line or "hog")
+    start = called | given
     if together and not (start or target or weight):
         raise InputError(
             "a joint fit predicts another throw: give its weight as hog to hog time or v0, or "
             "where it is to rest"
         )
-    request = ThrowRequest(dict(start or {}), line or "hog", target, weight, tee_speed)
+    named = frozenset(called.keys() - given.keys())
+    request = ThrowRequest(start, line or "hog", target, weight, tee_speed, named)
     if line is None and not request.new and fit.counts_from_hack:
         request = request._replace(line="data")
     request.require(fit, check)
@@ -153,8 +157,8 @@ def predict(
         line="" if "y0" in request.start else request.line,
         goal=request.goal(),
         draws={"number": draws, "used": used, "source": source, "seed": seed},
-        labels=dict(call.labels),
-        measured=_measured_rows(fit, begin),
+        call=call,
+        measured={} if together else _measured_rows(fit, begin),
         warnings=tuple(warned),
         notes=(*notes, *noted),
         check=comparison,

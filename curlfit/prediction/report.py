@@ -33,7 +33,10 @@ _START = {
     "v0": "speed", "omega0": "spin", "heading": "heading", "x0": "x", "y0": "y", "phi0": "angle",
 }  # fmt: skip
 _PLACE = ("x0", "y0", "phi0")
-_CHANGES = {"v0": "m/s more speed", "heading": "rad of heading", "omega0": "rad/s more spin"}
+_CHANGES = {
+    "v0": "m/s more speed", "heading": "rad of heading", "omega0": "rad/s more spin",
+    "hog_to_hog": "s longer hog to hog", "broom": "m (1 ft) of broom to the right",
+}  # fmt: skip
 _SIDES = ("right of", "left of")
 
 
@@ -161,7 +164,7 @@ def _called(prediction: Prediction) -> str:
     broom = start["x0"] + math.tan(start["heading"]) * (TEE - start["y0"])
     inches = round(abs(broom) / FOOT * 12)
     side = "right" if broom > 0 else "left"
-    found = [f"{name} {label}" for name, label in prediction.labels.items()]
+    found = [f"{name} {label}" for name, label in prediction.call.labels.items()]
     if "hog_to_hog" in prediction.quantities:
         found.append(f"{prediction.quantities['hog_to_hog'].value:.2f} s hog to hog")
     aimed = f"{inches // 12} ft {inches % 12} in to the {side} of" if inches else "on"
@@ -176,11 +179,16 @@ def _quantities(prediction: Prediction) -> PlainTable:
         meaning, unit = QUANTITIES[name]
         meaning, sign = sided(meaning, item.value)
         share = "" if item.share == 1 else f"{100 * item.share:.3g} %"
-        rows.append({"": labelled(meaning, unit)} | _row(item, sign) | {"of draws": share})
+        row = {"": labelled(meaning, unit)} | _row(item, sign) | {"of draws": share}
+        if prediction.misfit is None:
+            row[">std. dev."] = row.pop(">model") and row.pop(">parameters")
+        rows.append(row)
+    errors = "standard deviations by the errors of the parameters and by the model discrepancy, "
     return PlainTable(
         rows,
-        "Predicted quantities: best estimate, standard deviations by the errors of the parameters "
-        "and by the model discrepancy, intervals by both",
+        f"Predicted quantities: best estimate, {errors}intervals by both"
+        if prediction.misfit is not None
+        else "Predicted quantities: best estimate, standard deviation and intervals",
     )
 
 
@@ -224,7 +232,7 @@ def _sensitivity(prediction: Prediction) -> str:
             for size, sides in ((along, ("farther", "shorter")), (right, ("right", "left")))
             if abs(size) >= 0.001
         ]
-        changes.append(f"{item['by']:g} {words}: {', '.join(moves) or 'no change'}")
+        changes.append(f"{item['by']:.3g} {words}: {', '.join(moves) or 'no change'}")
     return f"Sensitivity of the resting position: {'; '.join(changes)}." if changes else ""
 
 
@@ -252,7 +260,9 @@ def _check(check: HeldOut) -> tuple[PlainTable, str]:
 def _command(prediction: Prediction) -> str:
     """The command of a prediction, from a fit under its default name."""
     goal, draws = prediction.goal, prediction.draws
-    words = [f"{Path(prediction.fit['file']).stem}-fit"]
+    together = draws["source"] == "throws"
+    words = ["joint-fit" if together else f"{Path(prediction.fit['file']).stem}-fit"]
+    words += prediction.call.options()
     words += [
         f"--{name}={exact(item['value'])}"
         for name, item in prediction.start.items()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from curlfit.dynamics.aim import aim
@@ -11,7 +10,6 @@ from curlfit.environment import Environment
 from curlfit.errors import InputError
 from curlfit.foreign import quoted
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.joint.draw import Draw
 from curlfit.inference.parameters import START
 from curlfit.inference.system import System
 from curlfit.sheet import HOUSE, LINES, TEE, TEE_TO_HOG, WIDTH
@@ -26,18 +24,19 @@ WEIGHTS = {"draw": (0.0, 0.0), "guard": (GUARD, 0.0), "takeout": (0.0, TAKEOUT)}
 """Place in m beyond the tee line that a throw reaches, and its speed there."""
 _STARTING_LINES = tuple(LINES)[:-1]
 _FASTEST_SPIN = 100.0  # rad/s
-# The in-turn of a right-hander is clockwise.
-_TURNS = {"clockwise": -1, "cw": -1, "in": -1, "counter-clockwise": 1, "ccw": 1, "out": 1}
 
 
 class ThrowRequest(NamedTuple):
     """The throw to be predicted."""
 
     start: dict[str, float]
+    """components of the initial state, by the call or given"""
     line: str
     target: tuple[float, float] | None
     weight: str | None
     tee_speed: float | None
+    called: frozenset[str] = frozenset()
+    """components of the start by the call"""
 
     @property
     def new(self) -> bool:
@@ -109,58 +108,6 @@ class ThrowRequest(NamedTuple):
         }  # fmt: skip
 
 
-class Call(NamedTuple):
-    """A throw in curlers' terms.
-
-    Examples
-    --------
-    >>> call = curlfit.Call({"sheet": "2"}, hog_to_hog=12.75, broom=-0.9, turn="in")
-    >>> call.broom
-    -0.9
-    """
-
-    labels: Mapping[str, str] = {}
-    """its group in a joint fit, such as the sheet"""
-    hog_to_hog: float | None = None
-    """s between the hog lines, which gives the speed"""
-    broom: float | None = None
-    """m to the right of the centre line at the far tee, where the stone is aimed from the hack"""
-    thrower: tuple[float, float] | None = None
-    """standard deviations: of the time between hog lines in s, and of the aim at the broom in m"""
-    turn: str | None = None
-    """"clockwise" or "counter-clockwise"; "in" and "out" as of a right-hander"""
-
-    def start(self, fit: FitResult, given: Mapping[str, float], line: str) -> dict[str, float]:
-        """Components of the initial state on a line of the sheet; `given` are known.
-
-        Raises
-        ------
-        InputError : an unknown turn, or a stone that does not reach the far hog line.
-        """
-        found = {}
-        if self.turn is not None:
-            if self.turn not in _TURNS:
-                raise InputError(f"turn {quoted(self.turn)}: expected one of {', '.join(_TURNS)}")
-            found["omega0"] = _TURNS[self.turn] * abs(fit.parameters["omega0"].value)
-        if self.broom is not None:
-            slope = self.broom / TEE
-            found |= {"heading": math.atan(slope), "x0": slope * LINES[line]}
-        if self.hog_to_hog is not None:
-            if line != "hog":
-                raise InputError(
-                    "hog to hog: the throw starts on the near hog line; leave out line"
-                )
-            spin = {**found, **given}.get("omega0", fit.parameters["omega0"].value)
-            coefficients = fit.values[: -len(START)]
-            draw = Draw(fit.model, fit.stone, spin)
-            found["v0"] = float(draw.speeds(coefficients[None], self.hog_to_hog)[0])
-        return found
-
-
-CENTRED = Call()
-"""Along the centre line, with the speed and spin of the fitted throw."""
-
-
 class ThrowStart(NamedTuple):
     """Initial state of the throw, on the sheet."""
 
@@ -184,6 +131,7 @@ def start_of(fit: FitResult, request: ThrowRequest) -> ThrowStart:
     layers = {"fitted": fitted, "default": usual, "found": found, "given": request.start}
     values = {name: value for layer in layers.values() for name, value in layer.items()}
     origins = {name: origin for origin, layer in layers.items() for name in layer}
+    origins |= dict.fromkeys(request.called, "call")
     shift = values["x0"] - here["x0"], values["y0"] - here["y0"]
     return ThrowStart(values, origins, (0.0, 0.0) if request.new else shift)
 

@@ -12,6 +12,7 @@ from curlfit.inference.fit.result import Extent, LoadName
 from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Floats
 from curlfit.output.frames import frame
+from curlfit.prediction.call import Call
 from curlfit.records import SERIES, Arrays, Choice, Names, Record, keys, require, require_rows
 from curlfit.sheet import TEE
 from curlfit.stone import Stone
@@ -96,7 +97,7 @@ class HeldOut:
     observed: dict[str, Floats] = field(metadata=SERIES)
 
 
-_Origin = Annotated[str, Choice(("given", "fitted", "default", "found"))]
+_Origin = Annotated[str, Choice(("given", "call", "fitted", "default", "found"))]
 _Start = Annotated[dict[str, Any], keys(value=float, unit=str, origin=_Origin)]
 _Goal = Annotated[dict[str, Any], keys(words=str, x=float | None, y=float, speed=float)]
 _Draws = Annotated[dict[str, Any], keys(number=int, used=int, source=str, seed=int)]
@@ -116,12 +117,12 @@ class Prediction(Record):
     ----------
     law, load, stone, fit : of the fit; `fit` has "file", "rows", "from", "to".
     start : initial state, by name (x0 y0 heading v0 phi0 omega0) "value", "unit" and "origin"
-        ("given", "fitted", "default", "found").
+        ("given", "call", "fitted", "default", "found").
     of : "fitted" for the fitted throw, extrapolated to rest, "new" for another one.
     line : the line on which it starts, "data" for the start of the data, "" for a given position.
     goal : None, or "words", "x", "y" (m from the tee; x None where free), "speed".
     draws : "number", "used", "source" ("chain", "covariance" or "throws" of a joint fit), "seed".
-    labels : of a throw on the ice of a joint fit.
+    call : the throw in curlers' terms, as asked for.
     misfit : the model discrepancy; None where the throws of a joint fit contain its effect.
     series : t (s since the start) and x, y, phi, speed, omega of the best estimate; of x, y, phi
         also "x_parameter_sd", "x_model_sd" and the quantiles "x_2.5" ...
@@ -173,7 +174,7 @@ class Prediction(Record):
     sensitivity: dict[str, _Sensitivity]
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
-    labels: dict[str, str] = field(default_factory=dict)
+    call: Call = field(default_factory=Call)
     check: HeldOut | None = None
     measured: dict[str, Floats] = field(default_factory=dict, metadata=SERIES)
     sample: Annotated[Arrays, Names(("t", *PREDICTED, "rest"))] = field(

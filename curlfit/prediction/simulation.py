@@ -13,16 +13,16 @@ from curlfit.friction import no_motion_because
 from curlfit.inference.derived import LEVELS, quantiles_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.numerics.arrays import Floats
+from curlfit.prediction.call import CENTRED, Call
 from curlfit.prediction.discrepancy import discrepancy_posterior
 from curlfit.prediction.ensemble import VARIED, ThrowFamily, TrajectoryEnsemble
-from curlfit.prediction.request import CENTRED, Call
 from curlfit.prediction.result import PREDICTED, QUANTITIES, Discrepancy, Quantity
-from curlfit.sheet import END, HOUSE, LINES, STONE_RADIUS, TEE
+from curlfit.sheet import END, FOOT, HOUSE, LINES, STONE_RADIUS, TEE
 
 _BAND_POINTS = 121
 _SAMPLED, _SAMPLE_TIMES = 60, 30  # draws kept, and times of each
 _DIGITS = 4  # decimals of these: 0.1 mm
-_HEADING_CHANGE = 0.001  # for the sensitivity of the resting position, rad
+_HEADING_CHANGE, _WEIGHT_CHANGE = 0.001, 0.1  # for sensitivities of the resting position, rad and s
 
 
 class Simulation(NamedTuple):
@@ -171,6 +171,15 @@ class Simulation(NamedTuple):
             for name, by in VARIED.items()
             if self.probed[name].good[0]
         } | {"heading": (_HEADING_CHANGE, right, -along, 0.0)}
+        if self.discrepancy is None and "v0" in changes:  # another throw of a joint fit
+            hog = [
+                _throw_quantities(one)["hog_to_hog"][0] for one in (self.best, self.probed["v0"])
+            ]
+            slower = _WEIGHT_CHANGE / (hog[1] - hog[0])
+            if np.isfinite(slower):
+                changes["hog_to_hog"] = (_WEIGHT_CHANGE, *(slower * np.array(changes["v0"][1:])))
+            across = FOOT * end[1] / TEE  # about the hack, from which it is aimed
+            changes["broom"] = (FOOT, across, 0.0, 0.0)
         return {
             name: {"by": by, "right": float(right), "along": float(along)}
             for name, (by, right, along, _) in changes.items()

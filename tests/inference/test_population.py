@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 
 import curlfit
 from curlfit import InputError, sheet
-from curlfit.prediction.request import Call
+from curlfit.prediction.call import Call
 from curlfit.throws.events import Event
 
 STONE = curlfit.Stone(R=0.065)
@@ -28,17 +28,17 @@ def crossing(path):
     return float(np.interp(FAR, path.y[:-1], path.t[:-1]))
 
 
-def evening(count=12, apart=0.05, rising=0.02, spread=0.01, seed=1, mirrored=1):
+def evening(count=12, apart=0.05, rising=0.02, spread=0.01, seed=1, mirrored=1, law=LAW):
     """Draws on two sheets in turn, timed exactly as far as errors of 0.05 s and 5 cm go."""
     random, throws = np.random.default_rng(seed), []
     for draw in range(count):
         one = draw % 2 + 1
         factor = 1 + apart * (one - 1.5) + rising * draw / 10 + spread * random.standard_normal()
-        law = replace(LAW, mu1_eta=0.009 * factor, mu2_eta=0.009 * factor)
+        own = replace(law, mu1_eta=0.009 * factor, mu2_eta=0.009 * factor)
         side = mirrored * (1 if draw // 2 % 2 else -1)
-        path = path_of(law, random.uniform(2.19, 2.29), side * 1.3)
+        path = path_of(own, random.uniform(2.19, 2.29), side * 1.3)
         rest = curlfit.simulate(
-            law, STONE, curlfit.InitialState(y=HOG, v=path.speed[0], omega=side * 1.3), TIMES
+            own, STONE, curlfit.InitialState(y=HOG, v=path.speed[0], omega=side * 1.3), TIMES
         ).rest
         hog, off = crossing(path), 0.05 * random.standard_normal(5)
         throw = curlfit.Throw.from_events([
@@ -85,8 +85,14 @@ def test_a_draw_to_the_tee_is_that_of_the_mean_law(joint):
     """Against a root of the simulated distance."""
     values = {name: item.value for name, item in joint.coefficients.items()}
     law = curlfit.law_with("front-back", values)
-    spin = float(np.median([abs(one.parameters["omega0"].value) for one in joint.throws]))
-    v = brentq(lambda v: path_of(law, v, spin).y[-1] - sheet.TEE, 1.8, 2.8)
+
+    def weight(spin):
+        return brentq(lambda v: path_of(law, v, spin).y[-1] - sheet.TEE, 1.8, 2.8)
+
+    spin = brentq(
+        lambda spin: path_of(law, weight(spin), spin).phi[-1] - joint.means.angle, 0.8, 2.0
+    )
+    v = weight(spin)
     path = path_of(law, v, spin)
     about = {"by": ""}
     friction = one_of(joint.groups, "friction", **about)
@@ -95,6 +101,27 @@ def test_a_draw_to_the_tee_is_that_of_the_mean_law(joint):
     assert one_of(joint.groups, "hog_to_hog", **about).value == pytest.approx(
         crossing(path), abs=2e-3
     )
+    assert joint.means.angle == pytest.approx(path_of(LAW, 2.24, 1.3).phi[-1], rel=0.05)
+    assert one_of(joint.groups, "curl", **about).stderr < 0.04
+
+
+def test_a_coefficient_at_its_bound_stays_there_in_every_throw():
+    throws = evening(law=replace(LAW, mu1_xi=0.0, mu2_xi=0.04), seed=5)
+    joint = curlfit.fit_together(throws, "front-back", stone=STONE, by="sheet", trend="hour")
+    assert joint.converged
+    assert joint.coefficients["mu1_xi"].verdict == "at bound"
+    assert {one.parameters["mu1_xi"].value for one in joint.throws} == {0.0}
+
+
+def test_a_spin_that_is_not_given_turns_the_stone_as_measured(joint):
+    call = Call({"sheet": "2"}, hog_to_hog=13.4, turn="in")
+    found = curlfit.predict(joint, call=call, draws=400)
+    turns = found.quantities["turns"]
+    assert turns.value < 0
+    assert turns.sd < 0.02 * abs(turns.value)
+    assert found.start["omega0"]["origin"] == "call"
+    given = curlfit.predict(joint, call=call, start={"omega0": found.start["omega0"]["value"]})
+    assert given.quantities["turns"].sd > 3 * turns.sd
 
 
 def test_mirrored_throws_give_the_same(joint):
@@ -129,7 +156,7 @@ def test_another_throw_takes_its_given_time_and_has_the_spread(joint):
     rest = found.quantities["rest_y"]
     assert rest.quantiles["2.5"] < path_of(law, v, 1.3).y[-1] - sheet.TEE < rest.quantiles["97.5"]
     scattered = curlfit.predict(
-        joint, call=call._replace(thrower=(0.15, 0.1)), start={"omega0": 1.3}, draws=400
+        joint, call=replace(call, thrower=(0.15, 0.1)), start={"omega0": 1.3}, draws=400
     )
     assert scattered.quantities["hog_to_hog"].sd == pytest.approx(0.15, rel=0.15)
     assert scattered.quantities["rest_y"].sd > 2 * rest.sd

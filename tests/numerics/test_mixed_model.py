@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from scipy.optimize import minimize
+from scipy.optimize import LinearConstraint, minimize
 from scipy.stats import multivariate_normal
 
-from curlfit.numerics.mixed_model import MixedModel
+from curlfit.numerics.mixed_model import MixedModel, within
 
 MEAN, EFFECTS, SPREADS = np.array([1.0, 2.0, 0.3]), np.array([[0.5, -0.2]]), np.array([0.3, 0.6])
 DIRECTIONS = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 0.5]])
@@ -77,10 +77,44 @@ def test_without_deviations_their_size_is_zero_in_half_of_the_cases():
 
 def test_a_mean_outside_its_bounds_stays_at_them():
     rows, target, covariates, _ = simulated(40, 3)
-    model = MixedModel.of(rows, target, DIRECTIONS, covariates)
+    model = MixedModel.of(rows, target, DIRECTIONS, covariates[:, :0])
     found = model.fitted(np.full(2, 0.1), np.array([1.2, -9.0, -9.0]), np.full(3, 9.0))
-    assert found.estimate[0] == 1.2
-    assert found.covariance[0, 0] == 0
+    assert found.estimate[0] == pytest.approx(1.2, abs=1e-12)
+    assert found.covariance[0, 0] == pytest.approx(0.0, abs=1e-12)
     free, _ = found.unbounded
     assert free[0] < 1.2
     assert found.estimate[1] != pytest.approx(free[1], abs=1e-9)
+
+
+def test_the_minimum_within_bounds_is_that_of_a_general_solver():
+    random = np.random.default_rng(5)
+    for _ in range(5):
+        root, right = random.normal(size=(4, 4)), random.normal(size=4)
+        normal, sides, limits = root @ root.T + 0.1 * np.eye(4), random.normal(size=(6, 4)), -0.1
+        found, held = within(normal, right, sides, np.full(6, limits))
+        peer = minimize(
+            lambda x, normal=normal, right=right: x @ normal @ x / 2 - right @ x,
+            np.zeros(4), jac=lambda x, normal=normal, right=right: normal @ x - right,
+            method="SLSQP", constraints=LinearConstraint(sides, limits),
+            options={"ftol": 1e-14},
+        )  # fmt: skip
+        assert found == pytest.approx(peer.x, abs=1e-5)
+        assert held @ found == pytest.approx(np.full(len(held), limits), abs=1e-9)
+        assert len(held)
+
+
+def test_means_of_groups_and_blocks_stay_within_bounds():
+    rows, target, covariates, _ = simulated(40, 6)
+    model = MixedModel.of(rows, target, DIRECTIONS, covariates)
+    free = model.fitted(np.full(2, 0.1), np.full(3, -np.inf), np.full(3, np.inf))
+    least = np.array([1.0, -np.inf, -np.inf])
+    found = model.fitted(np.full(2, 0.1), least, np.full(3, np.inf))
+    groups = found.at(np.unique(covariates, axis=0)) @ found.estimate
+    assert free.vectors[:, 0].min() < 0.9
+    assert groups[0, 0] == pytest.approx(1.0, abs=1e-9)
+    assert groups[1, 0] > 1.1
+    assert found.vectors[:, 0].min() == pytest.approx(1.0, abs=1e-9)
+    held = found.at(np.unique(covariates, axis=0))[0, 0]
+    assert held @ found.covariance @ held == pytest.approx(0.0, abs=1e-12)
+    inside = free.vectors[:, 0] > 1.3
+    assert found.vectors[inside] == pytest.approx(free.vectors[inside], abs=0.05)

@@ -13,7 +13,7 @@ from curlfit.errors import InputError
 from curlfit.foreign import quoted
 from curlfit.inference.identifiability import WithInterval
 from curlfit.numerics.arrays import Floats
-from curlfit.numerics.mixed_model import to_mean
+from curlfit.numerics.mixed_model import bounded, to_mean
 from curlfit.output.text import join_words
 from curlfit.records import Matrix
 from curlfit.throws.throw import Throw
@@ -156,6 +156,7 @@ class Means:
         its effects along the directions in which throws vary.
     directions : changes of the parameters in these, shape (parameters, directions).
     spreads : standard deviations between throws along them. dof : degrees of freedom of these.
+    angle : rad by which a draw to the tee turns, the median of the throws.
     """
 
     names: tuple[str, ...]
@@ -168,6 +169,7 @@ class Means:
     directions: Matrix
     spreads: Floats
     dof: float
+    angle: float
 
     def at(self, columns: Floats) -> Floats:
         """Matrix from the estimate to the parameters where covariates have some values."""
@@ -214,13 +216,22 @@ class Means:
         between = ((vector @ self.directions * self.spreads) ** 2).sum()
         return float(row @ self.estimate), float(np.sqrt(row @ self.covariance @ row + between))
 
-    def draw(self, labels: Mapping[str, str], number: int, random: Any) -> tuple[Floats, Floats]:
+    def draw(
+        self, labels: Mapping[str, str], number: int, random: Any, lower: Floats, upper: Floats
+    ) -> tuple[Floats, Floats]:
         """The mean parameters of another throw, and draws of its own, shape (number, parameters):
-        by Student's t, since the spreads are estimated."""
+        by Student's t, since the spreads are estimated. A draw outside the bounds is replaced by
+        the nearest one inside, measured by the covariance, which changes what is determined
+        least."""
         to = self.at(self.columns(labels))
         between = self.directions * self.spreads**2 @ self.directions.T
         squares, axes = np.linalg.eigh(to @ self.covariance @ to.T + between)
         root = axes * np.sqrt(np.maximum(squares, 0.0))
         tails = np.sqrt(self.dof / random.chisquare(self.dof, (number, 1)))
-        mean = to @ self.estimate
-        return mean, mean + tails * random.standard_normal((number, len(mean))) @ root.T
+        mean = np.clip(to @ self.estimate, lower, upper)
+        normal = tails * random.standard_normal((number, len(mean)))
+        drawn = mean + normal @ root.T
+        for row in np.flatnonzero(((drawn < lower) | (drawn > upper)).any(1)):
+            ends = lower - mean, upper - mean
+            drawn[row] = mean + root @ bounded(np.eye(len(mean)), normal[row], root, *ends)
+        return mean, np.clip(drawn, lower, upper)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -106,6 +107,8 @@ def fit_together(
         if by or trend:
             raise InputError("by, trend: groups and trends are estimated with loss linear")
         varies = False
+    if (by or trend) and set(shared) != {item.name for item in law.coefficients()}:
+        raise InputError("share: with groups or trends, all coefficients have a mean")
     check_derived(first.derive, [item.name for item in law.coefficients()])
     any_swept = any(one.swept is not None for one in chosen)
     prepared = [
@@ -212,10 +215,11 @@ def _equal(
     coefficients = {name: first.parameters[name] for name in shared}
     combinations = tuple(item for item in first.combinations if set(item.weights) <= set(shared))
     plain = rounds.loss == "linear" and rounds.noises[0].kind == "white"
+    combined = {name for item in combinations for name in item.weights}
     by_name = {
         name: {name: 1.0}
         for name, item in coefficients.items()
-        if item.verdict in ("determined", "weak")
+        if item.verdict == "determined" or (item.verdict == "weak" and name not in combined)
     } | {item.expression: item.weights for item in combinations}
     weights = {
         name: np.array([own.get(one, 0.0) for one in parameters.names])
@@ -283,10 +287,11 @@ def _varying(
     throws = _with_status(throws, status)
     known = found.of_mean(result.share, tasks.lower[0, common], tasks.upper[0, common])
     spreads = dict(zip(found.varying, map(float, found.spreads), strict=True))
-    spin = float(np.median([abs(one.parameters["omega0"].value) for one in throws]))
-    draw = Draw(rounds.model, rounds.throws[0].stone, spin)
+    draw = Draw(rounds.model, rounds.throws[0].stone)
+    spins = np.array([one.parameters["omega0"].value for one in throws])
+    angle = float(np.median(np.abs(draw.angle(found.solution.values[:, common], spins))))
     units = {name: item.unit for name, item in result.coefficients.items()}
-    effects = Effects.of(found, covariates, draw, units)
+    effects = Effects.of(found, covariates, partial(draw.quantities, angle=angle), units)
     return replace(
         result,
         converged=all(one.converged for one in throws),
@@ -296,12 +301,12 @@ def _varying(
             name: one if one.verdict == "fixed" else _of_mean(one, known, row, found.dof)
             for row, (name, one) in enumerate(result.coefficients.items())
         },
-        combinations=tuple(replace(one, dof=found.dof) for one in known.combinations),
+        combinations=found.combinations(known.combinations, result.combinations),
         variation=tuple(
             replace(one, spread=spreads.get(one.expression, 0.0), shared_stderr=None)
             for one in result.variation
         ),
-        means=means_of(found, covariates, result.share),
+        means=means_of(found, covariates, result.share, angle),
         groups=effects.groups,
         differences=effects.differences,
         trend=effects.trend,

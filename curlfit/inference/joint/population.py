@@ -8,7 +8,8 @@ likelihood whose deviations are integrated out by Laplace's approximation.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ import numpy as np
 from curlfit.inference.fit.covariance import Covariance, Sigmas
 from curlfit.inference.fit.factors import Factors
 from curlfit.inference.fit.rounds import Rounds
-from curlfit.inference.identifiability import Bounded, r_factors
+from curlfit.inference.identifiability import Bounded, Combination, r_factors
 from curlfit.inference.least_squares import Solution, Tasks, minimize_many
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.mixed_model import MixedFit, MixedModel
@@ -24,6 +25,7 @@ from curlfit.numerics.mixed_model import MixedFit, MixedModel
 _MOST = 12  # linearizations
 _SETTLED = 2e-3  # standard errors that a throw's coefficients still move by
 _FEW = 64  # throws for which a program compiled quickly is better than a fast one
+_AT = 1e-9  # typical sizes from a bound
 _EXACT = 1e-16  # typical sizes squared: a variance below which a direction is exact
 
 
@@ -56,6 +58,19 @@ class Population(NamedTuple):
         found: Floats = self.reference + self.typical * (self.fit.at(columns) @ self.fit.estimate)
         return found
 
+    def combinations(
+        self, known: Iterable[Combination], before: Iterable[Combination]
+    ) -> tuple[Combination, ...]:
+        """Those of the mean, known and, from the ones before the throws varied, what varies."""
+        found, size = {one.expression: one for one in known}, len(self.typical)
+        for one in before:
+            if one.expression in self.varying and one.expression not in found:
+                scaled = self.weights[self.varying.index(one.expression)] * self.typical
+                value = scaled @ (self.reference / self.typical + self.fit.estimate[:size])
+                variance = scaled @ self.fit.covariance[:size, :size] @ scaled
+                found[one.expression] = replace(one, value=float(value), stderr=variance**0.5)
+        return tuple(replace(one, dof=self.dof) for one in found.values())
+
     def of_mean(self, names: Sequence[str], lower: Floats, upper: Floats) -> Covariance:
         """What all throws say of the common parameters of their mean, within bounds."""
         size = len(self.typical)
@@ -63,7 +78,8 @@ class Population(NamedTuple):
         rows = _rows(mean[:size], matrix[:size, :size], best, self.fit.model.null) / np.append(
             self.typical, 1.0
         )
-        bounded = Bounded(self.reference + self.typical * best, lower, upper)
+        values = _inside(self.reference + self.typical * best, self.typical, lower, upper)
+        bounded = Bounded(values, lower, upper)
         factors = Factors.of(rows, bounded, self.typical, None)
         nothing = np.zeros((1, 1, size))
         sigmas = Sigmas(np.ones(1, int), np.zeros(1, bool), "linear", size)
@@ -132,13 +148,19 @@ def pool(
         if distance < _SETTLED:
             break
         steps = reduction.follow[:, :, common] @ (typical[:, None] * move)
-        values = np.clip(values + steps[..., 0], tasks.lower, tasks.upper)
+        values = _inside(values + steps[..., 0], tasks.typical, tasks.lower, tasks.upper)
     others = np.zeros((len(values), size, len(tasks.typical) + 1))
     others[..., np.append(common, True)] = told / np.append(typical, 1.0)
     ended = np.full(len(values), distance < _SETTLED)
     return Population(
         fit, reference, typical, tuple(weights), whole, solution._replace(success=ended), others
     )
+
+
+def _inside(values: Floats, typical: Floats, lower: Floats, upper: Floats) -> Floats:
+    """Values within their bounds, and at these where only rounding is between."""
+    found = np.where(values < lower + _AT * typical, lower, values)
+    return np.where(found > upper - _AT * typical, upper, found)
 
 
 def _rows(mean: Floats, matrix: Floats, at: Floats, null: Floats) -> Floats:

@@ -208,4 +208,10 @@ def _command(result: JointResult) -> str:
     flags = [flag for flag in first if all(flag in one for one in others)]
     if tuple(result.share) != tuple(result.throws[0].coefficients):
         flags.append("--share=" + ",".join(result.share))
+    elif not result.varies:
+        flags.append("--share=all")
+    else:
+        assert result.means is not None
+        flags += [f"--by={name}" for name in result.means.groups]
+        flags += [f"--trend={name}" for name in result.means.trends]
     return command_line("fit", *_files(result), *with_derived(flags, result))

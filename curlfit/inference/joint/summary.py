@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import NamedTuple, Self
 
 import numpy as np
 
-from curlfit.inference.joint.draw import DRAW, Draw
+from curlfit.inference.joint.draw import DRAW
 from curlfit.inference.joint.effects import Covariates, Effect, Means
 from curlfit.inference.joint.population import Population
 from curlfit.numerics.arrays import Floats
@@ -16,7 +16,9 @@ _STEP = 1e-3  # typical sizes, of differences
 _FLAT = 1e-4  # m, curl of a law that cannot curl
 
 
-def means_of(found: Population, covariates: Covariates, names: tuple[str, ...]) -> Means:
+def means_of(
+    found: Population, covariates: Covariates, names: tuple[str, ...], angle: float
+) -> Means:
     """The record of the means of a population."""
     effects = len(found.fit.estimate) - len(found.typical)
     scale = np.append(found.typical, np.ones(effects))
@@ -31,6 +33,7 @@ def means_of(found: Population, covariates: Covariates, names: tuple[str, ...]) 
         directions=found.typical[:, None] * found.fit.model.directions,
         spreads=found.spreads,
         dof=found.dof,
+        angle=angle,
     )
 
 
@@ -43,10 +46,15 @@ class Effects(NamedTuple):
 
     @classmethod
     def of(
-        cls, found: Population, covariates: Covariates, draw: Draw, units: Mapping[str, str]
+        cls,
+        found: Population,
+        covariates: Covariates,
+        drawn: Callable[[Floats], Floats],
+        units: Mapping[str, str],
     ) -> Self:
-        """Of a population; `units` are those of the coefficients."""
-        told, at = _Quantities.of(found, draw, units), found.fit.at
+        """Of a population; `drawn` are the quantities of a draw by vectors of the parameters in
+        common, `units` those of the coefficients."""
+        told, at = _Quantities.of(found, drawn, units), found.fit.at
         nothing = 0 * covariates.mean
         groups = told.effects(at(nothing), told.values(nothing[None])[0])
         differences, trend = [], []
@@ -70,28 +78,30 @@ class _Quantities(NamedTuple):
     """What is said of groups and trends: what varies, and a draw to the tee."""
 
     found: Population
-    draw: Draw
+    drawn: Callable[[Floats], Floats]
     units: dict[str, str]
     """by name of the quantity"""
     slopes: Floats
     """derivatives by the parameters of the mean in typical sizes, shape (quantities, parameters)"""
 
     @classmethod
-    def of(cls, found: Population, draw: Draw, units: Mapping[str, str]) -> Self:
+    def of(
+        cls, found: Population, drawn_at: Callable[[Floats], Floats], units: Mapping[str, str]
+    ) -> Self:
         steps = _STEP * np.diag(found.typical)
         centre, size = found.of_mean_at(np.zeros(found.fit.model.covariates.shape[1])), len(steps)
-        drawn = draw.quantities(np.concatenate([[centre], centre + steps, centre - steps]))
+        drawn = drawn_at(np.concatenate([[centre], centre + steps, centre - steps]))
         slopes = (drawn[1 : size + 1] - drawn[size + 1 :]).T / (2 * _STEP)
         shown = {name: unit for name, unit in DRAW.items() if name != "curl" or drawn[0, 1] > _FLAT}
         names = {name: units.get(name, "1") for name in found.varying} | shown
         kept = np.isin([*DRAW], [*shown])
         whole = np.concatenate([found.weights * found.typical, slopes[kept]])
-        return cls(found, draw, names, whole)
+        return cls(found, drawn_at, names, whole)
 
     def values(self, columns: Floats) -> Floats:
         """The quantities where covariates have some values, shape (points, quantities)."""
         points = self.found.of_mean_at(columns)
-        drawn = self.draw.quantities(points)[:, np.isin([*DRAW], [*self.units])]
+        drawn = self.drawn(points)[:, np.isin([*DRAW], [*self.units])]
         return np.concatenate([points @ self.found.weights.T, drawn], 1)
 
     def effects(
