@@ -55,15 +55,11 @@ class MixedModel(NamedTuple):
     def marginal(self, variances: Floats) -> tuple[Floats, Floats]:
         """The products of each block with the deviations integrated out, without their columns, and
         the logarithm of the determinant of the covariance of its observations."""
-        k, (root, inner) = len(variances), self.information_on_deviations(variances)
+        k, root = len(variances), np.sqrt(variances)
+        inner = np.eye(k) + root[:, None] * self.products[:, :k, :k] * root
         cross = root[:, None] * self.products[:, :k, k:]
         rest = self.products[:, k:, k:] - cross.mT @ np.linalg.solve(inner, cross)
         return rest, np.linalg.slogdet(inner)[1]
-
-    def information_on_deviations(self, variances: Floats) -> tuple[Floats, Floats]:
-        """Standard deviations, and the information on the deviations over these of each block."""
-        k, root = len(variances), np.sqrt(variances)
-        return root, np.eye(k) + root[:, None] * self.products[:, :k, :k] * root
 
     def criterion(self, variances: Floats) -> float:
         """-2 times the logarithm of the restricted likelihood, up to a constant."""
@@ -84,7 +80,7 @@ class MixedModel(NamedTuple):
 
     def fitted(self, guess: Floats, lower: Floats, upper: Floats) -> MixedFit:
         """The estimate; `guess` is of the variances, the bounds are those of the means of all
-        blocks and of what is expected of each."""
+        blocks."""
         from scipy.optimize import minimize  # slow to load
 
         def of_logarithm(v: Floats) -> float:
@@ -183,22 +179,6 @@ class MixedFit:
         """Matrix from the estimate to the mean where the covariates have some values, each of shape
         (..., covariates)."""
         return to_mean(self.model.directions, covariates)
-
-    @cached_property
-    def vectors(self) -> Floats:
-        """What is expected of each block given its observations, shape (blocks, mean)."""
-        k, products = len(self.variances), self.model.products
-        root, inner = self.model.information_on_deviations(self.variances)
-        right = root * (products[:, :k, -1] - products[:, :k, k:-1] @ self.estimate)
-        means, scaled = self.at(self.model.covariates) @ self.estimate, self.model.directions * root
-        deviations = np.linalg.solve(inner, right[..., None])[..., 0]
-        found: Floats = means + deviations @ scaled.T
-        beyond = (found < self.lower - _OUTSIDE) | (found > self.upper + _OUTSIDE)
-        for row in np.flatnonzero(beyond.any(1)):
-            mean = means[row]
-            ends = self.lower - mean, self.upper - mean
-            found[row] = mean + scaled @ bounded(inner[row], right[row], scaled, *ends)
-        return found
 
     def predicted_by_others(self) -> tuple[Floats, Floats]:
         """Mean and covariance of the vector of each block before its own observations; along the

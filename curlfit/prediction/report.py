@@ -181,7 +181,8 @@ def _quantities(prediction: Prediction) -> PlainTable:
         share = "" if item.share == 1 else f"{100 * item.share:.3g} %"
         row = {"": labelled(meaning, unit)} | _row(item, sign) | {"of draws": share}
         if prediction.misfit is None:
-            row[">std. dev."] = row.pop(">model") and row.pop(">parameters")
+            names = {">parameters": ">std. dev."}
+            row = {names.get(key, key): text for key, text in row.items() if key != ">model"}
         rows.append(row)
     errors = "standard deviations by the errors of the parameters and by the model discrepancy, "
     return PlainTable(

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.identifiability import Bounded, Combination, r_factors
 from curlfit.inference.least_squares import Solution, Tasks, minimize_many
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.numerics.mixed_model import MixedFit, MixedModel
+from curlfit.numerics.mixed_model import MixedFit, MixedModel, bounded
 
 _MOST = 12  # linearizations
 _SETTLED = 2e-3  # standard errors that a throw's coefficients still move by
@@ -123,7 +123,7 @@ def pool(
         np.where(free, (end[0, common] - reference) / typical, sign * np.inf)
         for sign, end in ((-1, tasks.lower), (1, tasks.upper))
     )
-    values, penalty = np.array(solution.values), tasks.penalty
+    values, penalty, scale = np.array(solution.values), tasks.penalty, np.append(typical, 1.0)
     if penalty is not None:
         penalty = penalty._replace(weight=penalty.weight * ~common)
     for step in range(_MOST):
@@ -134,27 +134,40 @@ def pool(
             values = np.array(solution.values)
         solution = rounds.with_own_sigma(solution)
         factors = r_factors(solution.jacobian, solution.residual)
-        bounded = Bounded(values, tasks.lower, tasks.upper)
-        reduction = Factors.of(factors, bounded, tasks.typical, penalty, common).reduction
+        within = Bounded(values, tasks.lower, tasks.upper)
+        reduction = Factors.of(factors, within, tasks.typical, penalty, common).reduction
         assert reduction is not None
         rows = reduction.rows[..., :-1][..., common] * typical
         now = (values[:, common] - reference) / typical
         target = (rows @ now[..., None])[..., 0] - reduction.rows[..., -1]
         fit = MixedModel.of(rows, target, directions, covariates).fitted(guess**2, lower, upper)
         mean, matrix = fit.predicted_by_others()
-        told, move = _rows(mean, matrix, now, fit.model.null), (fit.vectors - now)[..., None]
-        left = (rows @ move)[..., 0], (told[..., :-1] @ move)[..., 0]
-        distance = float(np.hypot(*(np.linalg.norm(part, axis=-1) for part in left)).max())
+        told = _rows(mean, matrix, now, fit.model.null)
+        every = np.concatenate([reduction.rows[..., np.append(common, True)] * scale, told], 1)
+        move = _moves(every, fit.model.null, lower - now, upper - now)[..., None]
+        distance = float(np.linalg.norm(every[..., :-1] @ move, axis=1).max())
         if distance < _SETTLED:
             break
         steps = reduction.follow[:, :, common] @ (typical[:, None] * move)
         values = _inside(values + steps[..., 0], tasks.typical, tasks.lower, tasks.upper)
     others = np.zeros((len(values), size, len(tasks.typical) + 1))
-    others[..., np.append(common, True)] = told / np.append(typical, 1.0)
+    others[..., np.append(common, True)] = told / scale
     ended = np.full(len(values), distance < _SETTLED)
     return Population(
         fit, reference, typical, tuple(weights), whole, solution._replace(success=ended), others
     )
+
+
+def _moves(rows: Floats, null: Floats, lower: Floats, upper: Floats) -> Floats:
+    """Steps of throws to the least squares of rows, with the residual as the last column, within
+    bounds."""
+    by_step, left = rows[..., :-1], rows[..., -1:]
+    normal, right = by_step.mT @ by_step + null @ null.T, -(by_step.mT @ left)[..., 0]
+    found: Any = np.linalg.solve(normal, right[..., None])[..., 0]
+    for row in np.flatnonzero(((found < lower) | (found > upper)).any(1)):
+        ends = lower[row], upper[row]
+        found[row] = bounded(normal[row], right[row], np.eye(found.shape[1]), *ends)
+    return found
 
 
 def _inside(values: Floats, typical: Floats, lower: Floats, upper: Floats) -> Floats:
