@@ -81,19 +81,23 @@ class MixedModel(NamedTuple):
     def fitted(self, guess: Floats, lower: Floats, upper: Floats) -> MixedFit:
         """The estimate; `guess` is of the variances, the bounds are those of the means of all
         blocks."""
+        return MixedFit(self, self.variances(guess), lower, upper)
+
+    def variances(self, guess: Floats) -> Floats:
+        """Of the deviations, by restricted maximum likelihood."""
         from scipy.optimize import minimize  # slow to load
 
         def of_logarithm(v: Floats) -> float:
             return self.criterion(guess * np.exp(v))
 
         found = minimize(of_logarithm, np.zeros(len(guess)), bounds=[_RANGE] * len(guess))
-        variances = guess * np.exp(found.x)
+        variances: Floats = guess * np.exp(found.x)
         information = np.diagonal(self.products, axis1=1, axis2=2)[:, : len(guess)]
         typical = 1 / np.maximum(np.median(information, axis=0), 1e-300)
         small = variances < _ZERO * typical
         if small.any() and self.criterion(np.where(small, 0.0, variances)) < found.fun + _ZERO:
             variances = np.where(small, 0.0, variances)
-        return MixedFit(self, variances, lower, upper)
+        return variances
 
 
 def to_mean(directions: Floats, covariates: Floats) -> Floats:

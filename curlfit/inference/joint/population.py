@@ -24,6 +24,7 @@ from curlfit.numerics.mixed_model import MixedFit, MixedModel, bounded
 
 _MOST = 12  # linearizations
 _SETTLED = 2e-3  # standard errors that a throw's coefficients still move by
+_NEAR = 0.1  # the same, below which variances are not estimated again
 _FEW = 64  # throws for which a program compiled quickly is better than a fast one
 _AT = 1e-9  # typical sizes from a bound
 _EXACT = 1e-16  # typical sizes squared: a variance below which a direction is exact
@@ -126,6 +127,7 @@ def pool(
     values, penalty, scale = np.array(solution.values), tasks.penalty, np.append(typical, 1.0)
     if penalty is not None:
         penalty = penalty._replace(weight=penalty.weight * ~common)
+    distance = np.inf
     for step in range(_MOST):
         if step:
             held = [np.where(common, values, end) for end in (tasks.lower, tasks.upper)]
@@ -140,7 +142,10 @@ def pool(
         rows = reduction.rows[..., :-1][..., common] * typical
         now = (values[:, common] - reference) / typical
         target = (rows @ now[..., None])[..., 0] - reduction.rows[..., -1]
-        fit = MixedModel.of(rows, target, directions, covariates).fitted(guess**2, lower, upper)
+        model = MixedModel.of(rows, target, directions, covariates)
+        if distance > _NEAR:  # afterwards variances stay, which might alternate with zero
+            variances = model.variances(guess**2)
+        fit = MixedFit(model, variances, lower, upper)
         mean, matrix = fit.predicted_by_others()
         told = _rows(mean, matrix, now, fit.model.null)
         every = np.concatenate([reduction.rows[..., np.append(common, True)] * scale, told], 1)
