@@ -2,21 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
-
-from curlfit.errors import InputError
-from curlfit.foreign import quoted
-from curlfit.inference.parameters import START
-from curlfit.sheet import LINES, TEE
-
-if TYPE_CHECKING:
-    from curlfit.inference.fit.result import FitResult
-
-# The in-turn of a right-hander is clockwise.
-_TURNS = {"clockwise": -1, "cw": -1, "in": -1, "counter-clockwise": 1, "ccw": 1, "out": 1}
 
 
 @dataclass(frozen=True)
@@ -45,34 +31,6 @@ class Call:
     broom: float | None = None
     thrower: tuple[float, float] | None = None
     turn: str | None = None
-
-    def start(self, fit: FitResult, given: Mapping[str, float], line: str) -> dict[str, float]:
-        """Components of the initial state on a line of the sheet; `given` are known.
-
-        Raises
-        ------
-        InputError : an unknown turn, or a stone that does not reach the far hog line.
-        """
-        found = {}
-        if self.turn is not None:
-            if self.turn not in _TURNS:
-                raise InputError(f"turn {quoted(self.turn)}: expected one of {', '.join(_TURNS)}")
-            found["omega0"] = _TURNS[self.turn] * abs(fit.parameters["omega0"].value)
-        if self.broom is not None:
-            slope = self.broom / TEE
-            found |= {"heading": math.atan(slope), "x0": slope * LINES[line]}
-        if self.hog_to_hog is not None:
-            if line != "hog":
-                raise InputError(
-                    "hog to hog: the throw starts on the near hog line; leave out line"
-                )
-            spin = {**found, **given}.get("omega0", fit.parameters["omega0"].value)
-            coefficients = fit.values[: -len(START)]
-            from curlfit.inference.joint.draw import Draw  # compiles
-
-            draw = Draw(fit.model, fit.stone)
-            found["v0"] = float(draw.speeds(coefficients[None], spin, self.hog_to_hog)[0])
-        return found
 
     def options(self) -> list[str]:
         """Those of the command."""

@@ -28,6 +28,7 @@ from curlfit.friction import Law
 from curlfit.inference.fit.fit import fit as fit_throw, refit
 from curlfit.inference.fit.prepared import prepare_linearized
 from curlfit.inference.fit.result import FitResult, require_fit
+from curlfit.inference.joint.another import another
 from curlfit.inference.joint.result import JointResult
 from curlfit.inference.mcmc.chain import Chain
 from curlfit.inference.mcmc.ridge import ridge_proposal
@@ -36,7 +37,7 @@ from curlfit.numerics.arrays import Floats
 from curlfit.prediction import diagnostics
 from curlfit.prediction.call import CENTRED, Call
 from curlfit.prediction.ensemble import ThrowFamily, prepare_ensemble
-from curlfit.prediction.request import ThrowRequest, ThrowStart, start_of
+from curlfit.prediction.request import ThrowRequest, ThrowStart, start_by, start_of
 from curlfit.prediction.result import Prediction
 from curlfit.prediction.simulation import Simulation
 from curlfit.throws.throw import CHANNELS, Throw
@@ -102,11 +103,11 @@ def predict(
     random, together = np.random.default_rng(seed), isinstance(fit, JointResult)
     drawn = None
     if isinstance(fit, JointResult):
-        fit, drawn = fit.another(call.labels, draws, random)
+        fit, drawn = another(fit, call.labels, draws, random)
         line = line or "hog"
     require_fit(fit)
     given = dict(start or {})
-    called = call.start(fit, given, line or "hog")
+    called = start_by(call, fit, given, line or "hog")
     start = called | given
     if together and not (start or target or weight):
         raise InputError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from curlfit.dynamics.aim import aim
@@ -10,8 +11,10 @@ from curlfit.environment import Environment
 from curlfit.errors import InputError
 from curlfit.foreign import quoted
 from curlfit.inference.fit.result import FitResult
+from curlfit.inference.joint.draw import Draw
 from curlfit.inference.parameters import START
 from curlfit.inference.system import System
+from curlfit.prediction.call import Call
 from curlfit.sheet import HOUSE, LINES, TEE, TEE_TO_HOG, WIDTH
 from curlfit.throws.plausibility import SPEED
 from curlfit.throws.throw import Throw
@@ -24,6 +27,8 @@ WEIGHTS = {"draw": (0.0, 0.0), "guard": (GUARD, 0.0), "takeout": (0.0, TAKEOUT)}
 """Place in m beyond the tee line that a throw reaches, and its speed there."""
 _STARTING_LINES = tuple(LINES)[:-1]
 _FASTEST_SPIN = 100.0  # rad/s
+# The in-turn of a right-hander is clockwise.
+_TURNS = {"clockwise": -1, "cw": -1, "in": -1, "counter-clockwise": 1, "ccw": 1, "out": 1}
 
 
 class ThrowRequest(NamedTuple):
@@ -106,6 +111,31 @@ class ThrowRequest(NamedTuple):
             "words": self.weight, "x": None if "heading" in self.start else 0.0, "y": y,
             "speed": speed if self.tee_speed is None else self.tee_speed,
         }  # fmt: skip
+
+
+def start_by(call: Call, fit: FitResult, given: Mapping[str, float], line: str) -> dict[str, float]:
+    """Components of the initial state on a line of the sheet; `given` are known.
+
+    Raises
+    ------
+    InputError : an unknown turn, or a stone that does not reach the far hog line.
+    """
+    found = {}
+    if call.turn is not None:
+        if call.turn not in _TURNS:
+            raise InputError(f"turn {quoted(call.turn)}: expected one of {', '.join(_TURNS)}")
+        found["omega0"] = _TURNS[call.turn] * abs(fit.parameters["omega0"].value)
+    if call.broom is not None:
+        slope = call.broom / TEE
+        found |= {"heading": math.atan(slope), "x0": slope * LINES[line]}
+    if call.hog_to_hog is not None:
+        if line != "hog":
+            raise InputError("hog to hog: the throw starts on the near hog line; leave out line")
+        spin = {**found, **given}.get("omega0", fit.parameters["omega0"].value)
+        coefficients = fit.values[: -len(START)]
+        draw = Draw(fit.model, fit.stone)
+        found["v0"] = float(draw.speeds(coefficients[None], spin, call.hog_to_hog)[0])
+    return found
 
 
 class ThrowStart(NamedTuple):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
@@ -12,7 +12,6 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from curlfit.errors import InputError
 from curlfit.foreign import safe_name
 from curlfit.friction import Law
 from curlfit.inference.derived import Derived, derive
@@ -26,8 +25,6 @@ from curlfit.inference.fit.result import (
 )
 from curlfit.inference.identifiability import Combination
 from curlfit.inference.joint.effects import Effect, Means
-from curlfit.inference.parameters import START
-from curlfit.numerics.arrays import Floats
 from curlfit.output.text import p_text
 from curlfit.records import UNSAVED, keys, plain, require, structured
 
@@ -140,51 +137,6 @@ class JointResult(NamedEstimates):
     def varies(self) -> bool:
         """Whether what the throws determine varies about its mean."""
         return self.means is not None
-
-    def another(
-        self, labels: Mapping[str, str], number: int, random: np.random.Generator
-    ) -> tuple[FitResult, Floats]:
-        """A throw on the same ice that has not been thrown, and draws of its parameters.
-
-        It is that of the throws with as many of the labels as possible that was thrown last, with
-        the coefficients of the mean, and a spin that gives the usual angle at rest.
-
-        Raises
-        ------
-        InputError : labels that the fit does not distinguish.
-        """
-        alike = [len(one.data["labels"].items() & labels.items()) for one in self.throws]
-        near = self.throws[max(range(len(alike)), key=lambda row: (alike[row], row))]
-        if self.means is None:
-            raise InputError("the coefficients are equal in all throws; fit without --share")
-        names = list(near.parameters)
-        place = [names.index(name) for name in self.means.names]
-        ends = near.parameter_set.lower[place], near.parameter_set.upper[place]
-        mean, drawn = self.means.draw(labels, number, random, *ends)
-        values = np.tile(near.values, (1 + number, 1))
-        values[:, place] = [mean, *drawn]
-        angle = np.copysign(self.means.angle, near.parameters["omega0"].value)
-        from curlfit.inference.joint.draw import Draw  # compiles
-
-        draw = Draw(near.model, near.stone)
-        values[:, names.index("omega0")] = draw.spin(values[:, : -len(START)], angle)
-        best = {
-            name: replace(near.parameters[name], value=float(value))
-            for name, value in zip(names, values[0], strict=True)
-        }
-        data = [one.data for one in self.throws]
-        files = list(dict.fromkeys(one["file"].partition(" row ")[0] for one in data))
-        own = {
-            "file": files[0] if len(files) == 1 else f"{len(files)} files",
-            "rows": sum(one["rows"] for one in data),
-            "from": min(one["from"] for one in data), "to": max(one["to"] for one in data),
-        }  # fmt: skip
-        fitted = {
-            name: np.concatenate([one.fitted[name] for one in self.throws])
-            for name in ("speed", "omega")
-        }
-        fit = replace(near, parameters=best, data=near.data | own, fitted=near.fitted | fitted)
-        return fit, values[1:]
 
     def derive(self, expression: str) -> Derived:
         """A quantity derived from what the throws share; see `FitResult.derive`.
