@@ -52,15 +52,16 @@ def laws(
 
 
 def _print_conditions(*, as_json: bool) -> None:
-    from curlfit.inference.conditions import CONDITIONS
+    from curlfit.inference.conditions import CONDITIONS, SPIN
     from curlfit.output.console import terminal
 
+    every = (*CONDITIONS, SPIN)
     if as_json:
-        print(json.dumps([asdict(item) for item in CONDITIONS], indent=1))
+        print(json.dumps([asdict(item) for item in every], indent=1))
         return
     width = terminal().width
-    longest = max(len(item.name) for item in CONDITIONS)
-    for item in CONDITIONS:
+    longest = max(len(item.name) for item in every)
+    for item in every:
         unit = "" if item.unit == "1" else f" {item.unit}"
         text = f"{item.meaning}; standard uncertainty {item.width:g}{unit} ({item.basis})"
         print("\n".join(_wrap(f"{item.name:<{longest}}  ", text, width)))

@@ -81,7 +81,12 @@ CONDITIONS = (
         "30 frames per second counted for 29.97",
     ),
 )  # fmt: skip
-WIDTHS = {item.name: item.width for item in CONDITIONS}
+SPIN = Condition(
+    "spin", "1", 0.0, 5.0, 1.0, "", "ratio of the spin to the assumed one, where it was not known",
+    0.25, "judgement: most stones turn two to three times",
+)  # fmt: skip
+"""It can be estimated as `omega0` alone."""
+WIDTHS = {item.name: item.width for item in (*CONDITIONS, SPIN)}
 ALL = "all"
 CALIBRATION = "calibration"
 """The map from pixels to metres; its width is in units of its own standard uncertainty, 1 unless
@@ -112,6 +117,7 @@ def if_off(name: str, width: float) -> str:
         "drag": f"if there is air drag with a coefficient of {width:g}",
         "length_scale": f"if measured lengths are {100 * width:g} % too long",
         "time_scale": f"if measured times are {100 * width:g} % too long",
+        SPIN.name: f"if stones turn {100 * width:g} % more than assumed",
     }
-    item = next(one for one in CONDITIONS if one.name == name)
-    return texts.get(name, f"if the {item.meaning} is {1e3 * width:g} mm larger")
+    meaning = {item.name: item.meaning for item in CONDITIONS}
+    return texts.get(name) or f"if the {meaning[name]} is {1e3 * width:g} mm larger"

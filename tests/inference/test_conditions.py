@@ -15,6 +15,7 @@ from curlfit.inference.conditions import CONDITIONS, WIDTHS, if_off
 from curlfit.prediction.ensemble import ThrowFamily
 from curlfit.prediction.request import ThrowRequest, start_of
 from curlfit.sheet import TEE
+from curlfit.throws.events import Event
 
 LAW = LAWS["front-back"](mu1_xi=0.005, mu2_xi=0.05, mu1_eta=0.009, mu2_eta=0.009)
 TRUTH = {"mu1_xi": 0.005, "mu2_xi": 0.05, "mu2_eta": 0.009}
@@ -23,7 +24,7 @@ ASSUMED = {
     "slope_x": 0.0, "slope_y": 0.0, "drag": 0.0, "R": 0.065, "rho": 0.1, "h": 0.057,
     "length_scale": 1.0, "time_scale": 1.0, "wear": 0.0,
 }  # fmt: skip
-HELD = {name: width for name, width in WIDTHS.items() if width}
+HELD = {item.name: item.width for item in CONDITIONS if item.width}
 ALONE = dict.fromkeys(("slope_x", "slope_y", "drag", "wear"), "determined") | {
     "R": "weak", "length_scale": "weak",
     **dict.fromkeys(("rho", "h", "time_scale"), "not identifiable"),
@@ -119,6 +120,34 @@ def test_widths_may_be_given_and_conditions_may_be_known():
     assert (none.systematics.widths, none.systematics.errors) == ({}, {})
     assert "ystematic" not in shown(none)
     assert all(if_off(name, width).startswith("if ") for name, width in WIDTHS.items())
+
+
+@pytest.mark.parametrize("turns", [False, True])
+def test_a_spin_that_was_not_measured_is_a_condition(turns):
+    """What was measured of a stone of 1.212 rad/s, where 1.2 is assumed."""
+    start = InitialState(v=2.25, omega=1.212)
+    path = simulate(LAW, Stone(R=0.065), start, np.append(np.linspace(0, 40, 401), 300)).to_numpy()
+    time = float(np.interp(24.0, path.y[:-1], path.t[:-1]))
+    events = [
+        Event("hog_to_hog", "time", time, 0.1, 24.0, 0.0),
+        Event("rest", "y", path.y[-1], 0.05),
+        Event("curl", "x", path.x[-1], 0.05, since=0.0),
+    ]  # fmt: skip
+    if turns:
+        events.append(Event("turns", "phi", path.phi[-1], 0.5))
+    throw = Throw.from_events(events, assumed={"omega0": 1.2})
+    fix = SPLIT | {"mu1_xi": TRUTH["mu1_xi"], "heading": 0.0}
+    fit = curlfit.fit(throw, "front-back", fix=fix, systematics={"all": 0, "spin": 0.01})
+    assert fit.systematics.widths == ({} if turns else {"spin": 0.01})
+    item, true = fit.parameters["mu2_xi"], TRUTH["mu2_xi"]
+    if turns:
+        assert item.value == pytest.approx(true, rel=0.01)
+        return
+    shift = fit.systematics.shifts["mu2_xi"]["spin"]
+    assert shift < -0.005 * true
+    assert item.value + shift == pytest.approx(true, abs=0.03 * abs(shift))  # to first order
+    known = curlfit.fit(throw, "front-back", fix=fix | {"omega0": 1.3})
+    assert "spin" not in known.systematics.widths
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.summary import LeastSquaresFit, summarize, summarize_many
-from curlfit.inference.fit.systematics import calibrations_of, widths_of
+from curlfit.inference.fit.systematics import widths_of
 from curlfit.inference.least_squares import (
     Solution,
     Tasks,
@@ -98,8 +98,7 @@ def _fit(
     loss, noise, start = chosen.loss, chosen.noise, chosen.start
     rounds = Rounds(model, [prepared], loss=loss, noise=noise)
     found = _fitted_alone(rounds, start)
-    errors = calibrations_of([prepared]).shape[1]
-    result = summarize(found, widths_of(model, chosen.systematics, errors))
+    result = summarize(found, widths_of(model, chosen.systematics, [prepared]))
     if not result.converged:
         return result
     doubtful = any(item.doubtful for item in result.independence.values())
@@ -276,8 +275,7 @@ def fit_throws(
             rounds = Rounds(model, list(part.values()), loss=loss, noise=noise, batch=BATCH)
             fitted = dict(zip(part, _fitted(rounds, common.start), strict=True))
             usable = {k: one for k, one in fitted.items() if isinstance(one, LeastSquaresFit)}
-            errors = calibrations_of(rounds.throws).shape[1]
-            widths = {} if systematics is None else widths_of(model, systematics, errors)
+            widths = {} if systematics is None else widths_of(model, systematics, rounds.throws)
             results = summarize_many(list(usable.values()), curves=curves, widths=widths)
             found |= fitted | dict(zip(usable, map(with_curl_warning, results), strict=True))
     return [found[index] for index in range(len(throws))]

@@ -75,6 +75,12 @@ class PreparedThrow(NamedTuple):
         return environment_of(self.swept, self.origin.t)
 
     @property
+    def assumed_spin(self) -> float:
+        """The spin in rad/s that the throw assumes where nothing determines it; 0 if none."""
+        spin = self.throw.assumed.get("omega0", 0.0)
+        return spin if self.parameters.fixed.get("omega0") == spin else 0.0
+
+    @property
     def offset(self) -> Floats:
         """From the problem's coordinates to the data's."""
         return self.origin.offset(len(self.parameters))

@@ -32,7 +32,6 @@ from curlfit.inference.fit.residuals import (
 )
 from curlfit.inference.fit.result import Estimate, FitResult, Systematics
 from curlfit.inference.fit.systematics import (
-    calibrations_of,
     residual_changes,
 )
 from curlfit.inference.identifiability import Bounded, r_factors
@@ -209,10 +208,9 @@ class _Many(NamedTuple):
         batch: int,
     ) -> list[Systematics]:
         """Errors due to conditions, which are common to throws that are fitted together."""
-        calibrations = calibrations_of(self.throws, jointly=self.common is not None)
         changes = residual_changes(
             self.model, self.problems, self.solutions.values, paths, widths, self.loss, batch,
-            calibrations,
+            self.throws, jointly=self.common is not None,
         )  # fmt: skip
         gradients = {}
         for name, change in changes.items():

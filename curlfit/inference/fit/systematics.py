@@ -14,13 +14,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from curlfit.inference.conditions import ALL, CALIBRATION, WIDTHS, check_systematics
+from curlfit.inference.conditions import ALL, CALIBRATION, SPIN, WIDTHS, check_systematics
 from curlfit.inference.fit.prepared import PreparedThrow
 from curlfit.inference.identifiability import inverted, visible
 from curlfit.inference.likelihood import predict_many
 from curlfit.inference.model import Model
 from curlfit.inference.noise.losses import root_slope
 from curlfit.inference.noise.whitening import whitened
+from curlfit.inference.parameters import START
 from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import unstacked
@@ -29,18 +30,24 @@ from curlfit.stone import UNITS as STONE_UNITS
 from curlfit.throws.events import EventArrays
 from curlfit.throws.readers.homography import displacements
 
+_SPIN = [item.name for item in START].index("omega0") - len(START)
 _STEP = 1e-2  # of a width, of differences: the path is accurate to 1e-7 of it
 
 
 def widths_of(
-    model: Model, given: Mapping[str, float] | None = None, errors: int = 0
+    model: Model,
+    given: Mapping[str, float] | None = None,
+    throws: Sequence[PreparedThrow] = (),
+    *,
+    jointly: bool = False,
 ) -> dict[str, float]:
     """Standard uncertainty of each condition that a model holds fixed.
 
     Parameters
     ----------
     given : in place of `WIDTHS`; 0 where a condition is known. "all" stands for all not named.
-    errors : number of independent errors of calibration.
+    throws : which say whether a spin is assumed, and how many errors a calibration has.
+    jointly : as in `_calibrations`.
 
     Raises
     ------
@@ -51,11 +58,13 @@ def widths_of(
     common = given.pop(ALL, None)
     of_calibration = given.pop(CALIBRATION, 1.0 if common is None else common)
     found = {name: width if common is None else common for name, width in WIDTHS.items()} | given
+    errors = _calibrations(throws, jointly=jointly).shape[1]
     found |= {f"{CALIBRATION}_{k + 1}": of_calibration for k in range(errors)}
-    return {name: width for name, width in found.items() if width and name not in model.conditions}
+    known = {*model.conditions, *([] if any(one.assumed_spin for one in throws) else [SPIN.name])}
+    return {name: width for name, width in found.items() if width and name not in known}
 
 
-def calibrations_of(throws: Sequence[PreparedThrow], *, jointly: bool = False) -> Floats:
+def _calibrations(throws: Sequence[PreparedThrow], *, jointly: bool = False) -> Floats:
     """Independent errors of the calibration of each throw, in the problems' coordinates, shape
     (throws, errors, 3, 3), with zeros where a throw does not have one.
 
@@ -86,24 +95,31 @@ def residual_changes(
     widths: Mapping[str, float],
     loss: str,
     batch: int,
-    calibrations: Floats | None = None,
+    throws: Sequence[PreparedThrow] = (),
+    *,
+    jointly: bool = False,
 ) -> dict[str, Floats]:
     """Change of the weighted residuals of many throws for one width of each condition.
 
     Parameters
     ----------
     values : of the parameters, shape (throws, parameters), and their `paths`, (throws, 5, n).
-    widths : from `widths_of`. calibrations : from `calibrations_of`.
+    widths : from `widths_of`, as are the other arguments.
 
     Returns
     -------
     By condition, each of the shape of the residuals, (throws, channels, n).
     """
     channels, names = problems.observed.shape[1], list(widths)
+    calibrations = _calibrations(throws, jointly=jointly)
+    spins = np.array([one.assumed_spin for one in throws])
 
     def measured(off: Floats) -> Floats:
         by = {name: one * widths[name] for name, one in zip(names, off, strict=True) if one}
-        return _measured(model, problems, values, by, batch, calibrations)[:, :channels]
+        moved = values.copy()
+        if turns := by.pop(SPIN.name, 0.0):
+            moved[:, _SPIN] += turns * spins
+        return _measured(model, problems, moved, by, batch, calibrations)[:, :channels]
 
     none = np.zeros(len(names))
     changes = slopes(measured, none, _STEP, value=paths[:, :channels]) if names else none
@@ -126,7 +142,7 @@ def _measured(
     values: Floats,
     off: Mapping[str, float],
     batch: int,
-    calibrations: Floats | None,
+    calibrations: Floats,
 ) -> Floats:
     """The channels of many throws as they are measured where conditions are off by so much."""
     scale: float = 1 + off.get("length_scale", 0.0)
@@ -143,7 +159,6 @@ def _measured(
         of_places = events.sums_of_places() @ start
         paths[:, -1, : of_places.shape[1]] += (1 - scale) * of_places[..., 0]
     for name in off.keys() - WIDTHS.keys():
-        assert calibrations is not None
         error = calibrations[:, int(name.removeprefix(f"{CALIBRATION}_")) - 1, None]
         paths[:, :2] -= off[name] * displacements(error, paths[:, 0], paths[:, 1])[:, 0]
     return paths

@@ -22,7 +22,7 @@ from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.fit.result import Estimate, FitResult
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.summary import IMPLAUSIBLE, summarize_many, weakness
-from curlfit.inference.fit.systematics import calibrations_of, widths_of
+from curlfit.inference.fit.systematics import widths_of
 from curlfit.inference.identifiability import Bounded, Combination, r_factors
 from curlfit.inference.joint.draw import Draw
 from curlfit.inference.joint.effects import Covariates
@@ -142,8 +142,7 @@ def fit_together(
             f"law {law.name} with {first.load} load gives no finite path for these throws"
             + no_motion_because(first.load)
         )
-    errors = calibrations_of(prepared, jointly=True).shape[1]
-    widths = widths_of(model, first.systematics, errors)
+    widths = widths_of(model, first.systematics, prepared, jointly=True)
     result, weights = _equal(rounds, tasks, solution, common, widths, covariates.values)
     if varies and weights:
         result = _varying(result, rounds, tasks, solution, common, weights, covariates)
