@@ -109,30 +109,28 @@ def to_mean(directions: Floats, covariates: Floats) -> Floats:
     return np.concatenate([mean, flat], -1)
 
 
-def within(normal: Floats, right: Floats, sides: Floats, limits: Floats) -> tuple[Floats, Floats]:
-    """The minimum of x . normal x / 2 - right . x where sides x >= limits, and the sides at their
-    limit: least distance programming (Lawson and Hanson 1974, ch. 23)."""
+def within(free: Floats, root: Floats, sides: Floats, limits: Floats) -> tuple[Floats, Floats]:
+    """The x nearest to `free`, by the length of root (x - free), where sides x >= limits, and the
+    sides at their limit: least distance programming (Lawson and Hanson 1974, ch. 23)."""
     from scipy.optimize import nnls  # slow to load
 
-    free: Any = np.linalg.solve(normal, right)
     violated = limits - sides @ free
     if not (violated > _OUTSIDE).any():
         return free, sides[:0]
-    root: Any = np.linalg.cholesky(normal)
-    along = np.linalg.solve(root, sides.T)
+    along = np.linalg.solve(root.T, sides.T)
     size = np.maximum(np.linalg.norm(along, axis=0), np.finfo(float).tiny)
     scale = (violated / size).max()
     rows = np.vstack([along, violated / scale]) / size
     weights, _ = nnls(rows, np.append(np.zeros(len(free)), 1.0))
     step = scale * (rows[:-1] @ weights) / (1 - rows[-1] @ weights)
-    return free + np.linalg.solve(root.T, step), sides[weights > 0]
+    return free + np.linalg.solve(root, step), sides[weights > 0]
 
 
-def bounded(normal: Floats, right: Floats, to: Floats, lower: Floats, upper: Floats) -> Floats:
-    """The minimum of x . normal x / 2 - right . x where `to` x is within bounds, which contain zero
-    but for rounding."""
+def bounded(free: Floats, root: Floats, to: Floats, lower: Floats, upper: Floats) -> Floats:
+    """The x nearest to `free`, by the length of root (x - free), where `to` x is within bounds,
+    which contain zero but for rounding."""
     sides, limits = _sides(to[None], lower, upper)
-    return within(normal, right, sides, np.minimum(limits, 0.0))[0]
+    return within(free, root, sides, np.minimum(limits, 0.0))[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,8 +150,10 @@ class MixedFit:
     def _bounded(self) -> tuple[Floats, Floats]:
         """The mean and the effects, and the sides of bounds that they are at."""
         means = self.at(np.unique(self.model.covariates, axis=0))
+        normal, right, _ = self.model.parts(self._each.sum(0))
+        root: Any = np.linalg.cholesky(normal).T
         sides, limits = _sides(means, self.lower, self.upper)
-        return within(*self.model.parts(self._each.sum(0))[:2], sides, limits)
+        return within(np.linalg.solve(normal, right), root, sides, limits)
 
     @property
     def estimate(self) -> Floats:

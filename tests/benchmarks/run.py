@@ -16,6 +16,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import date
 from importlib.metadata import version
 from pathlib import Path
@@ -243,6 +244,32 @@ def batch() -> None:
     row("curlfit batch, files to table, all cores", f"{ours:.0f} fits/s", ours / script)
 
 
+def together() -> None:
+    """Joint fits of tracks of 201 rows from two sheets, against single fits of the same throws."""
+    import resource
+
+    from curlfit import Stone, fit_together
+    from curlfit.inference.fit.fit import fit_throws
+    from curlfit.throws.synthetic import law_with, synthetic_throw
+
+    random = np.random.default_rng(0)
+    throws = []
+    for number in (10, 30, 100, 300, 1000):
+        while len(throws) < number:
+            sheet = len(throws) % 2 + 1
+            half = 0.009 * (1 + 0.05 * (sheet - 1.5) + 0.012 * random.standard_normal())
+            split = {"mu1_xi": 0.004, "mu2_xi": 0.05, "mu1_eta": half, "mu2_eta": half}
+            throw = synthetic_throw(
+                law_with("front-back", split), Stone(), v0=random.uniform(2.1, 2.3),
+                omega0=random.uniform(1, 2), noise_xy=0.005, noise_phi=0.01, seed=len(throws),
+            )  # fmt: skip
+            throws.append(replace(throw, labels={"sheet": str(sheet)}))
+        alone = best(lambda: fit_throws(throws, curves=True, systematics={}), 1.0)
+        jointly = best(lambda: fit_together(throws, by="sheet"), 1.0)
+        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        row(f"{number} tracks", f"{jointly:.2f} s, at most {memory:.0f} MB", jointly / alone)
+
+
 def posterior() -> None:
     """Least effective samples a second over the parameters: peers on the same likelihood."""
     from curlfit import Stone, load_throw
@@ -416,7 +443,9 @@ def roof() -> None:
     row("memory, over a copy's", f"{moved:.3g} B/s", moved / memory)
 
 
-ALL = {f.__name__: f for f in (answering, verbs, stopwatch, forward, roof, batch, posterior)}
+ALL = {
+    f.__name__: f for f in (answering, verbs, stopwatch, forward, roof, batch, together, posterior)
+}
 
 
 def main() -> None:

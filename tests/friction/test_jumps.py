@@ -240,4 +240,4 @@ def test_the_help_of_a_point_names_its_fields():
 
     for kind in RingPoint, Motion:
         for name in kind._fields:
-            assert re.search(rf"^    .*\b{name}\b.* : ", kind.__doc__, re.M)
+            assert re.search(rf"^ *.*\b{name}\b.* : ", kind.__doc__, re.M)

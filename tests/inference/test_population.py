@@ -10,6 +10,7 @@ from scipy.optimize import brentq
 
 import curlfit
 from curlfit import InputError, sheet
+from curlfit.inference.joint.population import _moves
 from curlfit.prediction.call import Call
 from curlfit.throws.events import Event
 
@@ -231,3 +232,18 @@ def test_on_the_command_line(tmp_path):
         refused = command(*wrong, cwd=tmp_path)
         assert refused.returncode == 2
         assert message in refused.stderr, refused
+
+
+def test_a_throw_that_is_told_some_coefficients_exactly_moves_in_the_others():
+    """Where throws do not vary, the others say a coefficient to 1e-8 of what a throw says."""
+    own, left = np.array([[30.0, 20.0], [0.0, 25.0]]), np.array([3.0, -5.0])
+    told = np.array([[1e8, 1e8], [0.7, -0.7]])
+    rows = np.column_stack([np.concatenate([own, told]), [*left, 0.0, 0.0]])
+    wide = np.full((1, 2), 9.0)
+    (found,) = _moves(rows[None], np.zeros((2, 0)), -wide, wide)
+    # along (1, -1), the only direction left
+    along = np.concatenate([own, told[1:]]) @ [1.0, -1.0]
+    step = -(along @ [*left, 0.0]) / (along @ along)
+    assert found == pytest.approx([step, -step], rel=1e-6)
+    (held,) = _moves(rows[None], np.zeros((2, 0)), -wide, np.full((1, 2), -step / 2))
+    assert held == pytest.approx(np.array([step, -step]) / 2, rel=1e-6)

@@ -89,9 +89,11 @@ def test_a_mean_outside_its_bounds_stays_at_them():
 def test_the_minimum_within_bounds_is_that_of_a_general_solver():
     random = np.random.default_rng(5)
     for _ in range(5):
-        root, right = random.normal(size=(4, 4)), random.normal(size=4)
-        normal, sides, limits = root @ root.T + 0.1 * np.eye(4), random.normal(size=(6, 4)), -0.1
-        found, held = within(normal, right, sides, np.full(6, limits))
+        root, right = random.normal(size=(5, 4)), random.normal(size=4)
+        normal, sides, limits = root.T @ root + 0.1 * np.eye(4), random.normal(size=(6, 4)), -0.1
+        length = np.linalg.cholesky(normal).T
+        free = np.linalg.solve(normal, right)
+        found, held = within(free, length, sides, np.full(6, limits))
         peer = minimize(
             lambda x, normal=normal, right=right: x @ normal @ x / 2 - right @ x,
             np.zeros(4), jac=lambda x, normal=normal, right=right: normal @ x - right,

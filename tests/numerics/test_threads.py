@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -78,6 +79,7 @@ def test_results_of_threads_come_in_order_and_errors_where_they_belong():
 
     def inverse(number):
         begun.append(number)
+        time.sleep(0.001)  # the other threads begin no more than a few
         return 1 / number
 
     with in_threads(inverse, [(1,), (0,)] * 50) as results:

@@ -233,5 +233,5 @@ class Means:
         drawn = mean + normal @ root.T
         for row in np.flatnonzero(((drawn < lower) | (drawn > upper)).any(1)):
             ends = lower - mean, upper - mean
-            drawn[row] = mean + root @ bounded(np.eye(len(mean)), normal[row], root, *ends)
+            drawn[row] = mean + root @ bounded(normal[row], np.eye(len(mean)), root, *ends)
         return mean, np.clip(drawn, lower, upper)

@@ -166,12 +166,13 @@ def pool(
 def _moves(rows: Floats, null: Floats, lower: Floats, upper: Floats) -> Floats:
     """Steps of throws to the least squares of rows, with the residual as the last column, within
     bounds."""
-    by_step, left = rows[..., :-1], rows[..., -1:]
-    normal, right = by_step.mT @ by_step + null @ null.T, -(by_step.mT @ left)[..., 0]
-    found: Any = np.linalg.solve(normal, right[..., None])[..., 0]
+    size = len(null)
+    held = np.broadcast_to(np.pad(null.T, ((0, 0), (0, 1))), (len(rows), null.shape[1], size + 1))
+    factor: Any = np.linalg.qr(np.concatenate([rows, held], 1), mode="r")[:, :size]
+    root = factor[..., :-1]
+    found: Any = np.linalg.solve(root, -factor[..., -1:])[..., 0]
     for row in np.flatnonzero(((found < lower) | (found > upper)).any(1)):
-        ends = lower[row], upper[row]
-        found[row] = bounded(normal[row], right[row], np.eye(found.shape[1]), *ends)
+        found[row] = bounded(found[row], root[row], np.eye(size), lower[row], upper[row])
     return found
 
 
