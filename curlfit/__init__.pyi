@@ -1,3 +1,4 @@
+from .batch.season import fit_season as fit_season
 from .comparison.compare import compare as compare
 from .comparison.figures import comparison_figure as comparison_figure
 from .comparison.report import print_comparison as print_comparison
@@ -61,7 +62,7 @@ from .profile_likelihood.result import (
     load_profile as load_profile,
 )
 from .stone import Stone as Stone
-from .throws.load import load_throw as load_throw
+from .throws.load import load_throw as load_throw, load_throws as load_throws
 from .throws.synthetic import law_with as law_with, synthetic_throw as synthetic_throw
 from .throws.throw import Throw as Throw
 from .version import __version__ as __version__

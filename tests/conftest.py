@@ -27,6 +27,8 @@ from scipy.integrate import solve_ivp
 
 import curlfit
 from curlfit.numerics import compiled
+from curlfit.settings.choices import Reading
+from curlfit.throws.load import parts_of
 
 DATA = Path(__file__).parents[1] / "data" / "jensen_shegelski_2004.csv"
 G = 9.81
@@ -118,6 +120,11 @@ def started(*words: object, room: int = -1, **how: Any) -> subprocess.Popen[str]
         start_new_session=True,
         **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, **how},
     )
+
+
+def parts_in(file, **choices):
+    """All throws in a file."""
+    return parts_of(file, Reading.of(**choices))
 
 
 def command(*words: object, cwd: Path) -> Ran:

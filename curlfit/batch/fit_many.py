@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from os import PathLike
 from typing import Any
 
-from curlfit.batch.settings import QUANTILES, BatchSettings, columns
+from curlfit.batch.settings import INFORMATION, LABELS, QUANTILES, BatchSettings, columns
 from curlfit.errors import CurlfitError
 from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.fit.result import FitResult
+from curlfit.inference.joint.season import told_by
 from curlfit.settings.choices import Fitting
 from curlfit.throws.load import Part, parts_of
 from curlfit.throws.throw import Throw
@@ -68,6 +69,11 @@ def _row(result: FitResult, plan: BatchSettings, sums: Sequence[str]) -> dict[st
         ),
         "warnings": "; ".join(result.warnings),
     }
+    labels = result.data["labels"].items()
+    row[LABELS] = "; ".join(f"{name} = {label.replace(';', ',')}" for name, label in labels)
+    if result.converged:
+        told = ", ".join(f"{number:.17g}" for number in told_by(result).ravel())
+        row[INFORMATION] = f"[{told}]"
     row |= {f"rms_{name}": result.rms.get(name) for name in ("x", "y", "phi")}
     row |= {f"{name}_verdict": item.verdict for name, item in result.parameters.items()}
     known: list[Any] = [item for item in result.combinations if item.expression in sums]

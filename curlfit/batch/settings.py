@@ -20,6 +20,8 @@ from curlfit.throws.throw import check_sigma
 
 CHUNK = 128
 """Number of throws that are read and fitted together."""
+INFORMATION, LABELS = "information", "labels"
+"""Columns from which a second fit takes what a throw says of its coefficients, and its groups."""
 QUANTILES = ("16", "50", "84")
 """Quantiles of the posterior, in percent."""
 _SUFFIXES = (".csv", ".tsv", ".txt", ".jsonl", ".json")
@@ -70,7 +72,7 @@ def columns(plan: BatchSettings) -> list[str]:
         found += [name, *(f"{name} {what}" for what in ("stderr", *more))]
     for text in plan.derive:
         found += [text, f"{text} stderr"]
-    return [*found, "combinations", "warnings", "reason"]
+    return [*found, INFORMATION, LABELS, "combinations", "warnings", "reason"]
 
 
 def usual_law(file: str, format: str | None) -> str:

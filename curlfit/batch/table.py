@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import re
 import sys
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -23,12 +24,37 @@ from curlfit.records import plain, read_json, write_json
 from curlfit.version import __version__
 
 _MAKER = "curlfit batch"
+_HEAD, _LONG = re.compile(rb"file,.*\bstone_index,.*\bstatus,"), 4096
 _OTHERWISE = "name another table with --out, or write over it with --again"
 
 
 def settings_file(table: Path) -> Path:
     """Where the settings of a table are kept."""
     return table.parent / f"{table.stem}.settings.json"
+
+
+def is_table(file: Path) -> bool:
+    """Whether a file begins as a table of `curlfit batch` does."""
+    try:
+        with file.open("rb") as stream:
+            return _HEAD.match(stream.read(_LONG)) is not None
+    except OSError:
+        return False
+
+
+def plan_of(settings: Path, otherwise: str) -> dict[str, Any]:
+    """The recorded settings of a table's rows; `otherwise` says what to do without them.
+
+    Raises
+    ------
+    DataError : they are not those of a table.
+    """
+    what = f"the settings of a table of `{_MAKER}`; {otherwise}"
+    found = read_json(settings, what)
+    plan = found.get("plan")
+    if not str(found.get("made_by")).startswith(_MAKER) or not isinstance(plan, dict):
+        raise DataError(f"not {what}", file=settings)
+    return plan
 
 
 class Table:
@@ -68,7 +94,7 @@ class Table:
         done: set[str] = set()
         size = 0
         try:
-            before = self._settings()
+            before = plan_of(self.settings, _OTHERWISE) if self.settings.exists() else None
             file.parent.mkdir(parents=True, exist_ok=True)
             with ExitStack() as opened:
                 self.stream = opened.enter_context(file.open("ab"))
@@ -86,17 +112,6 @@ class Table:
         except OSError as error:
             raise InputError(f"{file}: {error.strerror or error}") from None
         self.todo = [name for name in files if csv_cell(name) not in done]
-
-    def _settings(self) -> dict[str, Any] | None:
-        """Settings of the existing rows; None if they are not recorded."""
-        if not self.settings.exists():
-            return None
-        what = f"the settings of a table of `{_MAKER}`; {_OTHERWISE}"
-        found = read_json(self.settings, what)
-        plan = found.get("plan")
-        if not str(found.get("made_by")).startswith(_MAKER) or not isinstance(plan, dict):
-            raise DataError(f"not {what}", file=self.settings)
-        return plan
 
     def _read(
         self,

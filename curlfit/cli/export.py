@@ -110,10 +110,10 @@ def _files(form: Form, result: Any, kind: str, folder: Path) -> dict[str, bytes]
     if form is Form.csv and kind == "compare":
         return {"candidates.csv": tables.candidates_csv(result).encode()}
     if form is Form.csv:
-        path = tables.path_csv(result.throws if kind == "joint" else (result,))
-        return {
-            "parameters.csv": tables.parameters_csv(result).encode(), "path.csv": path.encode(),
-        }  # fmt: skip
+        found = {"parameters.csv": tables.parameters_csv(result).encode()}
+        if fits := result.throws if kind == "joint" else (result,):
+            found["path.csv"] = tables.path_csv(fits).encode()
+        return found
     if form is Form.latex:
         table = tables.candidates_table if kind == "compare" else tables.estimates_table
         return {"table.tex": table(result).encode()}

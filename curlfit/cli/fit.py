@@ -74,8 +74,8 @@ def fit(
     ----------
     data
         Table with a header: t, x, y and if possible phi (s, m, m, rad; other units as y_ft,
-        angle_deg ...). Leading lines `# key = value` are its defaults. Several files are fitted
-        jointly.
+        angle_deg ...). Leading lines `# key = value` are its defaults. Several files, or those of
+        a folder, are fitted jointly; of a table of `curlfit batch`, the throws that it contains.
     share
         With several throws: coefficients that are equal in all of them. [default: all; from four
         throws on they vary about their mean]
@@ -91,7 +91,20 @@ def fit(
 
     if not data:
         raise InputError("fit: no file given; expected DATA")
+    if any(file.is_dir() for file in data):
+        from curlfit.batch.settings import found_files
+
+        notes = [] if reading.throws is None else [Path(reading.throws)]
+        data = (*found_files(list(map(str, data)), besides=notes),)
     drawn = output.drawn()
+    from curlfit.batch.table import is_table
+
+    if is_table(data[0]):
+        if words := [*replace(flags, law=None).words(), *reading.words()]:
+            raise InputError(
+                f"{words[0]}: the throws of {data[0]} are fitted already; expected it in the batch"
+            )
+        return _fit_table(data, flags.law, by, trend, output)
     resume, no_sample = sampling.resume, sampling.no_sample
     if resume and no_sample:
         raise InputError("--resume continues sampling, and --no-sample skips it; give one of them")
@@ -281,3 +294,22 @@ def _fit_jointly(
         folders[1:-1] = ["..."]
     each_in = f", and in {folder}/ a folder for each throw: {', '.join(folders)}"
     return _finish(result, output.finish(result, folder, drawn, more=each_in))
+
+
+def _fit_table(
+    data: Sequence[Path], law: str | None, by: Sequence[str], trend: Sequence[str], output: Output
+) -> Saved:
+    """Fit the mean of throws that `curlfit batch` fitted one by one; write `joint.json` and its
+    figure."""
+    from curlfit.output.files import prepare_folder
+
+    if len(data) > 1:
+        raise InputError(f"{data[0]}: a table of many throws; expected no other file beside it")
+    drawn = output.drawn()
+    with output.status(f"Fitting the throws of {data[0]} {COMPILES}"):
+        from curlfit.batch.season import fit_season
+
+        result = fit_season(data[0], law, by=by, trend=trend)
+    folder = prepare_folder(output.out or Path(f"{data[0].stem}-fit"))
+    drawn.draw_beside()
+    return _finish(result, output.finish(result, folder, drawn))

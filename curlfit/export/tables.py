@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from curlfit.foreign import csv_lines, printable
 from curlfit.inference.derived import Derived, to_its_side
@@ -226,13 +226,12 @@ def _rounded(value: float | None, digits: str, scale: float = 1) -> str:
 
 
 def _caption(result: FitResult | JointResult) -> str:
-    throws = getattr(result, "throws", ())
-    first: FitResult = throws[0] if throws else result  # type: ignore[assignment]
-    what = (
-        f"{len(throws)} throws together" if throws
-        else f"{_file(first.data['file'])} ({first.data['rows']} rows)"
-    )  # fmt: skip
-    stone = first.stone
+    fits: Sequence[Any] = getattr(result, "throws", (result,))
+    if result.kind == "joint":
+        what = f"{cast('JointResult', result).count} throws together"
+    else:
+        what = f"{_file(fits[0].data['file'])} ({fits[0].data['rows']} rows)"
+    stone = result.stone
     text = (
         f"Estimates of the {escaped(result.law)} law under {escaped(result.load)} load, fitted to "
         f"{what}; stone $R = {stone.R:g}$\\,m, $\\rho = {stone.rho:g}$\\,m, $h = {stone.h:g}$\\,m, "
@@ -240,8 +239,8 @@ def _caption(result: FitResult | JointResult) -> str:
     )
     if result.systematics.errors:
         text += "; systematic errors come from conditions that the fit holds fixed"
-    if first.noise.kind != "white":
-        text += f"; noise model {escaped(first.noise.kind)}"
+    if fits and fits[0].noise.kind != "white":
+        text += f"; noise model {escaped(fits[0].noise.kind)}"
     return f"{text}. {_software()}"
 
 

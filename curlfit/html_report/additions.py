@@ -79,6 +79,8 @@ def _of_joint(page: Additions, joint: JointResult) -> None:
     from curlfit.inference.report import extent, quantities_line
 
     throws, count = joint.throws, len(joint.throws)
+    if not throws:
+        return
     measured = {
         Path(one.data["file"]).name: "; ".join(
             filter(None, (extent(one), quantities_line(one.quantities)))

@@ -129,6 +129,8 @@ def joint_figure(result: JointResult) -> draw.Picture:
     --------
     >>> curlfit.joint_figure(joint).savefig("joint.png")
     """
+    if result.table is not None:
+        return _season(result)
     count, shown = len(result.throws), result.variation
     columns = min(count, 3)
     paths = any(one.rms for one in result.throws)  # timed events have no measured path
@@ -180,6 +182,39 @@ def joint_figure(result: JointResult) -> draw.Picture:
         neat_axis(axes.xaxis, draw.in_symbols(item.expression, symbols))
     if paths:
         draw.note_stretch(path)
+    return figure
+
+
+def _season(result: JointResult) -> draw.Picture:
+    """The means of groups, and how many throws are where."""
+    shown = result.variation
+    figure = draw.Picture(figsize=(draw.WIDTH, 2.6), layout="constrained")
+    figure.suptitle(f"{draw.law_and_load(result)}: {result.count} throws")
+    panels: Any = figure.subplots(1, len(shown), squeeze=False)[0]
+    symbols = {name: item.symbol for name, item in result.coefficients.items()}
+    means = [one for one in result.groups if one.by or not result.differences]
+    for axes, item in zip(panels, shown, strict=True):
+        alone = np.array([one[0] for one in item.each if one is not None])
+        ends = np.quantile(alone, (0.01, 0.99))
+        beyond = 0.2 * np.ptp(ends)
+        bins = np.linspace(ends[0] - beyond, ends[1] + beyond, min(40, 8 + len(alone) // 20))
+        axes.hist(alone, bins, color=draw.DATA_COLOR, alpha=0.35, label="throws, each alone")
+        top = axes.get_ylim()[1]
+        of_item = [one for one in means if one.parameter == item.expression]
+        for row, one in enumerate(of_item):
+            label = f"{one.by} {one.group}".strip() or "mean"
+            height = top * (1.06 + 0.1 * row)
+            axes.errorbar(
+                one.value, height, xerr=one.stderr, fmt="o", ms=4, capsize=2, label=label,
+                color=draw.PALETTE[row % len(draw.PALETTE)],
+            )  # fmt: skip
+        axes.set_ylim(0, top * (1.12 + 0.1 * len(of_item)))
+        axes.set_yticks([])
+    handles = panels[0].get_legend_handles_labels()[0]
+    figure.legend(handles=handles, loc="outside lower center", ncols=4)
+    figure.draw_without_rendering()  # ticks depend on the layout
+    for axes, item in zip(panels, shown, strict=True):
+        neat_axis(axes.xaxis, draw.in_symbols(item.expression, symbols))
     return figure
 
 

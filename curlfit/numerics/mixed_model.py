@@ -20,7 +20,7 @@ import numpy as np
 
 from curlfit.numerics.arrays import Floats
 
-_UNSEEN = 1e-3, 1e-9  # singular values, also over the largest, below which nothing is determined
+_UNSEEN = 1e-3, 1e-7  # singular values, also over the largest, below which nothing is determined
 _DIFFUSE = 1e-10  # information on effects over the largest, so that undetermined ones are zero
 _RANGE = np.log([1e-6, 1e6])  # of variances over their initial values
 _ZERO = 1e-4  # of a variance over that of a typical block, below which it counts as zero
@@ -42,9 +42,10 @@ class MixedModel(NamedTuple):
     @classmethod
     def of(cls, rows: Floats, target: Floats, directions: Floats, covariates: Floats) -> Self:
         """From A_i, shape (blocks, rows, mean), and z_i, shape (blocks, rows)."""
-        squares, axes = np.linalg.eigh((rows.mT @ rows).sum(0))
-        least = max(_UNSEEN[0] ** 2, _UNSEEN[1] ** 2 * squares[-1])
-        null = axes[:, squares < least]
+        factor: Any = np.linalg.qr(rows.reshape(-1, rows.shape[-1]), mode="r")
+        _, singular, axes = np.linalg.svd(factor)
+        seen = singular > max(_UNSEEN[0], _UNSEEN[1] * singular[0])
+        null = axes[int(seen.sum()) :].T
         directions = directions - null @ (null.T @ directions)
         along = rows @ directions
         effects = along[:, :, None, :] * covariates[:, None, :, None]
@@ -153,7 +154,8 @@ class MixedFit:
         normal, right, _ = self.model.parts(self._each.sum(0))
         root: Any = np.linalg.cholesky(normal).T
         sides, limits = _sides(means, self.lower, self.upper)
-        return within(np.linalg.solve(normal, right), root, sides, limits)
+        free: Any = np.linalg.solve(normal, right)
+        return within(free, root, sides, limits)
 
     @property
     def estimate(self) -> Floats:

@@ -174,28 +174,12 @@ def prepare_all(
     ------
     InputError : as `prepare`; two files have the same name; no throw determines friction.
     """
-    from curlfit.errors import CurlfitError
     from curlfit.inference.joint.result import folder_names
-    from curlfit.throws.load import holds_timed_rows, load_throw, parts_of
+    from curlfit.throws.load import load_throws
 
     configured = read_config(config)
     chosen = Reading.of(configured, vars(reading))
-    throws: list[Throw] = []
-    alone: list[CurlfitError | None] = []
-    for file in files:
-        if not holds_timed_rows(file, reading.format):
-            throws.append(load_throw(file, **vars(chosen)))
-            alone.append(None)
-            continue
-        for part in parts_of(file, chosen):
-            if part.left_out:
-                continue
-            if isinstance(part.throw, CurlfitError):
-                raise part.throw
-            throws.append(part.throw)
-            alone.append(part.alone)
-    if alone and (fault := alone[0]) is not None and all(alone):
-        raise fault
+    throws = load_throws(*files, **vars(chosen))
     found: dict[str, ConfiguredThrow[Chosen]] = {}
     for name, throw in zip(folder_names([one.name for one in throws]), throws, strict=True):
         if name in found:

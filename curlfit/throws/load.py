@@ -83,10 +83,9 @@ class Part(NamedTuple):
 
 
 @takes(Reading)
-def load_throws(file: str | PathLike[str], **choices: Any) -> list[Part]:
-    """Every throw in a file: shots of a log, objects of a Tracker export, throws of a table.
-
-    `shot` or `stone_index` selects a single one.
+def load_throws(*files: str | PathLike[str], **choices: Any) -> list[Throw]:
+    """Read the throws of a joint fit: one from each file and, from a table with a throw in each
+    row, all but the odd ones, which are named in the notes of the others.
 
     Parameters
     ----------
@@ -94,13 +93,40 @@ def load_throws(file: str | PathLike[str], **choices: Any) -> list[Part]:
 
     Raises
     ------
-    DataError : the file as a whole cannot be read. InputError : an argument that cannot be used.
+    DataError : a throw cannot be read; no throw determines friction. InputError : an argument that
+        cannot be used.
+
+    Examples
+    --------
+    >>> throws = curlfit.load_throws("data/two_sheets.csv")
+    >>> len(throws), throws[0].labels["sheet"]
+    (15, '1')
     """
-    return parts_of(file, Reading.of(**choices))
+    reading = Reading.of(**choices)
+    parts: list[Part] = []
+    for file in files:
+        if holds_timed_rows(file, reading.format):
+            parts += (part for part in parts_of(file, reading) if not part.left_out)
+        else:
+            parts.append(Part(None, None, throw_of(read(file, reading), reading)))
+    throws = []
+    for part in parts:
+        if isinstance(part.throw, CurlfitError):
+            raise part.throw
+        throws.append(part.throw)
+    if parts and (fault := parts[0].alone) is not None and all(part.alone for part in parts):
+        raise fault
+    return throws
 
 
 def parts_of(file: str | PathLike[str], reading: Reading) -> list[Part]:
-    """`load_throws` for choices that have been checked."""
+    """Every throw in a file: shots of a log, objects of a Tracker export, throws of a table;
+    `shot` or `stone_index` selects a single one.
+
+    Raises
+    ------
+    DataError : the file as a whole cannot be read. InputError : an argument that cannot be used.
+    """
     path, format, contents = _open(file, reading)
     key = format.selected_by
     number = getattr(reading, key)

@@ -120,7 +120,7 @@ def test_each_row_is_the_fit_of_that_throw(season, done):
     assert said in run.stdout
     frame = pandas.read_csv(out)
     assert list(frame.columns) == list(rows[0])
-    words = ("file", "status", "combinations", "warnings", "reason")
+    words = ("file", "status", "information", "labels", "combinations", "warnings", "reason")
     numbers = [n for n in frame.columns if not n.endswith("_verdict") and n not in words]
     assert all(frame[name].dtype.kind in "if" for name in numbers)
 

@@ -21,7 +21,7 @@ from curlfit import (
     simulate,
 )
 from curlfit.environment import Environment
-from curlfit.inference.conditions import CONDITIONS
+from curlfit.inference.conditions import CONDITIONS, SPIN
 from curlfit.throws.synthetic import write_table
 
 COULOMB = ("--law", "coulomb")
@@ -185,5 +185,5 @@ def test_the_conditions_are_listed_with_their_widths(typed):
         assert item.basis in out
     listed = json.loads(typed("laws", "--conditions", "--json"))
     assert [(one["name"], one["width"]) for one in listed] == [
-        (item.name, item.width) for item in CONDITIONS
+        (item.name, item.width) for item in (*CONDITIONS, SPIN)
     ]

@@ -182,7 +182,7 @@ def test_without_spread_the_mean_is_the_equal_value():
     [
         ([{"sheet": "1"}, {"sheet": "2"}, {}], {"by": "sheet"}, "no label 'sheet'"),
         ([{"sheet": "1"}] * 3, {"by": "sheet"}, "all throws have '1'"),
-        ([{"start": "late"}] * 3, {"trend": "start"}, "expected numbers or times"),
+        ([{"start": "late"}] * 3, {"trend": "start"}, "expected numbers, times"),
         ([{"a": "1", "b": "3"}, {"a": "2", "b": "4"}, {"a": "2", "b": "4"}],
          {"by": ["a", "b"]}, "do not distinguish"),
     ],
@@ -196,13 +196,14 @@ def test_labels_that_give_no_effects_are_refused(labels, words, message):
 def test_a_clock_may_pass_midnight():
     from curlfit.inference.joint.effects import Covariates
 
-    throws = [
-        replace(one, labels={"start": text})
-        for one, text in zip(evening(3), ("23:30", "23:45", "0:15"), strict=True)
-    ]
-    found = Covariates.of(throws, [], ["start"])
+    starts = [("a", {"start": text}) for text in ("23:30", "23:45", "0:15")]
+    found = Covariates.of(starts, [], ["start"])
     assert np.diff(found.values[:, 0]) == pytest.approx([0.25, 0.5])
     assert found.trends == {"start": "h"}
+    days = [("a", {"day": text}) for text in ("2026-02-27", "2026-02-28", "2026-03-02")]
+    found = Covariates.of(days, [], ["day"])
+    assert np.diff(found.values[:, 0]) == pytest.approx([1.0, 2.0])
+    assert found.trends == {"day": "day"}
 
 
 def test_on_the_command_line(tmp_path):

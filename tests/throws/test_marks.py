@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from conftest import parts_in
 from sample_files import PHI, T, X, Y, known_points, project, table
 
 from curlfit import DataError, InputError, load_throw
-from curlfit.throws.load import load_throws
 
 ARM, NOISE = 0.12, 0.002  # m
 FINE = np.arange(0, 14.75, 0.05)
@@ -51,7 +51,7 @@ def test_either_object_may_be_the_stone_and_a_batch_leaves_the_handle_out(write)
     file = write(export([*places[2:], *places[:2]]))
     throw = load_throw(file, stone_index=2, handle=1)
     np.testing.assert_allclose(np.diff(throw.phi), np.diff(phi), atol=1e-6)
-    (part,) = load_throws(file, handle=1)
+    (part,) = parts_in(file, handle=1)
     assert part.stone_index == 2
     np.testing.assert_allclose(part.throw.phi, throw.phi)
 

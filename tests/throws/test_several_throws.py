@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from conftest import parts_in
 from sample_files import PHI, N, T, X, Y, table
 
 from curlfit import DataError, InputError, Throw, load_throw
-from curlfit.throws.load import load_throws
 
 COLUMNS = {"t": T, "x": X, "y": Y, "phi": PHI}
 
@@ -62,11 +62,11 @@ def test_times_that_start_again_begin_a_throw(write):
     with pytest.raises(DataError, match=rf"1 from line 2 \(60 rows\); 2 from line {N + 2} \(60"):
         load_throw(file)
     is_throw(load_throw(file, stone_index=2), 0.5)
-    first, second = load_throws(file)  # of a batch
+    first, second = parts_in(file)  # of a batch
     assert (first.stone_index, second.stone_index) == (1, 2)
     is_throw(first.throw)
     is_throw(second.throw, 0.5)
-    (only,) = load_throws(file, stone_index=2)
+    (only,) = parts_in(file, stone_index=2)
     is_throw(only.throw, 0.5)
 
 

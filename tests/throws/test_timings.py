@@ -11,13 +11,13 @@ from zipfile import ZipFile
 
 import numpy as np
 import pytest
-from conftest import invoke
+from conftest import invoke, parts_in
 from sample_files import PLAIN, TIMINGS
 
 from curlfit import fit, load_fit, load_joint
 from curlfit.batch.settings import usual_law
 from curlfit.errors import DataError, InputError
-from curlfit.throws.load import holds_timed_rows, load_throw, load_throws
+from curlfit.throws.load import holds_timed_rows, load_throw
 from curlfit.throws.readers.notation import parse_quantity
 
 FOOT = 0.3048
@@ -176,7 +176,7 @@ def test_a_table_has_a_throw_in_each_row(tmp_path):
         "# law = 'power'\nthrow,hog_to_hog,curl,rest (ft),side\n"
         "1,14.2,4 ft left,2,x\n\n2,13.8,1.1 m right,-1,\n3,14.0,,1.5,\n4,14.0,1,1,\n"
     )
-    parts = load_throws(file)
+    parts = parts_in(file)
     assert [part.shot for part in parts] == [1, 2, 3, 4]
     first, second, third, fourth = (part.throw for part in parts)
     assert values(second) == pytest.approx({"hog_to_hog": 13.8, "rest": 38.405 - FOOT, "curl": 1.1})
@@ -188,7 +188,7 @@ def test_a_table_has_a_throw_in_each_row(tmp_path):
     chosen = load_throw(file, shot=2)
     assert values(chosen) == values(second)
     assert any("taken: 2 (--shot selects another)" in note for note in chosen.notes)
-    (third,) = load_throws(file, shot=3)
+    (third,) = parts_in(file, shot=3)
     assert (third.shot, third.throw.read_with) == (3, ("--shot=3",))
     with pytest.raises(InputError, match="there is no such row; expected one of 1 line 3; 2"):
         load_throw(file, shot=9)
@@ -208,7 +208,7 @@ def test_a_table_has_a_throw_in_each_row(tmp_path):
 def test_the_law_is_that_of_what_was_measured(tmp_path, rows, law):
     file = tmp_path / "evening.csv"
     file.write_text("hog_to_hog,hog_to_rest,rest,curl,turns\n" + rows + "\n")
-    assert {part.throw.defaults["law"] for part in load_throws(file)} == {law}
+    assert {part.throw.defaults["law"] for part in parts_in(file)} == {law}
     assert usual_law(str(file), None) == usual_law(str(file), "timings") == law
 
 
@@ -249,7 +249,7 @@ def test_a_table_says_of_which_throw_each_row_is(tmp_path):
         "Draw,Start, sheet ,Who threw,hog_to_hog,rest,remark,humidity\n"
         "1,19:05,A,Anna,14.2,0.3,,40\n2,19:12,,Bea,13.9,0.2,early,41\n3,19:20,B,Bea,14,0,n/a,40\n"
     )
-    first, second, _ = (part.throw for part in load_throws(file))
+    first, second, _ = (part.throw for part in parts_in(file))
     assert first.labels == {"draw": "1", "start": "19:05", "sheet": "A", "who_threw": "Anna"}
     assert second.labels == {"draw": "2", "start": "19:12", "who_threw": "Bea"}
     assert first.notes.count("columns not used: remark, humidity") == 1
@@ -279,7 +279,7 @@ def test_feet_and_inches_and_gaps_in_a_table(tmp_path, separator):
         ["14.2", "11", '"3\'3" left"', '"0.3 m"', "out"],
     )
     file.write_text("\n".join(map(separator.join, rows)) + "\n")
-    first, second, third, fourth, fifth = load_throws(file)
+    first, second, third, fourth, fifth = parts_in(file)
     assert values(first.throw) == pytest.approx(
         {"hog_to_hog": 14.2, "hog_to_rest": 11, "curl": -39 * INCH, "rest": 38.405 + 14 * INCH}
     )
@@ -291,7 +291,7 @@ def test_feet_and_inches_and_gaps_in_a_table(tmp_path, separator):
     assert values(third.throw) == {"hog_to_hog": 14.2}
     assert (second.alone, third.alone.line) == (None, 4)
     assert isinstance(fourth.throw, DataError)
-    assert [part.left_out for part in load_throws(file)] == [False, False, False, True, False]
+    assert [part.left_out for part in parts_in(file)] == [False, False, False, True, False]
     with pytest.raises(DataError, match=r"line 4.*hog_to_hog alone gives the mean speed"):
         load_throw(file, shot=3)
 
@@ -311,27 +311,27 @@ def evening(folder, *changed, rows=12):
 )
 def test_an_odd_row_is_left_out_of_a_joint_fit_unless_it_is_kept(tmp_path, row):
     file = evening(tmp_path, (4, row))
-    parts = load_throws(file)
+    parts = parts_in(file)
     assert [k for k, part in enumerate(parts) if part.left_out] == [4]
     (note,) = (note for note in parts[0].throw.notes if "odd" in note)
     assert "line 6 (" in note
     assert "--keep 6 uses" in note
-    kept = load_throws(file, keep=[6])
+    kept = parts_in(file, keep=[6])
     assert not any(part.left_out for part in kept)
     assert kept[4].throw.read_with == ("--keep=6",)
     file.write_text("# keep = [6]\n" + file.read_text())
-    assert [k for k, part in enumerate(load_throws(file)) if part.left_out] == [4]  # now line 7
+    assert [k for k, part in enumerate(parts_in(file)) if part.left_out] == [4]  # now line 7
 
 
 def test_guards_and_takeouts_are_not_odd_and_few_rows_are_left_out(tmp_path):
     varied = ((1, "9.1,-,-"), (2, "15.4,6.5,0.4 m left"), (3, "13,12.5,6 ft right"))
-    assert not any(part.left_out for part in load_throws(evening(tmp_path, *varied)))
+    assert not any(part.left_out for part in parts_in(evening(tmp_path, *varied)))
     absurd = ((1, "31,11,1 m left"), (2, "35,11,1 m left"))
-    parts = load_throws(evening(tmp_path, *absurd))
+    parts = parts_in(evening(tmp_path, *absurd))
     assert not any(part.left_out for part in parts)
     assert any("kept since they are more than a tenth: line 3" in n for n in parts[0].throw.notes)
     assert not any(
-        "odd" in n for n in load_throws(evening(tmp_path, absurd[0], rows=4))[0].throw.notes
+        "odd" in n for n in parts_in(evening(tmp_path, absurd[0], rows=4))[0].throw.notes
     )
 
 
@@ -414,7 +414,7 @@ def test_a_spreadsheet_is_read_as_its_text(tmp_path):
         archive.writestr("content.xml", SHEETS.format(table))
         archive.writestr("META-INF/manifest.xml", "<manifest/>")
     assert holds_timed_rows(file)
-    bad, good = load_throws(file)
+    bad, good = parts_in(file)
     assert bad.throw.line == 4
     assert good.throw.labels == {"start": "19:05"}
     assert good.throw.defaults["law"] == "power"

@@ -27,6 +27,8 @@ def another(
     ------
     InputError : labels that the fit does not distinguish.
     """
+    if not joint.throws:
+        raise InputError("a fit of a table predicts no throw; fit some of its throws together")
     alike = [len(one.data["labels"].items() & labels.items()) for one in joint.throws]
     near = joint.throws[max(range(len(alike)), key=lambda row: (alike[row], row))]
     if joint.means is None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from datetime import date
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -16,11 +18,11 @@ from curlfit.numerics.arrays import Floats
 from curlfit.numerics.mixed_model import bounded, to_mean
 from curlfit.output.text import join_words
 from curlfit.records import Matrix
-from curlfit.throws.throw import Throw
 
 _CLOCK = re.compile(r"(\d{1,2})[:h](\d{2})(?::(\d{2}))?")
 _DAY = 24.0  # h
 _LATE = 12.0  # h by which a clock goes back at midnight
+Labelled = Sequence[tuple[str, Mapping[str, str]]]
 
 
 @dataclass(frozen=True)
@@ -63,8 +65,8 @@ class Covariates(NamedTuple):
     """shape (throws, columns)"""
 
     @classmethod
-    def of(cls, throws: Sequence[Throw], by: Sequence[str], trend: Sequence[str]) -> Self:
-        """Of throws with labels.
+    def of(cls, throws: Labelled, by: Sequence[str], trend: Sequence[str]) -> Self:
+        """Of throws, each with its name and its labels.
 
         Raises
         ------
@@ -106,12 +108,12 @@ class Covariates(NamedTuple):
         return found
 
 
-def _labels(throws: Sequence[Throw], name: str) -> list[str]:
-    for throw in throws:
-        if name not in throw.labels:
-            known = ", ".join(throw.labels) or "none"
-            raise InputError(f"{throw.name}: no label {quoted(name)}; it has {known}")
-    return [throw.labels[name] for throw in throws]
+def _labels(throws: Labelled, name: str) -> list[str]:
+    for throw, labels in throws:
+        if name not in labels:
+            known = ", ".join(labels) or "none"
+            raise InputError(f"{throw}: no label {quoted(name)}; it has {known}")
+    return [labels[name] for _, labels in throws]
 
 
 def _natural(label: str) -> list[tuple[int, Any]]:
@@ -121,7 +123,9 @@ def _natural(label: str) -> list[tuple[int, Any]]:
 
 
 def _numbers(name: str, labels: Sequence[str]) -> tuple[list[float], str]:
-    """Hours of a clock, which may pass midnight, or numbers; and their unit."""
+    """Hours of a clock, which may pass midnight, days of dates, or numbers; and their unit."""
+    with suppress(ValueError):
+        return [float(date.fromisoformat(label).toordinal()) for label in labels], "day"
     clocks = [_CLOCK.fullmatch(label) for label in labels]
     found: list[float] = []
     for label, clock in zip(labels, clocks, strict=True):
@@ -131,7 +135,8 @@ def _numbers(name: str, labels: Sequence[str]) -> tuple[list[float], str]:
             value = np.nan
         if not np.isfinite(value) or (clock is None) != (clocks[0] is None):
             raise InputError(
-                f"trend {name}: {quoted(label)} found, expected numbers or times such as 19:05"
+                f"trend {name}: {quoted(label)} found, expected numbers, times such as 19:05, or "
+                "dates such as 2026-02-27"
             )
         if clock is not None:
             value += float(clock[3] or 0) / 3600

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -15,13 +14,12 @@ from curlfit.foreign import quoted
 from curlfit.friction import Law, find_law, no_motion_because
 from curlfit.inference.derived import check_derived
 from curlfit.inference.fit.advice import curl_warnings
-from curlfit.inference.fit.covariance import Covariance
 from curlfit.inference.fit.factors import Reduction
 from curlfit.inference.fit.prepared import PreparedThrow, local_bounds, penalties
 from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.fit.result import Estimate, FitResult
 from curlfit.inference.fit.rounds import Rounds
-from curlfit.inference.fit.summary import IMPLAUSIBLE, summarize_many, weakness
+from curlfit.inference.fit.summary import IMPLAUSIBLE, summarize_many
 from curlfit.inference.fit.systematics import widths_of
 from curlfit.inference.identifiability import Bounded, Combination, r_factors
 from curlfit.inference.joint.draw import Draw
@@ -29,8 +27,8 @@ from curlfit.inference.joint.effects import Covariates
 from curlfit.inference.joint.population import pool
 from curlfit.inference.joint.result import JointResult, Variation
 from curlfit.inference.joint.solver import Progress, minimize_jointly
-from curlfit.inference.joint.summary import Effects, means_of
-from curlfit.inference.joint.variation import told_by_each, variations_of
+from curlfit.inference.joint.summary import varying_fields
+from curlfit.inference.joint.variation import each_alone, told_by_each, variations_of, wanted_of
 from curlfit.inference.least_squares import Solution, Tasks
 from curlfit.inference.model import Model
 from curlfit.inference.problem import problem_shape
@@ -101,7 +99,8 @@ def fit_together(
     chosen = [Fitting.of(throw.settings, **given) for throw in throws]
     first = chosen[0]
     shared = _shared(law, share or "all")
-    covariates = Covariates.of(throws, _listed(by), _listed(trend))
+    labels = [(throw.name, throw.labels) for throw in throws]
+    covariates = Covariates.of(labels, _listed(by), _listed(trend))
     varies = bool(by or trend) or (share is None and len(throws) >= _VARYING)
     if first.loss != "linear" and varies:
         if by or trend:
@@ -214,17 +213,15 @@ def _equal(
     coefficients = {name: first.parameters[name] for name in shared}
     combinations = tuple(item for item in first.combinations if set(item.weights) <= set(shared))
     plain = rounds.loss == "linear" and rounds.noises[0].kind == "white"
-    combined = {name for item in combinations for name in item.weights}
-    by_name = {
-        name: {name: 1.0}
-        for name, item in coefficients.items()
-        if item.verdict == "determined" or (item.verdict == "weak" and name not in combined)
-    } | {item.expression: item.weights for item in combinations}
+    by_name = wanted_of({name: one.verdict for name, one in coefficients.items()}, combinations)
     weights = {
         name: np.array([own.get(one, 0.0) for one in parameters.names])
         for name, own in by_name.items()
     }
-    variation = variations_of(solution, tasks, weights, rounds.unknown & plain, covariates)
+    variation = variations_of(
+        each_alone(solution, tasks, rounds.unknown & plain), tasks.upper > tasks.lower,
+        solution.values[0], weights, tasks.typical, covariates,
+    )  # fmt: skip
     among = {item.expression: item for item in variation if item.significant}
     factors = r_factors(solution.jacobian, solution.residual)
     bounded = Bounded(solution.values, tasks.lower, tasks.upper)
@@ -256,7 +253,7 @@ def _equal(
     of_law = [item.name for item in rounds.model.law.coefficients()]
     told = {one.expression for one in variation if sum(map(bool, one.each)) >= _FEWEST}
     return result, told_by_each(
-        reduction, tasks.typical * (tasks.upper > tasks.lower)[0],
+        reduction.rows[..., :-1], tasks.typical * (tasks.upper > tasks.lower)[0],
         {name: own for name, own in weights.items()
          if name in told and by_name[name].keys() <= set(of_law)},
     )  # fmt: skip
@@ -273,57 +270,31 @@ def _varying(
 ) -> JointResult:
     """The result where what the throws determine varies about its mean."""
     variation = {one.expression: one for one in result.variation}
-    guess = np.array([_first_spread(variation[name]) for name in weights])
-    found = pool(rounds, tasks, solution, common, weights, guess, covariates.values)
-    fits = [rounds.record(row, one) for row, one in enumerate(unstacked(found.solution))]
+    guess = np.array([variation[name].first_spread for name in weights])
+    found, solution, others = pool(
+        rounds, tasks, solution, common, weights, guess, covariates.values
+    )
+    fits = [rounds.record(row, one) for row, one in enumerate(unstacked(solution))]
     throws = [
         replace(one, systematics=before.systematics)
-        for one, before in zip(
-            summarize_many(fits, others=found.others), result.throws, strict=True
-        )
+        for one, before in zip(summarize_many(fits, others=others), result.throws, strict=True)
     ]
-    status = _status(throws, found.solution)
+    status = _status(throws, solution)
     throws = _with_status(throws, status)
-    known = found.of_mean(result.share, tasks.lower[0, common], tasks.upper[0, common])
-    spreads = dict(zip(found.varying, map(float, found.spreads), strict=True))
-    draw = Draw(rounds.model, rounds.throws[0].stone)
-    spins = np.array([one.parameters["omega0"].value for one in throws])
-    angle = float(np.median(np.abs(draw.angle(found.solution.values[:, common], spins))))
-    units = {name: item.unit for name, item in result.coefficients.items()}
-    effects = Effects.of(found, covariates, partial(draw.quantities, angle=angle), units)
+    fields = varying_fields(
+        found, result.coefficients, result.combinations, result.variation, covariates,
+        (tasks.lower[0, common], tasks.upper[0, common]),
+        Draw(rounds.model, rounds.throws[0].stone), solution.values[:, common],
+        np.array([one.parameters["omega0"].value for one in throws]),
+    )  # fmt: skip
     return replace(
         result,
+        **fields,
         converged=all(one.converged for one in throws),
         status=_implausible_ones(throws) or status,
         warnings=(*_spin_warnings(result.variation, throws, rounds), *_throw_warnings(throws)),
-        coefficients={
-            name: one if one.verdict == "fixed" else _of_mean(one, known, row, found.dof)
-            for row, (name, one) in enumerate(result.coefficients.items())
-        },
-        combinations=found.combinations(known.combinations, result.combinations),
-        variation=tuple(
-            replace(one, spread=spreads.get(one.expression, 0.0), shared_stderr=None)
-            for one in result.variation
-        ),
-        means=means_of(found, covariates, result.share, angle),
-        groups=effects.groups,
-        differences=effects.differences,
-        trend=effects.trend,
         throws=tuple(throws),
     )
-
-
-def _of_mean(item: Estimate, known: Covariance, row: int, dof: float) -> Estimate:
-    stderr, verdict, _ = known.classified(row)
-    return replace(
-        item, value=float(known.values[row]), stderr=stderr, verdict=verdict,
-        dof=None if stderr is None else dof, reason=weakness(verdict, item.typical),
-    )  # fmt: skip
-
-
-def _first_spread(item: Variation) -> float:
-    errors = [one[1] for one in item.each if one is not None]
-    return max(item.spread, 0.1 * float(np.median(errors)))
 
 
 def _with_status(throws: Sequence[FitResult], status: str) -> list[FitResult]:

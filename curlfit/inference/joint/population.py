@@ -17,7 +17,7 @@ import numpy as np
 from curlfit.inference.fit.covariance import Covariance, Sigmas
 from curlfit.inference.fit.factors import Factors
 from curlfit.inference.fit.rounds import Rounds
-from curlfit.inference.identifiability import Bounded, Combination, r_factors
+from curlfit.inference.identifiability import Bounded, Combination, r_factor, r_factors
 from curlfit.inference.least_squares import Solution, Tasks, minimize_many
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.mixed_model import MixedFit, MixedModel, bounded
@@ -31,7 +31,7 @@ _EXACT = 1e-16  # typical sizes squared: a variance below which a direction is e
 
 
 class Population(NamedTuple):
-    """The fit of the mean, and the throws at their own coefficients."""
+    """The mean of throws, and what varies about it."""
 
     fit: MixedFit
     """in typical sizes from the reference"""
@@ -42,10 +42,6 @@ class Population(NamedTuple):
     """coefficients and combinations that vary"""
     weights: Floats
     """of the common parameters in these, shape (varying, common)"""
-    solution: Solution
-    others: Floats
-    """rows of what the other throws say of the parameters of each, with the residual as the last
-    column, shape (throws, rows, parameters + 1)"""
 
     @property
     def spreads(self) -> Floats:
@@ -103,8 +99,10 @@ def pool(
     weights: Mapping[str, Floats],
     guess: Floats,
     covariates: Floats,
-) -> Population:
-    """The mean of throws and their deviations from it.
+) -> tuple[Population, Solution, Floats]:
+    """The mean of throws and their deviations from it; the throws at their own coefficients; and
+    rows of what the others say of the parameters of each, with the residual as the last column,
+    shape (throws, rows, parameters + 1).
 
     Parameters
     ----------
@@ -158,9 +156,8 @@ def pool(
     others = np.zeros((len(values), size, len(tasks.typical) + 1))
     others[..., np.append(common, True)] = told / scale
     ended = np.full(len(values), distance < _SETTLED)
-    return Population(
-        fit, reference, typical, tuple(weights), whole, solution._replace(success=ended), others
-    )
+    found = Population(fit, reference, typical, tuple(weights), whole)
+    return found, solution._replace(success=ended), others
 
 
 def _moves(rows: Floats, null: Floats, lower: Floats, upper: Floats) -> Floats:
@@ -168,7 +165,7 @@ def _moves(rows: Floats, null: Floats, lower: Floats, upper: Floats) -> Floats:
     bounds."""
     size = len(null)
     held = np.broadcast_to(np.pad(null.T, ((0, 0), (0, 1))), (len(rows), null.shape[1], size + 1))
-    factor: Any = np.linalg.qr(np.concatenate([rows, held], 1), mode="r")[:, :size]
+    factor = r_factor(np.concatenate([rows, held], 1))[:, :size]
     root = factor[..., :-1]
     found: Any = np.linalg.solve(root, -factor[..., -1:])[..., 0]
     for row in np.flatnonzero(((found < lower) | (found > upper)).any(1)):

@@ -33,6 +33,10 @@ _WORDS = {
     "hog_to_hog": ("hog to hog", "longer", "shorter", "s"),
 }
 _CHANCE = 0.05  # probability above which an effect is within the errors
+_FIRST_ORDER = (
+    "each throw counts as the quadratic about its own optimum; errors due to conditions, which all "
+    "throws have in common, are not contained: see the fit of a throw"
+)
 _HIDDEN = ("x0", "y0", "phi0", "heading")
 
 
@@ -49,7 +53,7 @@ def print_joint(result: JointResult, console: Console | None = None) -> None:
 
 def document(result: JointResult) -> Document:
     """Shared coefficients, how the throws differ in them, and each throw's own parameters."""
-    throws = f"{len(result.throws)} throws together"
+    throws = f"{result.count} throws together"
     differing = [item.expression for item in result.variation if item.significant]
     hidden = result.rank < result.parameters
     determined = f"The throws determine {result.rank} of {result.parameters} parameters."
@@ -83,10 +87,10 @@ def document(result: JointResult) -> Document:
         warnings=result.warnings,
         notes=_notes(result),
         title=f"{throws}: {result.law} law",
-        settings=settings_of(result.throws[0])
+        settings=(settings_of(result.throws[0]) if result.throws else {})
         | {"Data": ", ".join(_files(result)), "Sigma": "", "In common": ", ".join(result.share)},
         command=_command(result),
-        names=result.throws[0].parameters,
+        names=result.throws[0].parameters if result.throws else result.coefficients,
     )  # fmt: skip
 
 
@@ -125,7 +129,8 @@ def effect_lines(result: JointResult) -> list[str]:
         by, group, against = about
         mine = {one.parameter: one for one in effects if (one.by, one.group, one.against) == about}
         per = mine["friction"].unit.partition("/")[2]
-        head = f"{by} {group} against {against}" if group else f"Per {per or 'unit'} of {by}"
+        along = f"Per {per or 'unit'}" + f" of {by}" * (by != per)
+        head = f"{by} {group} against {against}" if group else along
         first = mine["friction"]
         percent = (100 * abs(value) / friction.value for value in (first.value, first.stderr))
         parts = [f"friction {compact(*percent)} % {'higher' if first.value > 0 else 'lower'}"]
@@ -169,6 +174,8 @@ def _said(item: Variation | None, varies: bool) -> Text | str:
 
 
 def _throws(result: JointResult) -> PlainTable:
+    if not result.throws:
+        return PlainTable([])
     first = result.throws[0]
     own = [
         name
@@ -193,20 +200,24 @@ def _throws(result: JointResult) -> PlainTable:
 
 def _notes(result: JointResult) -> list[str]:
     """Remarks of the reader on all throws."""
+    if result.table is not None:
+        return [*result.table.notes, _FIRST_ORDER]
     first, *others = (one.data["notes"] for one in result.throws)
     return [note for note in first if all(note in one for one in others)]
 
 
 def _files(result: JointResult) -> list[str]:
     """The files of the throws, each once."""
+    if result.table is not None:
+        return [result.table.file]
     return list(dict.fromkeys(map(file_of, result.throws)))
 
 
 def _command(result: JointResult) -> str:
     """The command of a joint fit: with the flags that all throws have in common."""
-    first, *others = (one.data.get("flags", ()) for one in result.throws)
+    first, *others = [one.data.get("flags", ()) for one in result.throws] or [()]
     flags = [flag for flag in first if all(flag in one for one in others)]
-    if tuple(result.share) != tuple(result.throws[0].coefficients):
+    if result.throws and tuple(result.share) != tuple(result.throws[0].coefficients):
         flags.append("--share=" + ",".join(result.share))
     elif not result.varies:
         flags.append("--share=all")

@@ -12,6 +12,7 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
+from curlfit.errors import InputError
 from curlfit.foreign import safe_name
 from curlfit.friction import Law
 from curlfit.inference.derived import Derived, derive
@@ -27,6 +28,7 @@ from curlfit.inference.identifiability import Combination
 from curlfit.inference.joint.effects import Effect, Means
 from curlfit.output.text import p_text
 from curlfit.records import UNSAVED, keys, plain, require, structured
+from curlfit.stone import Stone
 
 _SIGNIFICANT = 0.01
 
@@ -62,9 +64,30 @@ class Variation:
         return self.p_value < _SIGNIFICANT
 
     @property
+    def first_spread(self) -> float:
+        """A value above zero, from which a better one is searched."""
+        errors = [one[1] for one in self.each if one is not None]
+        return max(self.spread, 0.1 * float(np.median(errors)))
+
+    @property
     def p_text(self) -> str:
         """The p-value as text, such as "p < 0.001"."""
         return p_text(self.p_value)
+
+
+@dataclass(frozen=True)
+class Table:
+    """Separate fits of throws that a joint fit is of.
+
+    Attributes
+    ----------
+    file : the table. throws : their number. stone : of most. notes : remarks on what was read.
+    """
+
+    file: str
+    throws: int
+    stone: Stone
+    notes: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -90,6 +113,7 @@ class JointResult(NamedEstimates):
     throws : a `FitResult` for each throw, with its own coefficients if these vary; its standard
         errors and its information are those of the joint fit, so that predictions from it use all
         throws.
+    table : of separate fits, in place of the throws.
     systematics : errors of what is shared due to the conditions that the fit holds fixed.
     derived : quantities requested by `--derive` and `with_derived`.
 
@@ -125,6 +149,7 @@ class JointResult(NamedEstimates):
     differences: tuple[Effect, ...] = ()
     trend: tuple[Effect, ...] = ()
     throws: tuple[FitResult, ...] = field(default=(), metadata=UNSAVED)
+    table: Table | None = None
     systematics: Systematics = field(default_factory=Systematics)
     derived: tuple[Derived, ...] = ()
 
@@ -132,6 +157,16 @@ class JointResult(NamedEstimates):
     def _estimates(self) -> dict[str, Estimate]:
         """What is shared, by name."""
         return self.coefficients
+
+    @property
+    def count(self) -> int:
+        """Number of throws."""
+        return len(self.throws) if self.table is None else self.table.throws
+
+    @property
+    def stone(self) -> Stone:
+        """That of the first throw."""
+        return self.throws[0].stone if self.table is None else self.table.stone
 
     @property
     def varies(self) -> bool:
@@ -150,6 +185,8 @@ class JointResult(NamedEstimates):
         >>> joint.derive("mu2_xi - mu1_xi").verdict
         'determined'
         """
+        if not self.throws:
+            raise InputError("a fit of a table has no derived quantities; give them to the batch")
         known = self.throws[0].first_order
         shared = {
             name: item for name, item in known.parameters.items() if name in self.coefficients

@@ -2,24 +2,75 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import NamedTuple, Self
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from curlfit.inference.joint.draw import DRAW
+from curlfit.inference.fit.covariance import Covariance
+from curlfit.inference.fit.result import Estimate
+from curlfit.inference.fit.summary import weakness
+from curlfit.inference.identifiability import Combination
+from curlfit.inference.joint.draw import DRAW, Draw
 from curlfit.inference.joint.effects import Covariates, Effect, Means
 from curlfit.inference.joint.population import Population
+from curlfit.inference.joint.result import Variation
 from curlfit.numerics.arrays import Floats
 
 _STEP = 1e-3  # typical sizes, of differences
 _FLAT = 1e-4  # m, curl of a law that cannot curl
 
 
-def means_of(
+def varying_fields(
+    found: Population,
+    coefficients: Mapping[str, Estimate],
+    combinations: Iterable[Combination],
+    variation: Iterable[Variation],
+    covariates: Covariates,
+    bounds: tuple[Floats, Floats],
+    draw: Draw,
+    values: Floats,
+    spins: Floats,
+) -> dict[str, Any]:
+    """The fields of a joint fit whose throws vary.
+
+    Parameters
+    ----------
+    coefficients, combinations, variation : of equal throws. bounds : of the coefficients.
+    values, spins : those of throws, whose draws to the tee have the usual angle.
+    """
+    known = found.of_mean(list(coefficients), *bounds)
+    units = {name: item.unit for name, item in coefficients.items()}
+    spreads = dict(zip(found.varying, map(float, found.spreads), strict=True))
+    angle = float(np.median(np.abs(draw.angle(values, spins))))
+    effects = Effects.of(found, covariates, partial(draw.quantities, angle=angle), units)
+    return effects._asdict() | {
+        "means": _means(found, covariates, tuple(coefficients), angle),
+        "coefficients": {
+            name: one if one.verdict == "fixed" else _of_mean(one, known, row, found.dof)
+            for row, (name, one) in enumerate(coefficients.items())
+        },
+        "combinations": found.combinations(known.combinations, combinations),
+        "variation": tuple(
+            replace(one, spread=spreads.get(one.expression, 0.0), shared_stderr=None)
+            for one in variation
+        ),
+    }
+
+
+def _of_mean(item: Estimate, known: Covariance, row: int, dof: float) -> Estimate:
+    stderr, verdict, _ = known.classified(row)
+    return replace(
+        item, value=float(known.values[row]), stderr=stderr, verdict=verdict,
+        dof=None if stderr is None else dof, reason=weakness(verdict, item.typical),
+    )  # fmt: skip
+
+
+def _means(
     found: Population, covariates: Covariates, names: tuple[str, ...], angle: float
 ) -> Means:
-    """The record of the means of a population."""
     effects = len(found.fit.estimate) - len(found.typical)
     scale = np.append(found.typical, np.ones(effects))
     return Means(

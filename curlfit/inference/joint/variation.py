@@ -8,16 +8,16 @@ which the differences are as large as expected (Paule and Mandel 1982).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtrc
 
-from curlfit.inference.fit.factors import Reduction
 from curlfit.inference.identifiability import (
     WEAK_ERROR,
     Bounded,
+    Combination,
     stderr_of,
     visible,
 )
@@ -28,7 +28,7 @@ from curlfit.numerics.arrays import Booleans, Floats
 _HALVINGS = 60  # of the interval that contains the variance between throws
 
 
-class _Alone(NamedTuple):
+class Alone(NamedTuple):
     """What a throw alone determines, to first order about the joint optimum."""
 
     step: Floats
@@ -39,7 +39,7 @@ class _Alone(NamedTuple):
     """1 over the standard errors along them"""
 
     @classmethod
-    def of(cls, jacobian: Floats, residual: Floats, bounded: Bounded, typical: Floats) -> _Alone:
+    def of(cls, jacobian: Floats, residual: Floats, bounded: Bounded, typical: Floats) -> Alone:
         """`jacobian`, of the weighted residuals, is in typical sizes, shape (channels, n, p)."""
         flat = jacobian.reshape(-1, len(typical))
         left, singular, right = np.linalg.svd(flat, full_matrices=False)
@@ -52,9 +52,20 @@ class _Alone(NamedTuple):
         return stderr_of(weights, self.right, self.singular)
 
 
-def told_by_each(
-    reduction: Reduction, typical: Floats, wanted: Mapping[str, Floats]
-) -> dict[str, Floats]:
+def wanted_of(
+    verdicts: Mapping[str, str], combinations: Iterable[Combination]
+) -> dict[str, dict[str, float]]:
+    """Weights of coefficients in those that are determined, and in combinations."""
+    combinations = tuple(combinations)
+    combined = {name for item in combinations for name in item.weights}
+    return {
+        name: {name: 1.0}
+        for name, verdict in verdicts.items()
+        if verdict == "determined" or (verdict == "weak" and name not in combined)
+    } | {item.expression: item.weights for item in combinations}
+
+
+def told_by_each(rows: Floats, typical: Floats, wanted: Mapping[str, Floats]) -> dict[str, Floats]:
     """Those of some coefficients and combinations that a throw of average information determines
     beside one another, the best determined first.
 
@@ -63,7 +74,7 @@ def told_by_each(
     typical : sizes of the parameters of a throw; 0 of fixed ones.
     wanted : weights of the parameters of a throw by coefficient or combination.
     """
-    rows = reduction.rows[..., :-1] * typical
+    rows = rows * typical
     information = (rows.mT @ rows).mean(0)
 
     def errors(names: Iterable[str]) -> Floats:
@@ -87,29 +98,30 @@ def told_by_each(
 
 
 def variations_of(
-    solution: Solution,
-    tasks: Tasks,
+    throws: Sequence[tuple[Alone, Alone]],
+    free: Booleans,
+    best: Floats,
     wanted: Mapping[str, Floats],
-    unknown: Booleans,
+    typical: Floats,
     covariates: Floats,
 ) -> tuple[Variation, ...]:
     """Variation of the shared coefficients as each throw alone gives them, to first order.
 
     Parameters
     ----------
-    tasks : the throws, of which the optimum together is the solution.
+    throws : each with the noise that the weights in the mean are from, and with its own.
+    free : the parameters of each that are so, shape (throws, parameters).
+    best : where the parameters in common are, beside the others of any throw.
     wanted : weights of the parameters of a throw by coefficient or combination.
-    unknown : whether sigma was estimated from least squares, shape (throws, channels).
     covariates : on which the coefficients depend, with mean zero, shape (throws, covariates).
     """
-    throws = _each_alone(solution, tasks, unknown)
     found = []
     for expression, weights in wanted.items():
-        whole, value = weights * tasks.typical, float(weights @ solution.values[0])
+        whole, value = weights * typical, float(weights @ best)
         each: list[tuple[float, float] | None] = []
         weight = []
-        for (joint, own), free in zip(throws, tasks.upper > tasks.lower, strict=True):
-            vector = whole[free]
+        for (joint, own), open_ in zip(throws, free, strict=True):
+            vector = whole[open_]
             stderr, assumed = own.stderr(vector), joint.stderr(vector)
             if stderr is None or assumed is None:
                 each.append(None)
@@ -121,14 +133,15 @@ def variations_of(
     return tuple(found)
 
 
-def _each_alone(solution: Solution, tasks: Tasks, unknown: Booleans) -> list[tuple[_Alone, _Alone]]:
-    """Of each throw, with the noise of the joint fit and with that of its own."""
+def each_alone(solution: Solution, tasks: Tasks, unknown: Booleans) -> list[tuple[Alone, Alone]]:
+    """Of each throw, with the noise of the joint fit and with that of its own where it is
+    `unknown`, shape (throws, channels), since it was estimated from least squares."""
     free, typical = tasks.upper > tasks.lower, tasks.typical
     jacobians = solution.jacobian * typical
 
-    def analysed(scale: Floats) -> list[_Alone]:
+    def analysed(scale: Floats) -> list[Alone]:
         return [
-            _Alone.of(
+            Alone.of(
                 jacobian[..., own] / sigma[:, None, None], residual / sigma[:, None],
                 Bounded(*(part[own] for part in ends)), typical[own],
             )

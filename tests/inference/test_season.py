@@ -1,0 +1,122 @@
+"""A second fit, of a table of throws that were fitted one by one, against the joint fit of all."""
+
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import command
+
+import curlfit
+from curlfit import Stone
+from curlfit.throws.synthetic import law_with, synthetic_throw, write_table
+
+STONE = Stone(R=0.065)
+
+
+@pytest.fixture(scope="module")
+def season(tmp_path_factory):
+    """Ten tracks of two sheets with notes, fitted one by one; and the joint fit of the same."""
+    folder, random, throws = tmp_path_factory.mktemp("season"), np.random.default_rng(1), []
+    notes = ["track,sheet,day"]
+    (folder / "tracks").mkdir()
+    for place in range(10):
+        sheet = place % 2 + 1
+        half = 0.009 * (1 + 0.04 * sheet + 0.01 * random.standard_normal())
+        law = law_with(
+            "front-back", {"mu1_xi": 0.004, "mu2_xi": 0.05, "mu1_eta": half, "mu2_eta": half}
+        )
+        throw = synthetic_throw(
+            law, STONE, v0=random.uniform(2.1, 2.3), omega0=random.uniform(1, 2), dt=0.2,
+            noise_xy=0.005, noise_phi=0.01, seed=place,
+        )  # fmt: skip
+        (folder / "tracks" / f"t{place}.csv").write_text(write_table(throw))
+        notes.append(f"t{place}.csv,{sheet},2026-02-{place + 20 if place < 9 else 28}")
+        labels = dict(zip(("sheet", "day"), notes[-1].split(",")[1:], strict=True))
+        loaded = curlfit.load_throw(folder / "tracks" / f"t{place}.csv")
+        throws.append(replace(loaded, labels=labels))
+    (folder / "notes.csv").write_text("\n".join(notes) + "\n")
+    words = ["tracks", "--throws", "notes.csv", "--stone", "R=0.065", "--out", "season.csv"]
+    command("batch", *words, "--workers", "1", cwd=folder)
+    joint = curlfit.fit_together(throws, stone=STONE, by="sheet", trend="day")
+    return folder, joint
+
+
+def test_a_table_gives_what_all_throws_give_together(season, tmp_path):
+    folder, joint = season
+    ran = command(
+        "fit", str(folder / "season.csv"), "--by", "sheet", "--trend", "day", cwd=tmp_path
+    )
+    assert ran.returncode == 0
+    assert "10 throws that were fitted one by one" in ran.stdout + ran.stderr
+    found = curlfit.load_joint(tmp_path / "season-fit")
+    for kind in ("groups", "differences", "trend"):
+        for one, other in zip(getattr(found, kind), getattr(joint, kind), strict=True):
+            assert (one.parameter, one.by, one.group) == (other.parameter, other.by, other.group)
+            assert one.value == pytest.approx(other.value, abs=0.03 * other.stderr)
+            assert one.stderr == pytest.approx(other.stderr, rel=0.03)
+    for name, item in joint.coefficients.items():
+        assert found.coefficients[name].verdict == item.verdict
+        if item.stderr is not None:
+            assert found.coefficients[name].value == pytest.approx(
+                item.value, abs=0.03 * item.stderr
+            )
+    (total,) = found.combinations
+    assert total.expression == "mu1_eta + mu2_eta"
+    assert (found.rank, found.parameters) == (3, 4)
+    assert found.trend[0].unit.endswith("/day")
+
+
+def test_columns_that_were_added_to_a_table_are_labels(season, tmp_path):
+    folder, _ = season
+    rows = list(csv.reader((folder / "season.csv").read_text().splitlines()))
+    head = [rows[0][0], "rink", *rows[0][1:]]
+    table = [head, *([one[0], "ab"[k % 2], *one[1:]] for k, one in enumerate(rows[1:]))]
+    table[3][head.index("status")] = "not usable"
+    with (tmp_path / "added.csv").open("w", newline="") as stream:
+        csv.writer(stream).writerows(table)
+    (tmp_path / "added.settings.json").write_text((folder / "season.settings.json").read_text())
+    ran = command("fit", "added.csv", "--by", "rink", "--out", "out", cwd=tmp_path)
+    assert "1 rows are not ok and are left out" in " ".join(ran.stdout.split())
+    found = curlfit.load_joint(tmp_path / "out")
+    assert found.count == 9
+    assert {one.group for one in found.differences} == {"b"}
+    for words, said in (
+        (["export", "--to", "latex", "--out"], "table.tex"), (["report", "--out"], "x.html"),
+        (["plot", "--out"], "joint.png"),
+    ):  # fmt: skip
+        where = tmp_path / ("x.html" if words[0] == "report" else words[0])
+        assert command(words[0], "out", *words[1:], str(where), cwd=tmp_path).returncode == 0, said
+
+
+@pytest.mark.parametrize(
+    ("change", "words", "said"),
+    [
+        (lambda text: text, ["--fix", "mu1_xi=0"], "--fix=mu1_xi=0: the throws of"),
+        (lambda text: text, ["--by", "rink"], "no label 'rink'; it has sheet, day"),
+        (lambda text: text.replace("information", "info"), [], "line 1: no column information"),
+        (lambda text: text.replace("[", "[x", 1), [], "line 2: not a row of `curlfit batch`"),
+        (lambda text: text.replace("[", "[1, ", 1), [], "line 2: not a row of `curlfit batch`"),
+        (lambda text: "\n".join(text.split("\n")[:3]) + "\n", [], "2 usable throws; expected 4"),
+    ],
+)
+def test_a_table_that_cannot_be_used(season, tmp_path, change, words, said):
+    folder, _ = season
+    (tmp_path / "a.csv").write_text(change((folder / "season.csv").read_text()))
+    (tmp_path / "a.settings.json").write_text((folder / "season.settings.json").read_text())
+    ran = command("fit", "a.csv", *words, "--out", "out", cwd=tmp_path)
+    assert ran.returncode == 2
+    assert said in ran.stdout + ran.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_table_runs_no_law_of_its_sender(season, tmp_path):
+    folder, _ = season
+    (tmp_path / "a.csv").write_text((folder / "season.csv").read_text())
+    settings = json.loads((folder / "season.settings.json").read_text())
+    settings["plan"]["law"] = f"{tmp_path}/mine.py:Mine"
+    (tmp_path / "mine.py").write_text("raise SystemExit('run')\n")
+    (tmp_path / "a.settings.json").write_text(json.dumps(settings))
+    ran = command("fit", "a.csv", "--out", "out", cwd=tmp_path)
+    assert (ran.returncode, "run" in ran.stderr) == (2, False)
