@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +18,7 @@ from curlfit.inference.parameters import START
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Said, Section, command_line, show
 from curlfit.output.text import (
+    capital,
     compact,
     decimals,
     format_estimate,
@@ -98,7 +100,12 @@ def document(fit: FitResult) -> Document:
         subject=Text.assemble(
             (f"{fit.law} law", "bold"), f", {fit.load} load{loss}{noise}, fitted to {data['file']}"
         ),
-        about=(f"{extent(fit)}; stone {stone_text(fit.stone)}", status_line(fit)),
+        about=(
+            f"{extent(fit)}; stone {stone_text(fit.stone)}",
+            status_line(fit),
+            Said(capital(quantities_line(fit.quantities) or lines_of(fit)[0])),
+            caution(fit),
+        ),
         lines=[*lines_of(fit), quantities_line(fit.quantities)],
         sections=sections,
         warnings=fit.warnings,
@@ -133,7 +140,15 @@ def posterior_document(posterior: Posterior) -> Document:
 
 def status_line(result: Any) -> Said:
     """Whether a fit, of one throw or several, converged, as a line."""
-    return Said(result.status[:1].upper() + result.status[1:], style=style_of(result))
+    return Said(capital(result.status), style=style_of(result))
+
+
+def caution(result: Any) -> Said:
+    """What the warnings of a fit that may be used are about, in a line."""
+    if not result.converged:
+        return Said("")
+    about = dict.fromkeys(re.split(r" \(|[;:,] ", one)[0] for one in result.warnings)
+    return Said(f"Caution: {'; '.join(about)}." if about else "No warnings.")
 
 
 def style_of(result: Any) -> str:

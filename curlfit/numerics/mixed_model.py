@@ -23,6 +23,7 @@ from curlfit.numerics.arrays import Floats
 _UNSEEN = 1e-3, 1e-7  # singular values, also over the largest, below which nothing is determined
 _DIFFUSE = 1e-10  # information on effects over the largest, so that undetermined ones are zero
 _RANGE = np.log([1e-6, 1e6])  # of variances over their initial values
+_STEP = 1e-4  # of differences of the logarithm: the likelihood has rounding errors
 _ZERO = 1e-4  # of a variance over that of a typical block, below which it counts as zero
 _OUTSIDE = 1e-9  # beyond a bound, by rounding
 
@@ -91,7 +92,10 @@ class MixedModel(NamedTuple):
         def of_logarithm(v: Floats) -> float:
             return self.criterion(guess * np.exp(v))
 
-        found = minimize(of_logarithm, np.zeros(len(guess)), bounds=[_RANGE] * len(guess))
+        found = minimize(
+            of_logarithm, np.zeros(len(guess)), bounds=[_RANGE] * len(guess),
+            options={"eps": _STEP, "ftol": 1e-14, "gtol": 1e-6},
+        )  # fmt: skip
         variances: Floats = guess * np.exp(found.x)
         information = np.diagonal(self.products, axis1=1, axis2=2)[:, : len(guess)]
         typical = 1 / np.maximum(np.median(information, axis=0), 1e-300)

@@ -112,6 +112,11 @@ def join_words(words: Sequence[str], last: str = "and") -> str:
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}"
 
 
+def capital(text: str) -> str:
+    """A text with its first letter as a capital."""
+    return text[:1].upper() + text[1:]
+
+
 def lower(text: str) -> str:
     """A text with a lower-case initial."""
     return text[:1].lower() + text[1:]

@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.text import Text
 
 from curlfit.inference.report import (
+    caution,
     derived_table,
     estimate_cells,
     file_of,
@@ -65,7 +66,7 @@ def document(result: JointResult) -> Document:
             (f"{result.law} law", "bold"),
             f", {result.load} load, {throws}; shared: {', '.join(result.share)}",
         ),
-        about=(status_line(result),),
+        about=(status_line(result), caution(result)),
         lines=[
             *effect_lines(result),
             *lines_of(result),
