@@ -46,3 +46,22 @@ class Call:
 
 CENTRED = Call()
 """Along the centre line, with the speed and spin of the fitted throw."""
+
+
+@dataclass(frozen=True)
+class Weight:
+    """A stone that comes to rest on the centre line.
+
+    Attributes
+    ----------
+    rests : the name of the place, and `y`, m beyond the far tee.
+    hog_to_hog, hog_to_tee : s from the near hog line; the latter None if it stops short.
+    brooms : m to the right of the centre line at the far tee, of a stone that turns clockwise and
+        of one that turns counter-clockwise.
+    """
+
+    rests: str
+    y: float
+    hog_to_hog: float
+    hog_to_tee: float | None
+    brooms: tuple[float, float]

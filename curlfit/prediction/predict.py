@@ -40,6 +40,7 @@ from curlfit.prediction.ensemble import ThrowFamily, prepare_ensemble
 from curlfit.prediction.request import ThrowRequest, ThrowStart, start_by, start_of
 from curlfit.prediction.result import Prediction
 from curlfit.prediction.simulation import Simulation
+from curlfit.prediction.weights import weights_of
 from curlfit.throws.throw import CHANNELS, Throw
 
 _ROUNDS = 200  # of draws, until enough are within the bounds
@@ -159,6 +160,7 @@ def predict(
         goal=request.goal(),
         draws={"number": draws, "used": used, "source": source, "seed": seed},
         call=call,
+        weights=weights_of(fit, begin.values["omega0"]) if together else (),
         measured={} if together else _measured_rows(fit, begin),
         warnings=tuple(warned),
         notes=(*notes, *noted),

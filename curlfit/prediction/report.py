@@ -81,6 +81,7 @@ def document(prediction: Prediction) -> Document:
                 (_quantities(prediction), Said(f"{rest} {curl}"), _outcomes(prediction),
                  _sensitivity(prediction)),
             ),
+            Section("weights", "Weights and brooms", (_weights(prediction),)),
             Section(
                 "held-out", "Rows that were not fitted", _check(check) if check else (), brief=False
             ),
@@ -162,15 +163,36 @@ def _called(prediction: Prediction) -> str:
     """The throw in curlers' terms."""
     start = {name: item["value"] for name, item in prediction.start.items()}
     broom = start["x0"] + math.tan(start["heading"]) * (TEE - start["y0"])
-    inches = round(abs(broom) / FOOT * 12)
-    side = "right" if broom > 0 else "left"
     found = [f"{name} {label}" for name, label in prediction.call.labels.items()]
     if "hog_to_hog" in prediction.quantities:
         found.append(f"{prediction.quantities['hog_to_hog'].value:.2f} s hog to hog")
-    aimed = f"{inches // 12} ft {inches % 12} in to the {side} of" if inches else "on"
-    found.append(f"broom {aimed} the centre line at the tee")
+    aimed = _broom(broom).replace(" in ", " in to the ")
+    found.append(f"broom {f'{aimed} of' if aimed else 'on'} the centre line at the tee")
     text = ", ".join(found)
     return f"{text[:1].upper()}{text[1:]}."
+
+
+def _weights(prediction: Prediction) -> PlainTable:
+    return PlainTable(
+        [
+            {
+                "rests": f"{one.rests}, {_off(one.y, ('beyond', 'before'))} the tee" if one.y
+                else "tee",
+                ">hog to hog (s)": f"{one.hog_to_hog:.2f}",
+                ">hog to tee (s)": "" if one.hog_to_tee is None else f"{one.hog_to_tee:.2f}",
+                "broom, in-turn": _broom(one.brooms[0]), "broom, out-turn": _broom(one.brooms[1]),
+            }
+            for one in prediction.weights
+        ],
+        "Weights and brooms, at the far tee; turns of a right-hander",
+    )  # fmt: skip
+
+
+def _broom(place: float) -> str:
+    """A place across the sheet in feet and inches, such as "3 ft 1 in left"."""
+    inches = round(abs(place) / FOOT * 12)
+    side = "right" if place > 0 else "left"
+    return f"{inches // 12} ft {inches % 12} in {side}" if inches else ""
 
 
 def _quantities(prediction: Prediction) -> PlainTable:

@@ -12,7 +12,7 @@ from curlfit.inference.fit.result import Extent, LoadName
 from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Floats
 from curlfit.output.frames import frame
-from curlfit.prediction.call import Call
+from curlfit.prediction.call import Call, Weight
 from curlfit.records import SERIES, Arrays, Choice, Names, Record, keys, require, require_rows
 from curlfit.sheet import TEE
 from curlfit.stone import Stone
@@ -123,6 +123,7 @@ class Prediction(Record):
     goal : None, or "words", "x", "y" (m from the tee; x None where free), "speed".
     draws : "number", "used", "source" ("chain", "covariance" or "throws" of a joint fit), "seed".
     call : the throw in curlers' terms, as asked for.
+    weights : what to throw for several places, on the ice of a joint fit.
     misfit : the model discrepancy; None where the throws of a joint fit contain its effect.
     series : t (s since the start) and x, y, phi, speed, omega of the best estimate; of x, y, phi
         also "x_parameter_sd", "x_model_sd" and the quantiles "x_2.5" ...
@@ -175,6 +176,7 @@ class Prediction(Record):
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
     call: Call = field(default_factory=Call)
+    weights: tuple[Weight, ...] = ()
     check: HeldOut | None = None
     measured: dict[str, Floats] = field(default_factory=dict, metadata=SERIES)
     sample: Annotated[Arrays, Names(("t", *PREDICTED, "rest"))] = field(

@@ -166,6 +166,30 @@ def test_another_throw_takes_its_given_time_and_has_the_spread(joint):
             curlfit.predict(joint, call=Call(labels), start={"v0": 2.2})
 
 
+def test_a_stone_thrown_as_the_table_of_weights_says_rests_where_it_says(joint):
+    call = Call({"sheet": "2"}, hog_to_hog=13.4)
+    found = curlfit.predict(joint, call=call, start={"omega0": -1.3}, draws=100)
+    assert [one.rests for one in found.weights][2] == "tee"
+    assert found.weights[2].hog_to_tee is None
+    columns = joint.means.columns({"sheet": "2"})
+    own = dict(zip(joint.means.names, joint.means.at(columns) @ joint.means.estimate, strict=True))
+    law = replace(LAW, **own)
+    for one in found.weights:
+        v = brentq(lambda v, hog=one.hog_to_hog: crossing(path_of(law, v, -1.3)) - hog, 1.7, 2.9)
+        path = path_of(law, v, -1.3)
+        # along the line to the broom, from the near hog line
+        angle = np.arctan2(one.brooms[0], sheet.TEE - HOG)
+        along, aside = path.y[-1] - HOG, path.x[-1]
+        assert along * np.cos(angle) - aside * np.sin(angle) == pytest.approx(
+            sheet.TEE + one.y - HOG, abs=0.03
+        )
+        assert along * np.sin(angle) + aside * np.cos(angle) == pytest.approx(0.0, abs=0.02)
+        assert one.brooms[1] == pytest.approx(-one.brooms[0])
+        if one.hog_to_tee is not None:
+            tee = np.interp(sheet.TEE, path.y[:-1], path.t[:-1])
+            assert one.hog_to_tee == pytest.approx(tee, abs=0.1)
+
+
 def test_without_spread_the_mean_is_the_equal_value():
     """A spread of zero is a joint fit of equal coefficients."""
     throws = evening(8, apart=0.0, rising=0.0, spread=0.0, seed=3)
