@@ -29,6 +29,7 @@ def fit_season(
     *,
     by: str | Sequence[str] = (),
     trend: str | Sequence[str] = (),
+    seed: int | None = None,
 ) -> JointResult:
     """Fit the mean of the throws in a table of `curlfit batch`, and how they vary about it.
 
@@ -40,6 +41,7 @@ def fit_season(
     file : the table, beside its settings.
     law : the law of the table, if it is your own.
     by, trend : labels of the rows, or columns that were added, as in `fit_together`.
+    seed : as in `fit_together`.
 
     Raises
     ------
@@ -47,7 +49,7 @@ def fit_season(
     InputError : too few throws; labels that a throw lacks, or that give no groups or numbers.
     """
     by, trend = ([one] if isinstance(one, str) else one for one in (by, trend))
-    return mean_of(_read(Path(file), law), by, trend)
+    return mean_of(_read(Path(file), law), by, trend, seed)
 
 
 def _read(file: Path, law: str | type[Law] | None = None) -> Season:

@@ -50,6 +50,13 @@ class Sampling(Choices):
     seed: Annotated[int | None, option(SEED, "N")] = None
     resume: Annotated[bool, option(SWITCH)] = False
 
+    def of_several(self) -> int | None:
+        """The seed for several throws that vary; None without sampling."""
+        unused = replace(self, no_sample=False, seed=None).words()
+        if unused:
+            raise InputError(f"{unused[0]}: expected it with one throw")
+        return None if self.no_sample else self.seed or 0
+
 
 def fit(
     *data: Path,
@@ -65,7 +72,7 @@ def fit(
     """Fit a friction law to a throw, or to several jointly, and show what the path determines.
 
     Writes `fit.json`, `fit.png` and, unless `--no-sample`, `chain.h5` and `corner.png`; for
-    several throws `joint.json`, `joint.png` and a folder for each, without sampling.
+    several throws `joint.json`, `joint.png` and a folder for each.
     Ctrl-C during sampling keeps the chain so far; `--resume` continues it.
 
     Example: `curlfit fit data/jensen_shegelski_2004.csv --stone rho=0.1025`
@@ -104,7 +111,7 @@ def fit(
             raise InputError(
                 f"{words[0]}: the throws of {data[0]} are fitted already; expected it in the batch"
             )
-        return _fit_table(data, flags.law, by, trend, output)
+        return _fit_table(data, flags.law, by, trend, sampling, output)
     resume, no_sample = sampling.resume, sampling.no_sample
     if resume and no_sample:
         raise InputError("--resume continues sampling, and --no-sample skips it; give one of them")
@@ -115,12 +122,7 @@ def fit(
         several = holds_timed_rows(data[0], reading.format)
     jobs = s.prepare_all(data, config, reading, flags) if several else {}
     if len(jobs) > 1:
-        if resume:
-            raise InputError("--resume continues the sampling of one throw; give one file")
-        if words := replace(sampling, no_sample=False).words():
-            flag = words[0].partition("=")[0]
-            raise InputError(f"{flag}: several throws are fitted without sampling")
-        return _fit_jointly(jobs, share, by, trend, output)
+        return _fit_jointly(jobs, share, by, trend, sampling, output)
     (file,) = data
     for name, value in (("share", share), ("by", by), ("trend", trend)):
         if value:
@@ -237,6 +239,7 @@ def _fit_jointly(
     share: str | None,
     by: Sequence[str],
     trend: Sequence[str],
+    sampling: Sampling,
     output: Output,
 ) -> Saved:
     """Fit several throws jointly and print the report; write `joint.json`, figures, single fits."""
@@ -281,7 +284,7 @@ def _fit_jointly(
         from curlfit.inference.joint.fit import fit_together
 
         result = fit_together(
-            throws, share=shared or share, by=by, trend=trend, **common,
+            throws, share=shared or share, by=by, trend=trend, seed=sampling.of_several(), **common,
             progress=lambda step, chi_squared: show(f"step {step}, chi squared {chi_squared:.6g}"),
         )  # fmt: skip
     for name, one in zip(named, result.throws, strict=True):
@@ -297,7 +300,12 @@ def _fit_jointly(
 
 
 def _fit_table(
-    data: Sequence[Path], law: str | None, by: Sequence[str], trend: Sequence[str], output: Output
+    data: Sequence[Path],
+    law: str | None,
+    by: Sequence[str],
+    trend: Sequence[str],
+    sampling: Sampling,
+    output: Output,
 ) -> Saved:
     """Fit the mean of throws that `curlfit batch` fitted one by one; write `joint.json` and its
     figure."""
@@ -309,7 +317,7 @@ def _fit_table(
     with output.status(f"Fitting the throws of {data[0]} {COMPILES}"):
         from curlfit.batch.season import fit_season
 
-        result = fit_season(data[0], law, by=by, trend=trend)
+        result = fit_season(data[0], law, by=by, trend=trend, seed=sampling.of_several())
     folder = prepare_folder(output.out or Path(f"{data[0].stem}-fit"))
     drawn.draw_beside()
     return _finish(result, output.finish(result, folder, drawn))

@@ -56,19 +56,21 @@ class MixedModel(NamedTuple):
 
     def marginal(self, variances: Floats) -> tuple[Floats, Floats]:
         """The products of each block with the deviations integrated out, without their columns, and
-        the logarithm of the determinant of the covariance of its observations."""
-        k, root = len(variances), np.sqrt(variances)
-        inner = np.eye(k) + root[:, None] * self.products[:, :k, :k] * root
-        cross = root[:, None] * self.products[:, :k, k:]
+        the logarithm of the determinant of the covariance of its observations; for variances of
+        shape (..., deviations), with the blocks after these axes."""
+        k, root = variances.shape[-1], np.sqrt(variances)[..., None, :, None]
+        inner = np.eye(k) + root * self.products[:, :k, :k] * root.mT
+        cross = root * self.products[:, :k, k:]
         rest = self.products[:, k:, k:] - cross.mT @ np.linalg.solve(inner, cross)
         return rest, np.linalg.slogdet(inner)[1]
 
-    def criterion(self, variances: Floats) -> float:
+    def criterion(self, variances: Floats) -> Floats:
         """-2 times the logarithm of the restricted likelihood, up to a constant."""
         each, determinants = self.marginal(variances)
-        normal, right, square = self.parts(each.sum(0))
-        value = determinants.sum() + np.linalg.slogdet(normal)[1] + square
-        return float(value - right @ np.linalg.solve(normal, right))
+        normal, right, square = self.parts(each.sum(-3))
+        value = determinants.sum(-1) + np.linalg.slogdet(normal)[1] + square
+        found: Floats = value - (right * np.linalg.solve(normal, right[..., None])[..., 0]).sum(-1)
+        return found
 
     def parts(self, products: Floats) -> tuple[Floats, Floats, Any]:
         """Normal matrix and right side of the mean and the effects, and the sum of squares."""
@@ -90,7 +92,7 @@ class MixedModel(NamedTuple):
         from scipy.optimize import minimize  # slow to load
 
         def of_logarithm(v: Floats) -> float:
-            return self.criterion(guess * np.exp(v))
+            return float(self.criterion(guess * np.exp(v)))
 
         found = minimize(
             of_logarithm, np.zeros(len(guess)), bounds=[_RANGE] * len(guess),
@@ -160,6 +162,11 @@ class MixedFit:
         sides, limits = _sides(means, self.lower, self.upper)
         free: Any = np.linalg.solve(normal, right)
         return within(free, root, sides, limits)
+
+    @property
+    def at_bound(self) -> bool:
+        """Whether a bound holds a mean."""
+        return len(self._bounded[1]) > 0
 
     @property
     def estimate(self) -> Floats:

@@ -85,7 +85,7 @@ class Document:
     @property
     def heading(self) -> tuple[str | Text, ...]:
         """The first lines of a report."""
-        return (self.headline or self.subject, *self.about)
+        return (self.headline or self.subject, *(line for line in self.about if line))
 
     @property
     def introduction(self) -> list[str]:

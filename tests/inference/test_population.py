@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 from conftest import command
 from scipy.optimize import brentq
+from scipy.stats import norm
 
 import curlfit
 from curlfit import InputError, sheet
 from curlfit.inference.joint.population import _moves
+from curlfit.inference.joint.posterior import sampled
+from curlfit.numerics.mixed_model import MixedModel
 from curlfit.prediction.call import Call
 from curlfit.throws.events import Event
 
@@ -272,3 +275,52 @@ def test_a_throw_that_is_told_some_coefficients_exactly_moves_in_the_others():
     assert found == pytest.approx([step, -step], rel=1e-6)
     (held,) = _moves(rows[None], np.zeros((2, 0)), -wide, np.full((1, 2), -step / 2))
     assert held == pytest.approx(np.array([step, -step]) / 2, rel=1e-6)
+
+
+def test_the_posterior_is_that_of_quadrature():
+    """Of eight throws that measure one coefficient, whose spread is the only other unknown."""
+    random, number = np.random.default_rng(2), 8
+    error = random.uniform(0.2, 0.6, number)
+    seen = 1 + 0.5 * random.standard_normal(number) + error * random.standard_normal(number)
+    model = MixedModel.of(
+        (1 / error)[:, None, None], (seen / error)[:, None], np.eye(1), np.zeros((number, 0))
+    )
+    fit = model.fitted(np.array([0.25]), np.array([-np.inf]), np.array([np.inf]))
+    found = sampled(fit, np.array([0.5]), seed=1)
+    assert found.r_hat < 1.02
+    spreads = np.linspace(1e-4, 20.0, 20001)
+    weight = (error[:, None] ** 2 + spreads**2) ** -1
+    mean = (weight * seen[:, None]).sum(0) / weight.sum(0)
+    square = (weight * (seen[:, None] - mean) ** 2).sum(0)
+    log = np.log(weight).sum(0) / 2 - np.log(weight.sum(0)) / 2 - square / 2
+    density = np.exp(log - log.max())
+    density /= density.sum()
+    for level in (0.025, 0.16, 0.5, 0.84, 0.975):
+        # the probability below each quantile, within three Monte Carlo errors of 1,000 draws
+        reach = 3 * np.sqrt(level * (1 - level) / 1000)
+        spread, middle = (
+            np.quantile(draws[:, 0], level) for draws in (found.spreads, found.estimate)
+        )
+        assert density[spreads < spread].sum() == pytest.approx(level, abs=reach)
+        below = density @ norm.cdf(middle, mean, weight.sum(0) ** -0.5)
+        assert below == pytest.approx(level, abs=reach)
+    assert sampled(fit, np.array([0.5]), seed=None) is None
+
+
+def test_a_coefficient_that_is_fixed_takes_no_part():
+    """With mu1_eta fixed, mu2_eta says all that the sum says; without, it is the sum that does."""
+    whole = curlfit.fit_together(evening(), "front-back", stone=STONE, by="sheet", trend="hour")
+    split = curlfit.fit_together(
+        evening(), "front-back", stone=STONE, by="sheet", trend="hour", fix={"mu1_eta": 0.009}
+    )
+    assert split.converged
+    total, one = (
+        one_of(joint.differences, name, by="sheet")
+        for joint, name in ((whole, "mu1_eta + mu2_eta"), (split, "mu2_eta"))
+    )
+    assert one.value == pytest.approx(total.value, rel=1e-3)
+    assert one.stderr == pytest.approx(total.stderr, rel=1e-3)
+    assert {each.parameters["mu1_eta"].value for each in split.throws} == {0.009}
+    for name in ("friction", "curl", "hog_to_hog"):
+        mine, other = (one_of(joint.differences, name, by="sheet") for joint in (split, whole))
+        assert (mine.value, mine.stderr) == pytest.approx((other.value, other.stderr), rel=1e-3)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import date
 from typing import Any, NamedTuple, Self
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from curlfit.errors import InputError
 from curlfit.foreign import quoted
+from curlfit.inference.derived import Quantiles
 from curlfit.inference.identifiability import WithInterval
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.mixed_model import bounded, to_mean
@@ -39,6 +40,7 @@ class Effect(WithInterval):
         throws together.
     group, against : the group, and the one that it is compared with; empty for a trend.
     unit : of the value.
+    quantiles : of the posterior, "2.5" to "97.5"; empty if it was not sampled.
     """
 
     parameter: str
@@ -50,6 +52,7 @@ class Effect(WithInterval):
     group: str = ""
     against: str = ""
     unit: str = "1"
+    quantiles: Quantiles = field(default_factory=dict)
 
 
 class Covariates(NamedTuple):

@@ -25,6 +25,7 @@ from curlfit.inference.identifiability import Bounded, Combination, r_factors
 from curlfit.inference.joint.draw import Draw
 from curlfit.inference.joint.effects import Covariates
 from curlfit.inference.joint.population import pool
+from curlfit.inference.joint.posterior import sampled
 from curlfit.inference.joint.result import JointResult, Variation
 from curlfit.inference.joint.solver import Progress, minimize_jointly
 from curlfit.inference.joint.summary import varying_fields
@@ -52,6 +53,7 @@ def fit_together(
     by: str | Sequence[str] = (),
     trend: str | Sequence[str] = (),
     load: str | None = None,
+    seed: int | None = None,
     progress: Progress | None = None,
     **choices: Any,
 ) -> JointResult:
@@ -73,6 +75,8 @@ def fit_together(
     by : labels of the throws, such as "sheet", by which they form groups whose means differ.
     trend : labels, such as "start", along whose numbers or clock times the means change in
         proportion.
+    seed : of a sample of the posterior of the mean, its effects and the spreads by emcee, for their
+        quantiles; none is taken if not given.
     progress : called with the number of steps done and chi squared.
     {choices}
 
@@ -144,7 +148,7 @@ def fit_together(
     widths = widths_of(model, first.systematics, prepared, jointly=True)
     result, weights = _equal(rounds, tasks, solution, common, widths, covariates.values)
     if varies and weights:
-        result = _varying(result, rounds, tasks, solution, common, weights, covariates)
+        result = _varying(result, rounds, tasks, solution, common, weights, covariates, seed)
     each = tuple(replace(one, quantities=quantities_of(one)) for one in result.throws)
     return replace(result, throws=each).with_derived(first.derive)
 
@@ -267,6 +271,7 @@ def _varying(
     common: Booleans,
     weights: dict[str, Floats],
     covariates: Covariates,
+    seed: int | None,
 ) -> JointResult:
     """The result where what the throws determine varies about its mean."""
     variation = {one.expression: one for one in result.variation}
@@ -286,6 +291,7 @@ def _varying(
         (tasks.lower[0, common], tasks.upper[0, common]),
         Draw(rounds.model, rounds.throws[0].stone), solution.values[:, common],
         np.array([one.parameters["omega0"].value for one in throws]),
+        sampled(found.fit, guess, seed),
     )  # fmt: skip
     return replace(
         result,

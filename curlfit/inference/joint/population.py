@@ -137,16 +137,17 @@ def pool(
         within = Bounded(values, tasks.lower, tasks.upper)
         reduction = Factors.of(factors, within, tasks.typical, penalty, common).reduction
         assert reduction is not None
-        rows = reduction.rows[..., :-1][..., common] * typical
+        each = reduction.rows[..., np.append(common, True)] * np.append(typical * free, 1.0)
+        rows, left = each[..., :-1], each[..., -1]
         now = (values[:, common] - reference) / typical
-        target = (rows @ now[..., None])[..., 0] - reduction.rows[..., -1]
+        target = (rows @ now[..., None])[..., 0] - left
         model = MixedModel.of(rows, target, directions, covariates)
         if distance > _NEAR:  # afterwards variances stay, which might alternate with zero
             variances = model.variances(guess**2)
         fit = MixedFit(model, variances, lower, upper)
         mean, matrix = fit.predicted_by_others()
         told = _rows(mean, matrix, now, fit.model.null)
-        every = np.concatenate([reduction.rows[..., np.append(common, True)] * scale, told], 1)
+        every = np.concatenate([each, told], 1)
         move = _moves(every, fit.model.null, lower - now, upper - now)[..., None]
         distance = float(np.linalg.norm(every[..., :-1] @ move, axis=1).max())
         if distance < _SETTLED:

@@ -22,10 +22,20 @@ from curlfit.inference.report import (
 )
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Section, command_line, show
-from curlfit.output.text import compact, format_estimate, join_words, labelled, lower, p_text
+from curlfit.output.text import (
+    compact,
+    format_estimate,
+    from_to,
+    join_words,
+    labelled,
+    lower,
+    p_text,
+    two_digits,
+)
 from curlfit.throws.throw import UNITS
 
 if TYPE_CHECKING:
+    from curlfit.inference.derived import Quantiles
     from curlfit.inference.joint.result import JointResult, Variation
 
 _DRAWN = ("friction", "curl", "hog_to_hog")
@@ -156,8 +166,19 @@ def _effects(result: JointResult) -> PlainTable:
         rows.append(
             {"": what, "quantity": labelled(one.parameter, one.unit), ">estimate": value}
             | {">std. error": error, "p": "" if one.p is None else p_text(one.p)}
+            | _posterior(one.quantiles)
         )
+    rows += [
+        {"": "between throws", "quantity": item.expression, ">estimate": two_digits(item.spread)}
+        | _posterior(item.quantiles)
+        for item in result.variation
+        if item.quantiles
+    ]
     return PlainTable(rows, "Groups and trends")
+
+
+def _posterior(quantiles: Quantiles) -> dict[str, str]:
+    return {"68 % of posterior": from_to(quantiles["16"], quantiles["84"])} if quantiles else {}
 
 
 def _said(item: Variation | None, varies: bool) -> Text | str:

@@ -15,7 +15,7 @@ import numpy as np
 from curlfit.errors import InputError
 from curlfit.foreign import safe_name
 from curlfit.friction import Law
-from curlfit.inference.derived import Derived, derive
+from curlfit.inference.derived import Derived, Quantiles, derive
 from curlfit.inference.fit.result import (
     Estimate,
     FitResult,
@@ -47,6 +47,7 @@ class Variation:
     mean, stderr : mean over such throws and its standard error, including the spread between them.
     shared_stderr : standard error of an estimate of equal values as one of this mean.
     significant : p_value below 0.01.
+    quantiles : of the posterior of the spread; empty if it was not sampled.
     """
 
     expression: str
@@ -56,6 +57,7 @@ class Variation:
     mean: float
     stderr: float
     shared_stderr: float | None = None
+    quantiles: Quantiles = field(default_factory=dict)
     written: ClassVar[tuple[str, ...]] = ("significant",)
 
     @property

@@ -17,6 +17,7 @@ from curlfit.inference.identifiability import Bounded
 from curlfit.inference.joint.draw import Draw
 from curlfit.inference.joint.effects import Covariates, Labelled
 from curlfit.inference.joint.population import Population
+from curlfit.inference.joint.posterior import sampled
 from curlfit.inference.joint.result import JointResult, Table
 from curlfit.inference.joint.summary import varying_fields
 from curlfit.inference.joint.variation import Alone, told_by_each, variations_of, wanted_of
@@ -68,12 +69,14 @@ class Season(NamedTuple):
     notes: tuple[str, ...]
 
 
-def mean_of(season: Season, by: Sequence[str] = (), trend: Sequence[str] = ()) -> JointResult:
+def mean_of(
+    season: Season, by: Sequence[str], trend: Sequence[str], seed: int | None
+) -> JointResult:
     """The mean of throws, how they vary about it, and what groups and trends do.
 
     Parameters
     ----------
-    by, trend : labels, as in `fit_together`.
+    by, trend, seed : as in `fit_together`.
 
     Raises
     ------
@@ -134,10 +137,11 @@ def mean_of(season: Season, by: Sequence[str] = (), trend: Sequence[str] = ()) -
     )
     spreads = np.array([item.first_spread for item in variation])
     some = np.linspace(0, count - 1, min(count, _TURNING)).astype(int)
+    found = population(weights, covariates.values, spreads)
     fields = varying_fields(
-        population(weights, covariates.values, spreads), coefficients, known.combinations,
+        found, coefficients, known.combinations,
         variation, covariates, (lower, upper), Draw(season.model, season.stone),
-        season.values[some], season.spins[some],
+        season.values[some], season.spins[some], sampled(found.fit, spreads, seed),
     )  # fmt: skip
     return JointResult(
         law=season.model.law.name,

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
+from curlfit.inference.derived import Quantiles, quantiles_of
 from curlfit.inference.fit.covariance import Covariance
 from curlfit.inference.fit.result import Estimate
 from curlfit.inference.fit.summary import weakness
@@ -16,6 +17,7 @@ from curlfit.inference.identifiability import Combination
 from curlfit.inference.joint.draw import DRAW, Draw
 from curlfit.inference.joint.effects import Covariates, Effect, Means
 from curlfit.inference.joint.population import Population
+from curlfit.inference.joint.posterior import Draws
 from curlfit.inference.joint.result import Variation
 from curlfit.numerics.arrays import Floats
 
@@ -33,6 +35,7 @@ def varying_fields(
     draw: Draw,
     values: Floats,
     spins: Floats,
+    draws: Draws | None = None,
 ) -> dict[str, Any]:
     """The fields of a joint fit whose throws vary.
 
@@ -40,12 +43,17 @@ def varying_fields(
     ----------
     coefficients, combinations, variation : of equal throws. bounds : of the coefficients.
     values, spins : those of throws, whose draws to the tee have the usual angle.
+    draws : from the posterior of the population.
     """
     known = found.of_mean(list(coefficients), *bounds)
     units = {name: item.unit for name, item in coefficients.items()}
     spreads = dict(zip(found.varying, map(float, found.spreads), strict=True))
     angle = float(np.median(np.abs(draw.angle(values, spins))))
-    effects = Effects.of(found, covariates, partial(draw.quantities, angle=angle), units)
+    drawn = partial(draw.quantities, angle=angle)
+    effects = Effects.of(found, covariates, drawn, units, draws)
+    of_spreads = {} if draws is None else dict(
+        zip(found.varying, map(quantiles_of, draws.spreads.T), strict=True)
+    )  # fmt: skip
     return effects._asdict() | {
         "means": _means(found, covariates, tuple(coefficients), angle),
         "coefficients": {
@@ -54,7 +62,12 @@ def varying_fields(
         },
         "combinations": found.combinations(known.combinations, combinations),
         "variation": tuple(
-            replace(one, spread=spreads.get(one.expression, 0.0), shared_stderr=None)
+            replace(
+                one,
+                spread=spreads.get(one.expression, 0.0),
+                shared_stderr=None,
+                quantiles=of_spreads.get(one.expression, {}),
+            )
             for one in variation
         ),
     }
@@ -102,10 +115,11 @@ class Effects(NamedTuple):
         covariates: Covariates,
         drawn: Callable[[Floats], Floats],
         units: Mapping[str, str],
+        draws: Draws | None = None,
     ) -> Self:
         """Of a population; `drawn` are the quantities of a draw by vectors of the parameters in
-        common, `units` those of the coefficients."""
-        told, at = _Quantities.of(found, drawn, units), found.fit.at
+        common, `units` those of the coefficients, `draws` are from the posterior."""
+        told, at = _Quantities.of(found, drawn, units, draws), found.fit.at
         nothing = 0 * covariates.mean
         groups = told.effects(at(nothing), told.values(nothing[None])[0])
         differences, trend = [], []
@@ -134,10 +148,15 @@ class _Quantities(NamedTuple):
     """by name of the quantity"""
     slopes: Floats
     """derivatives by the parameters of the mean in typical sizes, shape (quantities, parameters)"""
+    draws: Draws | None
 
     @classmethod
     def of(
-        cls, found: Population, drawn_at: Callable[[Floats], Floats], units: Mapping[str, str]
+        cls,
+        found: Population,
+        drawn_at: Callable[[Floats], Floats],
+        units: Mapping[str, str],
+        draws: Draws | None,
     ) -> Self:
         steps = _STEP * np.diag(found.typical)
         centre, size = found.of_mean_at(np.zeros(found.fit.model.covariates.shape[1])), len(steps)
@@ -147,7 +166,7 @@ class _Quantities(NamedTuple):
         names = {name: units.get(name, "1") for name in found.varying} | shown
         kept = np.isin([*DRAW], [*shown])
         whole = np.concatenate([found.weights * found.typical, slopes[kept]])
-        return cls(found, drawn_at, names, whole)
+        return cls(found, drawn_at, names, whole, draws)
 
     def values(self, columns: Floats) -> Floats:
         """The quantities where covariates have some values, shape (points, quantities)."""
@@ -164,8 +183,26 @@ class _Quantities(NamedTuple):
 
         matrix, dof, made = self.slopes @ to, self.found.dof, []
         errors = np.sqrt(np.einsum("ij,jk,ik->i", matrix, self.found.fit.covariance, matrix))
-        for (name, unit), value, error in zip(self.units.items(), values, errors, strict=True):
+        sampled: list[Quantiles] = [{}] * len(values)
+        if self.draws is not None:
+            off = (self.draws.estimate - self.found.fit.estimate) @ matrix.T
+            sampled = [*map(quantiles_of, (values + off).T)]
+        for (name, unit), value, error, quantiles in zip(
+            self.units.items(), values, errors, sampled, strict=True
+        ):
             p = 2 * float(stdtr(dof, -abs(value) / error)) if tested and error else None
             unit = unit if per == "1" else f"{unit}/{per}"
-            made.append(Effect(name, float(value), float(error), dof, p, by, unit=unit, **group))
+            made.append(
+                Effect(
+                    name,
+                    float(value),
+                    float(error),
+                    dof,
+                    p,
+                    by,
+                    unit=unit,
+                    quantiles=quantiles,
+                    **group,
+                )
+            )
         return made

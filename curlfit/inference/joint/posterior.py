@@ -1,0 +1,74 @@
+"""The posterior of the mean of throws that vary, of its effects and of the spreads.
+
+The throws' own parameters are integrated out by Laplace's approximation, and the mean and the
+effects, whose prior is flat, in closed form: what is left is the restricted likelihood of the
+spreads times their prior, which is flat (Gelman 2006, Bayesian Analysis 1, 515). emcee samples it;
+the mean and the effects are normal where the spreads are given.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from curlfit.inference.mcmc.summary import effective_size, normal_scores, r_hat
+from curlfit.numerics.arrays import Floats
+from curlfit.numerics.mixed_model import MixedFit
+
+_WALKERS, _STEPS, _ROUNDS = 40, 250, 20
+_R_HAT, _ENOUGH = 1.02, 1000  # effective sample size
+_MOST = 60  # throws; more know their spreads so well that Student's t says the same
+_KEPT = 4000
+_SIZE = 50_000  # throws times draws at a time
+
+
+class Draws(NamedTuple):
+    """Of a posterior."""
+
+    estimate: Floats
+    """the mean and its effects, shape (draws, numbers)"""
+    spreads: Floats
+    """shape (draws, directions)"""
+    r_hat: float
+    """largest of the spreads"""
+
+
+def sampled(fit: MixedFit, spreads: Floats, seed: int | None) -> Draws | None:
+    """Draws from the posterior; none without a seed, where a bound holds a mean, or of many throws.
+
+    Parameters
+    ----------
+    spreads : standard deviations above zero, from which the search begins.
+    """
+    if seed is None or fit.at_bound or len(fit.model.products) > _MOST:
+        return None
+    import emcee
+
+    model = fit.model
+    random, size = np.random.default_rng(seed), len(spreads)
+
+    def log_posterior(spreads: Floats) -> Floats:  # even, and smooth where one is zero
+        return -model.criterion(spreads**2) / 2
+
+    moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.DESnookerMove(), 0.2)]
+    sampler = emcee.EnsembleSampler(_WALKERS, size, log_posterior, moves=moves, vectorize=True)
+    sampler.random_state = np.random.RandomState(seed).get_state()
+    state = spreads * np.exp(0.5 * random.standard_normal((_WALKERS, size)))
+    for _ in range(_ROUNDS):
+        state = sampler.run_mcmc(state, _STEPS)
+        chain = sampler.get_chain(discard=sampler.iteration // 2)
+        scores = [normal_scores(np.abs(series)) for series in chain.T]
+        worst = max(map(r_hat, scores))
+        if worst < _R_HAT and min(map(effective_size, scores)) > _ENOUGH:
+            break
+    flat = np.abs(chain.reshape(-1, size))
+    found = flat[np.linspace(0, len(flat) - 1, _KEPT).astype(int)]
+    estimates = []
+    for some in np.array_split(found, max(1, len(found) * len(model.products) // _SIZE)):
+        normal, right, _ = model.parts(model.marginal(some**2)[0].sum(-3))
+        root: Any = np.linalg.cholesky(normal)
+        mean: Any = np.linalg.solve(normal, right[..., None])
+        noise = random.standard_normal(mean.shape)
+        estimates.append((mean + np.linalg.solve(root.mT, noise))[..., 0])
+    return Draws(np.concatenate(estimates), found, worst)
