@@ -55,7 +55,10 @@ def write(tmp_path):
     return to_file
 
 
-LONG = ("test_book", "test_laws", "test_motion", "test_prediction", "test_hard_numerics")
+LONG = (
+    "test_book", "test_population", "test_laws", "test_prediction", "test_results_in_notebooks",
+    "test_comparison", "test_batch", "test_timings", "test_hard_numerics",
+)  # fmt: skip
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -131,8 +131,9 @@ class _CompiledFunction:
         if found is None:
             found = _compile(lowered or self._lowered(call), self.optimize)
             if file is not None:
-                # Some devices cannot serialize programs.
-                with suppress(ValueError, NotImplementedError):
+                # Some devices cannot serialize programs, and none can once they have been run: JAX
+                # returns such a one if the same function is compiled again.
+                with suppress(ValueError, NotImplementedError, jax.errors.JaxRuntimeError):
                     cache.write(file, pickle.dumps(serialize(found)))
         return found
 

@@ -72,8 +72,8 @@ files.replace(folder, ["a"], lambda: picture("a"))  # which no other process can
 files.written()
 assert Path("pid").read_text() == str(os.getpid())
 assert there == (Path("a.svg").read_bytes(), Path("a.png").read_bytes())
-files.replace(folder, ["wrong"], partial(picture, "wrong"))
 try:
+    files.replace(folder, ["wrong"], partial(picture, "wrong"))
     files.written()
 except ValueError as error:
     print(error)

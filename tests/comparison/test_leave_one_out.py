@@ -49,7 +49,7 @@ def path(value, times):
 
 def test_the_closed_form_against_fits_without_the_row(throw, fit):
     # The first row stays: where it is left out, the initial state is that of another time.
-    rows = range(1, len(throw))
+    rows = np.arange(1, len(throw), 2)
     cut = [
         curlfit.Throw.from_arrays(
             *(np.delete(series, row) for series in (throw.t, throw.x, throw.y, throw.phi)),
@@ -76,9 +76,9 @@ def test_the_closed_form_against_fits_without_the_row(throw, fit):
 
     found, others = leave_one_out(fit), fit_throws(cut, "coulomb")
     expected = [log_predictive(*pair) for pair in zip(others, rows, strict=True)]
-    np.testing.assert_allclose(found.left_out[1:], expected, atol=2e-3)
+    np.testing.assert_allclose(found.left_out[rows], expected, atol=2e-3)
     fitted = [log_predictive(fit, row) for row in rows]
-    np.testing.assert_allclose(found.fitted[1:], fitted, atol=2e-3)
+    np.testing.assert_allclose(found.fitted[rows], fitted, atol=2e-3)
 
 
 def test_an_estimated_sigma_against_the_exact_integral():
