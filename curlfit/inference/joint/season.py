@@ -6,23 +6,25 @@ of the law, and that is all that a second fit needs of it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
 from curlfit.errors import InputError
+from curlfit.friction import Coefficient
+from curlfit.inference.fit.covariance import Covariance
 from curlfit.inference.fit.result import Estimate, FitResult
 from curlfit.inference.identifiability import Bounded
 from curlfit.inference.joint.draw import Draw
 from curlfit.inference.joint.effects import Covariates, Labelled
 from curlfit.inference.joint.population import Population
 from curlfit.inference.joint.posterior import sampled
-from curlfit.inference.joint.result import JointResult, Table
+from curlfit.inference.joint.result import JointResult, Table, Variation
 from curlfit.inference.joint.summary import varying_fields
 from curlfit.inference.joint.variation import Alone, told_by_each, variations_of, wanted_of
 from curlfit.inference.model import Model
-from curlfit.numerics.arrays import Floats
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.mixed_model import MixedFit, MixedModel
 from curlfit.stone import Stone
 
@@ -69,6 +71,81 @@ class Season(NamedTuple):
     notes: tuple[str, ...]
 
 
+class _Quadratics(NamedTuple):
+    """The log-likelihoods of throws in typical sizes from a reference."""
+
+    items: tuple[Coefficient, ...]
+    reference: Floats
+    typical: Floats
+    free: Booleans
+    bounds: tuple[Floats, Floats]
+    """the reference where a coefficient is fixed"""
+    rows: Floats
+    target: Floats
+
+    @classmethod
+    def of(cls, season: Season) -> Self:
+        """About the median of the throws."""
+        items = season.model.law.coefficients()
+        typical, lower, upper = (
+            np.array([getattr(item, name) for item in items])
+            for name in ("typical", "lower", "upper")
+        )
+        reference = np.clip(np.median(season.values, axis=0), lower, upper)
+        rows = season.told[..., :-1]
+        free = rows.any((0, 1)) | (np.ptp(season.values, axis=0) > 0)
+        bounds = np.where(free, lower, reference), np.where(free, upper, reference)
+        target = season.told[..., -1] - rows @ reference
+        return cls(items, reference, typical, free, bounds, rows * typical, target)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the coefficients."""
+        return tuple(item.name for item in self.items)
+
+    def population(
+        self, weights: Mapping[str, Floats], columns: Floats, spreads: Floats
+    ) -> Population:
+        """The fit where what has these weights varies; `spreads` are first values."""
+        whole = np.array([*weights.values()]).reshape(len(weights), len(self.items))
+        directions: Any = np.linalg.pinv(whole * self.typical * self.free)
+        model = MixedModel.of(self.rows, self.target, directions, columns)
+        lower, upper = (
+            np.where(self.free, (end - self.reference) / self.typical, sign * np.inf)
+            for end, sign in zip(self.bounds, (-1, 1), strict=True)
+        )
+        variances = model.variances(spreads**2) if len(spreads) else spreads
+        fit = MixedFit(model, variances, lower, upper)
+        return Population(fit, self.reference, self.typical, tuple(weights), whole)
+
+    def equal(self) -> tuple[Covariance, dict[str, Estimate]]:
+        """What all throws say if they are equal."""
+        none = np.zeros(0)
+        known = self.population({}, np.zeros((len(self.rows), 0)), none).of_mean(
+            self.names, *self.bounds
+        )
+        return known, {
+            item.name: Estimate(
+                float(value), None, known.classified(row)[1] if free else "fixed", item.unit,
+                item.symbol, item.meaning, item.lower, item.upper, item.typical,
+            )
+            for row, (item, value, free) in enumerate(
+                zip(self.items, self.reference, self.free, strict=True)
+            )
+        }  # fmt: skip
+
+    def variations(self, wanted: Mapping[str, Floats], covariates: Floats) -> tuple[Variation, ...]:
+        """Of what has these weights, as each throw alone gives it."""
+        free, typical = self.free, self.typical
+        at = Bounded(*(part[free] for part in (self.reference, *self.bounds)))
+        alone = [
+            Alone.of(rows[None, :, free], -left[None], at, typical[free])
+            for rows, left in zip(self.rows, self.target, strict=True)
+        ]
+        pairs, open_ = [(one, one) for one in alone], np.tile(free, (len(alone), 1))
+        return variations_of(pairs, open_, self.reference, wanted, typical, covariates)
+
+
 def mean_of(
     season: Season, by: Sequence[str], trend: Sequence[str], seed: int | None
 ) -> JointResult:
@@ -83,75 +160,41 @@ def mean_of(
     InputError : too few throws; labels that a throw lacks, or that give no groups or numbers;
         throws that determine nothing.
     """
-    count, items = len(season.told), season.model.law.coefficients()
+    count = len(season.told)
     if count < _FEWEST:
         raise InputError(f"{season.file}: {count} usable throws; expected {_FEWEST} or more")
     covariates = Covariates.of(season.labels, by, trend)
-    names = tuple(item.name for item in items)
-    typical, lower, upper = (
-        np.array([getattr(item, name) for item in items]) for name in ("typical", "lower", "upper")
-    )
-    reference = np.clip(np.median(season.values, axis=0), lower, upper)
-    free = season.told[..., :-1].any((0, 1)) | (np.ptp(season.values, axis=0) > 0)
-    lower, upper = (np.where(free, end, reference) for end in (lower, upper))
-    rows = season.told[..., :-1] * typical
-    target = season.told[..., -1] - season.told[..., :-1] @ reference
-    ends = [
-        np.where(free, (end - reference) / typical, sign * np.inf)
-        for end, sign in ((lower, -1), (upper, 1))
-    ]
-
-    def population(weights: dict[str, Floats], columns: Floats, spreads: Floats) -> Population:
-        whole = np.array([*weights.values()]).reshape(len(weights), len(names))
-        directions = np.linalg.pinv(whole * typical * free)
-        model = MixedModel.of(rows, target, directions, columns)
-        variances = model.variances(spreads**2) if len(spreads) else spreads
-        fit = MixedFit(model, variances, *ends)
-        return Population(fit, reference, typical, tuple(weights), whole)
-
-    nothing = np.zeros(0)
-    known = population({}, covariates.values[:, :0], nothing).of_mean(names, lower, upper)
-    coefficients = {}
-    for row, item in enumerate(items):
-        verdict = known.classified(row)[1] if free[row] else "fixed"
-        coefficients[item.name] = Estimate(
-            float(reference[row]), None, verdict, item.unit, item.symbol, item.meaning,
-            item.lower, item.upper, item.typical,
-        )  # fmt: skip
+    throws = _Quadratics.of(season)
+    known, coefficients = throws.equal()
     verdicts = {name: item.verdict for name, item in coefficients.items()}
     wanted = {
-        name: np.array([own.get(one, 0.0) for one in names])
+        name: np.array([own.get(one, 0.0) for one in throws.names])
         for name, own in wanted_of(verdicts, known.combinations).items()
     }
-    weights = told_by_each(season.told[..., :-1], typical * free, wanted)
+    variation = {one.expression: one for one in throws.variations(wanted, covariates.values)}
+    weights = told_by_each(
+        throws.rows / throws.typical, throws.typical * throws.free,
+        {name: wanted[name] for name in variation},
+    )  # fmt: skip
     if not weights:
         raise InputError(f"{season.file}: a throw determines no coefficient by itself")
-    at = Bounded(*(part[free] for part in (reference, lower, upper)))
-    each = [
-        Alone.of(row[None, :, free], -left[None], at, typical[free])
-        for row, left in zip(rows, target, strict=True)
-    ]
-    open_ = np.tile(free, (count, 1))
-    variation = variations_of(
-        [(one, one) for one in each], open_, reference, weights, typical, covariates.values
-    )
-    spreads = np.array([item.first_spread for item in variation])
+    spreads = np.array([variation[name].first_spread for name in weights])
+    found = throws.population(weights, covariates.values, spreads)
     some = np.linspace(0, count - 1, min(count, _TURNING)).astype(int)
-    found = population(weights, covariates.values, spreads)
     fields = varying_fields(
-        found, coefficients, known.combinations,
-        variation, covariates, (lower, upper), Draw(season.model, season.stone),
-        season.values[some], season.spins[some], sampled(found.fit, spreads, seed),
+        found, coefficients, known.combinations, variation.values(), covariates, throws.bounds,
+        Draw(season.model, season.stone), season.values[some], season.spins[some],
+        sampled(found.fit, spreads, seed),
     )  # fmt: skip
     return JointResult(
         law=season.model.law.name,
         load=season.model.load,
-        share=names,
+        share=throws.names,
         converged=True,
         status=f"converged ({count} throws that were fitted one by one)",
         warnings=(),
         rank=known.identifiability.rank,
-        parameters=int(free.sum()),
+        parameters=int(throws.free.sum()),
         table=Table(season.file, count, season.stone, season.notes),
         **fields,
     )
