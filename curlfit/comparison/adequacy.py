@@ -14,8 +14,9 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from curlfit.comparison.result import PLACE
-from curlfit.dynamics.law_structure import law_in_general, sample_points
+from curlfit.dynamics.law_structure import sample_points
 from curlfit.friction import Law, Load, LocalLaw
+from curlfit.friction.curl import law_in_general
 from curlfit.friction.family import LawFamily
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.initial_values import POINTS, accelerations_along

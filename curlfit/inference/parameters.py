@@ -13,9 +13,11 @@ import numpy as np
 from curlfit.errors import DataError, InputError, require_kind
 from curlfit.foreign import quoted
 from curlfit.friction import Law, Parameter
+from curlfit.friction.curl import can_curl
 from curlfit.inference.conditions import CONDITIONS, WEAK_CONDITIONS
 from curlfit.inference.priors import NO_PRIOR, Penalty, Prior, parse_priors, penalty_of
 from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.stone import Stone
 from curlfit.throws.throw import Throw
 
 FEWEST_ROWS = 3
@@ -144,8 +146,9 @@ class ParameterSet:
         What no measurement can determine of the initial state is fixed, at zero or at the value
         that the throw assumes: a coordinate that was not measured, the heading unless both were,
         the angle where it was not measured. Where only timed events were measured, the spin is
-        fixed too unless an angle was measured or the spin was named, and the heading unless there
-        are events for all parameters: x is then counted from its direction.
+        fixed too unless an angle was measured or the spin was named, and the heading if only the
+        curl was measured, which is counted from its direction, of a law that can curl, or if there
+        are fewer events than parameters.
 
         Raises
         ------
@@ -164,7 +167,11 @@ class ParameterSet:
                 parameters = parameters.with_fixed(name, throw.assumed.get(name, 0.0))
         free = int(parameters.free.sum())
         if not throw.has_path and parameters.free[parameters.index("heading")]:
-            if ("x" not in measured or free > len(throw.events)) and "heading" not in named:
+            places = [one for one in throw.events if one.quantity == "x" and one.since is None]
+            # mypy takes a class for one of its instances, which have no hash.
+            curls = can_curl(law, "uniform", Stone())  # type: ignore[arg-type]
+            straight = not places and ("x" not in measured or curls)
+            if (straight or free > len(throw.events)) and "heading" not in named:
                 parameters = parameters.with_fixed("heading", 0.0)
             return parameters
         rows = int(throw.finite.any(0).sum())

@@ -104,7 +104,7 @@ def document(fit: FitResult) -> Document:
         about=(
             f"{extent(fit)}; stone {stone_text(fit.stone)}",
             status_line(fit),
-            Said(capital(quantities_line(fit.quantities) or lines_of(fit)[0])),
+            Said(capital(quantities_line(fit.quantities)) or lines_of(fit)[0]),
             caution(fit),
         ),
         lines=[*lines_of(fit), quantities_line(fit.quantities)],

@@ -14,8 +14,8 @@ from conftest import G, Reference, follow, front_back
 
 from curlfit import LAWS, InitialState, Stone, simulate
 from curlfit.dynamics.contact import accelerations
-from curlfit.dynamics.law_structure import can_curl, law_in_general
 from curlfit.friction import LOADS
+from curlfit.friction.curl import can_curl, law_in_general
 
 STONE = Stone(R=0.065, rho=0.1, h=0.057)
 ROWS = 61  # of all paths, so that a law has one program for each load

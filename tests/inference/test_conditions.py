@@ -136,10 +136,14 @@ def test_a_spin_that_was_not_measured_is_a_condition(turns):
     if turns:
         events.append(Event("turns", "phi", path.phi[-1], 0.5))
     throw = Throw.from_events(events, assumed={"omega0": 1.2})
-    fix = SPLIT | {"mu1_xi": TRUTH["mu1_xi"], "heading": 0.0}
+    fix = SPLIT | {"mu1_xi": TRUTH["mu1_xi"]}
     fit = curlfit.fit(throw, "front-back", fix=fix, systematics={"all": 0, "spin": 0.01})
     assert fit.systematics.widths == ({} if turns else {"spin": 0.01})
     item, true = fit.parameters["mu2_xi"], TRUTH["mu2_xi"]
+    # the curl is counted from the heading, which a law that can curl does not move
+    assert fit.parameters["heading"].verdict == "fixed"
+    coulomb = curlfit.fit(throw, "coulomb", systematics={"all": 0})
+    assert coulomb.parameters["heading"].verdict == "determined"
     if turns:
         assert item.value == pytest.approx(true, rel=0.01)
         return

@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from curlfit.dynamics.law_structure import can_curl
 from curlfit.friction import check_load
+from curlfit.friction.curl import can_curl
 from curlfit.inference.fit.residuals import CORRELATED
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.summary import LeastSquaresFit
