@@ -47,6 +47,12 @@ def fit_season(
     ------
     DataError : a file that is no such table, or is damaged.
     InputError : too few throws; labels that a throw lacks, or that give no groups or numbers.
+
+    Examples
+    --------
+    >>> season = curlfit.fit_season("season.csv", by="sheet")
+    >>> season.differences[-1].parameter, season.differences[-1].group
+    ('hog_to_hog', '2')
     """
     by, trend = ([one] if isinstance(one, str) else one for one in (by, trend))
     return mean_of(_read(Path(file), law), by, trend, seed)

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import command
 from docstring_examples import run_examples
 from scipy import stats
 
@@ -53,6 +54,9 @@ def known(tmp_path_factory):
         for name in (*FIRST, *sorted({*curlfit.__all__} - {*FIRST})):
             if name in WITHOUT | ELSEWHERE:
                 continue
+            if name == "fit_season":
+                words = ["data/two_sheets.csv", "--law", "front-back", "--out", "season.csv"]
+                command("batch", *words, "--workers", 1, cwd=folder)
             if name == "load_joint":  # as `curlfit fit A B --out joint` leaves it
                 joint = namespace["joint"]
                 own = folder / "joint" / Path(joint.throws[0].data["file"]).stem
