@@ -72,6 +72,8 @@ def _read(file: Path, law: str | type[Law] | None = None) -> Season:
     plan = plan_of(settings_file(file), _AGAIN)
     kind = find_law(law) if law else find_law(str(plan.get("law")), from_files=False)
     chosen = BatchSettings.of(plan, law=kind)
+    if chosen.priors:
+        raise DataError("priors of the batch would count once for each throw", file=file)
     known = columns(chosen)
     names = [item.name for item in kind.coefficients()]
     labels, values, told, others = [], [], [], 0

@@ -32,7 +32,8 @@ class MixedModel(NamedTuple):
     """Sums of squares and products of each block, from which all else follows."""
 
     products: Floats
-    """of the columns A_i D, A_i, A_i D x_i and z_i, shape (blocks, columns, columns)"""
+    """of the columns A_i D, A_i, A_i D x_i and z_i, shape (blocks, columns, columns); after the
+    blocks, of what is known of the mean besides"""
     directions: Floats
     """D, shape (mean, deviations)"""
     covariates: Floats
@@ -41,9 +42,20 @@ class MixedModel(NamedTuple):
     """directions of the mean that nothing determines, where it is held, as orthonormal columns"""
 
     @classmethod
-    def of(cls, rows: Floats, target: Floats, directions: Floats, covariates: Floats) -> Self:
-        """From A_i, shape (blocks, rows, mean), and z_i, shape (blocks, rows)."""
-        factor: Any = np.linalg.qr(rows.reshape(-1, rows.shape[-1]), mode="r")
+    def of(
+        cls,
+        rows: Floats,
+        target: Floats,
+        directions: Floats,
+        covariates: Floats,
+        prior: tuple[Floats, Floats] | None = None,
+    ) -> Self:
+        """From A_i, shape (blocks, rows, mean), and z_i, shape (blocks, rows); a prior is of the
+        same form, of one block whose vector is the mean."""
+        known = np.concatenate(
+            [rows.reshape(-1, rows.shape[-1]), *([] if prior is None else prior[:1])]
+        )
+        factor: Any = np.linalg.qr(known, mode="r")
         _, singular, axes = np.linalg.svd(factor)
         seen = singular > max(_UNSEEN[0], _UNSEEN[1] * singular[0])
         null = axes[int(seen.sum()) :].T
@@ -52,7 +64,13 @@ class MixedModel(NamedTuple):
         effects = along[:, :, None, :] * covariates[:, None, :, None]
         flat = effects.reshape(*along.shape[:2], covariates.shape[1] * directions.shape[1])
         whole = np.concatenate([along, rows, flat, target[..., None]], -1)
-        return cls(whole.mT @ whole, directions, covariates, null)
+        products = whole.mT @ whole
+        if prior is not None:
+            size, own = directions.shape[1], np.column_stack(prior)
+            of_prior = np.zeros((len(own), whole.shape[-1]))
+            of_prior[:, size : size + rows.shape[-1]], of_prior[:, -1] = own[:, :-1], own[:, -1]
+            products = np.concatenate([products, (of_prior.T @ of_prior)[None]])
+        return cls(products, directions, covariates, null)
 
     def marginal(self, variances: Floats) -> tuple[Floats, Floats]:
         """The products of each block with the deviations integrated out, without their columns, and
@@ -99,7 +117,8 @@ class MixedModel(NamedTuple):
             options={"eps": _STEP, "ftol": 1e-14, "gtol": 1e-6},
         )  # fmt: skip
         variances: Floats = guess * np.exp(found.x)
-        information = np.diagonal(self.products, axis1=1, axis2=2)[:, : len(guess)]
+        blocks = self.products[: len(self.covariates)]
+        information = np.diagonal(blocks, axis1=1, axis2=2)[:, : len(guess)]
         typical = 1 / np.maximum(np.median(information, axis=0), 1e-300)
         small = variances < _ZERO * typical
         if small.any() and self.criterion(np.where(small, 0.0, variances)) < found.fun + _ZERO:
@@ -200,7 +219,8 @@ class MixedFit:
     def predicted_by_others(self) -> tuple[Floats, Floats]:
         """Mean and covariance of the vector of each block before its own observations; along the
         null directions the variance is one."""
-        normal, right, _ = self.model.parts(self._each.sum(0) - self._each)
+        blocks = self._each[: len(self.model.covariates)]
+        normal, right, _ = self.model.parts(self._each.sum(0) - blocks)
         to = self.at(self.model.covariates)
         mean = to @ np.linalg.solve(normal, right[..., None])
         directions = self.model.directions

@@ -324,3 +324,27 @@ def test_a_coefficient_that_is_fixed_takes_no_part():
     for name in ("friction", "curl", "hog_to_hog"):
         mine, other = (one_of(joint.differences, name, by="sheet") for joint in (split, whole))
         assert (mine.value, mine.stderr) == pytest.approx((other.value, other.stderr), rel=1e-3)
+
+
+def test_a_prior_is_of_the_mean_and_changes_nothing_that_it_does_not_know(joint):
+    def fitted(**choices):
+        return curlfit.fit_together(
+            evening(), "front-back", stone=STONE, by="sheet", trend="hour", **choices
+        )
+
+    # a very narrow prior is a fixed value
+    narrow, fixed = fitted(priors={"mu1_xi": "0.004+-1e-7"}), fitted(fix={"mu1_xi": 0.004})
+    assert narrow.coefficients["mu1_xi"].value == pytest.approx(0.004, abs=1e-6)
+    for name in ("mu2_xi", "mu1_eta + mu2_eta", "friction", "curl"):
+        one, other = (one_of(each.differences, name, by="sheet") for each in (narrow, fixed))
+        assert one.value == pytest.approx(other.value, abs=0.02 * other.stderr)
+        assert one.stderr == pytest.approx(other.stderr, rel=0.02)
+    # one of what the throws cannot say leaves the sum alone
+    split = fitted(priors={"mu1_eta": "lognormal:0.008,0.01"})
+    assert split.converged
+    assert split.coefficients["mu1_eta"].verdict == "prior"
+    assert split.coefficients["mu1_eta"].value == pytest.approx(0.008, rel=2e-3)
+    one, other = (
+        one_of(each.differences, "mu1_eta + mu2_eta", by="sheet") for each in (split, joint)
+    )
+    assert (one.value, one.stderr) == pytest.approx((other.value, other.stderr), rel=0.01)

@@ -30,7 +30,7 @@ from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.joint.effects import Covariates
 from curlfit.inference.likelihood import log_likelihood
 
-WARM, DRAWS, CHAINS = 500, 1500, 2
+WARM, DRAWS, CHAINS = 300, 600, 2
 
 
 def draws(number: int, seed: int) -> list[curlfit.Throw]:

@@ -24,7 +24,7 @@ from curlfit.inference.fit.systematics import widths_of
 from curlfit.inference.identifiability import Bounded, Combination, r_factors
 from curlfit.inference.joint.draw import Draw
 from curlfit.inference.joint.effects import Covariates
-from curlfit.inference.joint.population import pool
+from curlfit.inference.joint.population import pool, told_by_all
 from curlfit.inference.joint.posterior import sampled
 from curlfit.inference.joint.result import JointResult, Variation
 from curlfit.inference.joint.solver import Progress, minimize_jointly
@@ -217,7 +217,21 @@ def _equal(
     coefficients = {name: first.parameters[name] for name in shared}
     combinations = tuple(item for item in first.combinations if set(item.weights) <= set(shared))
     plain = rounds.loss == "linear" and rounds.noises[0].kind == "white"
-    by_name = wanted_of({name: one.verdict for name, one in coefficients.items()}, combinations)
+    factors = r_factors(solution.jacobian, solution.residual)
+    bounded = Bounded(solution.values, tasks.lower, tasks.upper)
+    reduction = Reduction.of(factors, bounded, tasks.typical, common)
+    verdicts = {name: one.verdict for name, one in coefficients.items()}
+    if tasks.penalty is not None:  # what varies is what the throws themselves determine
+        rows = reduction.rows[..., np.append(common, True)].reshape(-1, len(shared) + 1)
+        at = Bounded(*(part[0, common] for part in bounded))
+        alone = told_by_all(shared, rows, at, tasks.typical[common])
+        verdicts = {
+            name: known if known == "fixed" else alone.classified(row)[1]
+            for row, (name, known) in enumerate(verdicts.items())
+        }
+        known = {item.expression: item for item in (*alone.combinations, *combinations)}
+        combinations = tuple(known.values())
+    by_name = wanted_of(verdicts, combinations)
     weights = {
         name: np.array([own.get(one, 0.0) for one in parameters.names])
         for name, own in by_name.items()
@@ -227,9 +241,6 @@ def _equal(
         solution.values[0], weights, tasks.typical, covariates,
     )  # fmt: skip
     among = {item.expression: item for item in variation if item.significant}
-    factors = r_factors(solution.jacobian, solution.residual)
-    bounded = Bounded(solution.values, tasks.lower, tasks.upper)
-    reduction = Reduction.of(factors, bounded, tasks.typical, common)
     open_ = np.array([np.isin(parameters.names, one.covariance["names"]) for one in throws])
     named = {*shared, *(item.expression for item in combinations)}
     result = JointResult(

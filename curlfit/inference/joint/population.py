@@ -19,6 +19,7 @@ from curlfit.inference.fit.factors import Factors
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.identifiability import Bounded, Combination, r_factor, r_factors
 from curlfit.inference.least_squares import Solution, Tasks, minimize_many
+from curlfit.inference.priors import Penalty
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.mixed_model import MixedFit, MixedModel, bounded
 
@@ -42,6 +43,8 @@ class Population(NamedTuple):
     """coefficients and combinations that vary"""
     weights: Floats
     """of the common parameters in these, shape (varying, common)"""
+    of_data: MixedFit
+    """the fit without priors"""
 
     @property
     def spreads(self) -> Floats:
@@ -71,24 +74,45 @@ class Population(NamedTuple):
     def of_mean(self, names: Sequence[str], lower: Floats, upper: Floats) -> Covariance:
         """What all throws say of the common parameters of their mean, within bounds."""
         size = len(self.typical)
-        best, (mean, matrix) = self.fit.estimate[:size], self.fit.unbounded
-        rows = _rows(mean[:size], matrix[:size, :size], best, self.fit.model.null) / np.append(
-            self.typical, 1.0
-        )
+        best = self.fit.estimate[:size]
         values = _inside(self.reference + self.typical * best, self.typical, lower, upper)
         bounded = Bounded(values, lower, upper)
-        factors = Factors.of(rows, bounded, self.typical, None)
-        nothing = np.zeros((1, 1, size))
-        sigmas = Sigmas(np.ones(1, int), np.zeros(1, bool), "linear", size)
-        return Covariance.of(
-            names, bounded, self.typical, upper > lower, (factors, factors), nothing, sigmas, True
-        )
+
+        def told(fit: MixedFit) -> Factors:
+            mean, matrix = fit.unbounded
+            rows = _rows(mean[:size], matrix[:size, :size], best, fit.model.null)
+            return Factors.of(rows / np.append(self.typical, 1.0), bounded, self.typical, None)
+
+        factors = told(self.fit)
+        if self.of_data is not self.fit:
+            factors = factors._replace(of_data=told(self.of_data).whole)
+        return _covariance(names, factors, bounded, self.typical)
 
     @property
     def dof(self) -> float:
         """Degrees of freedom of the spreads."""
         throws, covariates = self.fit.model.covariates.shape
         return max(throws - 1.0 - covariates, 1.0)
+
+
+def told_by_all(
+    names: Sequence[str], rows: Floats, bounded: Bounded, typical: Floats
+) -> Covariance:
+    """What rows of all throws, with the residual as the last column, say of parameters that these
+    have in common."""
+    factors = Factors.of(r_factor(rows), bounded, typical, None)
+    return _covariance(names, factors, bounded, typical)
+
+
+def _covariance(
+    names: Sequence[str], factors: Factors, bounded: Bounded, typical: Floats
+) -> Covariance:
+    nothing = np.zeros((1, 1, len(typical)))
+    sigmas = Sigmas(np.ones(1, int), np.zeros(1, bool), "linear", len(typical))
+    return Covariance.of(
+        names, bounded, typical, bounded.upper > bounded.lower, (factors, factors), nothing,
+        sigmas, True,
+    )  # fmt: skip
 
 
 def pool(
@@ -125,7 +149,8 @@ def pool(
     values, penalty, scale = np.array(solution.values), tasks.penalty, np.append(typical, 1.0)
     if penalty is not None:
         penalty = penalty._replace(weight=penalty.weight * ~common)
-    distance = np.inf
+    of_mean = None if tasks.penalty is None else Penalty(*(one[0, common] for one in tasks.penalty))
+    distance, centre = np.inf, reference
     for step in range(_MOST):
         if step:
             held = [np.where(common, values, end) for end in (tasks.lower, tasks.upper)]
@@ -141,10 +166,16 @@ def pool(
         rows, left = each[..., :-1], each[..., -1]
         now = (values[:, common] - reference) / typical
         target = (rows @ now[..., None])[..., 0] - left
-        model = MixedModel.of(rows, target, directions, covariates)
+        prior = None
+        if of_mean is not None:
+            off, slope = of_mean.residual_and_slope(centre)
+            slope = slope * typical * free
+            prior = np.diag(slope), slope * (centre - reference) / typical - off
+        model = MixedModel.of(rows, target, directions, covariates, prior)
         if distance > _NEAR:  # afterwards variances stay, which might alternate with zero
             variances = model.variances(guess**2)
         fit = MixedFit(model, variances, lower, upper)
+        centre = reference + typical * fit.estimate[:size]
         mean, matrix = fit.predicted_by_others()
         told = _rows(mean, matrix, now, fit.model.null)
         every = np.concatenate([each, told], 1)
@@ -157,7 +188,11 @@ def pool(
     others = np.zeros((len(values), size, len(tasks.typical) + 1))
     others[..., np.append(common, True)] = told / scale
     ended = np.full(len(values), distance < _SETTLED)
-    found = Population(fit, reference, typical, tuple(weights), whole)
+    of_data = fit
+    if prior is not None:
+        model = MixedModel.of(rows, target, directions, covariates)
+        of_data = MixedFit(model, variances, lower, upper)
+    found = Population(fit, reference, typical, tuple(weights), whole, of_data)
     return found, solution._replace(success=ended), others
 
 

@@ -116,7 +116,7 @@ class _Quadratics(NamedTuple):
         )
         variances = model.variances(spreads**2) if len(spreads) else spreads
         fit = MixedFit(model, variances, lower, upper)
-        return Population(fit, self.reference, self.typical, tuple(weights), whole)
+        return Population(fit, self.reference, self.typical, tuple(weights), whole, fit)
 
     def equal(self) -> tuple[Covariance, dict[str, Estimate]]:
         """What all throws say if they are equal."""
