@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from curlfit.inference.identifiability import Combination
 
 _NOTABLE = 0.1  # systematic shift that is reported, over the standard error
-_SHORTEST = 5  # words of a clause
 _MOST_NAMED = 6  # outliers that the report lists
 _UNFINISHED = (
     "Sampling is unfinished; repeat the `curlfit fit` command with --resume to continue it."
@@ -148,14 +147,12 @@ def caution(result: Any) -> Said:
     """What the warnings of a fit that may be used are about, in a line."""
     if not result.converged:
         return Said("")
-    about = dict.fromkeys(_clause(one) for one in result.warnings)
+    of_throws = dict.fromkeys(
+        one for throw in getattr(result, "throws", ()) for one in throw.warnings
+    )
+    own = [one for one in result.warnings if not one.endswith(tuple(of_throws))]
+    about = dict.fromkeys(re.split(r" \(|[;:,] ", one)[0] for one in (*own, *of_throws))
     return Said(f"Caution: {'; '.join(about)}." if about else "No warnings.")
-
-
-def _clause(warning: str) -> str:
-    """The first clause of a warning, without the throws that are named before it."""
-    head, colon, rest = re.split(r" \(|[;,] ", warning)[0].partition(": ")
-    return rest.partition(": ")[0] if colon and len(head.split()) < _SHORTEST else head
 
 
 def style_of(result: Any) -> str:

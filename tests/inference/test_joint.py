@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import command
+from conftest import command, shown
 from scipy.optimize import brentq, least_squares
 
 import curlfit
@@ -278,3 +278,14 @@ def test_the_spread_between_throws_is_that_of_paule_and_mandel():
     alike = _variation("mu", [(10.0, one) for one in error], error**-2.0)
     assert (alike.spread, alike.p_value) == (0.0, 1.0)
     assert alike.shared_stderr == pytest.approx(alike.stderr) == (error**-2.0).sum() ** -0.5
+
+
+def test_a_report_begins_with_what_the_warnings_are_about(eq12_fit):
+    said = shown(eq12_fit)
+    assert "Caution: the residuals are correlated from row to row. parameter" in said
+    warned = replace(eq12_fit, warnings=("a value is odd (3): it may be mistyped; mend it",))
+    assert "Caution: a value is odd. parameter" in shown(warned)
+    assert "No warnings. parameter" in shown(replace(eq12_fit, warnings=()))
+    failed = shown(replace(eq12_fit, converged=False))
+    assert "Caution" not in failed
+    assert "No warnings" not in failed
