@@ -3,10 +3,12 @@
 import csv
 import json
 from dataclasses import replace
+from io import StringIO
 
 import numpy as np
 import pytest
 from conftest import command
+from rich.console import Console
 
 import curlfit
 from curlfit import Stone
@@ -66,6 +68,11 @@ def test_a_table_gives_what_all_throws_give_together(season, tmp_path):
     assert total.expression == "mu1_eta + mu2_eta"
     assert (found.rank, found.parameters) == (3, 4)
     assert found.trend[0].unit.endswith("/day")
+    assert 1 <= found.r_hat < 1.02
+    said = "the posterior of the spreads has not converged (R-hat 1.200)"
+    assert said not in ran.stdout
+    curlfit.print_joint(replace(found, r_hat=1.2), Console(file=(text := StringIO()), width=200))
+    assert said in text.getvalue()
 
 
 def test_columns_that_were_added_to_a_table_are_labels(season, tmp_path):

@@ -44,6 +44,7 @@ _WORDS = {
     "hog_to_hog": ("hog to hog", "longer", "shorter", "s"),
 }
 _CHANCE = 0.05  # probability above which an effect is within the errors
+_R_HAT = 1.05  # of a sample that ended without the 1.02 that it aims at
 _FIRST_ORDER = (
     "each throw counts as the quadratic about its own optimum; errors due to conditions, which all "
     "throws have in common, are not contained: see the fit of a throw"
@@ -95,7 +96,7 @@ def document(result: JointResult) -> Document:
             Section("determined", f"What the throws{' do not' * hidden} determine", (determined,)),
             Section("quality", "Systematic errors", (systematics(result),), brief=False),
         ),
-        warnings=result.warnings,
+        warnings=(*result.warnings, *_unconverged(result)),
         notes=_notes(result),
         title=f"{throws}: {result.law} law",
         settings=(settings_of(result.throws[0]) if result.throws else {})
@@ -103,6 +104,12 @@ def document(result: JointResult) -> Document:
         command=_command(result),
         names=result.throws[0].parameters if result.throws else result.coefficients,
     )  # fmt: skip
+
+
+def _unconverged(result: JointResult) -> list[str]:
+    if result.r_hat is None or result.r_hat < _R_HAT:
+        return []
+    return [f"the posterior of the spreads has not converged (R-hat {result.r_hat:.3f})"]
 
 
 def _shared(result: JointResult) -> PlainTable:

@@ -115,6 +115,7 @@ class JointResult(NamedEstimates):
     throws : a `FitResult` for each throw, with its own coefficients if these vary; its standard
         errors and its information are those of the joint fit, so that predictions from it use all
         throws.
+    r_hat : largest of the spreads, if the posterior was sampled.
     table : of separate fits, in place of the throws.
     systematics : errors of what is shared due to the conditions that the fit holds fixed.
     derived : quantities requested by `--derive` and `with_derived`.
@@ -151,6 +152,7 @@ class JointResult(NamedEstimates):
     differences: tuple[Effect, ...] = ()
     trend: tuple[Effect, ...] = ()
     throws: tuple[FitResult, ...] = field(default=(), metadata=UNSAVED)
+    r_hat: float | None = None
     table: Table | None = None
     systematics: Systematics = field(default_factory=Systematics)
     derived: tuple[Derived, ...] = ()

@@ -55,6 +55,7 @@ def varying_fields(
         zip(found.varying, map(quantiles_of, draws.spreads.T), strict=True)
     )  # fmt: skip
     return effects._asdict() | {
+        "r_hat": None if draws is None else draws.r_hat,
         "means": _means(found, covariates, tuple(coefficients), angle),
         "coefficients": {
             name: one if one.verdict == "fixed" else _of_mean(one, known, row, found.dof)
