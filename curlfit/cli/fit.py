@@ -111,7 +111,7 @@ def fit(
             raise InputError(
                 f"{words[0]}: the throws of {data[0]} are fitted already; expected it in the batch"
             )
-        return _fit_table(data, flags.law, by, trend, sampling, output)
+        return _fit_table(data, flags.law, by, trend, sampling.of_several(), output)
     resume, no_sample = sampling.resume, sampling.no_sample
     if resume and no_sample:
         raise InputError("--resume continues sampling, and --no-sample skips it; give one of them")
@@ -122,7 +122,7 @@ def fit(
         several = holds_timed_rows(data[0], reading.format)
     jobs = s.prepare_all(data, config, reading, flags) if several else {}
     if len(jobs) > 1:
-        return _fit_jointly(jobs, share, by, trend, sampling, output)
+        return _fit_jointly(jobs, share, by, trend, sampling.of_several(), output)
     (file,) = data
     for name, value in (("share", share), ("by", by), ("trend", trend)):
         if value:
@@ -239,7 +239,7 @@ def _fit_jointly(
     share: str | None,
     by: Sequence[str],
     trend: Sequence[str],
-    sampling: Sampling,
+    seed: int | None,
     output: Output,
 ) -> Saved:
     """Fit several throws jointly and print the report; write `joint.json`, figures, single fits."""
@@ -284,7 +284,7 @@ def _fit_jointly(
         from curlfit.inference.joint.fit import fit_together
 
         result = fit_together(
-            throws, share=shared or share, by=by, trend=trend, seed=sampling.of_several(), **common,
+            throws, share=shared or share, by=by, trend=trend, seed=seed, **common,
             progress=lambda step, chi_squared: show(f"step {step}, chi squared {chi_squared:.6g}"),
         )  # fmt: skip
     for name, one in zip(named, result.throws, strict=True):
@@ -304,7 +304,7 @@ def _fit_table(
     law: str | None,
     by: Sequence[str],
     trend: Sequence[str],
-    sampling: Sampling,
+    seed: int | None,
     output: Output,
 ) -> Saved:
     """Fit the mean of throws that `curlfit batch` fitted one by one; write `joint.json` and its
@@ -317,7 +317,7 @@ def _fit_table(
     with output.status(f"Fitting the throws of {data[0]} {COMPILES}"):
         from curlfit.batch.season import fit_season
 
-        result = fit_season(data[0], law, by=by, trend=trend, seed=sampling.of_several())
+        result = fit_season(data[0], law, by=by, trend=trend, seed=seed)
     folder = prepare_folder(output.out or Path(f"{data[0].stem}-fit"))
     drawn.draw_beside()
     return _finish(result, output.finish(result, folder, drawn))
