@@ -54,7 +54,6 @@ def fit_season(
     >>> season.differences[-1].parameter, season.differences[-1].group
     ('hog_to_hog', '2')
     """
-    by, trend = ([one] if isinstance(one, str) else one for one in (by, trend))
     return mean_of(_read(Path(file), law), by, trend, seed)
 
 
@@ -78,7 +77,6 @@ def _read(file: Path, law: str | type[Law] | None = None) -> Season:
     names = [item.name for item in kind.coefficients()]
     labels, values, told, others = [], [], [], 0
     try:
-        csv.field_size_limit(_LONGEST)
         with file.open(encoding="utf-8", newline="") as stream:
             reader = csv.DictReader(stream)
             head = reader.fieldnames or ()
@@ -87,6 +85,8 @@ def _read(file: Path, law: str | type[Law] | None = None) -> Season:
                     raise KeyError(f"no column {name}; {_AGAIN}")
             added = [name for name in head if name not in known]
             for row in reader:
+                if any(len(cell or "") > _LONGEST for cell in row.values()):
+                    raise ValueError(f"a cell of more than {_LONGEST} characters")
                 if row["status"] != "ok":
                     others += 1
                     continue

@@ -12,6 +12,7 @@ from rich.table import Table
 
 from curlfit.output.document import Part, Said
 from curlfit.output.html import COLORS, inline
+from curlfit.output.text import capital
 
 _CODE = re.compile(r"`([^`]+)`")
 _LONG = 40  # characters above which a cell is wrapped
@@ -38,7 +39,7 @@ def sentence(text: str, names: Collection[str] = ()) -> str:
     """A text with a capital letter, unless it begins with a name, and a full stop."""
     first = re.split(r"[ :,]", text, maxsplit=1)[0]
     if first not in names and re.fullmatch(r"[a-z][a-z-]*", first):
-        text = text[:1].upper() + text[1:]
+        text = capital(text)
     return text if text.endswith(".") else f"{text}."
 
 

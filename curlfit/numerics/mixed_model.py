@@ -32,14 +32,15 @@ class MixedModel(NamedTuple):
     """Sums of squares and products of each block, from which all else follows."""
 
     products: Floats
-    """of the columns A_i D, A_i, A_i D x_i and z_i, shape (blocks, columns, columns); after the
-    blocks, of what is known of the mean besides"""
+    """of the columns A_i D, A_i, A_i D x_i and z_i, shape (blocks, columns, columns)"""
     directions: Floats
     """D, shape (mean, deviations)"""
     covariates: Floats
     """x_i, shape (blocks, covariates)"""
     null: Floats
     """directions of the mean that nothing determines, where it is held, as orthonormal columns"""
+    prior: Floats
+    """the same of what is known of the mean besides, without the columns of deviations"""
 
     @classmethod
     def of(
@@ -50,11 +51,11 @@ class MixedModel(NamedTuple):
         covariates: Floats,
         prior: tuple[Floats, Floats] | None = None,
     ) -> Self:
-        """From A_i, shape (blocks, rows, mean), and z_i, shape (blocks, rows); a prior is of the
-        same form, of one block whose vector is the mean."""
-        known = np.concatenate(
-            [rows.reshape(-1, rows.shape[-1]), *([] if prior is None else prior[:1])]
-        )
+        """From A_i, shape (blocks, rows, mean), and z_i, shape (blocks, rows); a prior is such rows
+        of the mean, and z."""
+        size = rows.shape[-1]
+        besides = np.zeros((0, size + 1)) if prior is None else np.column_stack(prior)
+        known = np.concatenate([rows.reshape(-1, size), besides[:, :-1]])
         factor: Any = np.linalg.qr(known, mode="r")
         _, singular, axes = np.linalg.svd(factor)
         seen = singular > max(_UNSEEN[0], _UNSEEN[1] * singular[0])
@@ -64,13 +65,9 @@ class MixedModel(NamedTuple):
         effects = along[:, :, None, :] * covariates[:, None, :, None]
         flat = effects.reshape(*along.shape[:2], covariates.shape[1] * directions.shape[1])
         whole = np.concatenate([along, rows, flat, target[..., None]], -1)
-        products = whole.mT @ whole
-        if prior is not None:
-            size, own = directions.shape[1], np.column_stack(prior)
-            of_prior = np.zeros((len(own), whole.shape[-1]))
-            of_prior[:, size : size + rows.shape[-1]], of_prior[:, -1] = own[:, :-1], own[:, -1]
-            products = np.concatenate([products, (of_prior.T @ of_prior)[None]])
-        return cls(products, directions, covariates, null)
+        of_mean = np.zeros((len(besides), whole.shape[-1] - directions.shape[1]))
+        of_mean[:, :size], of_mean[:, -1] = besides[:, :-1], besides[:, -1]
+        return cls(whole.mT @ whole, directions, covariates, null, of_mean.T @ of_mean)
 
     def marginal(self, variances: Floats) -> tuple[Floats, Floats]:
         """The products of each block with the deviations integrated out, without their columns, and
@@ -91,7 +88,9 @@ class MixedModel(NamedTuple):
         return found
 
     def parts(self, products: Floats) -> tuple[Floats, Floats, Any]:
-        """Normal matrix and right side of the mean and the effects, and the sum of squares."""
+        """Normal matrix and right side of the mean and the effects, and the sum of squares, from
+        the sum of the products of blocks and the prior."""
+        products = products + self.prior
         normal = products[..., :-1, :-1].copy()
         size = len(self.null)
         normal[..., :size, :size] += self.null @ self.null.T
@@ -117,8 +116,7 @@ class MixedModel(NamedTuple):
             options={"eps": _STEP, "ftol": 1e-14, "gtol": 1e-6},
         )  # fmt: skip
         variances: Floats = guess * np.exp(found.x)
-        blocks = self.products[: len(self.covariates)]
-        information = np.diagonal(blocks, axis1=1, axis2=2)[:, : len(guess)]
+        information = np.diagonal(self.products, axis1=1, axis2=2)[:, : len(guess)]
         typical = 1 / np.maximum(np.median(information, axis=0), 1e-300)
         small = variances < _ZERO * typical
         if small.any() and self.criterion(np.where(small, 0.0, variances)) < found.fun + _ZERO:
@@ -219,8 +217,7 @@ class MixedFit:
     def predicted_by_others(self) -> tuple[Floats, Floats]:
         """Mean and covariance of the vector of each block before its own observations; along the
         null directions the variance is one."""
-        blocks = self._each[: len(self.model.covariates)]
-        normal, right, _ = self.model.parts(self._each.sum(0) - blocks)
+        normal, right, _ = self.model.parts(self._each.sum(0) - self._each)
         to = self.at(self.model.covariates)
         mean = to @ np.linalg.solve(normal, right[..., None])
         directions = self.model.directions

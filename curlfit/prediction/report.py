@@ -19,7 +19,15 @@ from curlfit.output.document import (
     exact,
     show,
 )
-from curlfit.output.text import format_estimate, labelled, lower, rows_text, sided, stone_text
+from curlfit.output.text import (
+    capital,
+    format_estimate,
+    labelled,
+    lower,
+    rows_text,
+    sided,
+    stone_text,
+)
 from curlfit.prediction.result import OUTCOMES, QUANTITIES, HeldOut, Prediction, Quantity
 from curlfit.sheet import FOOT, STONE_RADIUS, TEE, TEE_TO_BACK
 
@@ -169,7 +177,7 @@ def _called(prediction: Prediction) -> str:
     aimed = _broom(broom).replace(" in ", " in to the ")
     found.append(f"broom {f'{aimed} of' if aimed else 'on'} the centre line at the tee")
     text = ", ".join(found)
-    return f"{text[:1].upper()}{text[1:]}."
+    return f"{capital(text)}."
 
 
 def _weights(prediction: Prediction) -> PlainTable:
@@ -240,7 +248,7 @@ def _outcomes(prediction: Prediction) -> str:
         if chance > 0
     ]
     text = "; ".join(likely)
-    return f"{text[0].upper()}{text[1:]}." if text else ""
+    return f"{capital(text)}." if text else ""
 
 
 def _sensitivity(prediction: Prediction) -> str:

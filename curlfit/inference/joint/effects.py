@@ -68,14 +68,15 @@ class Covariates(NamedTuple):
     """shape (throws, columns)"""
 
     @classmethod
-    def of(cls, throws: Labelled, by: Sequence[str], trend: Sequence[str]) -> Self:
-        """Of throws, each with its name and its labels.
+    def of(cls, throws: Labelled, by: str | Sequence[str], trend: str | Sequence[str]) -> Self:
+        """Of throws, each with its name and its labels, by one label or several.
 
         Raises
         ------
         InputError : a throw lacks a label; there is one group, or a group of one throw; a trend
             is along no number; columns depend on one another.
         """
+        by, trend = ([one] if isinstance(one, str) else one for one in (by, trend))
         groups, trends = {}, {}
         columns: list[Sequence[float]] = []
         for name in by:

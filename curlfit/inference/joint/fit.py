@@ -104,7 +104,7 @@ def fit_together(
     first = chosen[0]
     shared = _shared(law, share or "all")
     labels = [(throw.name, throw.labels) for throw in throws]
-    covariates = Covariates.of(labels, _listed(by), _listed(trend))
+    covariates = Covariates.of(labels, by, trend)
     varies = bool(by or trend) or (share is None and len(throws) >= _VARYING)
     if first.loss != "linear" and varies:
         if by or trend:
@@ -151,10 +151,6 @@ def fit_together(
         result = _varying(result, rounds, tasks, solution, common, weights, covariates, seed)
     each = tuple(replace(one, quantities=quantities_of(one)) for one in result.throws)
     return replace(result, throws=each).with_derived(first.derive)
-
-
-def _listed(names: str | Sequence[str]) -> list[str]:
-    return [names] if isinstance(names, str) else [*names]
 
 
 def _differs_by_spin(item: Variation, counter_clockwise: Booleans) -> bool:

@@ -115,6 +115,17 @@ def _covariance(
     )  # fmt: skip
 
 
+def ends_from(
+    reference: Floats, typical: Floats, free: Booleans, lower: Floats, upper: Floats
+) -> tuple[Floats, Floats]:
+    """Bounds in typical sizes from a reference; a parameter that is fixed, which nothing moves, has
+    none."""
+    return (
+        np.where(free, (lower - reference) / typical, -np.inf),
+        np.where(free, (upper - reference) / typical, np.inf),
+    )
+
+
 def pool(
     rounds: Rounds,
     tasks: Tasks,
@@ -142,10 +153,8 @@ def pool(
     reference = solution.values[0, common]
     whole = np.array([*weights.values()])[:, common]
     directions = np.linalg.pinv(whole * typical * free)
-    lower, upper = (
-        np.where(free, (end[0, common] - reference) / typical, sign * np.inf)
-        for sign, end in ((-1, tasks.lower), (1, tasks.upper))
-    )
+    ends = tasks.lower[0, common], tasks.upper[0, common]
+    lower, upper = ends_from(reference, typical, free, *ends)
     values, penalty, scale = np.array(solution.values), tasks.penalty, np.append(typical, 1.0)
     if penalty is not None:
         penalty = penalty._replace(weight=penalty.weight * ~common)

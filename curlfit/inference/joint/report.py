@@ -23,6 +23,7 @@ from curlfit.inference.report import (
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Section, command_line, show
 from curlfit.output.text import (
+    capital,
     compact,
     format_estimate,
     from_to,
@@ -159,7 +160,7 @@ def effect_lines(result: JointResult) -> list[str]:
             parts.append(f"{said} {compact(abs(one.value), one.stderr)} {unit} {word}")
         chance = [name for name, one in mine.items() if name in _DRAWN and (one.p or 0) > _CHANCE]
         within = f" ({join_words(chance)} within the errors)".replace("_", " ") if chance else ""
-        found.append(f"{head[:1].upper()}{head[1:]}: {', '.join(parts)}{within}.")
+        found.append(f"{capital(head)}: {', '.join(parts)}{within}.")
     return found
 
 

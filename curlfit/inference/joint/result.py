@@ -78,7 +78,7 @@ class Variation:
 
 
 @dataclass(frozen=True)
-class Table:
+class SeparateFits:
     """Separate fits of throws that a joint fit is of.
 
     Attributes
@@ -153,7 +153,7 @@ class JointResult(NamedEstimates):
     trend: tuple[Effect, ...] = ()
     throws: tuple[FitResult, ...] = field(default=(), metadata=UNSAVED)
     r_hat: float | None = None
-    table: Table | None = None
+    table: SeparateFits | None = None
     systematics: Systematics = field(default_factory=Systematics)
     derived: tuple[Derived, ...] = ()
 

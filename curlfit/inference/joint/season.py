@@ -18,9 +18,9 @@ from curlfit.inference.fit.result import Estimate, FitResult
 from curlfit.inference.identifiability import Bounded
 from curlfit.inference.joint.draw import Draw
 from curlfit.inference.joint.effects import Covariates, Labelled
-from curlfit.inference.joint.population import Population
+from curlfit.inference.joint.population import Population, ends_from
 from curlfit.inference.joint.posterior import sampled
-from curlfit.inference.joint.result import JointResult, Table, Variation
+from curlfit.inference.joint.result import JointResult, SeparateFits, Variation
 from curlfit.inference.joint.summary import varying_fields
 from curlfit.inference.joint.variation import Alone, told_by_each, variations_of, wanted_of
 from curlfit.inference.model import Model
@@ -110,12 +110,9 @@ class _Quadratics(NamedTuple):
         whole = np.array([*weights.values()]).reshape(len(weights), len(self.items))
         directions: Any = np.linalg.pinv(whole * self.typical * self.free)
         model = MixedModel.of(self.rows, self.target, directions, columns)
-        lower, upper = (
-            np.where(self.free, (end - self.reference) / self.typical, sign * np.inf)
-            for end, sign in zip(self.bounds, (-1, 1), strict=True)
-        )
+        ends = ends_from(self.reference, self.typical, self.free, *self.bounds)
         variances = model.variances(spreads**2) if len(spreads) else spreads
-        fit = MixedFit(model, variances, lower, upper)
+        fit = MixedFit(model, variances, *ends)
         return Population(fit, self.reference, self.typical, tuple(weights), whole, fit)
 
     def equal(self) -> tuple[Covariance, dict[str, Estimate]]:
@@ -147,7 +144,7 @@ class _Quadratics(NamedTuple):
 
 
 def mean_of(
-    season: Season, by: Sequence[str], trend: Sequence[str], seed: int | None
+    season: Season, by: str | Sequence[str], trend: str | Sequence[str], seed: int | None
 ) -> JointResult:
     """The mean of throws, how they vary about it, and what groups and trends do.
 
@@ -173,7 +170,7 @@ def mean_of(
     }
     variation = {one.expression: one for one in throws.variations(wanted, covariates.values)}
     weights = told_by_each(
-        throws.rows / throws.typical, throws.typical * throws.free,
+        season.told[..., :-1], throws.typical * throws.free,
         {name: wanted[name] for name in variation},
     )  # fmt: skip
     if not weights:
@@ -195,6 +192,6 @@ def mean_of(
         warnings=(),
         rank=known.identifiability.rank,
         parameters=int(throws.free.sum()),
-        table=Table(season.file, count, season.stone, season.notes),
+        table=SeparateFits(season.file, count, season.stone, season.notes),
         **fields,
     )

@@ -195,15 +195,8 @@ class _Quantities(NamedTuple):
             unit = unit if per == "1" else f"{unit}/{per}"
             made.append(
                 Effect(
-                    name,
-                    float(value),
-                    float(error),
-                    dof,
-                    p,
-                    by,
-                    unit=unit,
-                    quantiles=quantiles,
+                    name, float(value), float(error), dof, p, by, unit=unit, quantiles=quantiles,
                     **group,
                 )
-            )
+            )  # fmt: skip
         return made
