@@ -210,8 +210,11 @@ def _season(result: JointResult) -> draw.Picture:
             )  # fmt: skip
         axes.set_ylim(0, top * (1.12 + 0.1 * len(of_item)))
         axes.set_yticks([])
-    handles = panels[0].get_legend_handles_labels()[0]
-    figure.legend(handles=handles, loc="outside lower center", ncols=4)
+    labelled: dict[str, Any] = {}
+    for axes in panels:  # one of what does not vary has no groups
+        handles, labels = axes.get_legend_handles_labels()
+        labelled |= dict(zip(labels, handles, strict=True))
+    figure.legend(labelled.values(), labelled.keys(), loc="outside lower center", ncols=4)
     figure.draw_without_rendering()  # ticks depend on the layout
     for axes, item in zip(panels, shown, strict=True):
         neat_axis(axes.xaxis, draw.in_symbols(item.expression, symbols))

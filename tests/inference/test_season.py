@@ -127,3 +127,17 @@ def test_a_table_runs_no_law_of_its_sender(season, tmp_path):
     (tmp_path / "a.settings.json").write_text(json.dumps(settings))
     ran = command("fit", "a.csv", "--out", "out", cwd=tmp_path)
     assert (ran.returncode, "run" in ran.stderr) == (2, False)
+
+
+def test_the_figure_of_a_table_names_all_groups(season):
+    """Also where the first panel is of a coefficient that does not vary, and has none."""
+    folder, _ = season
+    found = curlfit.fit_season(folder / "season.csv", by="sheet")
+    first, *others = found.variation
+    groups = [one for one in found.groups if one.parameter != first.expression]
+    figure = curlfit.joint_figure(replace(found, groups=tuple(groups)))
+    (legend,) = figure.legends
+    assert {text.get_text() for text in legend.get_texts()} == {
+        "throws, each alone", "sheet 1", "sheet 2",
+    }  # fmt: skip
+    assert others
