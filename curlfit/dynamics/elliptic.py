@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 _AGM_ITERATIONS = 5  # of the arithmetic-geometric mean: exact to rounding for m1 >= _MIN_M1
@@ -78,6 +79,10 @@ class Means(NamedTuple):
     xi_xi: Array
     eta: Array
     xi_eta: Array
+
+
+MEAN_PLACES = Means(one=0.5, xi=0.0, xi_xi=0.25, eta=1 / np.pi, xi_eta=0.0)
+"""Means of the places alone, of what acts at all points in the same direction"""
 
 
 def mean_directions(v: Array, u: Array) -> tuple[Means, Means]:

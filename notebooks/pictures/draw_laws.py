@@ -32,7 +32,8 @@ def ring(law: LocalLaw, alpha: np.ndarray, load: Any) -> tuple[np.ndarray, np.nd
     speed = np.hypot(right, forward)
     point = RingPoint(
         xi=xi, eta=eta, angle=alpha, front=1.0 * (eta > 0), slide_xi=right, slide_eta=forward,
-        speed=speed, e_xi=right / speed, e_eta=forward / speed, load=load, turned=TURNED, time=0.0,
+        speed=speed, e_xi=right / speed, e_eta=forward / speed, load=load, v=SPEED, u=u,
+        turned=TURNED, time=0.0,
     )  # fmt: skip
     t_xi, t_eta = law.traction(point)
     return load * t_xi * np.ones_like(alpha), load * t_eta * np.ones_like(alpha)
