@@ -34,14 +34,15 @@ def laws(
         As JSON, for programs.
     """
     from curlfit.errors import InputError
-    from curlfit.friction import LAWS, find_law
+    from curlfit.friction import LAWS, TERMS, find_law
 
     if conditions:
         if names:
             raise InputError("--conditions are those of any law; give no names")
         _print_conditions(as_json=as_json)
         return
-    chosen = [find_law(name) for name in names] if names else list(LAWS.values())
+    every = (*LAWS.values(), *TERMS.values())
+    chosen = [TERMS.get(name) or find_law(name) for name in names] if names else every
     if as_json:
         print(json.dumps([_record(law) for law in chosen], indent=1))
         return
@@ -90,6 +91,7 @@ def _text(law: type[Law], width: int) -> str:
         ("", law.formula),
         ("source: ", law.source or law.origin),
         ("a counter-clockwise stone curls ", law.predicts),
+        ("", "" if law.brakes else f"does not brake: a part of sums, as in power+{law.name}"),
     ):
         if text:
             lines += _wrap("  ", f"{label}{text}", width)

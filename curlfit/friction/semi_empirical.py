@@ -84,7 +84,7 @@ class DigitalCurling(NetLaw):
 
     f: float = coefficient(0.00626286, "coefficient of friction at high speed", symbol="f")
     d: float = coefficient(0.00200985, "its growth at low speed", unit="m/s", symbol="d")
-    c: float = coefficient(0.06385782, "speed of this growth", unit="m/s", lower=0.005,
+    c: float = coefficient(0.06385782, "speed of this growth", unit="m/s", lower=0.005, upper=20.0,
                            typical=0.05, symbol="c")  # fmt: skip
     w: float = coefficient(0.0082, "turning of the path at 1 m/s", unit="rad/s", symbol="w")
     n: float = coefficient(-0.8, "exponent of the turning", lower=-1.9, upper=2.0, typical=0.5,

@@ -183,11 +183,11 @@ def local_law(name: str) -> list[str]:
 
 
 def net_law(name: str) -> list[str]:
-    """Accelerations by speed of a law of the whole stone, at 1 rad/s."""
+    """Accelerations by speed of a law of the whole stone, at 1 rad/s, 10 s after release."""
     law = curlfit.law_with(name, {})
     assert isinstance(law, NetLaw)
     speed = np.linspace(0.3, 2.2, 60)
-    across, along, _ = law.accelerations(Motion(speed, 1.0, 0.0, 0.0), STONE)
+    across, along, _ = law.accelerations(Motion(speed, 1.0, 0.0, 10.0), STONE)
     flat = np.ones_like(speed)
     horizontal = (0.3, 2.2, [(v, f"{v:g}") for v in (0.5, 1.0, 1.5, 2.0)], "speed (m/s)")
     curves = [(speed, across * flat, "to the right", "5 4"), (speed, along * flat, "forward", "")]
