@@ -11,11 +11,13 @@ from curlfit.stone import GRAVITY
 
 _SLOWEST = 1e-3
 """Speed in m/s below which powers of the speed, and the side, change gradually"""
+_SLOWEST_PIVOT = 1e-2
+"""The same of a pivot, whose torque ends the spin of a moving stone"""
 
 
-def _to_the_slow_side(u: Any, exponent: float) -> Any:
+def _to_the_slow_side(u: Any, exponent: float, slowest: float = _SLOWEST) -> Any:
     """-sgn(u) |u|^exponent, smooth where u changes its sign."""
-    return -u * power(u**2 + _SLOWEST**2, (exponent - 1) / 2)
+    return -u * power(u**2 + slowest**2, (exponent - 1) / 2)
 
 
 class Sideways(LocalLaw):
@@ -79,5 +81,5 @@ class Pivot(LocalLaw):
                            symbol="q")  # fmt: skip
 
     def traction(self, point: RingPoint) -> tuple[Any, Any]:
-        push = self.q * _to_the_slow_side(point.u, -0.5)
+        push = self.q * _to_the_slow_side(point.u, -0.5, _SLOWEST_PIVOT)
         return push * (1 - point.eta), push * point.xi  # the torque along the ring

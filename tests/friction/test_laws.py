@@ -91,8 +91,8 @@ def pushed(law, push, torque=0.0):
     return traction
 
 
-def slow_side(u, exponent=0.0):
-    return -u * (u**2 + 1e-6) ** ((exponent - 1) / 2)
+def slow_side(u, exponent=0.0, slowest=1e-3):
+    return -u * (u**2 + slowest**2) ** ((exponent - 1) / 2)
 
 
 def power(c, k):
@@ -115,7 +115,7 @@ FORMULAS = {
         power(c, k), lambda v, u: -2 * b / G * np.arctan(u / np.hypot(v, 1e-3))
     ),
     "power+pivot": lambda c, k, q: pushed(
-        power(c, k), lambda v, u: q * slow_side(u, -0.5), torque=1.0
+        power(c, k), lambda v, u: q * slow_side(u, -0.5, 1e-2), torque=1.0
     ),
     "front-back+sideways": lambda *values: sideways(front_back(*values[:4]), *values[4:]),
     "pressure": lambda mu0, k: against(lambda ring, load: mu0 / load**k),
@@ -182,6 +182,7 @@ LAWS_OF_THE_RING = [
     ("power+sideways", (0.008, 0.0, 0.005, 2.0)),
     ("power+transverse", (0.008, -0.5, 0.05)),
     ("power+pivot", (0.008, -0.5, 1.1e-4)),
+    ("power+pivot", (0.008, 0.0, 1e-3)),  # its spin ends early
     ("front-back+sideways", (0.005, 0.05, 0.009, 0.009, 0.005, 2.0)),
 ]
 UNLIKE = ("power", "pressure", "debris", "front-back")
