@@ -24,6 +24,14 @@ from .friction import (
     coefficient as coefficient,
     find_law as find_law,
 )
+from .friction_tables.figures import friction_figure as friction_figure
+from .friction_tables.fit import fit_friction as fit_friction
+from .friction_tables.report import print_friction as print_friction
+from .friction_tables.result import FrictionFits as FrictionFits, load_friction as load_friction
+from .friction_tables.table import (
+    FrictionTable as FrictionTable,
+    load_friction_table as load_friction_table,
+)
 from .html_report.page import write_report as write_report
 from .inference.figures import (
     corner_figure as corner_figure,

@@ -105,7 +105,12 @@ def fit(
         data = (*found_files(list(map(str, data)), besides=notes),)
     drawn = output.drawn()
     from curlfit.batch.table import is_table
+    from curlfit.friction_tables.table import is_friction_table
 
+    if is_friction_table(data[0]) and len(data) == 1:
+        from curlfit.friction_tables.command import fit_table
+
+        return fit_table(data[0], flags, output, "fit", reading, sampling)
     if is_table(data[0]):
         if words := [*replace(flags, law=None).words(), *reading.words()]:
             raise InputError(

@@ -117,6 +117,7 @@ _CAPTIONS = {
     "fit": "The path with its fit, residuals by channel, speed and spin",
     "corner": "Posterior of the coefficients, pair by pair",
     "joint": "All throws with their fits, and what each alone says of what they have in common",
+    "friction": "Measured friction against speed, and the laws fitted to it",
     "compare": "All paths over the data, their residuals, and the size of these by channel",
     "predict": "The path on the sheet, the resting position, the bands, speed and spin",
     "design-map": "What a single throw would tell, over speed and spin",

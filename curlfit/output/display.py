@@ -30,6 +30,7 @@ KINDS = {
     "compare": Kind("comparison.report", "comparison"),
     "joint": Kind("inference.joint.report", "joint"),
     "predict": Kind("prediction.report", "prediction"),
+    "friction": Kind("friction_tables.report", "friction"),
     "profile": Kind("profile_likelihood.report", "profile"),
     "design": Kind(
         "optimal_design.report", "design", ("design-map", "design-errors", "design-separate")
