@@ -53,6 +53,12 @@ def fit_friction(
     ------
     DataError : the file is not such a table. InputError : an unknown law or load; a law with more
         coefficients than the table has rows.
+
+    Examples
+    --------
+    >>> friction = curlfit.fit_friction("data/sutor_1988_friction.csv", ["sutor", "power"])
+    >>> friction.fits[0].law
+    'sutor'
     """
     if not isinstance(table, FrictionTable):
         table = load_friction_table(table)

@@ -52,9 +52,8 @@ class FrictionFits(Record):
 
     Examples
     --------
-    >>> found = curlfit.fit_friction("data/sutor_1988_friction.csv", ["sutor", "power"])
-    >>> found.fits[0].law
-    'sutor'
+    >>> friction.fits[1].coefficients["c"].verdict
+    'determined'
     """
 
     data: dict[str, Any]
@@ -77,5 +76,11 @@ def load_friction(file: str | PathLike[str]) -> FrictionFits:
     Raises
     ------
     DataError : missing, or not such a record.
+
+    Examples
+    --------
+    >>> friction.save("friction.json")
+    >>> curlfit.load_friction("friction.json").fits[0].law
+    'sutor'
     """
     return FrictionFits.read(file)

@@ -32,6 +32,11 @@ class FrictionTable:
     name : of the file.
     speed : m/s, of the centre of the stone. mu : braking force over the weight.
     omega : spin, rad/s; 0 where the table has none. sigma : standard errors of mu, if given.
+
+    Examples
+    --------
+    >>> speed, mu = np.array([0.5, 1.0, 2.0]), np.array([0.012, 0.009, 0.008])
+    >>> measured = curlfit.FrictionTable("mine", speed, mu, omega=np.zeros(3))
     """
 
     name: str
