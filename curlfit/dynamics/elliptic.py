@@ -72,13 +72,13 @@ def _(inputs: tuple[Any, Any], tangents: tuple[Any, Any]) -> tuple[Any, Any]:
 
 class Means(NamedTuple):
     """Half-ring means (integrals over the front half divided by 2 pi) of one component of a vector,
-    times 1, xi, xi^2, eta and xi eta."""
+    times 1, xi, xi^2, eta and xi eta: arrays, or numbers that are the same in all motions."""
 
-    one: Array
-    xi: Array
-    xi_xi: Array
-    eta: Array
-    xi_eta: Array
+    one: Any
+    xi: Any
+    xi_xi: Any
+    eta: Any
+    xi_eta: Any
 
 
 MEAN_PLACES = Means(one=0.5, xi=0.0, xi_xi=0.25, eta=1 / np.pi, xi_eta=0.0)

@@ -45,7 +45,7 @@ def find_law(name: str | type[Law], *, from_files: bool = True) -> type[Law]:
         parts = name.split("+")
         if all(part in TERMS or part in LAWS for part in parts[1:]):
             each = (TERMS.get(part) or find_law(part, from_files=from_files) for part in parts)
-            return checked(sum_of(*each))
+            return checked(sum_of(*each))  # type: ignore[arg-type]  # which it checks
     file, colon, kind = name.rpartition(":")
     if from_files and (file.endswith(".py") or name.endswith(".py")):
         return law_from_file(*((file, kind) if colon and not kind.endswith(".py") else (name, "")))

@@ -65,7 +65,7 @@ def sum_of(*parts: type[LocalLaw]) -> type[Sum]:
     given: dict[str, Any] = {
         item.name: field(default=item.default, metadata=item.metadata)
         for part in parts
-        for item in fields(part)  # type: ignore[arg-type]
+        for item in fields(part)
     }
     return type(
         name, (Sum,),

@@ -104,7 +104,7 @@ def _fit(law: type[Law], load: Load, stone: Stone, table: FrictionTable) -> Fric
             descent=BoundedDescent(lower, upper, typical), search=GainRatio(_PRECISE.damping),
             control=_PRECISE, blocks=Blocks.of(np.ones(len(items), bool)), penalty=None,
         )  # fmt: skip
-        found = optx.least_squares(residual, solver, start, None, max_steps=None, throw=False)
+        found: Any = optx.least_squares(residual, solver, start, None, max_steps=None, throw=False)
         return found.value, found.state.residual, found.state.jacobian
 
     starts = [np.clip(scale * default, lower, upper) for scale in _STARTS]
@@ -155,7 +155,7 @@ def _estimates(items: Sequence[Any], found: Covariance) -> dict[str, Estimate]:
     for place, item in enumerate(items):
         stderr, verdict, dof = (None, "fixed", None) if item.optional else found.classified(place)
         estimates[item.name] = Estimate(
-            value=float(found.values[place]), stderr=stderr, verdict=verdict, unit=item.unit,  # type: ignore[arg-type]
+            value=float(found.values[place]), stderr=stderr, verdict=verdict, unit=item.unit,
             symbol=item.symbol, meaning=item.meaning, lower=item.lower, upper=item.upper,
             typical=item.typical, reason=weakness(verdict, item.typical), dof=dof,
         )  # fmt: skip

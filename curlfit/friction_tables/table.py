@@ -93,7 +93,8 @@ def load_friction_table(file: str | PathLike[str]) -> FrictionTable:
             f"no column {' and '.join(sorted(missing))}; expected speed and mu", file=path
         )
     names = [name for name in ("speed", "mu", "omega", "sigma") if name in places]
-    values = dict(zip(names, table.numbers([places[name] for name in names]), strict=True))
+    numbers = table.numbers([places[name] for name in names])
+    values: dict[str, Floats] = dict(zip(names, numbers, strict=True))
     for name in values.keys() & {"speed", "omega"}:
         column = parse_header(table.names[places[name]])
         values[name] = values[name] * (column.factor if column else 1.0)
