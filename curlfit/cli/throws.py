@@ -42,7 +42,6 @@ def check(
         Draw the data to this file.
     """
     from curlfit.inference.parameters import FEWEST_ROWS
-    from curlfit.throws.inspection import inspect_throw
     from curlfit.throws.load import read, throw_of
     from curlfit.throws.plausibility import examine, require_plausible
 
@@ -66,7 +65,7 @@ def check(
     from curlfit.throws.report import print_findings, print_inspection
 
     console = terminal(highlight=False)
-    print_inspection(parsed, throw, inspect_throw(throw), shown, console)
+    print_inspection(parsed, throw, shown, console)
     print_findings(examine(cut), console)
     if (refused := _refusal(cut, chosen)) is not None:
         if len(cut) < FEWEST_ROWS:

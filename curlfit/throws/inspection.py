@@ -1,4 +1,4 @@
-"""Inspection of a throw before a fit: intervals in time, scatter, jumps, rest."""
+"""Whether and when a stone comes to rest, from its rows alone."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.throw import Throw, scatter
 
-_PAUSE = 2.5  # a longer interval is a pause; in median intervals
 _MIN_POSITIONS = 4  # needed to determine a speed
 _MIN_REST_ROWS, _MIN_REST_TIME = 4, 0.2  # rows and time (s) at rest needed to detect rest
 # m/s; at a deceleration of 0.1 m/s^2 the stone then stops within 0.3 s and 5 mm
@@ -17,26 +16,6 @@ _MAX_REST_SPEED = 0.03
 _CAMERA_DRIFT = 0.001  # m, in addition to the scatter from row to row
 _CONFIDENCE = 3.0  # in standard errors
 _END_ROWS, _END_TIME = 6, 1.0  # rows and time (s) from which the final speed is estimated
-
-
-@dataclass(frozen=True)
-class Clock:
-    """Intervals between rows in s, and pauses, which are much longer.
-
-    `longest_pause` and `pause_start` are duration and start of the longest pause; None without one.
-    """
-
-    median: float
-    shortest: float
-    longest: float
-    pauses: int
-    longest_pause: float | None
-    pause_start: float | None
-
-    @property
-    def regular(self) -> bool:
-        """Whether all intervals are equal."""
-        return self.longest - self.shortest <= 1e-6 * self.median
 
 
 @dataclass(frozen=True)
@@ -60,70 +39,8 @@ class Rest:
     measured: bool = False
 
 
-@dataclass(frozen=True)
-class Inspection:
-    """Findings on a throw.
-
-    `clock` is None for a single row. `noise` is the scatter from row to row by channel (SI), where
-    there is any; `jumps` has the times (s) of outlying steps by channel.
-    """
-
-    clock: Clock | None
-    noise: dict[str, float]
-    jumps: dict[str, Floats]
-    rest: Rest
-
-
-def inspect_throw(throw: Throw) -> Inspection:
-    """Inspect a throw."""
-    noise, jumps = {}, {}
-    for channel in throw.seen:
-        values = getattr(throw, channel)
-        seen = np.isfinite(values)
-        spread = scatter(values[seen])
-        if spread > 1e-12:
-            noise[channel] = spread
-        found = _jumps(throw.t[seen], values[seen], spread)
-        if len(found):
-            jumps[channel] = found
-    return Inspection(_clock(throw.t), noise, jumps, _rest(throw))
-
-
-def _clock(t: Floats) -> Clock | None:
-    step = np.diff(t)
-    if not len(step):
-        return None
-    median = float(np.median(step))
-    pauses = np.flatnonzero(step > max(_PAUSE * median, 1.5 * float(np.quantile(step, 0.9))))
-    longest_pause = int(pauses[np.argmax(step[pauses])]) if len(pauses) else None
-    return Clock(
-        median=median,
-        shortest=float(step.min()),
-        longest=float(step.max()),
-        pauses=len(pauses),
-        longest_pause=None if longest_pause is None else float(step[longest_pause]),
-        pause_start=None if longest_pause is None else float(t[longest_pause]),
-    )
-
-
-def _jumps(t: Floats, values: Floats, noise: float) -> Floats:
-    """Times of steps that differ from the neighbouring median by much more than the noise.
-
-    Steps across a pause are left out.
-    """
-    step = np.diff(values)
-    if len(step) < 8:
-        return t[:0]
-    around = np.median(np.lib.stride_tricks.sliding_window_view(np.pad(step, 3, "edge"), 7), axis=1)
-    off = np.abs(step - around)
-    if not off.any():
-        return t[:0]
-    usual = 6 * float(np.median(np.abs(step[step != 0])))  # for coarsely rounded numbers
-    far = off > np.maximum(max(12 * noise, usual), 3 * np.abs(around)) + 1e-9
-    return t[1:][far & (np.diff(t) < _PAUSE * np.median(np.diff(t)))]
-
-
-def _rest(throw: Throw) -> Rest:
+def rest_of(throw: Throw) -> Rest:
+    """Where the throw ends."""
     finite = np.isfinite(throw.x) & np.isfinite(throw.y)
     if finite.sum() < _MIN_POSITIONS:
         known = throw.speed[np.isfinite(throw.speed)]

@@ -15,13 +15,12 @@ from curlfit.foreign import quoted
 from curlfit.settings.choices import Reading, takes
 from curlfit.throws.readers.assemble import assemble
 from curlfit.throws.readers.axes import parse_axes
+from curlfit.throws.readers.camera import load_homography
 from curlfit.throws.readers.columns import parse_units
 from curlfit.throws.readers.digitalcurling import DIGITALCURLING
-from curlfit.throws.readers.homography import load_homography
 from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile
-from curlfit.throws.readers.spreadsheet import BEGINNINGS
 from curlfit.throws.readers.table import TABLE
-from curlfit.throws.readers.text import TextFile, lines_of
+from curlfit.throws.readers.text import SPREADSHEETS, TextFile, lines_of
 from curlfit.throws.readers.timings import TIMINGS, is_table, labels_in
 from curlfit.throws.readers.tracker import TRACKER
 from curlfit.throws.throw import Throw
@@ -165,7 +164,7 @@ def _beginning(file: str | PathLike[str]) -> list[str]:
     """The first lines of a file; none if it cannot be read."""
     try:
         with Path(file).open("rb") as start:
-            if start.read(4) in BEGINNINGS:
+            if start.read(4) in SPREADSHEETS:
                 return lines_of(Path(file))
         with Path(file).open(encoding="utf-8-sig", errors="replace") as stream:
             return stream.read(_BEGINNING).splitlines()

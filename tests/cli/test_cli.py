@@ -194,7 +194,7 @@ def test_check_shows_what_was_understood(tmp_path):
     ("name", "flags", "words"),
     [
         ("semicolons", (), "phi: 2 jumps of 360 degrees removed"),
-        ("tracker", ("--axes", "x-left"), "not how the stone turns"),
+        ("tracker", ("--axes", "x-left"), "not from how the stone turns"),
         ("two", ("--stone-index", 2), "taken: 2 mass B"),
         ("log", ("--shot", 2), "end 0 shot 1"),
         ("timings", (), "6 events at lines and at rest"),

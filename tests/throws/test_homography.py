@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 
 from curlfit import load_throw
 from curlfit.throws.readers.axes import parse_axes
-from curlfit.throws.readers.homography import displacements, homography
+from curlfit.throws.readers.camera import displacements, homography
 from tests.sample_files import KNOWN, known_points, project, table
 
 PLACES = np.array([[0.0, 1.0, -1.5], [5.0, 20.0, 27.0]])

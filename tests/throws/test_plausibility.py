@@ -376,6 +376,5 @@ def test_a_takeout_without_a_back_line_is_no_matter_of_units():
     assert examine(Throw.from_arrays(t[few], 0 * y[few], y[few])) == ()
     # in feet a draw is too long and too fast
     t, y = slid(2.0, 0.0074)
-    for rows in (slice(None), few):
-        with pytest.raises(InputError, match="length=ft"):
-            require_plausible(Throw.from_arrays(t[rows], 0 * y[rows], y[rows] / FOOT))
+    with pytest.raises(InputError, match="length=ft"):
+        require_plausible(Throw.from_arrays(t, 0 * y, y / FOOT))

@@ -88,7 +88,7 @@ def test_settings_and_other_comments(write):
         write('# seen from the gallery\n# until = 1.5\n# stone.R = 0.06\n# ice = "new"\n' + PLAIN)
     )
     assert throw.defaults == {"until": 1.5, "stone": {"R": 0.06}}
-    assert any("'ice' is not known" in note for note in throw.notes)
+    assert "settings not known and ignored: 'ice' (line 4)" in throw.notes
 
 
 def test_ignored_columns_are_named(write):

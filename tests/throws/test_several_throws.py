@@ -74,7 +74,7 @@ def test_tables_in_memory_hold_several_too():
     every = {name: np.concatenate([v, v + 0.5 * (name == "x")]) for name, v in COLUMNS.items()}
     named = every | {"track_id": np.repeat([7, 9], N)}
     for frame, listed in ((named, "1 track_id 7"), (every, "1 from row 1")):
-        with pytest.raises(DataError, match=rf"`stone_index = N`: {listed} \(60 rows\)"):
+        with pytest.raises(DataError, match=rf"`--stone-index N`: {listed} \(60 rows\)"):
             Throw.from_frame(frame)
         is_throw(Throw.from_frame(frame, stone_index=2), 0.5)
 
