@@ -43,7 +43,7 @@ def check(
     """
     from curlfit.inference.parameters import FEWEST_ROWS
     from curlfit.throws.load import read, throw_of
-    from curlfit.throws.plausibility import examine, require_plausible
+    from curlfit.throws.plausibility import examine, require_motion, require_plausible
 
     if out is not None:
         if out.suffix.lower() not in (".png", ".pdf", ".svg"):
@@ -55,7 +55,7 @@ def check(
     parsed = read(data, reading)
     job = s.apply_settings(throw_of(parsed, reading), configured, Modelling(**vars(rows)))
     throw, chosen, cut = job.throw, job.chosen, job.cut
-    cut.require_motion()
+    require_motion(cut)
     if out is not None and not throw.has_path:
         raise InputError(f"--out: {data} has timed events only, and no path to draw")
     shown = {**throw.defaults, **configured, **rows.given()}
@@ -190,7 +190,6 @@ def simulate(
         File to write. [default: print]
     """
     from curlfit.environment import Environment
-    from curlfit.errors import warn_once
     from curlfit.throws.synthetic import SIMULATED, synthetic_throw, write_table
 
     state = start.given()
@@ -205,8 +204,6 @@ def simulate(
     throw = synthetic_throw(**model | ({} if until is None else {"until": until}))
     if line is not None:
         throw = throw.with_defaults(axes="from-hack")
-    for note in throw.notes:
-        warn_once(note)
     text = write_table(throw)
     if out is None:
         print(text, end="")

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from curlfit.errors import InputError
+from curlfit.errors import DataError, InputError
 from curlfit.numerics.arrays import Floats
 from curlfit.sheet import LENGTH, WIDTH
 from curlfit.stone import GRAVITY
@@ -38,7 +38,7 @@ from curlfit.throws.remedies import (
     some_units,
     unit_remedy,
 )
-from curlfit.throws.throw import Throw
+from curlfit.throws.throw import Throw, scatter
 
 FRICTION = (0.002, 0.1)
 """Limits of the mean coefficient of friction; published values are 0.006 to 0.02 (Penner 2001,
@@ -99,7 +99,7 @@ def require_plausible(throw: Throw) -> tuple[Finding, ...]:
     InputError : the stone never moves, or the data cannot be those of a curling stone; the latter
         is accepted if `as_given` is among the throw's defaults.
     """
-    throw.require_motion()
+    require_motion(throw)
     found = examine(throw)
     if throw.defaults.get("as_given"):
         return tuple(replace(finding, refused=False) for finding in found)
@@ -114,6 +114,16 @@ def require_plausible(throw: Throw) -> tuple[Finding, ...]:
             f"{throw.name}: {'. '.join(refused)}. To accept the data as they are: {right}"
         )
     return found
+
+
+def require_motion(throw: Throw) -> None:
+    """Raise `DataError` if the motion does not exceed the scatter of the data."""
+    seen = [values[np.isfinite(values)] for values in (throw.x, throw.y)]
+    # Independent noise has the same spread over the whole throw as from row to row.
+    moves = (len(v) > 1 and np.ptp(v) > 1e-6 and v.std() > 3 * scatter(v) for v in seen)
+    if any(map(len, seen)) and not any(moves):
+        fault = "the stone never moves by more than the scatter of the data; nothing can be fitted"
+        raise DataError(fault, file=throw.name)
 
 
 def examine_fit(

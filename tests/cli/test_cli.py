@@ -88,20 +88,6 @@ def test_a_simulated_throw_comes_back(tmp_path):
     assert [file.name for file in (tmp_path / "a-fit").iterdir()] == ["fit.json"]
 
 
-def test_a_stone_that_friction_drives_is_warned_of(tmp_path):
-    run = curlfit("simulate", "--unbounded", "--set", "mu1_xi=-1", "--out", "a.csv", cwd=tmp_path)
-    assert run.returncode == 0
-    assert run.stderr.startswith("curlfit: Warning: friction drives the stone: its energy grows")
-    assert len(run.stderr.splitlines()) == 1
-    mild = curlfit("simulate", "--unbounded", "--set", "mu1_xi=-0.001", cwd=tmp_path)
-    assert (mild.returncode, mild.stderr) == (0, "")
-    # within the bounds, and driven at once: 0.01 g for 2 s
-    run = curlfit("simulate", "--law", "stribeck", "--set", "mu0=-0.01,mu1=0", "--omega0", 0,
-                  "--until", 2, cwd=tmp_path)  # fmt: skip
-    times = ((2 + 0.0981 * 2) / 2) ** 2
-    assert f"from t = 0 s on, at t = 2 s to {times:.3g} times" in run.stderr
-
-
 def test_flags_override_the_configuration_and_that_the_file(tmp_path):
     (tmp_path / "c.toml").write_text("until = 15\n[stone]\nR = 0.06\n[bound]\nmu1_xi = [0, 0.5]\n")
     run = curlfit(

@@ -144,7 +144,7 @@ def test_files_that_are_none(tmp_path):
 def test_arrays():
     throw = Throw.from_arrays([0, 1, 2], [0, 0, 0], [0, 2, 3], sigma={"x": 0.01})
     np.testing.assert_array_equal(throw.sigma["x"], 0.01)
-    with pytest.raises(DataError, match="row 2: time 1 s is repeated"):
+    with pytest.raises(DataError, match="row 2: 1 found; times must increase"):
         Throw.from_arrays([0, 1, 1], [0, 0, 0], [0, 2, 3])
 
 

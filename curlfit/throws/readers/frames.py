@@ -35,10 +35,11 @@ def values_of(table: Any, reading: Reading, name: str = "table") -> dict[str, An
     values, stated = _variables(table, parsed)
     names = list(values)
     columns, parsed.ignored = columns_of(names, reading, parsed.error)
-    lengths = sorted({len(values[names[index]]) for index in columns})
-    if len(lengths) > 1:
-        raise parsed.error(f"columns of different lengths ({', '.join(map(str, lengths))})")
-    if lengths == [0]:
+    shapes = sorted({values[names[index]].shape for index in columns})
+    if len(shapes) > 1 or len(shapes[0]) != 1:
+        listed = ", ".join(map(str, shapes))
+        raise parsed.error(f"columns of different lengths, or of several dimensions: {listed}")
+    if shapes == [(0,)]:
         raise parsed.error("no rows")
     for index, column in columns.items():
         header = names[index]
@@ -105,8 +106,6 @@ def _is_time(name: str) -> bool:
 
 def _numbers(values: Any, column: Column, parsed: ParsedFile, header: str) -> np.ndarray:
     """Numbers in the column's unit; dates and durations as seconds."""
-    if values.ndim != 1:
-        raise parsed.error(f"{values.ndim} dimensions, expected one", quantity=header)
     is_time = column.quantity.startswith("t")
     if values.dtype.kind in "mM" and is_time:
         blank = np.isnat(values)
