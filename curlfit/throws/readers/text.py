@@ -22,8 +22,7 @@ from curlfit.numerics.arrays import Floats
 
 GAPS = {"", "nan", "na", "n/a", "null", "none", "-", "--"}
 EXPECTED = "expected a header such as t,x,y,phi (time in s, position in m, angle in rad)"
-SPREADSHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
-"""First bytes of spreadsheets, and of other archives."""
+_SPREADSHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")  # first bytes; of other archives too
 _MOST_BYTES = 50_000_000
 # Characters of a comment, a header or a setting; of a row; a line of JSON may have any number.
 _MOST_IN_HEAD, _MOST_IN_ROW = 1000, 20_000
@@ -79,7 +78,7 @@ def _text_of(path: Path, most_bytes: int, what: str) -> str:
         raise DataError(f"cannot be read ({error.strerror})", file=path) from None
     if len(raw) > most_bytes:
         raise DataError(f"larger than {most_bytes // 1000} kB; expected {what}", file=path)
-    if raw.startswith(SPREADSHEETS):
+    if raw.startswith(_SPREADSHEETS):
         return _text_of_sheet(raw, path, most_bytes)
     encoding = "utf-16" if raw[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
     try:

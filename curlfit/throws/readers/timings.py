@@ -137,10 +137,10 @@ def is_table(head: list[str]) -> bool:
 def _recognizes(head: list[str]) -> bool:
     if is_table(head):
         return any(key in TIMES for key, _ in _header(head[0]))
-    found = [_pair(line) for line in head]
+    found = [pair for pair in map(_pair, head) if pair is not None]
     # The header of a table may begin with such a name too, but has no digits.
-    return any(pair is not None and pair[0] in TIMES for pair in found) or (
-        found[0] is not None and any(char.isdigit() for char in found[0][2])
+    return any(key in TIMES for key, _, _ in found) or (
+        _pair(head[0]) is not None and any(map(str.isdigit, found[0][2]))
     )
 
 
@@ -165,15 +165,8 @@ def _header(line: str) -> list[tuple[str | None, str]]:
 def _pair(line: str) -> tuple[str, str, str] | None:
     """Quantity, unit and text of a line; None if it names no known quantity."""
     match = _LINE.match(line)
-    if match is not None and (found := _key(match[1])) is not None:
-        return *found, match[2]
-    # `hog to hog 14.2`: the name ends where the value begins
-    words = line.split()
-    for count in range(min(4, len(words) - 1), 0, -1):
-        found = _key(" ".join(words[:count]))
-        if found is not None and not found[1]:
-            return *found, " ".join(words[count:])
-    return None
+    found = _key(match[1]) if match is not None else None
+    return (*found, match[2]) if match is not None and found is not None else None
 
 
 def _rows(file: TextFile, *, table: bool = False) -> list[Row]:
