@@ -60,10 +60,10 @@ def batch(
     """
     from concurrent.futures import BrokenExecutor
 
-    from curlfit.batch.settings import BatchSettings, columns, found_files, usual_law
+    from curlfit.batch.settings import BatchSettings, columns
     from curlfit.batch.table import Table, settings_file
     from curlfit.errors import CurlfitError, InputError
-    from curlfit.throws.load import states_sweeping
+    from curlfit.throws.load import found_files, states_sweeping, usual_law
 
     if dask is not None and "://" not in dask:
         raise InputError(

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from glob import glob
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,7 +23,7 @@ from curlfit.throws.readers.digitalcurling import DIGITALCURLING
 from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile
 from curlfit.throws.readers.table import TABLE
 from curlfit.throws.readers.text import TextFile, is_aside, lines_of
-from curlfit.throws.readers.timings import TIMINGS, is_table, labels_in
+from curlfit.throws.readers.timings import TIMINGS, is_table, labels_in, usual_law as law_of_timings
 from curlfit.throws.readers.tracker import TRACKER
 from curlfit.throws.throw import Throw
 
@@ -29,6 +31,7 @@ _READERS = (DIGITALCURLING, TIMINGS, TRACKER, TABLE)
 """Formats in the order in which they are tried; the last accepts any file."""
 _BY_NAME = {reader.name: reader for reader in reversed(_READERS)}
 FORMATS = tuple(_BY_NAME)
+_SUFFIXES = (".csv", ".tsv", ".txt", ".jsonl", ".json")
 _MOST_ASIDES, _HEAD = 200, 30  # lines that show the format, with and without comments
 
 
@@ -204,12 +207,38 @@ def _open(file: str | PathLike[str], reading: Reading) -> tuple[Path, Format, Co
     return path, format, format.contents(TextFile(path, lines), reading)
 
 
-def format_of(file: str | PathLike[str]) -> str:
-    """The format of a file. Raises `DataError` if it cannot be read."""
-    return detect_format(lines_of(Path(file)))
+def usual_law(file: str | PathLike[str], format: str | None = None) -> str:
+    """The law if none is given: for a stopwatch record, the one that its values determine."""
+    with suppress(DataError):  # reported where the file is read
+        lines = lines_of(Path(file))
+        if (format or detect_format(lines)) == TIMINGS.name:
+            return law_of_timings(TextFile(Path(file), lines))
+    return "front-back"
 
 
 def detect_format(lines: list[str]) -> str:
     """The format of a file, from its first lines."""
     head = [line for line in lines[:_MOST_ASIDES] if not is_aside(line)][:_HEAD] or ["t"]
     return next(reader.name for reader in _READERS if reader.recognizes(head))
+
+
+def found_files(wanted: Sequence[str], besides: Collection[Path] = ()) -> list[Path]:
+    """Data files from folders, patterns and names, each once, sorted, except those in `besides`.
+
+    Raises
+    ------
+    InputError : a folder, pattern or name matches no file.
+    """
+    found: set[Path] = set()
+    left_out = {file.resolve() for file in besides}
+    for text in wanted:
+        place = Path(text)
+        if place.is_dir():
+            here = {file for file in place.iterdir() if file.suffix.lower() in _SUFFIXES}
+        else:
+            here = {Path(name) for name in glob(text, recursive=True) if Path(name).is_file()}
+        if not (here := {file for file in here if file.resolve() not in left_out}):
+            what = f"no file that ends in {', '.join(_SUFFIXES)}" if place.is_dir() else "no file"
+            raise InputError(f"{text}: {what} found")
+        found |= here
+    return sorted(found)

@@ -81,13 +81,13 @@ def examine(throw: Throw) -> tuple[Finding, ...]:
     units any stone seems to have been hit.
     """
     one = throw.condensed(_MOST_ROWS)
-    motion = motion_of(one)
     found = [*_wrapped(one), *_turns(one)]
-    for stage in () if motion is None else _STAGES:
-        here = [finding for check in stage for finding in check(one, motion)]
-        found += here
-        if any(finding.refused for finding in here):
-            break
+    if (motion := motion_of(one)) is not None:
+        for stage in _STAGES:
+            here = [finding for check in stage for finding in check(one, motion)]
+            found += here
+            if any(finding.refused for finding in here):
+                break
     return tuple(sorted(found, key=lambda finding: not finding.refused))
 
 

@@ -332,15 +332,11 @@ class Throw(Displayed):
             keep &= (self.t < begin - 1e-9) | (self.t > end + 1e-9)
         if not keep.any():
             raise InputError(f"the excluded intervals leave no row of {self.name}")
-        return replace(
-            self,
-            **{name: getattr(self, name)[keep] for name in ("t", *CHANNELS)},
-            **{
-                name: {channel: values[keep] for channel, values in getattr(self, name).items()}
-                for name in ("sigma", "relative_sigma")
-            },
-            lines=None if self.lines is None else self.lines[keep],
-        )
+        every: dict[str, Any] = {name: getattr(self, name)[keep] for name in ("t", *CHANNELS)}
+        for name in ("sigma", "relative_sigma"):
+            every[name] = {channel: v[keep] for channel, v in getattr(self, name).items()}
+        lines = None if self.lines is None else self.lines[keep]
+        return replace(self, **every, lines=lines)
 
     def with_defaults(self, **defaults: Any) -> Throw:
         """The throw with some defaults replaced."""

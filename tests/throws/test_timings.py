@@ -15,9 +15,8 @@ from conftest import invoke, parts_in
 from sample_files import PLAIN, TIMINGS
 
 from curlfit import fit, load_fit, load_joint
-from curlfit.batch.settings import usual_law
 from curlfit.errors import DataError, InputError
-from curlfit.throws.load import holds_timed_rows, load_throw
+from curlfit.throws.load import holds_timed_rows, load_throw, usual_law
 from curlfit.throws.readers.notation import parse_quantity
 
 FOOT = 0.3048
@@ -209,7 +208,7 @@ def test_the_law_is_that_of_what_was_measured(tmp_path, rows, law):
     file = tmp_path / "evening.csv"
     file.write_text("hog_to_hog,hog_to_rest,rest,curl,turns\n" + rows + "\n")
     assert {part.throw.defaults["law"] for part in parts_in(file)} == {law}
-    assert usual_law(str(file), None) == usual_law(str(file), "timings") == law
+    assert usual_law(file) == usual_law(file, "timings") == law
 
 
 def test_words_of_a_quantity():

@@ -262,9 +262,9 @@ def _entries(file: TextFile, body: Sequence[tuple[int, str]]) -> dict[str, Entry
     return found
 
 
-def usual_law(path: Path) -> str:
+def usual_law(file: TextFile) -> str:
     """The law that a file is fitted with if none is named. Raises `DataError` as the reader."""
-    return _usual_law(_rows(TextFile(path, lines_of(path))))
+    return _usual_law(_rows(file))
 
 
 def _usual_law(rows: list[Row]) -> str:

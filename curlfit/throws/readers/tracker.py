@@ -170,7 +170,8 @@ def _objects(names: list[str], titles: list[str]) -> list[_Object]:
     """The objects, of which each begins at its title, or else where a quantity is repeated."""
     starts = [k for k, title in enumerate(titles[: len(names)]) if title]
     if len(starts) < 2:
-        starts, seen = [0], set()
+        starts = [0]
+        seen: set[str] = set()
         for place, name in enumerate(map(str.lower, names)):
             if name and name in seen:
                 starts.append(place)
