@@ -14,7 +14,6 @@ from contextlib import suppress
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pandas
 import psutil
 import pytest
 from conftest import command, process, started
@@ -118,11 +117,6 @@ def test_each_row_is_the_fit_of_that_throw(season, done):
     assert warned
     said = f"ok ({warned} with warnings, in the column of that name), 1 not usable, 1 failed"
     assert said in run.stdout
-    frame = pandas.read_csv(out)
-    assert list(frame.columns) == list(rows[0])
-    words = ("file", "status", "information", "labels", "combinations", "warnings", "reason")
-    numbers = [n for n in frame.columns if not n.endswith("_verdict") and n not in words]
-    assert all(frame[name].dtype.kind in "if" for name in numbers)
 
 
 def mixed():
@@ -184,19 +178,6 @@ def test_a_table_cut_off_anywhere_is_completed_to_the_same_bytes(season, done):
     assert run.stdout.splitlines()[-1] in again
 
 
-def test_columns_of_sums_are_those_of_the_law_and_what_is_free():
-    assert set(BatchSettings.of().sums()) == {"mu1_eta + mu2_eta"}
-    assert "mu1_eta + mu2_eta stderr" in columns(BatchSettings.of())
-    assert "mu1_eta + mu2_eta 50" in columns(BatchSettings.of(posterior=True))
-    for plan in (
-        BatchSettings.of(load="consistent"),
-        BatchSettings.of(fix={"mu1_eta": 0.01}),
-        BatchSettings.of(law="radial"),
-    ):
-        assert not plan.sums()
-    assert BatchSettings.of(law="front-back-first-order", load="consistent").sums()  # knows no load
-
-
 @pytest.mark.parametrize("name", [name for name, law in LAWS.items() if law.shipped()])
 def test_the_sums_that_laws_name_are_all_that_uniform_load_hides(name):
     """Against the null space of forces and moment over many motions and coefficients."""
@@ -241,24 +222,6 @@ def test_a_log_has_a_row_for_each_shot_and_an_export_one_for_each_object(logs):
         assert row["n_observations"] == alone.n_observations
         assert row["rms_y"] == pytest.approx(alone.rms["y"], rel=1e-3)
     assert fit_files(files[-1:], BatchSettings.of(shot=2)) == rows[-1:]
-    assert fit_files(files[1:2], BatchSettings.of(stone_index=1)) == rows[3:4]
-
-
-@pytest.mark.slow
-def test_a_log_cut_off_between_its_shots_is_completed(logs, tmp_path):
-    out = tmp_path / "r.csv"
-    words = ["batch", str(logs), "--out", str(out), "--workers", "1"]
-    assert command(*words, cwd=tmp_path).returncode == 0
-    whole = out.read_bytes()
-    lines = whole.splitlines(keepends=True)
-    for rows in (2, 4, 6):  # of the first file, of the second, of the third
-        out.write_bytes(b"".join(lines[: rows + 1]) + lines[rows + 1][:9])
-        assert command(*words, cwd=tmp_path).returncode == 0
-        assert out.read_bytes() == whole
-    # Rows of files that are not asked for again stay.
-    other = command("batch", str(logs / "b.txt"), *words[2:], cwd=tmp_path)
-    assert other.returncode == 0
-    assert out.read_bytes() == whole
 
 
 @pytest.mark.parametrize(
@@ -280,14 +243,6 @@ def test_the_exit_status_tells_what_became_of_the_throws(season, tmp_path, names
         assert bool(run.stderr) == bool(said)
         assert run.stdout == ""
     assert len(table(out)) == len(names)
-
-
-def test_the_table_may_lie_among_the_throws(season, tmp_path):
-    """As a user starts it: a process, which shares the work between others."""
-    (tmp_path / "a.csv").write_bytes((season / "throw0.csv").read_bytes())
-    assert process("batch", ".", cwd=tmp_path).returncode == 0
-    assert command("batch", ".", "--workers", 1, cwd=tmp_path).returncode == 0
-    assert [row["file"] for row in table(tmp_path / "results.csv")] == ["a.csv"]
 
 
 @pytest.mark.parametrize(
@@ -432,17 +387,4 @@ def test_a_killed_worker_of_dask_costs_no_throw(many, tmp_path, cluster):
         assert set(client.run(os.getpid).values()) != set(before.values())
     assert subprocess.run([*words, "--out", alone, "--workers", "1"], check=False).returncode == 0
     assert out.read_bytes() == alone.read_bytes()
-    assert [row["file"] for row in table(out)] == [str(file) for file in sorted(many.iterdir())]
-
-
-@pytest.mark.slow
-def test_a_killed_run_goes_on_without_repeating_or_losing_a_throw(many, tmp_path):
-    out = tmp_path / "results.csv"
-    words = [sys.executable, "-m", "curlfit", "batch", str(many), "--out", str(out)]
-    run = subprocess.Popen(words, start_new_session=True)
-    while run.poll() is None and (not out.exists() or out.stat().st_size < 20_000):
-        time.sleep(0.02)
-    os.killpg(run.pid, signal.SIGKILL)
-    run.wait()
-    assert subprocess.run(words, check=False).returncode == 0
     assert [row["file"] for row in table(out)] == [str(file) for file in sorted(many.iterdir())]

@@ -21,7 +21,7 @@ from curlfit import (
     simulate,
 )
 from curlfit.environment import Environment
-from curlfit.inference.conditions import CONDITIONS, SPIN
+from curlfit.inference.conditions import CONDITIONS
 from curlfit.throws.synthetic import write_table
 
 COULOMB = ("--law", "coulomb")
@@ -183,7 +183,3 @@ def test_the_conditions_are_listed_with_their_widths(typed):
     for item in CONDITIONS:
         assert f"{item.name} {item.meaning}; standard uncertainty {item.width:g}" in out
         assert item.basis in out
-    listed = json.loads(typed("laws", "--conditions", "--json"))
-    assert [(one["name"], one["width"]) for one in listed] == [
-        (item.name, item.width) for item in (*CONDITIONS, SPIN)
-    ]

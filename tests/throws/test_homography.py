@@ -36,9 +36,8 @@ def by_scipy(pixels, metres):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("seed", [3, 4])
-def test_the_distances_in_the_image_are_least(seed):
-    found, other = homography(clicked(seed), KNOWN), by_scipy(clicked(seed), KNOWN)
+def test_the_distances_in_the_image_are_least():
+    found, other = homography(clicked(), KNOWN), by_scipy(clicked(), KNOWN)
     assert found.rms_px == pytest.approx(np.sqrt(np.mean(other.fun**2)), rel=1e-8)
     inverse = np.linalg.inv(np.append(other.x, 1.0).reshape(3, 3))
     np.testing.assert_allclose(

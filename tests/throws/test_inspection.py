@@ -11,7 +11,7 @@ from conftest import command
 
 from curlfit import Throw
 from curlfit.throws.inspection import rest_of
-from curlfit.throws.report import braille, facts
+from curlfit.throws.report import facts
 from curlfit.throws.throw import scatter
 
 SLOWING, SPEED = 0.1, 2.0  # m/s^2, m/s: at rest after 20 s and 20 m
@@ -109,15 +109,6 @@ def test_a_speed_that_was_measured_says_how_the_throw_ends():
         assert f"rest       {words}" in list(facts(one, {}))
     spin = Throw.from_arrays(t, omega=t)
     assert "rest       unknown: too few positions" in list(facts(spin, {}))
-
-
-def test_a_line_in_dots_rises_from_corner_to_corner():
-    lines = braille(np.arange(100.0), np.arange(100.0), width=10, height=2)
-    assert [len(line) for line in lines] == [10, 5]
-    dots = sum((ord(sign) - 0x2800).bit_count() for line in lines for sign in line)
-    assert dots >= 20  # each column has one at least
-    assert ord(lines[0][9]) & 0x08  # top right
-    assert ord(lines[1][0]) & 0x40  # bottom left
 
 
 def test_what_no_fit_can_use_is_refused_by_check(tmp_path):

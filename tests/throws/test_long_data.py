@@ -58,14 +58,6 @@ def test_the_fit_is_that_of_all_rows_while_the_stone_moves(long):
         assert abs(one.value - other.value) < 4 * lost
 
 
-def test_given_sigmas_fall_as_in_a_mean(long):
-    given = long.with_sigma({"x": 0.005, "y": 0.005, "phi": 0.01})
-    short = given.condensed(3000)
-    moving = short.t < 20
-    block = np.diff(short.t[moving]).mean() / 0.002
-    assert np.median(short.sigma["x"][moving]) == pytest.approx(0.005 / np.sqrt(block), rel=0.05)
-
-
 def test_gaps_stay_gaps(long):
     phi = long.phi.copy()
     phi[2000:4000] = np.nan

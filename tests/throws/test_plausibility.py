@@ -60,16 +60,6 @@ def test_the_curl_is_the_departure_from_the_first_direction(until, rest, turned)
     assert motion.curl == pytest.approx(-x[-1], rel=0.08)
 
 
-def test_the_good_throw_is_good(written):
-    throw = load_throw(written(GOOD))
-    assert require_plausible(throw) == ()
-    motion = motion_of(throw)
-    # the derivatives of eq. 12 at 0 and 20 s; the first block is 0.8 s long
-    assert motion.fastest == pytest.approx(25 * 1.897 / 23 * (1 - 0.4 / 23) ** 0.897, rel=0.01)
-    mean = 25 * 1.897 / 23 * (1 - (3 / 23) ** 0.897) / 20
-    assert motion.friction == pytest.approx(mean / 9.81, rel=0.03)
-
-
 @pytest.mark.parametrize(
     ("made", "said", "flag"),
     [
@@ -348,17 +338,6 @@ def test_an_absurd_fit_is_not_usable(written, made, said, tmp_path):
     assert not curlfit.load_fit(tmp_path / "out").converged
 
 
-def test_a_fit_of_mirrored_axes_does_not_end_calmly():
-    fit = curlfit.fit(Throw.from_arrays(**scaled(x=-1)({n: v[::15] for n, v in GOOD.items()})),
-                      "coulomb")  # fmt: skip
-    assert fit.converged
-    assert fit.status.endswith("but the data are unusual: see the first warning")
-    assert "mirrored" in fit.warnings[0]
-    calm = curlfit.fit(Throw.from_arrays(**FEW), "coulomb")
-    assert calm.converged
-    assert "unusual" not in calm.status
-
-
 def slid(v0, mu):
     """Constant friction until rest, 10 rows a second; the stone covers v0^2/(2 mu g)."""
     a = mu * 9.81
@@ -372,8 +351,6 @@ def test_a_takeout_without_a_back_line_is_no_matter_of_units():
     (found,) = require_plausible(Throw.from_arrays(t, 0 * y, y))
     assert not found.refused
     assert "the path is 62 m long, and a sheet 45.7 m, unless the ice goes on" in found.says
-    few = slice(None, None, 80)
-    assert examine(Throw.from_arrays(t[few], 0 * y[few], y[few])) == ()
     # in feet a draw is too long and too fast
     t, y = slid(2.0, 0.0074)
     with pytest.raises(InputError, match="length=ft"):
