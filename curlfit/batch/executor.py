@@ -65,7 +65,8 @@ def executor(
         os.environ.setdefault(name, value)
     with worker_processes(count) as pool:
         try:
-            yield lambda files: pool.map(fit, _chunks(files, plan, count))
+            submit = partial(pool.submit, fit)
+            yield lambda files: _in_order(submit, _chunks(files, plan, count))
         except BaseException:  # Ctrl-C among them: what they are at is not waited for
             end_workers()
             raise
@@ -83,14 +84,9 @@ def _dask_crew(plan: BatchSettings, address: str) -> Iterator[Fitted]:
         raise InputError(f"--dask {address}: no scheduler answers there ({error})") from None
     try:
         count = max(len(client.scheduler_info()["workers"]), 1)
-        fit = partial(_fit, plan=plan)
-
-        def fitted(files: Sequence[str]) -> Iterator[Rows]:
-            # If a worker dies, the scheduler gives its chunk to another one.
-            chunks = list(map(list, _chunks(files, plan, count)))
-            return (done.result() for done in client.map(fit, chunks, pure=False, retries=5))
-
-        yield fitted
+        # If a worker dies, the scheduler gives its chunk to another one.
+        submit = partial(client.submit, partial(_fit, plan=plan), pure=False, retries=5)
+        yield lambda files: _in_order(submit, _chunks(files, plan, count))
     finally:
         client.close()
 
@@ -107,3 +103,11 @@ def _chunks(files: Sequence[str], plan: BatchSettings, workers: int) -> Iterator
     count = -(-len(files) // (most * workers)) * workers
     size = max(-(-len(files) // max(count, 1)), min(most, _FEWEST))
     return (files[at : at + size] for at in range(0, len(files), size))
+
+
+def _in_order(
+    submit: Callable[[Sequence[str]], Any], chunks: Iterator[Sequence[str]]
+) -> Iterator[Rows]:
+    """Results in the order of the chunks, all of which are submitted at once."""
+    waiting = [submit(chunk) for chunk in chunks]
+    return (done.result() for done in waiting)

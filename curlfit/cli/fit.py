@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from curlfit.batch.table import is_table
 from curlfit.errors import InputError
 from curlfit.foreign import say
 from curlfit.options import settings as s
@@ -95,6 +94,8 @@ def fit(
         With several throws: labels along which the ice changes, such as `start` (clock times or
         numbers).
     """
+    from curlfit.batch.table import is_table
+
     files = _files_of(data, reading)
     output.drawn()
     if is_table(files[0]):

@@ -245,8 +245,7 @@ class Rows(Choices):
     @property
     def rows(self) -> dict[str, Any]:
         """The choices of rows, as `Throw.select_rows` takes them."""
-        excluded = [list(pair) for pair in self.exclude]
-        return {"since": self.since, "until": self.until, "exclude": excluded}
+        return {"since": self.since, "until": self.until, "exclude": self.exclude}
 
 
 @Parameter(name="*")

@@ -29,7 +29,7 @@ class MeasuredMotion(NamedTuple):
     ----------
     t, begin, end : middle, first and last time of each block in s, shape (k,).
     speed, error : speed and its standard error in m/s, shape (k,).
-    velocity : in m/s, shape (2, k); NaN where only speeds were measured.
+    velocity : in m/s, shape (2, k).
     length : extent of the path, m. friction, friction_error : mean deceleration over g, and its
         standard error.
     curl, curl_error : deviation at the end from the initial direction in m, positive to the left of
@@ -63,33 +63,20 @@ def path_of(throw: Throw) -> tuple[Floats, Floats]:
 
 
 def motion_of(throw: Throw) -> MeasuredMotion | None:
-    """The motion of a throw; None if there are too few positions and speeds."""
+    """The motion of a throw; None if there are too few positions."""
     t, positions = path_of(throw)
-    if len(t) >= FEWEST:
-        t, positions = _without_outliers(t, positions)
-        begin, end, middle, velocity, error = _block_slopes(t, positions)
-        speed = np.hypot(*velocity)
-        if len(speed) >= 8:  # noise correlated from row to row shows up from block to block
-            rough = np.abs(speed[2:] - 2 * speed[1:-1] + speed[:-2])
-            error = np.maximum(error, float(np.median(rough)) / (0.6745 * math.sqrt(6)))
-        length = float(np.hypot(*np.ptp(positions, axis=1)))
-        curl, curl_error, direction = _curl(t, positions)
-    else:
-        known = np.isfinite(throw.speed)
-        if known.sum() < FEWEST:
-            return None
-        t, measured = throw.t[known], throw.speed[known]
-        rows = np.array_split(np.arange(len(t)), min(_BLOCKS, len(t) // 3))
-        begin, end = (t[[block[k] for block in rows]] for k in (0, -1))
-        middle = (begin + end) / 2
-        speed = np.array([np.median(measured[block]) for block in rows])
-        velocity = np.full((2, len(rows)), np.nan)
-        error = scatter(measured) / np.sqrt([len(block) for block in rows])
-        length = float(np.trapezoid(measured, t))
-        curl, curl_error, direction = 0.0, math.inf, (math.nan, math.nan)
-    friction = _friction(middle, speed, error)
+    if len(t) < FEWEST:
+        return None
+    t, positions = _without_outliers(t, positions)
+    begin, end, middle, velocity, error = _block_slopes(t, positions)
+    speed = np.hypot(*velocity)
+    if len(speed) >= 8:  # noise correlated from row to row shows up from block to block
+        rough = np.abs(speed[2:] - 2 * speed[1:-1] + speed[:-2])
+        error = np.maximum(error, float(np.median(rough)) / (0.6745 * math.sqrt(6)))
+    length = float(np.hypot(*np.ptp(positions, axis=1)))
+    friction, (curl, off, direction) = _friction(middle, speed, error), _curl(t, positions)
     return MeasuredMotion(
-        middle, begin, end, speed, error, velocity, length, *friction, curl, curl_error, direction
+        middle, begin, end, speed, error, velocity, length, *friction, curl, off, direction
     )
 
 

@@ -320,7 +320,7 @@ def _rates(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
     ratios = {}
     seen = np.isfinite(throw.speed)
     fast = motion.speed > max(0.3 * motion.fastest, 10 * float(np.median(motion.error)))
-    if np.isfinite(motion.velocity).all() and seen.sum() >= 4 and fast.sum() >= 3:
+    if seen.sum() >= 4 and fast.sum() >= 3:
         own = np.interp(motion.t, throw.t[seen], throw.speed[seen])
         ratios["speed", "the path"] = float(np.median(own[fast] / motion.speed[fast]))
     angle, rate = np.isfinite(throw.phi), np.isfinite(throw.omega)

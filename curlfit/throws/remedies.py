@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import numpy as np
-
 from curlfit.sheet import LENGTH
 from curlfit.throws.motion import motion_of
 from curlfit.throws.readers.columns import in_unit
@@ -56,9 +54,6 @@ def _candidates(throw: Throw) -> dict[str, dict[str, float]]:
     """Units that may be the right ones, with the factors by which the channels would change."""
     times, lengths = factors(throw, "t"), factors(throw, "x")
     found = {f"t={unit}": {"t": factor} for unit, factor in times.items()}
-    if not np.isfinite(throw.x).any():
-        speeds = factors(throw, "speed").items()
-        return found | {f"speed={unit}": {"speed": factor} for unit, factor in speeds}
     for unit, factor in lengths.items():
         both = {"x": factor, "y": factor}
         found |= {f"length={unit}": both, f"x={unit}": {"x": factor}, f"y={unit}": {"y": factor}}

@@ -55,10 +55,9 @@ def require_radians(parsed: ParsedFile, columns: dict[str, Floats]) -> None:
         parsed.notes.append(f"{quantity}: {fault}")
 
 
-def unwrap_angle(parsed: ParsedFile, columns: dict[str, Floats]) -> None:
-    """Undo the jumps of the angle, with a note. Raises `DataError` where their sense is unclear."""
-    if "phi" not in columns:
-        return
+def unwrap_angle(parsed: ParsedFile, columns: dict[str, Floats]) -> str:
+    """Undo the jumps of the angle; says how many. Raises `DataError` where their sense is
+    unclear."""
     try:
         columns["phi"], jumps, period = unwrap(columns["t"], columns["phi"], columns.get("omega"))
     except AmbiguousTurnError as error:
@@ -68,9 +67,8 @@ def unwrap_angle(parsed: ParsedFile, columns: dict[str, Floats]) -> None:
             error.row,
             "phi",
         ) from None
-    if jumps:
-        size = "360" if period > 4 else "180"
-        parsed.notes.append(f"phi: {jumps} jump{'s' * (jumps > 1)} of {size} degrees removed")
+    size = "360" if period > 4 else "180"
+    return f"phi: {jumps} jump{'s' * (jumps > 1)} of {size} degrees removed" if jumps else ""
 
 
 def add_angle_of_mark(
@@ -109,15 +107,8 @@ def add_angle_of_mark(
             f"the mark is {typical:.3g} m from the stone, and a stone's diameter is 0.29 m; "
             "expected a point of the same stone (--handle N)"
         )
-    phi = np.arctan2(dy, dx)
-    try:
-        columns["phi"], _, _ = unwrap(columns["t"], phi)
-    except AmbiguousTurnError as error:
-        raise parsed.error(
-            "the mark turns so far from row to row that the sense is ambiguous; expected rows "
-            "closer in time",
-            error.row,
-        ) from None
+    columns["phi"] = phi = np.arctan2(dy, dx)
+    unwrap_angle(parsed, columns)
     note = f"phi is the direction of the mark, {1000 * typical:.3g} mm from the stone's position"
     if {"sigma_x", "sigma_y"} <= columns.keys():
         across = columns["sigma_x"] ** 2 * np.sin(phi) ** 2

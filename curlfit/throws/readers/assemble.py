@@ -51,7 +51,8 @@ def assemble(parsed: ParsedFile, reading: Reading) -> dict[str, Any]:
     calibration, unknown = _in_metres(parsed, columns, reading.reference, convention)
     if not settings.get("as_given"):
         require_radians(parsed, columns)
-    unwrap_angle(parsed, columns)
+    if "phi" in columns and (said := unwrap_angle(parsed, columns)):
+        parsed.notes.append(said)
     mark = [columns.pop(name) for name in ("x_mark", "y_mark") if name in columns]
     if convention != AxisConvention():
         columns = _to_sheet_axes(columns, convention)
