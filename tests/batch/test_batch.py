@@ -6,8 +6,6 @@ import csv
 import json
 import os
 import signal
-import subprocess
-import sys
 import time
 from contextlib import suppress
 
@@ -17,7 +15,7 @@ import numpy as np
 import psutil
 import pytest
 from conftest import command, process, started
-from distributed import Client, LocalCluster
+from distributed import LocalCluster
 from sample_files import log, shot, two_masses
 
 import curlfit
@@ -314,20 +312,16 @@ def test_two_batches_do_not_write_one_table(season, tmp_path):
     assert command(*words, cwd=tmp_path).returncode == 0
 
 
-@pytest.fixture
-def cluster():
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
-        yield cluster
-
-
 @pytest.mark.slow
-def test_whoever_does_the_work_the_table_is_the_same(season, tmp_path, cluster):
+def test_whoever_does_the_work_the_table_is_the_same(season, tmp_path):
     texts = []
-    for words in (["--workers", "1"], ["--workers", "2"], ["--dask", cluster.scheduler_address]):
-        out = tmp_path / "results.csv"
-        done = process("batch", str(season), "--again", "--out", str(out), *words, cwd=tmp_path)
-        assert done.returncode == 0, done.stderr
-        texts.append(out.read_bytes())
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        crews = ["--workers", "1"], ["--workers", "2"], ["--dask", cluster.scheduler_address]
+        for words in crews:
+            out = tmp_path / "results.csv"
+            done = process("batch", str(season), "--again", "--out", str(out), *words, cwd=tmp_path)
+            assert done.returncode == 0, done.stderr
+            texts.append(out.read_bytes())
     assert texts[0] == texts[1] == texts[2]
 
 
@@ -370,21 +364,3 @@ def test_a_stopped_batch_ends_at_once_with_all_its_processes(many, tmp_path, blo
     out, err = run.communicate(timeout=100)
     assert not psutil.wait_procs(children, timeout=20)[1]
     assert (run.returncode, out, err) == (status, "", said)
-
-
-@pytest.mark.slow
-def test_a_killed_worker_of_dask_costs_no_throw(many, tmp_path, cluster):
-    out, alone = tmp_path / "results.csv", tmp_path / "alone.csv"
-    words = [sys.executable, "-m", "curlfit", "batch", many]
-    with Client(cluster) as client:
-        run = subprocess.Popen([*words, "--out", out, "--dask", cluster.scheduler_address])
-        while run.poll() is None and (not out.exists() or out.stat().st_size < 20_000):
-            time.sleep(0.02)
-        assert run.poll() is None
-        before = client.run(os.getpid)
-        os.kill(next(iter(before.values())), signal.SIGKILL)
-        assert run.wait() == 0
-        assert set(client.run(os.getpid).values()) != set(before.values())
-    assert subprocess.run([*words, "--out", alone, "--workers", "1"], check=False).returncode == 0
-    assert out.read_bytes() == alone.read_bytes()
-    assert [row["file"] for row in table(out)] == [str(file) for file in sorted(many.iterdir())]

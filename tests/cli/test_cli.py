@@ -8,7 +8,7 @@ import sys
 
 import pytest
 from conftest import DATA, command as curlfit, process
-from sample_files import PIXELS, PLAIN, SAMPLES, known_points
+from sample_files import PIXELS, PLAIN, known_points
 
 from curlfit import LAWS, load_chain, load_fit, load_throw
 
@@ -162,23 +162,6 @@ def test_check_shows_what_was_understood(tmp_path):
     assert (tmp_path / "c.png").read_bytes().startswith(PNG)
     shown = curlfit("check", DATA, cwd=tmp_path)
     assert "until = 20" in shown.stdout
-
-
-@pytest.mark.parametrize(
-    ("name", "flags", "words"),
-    [
-        ("semicolons", (), "phi: 2 jumps of 360 degrees removed"),
-        ("tracker", ("--axes", "x-left"), "not from how the stone turns"),
-        ("two", ("--stone-index", 2), "taken: 2 mass B"),
-        ("log", ("--shot", 2), "end 0 shot 1"),
-        ("timings", (), "6 events at lines and at rest"),
-    ],
-)
-def test_check_of_each_format(name, flags, words, tmp_path):
-    (tmp_path / "data").write_text(SAMPLES[name], encoding="utf-8")
-    run = curlfit("check", "data", *flags, cwd=tmp_path)
-    assert (run.returncode, run.stderr) == (0, "")
-    assert words in run.stdout
 
 
 def test_how_to_read_may_stand_in_the_configuration(tmp_path):

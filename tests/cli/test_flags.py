@@ -16,7 +16,6 @@ from curlfit import (
     Throw,
     load_comparison,
     load_fit,
-    load_joint,
     load_profile,
     simulate,
 )
@@ -110,32 +109,6 @@ def test_settings_of_files_mean_what_the_flags_mean(typed, folder):
     # a flag is over the file, table by table
     typed("fit", "a.csv", "--config", "c.toml", "--prior", "mu=0.02+-0.01", *QUICK, "--out", "both")
     assert load_fit(folder / "both").parameters["mu"].prior == "0.02+-0.01"
-
-
-@pytest.mark.slow
-def test_a_joint_fit_shares_conditions_and_each_throw_keeps_what_its_file_states(typed, folder):
-    quick = (*COULOMB, *ASSUMED, "--no-figures")
-    out = typed("fit", "own.csv", "b.csv", *quick, "--systematic", "rho=0", "--out", "joint")
-    said = " ".join(out[: out.index("Written:")].split())
-    joint = load_joint(folder / "joint")
-    assert joint.coefficients["mu"].prior == "0.01+-0.001"
-    holds(joint, slope_x=2e-4, mu=0.009)
-    assert {"slope_x", "rho"}.isdisjoint(joint.systematics.widths)
-    assert joint.systematics.errors["mu"] > 0
-    assert "shared: mu, slope_x" in said
-    assert "Systematic errors come from conditions that the fit holds fixed" in said
-    assert " ".join(typed("show", "joint").split()) == said
-    swept, other = (load_fit(folder / "joint" / name) for name in ("own", "b"))
-    assert swept.systematics.widths == joint.systematics.widths
-    assert (swept.data["swept"], other.data["swept"]) == ((6.0, 11.0), None)
-    holds(swept, sweep=0.8)
-    assert (swept.data["since"], other.data["since"]) == (1.0, None)
-    # flags override what the files state, of all throws
-    typed("fit", "own.csv", "b.csv", *quick, "--since", 0.5, "--sweep", "6:10.9", "--out", "over")
-    for name in ("own", "b"):
-        data = load_fit(folder / "over" / name).data
-        assert data["swept"] == (6.0, 10.9)
-        assert data["from"] == data["since"] == 0.5
 
 
 @pytest.fixture

@@ -36,14 +36,6 @@ def test_scatter_is_the_noise_and_not_the_bend(noise):
     assert scatter(bent[:9]) == 0
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.002])
-def test_rest_is_where_the_stone_stopped(noise):
-    rest = rest_of(throw(np.arange(0, 25, 0.02), noise))
-    # within a second of 20 s a stone moves less than 5 cm
-    assert rest.time == pytest.approx(20, abs=np.sqrt(2 * (0.003 + 8 * noise) / SLOWING))
-    assert rest.radius < 0.003 + 8 * noise
-
-
 def ending(power, until, noise, dt, seed):
     """A throw whose speed falls as 2 m/s (1 - t/20 s)^power, and its speed at the last row.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import sys
 from functools import partial
 from zipfile import ZipFile
@@ -146,7 +145,7 @@ def test_sigmas_are_set(read):
         ("hog_to_hog = 14\nhog_to_rest = 10\nrest = 400\n", 3, "up to 40"),
         (THREE + "curl = 4 ft\n", 3, "to which side. Expected curl = 4 ft left"),
         (THREE + "curl = 4 ft\nhandle = in-turn\n", 4, "of which hand"),
-        (THREE + "curl = 4 ft\nhandle = left\n", 4, "expected clockwise, counter-clockwise"),
+        (THREE + "curl = 4 ft\nhandle = left\n", 4, "expected clockwise or counter-clockwise"),
         (THREE + "curl = -4 ft left\n", 3, "a sign and a word"),
         (THREE + "curl = 4 ft past\n", 3, "expected a number and left or right"),
         (THREE + "curl = 1 m 20 left\n", 3, "'1 m 20 left' found, expected a unit of 20"),
@@ -201,21 +200,6 @@ def test_the_law_is_that_of_what_was_measured(tmp_path, rows, law):
     file.write_text("hog_to_hog,hog_to_rest,rest,curl,turns\n" + rows + "\n")
     assert {part.throw.defaults["law"] for part in parts_in(file)} == {law}
     assert usual_law(file) == usual_law(file, "timings") == law
-
-
-def test_an_evening_by_the_command_line(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    a, length = 0.0085 * 9.81, np.array([28.3, 29.1, 28.0, 27.5, 28.8])
-    v = np.sqrt(2 * a * length)
-    hog = (v - np.sqrt(v**2 - 2 * a * 21.945)) / a
-    rest = 10.059 + length - 38.405
-    rows = "".join(f"{t:.4f},{y:.4f}\n" for t, y in zip(hog, rest, strict=True))
-    (tmp_path / "evening.csv").write_text("hog_to_hog,rest\n" + rows)
-    run = invoke(["fit", "evening.csv", "--out", "joint", "--no-figures"])
-    assert run.exit_code == 0, run.exception
-    assert "coulomb law, uniform load, 5 throws together" in run.stdout
-    assert re.search(r"mu +0\.00850", run.stdout)
-    assert (tmp_path / "joint" / "evening-5" / "fit.json").is_file()
 
 
 def test_a_table_says_of_which_throw_each_row_is(tmp_path):

@@ -171,38 +171,33 @@ class Record:
             return 0  # a label: the sense is given otherwise, or nothing needs it
         raise self._error(
             "handle",
-            f"{next(iter(turn))} of which hand? Expected handle = in-turn right-handed, or "
-            "handle = clockwise"
-            if len(turn) == 1
-            else f"{quoted(self.row.entries['handle'].text)} found, expected clockwise, "
-            "counter-clockwise, or in-turn or out-turn with right-handed or left-handed",
+            f"{quoted(self.row.entries['handle'].text)} found; expected clockwise or "
+            "counter-clockwise, or in-turn or out-turn and of which hand, such as right-handed",
         )
 
-    def _sense(self) -> int:
-        """Sense of the spin from the handle or the turns; 0 if neither gives it."""
-        sense = self._handle()
-        if not sense and self._has_side("turns"):
-            sense = int(math.copysign(1, self._value("turns")))
-        return sense
+    def _sense(self, *keys: str) -> int:
+        """Sense of the spin by the first quantity that tells it; 0 if none does. A stone curls to
+        the side to which its front turns: to the left if counter-clockwise."""
+        for key in keys:
+            value = self._value(key) if self._has_side(key) else 0.0
+            found = self._handle() if key == "handle" else (value > 0) - (value < 0)
+            if found:
+                return -found if key == "curl" else found
+        return 0
 
     def _curl(self) -> float:
-        """Curl to the right, m. A stone curls to the side to which its front turns: to the left if
-        counter-clockwise."""
+        """Curl to the right, m."""
         value = self._value("curl")
         if self._has_side("curl") or value == 0:
             return value
-        if not (sense := self._sense()):
+        if not (sense := self._sense("handle", "turns")):
             raise self._error("curl", _WHICH_SIDE)
         return -sense * value
-
-    def _sense_of_curl(self) -> int:
-        curl = self._curl() if "curl" in self.found else 0.0
-        return (curl < 0) - (curl > 0)
 
     def _turns(self) -> float:
         """Angle turned in rad, counter-clockwise."""
         value = abs(self.found["turns"].value)
-        sense = self._sense() or self._sense_of_curl()
+        sense = self._sense("handle", "turns", "curl")
         if not sense and value:
             raise self._error(
                 "turns", "in which sense? Expected turns = 2.5 clockwise or 2.5 counter-clockwise"
@@ -213,8 +208,8 @@ class Record:
         """Spin in rad/s at which a fit fixes it if it is not determined, and a note on it."""
         if "turns" in self.found:
             return 0.0, "turns are counted from the near hog line"
-        by_handle = self._sense()
-        sense = by_handle or self._sense_of_curl()
+        by_handle = self._sense("handle")
+        sense = by_handle or self._sense("curl")
         if not sense:
             return 0.0, "the spin was not measured and is taken to be zero"
         word = "counter-clockwise" if sense > 0 else "clockwise"
