@@ -19,13 +19,12 @@ from distributed import LocalCluster
 from sample_files import log, shot, two_masses
 
 import curlfit
-from curlfit import FitResult, Stone, Throw
+from curlfit import Stone
 from curlfit.batch.fit_many import fit_files
 from curlfit.batch.settings import BatchSettings, columns
 from curlfit.batch.table import Table
 from curlfit.dynamics.contact import accelerations
 from curlfit.friction import LAWS
-from curlfit.inference.fit.fit import fit_throws
 from curlfit.throws.synthetic import law_with, synthetic_throw, write_table
 
 STONE = Stone(R=0.054)
@@ -115,44 +114,6 @@ def test_each_row_is_the_fit_of_that_throw(season, done):
     assert warned
     said = f"ok ({warned} with warnings, in the column of that name), 1 not usable, 1 failed"
     assert said in run.stdout
-
-
-def mixed():
-    """Throws with gaps, without an angle, with some sigma, with speeds, and short."""
-    law = law_with("front-back", {"mu1_xi": 6e-4, "mu2_xi": 0.055, "mu1_eta": 0.0087})
-    whole = synthetic_throw(
-        law, STONE, v0=2.1, omega0=-1.3, noise_xy=0.005, noise_phi=0.01, seed=7, dt=0.2
-    )
-    t, x, y, phi = whole.t, whole.x, whole.y, whole.phi
-    gaps = np.where(np.random.default_rng(1).random(len(t)) < 0.3, np.nan, x)
-    speed, omega = np.hypot(np.gradient(x, t), np.gradient(y, t)), np.gradient(phi, t)
-    return {
-        "gaps": Throw.from_arrays(t, gaps, y, phi),
-        "no angle": Throw.from_arrays(t, x, y),
-        "one sigma": Throw.from_arrays(t, x, y, phi, sigma={"x": 0.005}),
-        "all sigmas": Throw.from_arrays(t, x, y, phi, sigma={"x": 0.005, "y": 0.005, "phi": 0.01}),
-        "radar": Throw.from_arrays(t, x, y, phi, speed=speed),
-        "no place": Throw.from_arrays(t, speed=speed, omega=omega),
-        "short": Throw.from_arrays(t[:12], x[:12], y[:12], phi[:12]),
-    }
-
-
-@pytest.mark.slow
-def test_throws_of_every_kind_side_by_side_are_fitted_as_alone():
-    throws = mixed()
-    for (kind, throw), found in zip(throws.items(), fit_throws(list(throws.values())), strict=True):
-        alone = curlfit.fit(throw)
-        assert isinstance(found, FitResult), (kind, found)
-        assert found.rank == alone.rank, kind
-        # a batch has no systematic errors unless they are requested, and tries no noise models
-        expected = [w.partition("; `--noise")[0] for w in alone.warnings if "systematic" not in w]
-        assert [w.partition("; `--noise")[0] for w in found.warnings] == expected, kind
-        for name, item in alone.parameters.items():
-            assert found.parameters[name].verdict == item.verdict, (kind, name)
-            if item.stderr is not None:
-                off = found.parameters[name].value - item.value
-                assert abs(off) < 1e-3 * item.stderr, (kind, name)
-                assert found.parameters[name].stderr == pytest.approx(item.stderr, rel=1e-3)
 
 
 def test_company_changes_not_a_digit(season):

@@ -3,7 +3,6 @@ in a configuration, and in the file of the data."""
 
 from __future__ import annotations
 
-import csv
 import json
 
 import numpy as np
@@ -132,23 +131,6 @@ def test_profile_and_compare_have_the_flags(typed, folder, alone):
     (one,) = comparison.candidates
     assert comparison.data["rows"] == KEPT
     assert one.coefficients["mu"]["value"] == pytest.approx(alone["mu"].value, rel=1e-6)
-
-
-@pytest.mark.slow
-def test_batch_has_the_flags(typed, folder, alone):
-    # there are columns of sweep, since one of the files states it
-    words = (*COULOMB, *ASSUMED, *SYSTEMATIC, "--workers", 1, "--out", "table.csv")
-    typed("batch", "own.csv", "b.csv", *words)
-    plain, swept = csv.DictReader((folder / "table.csv").read_text().splitlines())
-    assert swept["status"] == plain["status"] == "ok"
-    assert (plain["sweep"], plain["sweep_verdict"]) == ("", "")
-    assert int(swept["n_observations"]) == 3 * KEPT
-    for name in ("slope_x", "mu", "sweep"):
-        item = alone[name]
-        assert float(swept[name]) == pytest.approx(item.value, abs=1e-3 * item.stderr)
-        assert float(swept[f"{name}_stderr"]) == pytest.approx(item.stderr, rel=1e-3)
-    assert 9e-4 < float(swept["mu_systematic"]) < 1.01e-3
-    assert float(swept["slope_x_systematic"]) < 1e-3
 
 
 def test_the_conditions_are_listed_with_their_widths(typed):

@@ -133,21 +133,6 @@ def test_mirrored_axes_are_told_by_the_side_of_the_curl(written, made, said, fla
     assert not [f for f in examine(load_throw(file, axes="clockwise")) if "curls" in f.says]
 
 
-def test_axes_are_corrected_beside_those_that_the_file_has(written):
-    turned = {"t": GOOD["t"], "x": GOOD["y"], "y": -GOOD["x"], "phi": GOOD["phi"]}
-    (finding,) = require_plausible(load_throw(written(turned)))
-    assert "moves along x" in str(finding)
-    assert typed_flag(str(finding), "axes") == "x-along"
-    head = '# axes = "x-along"\n'
-    is_good(load_throw(written(turned, head)))
-    file = written(turned | {"phi": -GOOD["phi"]}, head)
-    (finding,) = require_plausible(load_throw(file))
-    words = re.findall(r"`--axes ([^`]+)`", str(finding))
-    assert words == ["x-along,y-right,counter-clockwise", "x-along,clockwise"]
-    is_good(load_throw(file, axes=words[0]), mirrored=True)
-    is_good(load_throw(file, axes=words[1]))
-
-
 @pytest.mark.parametrize(
     ("made", "said", "flag", "within"),
     [

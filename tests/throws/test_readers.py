@@ -15,25 +15,6 @@ PLAIN = "t,x,y,phi\n0,0.1,0,0\n1,0.2,2,1\n2,0.4,3,1.5\n"
 
 
 @pytest.mark.parametrize(
-    "content",
-    [
-        PLAIN,
-        b"\xef\xbb\xbf" + PLAIN.encode(),
-        PLAIN.replace("\n", "\n\n").replace("0,0.1", "# a comment\n0,0.1"),
-        PLAIN.replace("\n", ",\n"),
-        'y,"phi",t,x,camera\n0,0,0,0.1,a\n2,1,1,0.2,b\n3,1.5,2,0.4,c\n',
-        "time_ms,x_cm,y [mm],angle (rad)\n0,10,0,0\n1000,20,2000,1\n2000,40,3000,1.5\n",
-    ],
-)  # fmt: skip
-def test_the_same_throw_in_many_forms(write, content):
-    throw = load_throw(write(content))
-    np.testing.assert_allclose(throw.t, [0, 1, 2])
-    np.testing.assert_allclose(throw.x, [0.1, 0.2, 0.4])
-    np.testing.assert_allclose(throw.y, [0, 2, 3])
-    np.testing.assert_allclose(throw.phi, [0, 1, 1.5])
-
-
-@pytest.mark.parametrize(
     ("header", "quantity", "factor"),
     [
         ("t", "t", 1), ("time", "t", 1), ("t_s", "t", 1), ("Time [ms]", "t", 1e-3),

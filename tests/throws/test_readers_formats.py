@@ -279,15 +279,6 @@ def test_pixels(write):
     np.testing.assert_allclose(load_throw(write(renamed), reference=points).y, Y, atol=1e-9)
 
 
-@pytest.mark.parametrize("header", ["u_px,v_px", "u (pixels),v (pixels)"])
-def test_pixels_by_their_unit(write, header):
-    text, points = PIXELS.replace("u,v", header, 1), write(known_points(), "points.csv")
-    throw = load_throw(write(text), reference=points)
-    np.testing.assert_allclose(throw.observed[:3], [X, Y, PHI], atol=1e-9)
-    with pytest.raises(DataError, match="positions are in pixels"):
-        load_throw(write(text))
-
-
 # Angles
 
 

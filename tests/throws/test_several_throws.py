@@ -70,15 +70,6 @@ def test_times_that_start_again_begin_a_throw(write):
     is_throw(only.throw, 0.5)
 
 
-def test_tables_in_memory_hold_several_too():
-    every = {name: np.concatenate([v, v + 0.5 * (name == "x")]) for name, v in COLUMNS.items()}
-    named = every | {"track_id": np.repeat([7, 9], N)}
-    for frame, listed in ((named, "1 track_id 7"), (every, "1 from row 1")):
-        with pytest.raises(DataError, match=rf"`--stone-index N`: {listed} \(60 rows\)"):
-            Throw.from_frame(frame)
-        is_throw(Throw.from_frame(frame, stone_index=2), 0.5)
-
-
 @pytest.mark.parametrize("column", ["stone,red", "id,{k}", "frame_id,{k}", "heat,{k}"])
 def test_a_column_that_names_one_throw_or_each_row_is_ignored(write, column):
     header, rows = rows_of(COLUMNS)
