@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from curlfit.numerics.arrays import Floats
-from curlfit.throws.throw import Throw, scatter
+from curlfit.throws.channels import scatter
 
-_MIN_POSITIONS = 4  # needed to determine a speed
+MIN_POSITIONS = 4
+"""Positions needed to determine a speed."""
 _MIN_REST_ROWS, _MIN_REST_TIME = 4, 0.2  # rows and time (s) at rest needed to detect rest
 # m/s; at a deceleration of 0.1 m/s^2 the stone then stops within 0.3 s and 5 mm
 _MAX_REST_SPEED = 0.03
@@ -18,44 +17,7 @@ _CONFIDENCE = 3.0  # in standard errors
 _END_ROWS, _END_TIME = 6, 1.0  # rows and time (s) from which the final speed is estimated
 
 
-@dataclass(frozen=True)
-class Rest:
-    """The end of the throw.
-
-    Attributes
-    ----------
-    time : time of the first row at rest, s; None if rest was not observed.
-    radius : largest distance of the positions at rest from their median, m.
-    speed : speed at the last row if rest was not observed, estimated or as measured, m/s; None if
-        too few positions and no speed were measured.
-    error : standard error of `speed` in m/s, 0 if it was measured.
-    measured : whether `speed` was measured.
-    """
-
-    time: float | None = None
-    radius: float = 0.0
-    speed: float | None = None
-    error: float = 0.0
-    measured: bool = False
-
-
-def rest_of(throw: Throw) -> Rest:
-    """Where the throw ends."""
-    finite = np.isfinite(throw.x) & np.isfinite(throw.y)
-    if finite.sum() < _MIN_POSITIONS:
-        known = throw.speed[np.isfinite(throw.speed)]
-        return Rest(speed=float(known[-1]), measured=True) if len(known) else Rest()
-    t, positions = throw.t[finite], np.stack([throw.x[finite], throw.y[finite]])
-    first = _first_row_at_rest(t, positions)
-    if first is None:
-        speed, error = _final_speed(t, positions)
-        return Rest(speed=speed, error=error)
-    at_rest = positions[:, first:]
-    off = np.hypot(*(at_rest - np.median(at_rest, axis=1, keepdims=True)))
-    return Rest(time=float(t[first]), radius=float(off.max()))
-
-
-def _first_row_at_rest(t: Floats, positions: Floats) -> int | None:
+def first_row_at_rest(t: Floats, positions: Floats) -> int | None:
     """First of those final rows whose regression line excludes all but a negligible speed.
 
     A slowly moving stone may stay within the noise of its last position, but the line through those
@@ -84,7 +46,7 @@ def _first_row_at_rest(t: Floats, positions: Floats) -> int | None:
     return int(np.flatnonzero(enough)[best]) if limit[best] < _MAX_REST_SPEED else None
 
 
-def _final_speed(t: Floats, positions: Floats) -> tuple[float, float]:
+def final_speed(t: Floats, positions: Floats) -> tuple[float, float]:
     """Speed at the last row and its standard error, from a parabola fitted to the last rows.
 
     A difference from the speed given by a cubic that noise does not explain adds to the error.

@@ -11,7 +11,8 @@ from rich.text import Text
 
 from curlfit.output.console import PlainTable
 from curlfit.output.text import compact
-from curlfit.throws.inspection import Rest, rest_of
+from curlfit.throws.inspection import MIN_POSITIONS, final_speed, first_row_at_rest
+from curlfit.throws.motion import path_of
 from curlfit.throws.throw import CHANNELS, UNITS, scatter
 
 if TYPE_CHECKING:
@@ -110,7 +111,7 @@ def facts(throw: Throw, settings: Mapping[str, Any]) -> Iterator[str]:
             yield f"scatter    {', '.join(seen)} (from row to row)"
         if throw.sigma:
             yield "sigma      given for " + ", ".join(c for c in CHANNELS if c in throw.sigma)
-        yield "rest       " + _rest(rest_of(throw))
+        yield "rest       " + _rest(throw)
     if settings:
         listed = (f"{key} = {value}" for key, value in settings.items() if value)
         yield "settings   " + ", ".join(listed)
@@ -132,15 +133,22 @@ def _clock(t: Floats) -> Iterator[str]:
         )
 
 
-def _rest(rest: Rest) -> str:
-    if rest.time is not None:
-        return f"reached at t = {rest.time:.5g} s, within {1000 * rest.radius:.2g} mm"
-    if rest.speed is None:
-        return "unknown: too few positions"
-    if rest.measured:
-        return f"not reached: {rest.speed:.3g} m/s at the end" if rest.speed else "at the last row"
-    speed = f"{compact(rest.speed, rest.error)} m/s at the last row"
-    return f"uncertain: {speed}" if rest.speed < 2 * rest.error else f"not observed: {speed}"
+def _rest(throw: Throw) -> str:
+    """Whether and when the stone comes to rest."""
+    t, positions = path_of(throw)
+    if len(t) < MIN_POSITIONS:
+        measured = throw.speed[np.isfinite(throw.speed)]
+        if not len(measured):
+            return "unknown: too few positions"
+        last = float(measured[-1])
+        return f"not reached: {last:.3g} m/s at the end" if last else "at the last row"
+    if (first := first_row_at_rest(t, positions)) is not None:
+        at_rest = positions[:, first:]
+        off = np.hypot(*(at_rest - np.median(at_rest, axis=1, keepdims=True)))
+        return f"reached at t = {t[first]:.5g} s, within {1000 * off.max():.2g} mm"
+    speed, error = final_speed(t, positions)
+    known = "uncertain" if speed < 2 * error else "not observed"
+    return f"{known}: {compact(speed, error)} m/s at the last row"
 
 
 def braille(t: Floats, values: Floats, width: int = 60, height: int = 4) -> list[str]:

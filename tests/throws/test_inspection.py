@@ -10,7 +10,8 @@ import pytest
 from conftest import command
 
 from curlfit import Throw
-from curlfit.throws.inspection import rest_of
+from curlfit.throws.inspection import final_speed, first_row_at_rest
+from curlfit.throws.motion import path_of
 from curlfit.throws.report import facts
 from curlfit.throws.throw import scatter
 
@@ -57,9 +58,10 @@ def test_a_throw_cut_off_is_not_at_rest():
         until = 20 * (1 - (speed / SPEED) ** (1 / power))
         for seed in range(4):
             made, last = ending(power, until, noise, dt, seed)
-            rest = rest_of(made)
-            assert rest.time is None, (power, noise, dt, speed, seed)
-            off.append((rest.speed - last) / rest.error)
+            rows = path_of(made)
+            assert first_row_at_rest(*rows) is None, (power, noise, dt, speed, seed)
+            found, error = final_speed(*rows)
+            off.append((found - last) / error)
     # 0.954, were the paths parabolas; the braking of the first grows without limit toward rest
     assert 0.92 < np.mean(np.abs(off) < 2) < 0.98
 
@@ -72,9 +74,10 @@ def test_a_throw_cut_off_is_not_at_rest():
 )  # fmt: skip
 def test_rest_is_seen_where_it_lasted(power, noise, dt, after):
     for seed in range(8):
-        rest = rest_of(ending(power, 20 + after, noise, dt, seed)[0])
-        assert rest.time is not None, seed
-        assert -0.5 - 60 * noise < rest.time - 20 < after, seed
+        t, positions = path_of(ending(power, 20 + after, noise, dt, seed)[0])
+        first = first_row_at_rest(t, positions)
+        assert first is not None, seed
+        assert -0.5 - 60 * noise < t[first] - 20 < after, seed
 
 
 def test_what_is_not_certain_is_said():

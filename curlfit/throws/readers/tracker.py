@@ -21,7 +21,6 @@ from curlfit.throws.readers.defaults import begun
 from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile, choose, columns_of
 from curlfit.throws.readers.table import read_columns
 from curlfit.throws.readers.text import (
-    EXPECTED,
     TextFile,
     TextTable,
     cells,
@@ -75,14 +74,14 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
             parsed.notes.append(f"object: {labels[0]}")
         columns = _columns(parsed, table, objects[index].places, reading)
         if reading.handle is not None:
+            flag = f"--handle {reading.handle}"
             place = choose("object", "--handle", reading.handle, labels, 0)
             if place == index:
-                fault = f"--handle {place + 1} is the stone itself; expected another object"
-                raise InputError(fault)
-            columns |= _mark(table, objects[place].places, columns)
-            if len([c for c in columns.values() if c.quantity.endswith("_mark")]) != 2:
-                fault = f"--handle {place + 1}: {labels[place]} has no columns x and y"
-                raise InputError(fault)
+                raise InputError(f"{flag} is the stone itself; expected another object")
+            mark = _mark(table, objects[place].places, columns)
+            if len(mark) != 2:
+                raise InputError(f"{flag}: {labels[place]} has no columns x and y")
+            columns |= mark
         read_columns(parsed, table, columns)
         # In some frames an object is not marked.
         own = [s.values for s in parsed.series if not s.column.quantity.endswith("_mark")
@@ -139,18 +138,30 @@ def _mark(
 
 
 def _layout(file: TextFile, first: int) -> tuple[TextTable, list[_Object]]:
-    """The table, and its objects."""
-    lines, header, titles = file.lines, first, []
+    """The table, and its objects: each begins at its title, or else where a quantity is
+    repeated."""
+    lines, header, titles = file.lines, first, [""]
     if _known(_header(lines[first])) < 2:
         below = range(first + 1, min(first + 5, len(lines)))
         header = next((k for k in below if lines[k].strip()), first)
     table = TextTable.at(file, header)
-    if _known(table.names) < 2:
-        raise table.error(f"no header below the title; {EXPECTED}")
     if header != first:
         line = lines[first]
         titles = [line.strip()] if table.separator is None else cells(line, table.separator)
-    return table, _objects(table.names, titles)
+    starts = [k for k, title in enumerate(titles[: len(table.names)]) if title]
+    if len(starts) < 2:
+        starts, seen = [0], set[str]()
+        for place, name in enumerate(map(str.lower, table.names)):
+            if name and name in seen:
+                starts.append(place)
+                seen.clear()
+            seen.add(name)
+    ends = [*starts[1:], len(table.names)]
+    starts[0] = 0
+    return table, [
+        _Object(next(filter(None, titles[start:end]), ""), list(range(start, end)))
+        for start, end in zip(starts, ends, strict=True)
+    ]
 
 
 def _header(line: str) -> list[str]:
@@ -164,25 +175,3 @@ def _known(names: Sequence[str]) -> int:
 def _quantities(names: Sequence[str]) -> list[str]:
     found = map(parse_header, names)
     return [column.quantity for column in found if column is not None]
-
-
-def _objects(names: list[str], titles: list[str]) -> list[_Object]:
-    """The objects, of which each begins at its title, or else where a quantity is repeated."""
-    starts = [k for k, title in enumerate(titles[: len(names)]) if title]
-    if len(starts) < 2:
-        starts = [0]
-        seen: set[str] = set()
-        for place, name in enumerate(map(str.lower, names)):
-            if name and name in seen:
-                starts.append(place)
-                seen = set()
-            seen.add(name)
-    given = [title for title in titles if title]
-    if len(given) != len(starts):
-        given = given[:1] if len(starts) == 1 else []
-    ends = [*starts[1:], len(names)]
-    given += [""] * (len(starts) - len(given))
-    return [
-        _Object(title, list(range(start, end)))
-        for title, start, end in zip(given, [0, *starts[1:]], ends, strict=True)
-    ]
