@@ -253,13 +253,7 @@ def _fit_jointly(
     drawn = output.drawn()
     jobs = list(named.values())
     chosen = jobs[0].chosen
-    for job, key in product(jobs, ("law", "load")):
-        own, first = getattr(job.chosen, key), getattr(chosen, key)
-        if own != first:
-            raise InputError(
-                f"{job.throw.name}: {key}: {own}, where {jobs[0].throw.name} has {first}; give one "
-                f"with --{key}"
-            )
+    _require_alike(jobs)
     law = find_law(chosen.law)
     names = [item.name for item in law.coefficients()]
     for name in () if share == ("all",) else share:
@@ -299,6 +293,17 @@ def _fit_jointly(
     folders = [first, *(others if len(others) < 2 else ["..."]), last]
     each_in = f", and in {folder}/ a folder for each throw: {', '.join(folders)}"
     return _finish(result, output.finish(result, folder, drawn, more=each_in))
+
+
+def _require_alike(jobs: Sequence[s.ConfiguredThrow[Fitting]]) -> None:
+    """Raise `InputError` for throws whose files state different laws or loads."""
+    for job, key in product(jobs, ("law", "load")):
+        own, first = getattr(job.chosen, key), getattr(jobs[0].chosen, key)
+        if own != first:
+            raise InputError(
+                f"{job.throw.name}: {key}: {own}, where {jobs[0].throw.name} has {first}; give one "
+                f"with --{key}"
+            )
 
 
 def _fit_table(

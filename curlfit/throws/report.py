@@ -11,8 +11,7 @@ from rich.text import Text
 
 from curlfit.output.console import PlainTable
 from curlfit.output.text import compact
-from curlfit.throws.inspection import MIN_POSITIONS, final_speed, first_row_at_rest
-from curlfit.throws.motion import path_of
+from curlfit.throws.motion import MIN_POSITIONS, final_speed, first_row_at_rest, path_of
 from curlfit.throws.throw import CHANNELS, UNITS, scatter
 
 if TYPE_CHECKING:

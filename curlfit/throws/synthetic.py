@@ -112,22 +112,14 @@ def synthetic_throw(
     """
     conditions = _conditions(environment)
     state = {"omega0": omega0, "heading": heading, "x0": x0, "y0": y0, "phi0": phi0}
-    for kind, least, numbers in (
-        ("positive", math.ulp(0.0), {"until": until, "dt": dt}),
-        ("non-negative", 0.0, {"v0": v0, "noise-xy": noise_xy, "noise-phi": noise_phi}),
-        ("finite", -math.inf, state | conditions),
-    ):
-        for name, value in numbers.items():
-            if not (math.isfinite(value) and value >= least):
-                raise InputError(f"{name} = {value:g}: expected a {kind} number")
-    rows = math.floor(until / dt + 1e-9) + 1
-    if not 2 <= rows <= _MOST_ROWS:
-        raise InputError(f"until = {until:g} s in steps of {dt:g} s makes {rows} rows")
+    _require("positive", math.ulp(0.0), {"until": until, "dt": dt})
+    _require("non-negative", 0.0, {"v0": v0, "noise-xy": noise_xy, "noise-phi": noise_phi})
+    _require("finite", -math.inf, state | conditions)
+    t = _times(until, dt)
     checked = check_load(load)
 
     from curlfit.dynamics.trajectory import InitialState, simulate
 
-    t: Floats = np.arange(rows, dtype=np.float64) * dt
     start = InitialState(x=x0, y=y0, heading=heading, v=v0, phi=phi0, omega=omega0)
     path = simulate(law, stone, start, t, load=checked, environment=environment).to_numpy()
     if not np.isfinite(path.x).all():
@@ -139,9 +131,9 @@ def synthetic_throw(
     names = [item.name for item in law.coefficients()]
     return Throw(
         t=t,
-        x=np.asarray(path.x) + noise_xy * random.standard_normal(rows),
-        y=np.asarray(path.y) + noise_xy * random.standard_normal(rows),
-        phi=np.asarray(path.phi) + noise_phi * random.standard_normal(rows),
+        x=np.asarray(path.x) + noise_xy * random.standard_normal(len(t)),
+        y=np.asarray(path.y) + noise_xy * random.standard_normal(len(t)),
+        phi=np.asarray(path.phi) + noise_phi * random.standard_normal(len(t)),
         name="synthetic throw",
         reference=Reference(
             _SOURCE,
@@ -151,6 +143,19 @@ def synthetic_throw(
         defaults={"stone": stone.as_dict(), "load": checked}
         | ({} if law.origin else {"law": law.name}),
     )
+
+
+def _times(until: float, dt: float) -> Floats:
+    rows = math.floor(until / dt + 1e-9) + 1
+    if not 2 <= rows <= _MOST_ROWS:
+        raise InputError(f"until = {until:g} s in steps of {dt:g} s makes {rows} rows")
+    return np.arange(rows, dtype=np.float64) * dt
+
+
+def _require(kind: str, least: float, numbers: Mapping[str, float]) -> None:
+    for name, value in numbers.items():
+        if not (math.isfinite(value) and value >= least):
+            raise InputError(f"{name} = {value:g}: expected a {kind} number")
 
 
 def _conditions(environment: Environment | None) -> dict[str, float]:

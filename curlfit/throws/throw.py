@@ -113,9 +113,8 @@ class Throw(Displayed):
         for name, values in self.sigma.items():
             sound = (np.isfinite(values) & (values > 0)) | np.isnan(getattr(self, name))
             self._require(sound, f"sigma_{name}", "expected a positive standard deviation")
-        later = np.append(True, np.diff(self.t) > 0)
         order = "times must increase from row to row (`Throw.from_frame` sorts rows)"
-        self._require(later, "t", order)
+        self._require(np.append(True, np.diff(self.t) > 0), "t", order)
         if not self.finite.any() and not self.events:
             raise self._error(f"no value is given; expected some of {', '.join(CHANNELS)}")
 
@@ -335,12 +334,12 @@ class Throw(Displayed):
         every: dict[str, Any] = {name: getattr(self, name)[keep] for name in ("t", *CHANNELS)}
         for name in ("sigma", "relative_sigma"):
             every[name] = {channel: v[keep] for channel, v in getattr(self, name).items()}
-        lines = None if self.lines is None else self.lines[keep]
-        return replace(self, **every, lines=lines)
+        every["lines"] = None if self.lines is None else self.lines[keep]
+        return replace(self, **every)
 
     def with_defaults(self, **defaults: Any) -> Throw:
         """The throw with some defaults replaced."""
-        return replace(self, defaults={**self.defaults, **defaults})
+        return replace(self, defaults=self.defaults | defaults)
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -355,7 +354,7 @@ class Throw(Displayed):
         check_sigma(sigma)
         if not sigma:
             return self
-        filled = {name: np.full_like(self.t, sigma[name]) for name in sigma.keys() - {"time"}}
+        filled = {name: np.full_like(self.t, sigma[name]) for name in CHANNELS if name in sigma}
         events = tuple(
             replace(one, sigma=sigma.get("time", one.sigma)) if one.quantity == "time" else one
             for one in self.events
@@ -394,9 +393,7 @@ def check_sigma(sigma: Mapping[str, float]) -> None:
     """Raise `InputError` if a standard deviation is not positive or its channel is unknown."""
     for name, value in sigma.items():
         if name not in (*CHANNELS, "time"):
-            raise InputError(
-                f"no channel {quoted(name)}; the channels are {', '.join(CHANNELS)}, and `time` "
-                "is that of events"
-            )
+            known = f"{', '.join(CHANNELS)}, and `time` of events"
+            raise InputError(f"no channel {quoted(name)}; the channels are {known}")
         if not (math.isfinite(value) and value > 0):
             raise InputError(f"sigma of {name} = {value:g}: expected a positive number")

@@ -10,8 +10,7 @@ import pytest
 from conftest import command
 
 from curlfit import Throw
-from curlfit.throws.inspection import final_speed, first_row_at_rest
-from curlfit.throws.motion import path_of
+from curlfit.throws.motion import final_speed, first_row_at_rest, path_of
 from curlfit.throws.report import facts
 from curlfit.throws.throw import scatter
 

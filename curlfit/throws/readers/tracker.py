@@ -109,11 +109,11 @@ def _columns(
         shared = (k for k, name in enumerate(table.names) if _quantities([name]) == ["t"])
         places = [*list(shared)[:1], *places]
     found = _quantities([table.names[k] for k in places])
-    computed = {k for k in places if _COMPUTED.fullmatch(table.names[k])}
-    if not {"x", "y"} <= set(found) or "u" in found or reading.reference is not None:
-        computed = set()
+    computed = [k for k in places if _COMPUTED.fullmatch(table.names[k])]
+    if not {"x", "y"} <= set(found):  # pixels u, v
+        computed = []
     if computed:
-        listed = ", ".join(table.names[k] for k in places if k in computed)
+        listed = ", ".join(table.names[k] for k in computed)
         parsed.notes.append(
             f"left out: {listed}: Tracker computes them from the positions, not from how the stone "
             "turns; a measurement has another name, such as phi"
