@@ -45,8 +45,8 @@ def assemble(parsed: ParsedFile, reading: Reading) -> dict[str, Any]:
                 f"{parsed.source}: times between lines have no axes and no pixels; leave out "
                 "--axes and --reference"
             )
-        own = {"events": parsed.events, "assumed": parsed.assumed}
-        return {**common, **own, "notes": tuple(parsed.notes)}
+        events = {"events": parsed.events, "assumed": parsed.assumed}
+        return common | events | {"notes": tuple(parsed.notes)}
     columns = _in_order(parsed, _on_one_clock(parsed))
     calibration, unknown = _in_metres(parsed, columns, reading.reference, convention)
     if not settings.get("as_given"):
@@ -54,11 +54,9 @@ def assemble(parsed: ParsedFile, reading: Reading) -> dict[str, Any]:
     if "phi" in columns and (said := unwrap_angle(parsed, columns)):
         parsed.notes.append(said)
     mark = [columns.pop(name) for name in ("x_mark", "y_mark") if name in columns]
-    if convention != AxisConvention():
-        columns = _to_sheet_axes(columns, convention)
+    columns = _to_sheet_axes(columns, convention)
+    if words:
         parsed.notes.append(f"axes: {words}")
-    elif "from-hack" in words:
-        parsed.notes.append("y from the hack")
     relative = {name: columns.pop(f"sigma_{name}") for name in unknown}
     if len(mark) == 2:
         add_angle_of_mark(parsed, columns, convention.to_sheet(mark[0], mark[1]))
