@@ -12,13 +12,6 @@ from curlfit.throws.events import SIGMA_TIME, Event
 from curlfit.throws.readers.notation import Quantity, parse_quantity
 from curlfit.throws.readers.text import TextFile
 
-TIMES: dict[str, tuple[str, str | None]] = {
-    "back_to_hog": ("back", "hog"),
-    "hog_to_hog": ("hog", "far-hog"),
-    "hog_to_tee": ("hog", "far-tee"),
-    "hog_to_rest": ("far-hog", None),
-}
-"""Lines between which each time is measured; None is rest."""
 SIGMA_REST = 0.05
 """Standard deviation in m of a position measured with a tape: a judgement."""
 SIGMA_TURNS = 0.1
@@ -35,19 +28,31 @@ EXPECTED = (
 
 class Kind(NamedTuple):
     """What may be written of a quantity: units, largest size (SI), words; only words if no unit.
-    Sizes that differ by `usual` are not odd."""
+    Sizes that differ by `usual` are not odd. Lines at which, and since which, it is measured; None
+    is rest, or the throw's own axes."""
 
     unit: str
     limit: float = 600.0
     words: frozenset[str] = frozenset()
     usual: float = 0.0
+    at: str | None = None
+    since: str | None = None
 
 
 # Friction of 0.002, the lowest on any ice, stops a stone from hog line to tee within 54 s.
-MEASURED = dict.fromkeys(TIMES, Kind("t", 60.0)) | {
-    "curl": Kind("x", 10.0, frozenset({"left", "right"}), 1.5),
+_TIME = Kind("t", 60.0)
+TIMES = {
+    "back_to_hog": _TIME._replace(since="back", at="hog"),
+    "hog_to_hog": _TIME._replace(since="hog", at="far-hog"),
+    "hog_to_tee": _TIME._replace(since="hog", at="far-tee"),
+    "hog_to_rest": _TIME._replace(since="far-hog"),
+}
+"""Times between lines."""
+_SENSES = frozenset({"clockwise", "counter-clockwise"})
+MEASURED = TIMES | {
     "rest": Kind("y", 40.0, frozenset({"past", "short"}), 6.0),
-    "turns": Kind("phi", 2000 * math.pi, frozenset({"clockwise", "counter-clockwise"}), 19.0),
+    "curl": Kind("x", 10.0, frozenset({"left", "right"}), 1.5, since="hog"),
+    "turns": Kind("phi", 2000 * math.pi, _SENSES, 19.0, since="hog"),
 }
 KINDS = MEASURED | {
     "handle": Kind(""), "sigma_time": Kind("t"), "sigma_rest": Kind("y"), "sigma_curl": Kind("x"),
@@ -92,7 +97,7 @@ class Record:
 
     def _read(self, key: str) -> Quantity:
         _, text, unit = self.row.entries[key]
-        of, limit, words, _ = KINDS[key]
+        of, limit, words, *_ = KINDS[key]
         try:
             found = parse_quantity(text, of or "x", unit, per=2 * math.pi if of == "phi" else 1.0)
         except InputError as error:
@@ -137,21 +142,19 @@ class Record:
 
     def events(self) -> list[Event]:
         """The measured events."""
-        found = [
-            Event(
-                key, "time", self.found[key].value, self._sigma("time"),
-                None if to is None else LINES[to], LINES[since],
-            )
-            for key, (since, to) in TIMES.items()
-            if key in self.found
-        ]  # fmt: skip
-        if "rest" in self.found:
-            y = LINES["far-tee"] + self._value("rest")
-            found.append(Event("rest", "y", y, self._sigma("rest")))
-        for key, quantity, value in (("curl", "x", self._curl), ("turns", "phi", self._turns)):
+        oriented = {"rest": self._rest, "curl": self._curl, "turns": self._turns}
+        found = []
+        for key, kind in MEASURED.items():
             if key in self.found:
-                found.append(Event(key, quantity, value(), self._sigma(key), since=LINES["hog"]))
+                name, quantity = ("time", "time") if key in TIMES else (key, kind.unit)
+                value = self.found[key].value if key in TIMES else oriented[key]()
+                at, since = (LINES[line] if line else None for line in (kind.at, kind.since))
+                found.append(Event(key, quantity, value, self._sigma(name), at, since))
         return found
+
+    def _rest(self) -> float:
+        """Resting position, y in m."""
+        return LINES["far-tee"] + self._value("rest")
 
     def _handle(self) -> int:
         """Sense of the spin from `handle`: 1 counter-clockwise, -1 clockwise, 0 if not given.
@@ -161,7 +164,7 @@ class Record:
         if "handle" not in self.found:
             return 0
         words = self.found["handle"].words
-        if words & {"clockwise", "counter-clockwise"}:
+        if words & _SENSES:
             return -1 if "clockwise" in words else 1
         turn, hand = words & {"in-turn", "out-turn"}, words & {"left", "right"}
         if len(turn) == 1 and len(hand) == 1:
@@ -246,7 +249,8 @@ class Record:
                 f"{to_tee:g} s found, expected more than hog_to_hog = {hog:g} s: the tee line lies "
                 "behind the far hog line",
             )
-        farthest, by = max((LINES[line], key) for key in times for line in TIMES[key] if line)
+        lines = ((line, key) for key in times for line in (TIMES[key].at, TIMES[key].since))
+        farthest, by = max((LINES[line], key) for line, key in lines if line)
         past = farthest - LINES["far-tee"]
         if "rest" in self.found and self._value("rest") <= past:
             raise self._error(
