@@ -45,7 +45,7 @@ class FigureFiles:
             if text is not None:
                 raise InputError(f"{flag} {text}: --no-figures draws nothing; give one of them")
             return cls(())
-        names = [name.strip().lower() for name in (text or FORMATS[0]).split(",")]
+        names = [name.strip().lower() for name in (FORMATS[0] if text is None else text).split(",")]
         if not set(names) <= set(FORMATS):
             raise InputError(
                 f"{flag} {text}: expected {', '.join(FORMATS[:-1])} or {FORMATS[-1]}, or several "
@@ -74,10 +74,12 @@ class FigureFiles:
         draw : a module-level function with its arguments, so that another process can call it.
         """
         task = partial(_replace, folder, names, self.formats, draw)
+        if self._second is None:
+            self._files += task()
+            return
         sent = None
-        if self._second is not None:
-            with suppress(Exception):  # what cannot be sent is drawn here
-                sent = self._second.submit(_unpickled, pickle.dumps(task))
+        with suppress(Exception):  # what cannot be sent is drawn here
+            sent = self._second.submit(_unpickled, pickle.dumps(task))
         self._tasks.append((sent, task))
 
     def written(self) -> list[Path]:
