@@ -158,12 +158,7 @@ def design(
 
     known = load_fit(fit).with_law(assumed.law) if fit is not None else None
     drawn.draw_beside()
-    with output.status("Reading") as say:
-
-        def progress(text: str) -> None:
-            say(f"Computing {text} {COMPILES}")
-
-        progress("the information of each throw")
+    with output.status(f"Computing the information of the throws {COMPILES}"):
         from curlfit.optimal_design.design import design as compute_design
 
         result = compute_design(
@@ -177,7 +172,6 @@ def design(
             throws=throws,
             separate=list(separate) or None,
             relative_error=relative_error,
-            progress=progress,
             **grid.given(),
         )
     folder = prepare_folder(output.out or Path("design"))

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 from rich.console import Console
 from rich.text import Text
 
-from curlfit.inference.conditions import WIDTHS, if_off
 from curlfit.optimal_design.result import (
     Candidate,
     Design,
@@ -26,6 +26,7 @@ _CRITERIA = {
     "D": "smallest volume of the confidence ellipsoid (D-optimal)",
     "A": "smallest mean squared standard error, in units of typical sizes (A-optimal)",
 }
+_FORCES = ("T_xi", "T_eta", "M")
 _WEAK = 0.05  # relative error above which a difference is weakly determined
 _SCATTER = 0.01  # relative variation of the ice from throw to throw
 _WORTH = 1.2  # factor of reduction of a systematic error above which a scenario is recommended
@@ -153,53 +154,36 @@ def _scenarios(design: Design) -> PlainTable:
 
 
 def _recommended(scenarios: Sequence[Scenario]) -> str:
-    """The recommended scenario, and the largest shifts that remain."""
-    planned, *others = scenarios
-    first = planned.systematic
+    """The simplest scenario with nearly the largest gain, if there is a gain."""
+    first, *others = (one.systematic for one in scenarios)
     gains = {
-        one.name: max(first[name] / max(error, 1e-300) for name, error in one.systematic.items())
-        for one in others
+        one.name: max(first[name] / max(error, 1e-300) for name, error in systematic.items())
+        for one, systematic in zip(scenarios[1:], others, strict=True)
     }
-    # Of scenarios with about the same gain, the simplest.
     best = next(name for name, gain in gains.items() if gain > 0.8 * max(gains.values()))
-    chosen = next(one for one in others if one.name == best)
-    left = []
-    for name, shifts in chosen.shifts.items():
-        condition = max(shifts, key=lambda key: abs(shifts[key]))
-        verb = "higher" if shifts[condition] > 0 else "lower"
-        text = if_off(condition, WIDTHS[condition])
-        left.append(f"{text}, {name} is {two_digits(abs(shifts[condition]))} {verb}")
-    said = "What is left" if gains[best] > _WORTH else "The largest shifts"
-    remains = f"{said}: {'; '.join(left)}."
     if gains[best] <= _WORTH:
-        return f"Throwing with both spins or in both directions cancels little. {remains}"
+        return "Throwing with both spins or in both directions cancels little."
     return (
         f"Throw with {best}, in equal shares: the systematic errors, mostly by ice that is not "
-        f"level, become smaller by up to a factor of {gains[best]:.2g}. {remains}"
+        f"level, become smaller by up to a factor of {gains[best]:.2g}."
     )
 
 
 def _best(design: Design) -> PlainTable:
     first, *others = design.best.values()
-    if all(item.throws == first.throws for item in others):
-        shown = {"": first}
-    else:
-        shown = {f" by {name}": item for name, item in design.best.items()}
+    same = all(item.throws == first.throws for item in others)
+    shown = {"": first} if same else {f" by {name}": item for name, item in design.best.items()}
     assumed = {one.expression: one.value for one in first.combinations} | design.coefficients
-    rows = []
-    for name in first.stderr:
-        errors = {
-            f">std. error, best {_throws(design.throws)}{by}": _error(item.stderr.get(name))
-            for by, item in shown.items()
+    head = f">std. error, best {_throws(design.throws)}"
+    rows = [
+        {
+            "coefficient": labelled(name, design.units.get(name, "1")),
+            ">assumed": f"{assumed[name]:.6g}",
+            **{f"{head}{by}": _error(item.stderr.get(name)) for by, item in shown.items()},
+            "verdict": judged(first.verdicts.get(name, "determined")),
         }
-        rows.append(
-            {
-                "coefficient": labelled(name, design.units.get(name, "1")),
-                ">assumed": f"{assumed[name]:.6g}",
-                **errors,
-                "verdict": judged(first.verdicts.get(name, "determined")),
-            }
-        )
+        for name in first.stderr
+    ]
     return PlainTable(rows, "The best throws: expected standard errors")
 
 
@@ -208,17 +192,13 @@ def _error(stderr: float | None) -> str:
 
 
 def _summary(design: Design) -> list[str]:
-    lines = []
-    best = {name: throws_text(design, item.throws) for name, item in design.best.items()}
-    if len(set(best.values())) == 1:
-        lines.append(
-            f"Best {_throws(design.throws)}: {next(iter(best.values()))}, by "
-            + " and by ".join(_CRITERIA[name] for name in best)
-            + "."
-        )
-    else:
-        for name, text in best.items():
-            lines.append(f"Best {_throws(design.throws)} by {_CRITERIA[name]}: {text}.")
+    throws: dict[str, list[str]] = {}
+    for name, item in design.best.items():
+        throws.setdefault(throws_text(design, item.throws), []).append(_CRITERIA[name])
+    lines = [
+        f"Best {_throws(design.throws)}: {text}, by {' and by '.join(criteria)}."
+        for text, criteria in throws.items()
+    ]
     first = next(iter(design.best.values()))
     if design.rank < design.free:
         hidden = [name for name, verdict in first.verdicts.items() if verdict == "not identifiable"]
@@ -279,19 +259,16 @@ def _separation(design: Design, separation: Separation) -> Section:
 
 
 def _proof(proof: Proof) -> str:
-    def sizes(values: tuple[float, ...]) -> str:
-        return ", ".join(
-            f"{name} {value:.1g}"
-            for name, value in zip(("T_xi", "T_eta", "M"), values, strict=True)
-        )
-
+    by_difference, by_sum = (
+        ", ".join(f"{name} {value:.1g}" for name, value in zip(_FORCES, values, strict=True))
+        for values in (proof.by_difference, proof.by_sum)
+    )
     return (
         f"Computed: over {proof.states} random speeds and spins, the largest derivatives of force "
-        "(over m g) and moment (over m g R) along the difference are "
-        f"{sizes(proof.by_difference)}; along the sum {sizes(proof.by_sum)}. {proof.throws} "
-        "throws of various speeds and spins together have the singular values "
-        f"{', '.join(f'{value:.2g}' for value in proof.singular_values)}: the last is zero to "
-        "rounding error."
+        f"(over m g) and moment (over m g R) along the difference are {by_difference}; along the "
+        f"sum {by_sum}. {proof.throws} throws of various speeds and spins together have the "
+        f"singular values {', '.join(f'{value:.2g}' for value in proof.singular_values)}: the last "
+        "is zero to rounding error."
     )
 
 
@@ -408,23 +385,23 @@ def _about_changes(separation: Separation) -> str:
 
 def _command(design: Design) -> str:
     """The command of a design, as far as it is recorded."""
-    stone = ",".join(f"{name}={exact(value)}" for name, value in design.stone.as_dict().items())
-    words = [f"--law={design.law}", f"--load={design.load}", f"--stone={stone}"]
-    words += [f"--set={name}={exact(value)}" for name, value in design.coefficients.items()]
-    for flag, name in (("xy", "x"), ("phi", "phi"), ("speed", "speed"), ("omega", "omega")):
-        if name in design.sigma:
-            words.append(f"--sigma-{flag}={exact(design.sigma[name])}")
-        elif flag in ("xy", "phi"):
-            words.append(f"--sigma-{flag}=none")
-    for name in ("v0", "omega0", "rate"):
-        values = dict.fromkeys(getattr(one, name) for one in design.candidates)
-        words.append(f"--{name}=" + ",".join(map(exact, values)))
-    if design.until is not None:
-        words.append(f"--until={exact(design.until)}")
-    words.append(f"--throws={design.throws}")
-    if design.discrepancy:
-        words.append(f"--discrepancy={exact(design.discrepancy)}")
-    if design.separation is not None:
-        words.append("--separate=" + ",".join(design.separation.pair))
-        words.append(f"--relative-error={exact(design.separation.wanted)}")
-    return command_line("design", *words)
+    sigma, separation = design.sigma, design.separation
+    stone = [f"{name}={exact(value)}" for name, value in design.stone.as_dict().items()]
+    flags: dict[str, list[Any]] = {
+        "law": [design.law], "load": [design.load], "stone": stone,
+        "set": [f"{name}={exact(value)}" for name, value in design.coefficients.items()],
+        "sigma-xy": [sigma.get("x", "none")], "sigma-phi": [sigma.get("phi", "none")],
+        "sigma-speed": [sigma.get("speed", "none")], "sigma-omega": [sigma.get("omega", "none")],
+    } | {
+        name: [*dict.fromkeys(getattr(one, name) for one in design.candidates)]
+        for name in ("v0", "omega0", "rate")
+    }  # fmt: skip
+    flags |= {"until": [design.until] if design.until else [], "throws": [design.throws]}
+    flags |= {"discrepancy": [design.discrepancy]}
+    if separation is not None:
+        flags |= {"separate": list(separation.pair), "relative-error": [separation.wanted]}
+    words = {
+        name: ",".join(exact(one) if isinstance(one, float) else str(one) for one in values)
+        for name, values in flags.items()
+    }
+    return command_line("design", *(f"--{name}={text}" for name, text in words.items() if text))

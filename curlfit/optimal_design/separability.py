@@ -12,7 +12,7 @@ would rotate with it; it is not modelled.)
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -166,7 +166,6 @@ def analyse_separation(
     candidates: Sequence[PlannedThrow],
     throws: int,
     required: float,
-    progress: Callable[[str], None],
 ) -> Separation:
     """What it takes to separate two coefficients.
 
@@ -175,16 +174,13 @@ def analyse_separation(
     by_load : an exact law under each load.
     candidates, throws : candidates, and number of throws.
     required : relative error.
-    progress : called with the current step.
     """
     stone = candidates[0].stone
-    progress("the proof for the uniform load")
     varied = [PlannedThrow(v0, omega0, _PROOF_RATE, stone) for v0, omega0 in _PROOF]
     uniform, consistent = by_load["uniform"], by_load["consistent"]
     proof = prove_unidentifiable(uniform, pair, stone, marginal_factors(uniform, varied))
     scenarios = []
     for load, assumed in by_load.items():
-        progress(f"the candidates under {load} load")
         factors = marginal_factors(assumed, candidates)
         scenarios.append(_load_scenario(pair, load, factors, throws, required))
 
@@ -197,7 +193,6 @@ def analyse_separation(
     changes = []
     for name, factor in _CHANGES if best is not None else ():
         value = factor * getattr(stone, name)
-        progress(f"the stone with {name} = {value:.3g} m")
         other = stone.with_values({name: value})
         made = [*(candidates[index] for index in best or ()), ordinary]
         modified = [throw._replace(stone=other) for throw in made]
