@@ -26,20 +26,16 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.systematics import shifts, widths_of
 from curlfit.inference.identifiability import Identifiability, analyse, classify, r_factor
 from curlfit.numerics.arrays import Floats
-from curlfit.optimal_design.information import (
-    Assumptions,
+from curlfit.optimal_design.information import Assumptions, PlannedThrow, record_information
+from curlfit.optimal_design.result import Candidate, Design, ExpectedErrors, Scenario
+from curlfit.optimal_design.selection import (
     CandidateSet,
-    PlannedThrow,
     combined,
     d_criterion,
     error_criterion,
-    marginal_factor,
-    marginal_factors,
-    record_information,
     select_design,
     standard_error,
 )
-from curlfit.optimal_design.result import Candidate, Design, ExpectedErrors, Scenario
 from curlfit.optimal_design.separability import CoefficientPair, analyse_separation
 from curlfit.stone import Stone
 from curlfit.throws.synthetic import law_with
@@ -132,7 +128,7 @@ def design(
         )
     if not 0 <= discrepancy < math.inf:
         raise InputError(f"discrepancy = {discrepancy:g}; expected 0 or more, over the friction")
-    records, factors = assumed.records(planned), marginal_factors(assumed, planned)
+    records, factors = assumed.records(planned), assumed.factors(planned)
     candidates, together = CandidateSet.from_factors(factors), combined(factors)
     if not candidates.rank:
         raise InputError(f"these throws determine no coefficient of law {law.name}")
@@ -146,7 +142,7 @@ def design(
     if pair is None:
         if load == "consistent":
             uniform = assumed.by_load["uniform"]
-            known = _identifiability(uniform, combined(marginal_factors(uniform, planned)))
+            known = _identifiability(uniform, combined(uniform.factors(planned)))
         names = _undetermined_pair(known)
         pair = None if names is None else CoefficientPair(assumed, names)
     made = [planned[index] for index in next(iter(best.values())).throws]
@@ -283,11 +279,11 @@ def _curves(
         if noisy := assumed.sigma.keys() & channels:
             others = {by: assumed.noisier(noisy, by) for by in _FACTORS}
             factors[name] = {
-                by: combined([marginal_factor(other, one) for one in records])
+                by: combined([other.marginal(one) for one in records])
                 for by, other in others.items()
             }
     factors["rate"] = {
-        rate: combined(marginal_factors(assumed, [one._replace(rate=rate) for one in made]))
+        rate: combined(assumed.factors([one._replace(rate=rate) for one in made]))
         for rate in _RATES
     }
     factors["throws"] = {
@@ -336,7 +332,7 @@ def scenarios(
     ]
     columns = np.append(assumed.free, len(assumed.parameters) + np.arange(len(widths)))
     records = record_information(assumed, varied, widths)
-    factors = [marginal_factor(assumed, one, columns) for one in records]
+    factors = [assumed.marginal(one, columns) for one in records]
     each = np.reshape(factors, (len(count), len(ways), *factors[0].shape))
     found = []
     for name, chosen in SCENARIOS.items():

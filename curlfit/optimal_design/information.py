@@ -1,4 +1,4 @@
-"""Fisher information of planned throws, from exact derivatives, and the best choice of N of them.
+"""Fisher information of planned throws, from exact derivatives.
 
 The information is J^T W J, with J the derivatives of the trajectory with respect to coefficients
 and initial state, and W = 1/sigma^2 of independent Gaussian noise. It is stored as its factor R, an
@@ -8,18 +8,12 @@ The QR of the stacked factors of several throws or channels gives the factor of 
 information.
 
 Columns are scaled by typical sizes of the parameters, as in `curlfit.inference.identifiability`.
-
-Throws are chosen with repetition. D: largest determinant of the information, that is the smallest
-volume of the confidence ellipsoid. A: smallest sum of squared standard errors over typical sizes
-(Atkinson, Donev and Tobias 2007). C: smallest standard error of one linear combination. Where all
-candidates together do not determine all directions, D and A refer to the subspace that they
-determine.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -30,7 +24,7 @@ import numpy as np
 from curlfit.errors import InputError
 from curlfit.friction import Law, Load, no_motion_because
 from curlfit.inference.fit.systematics import residual_changes
-from curlfit.inference.identifiability import Bounded, confined, r_factor, stderr_of, visible
+from curlfit.inference.identifiability import Bounded, confined, r_factor
 from curlfit.inference.least_squares import Indices
 from curlfit.inference.likelihood import linearize, predict_many
 from curlfit.inference.model import Model
@@ -38,15 +32,12 @@ from curlfit.inference.noise.accelerations import Responses
 from curlfit.inference.parameters import START, ParameterSet
 from curlfit.inference.problem import LEVEL_AND_STILL, Problem
 from curlfit.inference.system import motions
-from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import in_batches, stacked
+from curlfit.optimal_design.selection import standard_error
 from curlfit.stone import Stone
 from curlfit.throws.throw import CHANNELS
 
-_MAX_ROUNDS = 50
-_SINGULAR = 1e-12  # share of the information of all candidates in an undetermined direction
-
-Criterion = Callable[[Floats], Floats]
 LONGEST = 120.0
 """Seconds within which a stone must come to rest if the end of the record is not given."""
 MOST_ROWS = 50_000
@@ -183,6 +174,47 @@ class Assumptions:
             self._known.update(zip(new, record_information(self, new), strict=True))
         return [self._known[throw] for throw in throws]
 
+    def factors(self, throws: Sequence[PlannedThrow]) -> list[Floats]:
+        """R factor of the information of each throw on the free coefficients."""
+        return [self.marginal(one) for one in self.records(throws)]
+
+    def marginal(self, record: RecordInformation, columns: Indices | None = None) -> Floats:
+        """R factor of the information on some columns of a record, marginal over the initial state.
+
+        The Schur complement: the columns are projected onto the orthogonal complement of those of
+        the initial state. Initial values that only channels without noise determine are fixed, as
+        in a fit.
+
+        Parameters
+        ----------
+        columns : by default those of the free coefficients.
+
+        Returns
+        -------
+        Upper triangular, shape (columns, columns), scaled by typical sizes.
+        """
+        sigma, width = self.sigma, record.factors.shape[-1]
+        rows = [
+            factor / sigma[name]
+            for name, factor in zip(CHANNELS, record.factors, strict=False)
+            if name in sigma
+        ]
+        lacking = np.arange(width - record.shapes, width)
+        # a priori the amplitudes of the shapes have unit variance
+        everything = np.concatenate([*rows, np.eye(width)[lacking]])
+        needed = {"x0": {"x"}, "y0": {"y"}, "phi0": {"phi"}, "heading": {"x", "y"}}
+        names = self.parameters.names
+        state = [
+            names.index(item.name) for item in START if needed.get(item.name, set()) <= {*sigma}
+        ]
+        wanted = everything[:, self.free if columns is None else columns]
+        left, singular, _ = np.linalg.svd(everything[:, [*state, *lacking]], full_matrices=False)
+        left = left[:, singular > _ROUNDING * singular[0]]
+        for _ in range(2):  # twice, against rounding errors
+            wanted = wanted - left @ (left.T @ wanted)
+        factor = r_factor(wanted)
+        return np.pad(factor, ((0, factor.shape[1] - len(factor)), (0, 0)))
+
 
 def record_information(
     assumed: Assumptions,
@@ -298,141 +330,3 @@ def _no_motion(assumed: Assumptions, throw: PlannedThrow) -> InputError:
         f"law {assumed.law.name} with {assumed.load} load admits no motion from {throw.v0:g} m/s "
         f"and {throw.omega0:g} rad/s{no_motion_because(assumed.load)}"
     )
-
-
-def marginal_factors(assumed: Assumptions, throws: Sequence[PlannedThrow]) -> list[Floats]:
-    """R factor of the information of each throw on the free coefficients."""
-    return [marginal_factor(assumed, one) for one in assumed.records(throws)]
-
-
-def marginal_factor(
-    assumed: Assumptions, record: RecordInformation, columns: Indices | None = None
-) -> Floats:
-    """R factor of the information on some columns of a record, marginal over the initial state.
-
-    The Schur complement: the columns are projected onto the orthogonal complement of those of the
-    initial state. Initial values that only channels without noise determine are fixed, as in a fit.
-
-    Parameters
-    ----------
-    columns : by default those of the free coefficients.
-
-    Returns
-    -------
-    Upper triangular, shape (columns, columns), scaled by typical sizes.
-    """
-    sigma, width = assumed.sigma, record.factors.shape[-1]
-    rows = [
-        factor / sigma[name]
-        for name, factor in zip(CHANNELS, record.factors, strict=False)
-        if name in sigma
-    ]
-    lacking = np.arange(width - record.shapes, width)
-    # a priori the amplitudes of the shapes have unit variance
-    everything = np.concatenate([*rows, np.eye(width)[lacking]])
-    needed = {"x0": {"x"}, "y0": {"y"}, "phi0": {"phi"}, "heading": {"x", "y"}}
-    names = assumed.parameters.names
-    state = [names.index(item.name) for item in START if needed.get(item.name, set()) <= {*sigma}]
-    wanted = everything[:, assumed.free if columns is None else columns]
-    left, singular, _ = np.linalg.svd(everything[:, [*state, *lacking]], full_matrices=False)
-    left = left[:, singular > _ROUNDING * singular[0]]
-    for _ in range(2):  # twice, against rounding errors
-        wanted = wanted - left @ (left.T @ wanted)
-    factor = r_factor(wanted)
-    return np.pad(factor, ((0, factor.shape[1] - len(factor)), (0, 0)))
-
-
-def combined(factors: Sequence[Floats]) -> Floats:
-    """R factor of the information of several throws together."""
-    return r_factor(np.concatenate(list(factors)))
-
-
-def standard_error(factor: Floats, weights: Floats) -> float | None:
-    """Standard error of a linear combination of coefficients; None where it is undetermined.
-
-    Parameters
-    ----------
-    factor : scaled by typical sizes, shape (free, free).
-    weights : of the free coefficients, times their typical sizes, shape (free,).
-    """
-    _, singular, right = np.linalg.svd(factor)
-    mask = visible(singular)
-    return stderr_of(weights, right[mask], singular[mask])
-
-
-class CandidateSet(NamedTuple):
-    """The information of candidates, whitened by that of all of them together."""
-
-    information: Floats
-    """of each candidate, shape (candidates, rank, rank); their sum is the identity matrix"""
-    basis: Floats
-    """whitened directions in coefficients over their typical sizes, shape (free, rank)"""
-    factors: Sequence[Floats]
-    """R factor of the information of each candidate"""
-
-    @property
-    def rank(self) -> int:
-        """Number of directions that the candidates together determine."""
-        return self.basis.shape[1]
-
-    @classmethod
-    def from_factors(cls, factors: Sequence[Floats]) -> CandidateSet:
-        """The set from the R factors of the information of each candidate."""
-        _, singular, right = np.linalg.svd(combined(factors))
-        mask = visible(singular)
-        basis = right[mask].T / singular[mask]
-        whitened = np.stack([factor @ basis for factor in factors])
-        return cls(np.swapaxes(whitened, 1, 2) @ whitened, basis, factors)
-
-    def together(self, indices: Sequence[int]) -> Floats:
-        """R factor of the information of some candidates together."""
-        return combined([self.factors[index] for index in indices])
-
-
-def d_criterion(information: Floats) -> Floats:
-    """D: minus the logarithm of the determinant, up to a constant."""
-    sign, size = np.linalg.slogdet(information)
-    return np.where(_nonsingular(information) & (sign > 0), -size, np.inf)
-
-
-def error_criterion(candidates: CandidateSet, weights: Floats) -> Criterion:
-    """Sum of the squared standard errors of linear combinations (rows of weights by typical sizes):
-    A for the coefficients themselves, C for one combination."""
-    along = np.atleast_2d(weights) @ candidates.basis
-    return lambda information: _trace(information, along.T @ along)
-
-
-def _nonsingular(information: Floats) -> Booleans:
-    return np.linalg.eigvalsh(information)[..., 0] > _SINGULAR
-
-
-def _trace(information: Floats, of: Floats) -> Floats:
-    nonsingular = _nonsingular(information)
-    safe = np.where(nonsingular[..., None, None], information, np.eye(information.shape[-1]))
-    return np.where(nonsingular, np.trace(np.linalg.solve(safe, of), axis1=-2, axis2=-1), np.inf)
-
-
-def select_design(
-    candidates: CandidateSet, criterion: Criterion, throws: int
-) -> tuple[int, ...] | None:
-    """Indices of the optimal throws, sorted; None if no choice determines all directions.
-
-    Throws are exchanged one at a time (Fedorov 1972), from a greedy start.
-    """
-    # A small multiple of the total information keeps the criterion finite at first.
-    total = 1e-6 * candidates.information.sum(0)
-    indices: list[int] = []
-    for _ in range(throws):
-        indices.append(int(np.argmin(criterion(total + candidates.information))))
-        total = total + candidates.information[indices[-1]]
-    total = candidates.information[indices].sum(0)
-    for _ in range(_MAX_ROUNDS):
-        previous = list(indices)
-        for position, index in enumerate(indices):
-            rest = total - candidates.information[index]
-            indices[position] = int(np.argmin(criterion(rest + candidates.information)))
-            total = rest + candidates.information[indices[position]]
-        if indices == previous:
-            break
-    value = criterion(candidates.information[indices].sum(0))
-    return tuple(sorted(indices)) if np.isfinite(value) else None

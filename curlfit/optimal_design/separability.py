@@ -26,17 +26,15 @@ from curlfit.foreign import quoted
 from curlfit.friction import Law, Load
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.compiled import compiled
-from curlfit.optimal_design.information import (
-    Assumptions,
+from curlfit.optimal_design.information import Assumptions, PlannedThrow
+from curlfit.optimal_design.result import LoadScenario, Proof, Separation, StoneChange
+from curlfit.optimal_design.selection import (
     CandidateSet,
-    PlannedThrow,
     combined,
     error_criterion,
-    marginal_factors,
     select_design,
     standard_error,
 )
-from curlfit.optimal_design.result import LoadScenario, Proof, Separation, StoneChange
 from curlfit.stone import GRAVITY, Stone
 
 HIDDEN = (
@@ -178,10 +176,10 @@ def analyse_separation(
     stone = candidates[0].stone
     varied = [PlannedThrow(v0, omega0, _PROOF_RATE, stone) for v0, omega0 in _PROOF]
     uniform, consistent = by_load["uniform"], by_load["consistent"]
-    proof = prove_unidentifiable(uniform, pair, stone, marginal_factors(uniform, varied))
+    proof = prove_unidentifiable(uniform, pair, stone, uniform.factors(varied))
     scenarios = []
     for load, assumed in by_load.items():
-        factors = marginal_factors(assumed, candidates)
+        factors = assumed.factors(candidates)
         scenarios.append(_load_scenario(pair, load, factors, throws, required))
 
     def strangeness(one: PlannedThrow) -> tuple[float, float]:
@@ -198,8 +196,8 @@ def analyse_separation(
         modified = [throw._replace(stone=other) for throw in made]
         errors: tuple[float | None, ...] = (None,) * 3
         with suppress(InputError):  # no motion
-            *found, draw = marginal_factors(consistent, modified)
-            both = [*marginal_factors(consistent, [ordinary]), draw]
+            *found, draw = consistent.factors(modified)
+            both = [*consistent.factors([ordinary]), draw]
             errors = (
                 standard_error(combined(found), pair.difference),
                 standard_error(combined(both) * math.sqrt(throws / 2), pair.difference),

@@ -32,17 +32,6 @@ class Call:
     thrower: tuple[float, float] | None = None
     turn: str | None = None
 
-    def options(self) -> list[str]:
-        """Those of the command."""
-        found = [f"--group={label}={name}" for label, name in self.labels.items()]
-        if self.hog_to_hog is not None:
-            found.append(f"--hog-to-hog={self.hog_to_hog:.15g}")
-        if self.broom is not None:
-            found.append(f"--broom={self.broom:+.15g} m")
-        if self.thrower is not None:
-            found.append("--thrower-sd={:.15g} s, {:.15g} m".format(*self.thrower))
-        return found + ([] if self.turn is None else [f"--turn={self.turn}"])
-
 
 CENTRED = Call()
 """Along the centre line, with the speed and spin of the fitted throw."""

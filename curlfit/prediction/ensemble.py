@@ -134,20 +134,22 @@ class TrajectoryEnsemble(NamedTuple):
 
         A throw that starts within `_AT_START` beyond it is taken to start on it.
         """
-        from scipy.optimize.elementwise import find_root  # slow to load
+        from scipy.interpolate import CubicHermiteSpline  # slow to load
+        from scipy.optimize.elementwise import find_root
 
         y, rows = self.state[:, 1], np.arange(len(self.t))
         beyond = (y >= level) & (y[:, -1:] > level + _ON_LINE)
         k = np.maximum(np.argmax(beyond, 1), 1)
-        t, a, b = self.t[rows, k - 1], self.state[rows, :, k - 1], self.state[rows, :, k]
-        step = self.t[rows, k] - t
-        ends = a[:, 1], b[:, 1], a[:, 4] * step, b[:, 4] * step
-        part = find_root(lambda s, *ends: _cubic(s, *ends)[0] - level, (0.0, 1.0), args=ends).x
-        s, widths = part[:, None], step[:, None]
-        slopes = _cubic(s, a[:, :2], b[:, :2], a[:, 3:5] * widths, b[:, 3:5] * widths)[1] / widths
+        ends = self.state[rows, :, [k - 1, k]]
+        step = self.t[rows, k] - self.t[rows, k - 1]
+        path = CubicHermiteSpline([0.0, 1.0], ends[..., :2], ends[..., 3:5] * step[:, None])
+        height, rates = path.c[:, 0, :, 1], path.derivative().c[:, 0]
+        height[-1] -= level
+        part = find_root(lambda s, *cubic: np.polyval(cubic, s), (0.0, 1.0), args=(*height,)).x
+        velocity = np.polyval(rates, part[:, None]) / step[:, None]
         crosses = beyond.any(1) & ~beyond[:, 0]
-        time = np.where(crosses, t + step * part, np.nan)
-        speed = np.where(crosses, np.hypot(*slopes.T), np.nan)
+        time = np.where(crosses, self.t[rows, k - 1] + step * part, np.nan)
+        speed = np.where(crosses, np.hypot(*velocity.T), np.nan)
         since, ahead = y[:, 0] - level, self.state[:, 4, 0]
         on_it = (since >= 0) & (since < _AT_START)
         before = -since / np.where(ahead > 0, ahead, np.nan)
@@ -247,19 +249,6 @@ def simulate_ensemble(
     """The trajectories of parameter vectors, at increasing times from 0."""
     state, rest = motions(model, values, stone, environment, t)
     return TrajectoryEnsemble(np.minimum(t, rest[:, None]), state)
-
-
-def _cubic(
-    s: Floats, a: Floats, b: Floats, slope_a: Floats, slope_b: Floats
-) -> tuple[Floats, Floats]:
-    """Cubic Hermite interpolation from a to b at a fraction s, and its slope; slopes with respect
-    to s."""
-    value = (
-        a * (1 + 2 * s) * (1 - s) ** 2 + b * s**2 * (3 - 2 * s)
-        + slope_a * s * (1 - s) ** 2 - slope_b * s**2 * (1 - s)
-    )  # fmt: skip
-    turning = 6 * s * (1 - s) * (b - a)
-    return value, turning + slope_a * (1 - s) * (1 - 3 * s) + slope_b * s * (3 * s - 2)
 
 
 def _means(values: Floats) -> Floats:

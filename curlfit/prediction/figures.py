@@ -182,11 +182,9 @@ def _rate(prediction: Prediction, axes: Any, name: str) -> None:
     for rows, style, _ in _measured_rows(prediction):
         draw.plot_rate(axes, rows, name, style)
     axes.plot(series["t"], series[name], color=draw.FIT_COLOR)
+    axes.axhline(0, **draw.ZERO_LINE)  # which the scale then includes
     axes.set(xlabel="t (s)", ylabel=draw.RATE_LABEL[name])
-    axes.set(xlim=(0, 1.05 * prediction.quantities["time"].value), ylim=(0, None))
-    if name == "omega":
-        low, high = float(series[name].min()), float(series[name].max())
-        axes.set_ylim((min(low, 0.0) * 1.05, max(high, 0.0) * 1.05) if high > low else (-1, 1))
+    axes.set_xlim(0, 1.05 * prediction.quantities["time"].value)
 
 
 def _residuals(prediction: Prediction, axes: Any, name: str) -> None:

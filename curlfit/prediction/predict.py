@@ -106,6 +106,8 @@ def predict(
     if isinstance(fit, JointResult):
         fit, drawn = another(fit, call.labels, draws, random)
         line = line or "hog"
+    elif call.labels:
+        raise InputError(f"{', '.join(call.labels)}: the fit of one throw has no groups")
     require_fit(fit)
     given = dict(start or {})
     called = start_by(call, fit, given, line or "hog")
@@ -242,7 +244,7 @@ def _measured_rows(fit: FitResult, begin: ThrowStart) -> dict[str, Floats]:
     measured = fit.observed
     if not all(np.isfinite(measured.get(name, np.nan)).any() for name in ("x", "y")):
         return {}
-    rows = diagnostics.thin(np.arange(len(measured["t"])))
+    rows = slice(None, None, len(measured["t"]) // diagnostics.MOST_ROWS + 1)
     fitted = {item.name: fit.parameters[item.name].value for item in START}
     right, along = (measured[name][rows] - fitted[f"{name}0"] for name in ("x", "y"))
     turn = begin.values["heading"] - fitted["heading"]  # from +y toward +x

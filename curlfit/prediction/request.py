@@ -15,6 +15,7 @@ from curlfit.inference.joint.draw import Draw
 from curlfit.inference.parameters import START
 from curlfit.inference.system import System
 from curlfit.prediction.call import Call
+from curlfit.settings.forms import VALUES, numbers
 from curlfit.sheet import HOUSE, LINES, TEE, TEE_TO_HOG, WIDTH
 from curlfit.throws.plausibility import SPEED
 from curlfit.throws.throw import Throw
@@ -25,6 +26,7 @@ TAKEOUT = 1.5
 """Speed in m/s at which a takeout passes the tee."""
 WEIGHTS = {"draw": (0.0, 0.0), "guard": (GUARD, 0.0), "takeout": (0.0, TAKEOUT)}
 """Place in m beyond the tee line that a throw reaches, and its speed there."""
+TARGET = numbers(2, "X,Y in m from the tee")
 _STARTING_LINES = tuple(LINES)[:-1]
 _FASTEST_SPIN = 100.0  # rad/s
 # The in-turn of a right-hander is clockwise.
@@ -56,28 +58,23 @@ class ThrowRequest(NamedTuple):
     def require(self, fit: FitResult, check: Throw | None) -> None:
         """Raise `InputError` for contradictory or impossible requests."""
         start, target, names = self.start, self.target, [item.name for item in START]
-        for name, value in start.items():
+        for name in start:
             if name not in names:
                 raise InputError(
                     f"start: unknown {quoted(name)}; expected some of {', '.join(names)}"
                 )
-            if not math.isfinite(value):
-                raise InputError(f"{name} = {value}: expected a finite number")
-        if target is not None and (isinstance(target, str) or len(target) != 2):
-            raise InputError(
-                f"target {quoted(target)}: expected (x, y), m from the tee; (0, 0) is the tee"
-            )
+        VALUES.checked("start", start)
+        aside, _ = (0.0, 0.0) if target is None else TARGET.checked("target", target)
         v0, omega0 = start.get("v0", 1.0), start.get("omega0", 0.0)
-        aside = 0.0 if target is None else target[0]
         unknown_spin = fit.parameters["omega0"].verdict == "not identifiable"
         for refused, why in (
             (not 0 < v0 <= SPEED, f"v0 = {v0:g} m/s: expected a speed up to {SPEED:g} m/s; none "
              "is thrown at more than about 4 m/s"),
-            (not abs(omega0) <= _FASTEST_SPIN,
+            (abs(omega0) > _FASTEST_SPIN,
              f"omega0 = {omega0:g} rad/s: expected at most {_FASTEST_SPIN:g} rad/s"),
             (self.line not in (*_STARTING_LINES, "data"), f"start on {quoted(self.line)}: expected "
              f"one of {', '.join(_STARTING_LINES)}, data"),
-            (not abs(aside) <= WIDTH / 2, f"target {aside:g} m to the side: expected at most "
+            (abs(aside) > WIDTH / 2, f"target {aside:g} m to the side: expected at most "
              f"{WIDTH / 2:g} m, half the width of the sheet"),
             (target is not None and self.weight is not None,
              "a target and a weight are given; expected one of them"),

@@ -217,8 +217,7 @@ def _errors(plain: Floats, full: Floats) -> dict[str, Floats]:
 
 def _around(name: str, values: Floats) -> dict[str, Floats]:
     """Quantiles over the draws, except the median, by name and level."""
-    quantile = np.nanquantile if np.isnan(values).any() else np.quantile  # the faster one
-    levels = quantile(values, [float(level) / 100 for level in LEVELS], axis=0)
+    levels = np.nanquantile(values, [float(level) / 100 for level in LEVELS], axis=0)
     rows = zip(LEVELS, levels, strict=True)
     return {f"{name}_{level}": row for level, row in rows if level != "50"}
 

@@ -15,15 +15,12 @@ from curlfit.dynamics.contact import accelerations
 from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.noise.accelerations import Responses
 from curlfit.optimal_design.design import design
-from curlfit.optimal_design.information import (
-    Assumptions,
+from curlfit.optimal_design.information import Assumptions, PlannedThrow, record_information
+from curlfit.optimal_design.selection import (
     CandidateSet,
-    PlannedThrow,
     combined,
     d_criterion,
     error_criterion,
-    marginal_factors,
-    record_information,
     select_design,
     standard_error,
 )
@@ -40,7 +37,7 @@ DIFFERENCE = np.array([0.0, 0.0, 0.01, -0.01])  # by typical sizes
 
 def factor_of(throws, load="uniform", until=None, sigma=NOISE):
     """Of the information of some throws together."""
-    return combined(marginal_factors(Assumptions(LAW, load, TRUE, sigma, until), throws))
+    return combined(Assumptions(LAW, load, TRUE, sigma, until).factors(throws))
 
 
 @pytest.fixture(scope="module")
