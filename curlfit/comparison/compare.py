@@ -21,13 +21,12 @@ from curlfit.comparison.adequacy import Adequacy, adequacy, opposes_sliding, sid
 from curlfit.comparison.criteria import (
     criteria,
     effective_values,
-    leave_one_out,
     log_evidence,
     log_likelihood,
     number_of_parameters,
     residuals_of,
-    standard_error,
 )
+from curlfit.comparison.leave_one_out import leave_one_out, standard_error
 from curlfit.comparison.result import PLACE, Candidate, Comparison
 from curlfit.errors import UnusableFitError
 from curlfit.friction import LAWS, Law, NetLaw, find_law

@@ -11,7 +11,7 @@ from scipy.special import gammaln
 from scipy.stats import expon, multivariate_normal, norm, truncnorm
 
 import curlfit
-from curlfit.comparison.criteria import _bound_factors, densities, leave_one_out
+from curlfit.comparison.leave_one_out import _bound_factors, densities, leave_one_out
 from curlfit.inference.fit.fit import fit_throws
 
 SIGMA = {"x": 0.005, "y": 0.005, "phi": 0.01}

@@ -98,7 +98,7 @@ def test_report_and_record_name_the_noise_of_each_fit(found, tmp_path):
     with pytest.raises(KeyError, match="discrepancy"):
         found.of("coulomb", noise="discrepancy")
     legend = curlfit.comparison_figure(found).axes[0].get_legend_handles_labels()[1]
-    assert legend[1] == "1. coulomb, uniform load, ar1 noise\n2. coulomb, uniform load (same path)"
+    assert legend[1:] == ["1. coulomb, uniform load, ar1 noise", "2. coulomb, uniform load"]
 
 
 def test_noise_models_by_flag_and_in_a_configuration(typed, folder):

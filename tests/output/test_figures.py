@@ -1,4 +1,4 @@
-"""Figures: no text runs into another or out of the picture, and curves that are one are named."""
+"""Figures: no text runs into another or out of the picture."""
 
 from dataclasses import replace
 from itertools import combinations
@@ -362,33 +362,6 @@ def a_comparison(eq12, paths):
         data={"file": "a.csv"}, stone=curlfit.Stone(), curl=0.1, side="left", candidates=found,
         observed=observed,
     )  # fmt: skip
-
-
-def test_equal_curves_are_named_together(eq12):
-    bent, straight = eq12.x + 0.001, np.linspace(0, eq12.x[-1], len(eq12))
-    found = a_comparison(
-        eq12,
-        [
-            ("front-back", "uniform", False, bent),
-            ("front-back", "consistent", False, bent + 1e-5),
-            ("coulomb", "uniform", False, straight),
-            ("semi-empirical", "-", False, bent + 0.2),
-            ("radial", "uniform", True, bent),
-        ],
-    )
-    figure = comparison_figure(found)
-    require_room(figure)
-    named = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
-    assert named == [
-        "data",
-        "1, 2. front-back, uniform and consistent load\nradial, uniform load, any sign (same path)",
-        "3. coulomb, uniform load",
-        "4. semi-empirical",
-    ]
-    # as many lines as names, all of different looks
-    lines = [line for line in figure.axes[0].lines if line.get_linestyle() != "None"]
-    assert len(lines) == 3
-    assert len({(line.get_color(), line.get_linestyle()) for line in lines}) == 3
 
 
 def test_a_comparison_fills_its_figure(eq12):
