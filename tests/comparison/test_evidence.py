@@ -112,16 +112,6 @@ def test_the_number_of_parameters_does_not_jump(few):
     assert np.diff(counts).max() < 0.6
 
 
-def test_a_prior_of_the_user_takes_the_place_of_the_default(few):
-    throw = few.throw
-    narrow = curlfit.fit(
-        throw, fix=FIXED, priors={"mu1_eta": "0.009+-1e-5"}, systematics={"all": 0.0}
-    )
-    given = sum(log_likelihood(narrow).values())
-    # The prior puts the likelihood's peak where it is: less is averaged away.
-    assert log_evidence(narrow, given) > log_evidence(few, sum(log_likelihood(few).values())) + 0.5
-
-
 @pytest.mark.parametrize(
     ("prior", "density", "sigma", "by_data"),
     [
