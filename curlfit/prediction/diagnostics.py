@@ -204,14 +204,11 @@ def _noise(throw: Throw, fit: FitResult, discrepancy: Discrepancy | None, name: 
 
 def _require_same_throw(throw: Throw, fit: FitResult) -> None:
     """Raise `InputError` if a throw does not contain the fitted rows."""
-    for name in PREDICTED:
-        if name not in fit.rms:
-            continue
+    for name in (one for one in PREDICTED if one in fit.rms):
         own = np.interp(fit.observed["t"], throw.t, getattr(throw, name))
         off = np.abs(own - fit.observed[name])
-        size = 10 * fit.rms[name] + 0.05 * float(np.nanmax(np.abs(np.ptp(fit.fitted[name]))))
-        overlap = np.isfinite(off)
-        if not overlap.any() or float(np.nanmedian(off)) > size:
+        size = 10 * fit.rms[name] + 0.05 * float(np.ptp(fit.fitted[name]))
+        if not np.isfinite(off).any() or np.nanmedian(off) > size:
             raise InputError(
                 f"{throw.name}: not the throw that was fitted ({fit.data['file']}): "
                 f"{name} differs before t = {fit.data['to']:g} s"

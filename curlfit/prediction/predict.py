@@ -107,7 +107,9 @@ def predict(
         fit, drawn = another(fit, call.labels, draws, random)
         line = line or "hog"
     elif call.labels:
-        raise InputError(f"{', '.join(call.labels)}: the fit of one throw has no groups")
+        raise InputError(
+            f"{', '.join(call.labels)}: the fit of one throw has no groups; leave it out"
+        )
     require_fit(fit)
     given = dict(start or {})
     called = start_by(call, fit, given, line or "hog")

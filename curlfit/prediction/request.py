@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from curlfit.dynamics.aim import aim
+from curlfit.dynamics.aim import Aim, aim
 from curlfit.environment import Environment
 from curlfit.errors import InputError
 from curlfit.foreign import quoted
@@ -154,7 +154,12 @@ def start_of(fit: FitResult, request: ThrowRequest) -> ThrowStart:
     if request.new:
         usual = here | {"heading": 0.0, "phi0": 0.0} | usual
         if (goal := request.goal()) is not None:
-            found = _aimed(fit, goal, fitted | usual | request.start)
+            known = fitted | usual | request.start
+            found = aimed(
+                fit, (goal["x"] or 0.0, TEE + goal["y"]), known["omega0"], speed=goal["speed"],
+                start=(known["x0"], known["y0"]),
+                heading=known["heading"] if goal["x"] is None else None,
+            )._asdict()  # fmt: skip
     layers = {"fitted": fitted, "default": usual, "found": found, "given": request.start}
     values = {name: value for layer in layers.values() for name, value in layer.items()}
     origins = {name: origin for origin, layer in layers.items() for name in layer}
@@ -163,13 +168,18 @@ def start_of(fit: FitResult, request: ThrowRequest) -> ThrowStart:
     return ThrowStart(values, origins, (0.0, 0.0) if request.new else shift)
 
 
-def _aimed(fit: FitResult, goal: dict[str, Any], values: dict[str, float]) -> dict[str, float]:
-    """Speed and heading of a throw that reaches a goal; values of the others."""
+def aimed(
+    fit: FitResult,
+    target: tuple[float, float],
+    omega0: float,
+    *,
+    start: tuple[float, float] = (0.0, LINES["hog"]),
+    heading: float | None = None,
+    speed: float = 0.0,
+) -> Aim:
+    """Speed and heading of a throw on the ice of a fit that rests at a target, or passes it."""
     system = System.of(fit.model, fit.values, fit.stone, Environment())
-    found = aim(
-        system.law, system.stone, (goal["x"] or 0.0, TEE + goal["y"]), omega0=values["omega0"],
-        start=(values["x0"], values["y0"]),
-        heading=values["heading"] if goal["x"] is None else None, speed=goal["speed"],
+    return aim(
+        system.law, system.stone, target, omega0=omega0, start=start, heading=heading, speed=speed,
         load=fit.load, environment=system.environment if fit.model.conditions else None,
     )  # fmt: skip
-    return found._asdict()

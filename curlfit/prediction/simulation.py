@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -56,15 +55,9 @@ class Simulation(NamedTuple):
         ------
         UnusableFitError : it, or most of the draws, do not come to rest.
         """
-        vectors = {"best": throws.with_start(fit.values[None]), **throws.probes()}
-        vectors["draws"] = throws.with_start(values, call or CENTRED, random)
-        whole = throws.simulate(np.concatenate([*vectors.values()]))
-        ends = np.cumsum([0, *map(len, vectors.values())]).tolist()
-        probed = {
-            name: whole.select(slice(*rows))
-            for name, rows in zip(vectors, pairwise(ends), strict=True)
-        }
-        best, plain = probed.pop("best"), probed.pop("draws")
+        plain = throws.simulate(throws.with_start(values, call or CENTRED, random))
+        best = throws.simulate(throws.with_start(fit.values[None]))
+        probed = {name: throws.simulate(some) for name, some in throws.probes().items()}
         if not best.good[0]:
             raise UnusableFitError(
                 f"the {fit.law} law as fitted does not bring this stone to rest"
