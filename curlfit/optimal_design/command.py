@@ -70,7 +70,7 @@ class Grid(Choices):
 
     v0: Annotated[Sequence[float], option(NUMBERS, "V,V")] = ()
     omega0: Annotated[Sequence[float], option(NUMBERS, "V,V")] = ()
-    rate: Annotated[Sequence[float], option(NUMBERS, "V,V")] = ()
+    rate: Annotated[float | None, option(NUMBER, "V")] = None
 
 
 @Parameter(name="*", group=Group("The record", sort_key=2))
@@ -117,7 +117,7 @@ def design(
 ) -> Saved:
     """Optimal design: the expected errors of a law's coefficients, and the best choice of throws.
 
-    Every combination of speed, spin and rate is a candidate. Each throw has its own unknown initial
+    Every combination of speed and spin is a candidate. Each throw has its own unknown initial
     state; the coefficients are common to all. Errors are those of least squares (from the exact
     derivatives of the trajectory), for noise that is independent from row to row. Where only the
     sum of two coefficients is determined, the report gives the precision, the throws or the changes

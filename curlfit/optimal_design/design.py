@@ -70,7 +70,7 @@ def design(
     stone: Stone | None = None,
     v0: Sequence[float] = SPEEDS,
     omega0: Sequence[float] = SPINS,
-    rate: float | Sequence[float] = 30.0,
+    rate: float = 30.0,
     until: float | None = None,
     sigma: Mapping[str, float] | None = None,
     discrepancy: float = 0.0,
@@ -85,8 +85,8 @@ def design(
     law : name or class of the law; or a fit, for its law, coefficients, load and stone.
     coefficients : assumed values, in place of the law's defaults or the fit's values.
     load, stone : "uniform" or "consistent" (eq. 8-9); `Stone()`.
-    v0, omega0, rate : speeds (m/s), spins (rad/s) and rows per second: all combinations are
-        candidates.
+    v0, omega0 : speeds (m/s) and spins (rad/s): all combinations are candidates.
+    rate : rows per second.
     until : end of the records in s; the time of rest if not given.
     sigma : noise by channel (m, rad, m/s, rad/s) of x, y, phi, speed, omega; other channels are
         not measured. 5 mm and 10 mrad if not given.
@@ -111,20 +111,16 @@ def design(
     (4, 3)
     """
     law, values, load, stone = _assumed(law, coefficients, load, stone)
-    rates = (rate,) if isinstance(rate, int | float) else tuple(rate)
     sigma = NOISE if sigma is None else sigma
-    _check(sigma, v0, omega0, rates, until, throws, relative_error)
+    _check(sigma, v0, omega0, rate, until, throws, relative_error)
     sigma = {name: float(sigma[name]) for name in CHANNELS if name in sigma}
     assumed = Assumptions(law, load, values, sigma, until, discrepancy)
     pair = None if separate is None else CoefficientPair(assumed, separate)
-    planned = [
-        PlannedThrow(float(v), float(w), float(hertz), stone)
-        for v, w, hertz in product(v0, omega0, rates)
-    ]
+    planned = [PlannedThrow(float(v), float(w), float(rate), stone) for v, w in product(v0, omega0)]
     if len(planned) > _MAX_CANDIDATES:
         raise InputError(
-            f"{len(v0)} speeds, {len(omega0)} spins and {len(rates)} rates make {len(planned)} "
-            f"candidates; expected at most {_MAX_CANDIDATES}"
+            f"{len(v0)} speeds and {len(omega0)} spins make {len(planned)} candidates; expected at "
+            f"most {_MAX_CANDIDATES}"
         )
     if not 0 <= discrepancy < math.inf:
         raise InputError(f"discrepancy = {discrepancy:g}; expected 0 or more, over the friction")
@@ -238,19 +234,18 @@ def _assumed(
 
 def _check(
     sigma: Mapping[str, float], v0: Sequence[float], omega0: Sequence[float],
-    rates: Sequence[float], until: float | None, throws: int, relative_error: float,
+    rate: float, until: float | None, throws: int, relative_error: float,
 ) -> None:  # fmt: skip
     if not sigma or (unknown := [name for name in sigma if name not in CHANNELS]):
         what = f"no channel {quoted(unknown[0])}" if sigma else "nothing is measured"
         raise InputError(f"sigma: {what}; expected noise of some of {', '.join(CHANNELS)}")
-    positive: dict[str, Sequence[float]] = {
-        "v0": v0, "rate": rates, "until": (1.0 if until is None else until,),
-        "relative error": (relative_error,),
-    } | {f"sigma of {name}": (value,) for name, value in sigma.items()}  # fmt: skip
-    for name, values in positive.items():
+    single = {"rate": rate, "until": 1.0 if until is None else until}
+    single |= {"relative error": relative_error}
+    single |= {f"sigma of {name}": value for name, value in sigma.items()}
+    for name, values in {"v0": v0, **{name: (value,) for name, value in single.items()}}.items():
         if not values or not all(0 < value < math.inf for value in values):
             shown = ",".join(f"{value:g}" for value in values)
-            kind = "positive numbers" if name in ("v0", "rate") else "a positive number"
+            kind = "a positive number" if name in single else "positive numbers"
             raise InputError(f"{name} = {shown}: expected {kind}")
     if not omega0 or not all(map(math.isfinite, omega0)):
         raise InputError("omega0: expected finite numbers")

@@ -46,16 +46,14 @@ def _quantity(design: Design, name: str) -> str:
 def _cells(
     axes: Any, design: Design, values: Sequence[float | None], framed: Sequence[int], unit: str = ""
 ) -> None:
-    """A cell for each speed and spin at the highest rate, dark where the error is small; those of
-    the selected throws are framed."""
-    rate = max(one.rate for one in design.candidates)
+    """A cell for each speed and spin, dark where the error is small; those of the selected throws
+    are framed."""
     speeds = sorted({one.v0 for one in design.candidates})
     spins = sorted({one.omega0 for one in design.candidates})
     places = [(speeds.index(one.v0), spins.index(one.omega0)) for one in design.candidates]
     cells = np.full((len(spins), len(speeds)), np.nan)
-    for one, (column, row), value in zip(design.candidates, places, values, strict=True):
-        if one.rate == rate and value is not None:
-            cells[row, column] = value
+    for (column, row), value in zip(places, values, strict=True):
+        cells[row, column] = np.nan if value is None else value
     axes.set_facecolor("0.9")
     axes.grid(visible=False)
     known = cells[np.isfinite(cells)]
@@ -115,8 +113,7 @@ def _errors(design: Design) -> draw.Picture:
         "rate": "rows per second\n(Hz)",
         "throws": "number of throws\n(optimal for each)",
     }
-    rates = sorted({one.rate for one in design.candidates})
-    planned = {"place": [1.0], "angle": [1.0], "rate": rates, "throws": [float(design.throws)]}
+    planned = {"place": 1.0, "angle": 1.0, "rate": design.rate, "throws": design.throws}
     names = [name for name in about if name in design.curves]
     figure, (panels,) = draw.panels(3.2, 1, len(names), sharey=True, squeeze=False)
     for axes, name in zip(panels, names, strict=True):
@@ -125,8 +122,7 @@ def _errors(design: Design) -> draw.Picture:
             values = np.array(curve[quantity], float)
             axes.plot(curve["at"], values, ".", ms=4, **style, label=_quantity(design, quantity))
         axes.set(xscale="log", yscale="log", xlabel=about[name])
-        for value in planned[name]:
-            axes.axvline(value, **_PLANNED)
+        axes.axvline(planned[name], **_PLANNED)
         if name == "throws":
             counts = [int(one) for one in curve["at"] if one is not None]
             axes.set_xticks(counts, map(str, counts))

@@ -115,15 +115,13 @@ def percent(fraction: float) -> str:
 def throws_text(design: Design, indices: Iterable[int]) -> str:
     """Throws as in "2 x (2.2 m/s, 10 rad/s)"."""
     return " and ".join(
-        f"{count} x ({_start(design, design.candidates[index])})"
+        f"{count} x ({_start(design.candidates[index])})"
         for index, count in Counter(indices).items()
     )
 
 
-def _start(design: Design, one: Candidate) -> str:
-    rates = {item.rate for item in design.candidates}
-    more = f", {one.rate:g} Hz" if len(rates) > 1 else ""
-    return f"{one.v0:g} m/s, {one.omega0:g} rad/s{more}"
+def _start(one: Candidate) -> str:
+    return f"{one.v0:g} m/s, {one.omega0:g} rad/s"
 
 
 def _throws(count: int) -> str:
@@ -132,11 +130,10 @@ def _throws(count: int) -> str:
 
 def _measured(design: Design) -> str:
     """What is measured of each throw, in a line."""
-    rates = ", ".join(f"{rate:g}" for rate in sorted({one.rate for one in design.candidates}))
     end = "until the stone is at rest" if design.until is None else f"for {design.until:g} s"
     discrepancy = f", a discrepancy of {100 * design.discrepancy:.2g} % of what friction does"
     return (
-        f"{rates} Hz {end}, independent noise of {noise_text(design.sigma)}"
+        f"{design.rate:g} Hz {end}, independent noise of {noise_text(design.sigma)}"
         f"{discrepancy * bool(design.discrepancy)}; stone {stone_text(design.stone, mass=False)}"
     )
 
@@ -215,11 +212,10 @@ def _summary(design: Design) -> list[str]:
 
 
 def _single_throws(design: Design) -> PlainTable:
-    rates = len({one.rate for one in design.candidates}) > 1
     rows = [
         {
             ">v0\n(m/s)": f"{one.v0:g}", ">omega0\n(rad/s)": f"{one.omega0:g}",
-            ">rate\n(Hz)": f"{one.rate:g}" * rates, ">rows": str(one.rows),
+            ">rows": str(one.rows),
             ">at rest\n(s)": f"{one.rest:.1f}", ">after\n(m)": f"{one.distance:.1f}",
             **{f">error of\n{name}": _error(one.stderr[name]) for name in design.quantities},
         }
@@ -350,7 +346,7 @@ def _changes(design: Design, separation: Separation) -> PlainTable:
 
     def row(stone: str, whole: float | None, half: float | None) -> dict[str, str]:
         relative = ["-" if one is None else percent(one / separation.size) for one in (whole, half)]
-        kind = f"{draw.v0:g} m/s, {draw.omega0:g} rad/s"
+        kind = _start(draw)
         return {
             "stone": stone,
             f">error, {count}\nas above": _error(whole), ">relative": relative[0],
@@ -394,9 +390,13 @@ def _command(design: Design) -> str:
         "sigma-speed": [sigma.get("speed", "none")], "sigma-omega": [sigma.get("omega", "none")],
     } | {
         name: [*dict.fromkeys(getattr(one, name) for one in design.candidates)]
-        for name in ("v0", "omega0", "rate")
+        for name in ("v0", "omega0")
     }  # fmt: skip
-    flags |= {"until": [design.until] if design.until else [], "throws": [design.throws]}
+    flags |= {
+        "rate": [design.rate],
+        "until": [design.until] if design.until else [],
+        "throws": [design.throws],
+    }
     flags |= {"discrepancy": [design.discrepancy]}
     if separation is not None:
         flags |= {"separate": list(separation.pair), "relative-error": [separation.wanted]}

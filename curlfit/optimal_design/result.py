@@ -137,6 +137,11 @@ class Design(Record):
     scenarios: tuple[Scenario, ...] = ()
     discrepancy: float = 0.0
 
+    @property
+    def rate(self) -> float:
+        """Rows per second of every throw, Hz."""
+        return self.candidates[0].rate
+
     def to_frame(self) -> Any:
         """The candidates as a pandas DataFrame, one per row: the throw, and the standard error of
         each quantity from it alone, NaN where it does not determine the quantity.

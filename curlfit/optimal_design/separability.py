@@ -182,9 +182,9 @@ def analyse_separation(
         factors = assumed.factors(candidates)
         scenarios.append(_load_scenario(pair, load, factors, throws, required))
 
-    def strangeness(one: PlannedThrow) -> tuple[float, float]:
+    def strangeness(one: PlannedThrow) -> float:
         v0, omega0 = _ORDINARY
-        return abs(math.log(one.v0 / v0)) + abs(abs(one.omega0) - omega0), -one.rate
+        return abs(math.log(one.v0 / v0)) + abs(abs(one.omega0) - omega0)
 
     ordinary = min(candidates, key=strangeness)
     best = scenarios[-1].throws
