@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from typing import Any
 
 from rich.console import Console
 from rich.text import Text
@@ -19,7 +18,7 @@ from curlfit.optimal_design.result import (
     Separation,
 )
 from curlfit.output.console import PlainTable
-from curlfit.output.document import Document, Part, Said, Section, command_line, exact, show
+from curlfit.output.document import Document, Part, Said, Section, show
 from curlfit.output.text import join_words, judged, labelled, lower, stone_text, two_digits
 
 _CRITERIA = {
@@ -88,7 +87,7 @@ def document(design: Design) -> Document:
             "Noise": noise_text(design.sigma),
             "Throws": str(design.throws),
         },
-        command=_command(design),
+        command=design.command,
         names=design.coefficients,
     )  # fmt: skip
 
@@ -377,31 +376,3 @@ def _about_changes(separation: Separation) -> str:
         "number of throws, alternately with one stone and the other, that averages out a scatter "
         f"of the ice of {percent(_SCATTER)} from throw to throw."
     )
-
-
-def _command(design: Design) -> str:
-    """The command of a design, as far as it is recorded."""
-    sigma, separation = design.sigma, design.separation
-    stone = [f"{name}={exact(value)}" for name, value in design.stone.as_dict().items()]
-    flags: dict[str, list[Any]] = {
-        "law": [design.law], "load": [design.load], "stone": stone,
-        "set": [f"{name}={exact(value)}" for name, value in design.coefficients.items()],
-        "sigma-xy": [sigma.get("x", "none")], "sigma-phi": [sigma.get("phi", "none")],
-        "sigma-speed": [sigma.get("speed", "none")], "sigma-omega": [sigma.get("omega", "none")],
-    } | {
-        name: [*dict.fromkeys(getattr(one, name) for one in design.candidates)]
-        for name in ("v0", "omega0")
-    }  # fmt: skip
-    flags |= {
-        "rate": [design.rate],
-        "until": [design.until] if design.until else [],
-        "throws": [design.throws],
-    }
-    flags |= {"discrepancy": [design.discrepancy]}
-    if separation is not None:
-        flags |= {"separate": list(separation.pair), "relative-error": [separation.wanted]}
-    words = {
-        name: ",".join(exact(one) if isinstance(one, float) else str(one) for one in values)
-        for name, values in flags.items()
-    }
-    return command_line("design", *(f"--{name}={text}" for name, text in words.items() if text))

@@ -103,6 +103,7 @@ class Design(Record):
     separation : separability of two coefficients, if requested or if only their sum is
         determined.
     notes : caveats, as sentences.
+    command : that made it; empty if it was made in Python.
     discrepancy : size of the accelerations that the law may lack, relative to the friction.
     scenarios : systematic errors of the D-optimal throws, as planned and in other scenarios.
 
@@ -136,6 +137,7 @@ class Design(Record):
     notes: tuple[str, ...]
     scenarios: tuple[Scenario, ...] = ()
     discrepancy: float = 0.0
+    command: str = ""
 
     @property
     def rate(self) -> float:

@@ -63,9 +63,7 @@ class LawValues(Choices):
     """
 
     law: Annotated[Any, option(LAW, "NAME")] = None
-    coefficients: Annotated[Named, option(VALUES, "NAME=V", name="--set")] = field(
-        default_factory=dict
-    )
+    coefficients: Annotated[Named, option(VALUES, "NAME=V")] = field(default_factory=dict)
     load: Annotated[str | None, option(LOAD, "NAME")] = None
     stone: Annotated[Named, option(VALUES, "R=V,rho=V")] = field(default_factory=dict)
 

@@ -10,15 +10,7 @@ from rich.console import Console
 from rich.text import Text
 
 from curlfit.output.console import PlainTable
-from curlfit.output.document import (
-    FOLDER_OF_FIT,
-    Document,
-    Said,
-    Section,
-    command_line,
-    exact,
-    show,
-)
+from curlfit.output.document import Document, Said, Section, show
 from curlfit.output.text import (
     capital,
     decimals,
@@ -48,7 +40,6 @@ _CHANGES = {
 }  # fmt: skip
 _ALONG = ("beyond", "before")
 _SIDES = ("right of", "left of")
-_POINTS = ("to the tee", "target")  # goals that are given by their coordinates
 
 
 def print_prediction(prediction: Prediction, console: Console | None = None) -> None:
@@ -110,8 +101,7 @@ def document(prediction: Prediction) -> Document:
             ),
             "Draws": f"{draws['used']} of {draws['number']}, seed {draws['seed']}",
         },
-        command=_command(prediction),
-        remark=FOLDER_OF_FIT,
+        command=prediction.command,
         names=prediction.start,
     )  # fmt: skip
 
@@ -284,32 +274,3 @@ def _check(check: HeldOut) -> tuple[PlainTable, str]:
         "by one standard deviation has hardly a row within 68 %."
     )
     return PlainTable(rows, "Rows that were not fitted"), remark
-
-
-def _command(prediction: Prediction) -> str:
-    """The command of a prediction, from a fit under its default name."""
-    goal, draws, call = prediction.goal or {"words": ""}, prediction.draws, prediction.call
-    together = draws["source"] == "throws"
-    flags = {
-        "hog-to-hog": None if call.hog_to_hog is None else exact(call.hog_to_hog),
-        "broom": None if call.broom is None else f"{call.broom:+.10g} m",
-        "thrower-sd": call.thrower and "{:.10g} s, {:.10g} m".format(*call.thrower),
-        "turn": call.turn,
-        **{
-            name: exact(item["value"])
-            for name, item in prediction.start.items()
-            if item["origin"] == "given"
-        },
-        "from": prediction.line or None,
-        "weight": goal["words"] if goal["words"] in ("draw", "guard", "takeout") else None,
-        "tee-speed": exact(goal["speed"]) if goal["words"] == "takeout" else None,
-        "target": f"{exact(goal['x'])},{exact(goal['y'])}" if goal["words"] in _POINTS else None,
-        "draws": draws["number"], "seed": draws["seed"],
-        "check": prediction.check and prediction.check.file,
-    }  # fmt: skip
-    return command_line(
-        "predict",
-        "joint-fit" if together else f"{Path(prediction.fit['file']).stem}-fit",
-        *(f"--group={label}={name}" for label, name in call.labels.items()),
-        *(f"--{name}={text}" for name, text in flags.items() if text is not None),
-    )

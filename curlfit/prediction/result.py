@@ -123,6 +123,7 @@ class Prediction(Record):
     goal : None, or "words", "x", "y" (m from the tee; x None where free), "speed".
     draws : "number", "used", "source" ("chain", "covariance" or "throws" of a joint fit), "seed".
     call : the throw in curlers' terms, as asked for.
+    command : that made it; empty if it was made in Python.
     weights : what to throw for several places, on the ice of a joint fit.
     misfit : the model discrepancy; None where the throws of a joint fit contain its effect.
     series : t (s since the start) and x, y, phi, speed, omega of the best estimate; of x, y, phi
@@ -176,6 +177,7 @@ class Prediction(Record):
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
     call: Call = field(default_factory=Call)
+    command: str = ""
     weights: tuple[Weight, ...] = ()
     check: HeldOut | None = None
     measured: dict[str, Floats] = field(default_factory=dict, metadata=SERIES)

@@ -10,7 +10,7 @@ from rich.text import Text
 
 from curlfit.inference.fit.result import Estimate
 from curlfit.output.console import PlainTable
-from curlfit.output.document import FOLDER_OF_FIT, Document, Said, Section, command_line, show
+from curlfit.output.document import Document, Said, Section, show
 from curlfit.output.text import (
     STYLE,
     compact,
@@ -77,10 +77,7 @@ def document(profile: Profile | PairProfile) -> Document:
             "Data": f"{one.data['file']}, {rows_text(one.data) or 'timed events alone'}",
             "Loss": one.loss,
         },
-        command=command_line(
-            "profile", f"{Path(one.data['file']).stem}-fit", *(f"--param={name}" for name in names)
-        ),
-        remark=FOLDER_OF_FIT,
+        command=profile.command,
         names=names,
     )
 

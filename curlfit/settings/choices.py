@@ -44,6 +44,7 @@ FLAGS = {
     "bounds": "--bound",
     "priors": "--prior",
     "systematics": "--systematic",
+    "coefficients": "--set",
 }
 """Flags of other names than their choices."""
 UNSET: Any = None

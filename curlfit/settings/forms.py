@@ -231,7 +231,10 @@ def numbers(count: int, written: str) -> Form:
             raise ValueError
         return found
 
-    return Form(f"{count} numbers", check, lambda word: map(float, word.split(",")), written)
+    return Form(
+        f"{count} numbers", check, lambda word: map(float, word.split(",")), written,
+        words=lambda value: ",".join(f"{one:.10g}" for one in value),
+    )  # fmt: skip
 
 
 PATH = Form("a name of a file or folder", lambda one: Path(one), Path, "a file or folder")
