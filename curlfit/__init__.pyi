@@ -48,11 +48,14 @@ from .optimal_design.report import print_design as print_design
 from .optimal_design.result import Design as Design, load_design as load_design
 from .paper.claim import Claim as Claim
 from .paper.reproduce import Reproduction as Reproduction, reproduce as reproduce
-from .prediction.call import Call as Call
 from .prediction.figures import prediction_figure as prediction_figure
 from .prediction.predict import held_out as held_out, predict as predict
 from .prediction.report import print_prediction as print_prediction
-from .prediction.result import Prediction as Prediction, load_prediction as load_prediction
+from .prediction.result import (
+    Call as Call,
+    Prediction as Prediction,
+    load_prediction as load_prediction,
+)
 from .profile_likelihood.figures import profile_figure as profile_figure
 from .profile_likelihood.profile import profile as profile
 from .profile_likelihood.report import print_profile as print_profile

@@ -16,7 +16,7 @@ from curlfit.settings.choices import COUNT, SEED, Choices, Named, Reading
 from curlfit.settings.forms import LABELS, NUMBER, PATH, SWITCH, TEXT, numbers, option
 
 if TYPE_CHECKING:
-    from curlfit.prediction.call import Call
+    from curlfit.prediction.result import Call
 
 _SIDES = {"left", "right"}
 _CHECK = Group("Comparison with measured rows", sort_key=1)
@@ -74,7 +74,7 @@ class Called(Choices):
 
     def call(self) -> Call:
         """The throw. Raises `InputError` for an offset without a side."""
-        from curlfit.prediction.call import Call
+        from curlfit.prediction.result import Call
         from curlfit.throws.readers.notation import parse_quantity
 
         labels = dict(self.group) | ({} if self.sheet is None else {"sheet": self.sheet})

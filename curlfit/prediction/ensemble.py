@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from curlfit.environment import Environment
+from curlfit.errors import InputError
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.joint.draw import Draw
 from curlfit.inference.model import Model
@@ -15,13 +17,17 @@ from curlfit.inference.problem import LEVEL_AND_STILL, environment_of
 from curlfit.inference.system import motions, prepare_motions
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import BATCH
-from curlfit.prediction.call import CENTRED, Call
-from curlfit.prediction.request import ThrowStart
-from curlfit.sheet import TEE
+from curlfit.prediction.request import GUARD, ThrowStart, aimed
+from curlfit.prediction.result import CENTRED, Call, Weight
+from curlfit.sheet import HOUSE, LINES, TEE, TEE_TO_HACK
 from curlfit.stone import Stone
 
 VARIED = {"v0": 0.01, "omega0": 0.1}
 """Changes of the initial state for the sensitivity of the resting position, in m/s and rad/s."""
+_PLACES = {
+    "guard": GUARD, "front of the house": -HOUSE, "tee": 0.0, "back of the house": HOUSE,
+    "hack": TEE_TO_HACK,
+}  # fmt: skip
 _GRID = np.arange(301.0)
 _GRID_STEPS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)  # s between times
 _MAX_FILLED = 0.8  # fraction of the time grid within which throws come to rest
@@ -249,6 +255,24 @@ def simulate_ensemble(
     """The trajectories of parameter vectors, at increasing times from 0."""
     state, rest = motions(model, values, stone, environment, t)
     return TrajectoryEnsemble(np.minimum(t, rest[:, None]), state)
+
+
+def weights_of(fit: FitResult, spin: float) -> tuple[Weight, ...]:
+    """What to throw for places from guard to hack, with a spin in rad/s of either sense, on the ice
+    of a fit. A place that no throw reaches is left out."""
+    spin, start, found = abs(spin), LINES["hog"], []
+    for name, y in _PLACES.items():
+        try:
+            throws = [aimed(fit, (0.0, TEE + y), omega) for omega in (-spin, spin)]
+        except InputError:
+            continue
+        right, left = (math.tan(one.heading) * (TEE - start) for one in throws)
+        state = 0.0, start, throws[1].heading, throws[1].v0, 0.0, spin
+        values = np.array([[*fit.values[: -len(START)], *state]])
+        path = simulate_ensemble(fit.model, values, fit.stone, LEVEL_AND_STILL, 0.2 * _GRID)
+        hog, tee = (float(path.crossing(LINES[line])[0][0]) for line in ("far-hog", "far-tee"))
+        found.append(Weight(name, y, hog, tee if y > 0 else None, (right, left)))
+    return tuple(found)
 
 
 def _means(values: Floats) -> Floats:

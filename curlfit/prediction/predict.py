@@ -35,12 +35,10 @@ from curlfit.inference.mcmc.ridge import ridge_proposal
 from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Floats
 from curlfit.prediction import diagnostics
-from curlfit.prediction.call import CENTRED, Call
-from curlfit.prediction.ensemble import ThrowFamily, prepare_ensemble
+from curlfit.prediction.ensemble import ThrowFamily, prepare_ensemble, weights_of
 from curlfit.prediction.request import ThrowRequest, ThrowStart, start_by, start_of
-from curlfit.prediction.result import Prediction
+from curlfit.prediction.result import CENTRED, Call, Prediction
 from curlfit.prediction.simulation import Simulation
-from curlfit.prediction.weights import weights_of
 from curlfit.throws.throw import CHANNELS, Throw
 
 _ROUNDS = 200  # of draws, until enough are within the bounds

@@ -12,10 +12,9 @@ from curlfit.friction import no_motion_because
 from curlfit.inference.derived import LEVELS, quantiles_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.numerics.arrays import Floats
-from curlfit.prediction.call import CENTRED, Call
 from curlfit.prediction.discrepancy import discrepancy_posterior
 from curlfit.prediction.ensemble import VARIED, ThrowFamily, TrajectoryEnsemble
-from curlfit.prediction.result import PREDICTED, QUANTITIES, Discrepancy, Quantity
+from curlfit.prediction.result import CENTRED, PREDICTED, QUANTITIES, Call, Discrepancy, Quantity
 from curlfit.sheet import END, FOOT, HOUSE, LINES, STONE_RADIUS, TEE
 
 _BAND_POINTS = 121

@@ -152,7 +152,6 @@ class ConstrainedFits:
         self._response, stiffness = refit.response(self.index)
         self.stiffness = stiffness
         self._typical = refit.parameters.typical[self.index]
-        self._tried: set[tuple[Point, Point, float]] = set()
 
     @property
     def bounds(self) -> tuple[float, float]:
@@ -201,12 +200,8 @@ class ConstrainedFits:
                 for point, near in ((pair[1], self.known[pair[0]]), (pair[0], self.known[pair[1]]))
                 if near is not None and not self._agree(self.known[point], near)
             ]
-            tried = [(point, tuple(fit.values), fit.chi_squared) for point, fit in tries]
-            # not twice from the same optimum
-            tries = [one for one, key in zip(tries, tried, strict=True) if key not in self._tried]
             if not tries:
                 return
-            self._tried.update(tried)
             better = False
             for (point, _), fit in zip(tries, self._fitted(*zip(*tries, strict=True)), strict=True):
                 known = self.known[point]

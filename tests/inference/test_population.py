@@ -14,7 +14,7 @@ from curlfit import InputError, sheet
 from curlfit.inference.joint.population import _moves
 from curlfit.inference.joint.posterior import sampled
 from curlfit.numerics.mixed_model import MixedModel
-from curlfit.prediction.call import Call
+from curlfit.prediction.result import Call
 from curlfit.throws.events import Event
 
 STONE = curlfit.Stone(R=0.065)
