@@ -270,10 +270,10 @@ def record_information(
     shapes = responses[0].by_channel.shape[-1] if responses else 0
     return [
         RecordInformation(
-            len(clock), float(clock[-1]), *end,
+            len(clock), float(clock[-1]), rest, distance,
             r_factor(np.concatenate(factors[owner == index], 1)), shapes,
         )
-        for index, (clock, end) in enumerate(zip(clocks, ends.tolist(), strict=True))
+        for index, (clock, (rest, distance)) in enumerate(zip(clocks, ends.tolist(), strict=True))
     ]  # fmt: skip
 
 

@@ -76,7 +76,7 @@ def profile(
     kind = f"profile-{'-'.join(param)}"
     drawn.draw_beside()
 
-    with output.status(f"Fitting {COMPILES}") as say:
+    with output.status(f"Fitting {COMPILES}"):
         if request is not None:
             from curlfit.inference.least_squares import prepare_minimize
 
@@ -88,10 +88,7 @@ def profile(
 
         from curlfit.profile_likelihood.profile import profile as compute_profile
 
-        found = compute_profile(
-            fit, param, chain=chain, points=points, ranges=limits,
-            progress=lambda done: say(f"Fitting the other parameters again: {done} fits"),
-        )  # fmt: skip
+        found = compute_profile(fit, param, chain=chain, points=points, ranges=limits)
     words = [f"--param={name}" for name in param]
     words += [f"--range={low:.10g},{high:.10g}" for low, high in ranges]
     words += [f"--points={points}"] * bool(points) + [*reading.words()]

@@ -16,13 +16,11 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from curlfit.errors import InputError, UnusableFitError
-from curlfit.inference.fit.fit import fit as least_squares
 from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.inference.mcmc.chain import Chain
 from curlfit.numerics.arrays import Floats
-from curlfit.profile_likelihood.refit import BETTER, ConstrainedFits, Progress, Refit
+from curlfit.profile_likelihood.refit import BETTER, ConstrainedFits, Refit
 from curlfit.profile_likelihood.result import Interval, Level, PairProfile, Profile, require_usable
-from curlfit.throws.throw import Throw
 
 POINTS = 41
 POINTS_OF_PAIR = 25
@@ -43,20 +41,18 @@ _BINS = 24
 
 
 def profile(
-    subject: FitResult | Throw,
+    fit: FitResult,
     names: str | Sequence[str],
     *,
     chain: Chain | None = None,
     points: int | None = None,
     ranges: Mapping[str, tuple[float, float]] | None = None,
-    progress: Progress | None = None,
-    **choices: Any,
 ) -> Profile | PairProfile:
     """The profile likelihood of a parameter, or of two.
 
     Parameters
     ----------
-    subject : a converged fit, or a throw, which is then fitted first.
+    fit : a converged fit.
     names : one free parameter or two, of the law, the conditions or the initial state.
     chain : a posterior sample of the fit, for comparison.
     points : values of each parameter, by default `POINTS` for one and `POINTS_OF_PAIR` for two;
@@ -64,8 +60,6 @@ def profile(
     ranges : (low, high) by name. By default four standard errors to either side where the fit
         determines the parameter; otherwise to where chi squared is 9 higher, or to its bounds (30
         typical sizes away where it has none).
-    progress : called with the number of fits done.
-    choices : of `curlfit.fit`, for a throw.
 
     Returns
     -------
@@ -74,7 +68,7 @@ def profile(
     Raises
     ------
     InputError : an unknown, fixed or repeated name; more than two; a range that is empty, outside
-        the bounds or without the best estimate; a chain of another law; choices given with a fit.
+        the bounds or without the best estimate; a chain of another law.
     UnusableFitError : the fit did not converge.
 
     Examples
@@ -84,13 +78,7 @@ def profile(
     'limited'
     """
     selected = (names,) if isinstance(names, str) else tuple(names)
-    if isinstance(subject, Throw):
-        fit = least_squares(subject, **choices)
-    else:
-        require_fit(subject)
-        fit = subject
-        if choices:
-            raise InputError(f"{', '.join(choices)}: a fit has its own; give a throw to fit anew")
+    require_fit(fit)
     parameters, ranges = fit.parameter_set, ranges or {}
     require_usable(parameters, selected, points, ranges, parameters.values_of(fit.values))
     count = (POINTS, POINTS_OF_PAIR)[len(selected) - 1] if points is None else points
@@ -98,7 +86,7 @@ def profile(
         raise UnusableFitError(f"the fit is not usable: {fit.status}")
     if chain is not None and chain.names != parameters.names:
         raise InputError("the chain is of another fit: its parameters differ")
-    refit = Refit(fit, progress)
+    refit = Refit(fit)
     found: Any
     for _ in range(3):
         found, *second = [
