@@ -16,6 +16,7 @@ from curlfit.optimal_design.result import (
     Proof,
     Scenario,
     Separation,
+    StoneChange,
 )
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Part, Said, Section, show
@@ -225,18 +226,11 @@ def _single_throws(design: Design) -> PlainTable:
     return PlainTable(rows, "Expected errors from a single throw", keys=2, note=note)
 
 
-def target_text(separation: Separation) -> str:
-    """The required error, as in "20 % of their mean, 0.009"."""
-    reference = "their mean" if separation.of == "mean" else "their difference"
-    return f"{100 * separation.wanted:g} % of {reference}, {separation.size:g}"
-
-
 def _separation(design: Design, separation: Separation) -> Section:
-    a, b = separation.pair
-    proof = separation.proof
+    (a, b), proof, size = separation.pair, separation.proof, separation.size
     parts: list[Part] = [
-        f"Required: standard error of {a} - {b} {separation.wanted * separation.size:.2g}, "
-        f"{target_text(separation)}."
+        f"Required: standard error of {a} - {b} {separation.wanted * size:.2g}, "
+        f"{100 * separation.wanted:g} % of their {separation.of}, {size:g}."
     ]
     if proof.hidden:
         parts += [
@@ -268,45 +262,43 @@ def _proof(proof: Proof) -> str:
 
 
 def _scenario(design: Design, separation: Separation, scenario: LoadScenario) -> list[Part]:
-    name = f"{scenario.load.capitalize()} load" + (
-        " (eq. 8-9)" if scenario.load == "consistent" else ""
-    )
+    name = f"{scenario.load.capitalize()} load{' (eq. 8-9)' * (scenario.load == 'consistent')}"
     if scenario.throws is None or scenario.stderr is None:
         return [Text(f"{name}: none of these throws can separate them.", style="bold red")]
-    weak = scenario.stderr > _WEAK * separation.size
-    rows = []
-    for index in _by_spin(design, scenario):
-        one, stderr = design.candidates[index], scenario.each[index]
-        assert stderr is not None
-        rows.append(
-            {
-                ">omega0\n(rad/s)": f"{one.omega0:g}", ">v0\n(m/s)": f"{one.v0:g}",
-                ">error from\none throw": f"{stderr:.2g}",
-                ">relative": percent(stderr / separation.size),
-                "noise for the\nrequired error": noise_text(
-                    design.sigma, separation.noise_factor(stderr)
-                ),
-                ">or throws at\nthis noise": _count(separation.throws_needed(stderr, 1)),
-            }
-        )  # fmt: skip
+    weak, rows = scenario.stderr > _WEAK * separation.size, []
+    for spin in dict.fromkeys(one.omega0 for one in design.candidates):
+        own = [
+            (stderr, one.v0)
+            for one, stderr in zip(design.candidates, scenario.each, strict=True)
+            if one.omega0 == spin and stderr is not None
+        ]
+        for stderr, v0 in sorted(own)[:1]:
+            noise = noise_text(design.sigma, separation.noise_factor(stderr))
+            rows.append(
+                {
+                    ">omega0\n(rad/s)": f"{spin:g}", ">v0\n(m/s)": f"{v0:g}",
+                    ">error from\none throw": f"{stderr:.2g}",
+                    ">relative": percent(stderr / separation.size),
+                    "noise for the\nrequired error": noise,
+                    ">or throws at\nthis noise": _count(separation.throws_needed(stderr, 1)),
+                }
+            )  # fmt: skip
     return [
         Text(f"{name}: the difference is {'weakly ' * weak}determined.", style="bold yellow"),
         PlainTable(rows, f"{name}: the best throw of each spin", keys=2),
-        _optimal(design, separation, scenario),
+        _optimal(design, separation, scenario, scenario.stderr),
     ]
 
 
-def _optimal(design: Design, separation: Separation, scenario: LoadScenario) -> str:
+def _optimal(design: Design, separation: Separation, scenario: LoadScenario, stderr: float) -> str:
     """The optimal throws for a separation, and what they would need."""
-    assert scenario.throws is not None
-    assert scenario.stderr is not None
-    factor = separation.noise_factor(scenario.stderr)
+    factor = separation.noise_factor(stderr)
     text = (
-        f"The optimal {_throws(design.throws)}: {throws_text(design, scenario.throws)}. Error "
-        f"{scenario.stderr:.2g}, that is {percent(scenario.stderr / separation.size)}: "
+        f"The optimal {_throws(design.throws)}: {throws_text(design, scenario.throws or ())}. "
+        f"Error {stderr:.2g}, that is {percent(stderr / separation.size)}: "
     )
     if factor < 1:
-        needed = _count(separation.throws_needed(scenario.stderr, design.throws))
+        needed = _count(separation.throws_needed(stderr, design.throws))
         text += (
             f"needs noise of {noise_text(design.sigma, factor)}, or {needed} throws at the present "
             f"noise, or {two_digits(1 / factor**2)} times as many rows per second."
@@ -322,16 +314,6 @@ def _optimal(design: Design, separation: Separation, scenario: LoadScenario) -> 
     return text
 
 
-def _by_spin(design: Design, scenario: LoadScenario) -> list[int]:
-    """For each spin the candidate with the smallest error by itself."""
-    found: dict[float, tuple[float, int]] = {}
-    for index, stderr in enumerate(scenario.each):
-        if stderr is not None:
-            own, spin = (stderr, index), design.candidates[index].omega0
-            found[spin] = min(found.get(spin, own), own)
-    return [index for _, index in found.values()]
-
-
 def _count(number: float) -> str:
     """A number of throws: an integer, rounded where it is large."""
     whole = math.ceil(number - 1e-9)
@@ -340,27 +322,26 @@ def _count(number: float) -> str:
 
 def _changes(design: Design, separation: Separation) -> PlainTable:
     scenario, draw = separation.scenario("consistent"), design.candidates[separation.ordinary]
-    assert scenario.stderr is not None
     count, alone = _throws(design.throws), scenario.each[separation.ordinary]
-
-    def row(stone: str, whole: float | None, half: float | None) -> dict[str, str]:
-        relative = ["-" if one is None else percent(one / separation.size) for one in (whole, half)]
-        kind = _start(draw)
-        return {
-            "stone": stone,
-            f">error, {count}\nas above": _error(whole), ">relative": relative[0],
-            f">error, {count} of\n{kind},\nhalf with each stone": _error(half),
-            "> relative": relative[1],
-        }  # fmt: skip
-
     single = None if alone is None else alone / math.sqrt(design.throws)
-    rows = [row("original", scenario.stderr, single)]
-    for item in separation.changes:
-        averaged = item.steady and _count(separation.throws_for_scatter(_SCATTER, item.steady))
+    original = StoneChange("", 0.0, scenario.stderr, single, None)
+    rows = []
+    for item in (original, *separation.changes):
+        whole, half = (
+            "-" if one is None else percent(one / separation.size) for one in (item.all, item.half)
+        )
+        steady = averaged = "--" * bool(item.name)
+        if item.steady:
+            steady = percent(item.steady)
+            averaged = _count(separation.throws_for_scatter(_SCATTER, item.steady))
         rows.append(
-            row(f"{item.name} = {1000 * item.value:.3g} mm", item.all, item.half)
-            | {">ice constant\nto": percent(item.steady) if item.steady else "--",
-               f">throws, ice\nscatter {percent(_SCATTER)}": averaged or "--"}
+            {
+                "stone": f"{item.name} = {1000 * item.value:.3g} mm" if item.name else "original",
+                f">error, {count}\nas above": _error(item.all), ">relative": whole,
+                f">error, {count} of\n{_start(draw)},\nhalf with each stone": _error(item.half),
+                "> relative": half, ">ice constant\nto": steady,
+                f">throws, ice\nscatter {percent(_SCATTER)}": averaged,
+            }
         )  # fmt: skip
     return PlainTable(rows, "Changes of the stone")
 

@@ -118,16 +118,12 @@ def describe_pair(profile: PairProfile) -> str:
     one, other = profile.names
     if profile.ellipse is None:
         text = "The covariance gives no ellipse to compare with."
-    elif profile.ellipse <= _AGREE_PAIR:
-        text = (
-            "The 95 % confidence ellipse from the covariance is accurate: within it, chi squared "
-            f"differs from its quadratic approximation by at most {profile.ellipse:.1g}."
-        )
     else:
-        size = f"up to {profile.ellipse:.2g}" if profile.ellipse < 100 else "more than 100"
+        agrees = profile.ellipse <= _AGREE_PAIR
         text = (
-            "The 95 % confidence ellipse from the covariance is not accurate: within it, chi "
-            f"squared differs from its quadratic approximation by {size}. Use the contours."
+            f"The 95 % confidence ellipse from the covariance is {'' if agrees else 'not '}"
+            "accurate: within it, chi squared differs from its quadratic approximation by up to "
+            f"{profile.ellipse:.2g}.{'' if agrees else ' Use the contours.'}"
         )
     if profile.across is None:
         text += f" {other} is not identifiable even with {one} fixed."
@@ -163,16 +159,14 @@ def _table(profile: Profile | PairProfile) -> PlainTable | None:
     """The intervals of a parameter, or the extents of the region of two."""
     levels = profile.levels
     if isinstance(profile, PairProfile):
-        rows = []
-        for index, one in enumerate(profile.each):
-            limited, scale = one.verdict == "limited", _scale(one)
-            rows.append(
-                {"region spans": labelled(one.name, one.estimate.unit)}
-                | {
-                    level.name: _ends(profile.extent[level.name][index], scale) if limited else "-"
-                    for level in levels
-                }
-            )
+        rows = [
+            {"region spans": labelled(one.name, one.estimate.unit)}
+            | {
+                name: _ends(extent[index], _scale(one)) if one.verdict == "limited" else "-"
+                for name, extent in profile.extent.items()
+            }
+            for index, one in enumerate(profile.each)
+        ]
         return PlainTable(rows, "Extent of the regions of both parameters")
     if profile.verdict != "limited":
         return None
