@@ -15,7 +15,6 @@ from curlfit.profile_likelihood.result import PairProfile, Profile
 _REGIONS = ("#a6cfe5", "#deedf6")  # of the profile, 68 and 95 %
 _HIGH, _LOW = 10.0, 5.5  # upper ends of the axis, of limited profiles and of others
 _MOVES = 0.05  # smallest change of another parameter that is shown, standard errors
-_MAX_SHOWN = 8  # of these
 
 
 @draw.style()
@@ -61,17 +60,14 @@ def _chi_squared(profile: Profile, axes: Any) -> None:
         axes.plot(fine, parabola, "--", label="covariance", **style)
     style = {"color": draw.FIT_COLOR, "zorder": 3}
     axes.plot(at, profile.delta, ".-", ms=4, lw=1.5, label="profile", **style)
-    lowest = -0.04 * top
     if found is not None:
         axes.errorbar(
             found["at"], found["height"], found["error"], fmt="o", color=draw.POSTERIOR_COLOR,
             markersize=3, lw=0.9, label=r"posterior, $-2\,\ln$ density", zorder=2,
         )  # fmt: skip
-        lower = float((found["height"] - found["error"]).min())
-        lowest = max(-1.0, min(lowest, lower - 0.1))
     style = {"color": draw.FIT_COLOR, "markersize": 5, "zorder": 5}
     axes.plot(profile.best, 0, "v", clip_on=False, mec="white", **style)
-    axes.set(xlim=_widened(at[0], at[-1], 0.02), ylim=(lowest, top))
+    axes.set(xlim=_widened(at[0], at[-1], 0.02), ylim=(-0.04 * top, top))
     axes.set_ylabel(r"$\Delta\chi^2$, all others refitted")
     axes.legend(loc="upper center", bbox_to_anchor=(0.62, 1.0))
     if not limited:
@@ -105,9 +101,7 @@ def _others(profile: Profile, axes: Any) -> None:
     }
     partners = {name for item in profile.combinations for name in item.weights}
     values = [name for name, item in others.items() if not item.stderr and name in partners]
-    size = {name: float(np.abs(move).max()) for name, move in moves.items()}
-    largest = sorted(size, key=lambda name: -size[name])[:_MAX_SHOWN]
-    kept = [name for name in moves if name in largest and size[name] > _MOVES]
+    kept = [name for name, move in moves.items() if np.abs(move).max() > _MOVES]
     axes.axhline(0, **draw.ZERO_LINE)
     lines: list[Any] = []
     for name, style in zip(kept, draw.line_styles(len(kept)), strict=True):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.interpolate import CubicSpline
-from scipy.stats import halfnorm, lognorm, norm, truncnorm
+from scipy.stats import halfnorm, lognorm, norm
 
 import curlfit
 from curlfit.comparison.criteria import (
@@ -69,33 +69,6 @@ def few(eq12):
     noisy = [series + random.normal(0, 0.3, len(t)) for series in (path.x, path.y, path.phi)]
     throw = curlfit.Throw.from_arrays(t, *noisy, sigma=dict.fromkeys(("x", "y", "phi"), 0.3))
     return curlfit.fit(throw, fix=FIXED, systematics={"all": 0.0})
-
-
-def test_the_evidence_of_a_law_against_quadrature(few):
-    problem, origin = problem_of(few)
-    names = list(few.parameters)
-    values = few.values - origin.offset(len(few.values))
-    total = few.combinations[0]
-    sums = total.value + total.stderr * np.linspace(-6, 6, 25)
-    speeds = few.parameters["v0"].value + few.parameters["v0"].stderr * np.linspace(-6, 6, 25)
-    # of the difference of the two only the prior, and the bounds, depend
-    grid = np.stack(np.meshgrid(sums, speeds, indexing="ij"), -1).reshape(-1, 2)
-    points = np.tile(values, (len(grid), 1))
-    points[:, names.index("mu1_eta")] = points[:, names.index("mu2_eta")] = grid[:, 0] / 2
-    points[:, names.index("v0")] = grid[:, 1]
-    problems = stacked([problem] * len(grid))
-    chi_squared = chi_squared_of_many(few.model, points, problems, BATCH)
-    likelihood = np.exp(-0.5 * (chi_squared - few.chi_squared)).reshape(25, 25).sum(1)
-    likelihood *= speeds[1] - speeds[0]
-    prior = truncnorm(0, 1 / 0.03, scale=0.03)  # three times the typical size, 0.01, within 0..1
-    density = []
-    for one in sums:
-        differences = np.linspace(-one, one, 2001)
-        both = prior.pdf((one + differences) / 2) * prior.pdf((one - differences) / 2)
-        density.append(np.trapezoid(both, differences) / 2)
-    expected = np.log(np.sum(likelihood * density) * (sums[1] - sums[0]))
-    given = sum(log_likelihood(few).values())
-    assert log_evidence(few, given) - given == pytest.approx(expected, abs=0.02)
 
 
 def test_the_number_of_parameters_does_not_jump(few):

@@ -210,15 +210,6 @@ def test_the_mean_error_asks_for_more_of_what_tells_less():
     assert select_design(candidates, d_criterion, 8) == (0,) * 4 + (1,) * 4
 
 
-def test_where_not_all_is_determined_the_rest_is_judged():
-    candidates = CandidateSet.from_factors(
-        line([2.0, 2.0]) + [np.sqrt(3) * one for one in line([2.0])]
-    )
-    assert candidates.rank == 1
-    assert select_design(candidates, d_criterion, 2) == (2, 2)
-    assert least_errors(candidates, np.eye(2), 2) == (2, 2)
-
-
 def test_the_best_of_the_plan_is_the_best_of_all_choices(plain):
     assert len(plain.candidates) == 15
     assert plain.rank == 3

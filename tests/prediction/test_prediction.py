@@ -17,7 +17,6 @@ from scipy.optimize import brentq
 
 import curlfit
 from curlfit import InputError, UnusableFitError, sheet
-from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.noise.accelerations import COMPONENTS, SPEEDS
 from curlfit.inference.problem import LEVEL_AND_STILL
 from curlfit.numerics import compiled
@@ -188,17 +187,6 @@ def test_the_fitted_throw_is_laid_on_a_line(fit, carried):
     assert kept.series["y"][0] == pytest.approx(fit.parameters["y0"].value)
 
 
-def test_data_that_lie_on_the_sheet_are_left_where_they_are(tmp_path):
-    throw = thrown()
-    lines = ["t,x,y,phi", *(f"{a},{b},{c},{d}" for a, b, c, d in zip(
-        throw.t, throw.x, throw.y, throw.phi, strict=True))]  # fmt: skip
-    (tmp_path / "a.csv").write_text("\n".join(lines))
-    for words, first in (("from-tee", sheet.LINES["tee"]), (None, HOG)):
-        throw = curlfit.load_throw(tmp_path / "a.csv", axes=words)
-        one = curlfit.fit(throw, stone=STONE, details=False)
-        assert curlfit.predict(one, draws=100).series["y"][0] == pytest.approx(first, abs=0.02)
-
-
 @pytest.mark.slow
 def test_throws_of_a_stop_watch_lie_on_the_sheet(tmp_path):
     (tmp_path / "b.txt").write_text(
@@ -242,16 +230,6 @@ def test_weights_rest_where_they_say(fit):
     assert aside.quantities["rest_y"].value == pytest.approx(0.0, abs=1e-6)
     assert aside.quantities["rest_x"].value == pytest.approx(aside.quantities["curl"].value)
     assert abs(aside.quantities["rest_x"].value) > 0.5
-
-
-def test_what_no_throw_reaches_is_said():
-    slow = curlfit.law_with("coulomb", {"mu": 0.08})
-    with pytest.raises(InputError, match=r"no throw reaches it: even one of 6 m/s comes to rest"):
-        curlfit.aim(slow, STONE, (0.0, 28.0), omega0=1.0)
-    with pytest.raises(InputError, match="lies 2 m behind the start"):
-        curlfit.aim(slow, STONE, (0.0, -2.0), omega0=1.0)
-    with pytest.raises(InputError, match="expected finite"):
-        curlfit.aim(slow, STONE, (0.0, 5.0), omega0=np.nan)
 
 
 def test_the_place_follows_the_start_as_said(fit):
@@ -337,12 +315,6 @@ def test_a_new_throw_asks_for_a_spin_that_the_fit_does_not_know(fit):
 
 
 # --- errors of the law ---------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_noise_is_not_taken_for_a_fault_of_the_law():
-    fits = fit_throws([thrown(seed=seed) for seed in range(20)])
-    assert sum(discrepancy_posterior(fit).summary.detected for fit in fits) <= 2
 
 
 def game_throw(v0=2.2, omega0=1.5, seed=0, until=np.inf):
@@ -464,18 +436,6 @@ def test_a_missing_force_is_less_than_the_friction(game_fit):
         size = made[:, place].std(0)
         assert (size[seen] < 1.5 * discrepancy.ceilings[way]).all()
         assert (size < 1.5 * largest[way]).all()
-
-
-def test_below_the_fitted_speeds_curl_may_grow():
-    throw, _ = game_throw(seed=4, until=12.0)
-    fit = curlfit.fit(throw, stone=STONE, details=False)
-    found = discrepancy_posterior(fit)
-    made = found.draw(2000, np.random.default_rng(1)).acceleration.std(0)
-    third = np.argmin(np.abs(SPEEDS - fit.fitted["speed"].min() / 3))
-    across, along, turning = made[:, third] / [*found.summary.ceilings.values()]
-    assert across > 2.5 * along
-    assert turning > 2.5 * along
-    assert along < 1.0
 
 
 def test_what_cannot_be_seen_has_the_size_of_the_prior():

@@ -134,14 +134,6 @@ def test_limits_far_from_those_of_the_covariance_are_right(blind):
     assert "Use the profile" in printed(found)
 
 
-@pytest.mark.slow
-def test_a_bent_region_is_on_the_grid_as_a_whole(blind):
-    pair = curlfit.profile(blind, ("mu2_xi", "omega0"), points=9)
-    assert (pair.delta[:, [0, -1]] >= 5.99).all()
-    assert (pair.delta[[0, -1]] >= 5.99).all()
-    assert pair.ellipse > 1
-
-
 def test_a_parameter_that_only_moves_the_path_has_its_parabola(fit):
     """With the rest fixed, chi squared is sum (x - x0)^2/sigma^2: a mean of n rows."""
     fixed = {name: item.value for name, item in fit.parameters.items() if name not in ("x0", "y0")}
@@ -328,19 +320,3 @@ def test_python_refuses_the_same(fit):
 
 
 # --- counting ------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_intervals_hold_the_truth_as_often_as_they_say():
-    """Two coefficients of 100 throws each: 68 and 95 %, within four binomial deviations."""
-    held = {"68 %": 0, "95 %": 0}
-    tries = 0
-    for seed in range(100):
-        fit = curlfit.fit(thrown(seed=1000 + seed))
-        for name in ("mu1_xi", "mu2_xi"):
-            tries += 1
-            for interval in curlfit.profile(fit, name, points=9).intervals:
-                held[interval.level] += interval.low <= TRUE[name] <= interval.high
-    for level, chance in (("68 %", 0.683), ("95 %", 0.95)):
-        sd = np.sqrt(chance * (1 - chance) / 100)  # the two of a throw are not independent
-        assert abs(held[level] / tries - chance) < 4 * sd, held
