@@ -271,7 +271,11 @@ def ranked(found: list[Fitted], failed: Sequence[Candidate] = ()) -> Comparison:
             least = best_of([one.known[name] for one in best])
             for one in found:
                 one.known[difference] = one.known[name] - least
-    _add_ranks([one for one in found if one.counts])
+    total = sum(math.exp(one.known.get("delta_evidence", 0.0)) for one in found if one.counts)
+    for rank, one in enumerate([one for one in found if one.counts], 1):
+        one.known["rank"] = rank
+        if "delta_evidence" in one.known:
+            one.known["weight"] = math.exp(one.known["delta_evidence"]) / total
     return Comparison(
         data=first.data,
         stone=first.stone,
@@ -296,15 +300,6 @@ def _follow(found: Sequence[Fitted]) -> None:
         for one in found:
             if one.size.get(name, 0.0) > _FAR * least:
                 one.known["follows"] = False
-
-
-def _add_ranks(found: Sequence[Fitted]) -> None:
-    """Ranks, and posterior probabilities where the evidence is known."""
-    total = sum(math.exp(one.known.get("delta_evidence", 0.0)) for one in found)
-    for rank, one in enumerate(found, 1):
-        one.known["rank"] = rank
-        if "delta_evidence" in one.known:
-            one.known["weight"] = math.exp(one.known["delta_evidence"]) / total
 
 
 def _add_predictions(found: Sequence[Fitted]) -> None:
