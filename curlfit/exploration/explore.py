@@ -165,7 +165,6 @@ class Explorer:
             slider.observe(self._moved, names="value")
         left = widgets.VBox([*self.sliders.values(), self._reset, self._text])
         self.widget = widgets.HBox([left, self._image])
-        self._moving = False
         self._show()
 
     @property
@@ -175,17 +174,10 @@ class Explorer:
 
     def reset(self) -> None:
         """Return to the values of the fit."""
-        self._moving = True
-        try:
-            for slider, value in zip(self.sliders.values(), self.fit.values, strict=True):
-                slider.value = value
-        finally:
-            self._moving = False
-        self._moved()
+        for slider, value in zip(self.sliders.values(), self.fit.values, strict=True):
+            slider.value = value
 
     def _moved(self, _: Any = None) -> None:
-        if self._moving:
-            return
         self.curves = self._model.at(self.values)
         self._drawn.move(self.curves)
         self._show()

@@ -124,6 +124,18 @@ def design(
         )
     if not 0 <= discrepancy < math.inf:
         raise InputError(f"discrepancy = {discrepancy:g}; expected 0 or more, over the friction")
+    return _designed(assumed, pair, planned, throws, relative_error)
+
+
+def _designed(
+    assumed: Assumptions,
+    pair: CoefficientPair | None,
+    planned: Sequence[PlannedThrow],
+    throws: int,
+    relative_error: float,
+) -> Design:
+    """The design of throws among planned ones."""
+    law, load = assumed.law, assumed.load
     records, factors = assumed.records(planned), assumed.factors(planned)
     candidates, together = CandidateSet.from_factors(factors), combined(factors)
     if not candidates.rank:
@@ -150,13 +162,13 @@ def design(
     return Design(
         law=law.name,
         load=load,
-        stone=stone,
-        coefficients=dict(zip(items, values.tolist(), strict=True)),
+        stone=planned[0].stone,
+        coefficients=dict(zip(items, assumed.values.tolist(), strict=True)),
         symbols={name: item.symbol for name, item in items.items()},
         units={name: item.unit for name, item in items.items()},
         typical={name: item.typical for name, item in items.items()},
-        sigma=sigma,
-        until=until,
+        sigma=dict(assumed.sigma),
+        until=assumed.until,
         throws=throws,
         candidates=tuple(
             Candidate(
@@ -171,8 +183,8 @@ def design(
         best=best,
         curves=curves,
         separation=separation,
-        notes=_notes(discrepancy),
-        discrepancy=discrepancy,
+        notes=_notes(assumed.discrepancy),
+        discrepancy=assumed.discrepancy,
         scenarios=found,
     )  # fmt: skip
 

@@ -31,11 +31,7 @@ _WEAK = 0.05  # relative error above which a difference is weakly determined
 _SCATTER = 0.01  # relative variation of the ice from throw to throw
 _WORTH = 1.2  # factor of reduction of a systematic error above which a scenario is recommended
 _MAX_LISTED = 24  # candidates; the others are in design.json
-_LENGTH_AND_ANGLE = {"x": ("m", "mm", "um"), "phi": ("rad", "mrad", "urad")}
-_UNITS = {
-    "x": _LENGTH_AND_ANGLE["x"], "y": _LENGTH_AND_ANGLE["x"], "phi": _LENGTH_AND_ANGLE["phi"],
-    "speed": ("m/s", "mm/s", "um/s"), "omega": ("rad/s", "mrad/s", "urad/s"),
-}  # fmt: skip
+_UNITS = {"x": "m", "y": "m", "phi": "rad", "speed": "m/s", "omega": "rad/s"}
 
 
 def print_design(design: Design, console: Console | None = None) -> None:
@@ -104,7 +100,7 @@ def noise_text(sigma: dict[str, float], factor: float = 1.0) -> str:
 def with_unit(value: float, channel: str) -> str:
     """A value in a suitable unit, as in "12 um"."""
     index = min(max(math.ceil(-math.log10(value) / 3 - 1e-9), 0), 2)
-    return f"{two_digits(value * 1000**index)} {_UNITS[channel][index]}"
+    return f"{two_digits(value * 1000**index)} {('', 'm', 'u')[index]}{_UNITS[channel]}"
 
 
 def percent(fraction: float) -> str:
@@ -333,7 +329,7 @@ def _changes(design: Design, separation: Separation) -> PlainTable:
         steady = averaged = "--" * bool(item.name)
         if item.steady:
             steady = percent(item.steady)
-            averaged = _count(separation.throws_for_scatter(_SCATTER, item.steady))
+            averaged = _count((2 * _SCATTER / item.steady) ** 2)
         rows.append(
             {
                 "stone": f"{item.name} = {1000 * item.value:.3g} mm" if item.name else "original",

@@ -295,7 +295,3 @@ class Separation:
     def throws_needed(self, stderr: float, throws: int) -> float:
         """Number of throws that gives the required error, if `throws` of them give `stderr`."""
         return throws / self.noise_factor(stderr) ** 2
-
-    def throws_for_scatter(self, scatter: float, steady: float) -> float:
-        """Number of throws, half with each stone, that averages out a scatter of the sum."""
-        return (2 * scatter / steady) ** 2

@@ -36,7 +36,7 @@ from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Floats
 from curlfit.prediction import diagnostics
 from curlfit.prediction.ensemble import ThrowFamily, prepare_ensemble, weights_of
-from curlfit.prediction.request import ThrowRequest, ThrowStart, start_by, start_of
+from curlfit.prediction.request import ThrowRequest, ThrowStart, start_of
 from curlfit.prediction.result import CENTRED, Call, Prediction
 from curlfit.prediction.simulation import Simulation
 from curlfit.throws.throw import CHANNELS, Throw
@@ -103,24 +103,17 @@ def predict(
     drawn = None
     if isinstance(fit, JointResult):
         fit, drawn = another(fit, call.labels, draws, random)
-        line = line or "hog"
     elif call.labels:
         raise InputError(
             f"{', '.join(call.labels)}: the fit of one throw has no groups; leave it out"
         )
     require_fit(fit)
-    given = dict(start or {})
-    called = start_by(call, fit, given, line or "hog")
-    start = called | given
-    if together and not (start or target or weight):
+    request = ThrowRequest.of(fit, call, start or {}, line, target, weight, tee_speed)
+    if together and not request.new:
         raise InputError(
             "a joint fit predicts another throw: give its weight as hog to hog time or v0, or "
             "where it is to rest"
         )
-    named = frozenset(called.keys() - given.keys())
-    request = ThrowRequest(start, line or "hog", target, weight, tee_speed, named)
-    if line is None and not request.new and fit.counts_from_hack:
-        request = request._replace(line="data")
     request.require(fit, check)
     _require_predictable(fit, draws)
     notes = []
@@ -134,9 +127,9 @@ def predict(
     prepare_ensemble(fit)
     prepare_linearized(fit)
     begin = start_of(fit, request)
-    values, source = drawn, "throws"
-    if values is None:
-        values, source = _drawn_values(fit, chain, draws, random)
+    values, source = (
+        _drawn_values(fit, chain, draws, random) if drawn is None else (drawn, "throws")
+    )
     family = ThrowFamily(fit, begin, request.new)
     found = Simulation.of(fit, family, values, random, call if together else None)
     warned, noted = diagnostics.remarks(fit, found, request, line is None)
@@ -150,13 +143,7 @@ def predict(
         load=fit.load,
         stone=fit.stone,
         fit={key: fit.data[key] for key in ("file", "rows", "from", "to")},
-        start={
-            item.name: {
-                "value": float(begin.values[item.name]), "unit": item.unit,
-                "origin": begin.origins[item.name],
-            }
-            for item in START
-        },
+        start=begin.described(),
         of="new" if request.new else "fitted",
         line="" if "y0" in request.start else request.line,
         goal=request.goal(),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 from curlfit.dynamics.aim import Aim, aim
 from curlfit.environment import Environment
@@ -44,6 +44,25 @@ class ThrowRequest(NamedTuple):
     tee_speed: float | None
     called: frozenset[str] = frozenset()
     """components of the start by the call"""
+
+    @classmethod
+    def of(
+        cls,
+        fit: FitResult,
+        call: Call,
+        given: Mapping[str, float],
+        line: str | None,
+        target: tuple[float, float] | None,
+        weight: str | None,
+        tee_speed: float | None,
+    ) -> Self:
+        """From what is given; by default on the near hog line, or where its data begin."""
+        called = start_by(call, fit, given, line or "hog")
+        named = frozenset(called.keys() - given.keys())
+        request = cls({**called, **given}, line or "hog", target, weight, tee_speed, named)
+        if line is None and not request.new and fit.counts_from_hack:
+            return request._replace(line="data")
+        return request
 
     @property
     def new(self) -> bool:
@@ -143,6 +162,16 @@ class ThrowStart(NamedTuple):
     """of each value: given, fitted, default or found"""
     shift: tuple[float, float]
     """from the data's x and y to those of the sheet"""
+
+    def described(self) -> dict[str, dict[str, Any]]:
+        """Value, unit and origin of each component."""
+        return {
+            item.name: {
+                "value": float(self.values[item.name]), "unit": item.unit,
+                "origin": self.origins[item.name],
+            }
+            for item in START
+        }  # fmt: skip
 
 
 def start_of(fit: FitResult, request: ThrowRequest) -> ThrowStart:
