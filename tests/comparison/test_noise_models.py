@@ -12,8 +12,6 @@ from scipy.stats import multivariate_normal
 import curlfit
 from curlfit.comparison.report import conclusions, document, print_comparison
 from curlfit.comparison.result import load_comparison
-from curlfit.errors import InputError
-from curlfit.settings.choices import Comparing
 from curlfit.throws.synthetic import write_table
 
 MEMORY = 0.5
@@ -88,15 +86,6 @@ def test_report_and_record_name_the_noise_of_each_fit(found, tmp_path):
         found.of("coulomb", noise="discrepancy")
     legend = curlfit.comparison_figure(found).axes[0].get_legend_handles_labels()[1]
     assert legend[1:] == ["1. coulomb, uniform load, ar1 noise", "2. coulomb, uniform load"]
-
-
-def test_noise_models_that_are_none_are_refused():
-    assert Comparing.of(noise="white, ar1,white").noise == ("white", "ar1")
-    for wrong, what in (("white,pink", "pink"), (",", "''"), (3, "expected noise models")):
-        with pytest.raises(InputError, match=what):
-            Comparing.of(noise=wrong)
-    with pytest.raises(InputError, match="cannot be combined"):
-        Comparing.of(noise="white,ar1", loss="student")
 
 
 def test_correlated_residuals_count_effective_values_less_those_spent(folder):

@@ -378,17 +378,3 @@ def test_a_fit_is_what_is_taken_to_be_true(eq12_fit, tmp_path):
     fitted = {name: item.value for name, item in eq12_fit.coefficients.items()}
     assert found.coefficients == fitted | {"mu1_xi": 0.001}
     assert [file.name for file in (tmp_path / "d").iterdir()] == ["design.json"]
-
-
-# Long runs.
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["coulomb", "tensor", "radial", "semi-empirical"])
-def test_other_laws_expect_what_their_fits_report(name):
-    law = LAWS[name]
-    throw = curlfit.synthetic_throw(law(), STONE, v0=2.0, omega0=1.5, until=15.0, dt=0.1)
-    fit = reported(curlfit.fit(throw.with_sigma(NOISE), law))
-    found = design(name, v0=[2.0], omega0=[1.5], rate=10, until=15.0, throws=1)
-    expected = {key: one for key, one in found.best["D"].stderr.items() if one is not None}
-    assert expected == pytest.approx({key: fit[key] for key in expected}, rel=1e-3)
