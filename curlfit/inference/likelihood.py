@@ -141,11 +141,6 @@ def prepare_path_jacobians(model: Model, values: Floats, problems: Problem) -> N
     _slopes_of_channels.prepare(*_of_path(model, values, problems))
 
 
-def prepare_many(model: Model, values: Floats, problems: Problem) -> None:
-    """Begin to compile what `predict_many` needs for batches like this one."""
-    _batch_of_channels.prepare(model, values, _without_data(problems))
-
-
 def _unpadded_times(problem: Problem) -> Array:
     """The times; inf in padded rows, which repeat the last time."""
     padded = jnp.diff(problem.times, prepend=-jnp.inf) == 0

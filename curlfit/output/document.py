@@ -129,8 +129,3 @@ def show(document: RenderableType, console: Console | None = None) -> None:
 def command_line(*words: str) -> str:
     """A command of curlfit as it is typed."""
     return shlex.join(["curlfit", *words])
-
-
-def exact(value: float) -> str:
-    """A number of a command."""
-    return f"{value:.10g}"

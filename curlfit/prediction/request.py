@@ -56,10 +56,30 @@ class ThrowRequest(NamedTuple):
         weight: str | None,
         tee_speed: float | None,
     ) -> Self:
-        """From what is given; by default on the near hog line, or where its data begin."""
-        called = start_by(call, fit, given, line or "hog")
+        """From what is given; by default on the near hog line, or where its data begin.
+
+        Raises
+        ------
+        InputError : an unknown turn, or a stone that does not reach the far hog line.
+        """
+        called, start_line = {}, line or "hog"
+        if call.turn is not None:
+            if call.turn not in _TURNS:
+                raise InputError(f"turn {quoted(call.turn)}: expected one of {', '.join(_TURNS)}")
+            called["omega0"] = _TURNS[call.turn] * abs(fit.parameters["omega0"].value)
+        if call.broom is not None:
+            slope, y0 = call.broom / TEE, LINES.get(start_line, fit.parameters["y0"].value)
+            called |= {"heading": math.atan(slope), "x0": slope * y0}
+        if call.hog_to_hog is not None:
+            if start_line != "hog":
+                raise InputError(
+                    "hog to hog: the throw starts on the near hog line; leave out line"
+                )
+            spin = {**called, **given}.get("omega0", fit.parameters["omega0"].value)
+            coefficients, draw = fit.values[None, : -len(START)], Draw(fit.model, fit.stone)
+            called["v0"] = float(draw.speeds(coefficients, spin, call.hog_to_hog)[0])
         named = frozenset(called.keys() - given.keys())
-        request = cls({**called, **given}, line or "hog", target, weight, tee_speed, named)
+        request = cls({**called, **given}, start_line, target, weight, tee_speed, named)
         if line is None and not request.new and fit.counts_from_hack:
             return request._replace(line="data")
         return request
@@ -127,31 +147,6 @@ class ThrowRequest(NamedTuple):
             "words": self.weight, "x": None if "heading" in self.start else 0.0, "y": y,
             "speed": speed if self.tee_speed is None else self.tee_speed,
         }  # fmt: skip
-
-
-def start_by(call: Call, fit: FitResult, given: Mapping[str, float], line: str) -> dict[str, float]:
-    """Components of the initial state on a line of the sheet; `given` are known.
-
-    Raises
-    ------
-    InputError : an unknown turn, or a stone that does not reach the far hog line.
-    """
-    found = {}
-    if call.turn is not None:
-        if call.turn not in _TURNS:
-            raise InputError(f"turn {quoted(call.turn)}: expected one of {', '.join(_TURNS)}")
-        found["omega0"] = _TURNS[call.turn] * abs(fit.parameters["omega0"].value)
-    if call.broom is not None:
-        slope = call.broom / TEE
-        found |= {"heading": math.atan(slope), "x0": slope * LINES[line]}
-    if call.hog_to_hog is not None:
-        if line != "hog":
-            raise InputError("hog to hog: the throw starts on the near hog line; leave out line")
-        spin = {**found, **given}.get("omega0", fit.parameters["omega0"].value)
-        coefficients = fit.values[: -len(START)]
-        draw = Draw(fit.model, fit.stone)
-        found["v0"] = float(draw.speeds(coefficients[None], spin, call.hog_to_hog)[0])
-    return found
 
 
 class ThrowStart(NamedTuple):
