@@ -136,11 +136,6 @@ def path_jacobians(model: Model, values: Floats, problems: Problem) -> Floats:
     return found[..., model.columns(values.shape[-1])]
 
 
-def prepare_path_jacobians(model: Model, values: Floats, problems: Problem) -> None:
-    """Begin to compile what `path_jacobians` needs."""
-    _slopes_of_channels.prepare(*_of_path(model, values, problems))
-
-
 def prepare_many(model: Model, values: Floats, problems: Problem) -> None:
     """Begin to compile what `predict_many` needs for batches like this one."""
     _batch_of_channels.prepare(model, values, _without_data(problems))

@@ -14,8 +14,8 @@ from curlfit.errors import DataError, InputError, require_kind
 from curlfit.foreign import quoted
 from curlfit.friction import Law, Parameter
 from curlfit.friction.curl import can_curl
-from curlfit.inference.conditions import CONDITIONS, WEAK_CONDITIONS
-from curlfit.inference.priors import NO_PRIOR, Penalty, Prior, parse_priors, penalty_of
+from curlfit.inference.conditions import CONDITIONS
+from curlfit.inference.priors import Penalty, Prior, parse_priors, penalty_of
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.stone import Stone
 from curlfit.throws.throw import Throw
@@ -23,20 +23,13 @@ from curlfit.throws.throw import Throw
 FEWEST_ROWS = 3
 """Rows of a path without given sigma below which nothing can be fitted."""
 
+_ANY = -math.inf, math.inf
 START = (
-    Parameter("x0", "m", -math.inf, math.inf, 1.0, "x_0", "initial position, to the right"),
-    Parameter("y0", "m", -math.inf, math.inf, 1.0, "y_0", "initial position, along the sheet"),
-    Parameter(
-        "heading",
-        "rad",
-        -math.inf,
-        math.inf,
-        1.0,
-        r"\beta_0",
-        "initial direction, from +y toward +x",
-    ),
+    Parameter("x0", "m", *_ANY, 1.0, "x_0", "initial position, to the right"),
+    Parameter("y0", "m", *_ANY, 1.0, "y_0", "initial position, along the sheet"),
+    Parameter("heading", "rad", *_ANY, 1.0, r"\beta_0", "initial direction, from +y toward +x"),
     Parameter("v0", "m/s", 0.0, 10.0, 1.0, "v_0", "initial speed"),
-    Parameter("phi0", "rad", -math.inf, math.inf, 1.0, r"\varphi_0", "initial angle"),
+    Parameter("phi0", "rad", *_ANY, 1.0, r"\varphi_0", "initial angle"),
     Parameter(
         "omega0", "rad/s", -100.0, 100.0, 1.0, r"\omega_0", "initial spin, counter-clockwise"
     ),
@@ -46,9 +39,6 @@ START = (
 def parameter_names(law: type[Law]) -> list[str]:
     """Names of all possible parameters of a fit of a law, in order."""
     return [item.name for item in (*law.coefficients(), *CONDITIONS, *START)]
-
-
-_HELD = 1e-4  # standard deviation that holds a parameter, over that of its prior
 
 
 @dataclass(frozen=True)
@@ -261,21 +251,6 @@ class ParameterSet:
         )
         fixed = {name: value + by[self.index(name)] for name, value in self.fixed.items()}
         return replace(self, parameters=moved, fixed=fixed, offset=self.offset - by)
-
-    def with_first_priors(self) -> ParameterSet:
-        """The same with the priors of a fit that weights all channels equally, 1 m like 1 rad.
-
-        Priors would outweigh the data there, and the misfit that they cause would be taken for
-        noise. They are therefore left out, except that the stone's constants and the scales, which
-        a path hardly determines, are held near the modes of their priors.
-        """
-        held = {
-            name: Prior("normal", (prior.mode, _HELD * prior.sd))
-            for name, prior in self.priors.items()
-            if name in WEAK_CONDITIONS
-        }
-        # an uninformative one for the others, so that one program serves both fits
-        return replace(self, priors=dict.fromkeys(self.priors, NO_PRIOR) | held)
 
     def with_fixed(self, name: str, value: float) -> ParameterSet:
         """The same with one more parameter fixed."""

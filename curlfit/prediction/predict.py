@@ -26,7 +26,6 @@ import numpy as np
 from curlfit.errors import InputError, UnusableFitError
 from curlfit.friction import Law
 from curlfit.inference.fit.fit import fit as fit_throw, refit
-from curlfit.inference.fit.prepared import prepare_linearized
 from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.inference.joint.another import another
 from curlfit.inference.joint.result import JointResult
@@ -130,7 +129,6 @@ def predict(
             "as noise is here in the bands"
         )
     prepare_ensemble(fit)
-    prepare_linearized(fit)
     begin = start_of(fit, request)
     values, source = drawn, "throws"
     if values is None:

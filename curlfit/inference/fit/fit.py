@@ -141,7 +141,7 @@ def _fitted(
     model, throws, alone = rounds.model, rounds.throws, rounds.batch == 1
     if alone:
         (problem,) = unstacked(rounds.problems)
-        prepare_minimize(model, throws[0].first_parameters, problem)
+        prepare_minimize(model, throws[0].local_parameters, problem)
         prepare_channels(model, len(throws[0].parameters), problem)
     _, lower, upper = local_bounds(throws)
     paths, sides = rounds.starts()

@@ -11,13 +11,13 @@ import numpy as np
 from curlfit.environment import Environment
 from curlfit.errors import InputError
 from curlfit.friction import find_law
+from curlfit.inference.conditions import WEAK_CONDITIONS
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.likelihood import path_jacobians, prepare_path_jacobians
+from curlfit.inference.likelihood import path_jacobians
 from curlfit.inference.model import Model
 from curlfit.inference.noise.accelerations import Responses
 from curlfit.inference.noise.linearized import Linearized
 from curlfit.inference.noise.models import WHITE, time_of_motion
-from curlfit.inference.noise.restricted import prepare_estimate
 from curlfit.inference.noise.whitening import Whitener
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty
@@ -28,6 +28,8 @@ from curlfit.settings.choices import Modelling
 from curlfit.stone import Stone
 from curlfit.throws.plausibility import Finding, require_plausible
 from curlfit.throws.throw import CHANNELS, Throw
+
+_HELD = 1e-4  # standard deviation that holds a parameter, over that of its prior
 
 
 class PreparedThrow(NamedTuple):
@@ -90,11 +92,19 @@ class PreparedThrow(NamedTuple):
         """The parameters in the problem's coordinates."""
         return self.parameters.shifted(-self.offset)
 
-    @property
-    def first_parameters(self) -> ParameterSet:
-        """The same for the first fit, which weights channels equally where no sigma is given."""
-        local = self.local_parameters
-        return local.with_first_priors() if self.equal_sigma() else local
+    def penalty(self, *, first: bool) -> Penalty | None:
+        """What the priors add to chi squared, in the problem's coordinates; None without priors.
+
+        The `first` fit weights all channels equally, 1 m like 1 rad, where no sigma is given.
+        Priors would outweigh the data there, and the misfit that they cause would be taken for
+        noise. They are therefore left out, except that the stone's constants and the scales, which
+        a path hardly determines, are held near the modes of their priors.
+        """
+        found = self.local_parameters.penalty
+        if found is None or not (first and self.equal_sigma()):
+            return found
+        held = np.isin(self.parameters.names, WEAK_CONDITIONS)
+        return found._replace(weight=found.weight * held / _HELD)
 
     def equal_sigma(self) -> dict[str, float]:
         """Sigma in the first fit for channels whose own is unknown: equal weights."""
@@ -137,18 +147,6 @@ def linearized_fit(fit: FitResult) -> Linearized:
     """The fitted path to first order, with the weights of independent noise."""
     independent = fit.sigma | fit.noise.independent
     problem, origin = problem_of(replace(fit, sigma=independent, noise=WHITE))
-    return _linearized(fit, problem, origin)
-
-
-def prepare_linearized(fit: FitResult) -> None:
-    """Begin to compile what `linearized_fit` needs, and the discrepancy estimated from it."""
-    problem, _ = problem_of(replace(fit, noise=WHITE))
-    prepare_path_jacobians(fit.model, fit.values[None], stacked([problem]))
-    channels, coefficients = len(CHANNELS) + bool(fit.events), len(fit.model.law.coefficients())
-    prepare_estimate(channels, len(problem.times), len(fit.values), coefficients)
-
-
-def _linearized(fit: FitResult, problem: Problem, origin: Origin) -> Linearized:
     path = np.array([fit.fitted[name] for name in CHANNELS]) - origin.place[:, None]
     if fit.events:
         row = np.zeros((1, path.shape[1]))
@@ -163,14 +161,8 @@ def _linearized(fit: FitResult, problem: Problem, origin: Origin) -> Linearized:
 
 
 def penalties(throws: Sequence[PreparedThrow], *, first: bool = False) -> Penalty | None:
-    """Penalty of the priors of many throws, in the problems' coordinates; None without priors.
-
-    `first` selects the first fit, see `PreparedThrow.first_parameters`.
-    """
-    if not any(one.parameters.priors for one in throws):
-        return None
-    each = [(one.first_parameters if first else one.local_parameters).penalty for one in throws]
-    known = [one for one in each if one is not None]
+    """The same of many throws."""
+    known = [found for one in throws if (found := one.penalty(first=first)) is not None]
     return stacked(known) if known else None
 
 

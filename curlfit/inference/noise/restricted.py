@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from curlfit.inference.noise.accelerations import COMPONENTS, SHAPES, SIZES, log_prior
+from curlfit.inference.noise.accelerations import COMPONENTS, SIZES, log_prior
 from curlfit.inference.noise.kalman import KalmanFilter
 from curlfit.inference.noise.linearized import Linearized, Regression
 from curlfit.inference.noise.models import Noise, is_rough
@@ -99,16 +99,6 @@ class Estimate(NamedTuple):
         logs = self.log_likelihood + log_prior(GRID)
         found: Floats = np.exp(logs - logs.max())
         return found / found.sum()
-
-
-def prepare_estimate(channels: int, rows: int, parameters: int, coefficients: int) -> None:
-    """Begin to compile what `estimate` needs for the noise and discrepancy of a fitted path."""
-    shape, square = (channels, rows), (parameters, parameters)
-    shapes: tuple[tuple[int, ...], ...] = (
-        (rows,), shape, shape, (*shape, parameters), (*shape, len(COMPONENTS) * SHAPES), square,
-        square, (min(coefficients, parameters), parameters), (),
-    )  # fmt: skip
-    _slope.prepare(np.zeros(2 * channels + 1 + len(COMPONENTS)), Linearized(*map(np.zeros, shapes)))
 
 
 def estimate(kind: str, data: Linearized, known: Sequence[bool]) -> Estimate:
