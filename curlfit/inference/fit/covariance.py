@@ -73,7 +73,6 @@ class Covariance:
         names: Sequence[str],
         bounded: Bounded,
         typical: Floats,
-        free: Booleans,
         factors: tuple[Factors, Factors],
         jacobian: Floats,
         sigmas: Sigmas,
@@ -90,6 +89,7 @@ class Covariance:
         has_priors : whether there is information besides these residuals.
         """
         searched, estimator = factors
+        free = bounded.upper > bounded.lower
         problem = LinearizedProblem(
             searched.confined[:, -1], searched.confined[:, :-1], *bounded, typical, free
         )
@@ -114,14 +114,13 @@ class Covariance:
         """For the variances of weighted sums of the open parameters, one per row of weights; None
         where all sigmas were given."""
         parts = ((self.effect @ weights.T) ** 2).sum(1).T
-        dof = np.broadcast_to(self.dof, parts.shape)
+        dof = self.dof
         if self.others is not None:
-            of_others, dof_of_others = self.others.variance(weights)
-            parts, dof = np.column_stack([parts, of_others]), np.column_stack([dof, dof_of_others])
+            parts = np.hstack([parts, self.others.parts(weights)])
+            dof = np.append(dof, self.others.dof)
         if self.has_priors:  # which are known exactly
             rest = ((weights @ self.matrix) * weights).sum(-1) - parts.sum(-1)
-            parts = np.column_stack([parts, rest])
-            dof = np.column_stack([dof, np.full(len(dof), np.inf)])
+            parts, dof = np.column_stack([parts, rest]), np.append(dof, np.inf)
         return satterthwaite(parts, dof)
 
     @property
@@ -188,40 +187,34 @@ class OtherThrows(NamedTuple):
 
     follow: Floats
     """change of the open parameters with those in common, shape (open, common)"""
-    matrix: Floats
-    """covariance of those in common due to channels whose sigma was estimated"""
-    squares: Floats
-    """sum of the squares of its parts by channel, each over its degrees of freedom, by pairs of
-    parameters in common"""
+    matrices: Floats
+    """covariance of those in common due to each channel of all throws, shape (throws, channels,
+    common, common)"""
+    dof: Floats
+    """of each channel's sigma, shape (throws, channels)"""
+    own: int
+    """index of the throw itself"""
 
-    @classmethod
-    def of_each(cls, found: Sequence[Covariance], reduction: Reduction) -> list[OtherThrows]:
-        """For each of some throws that are fitted together."""
-        matrices, squares, common = [], [], reduction.common
-        for one in found:
-            effect = np.zeros((*one.effect.shape[:-1], len(common)))
-            effect[..., one.open] = one.effect
-            effect = effect[np.isfinite(one.dof)][..., common]
-            parts = effect.mT @ effect
-            rows = parts.reshape(len(parts), int(common.sum()) ** 2)
-            matrices.append(parts.sum(0))
-            squares.append(rows.T @ (rows / one.dof[np.isfinite(one.dof), None]))
-        total, all_squares = np.sum(matrices, 0), np.sum(squares, 0)
-        return [
-            cls(follow[one.open][:, common], total - matrix, all_squares - square)
-            for one, follow, matrix, square in zip(
-                found, reduction.follow, matrices, squares, strict=True
-            )
-        ]
-
-    def variance(self, weights: Floats) -> tuple[Floats, Floats]:
-        """Of weighted sums of the open parameters, one per row of weights, the part that is due to
-        estimated sigmas of the others, and its degrees of freedom."""
+    def parts(self, weights: Floats) -> Floats:
+        """Of the variances of weighted sums of the open parameters, one per row of weights."""
         along = weights @ self.follow
-        pairs = (along[:, :, None] * along[:, None]).reshape(len(along), -1)
-        part, square = pairs @ self.matrix.ravel(), ((pairs @ self.squares) * pairs).sum(-1)
-        part = np.maximum(part, 0.0)
-        return part, np.where(square > 0, part**2 / np.where(square > 0, square, 1.0), np.inf)
+        found = np.einsum("wi,tcij,wj->wtc", along, self.matrices, along)
+        found[:, self.own] = 0.0
+        return found.reshape(len(along), -1)
+
+
+def with_others(found: Sequence[Covariance], reduction: Reduction) -> list[Covariance]:
+    """Those of throws that are fitted together, each with the noise of the others."""
+    common = reduction.common
+    effects = np.zeros((len(found), *found[0].effect.shape[:-1], len(common)))
+    for effect, one in zip(effects, found, strict=True):
+        effect[..., one.open] = one.effect
+    effects = effects[..., common]
+    matrices, dof = effects.mT @ effects, np.stack([one.dof for one in found])
+    return [
+        replace(one, others=OtherThrows(follow[one.open][:, common], matrices, dof, row))
+        for row, (one, follow) in enumerate(zip(found, reduction.follow, strict=True))
+    ]
 
 
 class Sigmas(NamedTuple):

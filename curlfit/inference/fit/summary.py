@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from operator import itemgetter
 from typing import Any, NamedTuple, Self
 
@@ -13,11 +13,11 @@ import numpy as np
 from curlfit.inference.fit.covariance import (
     CONVERGED,
     Covariance,
-    OtherThrows,
     Sigmas,
     nonquadratic_estimates,
     one_sigma_points,
     robust_jacobians,
+    with_others,
 )
 from curlfit.inference.fit.factors import Factors, Reduction, chi_squared_change
 from curlfit.inference.fit.prepared import PreparedThrow, linearized, local_bounds, penalties
@@ -166,20 +166,19 @@ class _Many(NamedTuple):
         channels = ROWS_OF_DATA[: self.problems.observed.shape[1]]
         number, found = statistics.number, []
         for row, fit in enumerate(self.fits):
-            own, total = fit.prepared.parameters, number[row if self.common is None else ...].sum()
+            total = number[row if self.common is None else ...].sum()
             known = Sigmas(number[row], np.isin(channels, [*fit.sigma]), loss, total)
             absolute = Bounded(*(part[row] + self.offset[row] for part in self.bounded))
             both = factors.at(row), estimator.at(row)
             found.append(
                 Covariance.of(
-                    own.names, absolute, self.typical, own.free, both, fit.solution.jacobian, known,
+                    fit.prepared.parameters.names, absolute, self.typical, both,
+                    fit.solution.jacobian, known,
                     self.penalty is not None or self.others is not None,
                 )
             )  # fmt: skip
-        reduction = estimator.reduction
-        if reduction is not None:
-            others = OtherThrows.of_each(found, reduction)
-            found = [replace(one, others=own) for one, own in zip(found, others, strict=True)]
+        if estimator.reduction is not None:
+            found = with_others(found, estimator.reduction)
         return found, factors.reduction
 
     def nonquadratic(

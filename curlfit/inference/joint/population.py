@@ -109,10 +109,7 @@ def _covariance(
 ) -> Covariance:
     nothing = np.zeros((1, 1, len(typical)))
     sigmas = Sigmas(np.ones(1, int), np.zeros(1, bool), "linear", len(typical))
-    return Covariance.of(
-        names, bounded, typical, bounded.upper > bounded.lower, (factors, factors), nothing,
-        sigmas, True,
-    )  # fmt: skip
+    return Covariance.of(names, bounded, typical, (factors, factors), nothing, sigmas, True)
 
 
 def ends_from(
