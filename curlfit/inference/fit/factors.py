@@ -9,14 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from curlfit.inference.identifiability import (
-    Bounded,
-    confined,
-    inverted,
-    r_factor,
-    slack,
-    visible,
-)
+from curlfit.inference.identifiability import Bounded, confined, inverted, r_factor, slack, visible
 from curlfit.inference.priors import Penalty
 from curlfit.numerics.arrays import Booleans, Floats
 

@@ -55,9 +55,7 @@ class ResidualStatistics(NamedTuple):
 
 
 def residual_statistics(
-    problems: Problem,
-    solutions: Solution,
-    paths: Floats | None,
+    problems: Problem, solutions: Solution, paths: Floats | None
 ) -> ResidualStatistics:
     """Residual statistics of many throws."""
     there = problems.weight > 0

@@ -60,8 +60,7 @@ _Event = Annotated[
     ),
 ]  # fmt: skip
 _Outlier = Annotated[
-    dict[str, Any],
-    keys(channel=ChannelName, t=float, line=int | None, off=float, sigmas=float),
+    dict[str, Any], keys(channel=ChannelName, t=float, line=int | None, off=float, sigmas=float)
 ]
 _Remedy = Annotated[dict[str, Any], keys(parameters=list[str], measure=list[ChannelName], all=bool)]
 _ReferenceFit = Annotated[dict[str, Any], keys(stone=StoneValues, values=dict[str, float])]

@@ -25,12 +25,7 @@ from curlfit.errors import InputError
 from curlfit.inference.fit.prepared import PreparedThrow, linearized, local_bounds
 from curlfit.inference.fit.summary import LeastSquaresFit
 from curlfit.inference.initial_values import SmoothPath, smooth, start_values_of_sides
-from curlfit.inference.least_squares import (
-    Indices,
-    Solution,
-    as_slice,
-    residual_sigma,
-)
+from curlfit.inference.least_squares import Indices, Solution, as_slice, residual_sigma
 from curlfit.inference.likelihood import SIGMA_FLOOR, predict_many, whitened_residuals_of_many
 from curlfit.inference.model import Model
 from curlfit.inference.noise.linearized import Linearized

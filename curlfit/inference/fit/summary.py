@@ -31,9 +31,7 @@ from curlfit.inference.fit.residuals import (
     residual_statistics,
 )
 from curlfit.inference.fit.result import Estimate, FitResult, Systematics
-from curlfit.inference.fit.systematics import (
-    residual_changes,
-)
+from curlfit.inference.fit.systematics import residual_changes
 from curlfit.inference.identifiability import Bounded, r_factors
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.likelihood import chi_squared_of_many, predict_many
