@@ -30,12 +30,9 @@ from .inference.figures import (
     fit_figure as fit_figure,
     joint_figure as joint_figure,
 )
+from .inference.fit.estimates import Posterior as Posterior
 from .inference.fit.fit import fit as fit
-from .inference.fit.result import (
-    FitResult as FitResult,
-    Posterior as Posterior,
-    load_fit as load_fit,
-)
+from .inference.fit.result import FitResult as FitResult, load_fit as load_fit
 from .inference.joint.fit import fit_together as fit_together
 from .inference.joint.report import print_joint as print_joint
 from .inference.joint.result import JointResult as JointResult, load_joint as load_joint

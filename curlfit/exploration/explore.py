@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
+from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.prepared import problem_of
-from curlfit.inference.fit.result import Estimate, FitResult
+from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import chi_squared_of_many, predict_channels
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import stacked

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from curlfit.inference.fit.result import Estimate, FitResult, require_fit
+from curlfit.inference.fit.estimates import Estimate
+from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.inference.identifiability import Combination
 from curlfit.inference.mcmc.chain import Chain
 from curlfit.numerics.arrays import Floats

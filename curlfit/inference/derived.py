@@ -80,7 +80,7 @@ class FirstOrder(NamedTuple):
     """What a fit says about its parameters, to first order."""
 
     parameters: Mapping[str, Any]
-    """an `Estimate` each (`curlfit.inference.fit.result`)"""
+    """an `Estimate` each (`curlfit.inference.fit.estimates`)"""
     covariance: Mapping[str, Any]
     """{"names", "matrix"} of the parameters that can move"""
     null_directions: Sequence[Mapping[str, float]]

@@ -36,7 +36,8 @@ from curlfit.stone import UNITS as STONE_UNITS
 from curlfit.throws.throw import UNITS
 
 if TYPE_CHECKING:
-    from curlfit.inference.fit.result import Estimate, FitResult, Posterior, Systematics
+    from curlfit.inference.fit.estimates import Estimate, Posterior, Systematics
+    from curlfit.inference.fit.result import FitResult
     from curlfit.inference.identifiability import Combination
 
 _NOTABLE = 0.1  # systematic shift that is reported, over the standard error

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.patches import Patch
 
-from curlfit.inference.fit.result import Estimate
+from curlfit.inference.fit.estimates import Estimate
 from curlfit.numerics.arrays import Floats
 from curlfit.output import figures as draw
 from curlfit.output.ticks import neat_axis

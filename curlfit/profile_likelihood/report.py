@@ -9,7 +9,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.text import Text
 
-from curlfit.inference.fit.result import Estimate
+from curlfit.inference.fit.estimates import Estimate
 from curlfit.output.console import PlainTable
 from curlfit.output.document import FOLDER_OF_FIT, Document, Said, Section, command_line, show
 from curlfit.output.text import (

@@ -11,7 +11,8 @@ from typing import Annotated, Any, ClassVar, NamedTuple
 
 from curlfit.errors import InputError
 from curlfit.inference.derived import Quantiles
-from curlfit.inference.fit.result import Estimate, Extent, LoadName, LossName
+from curlfit.inference.fit.estimates import Estimate
+from curlfit.inference.fit.result import Extent, LoadName, LossName
 from curlfit.inference.identifiability import Combination, student_quantile
 from curlfit.inference.parameters import ParameterSet
 from curlfit.numerics.arrays import Floats

@@ -13,7 +13,7 @@ from scipy.stats import chi2
 
 import curlfit
 from curlfit import InputError, UnusableFitError
-from curlfit.inference.fit.result import Estimate
+from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.likelihood import whitened_residuals_of_many
 from curlfit.inference.mcmc.sampler import sample
 from curlfit.inference.problem import Origin, build_problem

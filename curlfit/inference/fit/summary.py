@@ -19,6 +19,7 @@ from curlfit.inference.fit.covariance import (
     robust_jacobians,
     with_others,
 )
+from curlfit.inference.fit.estimates import Estimate, Systematics
 from curlfit.inference.fit.factors import Factors, Reduction, chi_squared_change
 from curlfit.inference.fit.prepared import PreparedThrow, linearized, local_bounds, penalties
 from curlfit.inference.fit.residuals import (
@@ -30,7 +31,7 @@ from curlfit.inference.fit.residuals import (
     outliers_of,
     residual_statistics,
 )
-from curlfit.inference.fit.result import Estimate, FitResult, Systematics
+from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.systematics import residual_changes
 from curlfit.inference.identifiability import Bounded, r_factors
 from curlfit.inference.least_squares import Solution

@@ -14,10 +14,11 @@ from curlfit.foreign import quoted
 from curlfit.friction import Law, find_law, no_motion_because
 from curlfit.inference.derived import check_derived
 from curlfit.inference.fit.advice import curl_warnings
+from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.factors import Reduction
 from curlfit.inference.fit.prepared import PreparedThrow, local_bounds, penalties
 from curlfit.inference.fit.quantities import quantities_of
-from curlfit.inference.fit.result import Estimate, FitResult
+from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.summary import IMPLAUSIBLE, summarize_many
 from curlfit.inference.fit.systematics import widths_of

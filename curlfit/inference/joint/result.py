@@ -16,14 +16,8 @@ from curlfit.errors import InputError
 from curlfit.foreign import safe_name
 from curlfit.friction import Law
 from curlfit.inference.derived import Derived, Quantiles, derive
-from curlfit.inference.fit.result import (
-    Estimate,
-    FitResult,
-    LoadName,
-    NamedEstimates,
-    Systematics,
-    load_fit,
-)
+from curlfit.inference.fit.estimates import Estimate, NamedEstimates, Systematics
+from curlfit.inference.fit.result import FitResult, LoadName, load_fit
 from curlfit.inference.identifiability import Combination
 from curlfit.inference.joint.effects import Effect, Means
 from curlfit.output.text import p_text

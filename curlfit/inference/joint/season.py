@@ -14,7 +14,8 @@ import numpy as np
 from curlfit.errors import InputError
 from curlfit.friction import Coefficient
 from curlfit.inference.fit.covariance import Covariance
-from curlfit.inference.fit.result import Estimate, FitResult
+from curlfit.inference.fit.estimates import Estimate
+from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import Bounded
 from curlfit.inference.joint.draw import Draw
 from curlfit.inference.joint.effects import Covariates, Labelled

@@ -11,7 +11,7 @@ import numpy as np
 
 from curlfit.inference.derived import Quantiles, quantiles_of
 from curlfit.inference.fit.covariance import Covariance
-from curlfit.inference.fit.result import Estimate
+from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.summary import weakness
 from curlfit.inference.identifiability import Combination
 from curlfit.inference.joint.draw import DRAW, Draw
