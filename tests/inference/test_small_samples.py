@@ -11,9 +11,9 @@ from conftest import NOISE as SIGMA, filmed, shown
 from scipy.stats import binomtest, chi2, f, t
 
 import curlfit
+from curlfit.inference.fit.caveats import outlier_warning
 from curlfit.inference.fit.covariance import Covariance
 from curlfit.inference.fit.fit import fit_throws
-from curlfit.inference.fit.residuals import outlier_warning
 from curlfit.inference.likelihood import SIGMA_FLOOR
 from curlfit.inference.report import identifiability
 from curlfit.profile_likelihood.result import levels_of

@@ -20,9 +20,9 @@ import numpy as np
 
 from curlfit.friction import check_load
 from curlfit.friction.curl import can_curl
-from curlfit.inference.fit.residuals import CORRELATED
+from curlfit.inference.fit.caveats import CORRELATED
+from curlfit.inference.fit.prepared import LeastSquaresFit
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.fit.summary import LeastSquaresFit
 from curlfit.inference.identifiability import WEAK_ERROR, Identifiability, analyse
 from curlfit.inference.likelihood import predict_channels
 from curlfit.inference.noise.models import is_rough

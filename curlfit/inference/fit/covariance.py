@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,7 @@ class Covariance:
     identifiability: Identifiability
     of_data: Identifiability
     """identifiability from the data without the priors"""
+    free: Booleans
     at_bound: Booleans
     open: Booleans
     matrix: Floats
@@ -105,7 +106,8 @@ class Covariance:
         leverage = (effect * by_open).sum(-1)
         whole = problem._replace(jacobian=searched.whole[:, :-1])
         return cls(
-            names, bounded.values, typical, searched.confined, known, of_data, at_bound, open_,
+            names, bounded.values, typical, searched.confined, known, of_data, free, at_bound,
+            open_,
             matrix, float(problem.distance(sigmas.total, whole)), effect,
             sigmas.dof(leverage), leverage, has_priors,
         )  # fmt: skip
@@ -158,18 +160,14 @@ class Covariance:
             for name, row in self.identifiability.determined().items()
         }
 
-    def bound_warnings(self, lower: Floats, upper: Floats) -> list[str]:
-        """Warnings about parameters at a bound."""
-        warnings = []
-        for name, low, high in itertools.compress(
-            zip(self.names, lower, upper, strict=True), self.at_bound
-        ):
-            within = f"{low:g}..{high:g}"
-            what = f"favour values outside {within}"
-            if name in self.identifiability.names:
-                what = f"hardly distinguish this value from others within {within}"
-            warnings.append(f"{name} is at its bound; the data {what}")
-        return warnings
+    def information(self) -> dict[str, list[Any]]:
+        """The information matrix J^T J of the free parameters, and the gradient of the
+        log-likelihood."""
+        jacobian = self.factor[:, :-1][:, self.free]
+        return {
+            "gradient": (-self.factor[:, -1] @ jacobian).tolist(),
+            "matrix": (jacobian.T @ jacobian).tolist(),
+        }
 
 
 def satterthwaite(parts: Floats, dof: Floats) -> list[float | None]:

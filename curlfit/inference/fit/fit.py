@@ -15,11 +15,11 @@ from curlfit.friction.family import LawFamily
 from curlfit.inference.derived import check_derived
 from curlfit.inference.fit.advice import remedies, with_curl_warning, with_noise_advice
 from curlfit.inference.fit.change_points import sudden_change
-from curlfit.inference.fit.prepared import PreparedThrow, local_bounds, penalties
+from curlfit.inference.fit.prepared import LeastSquaresFit, PreparedThrow, local_bounds, penalties
 from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.rounds import Rounds
-from curlfit.inference.fit.summary import LeastSquaresFit, summarize, summarize_many
+from curlfit.inference.fit.summary import summarize, summarize_many
 from curlfit.inference.fit.systematics import widths_of
 from curlfit.inference.least_squares import (
     Solution,

@@ -13,11 +13,12 @@ from curlfit.errors import InputError
 from curlfit.friction import find_law
 from curlfit.inference.conditions import WEAK_CONDITIONS
 from curlfit.inference.fit.result import FitResult
+from curlfit.inference.least_squares import Solution
 from curlfit.inference.likelihood import path_jacobians
 from curlfit.inference.model import Model
 from curlfit.inference.noise.accelerations import Responses
 from curlfit.inference.noise.linearized import Linearized
-from curlfit.inference.noise.models import WHITE, time_of_motion
+from curlfit.inference.noise.models import WHITE, Noise, time_of_motion
 from curlfit.inference.noise.whitening import Whitener
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty
@@ -121,6 +122,23 @@ class PreparedThrow(NamedTuple):
         for name, value in start.items():
             absolute[self.parameters.index(name)] = value
         return np.clip(absolute, self.parameters.lower, self.parameters.upper) - self.offset
+
+
+class LeastSquaresFit(NamedTuple):
+    """The outcome of a fit, and what was fitted."""
+
+    prepared: PreparedThrow
+    model: Model
+    loss: str
+    noise: Noise
+    problem: Problem
+    sigma: dict[str, float]
+    """of the channels for which it was not given"""
+    solution: Solution
+    tried: int
+    """number of initial values tried"""
+    rival: Floats | None = None
+    """another optimum that fits as well, in the coordinates of the problem"""
 
 
 def problem_of(fit: FitResult) -> tuple[Problem, Origin]:

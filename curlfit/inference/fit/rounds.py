@@ -22,8 +22,7 @@ import jax
 import numpy as np
 
 from curlfit.errors import InputError
-from curlfit.inference.fit.prepared import PreparedThrow, linearized, local_bounds
-from curlfit.inference.fit.summary import LeastSquaresFit
+from curlfit.inference.fit.prepared import LeastSquaresFit, PreparedThrow, linearized, local_bounds
 from curlfit.inference.initial_values import SmoothPath, smooth, start_values_of_sides
 from curlfit.inference.least_squares import Indices, Solution, as_slice, residual_sigma
 from curlfit.inference.likelihood import SIGMA_FLOOR, predict_many, whitened_residuals_of_many

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from operator import itemgetter
 from typing import Any, NamedTuple, Self
 
 import jax
 import numpy as np
 
+from curlfit.inference.fit.caveats import warnings_of
 from curlfit.inference.fit.covariance import (
     CONVERGED,
     Covariance,
@@ -21,23 +22,20 @@ from curlfit.inference.fit.covariance import (
 )
 from curlfit.inference.fit.estimates import Estimate, Systematics
 from curlfit.inference.fit.factors import Factors, Reduction, chi_squared_change
-from curlfit.inference.fit.prepared import PreparedThrow, linearized, local_bounds, penalties
-from curlfit.inference.fit.residuals import (
-    ResidualStatistics,
-    correlation_warnings,
-    event_warnings,
-    given_sigma_warnings,
-    outlier_warning,
-    outliers_of,
-    residual_statistics,
+from curlfit.inference.fit.prepared import (
+    LeastSquaresFit,
+    PreparedThrow,
+    linearized,
+    local_bounds,
+    penalties,
 )
+from curlfit.inference.fit.residuals import ResidualStatistics, outliers_of, residual_statistics
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.systematics import residual_changes
 from curlfit.inference.identifiability import Bounded, r_factors
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.likelihood import chi_squared_of_many, predict_many
 from curlfit.inference.model import Model
-from curlfit.inference.noise.models import Noise, time_of_motion
 from curlfit.inference.noise.whitening import posterior_mean
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty
@@ -45,30 +43,11 @@ from curlfit.inference.problem import ROWS_OF_DATA, Problem
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import BATCH, stacked
 from curlfit.throws.plausibility import Finding, examine_fit
-from curlfit.throws.throw import CHANNELS, Throw
+from curlfit.throws.throw import CHANNELS
 
 IMPLAUSIBLE = "implausible"
 """First word of the status of a fit that is impossible for a curling stone."""
 _DIFFERENT = 0.1  # typical sizes by which solutions that fit equally differ in a parameter
-_NOT_LINEAR = 10.0  # typical sizes, beyond which a shift is not of first order
-_LASTING = 0.1  # memory over time of motion, above which errors are too small (`tests/statistics`)
-
-
-class LeastSquaresFit(NamedTuple):
-    """The outcome of a fit, and what was fitted."""
-
-    prepared: PreparedThrow
-    model: Model
-    loss: str
-    noise: Noise
-    problem: Problem
-    sigma: dict[str, float]
-    """of the channels for which it was not given"""
-    solution: Solution
-    tried: int
-    """number of initial values tried"""
-    rival: Floats | None = None
-    """another optimum that fits as well, in the coordinates of the problem"""
 
 
 def summarize(fit: LeastSquaresFit, widths: Mapping[str, float] | None = None) -> FitResult:
@@ -227,65 +206,27 @@ def _record(
     nonquadratic: dict[str, bool],
     systematics: Systematics,
 ) -> FitResult:
-    law, prepared, noise = fit.model.law, fit.prepared, fit.noise
-    throw, parameters = prepared.throw, prepared.parameters
-    known, n = found.identifiability, len(throw)
+    law, throw, known = fit.model.law, fit.prepared.throw, found.identifiability
+    parameters, residual = fit.prepared.parameters, statistics.residual[:, : len(throw)]
     curves = {}
     if statistics.path is not None:
-        path = statistics.path[: len(CHANNELS), :n] + prepared.origin.place[:, None]
+        path = statistics.path[: len(CHANNELS), : len(throw)] + fit.prepared.origin.place[:, None]
         curves = dict(zip(CHANNELS, path, strict=True))
-    rms = {name: float(v) for name, v in statistics.by_channel(statistics.rms).items()}
     lag1 = {name: float(v) for name, v in statistics.by_channel(statistics.lag1, 3).items()}
-    misleading = {name for name, yes in nonquadratic.items() if yes}
-    rival = _rival(fit)
+    misleading, rival = {name for name, yes in nonquadratic.items() if yes}, _rival(fit)
     estimates = _estimates(parameters, found, misleading, rival)
     unusual = _unusual(fit, estimates["v0"], curves)
-    converged = found.distance < CONVERGED and not any(one.refused for one in unusual)
-    outliers = outliers_of(throw, statistics.residual, lag1, found.dof, found.leverage, fit.loss)
-    warnings = [str(one) for one in unusual]
-    warnings += _rival_warnings(rival, throw)
-    warnings += _parameter_warnings(fit, found)
-    warnings += correlation_warnings(statistics, noise.kind)
-    warnings += _error_warnings(parameters, nonquadratic, systematics)
-    if outliers and fit.loss == "linear":
-        warnings.append(outlier_warning(outliers, throw.t))
-    if fit.loss == "linear" and noise.kind == "white":
-        warnings += given_sigma_warnings(throw, fit.solution.residual[:, :n], outliers)
-    warnings += _memory_warnings(noise, throw.t, curves)
-    events = _events(fit, statistics)
-    warnings += event_warnings(events, law.name)
-    shown = [name for name in CHANNELS if name in throw.seen or name in ("x", "y", "phi")]
-    observed = {name: getattr(throw, name) for name in ("t", *shown)}
-    by_row = throw.sigma | {
-        name: fit.sigma[name] * throw.sigma_over_smallest(name)
-        for name in throw.relative_sigma.keys() & fit.sigma.keys()
-    }
-    observed |= {f"sigma_{name}": by_row[name] for name in CHANNELS if name in by_row}
-    free = parameters.free
-    residual, jacobian = found.factor[:, -1], found.factor[:, :-1][:, free]
     reference = throw.reference
-    return FitResult(
+    result = FitResult(
         law=law.name,
         load=fit.model.load,
-        stone=prepared.stone,
-        data={
-            "file": throw.name,
-            "law_file": law.origin or None,
-            "rows": n if throw.has_path else 0,
-            "from": float(throw.t[0]),
-            "to": float(throw.t[-1]),
-            **prepared.rows,
-            "swept": prepared.swept,
-            "sigma": {name: "estimated" if name in fit.sigma else "given" for name in rms},
-            "notes": list(throw.notes),
-            "labels": dict(throw.labels),
-            "flags": list(prepared.flags),
-        },
-        converged=converged,
+        stone=fit.prepared.stone,
+        data=_data(fit),
+        converged=found.distance < CONVERGED and not any(one.refused for one in unusual),
         status=_status(fit, found.distance, unusual),
-        warnings=tuple(warnings),
+        warnings=(),
         n_observations=throw.n_observations,
-        rms=rms,
+        rms={name: float(v) for name, v in statistics.by_channel(statistics.rms).items()},
         sigma=fit.sigma,
         lag1=lag1,
         parameters=estimates,
@@ -299,21 +240,54 @@ def _record(
         singular_values=tuple(map(float, known.singular_values)),
         null_directions=known.null_directions,
         covariance={"names": list(known.names), "matrix": known.covariance.tolist()},
-        information={
-            "gradient": (-residual @ jacobian).tolist(),
-            "names": parameters.names_where(free),
-            "matrix": (jacobian.T @ jacobian).tolist(),
-        },
+        information={"names": parameters.names_where(parameters.free), **found.information()},
         reference=reference if reference and reference.law == law.name else None,
-        observed=observed,
+        observed=_observed(fit),
         fitted=curves,
         discrepancy=_discrepancy(fit, statistics, found),
         loss=fit.loss,
-        noise=noise,
+        noise=fit.noise,
         independence=statistics.by_channel(statistics.independence, 3),
-        outliers=outliers,
-        events=events,
+        outliers=outliers_of(throw, residual, lag1, found.dof, found.leverage, fit.loss),
+        events=tuple(
+            asdict(event) | {"fitted": event.value - float(off)}
+            for event, off in zip(throw.events, residual[-1], strict=False)
+        ),
     )
+    return replace(
+        result, warnings=warnings_of(fit, result, residual, unusual, rival, nonquadratic)
+    )
+
+
+def _data(fit: LeastSquaresFit) -> dict[str, Any]:
+    """What was fitted."""
+    prepared = fit.prepared
+    throw = prepared.throw
+    return {
+        "file": throw.name,
+        "law_file": fit.model.law.origin or None,
+        "rows": len(throw) if throw.has_path else 0,
+        "from": float(throw.t[0]),
+        "to": float(throw.t[-1]),
+        **prepared.rows,
+        "swept": prepared.swept,
+        "sigma": {name: "estimated" if name in fit.sigma else "given" for name in throw.seen},
+        "notes": list(throw.notes),
+        "labels": dict(throw.labels),
+        "flags": list(prepared.flags),
+    }
+
+
+def _observed(fit: LeastSquaresFit) -> dict[str, Floats]:
+    """The measured series, and sigmas that were given or vary by row."""
+    throw = fit.prepared.throw
+    shown = [name for name in CHANNELS if name in throw.seen or name in ("x", "y", "phi")]
+    by_row = throw.sigma | {
+        name: fit.sigma[name] * throw.sigma_over_smallest(name)
+        for name in throw.relative_sigma.keys() & fit.sigma.keys()
+    }
+    sigmas = {f"sigma_{name}": by_row[name] for name in CHANNELS if name in by_row}
+    return {name: getattr(throw, name) for name in ("t", *shown)} | sigmas
 
 
 def _discrepancy(
@@ -336,14 +310,6 @@ def _discrepancy(
     now[: len(weight)] = fit.problem.weight
     mean = posterior_mean(fit.noise, fit.problem.times, now, data)[:, :n]
     return dict(zip(CHANNELS, mean, strict=False))
-
-
-def _events(fit: LeastSquaresFit, statistics: ResidualStatistics) -> tuple[dict[str, Any], ...]:
-    """The events of a throw with their values in the fit."""
-    return tuple(
-        asdict(event) | {"fitted": event.value - float(off)}
-        for event, off in zip(fit.prepared.throw.events, statistics.residual[-1], strict=False)
-    )
 
 
 def _unusual(
@@ -375,54 +341,6 @@ def _status(fit: LeastSquaresFit, distance: float, unusual: Sequence[Finding]) -
     return f"converged ({steps})"
 
 
-def _parameter_warnings(fit: LeastSquaresFit, found: Covariance) -> list[str]:
-    """Warnings about inadmissible coefficients and parameters at a bound."""
-    warnings = []
-    fault = fit.model.law.from_vector(fit.solution.values).fault()
-    if fault is not None:
-        warnings.append(f"{fault}; the fitted coefficients are not those of a friction law")
-    parameters = fit.prepared.parameters
-    return warnings + found.bound_warnings(parameters.lower, parameters.upper)
-
-
-def _error_warnings(
-    parameters: ParameterSet, nonquadratic: dict[str, bool], systematics: Systematics
-) -> list[str]:
-    """Warnings about standard and systematic errors that first order does not describe."""
-    warnings = []
-    if nonquadratic:
-        warnings.append(
-            f"chi squared is not quadratic within a standard error of {', '.join(nonquadratic)}: "
-            "these standard errors are rough; use the profile likelihood or the posterior"
-        )
-    beyond = [
-        item.name
-        for item in parameters.parameters
-        if systematics.errors.get(item.name, 0.0) > _NOT_LINEAR * item.typical
-    ]
-    if beyond:
-        warnings.append(
-            f"systematic errors of {', '.join(beyond)} exceed the range in which they can be "
-            "estimated: with the conditions as uncertain as assumed, the path does not determine "
-            f"{'it' if len(beyond) == 1 else 'them'}"
-        )
-    return warnings
-
-
-def _memory_warnings(noise: Noise, t: Floats, curves: dict[str, Floats]) -> list[str]:
-    """Warnings about noise whose correlation time is too long for the throw."""
-    memory = max(noise.memory.values(), default=0.0)
-    if not memory:
-        return []
-    span = time_of_motion(t, curves["speed"])
-    if memory <= _LASTING * span:
-        return []
-    return [
-        f"the noise has a correlation time of {memory:.2g} s in a throw of {span:.3g} s, too long "
-        "to be estimated well: its standard errors may be too small by a quarter"
-    ]
-
-
 def _rival(fit: LeastSquaresFit) -> dict[str, float]:
     """Parameters that differ at another optimum that fits as well, with their values there."""
     if fit.rival is None:
@@ -431,20 +349,6 @@ def _rival(fit: LeastSquaresFit) -> dict[str, float]:
     far = np.abs(fit.rival - fit.solution.values) > _DIFFERENT * parameters.typical
     values = parameters.values_of(fit.rival + fit.prepared.offset)
     return {name: values[name] for name in parameters.names_where(far)}
-
-
-def _rival_warnings(rival: dict[str, float], throw: Throw) -> list[str]:
-    """Warnings about another optimum that fits as well."""
-    if not rival:
-        return []
-    listed = ", ".join(f"{name} = {value:.3g}" for name, value in rival.items())
-    missing = [
-        said
-        for said, channels in (("x", ("x",)), ("the angle", ("phi", "omega")))
-        if not set(channels) & set(throw.seen)
-    ]
-    remedy = f"; measure {' or '.join(missing)} to distinguish them" if missing else ""
-    return [f"other values fit as well: {listed}; the estimates are one of two solutions{remedy}"]
 
 
 def _estimates(
