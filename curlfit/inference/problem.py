@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.environment import Environment
-from curlfit.inference.noise.models import LOSSES, Noise
-from curlfit.inference.noise.whitening import Whitener
+from curlfit.inference.noise.models import LOSSES
 from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Floats
 from curlfit.stone import Stone
@@ -93,8 +92,6 @@ def build_problem(
     origin: Origin,
     sigma: dict[str, float],
     loss: str = "linear",
-    noise: Noise | None = None,
-    parameters: int = 0,
     environment: Environment | None = None,
     shape: tuple[int, int] | None = None,
 ) -> Problem:
@@ -103,7 +100,6 @@ def build_problem(
     Parameters
     ----------
     sigma : of the channels for which the throw gives none.
-    parameters : their number, for a noise that is not white.
     environment : the assumed one, see `environment_of`; level ice and still air if None.
     shape : of the data, channels and rows; the smallest possible if None.
     """
@@ -131,7 +127,6 @@ def build_problem(
         environment=environment or LEVEL_AND_STILL,
         loss=np.asarray(LOSSES.index(loss)),
         events=events,
-        whitener=None if noise is None else Whitener.of(noise, times, weight, parameters),
     )
 
 

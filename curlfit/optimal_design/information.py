@@ -232,7 +232,7 @@ def record_information(
         jacobian = np.asarray(linearize(model, values, problems)[1]) * assumed.parameters.typical
         if widths:
             paths = predict_many(model, values, problems, _BATCH)
-            changes = residual_changes(model, problems, values, paths, widths, "linear", _BATCH)
+            changes = residual_changes(model, problems, values, paths, widths, _BATCH)
             jacobian = np.concatenate([jacobian, np.stack(list(changes.values()), -1)], -1)
         if (lost := ~np.isfinite(jacobian).all((1, 2, 3))).any():
             raise _no_motion(assumed, batch[int(np.argmax(lost))][0])

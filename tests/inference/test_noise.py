@@ -81,8 +81,8 @@ def test_the_restricted_likelihood_is_that_of_the_covariance():
         random.standard_normal((2, 50, 3 * SHAPES)),
     )
     residual = np.where(weight > 0, random.standard_normal((2, 50)), 0.0)
-    data = Linearized.of(
-        t, 9.0, weight, residual, jacobian, np.ones(4), np.ones(4, bool), 2, responses
+    data = Linearized.of(t, weight, residual, jacobian, np.ones(4), np.ones(4, bool), 2)._replace(
+        span=np.asarray(9.0), responses=responses
     )
     seen = weight.ravel() > 0
     j, s = (part.reshape(100, -1)[seen] for part in (jacobian, responses))

@@ -255,7 +255,7 @@ def test_systematic_errors_of_lengths_and_times(problem):
     at, one = vector(mu, 0.0, v)[None], stacked([problem])
     path = predict_many(MODEL, at, one, 1)
     widths = {"length_scale": width, "time_scale": width}
-    found = residual_changes(MODEL, one, at, path, widths, "linear", 1)
+    found = residual_changes(MODEL, one, at, path, widths, 1)
     changes = {
         name: change[0, -1, : len(EVENTS)] * [event.sigma for event in EVENTS] / width
         for name, change in found.items()

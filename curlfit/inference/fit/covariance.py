@@ -99,7 +99,7 @@ class Covariance:
         ends = Bounded(*(part[open_] for part in bounded))
         about = list(itertools.compress(names, open_)), ends.values, typical[open_], slack, ends
         known = of_data = analyse(estimator.whole[:, :-1][:, open_], *about)
-        if estimator.whole is not estimator.of_data:
+        if has_priors:
             of_data = analyse(estimator.of_data[:, :-1][:, open_], *about)
         matrix, by_open = known.covariance - slack @ slack.T, jacobian[..., open_]
         effect = by_open @ matrix

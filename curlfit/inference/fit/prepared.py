@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.environment import Environment
-from curlfit.errors import InputError
 from curlfit.friction import find_law
 from curlfit.inference.conditions import WEAK_CONDITIONS
 from curlfit.inference.fit.result import FitResult
@@ -145,20 +144,12 @@ def problem_of(fit: FitResult) -> tuple[Problem, Origin]:
     """The problem that a fit solved, with its noise and loss, and its origin."""
     throw = fit.throw
     origin = Origin.of(throw)
-    environment = environment_of(fit.data["swept"], origin.t)
     problem = build_problem(
-        throw, fit.stone, origin, fit.sigma, fit.loss, fit.noise, len(fit.values),
-        environment=environment,
-    )  # fmt: skip
-    if fit.noise.sizes:
-        if not fit.noise.initial_state:
-            raise InputError(
-                f"{throw.name}: this fit was saved with an earlier noise model; fit it again"
-            )
-        data = linearized_fit(fit).first(len(problem.weight))
-        whitener = Whitener.of(fit.noise, problem.times, problem.weight, len(fit.values), data)
-        problem = problem._replace(whitener=whitener)
-    return problem, origin
+        throw, fit.stone, origin, fit.sigma, fit.loss, environment_of(fit.data["swept"], origin.t)
+    )
+    data = linearized_fit(fit).first(len(problem.weight)) if fit.noise.sizes else None
+    whitener = Whitener.of(fit.noise, problem.times, problem.weight, len(fit.values), data)
+    return problem._replace(whitener=whitener), origin
 
 
 def linearized_fit(fit: FitResult) -> Linearized:
@@ -226,7 +217,8 @@ def linearized(
     responses = [response.at(times, row) for row in range(len(CHANNELS))]
     if len(jacobian) > len(CHANNELS):
         responses.append(np.zeros_like(responses[0]))
-    return Linearized.of(
-        times, time_of_motion(times[:rows], path[CHANNELS.index("speed")]), weight, residual,
-        jacobian, typical, adjustable, len(model.law.coefficients()), np.stack(responses),
-    )  # fmt: skip
+    found = Linearized.of(
+        times, weight, residual, jacobian, typical, adjustable, len(model.law.coefficients())
+    )
+    span = time_of_motion(times[:rows], path[CHANNELS.index("speed")])
+    return found._replace(span=np.asarray(span), responses=np.stack(responses))

@@ -191,6 +191,8 @@ class FitResult(NamedEstimates):
         for place, found in (("covariance", self.covariance), ("information", self.information)):
             sizes = {len(found["names"]), *map(len, (found["matrix"], *found["matrix"]))}
             require(place, len(sizes) == 1, "a square matrix")
+        shape = (len(START),) * 2 if self.noise.sizes else (0,)
+        require("noise", np.shape(self.noise.initial_state) == shape, "a covariance")
         gradient = self.information["gradient"]
         require("information", len(gradient) == len(self.information["names"]), "a gradient")
 

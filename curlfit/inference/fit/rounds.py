@@ -16,7 +16,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from operator import itemgetter
-from typing import Any
 
 import jax
 import numpy as np
@@ -75,20 +74,23 @@ class Rounds:
         self.loss = loss
         even = [throw.equal_sigma() for throw in throws]
 
-        def built(cut: Sequence[Throw], shape: tuple[int, int] | None, **how: Any) -> Problem:
+        def built(cut: Sequence[Throw], shape: tuple[int, int] | None) -> Problem:
             return stacked(
                 [
                     build_problem(
                         throw, one.stone, one.origin, sigma, environment=one.environment,
-                        shape=shape, parameters=len(one.parameters), **how,
+                        shape=shape,
                     )
                     for throw, one, sigma in zip(cut, throws, even, strict=True)
                 ]
             )  # fmt: skip
 
-        blank = None if noise == "white" else Noise(noise)
-        self.problems = built([one.throw for one in throws], shape, noise=blank)
-        self.initial_problems = self.problems
+        self.initial_problems = self.problems = built([one.throw for one in throws], shape)
+        if noise != "white":
+            size, blank = len(throws[0].parameters), Noise(noise)
+            each = zip(self.problems.times, self.problems.weight, strict=True)
+            whiteners = stacked([Whitener.of(blank, *one, size) for one in each])
+            self.problems = self.problems._replace(whitener=whiteners)
         if self.problems.events is not None:
             # Initial values do without events; a throw with nothing else needs a rough path.
             small = len(CHANNELS), self.problems.times.shape[-1]
@@ -238,11 +240,13 @@ class Rounds:
                 self.model, problem, solution.values, path[:, :n], one.stone, typical, adjustable
             ).first(channels)
         inverse = 1 / np.where(problem.weight > 0, problem.weight, 1.0)
-        return Linearized.of(
-            problem.times, time_of_motion(problem.times[:n], path[CHANNELS.index("speed"), :n]),
-            problem.weight, -solution.residual * inverse, solution.jacobian * inverse[..., None],
-            typical, adjustable, len(self.model.law.coefficients()),
+        found = Linearized.of(
+            problem.times, problem.weight, -solution.residual * inverse,
+            solution.jacobian * inverse[..., None], typical, adjustable,
+            len(self.model.law.coefficients()),
         )  # fmt: skip
+        span = time_of_motion(problem.times[:n], path[CHANNELS.index("speed"), :n])
+        return found._replace(span=np.asarray(span))
 
     def _reweight(self, now: Indices) -> None:
         before = self.problems.weight[now]

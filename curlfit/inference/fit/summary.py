@@ -186,7 +186,7 @@ class _Many(NamedTuple):
     ) -> list[Systematics]:
         """Errors due to conditions, which are common to throws that are fitted together."""
         changes = residual_changes(
-            self.model, self.problems, self.solutions.values, paths, widths, self.loss, batch,
+            self.model, self.problems, self.solutions.values, paths, widths, batch,
             self.throws, jointly=self.common is not None,
         )  # fmt: skip
         gradients = {}

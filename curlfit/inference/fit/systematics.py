@@ -20,6 +20,7 @@ from curlfit.inference.identifiability import inverted, visible
 from curlfit.inference.likelihood import predict_many
 from curlfit.inference.model import Model
 from curlfit.inference.noise.losses import root_slope
+from curlfit.inference.noise.models import LOSSES
 from curlfit.inference.noise.whitening import whitened
 from curlfit.inference.parameters import START
 from curlfit.inference.problem import Problem
@@ -93,7 +94,6 @@ def residual_changes(
     values: Floats,
     paths: Floats,
     widths: Mapping[str, float],
-    loss: str,
     batch: int,
     throws: Sequence[PreparedThrow] = (),
     *,
@@ -129,9 +129,8 @@ def residual_changes(
         if problems.whitener is not None:
             pairs = zip(change, unstacked(problems.whitener), strict=True)
             change = np.array([whitened(*pair) for pair in pairs])
-        if loss != "linear":
-            residual = (paths[:, :channels] - problems.observed) * problems.weight
-            change = change * root_slope(residual, loss)
+        residual = (paths[:, :channels] - problems.observed) * problems.weight
+        change = change * root_slope(residual, LOSSES[problems.loss.max()])
         found[name] = change
     return found
 
