@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from curlfit.errors import DataError, InputError, require_kind
+from curlfit.errors import DataError, InputError
 from curlfit.foreign import quoted
 from curlfit.friction import Law, Parameter
 from curlfit.friction.curl import can_curl
@@ -63,7 +63,7 @@ class ParameterSet:
         bounds: Mapping[str, tuple[float, float]] | None = None,
         unbounded: bool = False,
         free: Iterable[str] = (),
-        priors: Mapping[str, str | Prior] | None = None,
+        priors: Mapping[str, str] | None = None,
         swept: bool = False,
     ) -> ParameterSet:
         """Parameters of a fit of `law`.
@@ -88,46 +88,36 @@ class ParameterSet:
         InputError : an unknown name, a name both fixed and free, a text that is not a prior, an
             empty interval, a fixed value outside its bounds, or nothing left to fit.
         """
-        for name, choice in {"fix": fix, "bounds": bounds, "priors": priors}.items():
-            require_kind(choice or {}, Mapping, name, "a mapping by the name of the parameter")
-        for name, pair in (bounds or {}).items():
-            if np.shape(pair) != (2,):
-                raise InputError(f"bounds of {name}: {quoted(pair)} found, expected (lower, upper)")
-        known, fixed = parse_priors(priors), {name: float(v) for name, v in (fix or {}).items()}
-        limits = {name: (float(low), float(high)) for name, (low, high) in (bounds or {}).items()}
-        free = [*free, *known]
-        if "sweep" in {*fixed, *limits, *free}:
-            if not swept:
-                raise InputError(
-                    "sweep is a parameter only of a swept stone; expected also `swept`, the two "
-                    "times in s between which it was swept"
-                )
-        elif swept:
-            free.append("sweep")
-        coefficients: tuple[Parameter, ...] = law.coefficients()
-        if unbounded:
-            coefficients = tuple(item.unbounded() for item in law.coefficients())
-        for one in law.coefficients():
-            if one.optional and one.name not in (*limits, *free):
-                fixed.setdefault(one.name, one.default)
-        named, parameters = (*fixed, *limits, *free), []
-        for name in named:
-            if name not in parameter_names(law):
-                raise InputError(
-                    f"law {law.name} has no parameter {quoted(name)}; it has "
-                    + ", ".join(item.name for item in (*coefficients, *START))
-                    + "; conditions are "
-                    + ", ".join(item.name for item in CONDITIONS)
-                )
-            if name in fixed and name in free:
-                other = "has a prior" if name in known else "is free"
-                raise InputError(f"{name} is fixed and {other}; expected one of them")
-        conditions = [item for item in CONDITIONS if item.name in named]
-        for item in (*coefficients, *conditions, *START):
-            parameters.append(_limited(item, limits, known, fixed))
+        known = parse_priors(priors or {})
+        fixed = {name: float(value) for name, value in (fix or {}).items()}
+        estimated, coefficients = {*free, *known}, law.coefficients()
+        named = (*fixed, *(bounds or {}), *free, *known)
+        _require_named(law, named)
+        if "sweep" in named and not swept:
+            raise InputError(
+                "sweep is a parameter only of a swept stone; expected also `swept`, the two "
+                "times in s between which it was swept"
+            )
+        for name in fixed.keys() & estimated:
+            other = "has a prior" if name in known else "is free"
+            raise InputError(f"{name} is fixed and {other}; expected one of them")
+        for item in coefficients:
+            if item.optional and item.name not in named:
+                fixed[item.name] = item.default
+        conditions = [
+            item for item in CONDITIONS if item.name in named or (swept and item.name == "sweep")
+        ]
+        parameters = tuple(
+            _limited(item, bounds or {}, known, fixed)
+            for item in (
+                *(item.unbounded() if unbounded else item for item in coefficients),
+                *conditions,
+                *START,
+            )
+        )
         if len(fixed) == len(parameters):
             raise InputError("every parameter is fixed; nothing is left to fit")
-        return cls(tuple(parameters), fixed, known)
+        return cls(parameters, fixed, known)
 
     @classmethod
     def for_throw(cls, law: type[Law], throw: Throw, **choices: Any) -> ParameterSet:
@@ -261,6 +251,19 @@ class ParameterSet:
         return replace(self, parameters=parameters, fixed={**self.fixed, name: value})
 
 
+def _require_named(law: type[Law], names: Iterable[str]) -> None:
+    for name in names:
+        if name not in parameter_names(law):
+            own, conditions = (
+                ", ".join(item.name for item in items)
+                for items in ((*law.coefficients(), *START), CONDITIONS)
+            )
+            raise InputError(
+                f"law {law.name} has no parameter {quoted(name)}; it has {own}; conditions are "
+                f"{conditions}"
+            )
+
+
 def _limited(
     item: Parameter,
     limits: Mapping[str, tuple[float, float]],
@@ -268,15 +271,13 @@ def _limited(
     fixed: Mapping[str, float],
 ) -> Parameter:
     """A parameter with the bounds of a fit: those given, limited by its prior; its fixed value."""
-    lower, upper = limits.get(item.name, (item.lower, item.upper))
+    lower, upper = map(float, limits.get(item.name, (item.lower, item.upper)))
     if item.name in priors:
         lower, upper = priors[item.name].bounds(lower, upper)
     if not lower < upper:
         raise InputError(f"bound of {item.name}: {lower:g}:{upper:g} is empty; expected LOW:HIGH")
     if item.name in fixed:
         value = fixed[item.name]
-        if not math.isfinite(value):
-            raise InputError(f"{item.name} cannot be fixed at {value}")
         if item.name == "v0" and value == 0:
             raise InputError("v0 is fixed at 0; expected the speed of a stone that moves")
         if not lower <= value <= upper:
@@ -285,8 +286,7 @@ def _limited(
                 + ("" if item.name in limits else "; set others to fix it there")
             )
         lower = upper = value
-    same = (lower, upper) == (item.lower, item.upper)
-    return item if same else replace(item, lower=lower, upper=upper)
+    return replace(item, lower=lower, upper=upper)
 
 
 Options = Mapping[str, Mapping[str, Any] | Sequence[str]]

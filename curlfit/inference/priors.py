@@ -82,12 +82,9 @@ class Prior:
         return lower, upper
 
 
-def parse_priors(given: Mapping[str, str | Prior] | None) -> dict[str, Prior]:
+def parse_priors(given: Mapping[str, str]) -> dict[str, Prior]:
     """Priors by the name of the parameter. Raises `InputError` for an invalid one."""
-    return {
-        name: one if isinstance(one, Prior) else Prior.parse(name, str(one))
-        for name, one in (given or {}).items()
-    }
+    return {name: Prior.parse(name, text) for name, text in given.items()}
 
 
 class Penalty(NamedTuple):

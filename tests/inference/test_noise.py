@@ -6,11 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import DATA, NOISE as SIGMA, filmed, shown
+from conftest import DATA, NOISE as SIGMA, filmed
 from scipy.linalg import block_diag, toeplitz
 
 import curlfit
-from curlfit.inference.fit.result import load_fit
 from curlfit.inference.noise.accelerations import SHAPES
 from curlfit.inference.noise.linearized import Linearized
 from curlfit.inference.noise.models import Noise, independences
@@ -181,22 +180,6 @@ def test_given_sigmas_are_kept():
     found = curlfit.fit(given, "front-back", noise="ar1")
     assert found.sigma == {}
     assert all(0.1 < value < 2 for value in found.noise.memory.values())
-
-
-@pytest.mark.slow
-def test_it_is_saved_and_sampled(tmp_path):
-    found = curlfit.fit(thrown(2, 0.9), "front-back", noise="ar1")
-    found.save(tmp_path / "fit.json")
-    again = load_fit(tmp_path / "fit.json")
-    assert again.noise == found.noise
-    assert again.independence == found.independence
-    assert "ar1 noise" in shown(again)
-    sampled, _ = curlfit.sample(again, seed=1, effective=600)
-    white = curlfit.fit(thrown(2, 0.9), "front-back")
-    for name in ("mu2_xi", "v0", "omega0"):
-        item = found.parameters[name]
-        assert sampled.posterior.sd[name] == pytest.approx(item.stderr, rel=0.1)
-        assert item.stderr > 2 * white.parameters[name].stderr
 
 
 def test_what_cannot_be_combined_is_refused():

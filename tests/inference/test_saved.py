@@ -14,7 +14,7 @@ from dataclasses import replace
 import damaged_records
 import h5py
 import pytest
-from conftest import DATA, command, invoke
+from conftest import invoke
 from matplotlib.figure import Figure
 
 import curlfit
@@ -151,20 +151,6 @@ def test_what_a_killed_run_left_half_written_is_cleared(tmp_path):
         os.utime(path, (0, 0))
     prepare_folder(tmp_path)
     assert sorted(tmp_path.iterdir()) == [new, folder]
-
-
-def test_results_are_shown_and_drawn_without_the_data(compared, tmp_path):
-    data = tmp_path / "gone.csv"
-    data.write_bytes(DATA.read_bytes())
-    curlfit.fit(curlfit.load_throw(data)).save(tmp_path / "fit.json")
-    (tmp_path / "both").mkdir()
-    compared.save(tmp_path / "both" / "compare.json")
-    data.unlink()
-    for words, said in ((["show", "fit.json"], "gone.csv"), (["plot", "both"], "compare.png")):
-        run = command(*words, cwd=tmp_path)
-        assert (run.returncode, run.stderr) == (0, "")
-        assert said in run.stdout
-    assert (tmp_path / "both" / "compare.png").stat().st_size > 10_000
 
 
 def record_of(result, folder, change):
