@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -123,7 +122,7 @@ def build_problem(
         times=times,
         observed=observed,
         weight=weight,
-        stone=_as_arrays(*map(float, vars(stone).values())),
+        stone=Stone(*map(np.asarray, vars(stone).values())),  # type: ignore[arg-type]
         environment=environment or LEVEL_AND_STILL,
         loss=np.asarray(LOSSES.index(loss)),
         events=events,
@@ -149,11 +148,6 @@ def environment_of(swept: Sequence[float] | None, t0: float) -> Environment:
         return LEVEL_AND_STILL
     begin, end = (np.asarray(time - t0) for time in swept)
     return replace(LEVEL_AND_STILL, swept_from=begin, swept_to=end)
-
-
-@lru_cache(64)
-def _as_arrays(*values: float) -> Stone:
-    return Stone(*map(np.asarray, values))  # type: ignore[arg-type]
 
 
 def _sigma_of(throw: Throw, sigma: dict[str, float], name: str) -> Any:

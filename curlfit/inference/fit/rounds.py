@@ -146,21 +146,13 @@ class Rounds:
         self, index: int, solution: Solution, tried: int = 1, rival: Floats | None = None
     ) -> LeastSquaresFit:
         """The outcome of the fit of a throw."""
+        estimated = np.flatnonzero(self.unknown[index])
+        sigma = {self.channels[row]: float(self.sigma[index, row]) for row in estimated}
+        problem = jax.tree.map(itemgetter(index), self.problems)
         return LeastSquaresFit(
-            prepared=self.throws[index],
-            model=self.model,
-            loss=self.loss,
-            noise=self.noises[index],
-            problem=jax.tree.map(itemgetter(index), self.problems),
-            sigma={
-                name: float(self.sigma[index, row])
-                for row, name in enumerate(self.channels)
-                if self.unknown[index, row]
-            },
-            solution=solution,
-            tried=tried,
-            rival=rival,
-        )
+            self.throws[index], self.model, self.loss, self.noises[index], problem, sigma,
+            solution, tried, rival,
+        )  # fmt: skip
 
     def _estimate_sigma(self, now: Indices, solutions: Solution) -> None:
         sigma = residual_sigma(solutions, self._problems_of(now), self.free[now])
@@ -195,34 +187,28 @@ class Rounds:
     def _estimate_noise(self, now: Indices, solutions: Solution) -> None:
         problems = self._problems_of(now)
         paths = predict_many(self.model, solutions.values, problems, self.batch)
-        estimated: dict[int, Linearized] = {}
-        for place, index in enumerate(now):
-            solution = jax.tree.map(itemgetter(place), solutions)
-            problem = jax.tree.map(itemgetter(place), problems)
-            data = self._linearized(int(index), problem, solution, paths[place])
+        for place, (index, unknown) in enumerate(zip(now.tolist(), self.unknown[now], strict=True)):
+            solution, problem = (
+                jax.tree.map(itemgetter(place), stack) for stack in (solutions, problems)
+            )
+            data = self._linearized(index, problem, solution, paths[place])
             if not data.enough.any():
                 name = self.throws[index].throw.name
-                self.failures[int(index)] = InputError(
+                self.failures[index] = InputError(
                     f"{name}: too few values to estimate a correlation of the noise"
                 )
                 continue
-            found = estimate(self.noises[index].kind, data, ~self.unknown[index])
-            self.noises[index] = found.noise
-            if found.noise.sizes:
-                own = self.unknown[index]
-                names = itertools.compress(self.channels, own)
-                sigmas = self.sigma[index][own].tolist()
-                found.noise.independent.update(zip(names, sigmas, strict=True))
-            scale = np.where(self.unknown[index], found.scale, 1.0)
-            self.sigma[index] = scale * self.sigma[index] + SIGMA_FLOOR * self.unknown[index]
-            estimated[int(index)] = data
-        now = np.array(list(estimated), int)
-        self._reweight(now)
-        for index, data in estimated.items():
+            found = estimate(self.noises[index].kind, data, ~unknown)
+            noise = self.noises[index] = found.noise
+            if noise.sizes:
+                sigmas = zip(self.channels, self.sigma[index].tolist(), strict=True)
+                noise.independent.update(itertools.compress(sigmas, unknown))
+            scale = np.where(unknown, found.scale, 1.0)
+            self.sigma[index] = scale * self.sigma[index] + SIGMA_FLOOR * unknown
+            self._reweight(np.array([index]))
             whitener = Whitener.of(
-                self.noises[index], self.problems.times[index], self.problems.weight[index],
-                len(data.from_standard), data,
-            )  # fmt: skip
+                noise, problem.times, self.problems.weight[index], len(data.from_standard), data
+            )
             pairs = zip(*map(jax.tree.leaves, (self.problems.whitener, whitener)), strict=True)
             for leaf, new in pairs:
                 leaf[index] = new

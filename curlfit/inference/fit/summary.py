@@ -97,6 +97,8 @@ class _Many(NamedTuple):
     """Fits of one model and loss, with what they need along the first axis."""
 
     fits: Sequence[LeastSquaresFit]
+    model: Model
+    loss: str
     throws: list[PreparedThrow]
     problems: Problem
     solutions: Solution
@@ -119,17 +121,10 @@ class _Many(NamedTuple):
             known = (others[..., :-1] != 0).any((0, 1))
             penalty = penalty._replace(weight=penalty.weight * ~known)
         return cls(
-            fits, throws, stacked([fit.problem for fit in fits]), solutions, offset,
-            Bounded(solutions.values, *ends), throws[0].parameters.typical, penalty, common, others,
+            fits, fits[0].model, fits[0].loss, throws, stacked([fit.problem for fit in fits]),
+            solutions, offset, Bounded(solutions.values, *ends), throws[0].parameters.typical,
+            penalty, common, others,
         )  # fmt: skip
-
-    @property
-    def model(self) -> Model:
-        return self.fits[0].model
-
-    @property
-    def loss(self) -> str:
-        return self.fits[0].loss
 
     def covariances(
         self, statistics: ResidualStatistics
