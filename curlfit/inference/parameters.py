@@ -286,7 +286,8 @@ def _limited(
                 + ("" if item.name in limits else "; set others to fix it there")
             )
         lower = upper = value
-    return replace(item, lower=lower, upper=upper)
+    same = (lower, upper) == (item.lower, item.upper)
+    return item if same else replace(item, lower=lower, upper=upper)
 
 
 Options = Mapping[str, Mapping[str, Any] | Sequence[str]]

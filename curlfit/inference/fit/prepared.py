@@ -20,7 +20,7 @@ from curlfit.inference.noise.linearized import Linearized
 from curlfit.inference.noise.models import WHITE, Noise, time_of_motion
 from curlfit.inference.noise.whitening import Whitener
 from curlfit.inference.parameters import ParameterSet
-from curlfit.inference.priors import Penalty
+from curlfit.inference.priors import Penalty, penalty_of
 from curlfit.inference.problem import Origin, Problem, build_problem, environment_of
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import stacked
@@ -100,7 +100,7 @@ class PreparedThrow(NamedTuple):
         noise. They are therefore left out, except that the stone's constants and the scales, which
         a path hardly determines, are held near the modes of their priors.
         """
-        found = self.local_parameters.penalty
+        found = penalty_of(self.parameters.parameters, self.parameters.priors, self.offset)
         if found is None or not (first and self.equal_sigma()):
             return found
         held = np.isin(self.parameters.names, WEAK_CONDITIONS)
