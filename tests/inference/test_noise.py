@@ -12,7 +12,7 @@ from scipy.linalg import block_diag, toeplitz
 import curlfit
 from curlfit.inference.noise.accelerations import SHAPES
 from curlfit.inference.noise.linearized import Linearized
-from curlfit.inference.noise.models import Noise, independences
+from curlfit.inference.noise.models import Independence, Noise
 from curlfit.inference.noise.restricted import _slope
 from curlfit.inference.noise.whitening import Whitener, whitened
 
@@ -130,24 +130,19 @@ def test_a_file_without_noise_is_fitted_as_with_independent_noise(noise):
         assert other.sigma[name] > size / 2
 
 
-def independence(series):
-    """Of one channel of one throw."""
-    return independences(series[None, None], np.array([[len(series)]]))[0][0]
-
-
 def test_independence_by_hand():
     signs = np.array([1.0, 1, 1, -1, -1, 1, -1, -1, -1, 1])  # 5 of each, 5 runs
-    found = independence(signs)
+    found = Independence.of(signs)
     assert found.runs == pytest.approx((5 - 6) / np.sqrt(5 * 4 / 9))
     assert found.lag1 == pytest.approx(0.1)  # five neighbours agree, four do not
     assert found.effective == pytest.approx(10 * 0.9 / 1.1)
     assert not found.doubtful
-    white = [independence(np.random.default_rng(k).standard_normal(150)) for k in range(400)]
+    white = [Independence.of(np.random.default_rng(k).standard_normal(150)) for k in range(400)]
     assert not any(item.doubtful for item in white)
     assert np.std([item.runs for item in white]) == pytest.approx(1, abs=0.1)
     walk = np.cumsum(np.random.default_rng(0).standard_normal(150))
-    assert independence(walk).doubtful
-    assert independence(walk).effective < 10
+    assert Independence.of(walk).doubtful
+    assert Independence.of(walk).effective < 10
 
 
 def test_white_noise_is_told_from_noise_with_a_memory():

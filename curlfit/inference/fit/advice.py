@@ -154,7 +154,7 @@ def remedies(
     free = np.array([place for place, name in enumerate(parameters.names) if name not in held])
     names, values = [parameters.names[place] for place in free], fit.solution.values[free]
     jacobian, typical = _slopes_of_all_channels(fit, free), parameters.typical[free]
-    weight = np.zeros(jacobian.shape[:2])
+    weight = np.zeros_like(jacobian[..., 0])
     weight[: len(fit.problem.weight)] = fit.problem.weight[:, : weight.shape[1]]
     missing = [name for row, name in enumerate(CHANNELS) if not weight[row].any()]
 

@@ -165,6 +165,7 @@ class Covariance:
         log-likelihood."""
         jacobian = self.factor[:, :-1][:, self.free]
         return {
+            "names": list(itertools.compress(self.names, self.free)),
             "gradient": (-self.factor[:, -1] @ jacobian).tolist(),
             "matrix": (jacobian.T @ jacobian).tolist(),
         }

@@ -1,17 +1,15 @@
-"""Residuals of a fit: their size, their correlation from row to row, and outliers."""
+"""Residuals of a fit, and outliers."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.likelihood import SIGMA_FLOOR
 from curlfit.inference.noise.losses import MAD_TO_SIGMA, robust_sigma
-from curlfit.inference.noise.models import independences, lag1_of
 from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.throw import CHANNELS, Throw
@@ -22,52 +20,13 @@ _BY_CHANCE = 1e-3  # fraction of throws that may have an outlier by chance
 _SMOOTH = 0.5  # lag-1 correlation above which residuals are called smooth
 
 
-class ResidualStatistics(NamedTuple):
-    """Residuals of a throw at its optimum, or of many, along the first axis of each field."""
-
-    path: Floats | None
-    """in the problem's coordinates, shape (5, n); None where the record does not include it"""
-    residual: Floats
-    """measured - fitted, 0 where nothing was observed, shape (channels, n)"""
-    number: NDArray[np.int64]
-    """of values of each channel, shape (channels,)"""
-    rms: Floats
-    lag1: Floats
-    independence: Any
-    """how far the residuals over their sigma are from independent: an `Independence` per channel"""
-
-    def each(self, throws: int) -> list[ResidualStatistics]:
-        """The statistics of each throw."""
-        paths = [None] * throws if self.path is None else self.path
-        return list(map(ResidualStatistics, paths, *self[1:]))
-
-    def by_channel(self, series: Any, more_than: int = 0) -> dict[str, Any]:
-        """Values of one throw by name, for the channels with more than `more_than` values."""
-        rows = zip(CHANNELS, series, self.number, strict=False)
-        return {name: value for name, value, number in rows if number > more_than}
-
-
-def residual_statistics(
-    problems: Problem, solutions: Solution, paths: Floats | None
-) -> ResidualStatistics:
-    """Residual statistics of many throws."""
+def residuals_of(problems: Problem, solutions: Solution, paths: Floats | None) -> Floats:
+    """Measured - fitted of many throws, 0 where nothing was observed, shape (throws, channels, n);
+    from their paths, or from residuals by least squares with independent noise."""
     there = problems.weight > 0
-    count = there.sum(-1)
     if paths is None:
-        residual = -solutions.residual / np.where(there, problems.weight, 1.0)
-    else:
-        residual = np.where(there, problems.observed - paths[:, : there.shape[1]], 0.0)
-    rms = np.sqrt((residual**2).sum(-1) / np.maximum(count, 1))
-    # Observed values first, gaps last.
-    order = np.argsort(~there, -1, kind="stable")
-    return ResidualStatistics(
-        path=paths,
-        residual=residual,
-        number=count,
-        rms=rms,
-        lag1=lag1_of(np.take_along_axis(residual, order, -1), count),
-        independence=independences(np.take_along_axis(solutions.residual, order, -1), count),
-    )
+        return -solutions.residual / np.where(there, problems.weight, 1.0)
+    return np.where(there, problems.observed - paths[:, : there.shape[1]], 0.0)
 
 
 def outliers_of(

@@ -29,13 +29,14 @@ from curlfit.inference.fit.prepared import (
     local_bounds,
     penalties,
 )
-from curlfit.inference.fit.residuals import ResidualStatistics, outliers_of, residual_statistics
+from curlfit.inference.fit.residuals import outliers_of, residuals_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.systematics import residual_changes
 from curlfit.inference.identifiability import Bounded, r_factors
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.likelihood import chi_squared_of_many, predict_many
 from curlfit.inference.model import Model
+from curlfit.inference.noise.models import Independence
 from curlfit.inference.noise.whitening import posterior_mean
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty
@@ -47,6 +48,7 @@ from curlfit.throws.throw import CHANNELS
 
 IMPLAUSIBLE = "implausible"
 """First word of the status of a fit that is impossible for a curling stone."""
+_FEWEST = 3  # values of a channel, above which their correlation is given
 _DIFFERENT = 0.1  # typical sizes by which solutions that fit equally differ in a parameter
 
 
@@ -84,13 +86,14 @@ def summarize_many(
     paths = (
         predict_many(many.model, many.solutions.values, many.problems, batch) if curves else None
     )
-    statistics = residual_statistics(many.problems, many.solutions, paths)
-    found, reduction = many.covariances(statistics)
+    residuals = residuals_of(many.problems, many.solutions, paths)
+    found, reduction = many.covariances(residuals)
     nonquadratic = many.nonquadratic(found, reduction, batch)
     systematics = [Systematics()] * len(fits)
     if paths is not None and widths:
         systematics = many.systematics(found, reduction, paths, widths, batch)
-    return list(map(_record, fits, statistics.each(len(fits)), found, nonquadratic, systematics))
+    each = [None] * len(fits) if paths is None else paths
+    return list(map(_record, fits, each, residuals, found, nonquadratic, systematics))
 
 
 class _Many(NamedTuple):
@@ -126,18 +129,16 @@ class _Many(NamedTuple):
             penalty, common, others,
         )  # fmt: skip
 
-    def covariances(
-        self, statistics: ResidualStatistics
-    ) -> tuple[list[Covariance], Reduction | None]:
+    def covariances(self, residuals: Floats) -> tuple[list[Covariance], Reduction | None]:
         """Of each throw, and how throws that are fitted together act on one another."""
         solutions, loss = self.solutions, self.loss
         about = self.bounded, self.typical, self.penalty, self.common, self.others
         factors = estimator = Factors.of(r_factors(solutions.jacobian, solutions.residual), *about)
         if loss != "linear":
-            robust = robust_jacobians(self.problems, solutions, statistics.residual, loss)
+            robust = robust_jacobians(self.problems, solutions, residuals, loss)
             estimator = Factors.of(r_factors(robust, solutions.residual), *about)
         channels = ROWS_OF_DATA[: self.problems.observed.shape[1]]
-        number, found = statistics.number, []
+        number, found = (self.problems.weight > 0).sum(-1), []
         for row, fit in enumerate(self.fits):
             total = number[row if self.common is None else ...].sum()
             known = Sigmas(number[row], np.isin(channels, [*fit.sigma]), loss, total)
@@ -196,22 +197,24 @@ class _Many(NamedTuple):
 
 def _record(
     fit: LeastSquaresFit,
-    statistics: ResidualStatistics,
+    path: Floats | None,
+    residual: Floats,
     found: Covariance,
     nonquadratic: dict[str, bool],
     systematics: Systematics,
 ) -> FitResult:
     law, throw, known = fit.model.law, fit.prepared.throw, found.identifiability
-    parameters, residual = fit.prepared.parameters, statistics.residual[:, : len(throw)]
-    curves = {}
-    if statistics.path is not None:
-        path = statistics.path[: len(CHANNELS), : len(throw)] + fit.prepared.origin.place[:, None]
-        curves = dict(zip(CHANNELS, path, strict=True))
-    lag1 = {name: float(v) for name, v in statistics.by_channel(statistics.lag1, 3).items()}
+    reference, residual = throw.reference, residual[:, : len(throw)]
+    curves: dict[str, Floats] = {}
+    if path is not None:
+        path = path[:, : len(throw)]
+        curves = dict(zip(CHANNELS, path[:5] + fit.prepared.origin.place[:, None], strict=True))
+    series = _by_channel(fit, residual)
+    enough = {name: pair for name, pair in series.items() if len(pair[0]) > _FEWEST}
+    lag1 = {name: Independence.of(off).lag1 for name, (off, _) in enough.items()}
     misleading, rival = {name for name, yes in nonquadratic.items() if yes}, _rival(fit)
-    estimates = _estimates(parameters, found, misleading, rival)
+    estimates = _estimates(fit.prepared.parameters, found, misleading, rival)
     unusual = _unusual(fit, estimates["v0"], curves)
-    reference = throw.reference
     result = FitResult(
         law=law.name,
         load=fit.model.load,
@@ -221,7 +224,7 @@ def _record(
         status=_status(fit, found.distance, unusual),
         warnings=(),
         n_observations=throw.n_observations,
-        rms={name: float(v) for name, v in statistics.by_channel(statistics.rms).items()},
+        rms={name: float(np.sqrt(np.mean(off**2))) for name, (off, _) in series.items()},
         sigma=fit.sigma,
         lag1=lag1,
         parameters=estimates,
@@ -235,14 +238,14 @@ def _record(
         singular_values=tuple(map(float, known.singular_values)),
         null_directions=known.null_directions,
         covariance={"names": list(known.names), "matrix": known.covariance.tolist()},
-        information={"names": parameters.names_where(parameters.free), **found.information()},
+        information=found.information(),
         reference=reference if reference and reference.law == law.name else None,
         observed=_observed(fit),
         fitted=curves,
-        discrepancy=_discrepancy(fit, statistics, found),
+        discrepancy=_discrepancy(fit, path, found),
         loss=fit.loss,
         noise=fit.noise,
-        independence=statistics.by_channel(statistics.independence, 3),
+        independence={name: Independence.of(white) for name, (_, white) in enough.items()},
         outliers=outliers_of(throw, residual, lag1, found.dof, found.leverage, fit.loss),
         events=tuple(
             asdict(event) | {"fitted": event.value - float(off)}
@@ -252,6 +255,15 @@ def _record(
     return replace(
         result, warnings=warnings_of(fit, result, residual, unusual, rival, nonquadratic)
     )
+
+
+def _by_channel(fit: LeastSquaresFit, residual: Floats) -> dict[str, tuple[Floats, Floats]]:
+    """Residuals of each channel at its values: measured - fitted, and whitened over sigma."""
+    there = fit.problem.weight[:, : residual.shape[1]] > 0
+    rows = zip(CHANNELS, there, residual, fit.solution.residual, strict=False)
+    return {
+        name: (off[seen], white[: len(seen)][seen]) for name, seen, off, white in rows if seen.any()
+    }
 
 
 def _data(fit: LeastSquaresFit) -> dict[str, Any]:
@@ -285,11 +297,9 @@ def _observed(fit: LeastSquaresFit) -> dict[str, Floats]:
     return {name: getattr(throw, name) for name in ("t", *shown)} | sigmas
 
 
-def _discrepancy(
-    fit: LeastSquaresFit, statistics: ResidualStatistics, found: Covariance
-) -> dict[str, Floats]:
+def _discrepancy(fit: LeastSquaresFit, path: Floats | None, found: Covariance) -> dict[str, Floats]:
     """Mean of the model discrepancy by channel; empty where the noise has none."""
-    if statistics.path is None or not fit.noise.sizes:
+    if path is None or not fit.noise.sizes:
         return {}
     n, prepared = len(fit.prepared.throw), fit.prepared
     adjustable = prepared.parameters.free & ~found.at_bound
@@ -297,8 +307,7 @@ def _discrepancy(
     for name, sigma in fit.noise.independent.items():
         weight[CHANNELS.index(name)] *= fit.sigma[name] / sigma
     data = linearized(
-        fit.model, fit.problem._replace(weight=weight), fit.solution.values,
-        statistics.path[:, :n], prepared.stone,
+        fit.model, fit.problem._replace(weight=weight), fit.solution.values, path, prepared.stone,
         prepared.parameters.typical, adjustable,
     )  # fmt: skip
     now = np.zeros_like(data.weight)
