@@ -13,10 +13,7 @@ from curlfit import LAWS
 from curlfit.inference.fit.fit import fit_throws
 
 LAW = LAWS["front-back"]()
-TRUE = {
-    "mu1_eta + mu2_eta": LAW.mu1_eta + LAW.mu2_eta,
-    "mu1_xi + mu2_xi": LAW.mu1_xi + LAW.mu2_xi,
-}
+TRUE = {"mu1_eta + mu2_eta": LAW.mu1_eta + LAW.mu2_eta, "mu1_xi + mu2_xi": LAW.mu1_xi + LAW.mu2_xi}
 
 
 @pytest.fixture(scope="module")

@@ -170,6 +170,53 @@ class Covariance:
             "matrix": (jacobian.T @ jacobian).tolist(),
         }
 
+    def one_sigma_points(self, bounded: Bounded) -> tuple[Floats, Floats]:
+        """Points one standard error from the optimum along the principal axes of the covariance,
+        within the bounds, on axes whose standard error is neither tiny nor meaningless; and these
+        axes in typical sizes, of the same shape (points, parameters).
+
+        `bounded` is in the problem's coordinates.
+        """
+        # Covariance of the open parameters alone: those at a bound stay there.
+        sizes = self.typical[self.open]
+        squares, axes = np.linalg.eigh(self.matrix / np.outer(sizes, sizes))
+        some = (squares > _CURVED**2) & (squares < _UNKNOWN**2)
+        along = np.zeros((int(some.sum()), 2, len(self.typical)))
+        along[..., self.open] = axes.T[some, None]
+        size = np.sqrt(squares[some])[:, None, None] * [[1.0], [-1.0]]
+        points = bounded.values + size * along * self.typical
+        inside = ((points >= bounded.lower) & (points <= bounded.upper)).all(-1)
+        return points[inside], along[inside]
+
+    def nonquadratic(self, axes: Floats, delta_chi2: Floats) -> dict[str, bool]:
+        """Parameters and combinations along which chi squared does not rise by about one at one
+        standard error, and whether it is so misleading there that nothing may be determined.
+
+        An axis concerns an estimate if it contributes a quarter or more of its variance. A large
+        departure is misleading for the parameters that dominate the axis, and for estimates whose
+        standard error is not small.
+
+        Parameters
+        ----------
+        axes : from `one_sigma_points`; `delta_chi2` is the rise of chi squared at these points.
+        """
+        off = ~(np.abs(delta_chi2 - 1) < _QUADRATIC)
+        if not off.any():
+            return {}
+        rise = np.maximum(np.nan_to_num(delta_chi2[off], nan=np.inf), 1e-300)
+        axes, sizes = axes[off][:, self.open], self.typical[self.open]
+        factor, longest = np.maximum(rise, 1 / rise), np.abs(axes).max(1)
+        named = {}
+        for name, row in self.identifiability.determined().items():
+            error = np.sqrt(row @ self.identifiability.covariance @ row)
+            concerned = np.abs(axes @ (row * sizes)) > 0.5 * error
+            if concerned.any():
+                dominant = (np.abs(axes @ row)[concerned] > 0.3 * longest[concerned]).any()
+                large = error > _SMALL * sizes[row != 0].max()
+                most = factor[concerned].max()
+                named[name] = bool(most > _MISLEADING and (dominant or large))
+        return named
+
 
 def satterthwaite(parts: Floats, dof: Floats) -> list[float | None]:
     """Degrees of freedom of sums of estimated variances, along the rows of `parts` (Satterthwaite
@@ -250,69 +297,3 @@ def robust_jacobians(problems: Problem, solutions: Solution, residual: Floats, l
         r = -residual[place] * weight
         jacobians[place] *= np.sqrt(precision(r[weight > 0], loss)) / root_slope(r, loss)[:, None]
     return jacobians
-
-
-class OneSigmaPoints(NamedTuple):
-    """Points one standard error from the optimum along the principal axes of the covariances."""
-
-    owner: NDArray[np.intp]
-    """index of the throw, shape (points,)"""
-    point: Floats
-    """shape (points, parameters)"""
-    axis: Floats
-    """in typical sizes, of the same shape; 0 for parameters that are not open"""
-
-
-def one_sigma_points(
-    found: Sequence[Covariance], values: Floats, lower: Floats, upper: Floats, typical: Floats
-) -> OneSigmaPoints:
-    """The points within bounds on axes whose standard error is neither tiny nor meaningless.
-
-    Parameters
-    ----------
-    values, lower, upper : of each throw, in the problems' coordinates. typical : of all.
-    """
-    parts = []
-    for owner, one in enumerate(found):
-        # Covariance of the open parameters alone: those at a bound stay there.
-        squares, axes = np.linalg.eigh(one.matrix / np.outer(typical[one.open], typical[one.open]))
-        some = (squares > _CURVED**2) & (squares < _UNKNOWN**2)
-        along = np.zeros((int(some.sum()), 2, len(typical)))
-        along[..., one.open] = axes.T[some, None]
-        size = np.sqrt(squares[some])[:, None, None] * [[1.0], [-1.0]]
-        points = values[owner] + size * along * typical
-        inside = ((points >= lower[owner]) & (points <= upper[owner])).all(-1)
-        which = np.full(int(inside.sum()), owner)
-        parts.append(OneSigmaPoints(which, points[inside], along[inside]))
-    return OneSigmaPoints(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
-
-
-def nonquadratic_estimates(
-    found: Sequence[Covariance], around: OneSigmaPoints, delta_chi2: Floats, typical: Floats
-) -> list[dict[str, bool]]:
-    """Parameters and combinations along which chi squared does not rise by about one at one
-    standard error, and whether it is so misleading there that nothing may be determined.
-
-    An axis concerns an estimate if it contributes a quarter or more of its variance. A large
-    departure is misleading for the parameters that dominate the axis, and for estimates whose
-    standard error is not small.
-    """
-    off = ~(np.abs(delta_chi2 - 1) < _QUADRATIC)
-    rise = np.maximum(np.nan_to_num(delta_chi2, nan=np.inf), 1e-300)
-    factor = np.maximum(rise, 1 / rise)
-    named: list[dict[str, bool]] = [{} for _ in found]
-    for owner in np.unique(around.owner[off]):
-        mine = off & (around.owner == owner)
-        known, sizes = found[owner].identifiability, typical[found[owner].open]
-        axes = around.axis[mine][:, found[owner].open]
-        longest = np.abs(axes).max(1)
-        for name, row in known.determined().items():
-            error = np.sqrt(row @ known.covariance @ row)
-            concerned = np.abs(axes @ (row * sizes)) > 0.5 * error
-            if not concerned.any():
-                continue
-            most = float(factor[mine][concerned].max())
-            dominant = (np.abs(axes @ row)[concerned] > 0.3 * longest[concerned]).any()
-            large = error > _SMALL * sizes[row != 0].max()
-            named[owner][name] = bool(most > _MISLEADING and (dominant or large))
-    return named

@@ -15,8 +15,6 @@ from curlfit.inference.fit.covariance import (
     CONVERGED,
     Covariance,
     Sigmas,
-    nonquadratic_estimates,
-    one_sigma_points,
     robust_jacobians,
     with_others,
 )
@@ -158,19 +156,27 @@ class _Many(NamedTuple):
     def nonquadratic(
         self, found: Sequence[Covariance], reduction: Reduction | None, batch: int
     ) -> list[dict[str, bool]]:
-        """See `nonquadratic_estimates`; the others of a throw are quadratic."""
-        around = one_sigma_points(found, *self.bounded, self.typical)
-        owner, best = around.owner, self.solutions.values[around.owner]
+        """See `Covariance.nonquadratic`; the others of a throw are quadratic."""
+        around = [
+            one.one_sigma_points(Bounded(*(part[row] for part in self.bounded)))
+            for row, one in enumerate(found)
+        ]
+        points = np.concatenate([one for one, _ in around])
+        owner = np.repeat(np.arange(len(found)), [len(one) for one, _ in around])
+        best = self.solutions.values[owner]
         problems = jax.tree.map(itemgetter(owner), self.problems)
-        delta = chi_squared_of_many(self.model, around.point, problems, batch)
+        delta = chi_squared_of_many(self.model, points, problems, batch)
         delta = delta - self.solutions.chi_squared[owner]
         if self.penalty is not None:
             there = Penalty(*(part[owner] for part in self.penalty))
-            delta += there.chi_squared(around.point) - there.chi_squared(best)
+            delta += there.chi_squared(points) - there.chi_squared(best)
         rows = self.others if reduction is None else reduction.others
         if rows is not None:
-            delta += chi_squared_change(rows[owner], around.point - best)
-        return nonquadratic_estimates(found, around, delta, self.typical)
+            delta += chi_squared_change(rows[owner], points - best)
+        return [
+            one.nonquadratic(axes, delta[owner == row])
+            for row, (one, (_, axes)) in enumerate(zip(found, around, strict=True))
+        ]
 
     def systematics(
         self,
