@@ -91,7 +91,7 @@ def build_problem(
     origin: Origin,
     sigma: dict[str, float],
     loss: str = "linear",
-    environment: Environment | None = None,
+    swept: Sequence[float] | None = None,
     shape: tuple[int, int] | None = None,
 ) -> Problem:
     """The throw relative to an origin, padded.
@@ -99,7 +99,7 @@ def build_problem(
     Parameters
     ----------
     sigma : of the channels for which the throw gives none.
-    environment : the assumed one, see `environment_of`; level ice and still air if None.
+    swept : times at which sweeping began and ended, see `environment_of`; None without.
     shape : of the data, channels and rows; the smallest possible if None.
     """
     n = len(throw)
@@ -123,7 +123,7 @@ def build_problem(
         observed=observed,
         weight=weight,
         stone=Stone(*map(np.asarray, vars(stone).values())),  # type: ignore[arg-type]
-        environment=environment or LEVEL_AND_STILL,
+        environment=environment_of(swept, origin.t),
         loss=np.asarray(LOSSES.index(loss)),
         events=events,
     )

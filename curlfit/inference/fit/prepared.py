@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from curlfit.environment import Environment
 from curlfit.friction import find_law
 from curlfit.inference.conditions import WEAK_CONDITIONS
 from curlfit.inference.fit.result import FitResult
@@ -21,7 +20,7 @@ from curlfit.inference.noise.models import WHITE, Noise, time_of_motion
 from curlfit.inference.noise.whitening import Whitener
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty, penalty_of
-from curlfit.inference.problem import Origin, Problem, build_problem, environment_of
+from curlfit.inference.problem import Origin, Problem, build_problem
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import stacked
 from curlfit.settings.choices import Modelling
@@ -70,11 +69,6 @@ class PreparedThrow(NamedTuple):
             throw, stone, chosen.rows, chosen.swept, parameters, Origin.of(throw), findings,
             (*read_with, *chosen.words()),
         )  # fmt: skip
-
-    @property
-    def environment(self) -> Environment:
-        """What is assumed about the environment, in the problem's coordinates."""
-        return environment_of(self.swept, self.origin.t)
 
     @property
     def assumed_spin(self) -> float:
@@ -144,9 +138,7 @@ def problem_of(fit: FitResult) -> tuple[Problem, Origin]:
     """The problem that a fit solved, with its noise and loss, and its origin."""
     throw = fit.throw
     origin = Origin.of(throw)
-    problem = build_problem(
-        throw, fit.stone, origin, fit.sigma, fit.loss, environment_of(fit.data["swept"], origin.t)
-    )
+    problem = build_problem(throw, fit.stone, origin, fit.sigma, fit.loss, fit.data["swept"])
     data = linearized_fit(fit).first(len(problem.weight)) if fit.noise.sizes else None
     whitener = Whitener.of(fit.noise, problem.times, problem.weight, len(fit.values), data)
     return problem._replace(whitener=whitener), origin

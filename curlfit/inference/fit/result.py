@@ -180,9 +180,8 @@ class FitResult(NamedEstimates):
             ("posterior", self.posterior.ess if self.posterior else ()),
         ):  # fmt: skip
             require(place, set(names) <= parameters, "names of parameters")
-        require_rows("observed", self.observed, rows)
-        require_rows("fitted", self.fitted, rows)
-        require_rows("discrepancy", self.discrepancy, rows)
+        for place in ("observed", "fitted", "discrepancy"):
+            require_rows(place, getattr(self, place), rows)
         for name, shifts in self.systematics.shifts.items():
             known = shifts.keys() <= self.systematics.widths.keys()
             require("systematics", known, f"{name}: names of conditions")
@@ -319,11 +318,7 @@ class FitResult(NamedEstimates):
     def residuals(self) -> dict[str, Floats]:
         """Measured - fitted by measured channel (SI, rad), NaN where there is no value; at the
         times `observed["t"]`."""
-        return {
-            name: self.observed[name] - self.fitted[name]
-            for name in self.rms
-            if name in self.fitted
-        }
+        return {name: self.observed[name] - self.fitted[name] for name in self.rms if self.fitted}
 
     @property
     def predicted(self) -> dict[str, Floats]:

@@ -77,13 +77,10 @@ class Rounds:
         def built(cut: Sequence[Throw], shape: tuple[int, int] | None) -> Problem:
             return stacked(
                 [
-                    build_problem(
-                        throw, one.stone, one.origin, sigma, environment=one.environment,
-                        shape=shape,
-                    )
+                    build_problem(throw, one.stone, one.origin, sigma, swept=one.swept, shape=shape)
                     for throw, one, sigma in zip(cut, throws, even, strict=True)
                 ]
-            )  # fmt: skip
+            )
 
         self.initial_problems = self.problems = built([one.throw for one in throws], shape)
         if noise != "white":
