@@ -212,9 +212,7 @@ def log_posterior(
 @compiled("model")
 def _chi_squared(model: Model, values: Array, problems: Problem) -> Array:
     found = jax.vmap(partial(_whitened_residuals, model))(values, problems)
-    robust = (problems.loss > 0).any()
-    found = jax.lax.cond(robust, jax.vmap(signed_root), lambda r, _: r, found, problems.loss)
-    return (found**2).sum((1, 2))
+    return (jax.vmap(signed_root)(found, problems.loss) ** 2).sum((1, 2))
 
 
 def chi_squared_of_many(

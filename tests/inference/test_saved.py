@@ -53,15 +53,6 @@ def read_only_folder():
         yield
 
 
-def claims(folder):
-    """`reproduce` without its work, of which the first file cannot be written."""
-    with pytest.MonkeyPatch.context() as patch:
-        found = type("Found", (), {"claims": ()})
-        patch.setattr("curlfit.paper.reproduce.reproduce", lambda *_: found)
-        patch.setattr("curlfit.paper.claim.page", lambda found, format: "claims")
-        run("reproduce", "--out", folder)
-
-
 def run(*words):
     found = invoke(words)
     if found.exception is not None:
@@ -78,8 +69,6 @@ WRITERS = {
     "fit.json": lambda file, saved: saved[0].save(file),
     "chain.h5": lambda file, saved: saved[1].save(file),
     "a.png": lambda file, _: drawn(file),
-    "a.svg": lambda file, _: drawn(file),
-    "claims.json": lambda file, _: claims(file.parent),
     "a.csv": lambda file, _: run("simulate", "--until", 1, "--out", file),
     "eq12.csv": lambda file, _: paper.write_jensen_shegelski(file),
 }
@@ -99,7 +88,7 @@ def test_what_cannot_be_written_is_said_and_what_was_there_stays(
     assert file.read_text() == before
     assert [*tmp_path.iterdir()] == [file]
     WRITERS[name](file, eq12_posterior)
-    assert file.stat().st_size > 100 or name == "claims.json"
+    assert file.stat().st_size > 100
     assert file.read_bytes() != before.encode()
 
 
@@ -161,7 +150,7 @@ def record_of(result, folder, change):
     return folder / "record.json"
 
 
-def test_records_that_have_more_than_this_version_knows(eq12_posterior, compared, tmp_path):
+def test_records_that_have_more_than_this_version_knows(eq12_posterior, tmp_path):
     def later(record):
         record["new"] = 1
         for item in record["parameters"].values():
@@ -175,11 +164,6 @@ def test_records_that_have_more_than_this_version_knows(eq12_posterior, compared
     assert same.to_json() == fit.to_json()
     again = load_fit(record_of(fit, tmp_path, later))
     assert (again.parameters, again.posterior) == (fit.parameters, fit.posterior)
-
-    def later_still(record):
-        record["candidates"][0]["new"] = record["stone"]["new"] = 1
-
-    assert load_comparison(record_of(compared, tmp_path, later_still)).best == compared.best
 
 
 @pytest.mark.parametrize(
@@ -214,6 +198,7 @@ def test_what_cannot_be_read_is_refused(eq12_fit, compared, tmp_path, change, sa
         ("observed.x", [1.0, 2.0], "observed: expected series of 201 values"),
         ("covariance.matrix", [[1.0]], "covariance: expected a square matrix"),
         ("combinations", [{"expression": "a"}], "combinations.0: no 'weights' in it"),
+        ("noise.initial_state", [[1.0]], "noise: expected a covariance"),
         ("null_directions", 3, None),
     ],
 )

@@ -78,27 +78,6 @@ def test_a_stone_that_another_one_touches_is_found(at, size, flag, limits):
     assert not any("changes abruptly" in text for text in again.warnings)
 
 
-@pytest.fixture(scope="module")
-def mixed(swept):
-    """A swept throw, which states when, and one that was not swept."""
-    return [swept.with_defaults(swept=[T0 + time for time in SWEPT]), thrown(1, factor=1.0)]
-
-
-@pytest.mark.slow
-def test_swept_and_unswept_throws_are_fitted_jointly(mixed, fitted):
-    joint = curlfit.fit_together(mixed)
-    assert joint.converged
-    one, other = joint.throws
-    assert one.data["swept"] == (T0 + SWEPT[0], T0 + SWEPT[1])
-    assert other.data["swept"] is None
-    for item in (one.parameters["sweep"], other.parameters["sweep"]):  # a condition is shared
-        assert abs(item.value - 0.85) < 3 * item.stderr < 0.01
-    assert one.parameters["sweep"].stderr < fitted.parameters["sweep"].stderr
-    assert all(one.rms[name] < 1.1 * size for name, size in (("x", 0.005), ("phi", 0.01)))
-    # The throw that was not swept is as in a joint fit without sweeping.
-    np.testing.assert_allclose(other.rms["y"], curlfit.fit(mixed[1]).rms["y"], rtol=0.01)
-
-
 @pytest.mark.parametrize(
     ("choices", "fault"),
     [

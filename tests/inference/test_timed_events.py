@@ -13,7 +13,6 @@ import curlfit
 from curlfit import LAWS, InitialState, Stone, simulate
 from curlfit.errors import InputError
 from curlfit.inference.fit.systematics import residual_changes
-from curlfit.inference.joint.fit import fit_together
 from curlfit.inference.likelihood import linearize, predict_channels, predict_many
 from curlfit.inference.model import Model
 from curlfit.inference.problem import Origin, build_problem
@@ -62,14 +61,6 @@ def record(**values):
     """Events of a record from the near hog line."""
     known = {event.name: event for event in EVENTS}
     return tuple(replace(known[name], value=value) for name, value in values.items())
-
-
-def drawn(mu, rest, curl, random):
-    """Three numbers of a draw shot with their noise."""
-    length, heading = np.hypot(rest - HOG, curl), np.arctan2(curl, rest - HOG)
-    exact = motion(mu, heading, np.sqrt(2 * mu * G * length))
-    return {name: exact[name] + SIGMA[name] * random.standard_normal()
-            for name in ("hog_to_hog", "rest", "curl")}  # fmt: skip
 
 
 def residual_of(values, *parameters):
@@ -189,26 +180,6 @@ def test_three_numbers_determine_one_friction_coefficient(tmp_path):
     again = curlfit.load_fit(tmp_path)
     assert (again.events, again.throw.events) == (result.events, result.throw.events)
     assert again.throw.assumed["y0"] == HOG
-
-
-@pytest.mark.slow
-def test_draws_that_differ_are_fitted_together_and_stay_usable():
-    """Chi squared of each has a slope at the joint optimum, which is no fault of the search."""
-    random = np.random.default_rng(7)
-    frictions, sides = (0.0080, 0.0090) * 4, (1.2, -1.2) * 4
-    evening = [
-        Throw.from_events(record(**drawn(mu, TEE, side, random)))
-        for mu, side in zip(frictions, sides, strict=True)
-    ]
-    result = fit_together(evening, "coulomb", share="all")
-    assert [item.significant for item in result.variation] == [True]
-    assert {one.converged for one in result.throws} == {True}
-    assert {one.status for one in result.throws} == {result.status}
-    # two numbers along the sheet fit any law, if not one friction
-    assert any("the fit deviates from" in text for text in result.warnings)
-    assert not any("--law power" in text for text in result.warnings)
-    # the curl of an event is one number and the heading takes it up: it says nothing of a slope
-    assert not any("slope_x" in text for text in result.warnings)
 
 
 @pytest.mark.parametrize("loss", ["linear", pytest.param("student", marks=pytest.mark.slow)])
