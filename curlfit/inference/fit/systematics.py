@@ -123,15 +123,14 @@ def residual_changes(
 
     none = np.zeros(len(names))
     changes = slopes(measured, none, _STEP, value=paths[:, :channels]) if names else none
-    found = {}
+    residual = (paths[:, :channels] - problems.observed) * problems.weight
+    by_loss, found = root_slope(residual, LOSSES[problems.loss.max()]), {}
     for name, change in zip(names, np.moveaxis(changes, -1, 0), strict=True):
         change = change * problems.weight
         if problems.whitener is not None:
             pairs = zip(change, unstacked(problems.whitener), strict=True)
             change = np.array([whitened(*pair) for pair in pairs])
-        residual = (paths[:, :channels] - problems.observed) * problems.weight
-        change = change * root_slope(residual, LOSSES[problems.loss.max()])
-        found[name] = change
+        found[name] = change * by_loss
     return found
 
 
