@@ -150,20 +150,24 @@ class Regression(NamedTuple):
         spent = jnp.linalg.slogdet(self.precision)[1] / 2
         if not len(sizes):
             return -spent - self.left[-1, -1] / 2
-        lower, white, _ = posterior(self, sizes)
+        lower, white, _ = self.posterior(sizes)
         return -spent - jnp.log(jnp.diag(lower)).sum() - (self.left[-1, -1] - white @ white) / 2
+
+    def posterior(self, sizes: Any) -> tuple[Array, Array, Array]:
+        """Of z, where the amplitudes are F z: the Cholesky factor L of its precision, L^T times its
+        mean, and F."""
+        found: tuple[Array, Array, Array] = _posterior(self, sizes)
+        return found
 
     def mean(self, sizes: Any) -> Floats:
         """Mean of the amplitudes given the residuals, for NumPy."""
-        lower, white, root = map(np.asarray, posterior(self, sizes))
+        lower, white, root = map(np.asarray, self.posterior(sizes))
         found: Floats = root @ np.linalg.solve(lower.T, white)
         return found
 
 
 @compiled()
-def posterior(regression: Regression, sizes: Array) -> tuple[Array, Array, Array]:
-    """Of z, where the amplitudes are F z: the Cholesky factor L of its precision, L^T times its
-    mean, and F."""
+def _posterior(regression: Regression, sizes: Array) -> tuple[Array, Array, Array]:
     root = amplitude_root(sizes, regression.held)
     sums = root.T @ regression.left[:-1, :-1] @ root
     floor = 1 + _ROUNDING * jnp.trace(sums)  # sums of tiny noise have rounding errors above 1

@@ -20,7 +20,7 @@ from jax import Array
 
 from curlfit.inference.noise.accelerations import COMPONENTS, SIZES, log_prior
 from curlfit.inference.noise.kalman import KalmanFilter
-from curlfit.inference.noise.linearized import Linearized, Regression, posterior
+from curlfit.inference.noise.linearized import Linearized, Regression
 from curlfit.inference.noise.models import Noise, is_rough
 from curlfit.inference.noise.whitening import STATE
 from curlfit.numerics.arrays import Booleans, Floats
@@ -232,7 +232,7 @@ class _Search:
         found = Estimate(noise, scale, regression, np.asarray(_of_sizes(regression, GRID)))
         rms = np.sqrt(found.weights @ GRID**2)
         noise.sizes.update(zip(COMPONENTS, map(float, rms), strict=True))
-        lower, white, root = map(np.asarray, posterior(regression, rms))
+        lower, white, root = map(np.asarray, regression.posterior(rms))
         spread = np.linalg.inv(lower.T)
         shift = data.from_standard[-STATE:] @ np.asarray(data.coupling) @ root
         noise.initial_state.extend(
