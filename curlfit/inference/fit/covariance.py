@@ -289,8 +289,6 @@ def robust_jacobians(problems: Problem, solutions: Solution, residual: Floats, l
     The covariance of an M-estimator is that of least squares divided by `precision` (Huber 1981).
     `residual` is measured - fitted.
     """
-    if loss == "linear":
-        return solutions.jacobian
     jacobians: Floats = solutions.jacobian.copy()
     for place in np.ndindex(jacobians.shape[:2]):
         weight = problems.weight[place]
