@@ -104,17 +104,13 @@ class ParameterSet:
         for item in coefficients:
             if item.optional and item.name not in named:
                 fixed[item.name] = item.default
-        conditions = [
-            item for item in CONDITIONS if item.name in named or (swept and item.name == "sweep")
-        ]
-        parameters = tuple(
-            _limited(item, bounds or {}, known, fixed)
-            for item in (
-                *(item.unbounded() if unbounded else item for item in coefficients),
-                *conditions,
-                *START,
-            )
+        named = (*named, "sweep") if swept else named
+        items = (
+            *(item.unbounded() if unbounded else item for item in coefficients),
+            *(item for item in CONDITIONS if item.name in named),
+            *START,
         )
+        parameters = tuple(_limited(item, bounds or {}, known, fixed) for item in items)
         if len(fixed) == len(parameters):
             raise InputError("every parameter is fixed; nothing is left to fit")
         return cls(parameters, fixed, known)

@@ -237,9 +237,7 @@ def _record(
         systematics=systematics,
         chi_squared=float(fit.solution.chi_squared),
         prior_chi_squared=float(fit.solution.penalty),
-        combinations=tuple(
-            item for item in found.combinations if item.expression not in misleading
-        ),
+        combinations=tuple(one for one in found.combinations if one.expression not in misleading),
         rank=known.rank,
         singular_values=tuple(map(float, known.singular_values)),
         null_directions=known.null_directions,
@@ -258,9 +256,8 @@ def _record(
             for event, off in zip(throw.events, residual[-1], strict=False)
         ),
     )
-    return replace(
-        result, warnings=warnings_of(fit, result, residual, unusual, rival, nonquadratic)
-    )
+    warnings = warnings_of(fit, result, residual, unusual, rival, nonquadratic)
+    return replace(result, warnings=warnings)
 
 
 def _by_channel(fit: LeastSquaresFit, residual: Floats) -> dict[str, tuple[Floats, Floats]]:
