@@ -25,11 +25,6 @@ from .friction import (
     find_law as find_law,
 )
 from .html_report.page import write_report as write_report
-from .inference.figures import (
-    corner_figure as corner_figure,
-    fit_figure as fit_figure,
-    joint_figure as joint_figure,
-)
 from .inference.fit.fit import fit as fit
 from .inference.fit.result import (
     FitResult as FitResult,
@@ -37,11 +32,9 @@ from .inference.fit.result import (
     load_fit as load_fit,
 )
 from .inference.joint.fit import fit_together as fit_together
-from .inference.joint.report import print_joint as print_joint
 from .inference.joint.result import JointResult as JointResult, load_joint as load_joint
 from .inference.mcmc.chain import Chain as Chain, load_chain as load_chain
 from .inference.mcmc.sampler import sample as sample
-from .inference.report import print_fit as print_fit
 from .optimal_design.design import design as design
 from .optimal_design.figures import design_figures as design_figures
 from .optimal_design.report import print_design as print_design
@@ -61,6 +54,10 @@ from .profile_likelihood.result import (
     Profile as Profile,
     load_profile as load_profile,
 )
+from .reports.corner import corner_figure as corner_figure
+from .reports.figures import fit_figure as fit_figure, joint_figure as joint_figure
+from .reports.fit import print_fit as print_fit
+from .reports.joint import print_joint as print_joint
 from .stone import Stone as Stone
 from .throws.load import load_throw as load_throw, load_throws as load_throws
 from .throws.synthetic import law_with as law_with, synthetic_throw as synthetic_throw

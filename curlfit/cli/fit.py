@@ -170,7 +170,7 @@ def fit(
         written.append(chain_file)
         drawn.replace(folder, ["corner"], partial(corner_of, result, chain))
 
-    from curlfit.inference.report import print_fit
+    from curlfit.reports.fit import print_fit
 
     print_fit(result, console)
     done = output.written(folder, written + drawn.written(), console)

@@ -76,7 +76,8 @@ class Additions:
 
 
 def _of_joint(page: Additions, joint: JointResult) -> None:
-    from curlfit.inference.report import extent, quantities_line
+    from curlfit.reports.estimates import quantities_line
+    from curlfit.reports.fit import extent
 
     throws, count = joint.throws, len(joint.throws)
     if not throws:

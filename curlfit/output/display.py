@@ -26,9 +26,9 @@ class Kind(NamedTuple):
 
 
 KINDS = {
-    "fit": Kind("inference.report", "fit"),
+    "fit": Kind("reports.fit", "fit"),
     "compare": Kind("comparison.report", "comparison"),
-    "joint": Kind("inference.joint.report", "joint"),
+    "joint": Kind("reports.joint", "joint"),
     "predict": Kind("prediction.report", "prediction"),
     "profile": Kind("profile_likelihood.report", "profile"),
     "design": Kind(

@@ -24,7 +24,7 @@ from curlfit.inference.noise.losses import (
     signed_root,
 )
 from curlfit.inference.noise.models import LOSSES
-from curlfit.inference.report import outliers
+from curlfit.reports.fit import outliers
 
 R = np.concatenate([-np.logspace(3, -9, 60), [0.0], np.logspace(-9, 3, 60)])
 

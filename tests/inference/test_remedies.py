@@ -10,7 +10,7 @@ from conftest import TIMES as T, filmed
 import curlfit
 from curlfit.inference.fit.advice import NOISE
 from curlfit.inference.fit.result import load_fit
-from curlfit.inference.report import identifiability
+from curlfit.reports.determined import identifiability
 
 TIMES = T[:151]
 

@@ -15,8 +15,8 @@ from curlfit.inference.fit.covariance import Covariance
 from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.fit.residuals import outlier_warning
 from curlfit.inference.likelihood import SIGMA_FLOOR
-from curlfit.inference.report import identifiability
 from curlfit.profile_likelihood.result import levels_of
+from curlfit.reports.determined import identifiability
 
 TRUE = {"mu1_xi": 0.005, "mu2_xi": 0.05}
 START = {"x0": 0.0, "y0": 0.0, "heading": 0.02, "v0": 2.1, "phi0": 0.0, "omega0": 1.3}

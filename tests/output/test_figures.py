@@ -10,12 +10,13 @@ from matplotlib.text import Text
 import curlfit
 from curlfit.comparison.figures import comparison_figure
 from curlfit.comparison.result import Candidate, Comparison
-from curlfit.inference.figures import corner_figure, fit_figure, joint_figure
 from curlfit.inference.joint.result import JointResult, Variation
 from curlfit.inference.mcmc.chain import Chain
 from curlfit.options.figures import FigureFiles, write_figures
 from curlfit.output.figures import PALETTE, Picture, measured_slopes
 from curlfit.output.ticks import neat_axis, unit_for
+from curlfit.reports.corner import corner_figure
+from curlfit.reports.figures import fit_figure, joint_figure
 
 
 def agg(figure):

@@ -8,18 +8,6 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.text import Text
 
-from curlfit.inference.report import (
-    caution,
-    derived_table,
-    estimate_cells,
-    file_of,
-    lines_of,
-    settings_of,
-    status_line,
-    style_of,
-    systematics,
-    with_derived,
-)
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Section, command_line, show
 from curlfit.output.text import (
@@ -33,6 +21,16 @@ from curlfit.output.text import (
     p_text,
     two_digits,
 )
+from curlfit.reports.estimates import (
+    caution,
+    derived_table,
+    estimate_cells,
+    lines_of,
+    status_line,
+    style_of,
+    systematics,
+)
+from curlfit.reports.fit import file_of, settings_of, with_derived
 from curlfit.throws.throw import UNITS
 
 if TYPE_CHECKING:

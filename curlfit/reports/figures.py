@@ -9,15 +9,12 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from curlfit import sheet
-from curlfit.inference.corner_figure import corner_figure
 from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.inference.joint.result import JointResult, Variation
 from curlfit.numerics.arrays import Floats
 from curlfit.output import figures as draw
 from curlfit.output.ticks import neat_axis, unit_for
 from curlfit.throws.events import Event
-
-__all__ = ["corner_figure", "fit_figure", "joint_figure"]
 
 _IN_A_ROW = 3  # panels of residuals, at most
 _PANEL, _GAP = 3.32 / 3.15, 0.68  # heights of a panel and of what is below it, inches

@@ -3,54 +3,51 @@
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.text import Text
 
-from curlfit.inference.conditions import CALIBRATION, if_off
-from curlfit.inference.derived import Derived, scaled, to_its_side
 from curlfit.inference.parameters import START
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Said, Section, command_line, show
 from curlfit.output.text import (
     capital,
-    compact,
     decimals,
     format_estimate,
     from_to,
     join_words,
-    judged,
-    labelled,
     lower,
     rows_text,
     stone_text,
     two_digits,
 )
-from curlfit.sheet import FOOT
+from curlfit.reports.determined import identifiability
+from curlfit.reports.estimates import (
+    caution,
+    derived_table,
+    draw_text,
+    estimate_cells,
+    lines_of,
+    quantities_line,
+    quantities_table,
+    reported,
+    status_line,
+    style_of,
+    systematics,
+)
 from curlfit.stone import UNITS as STONE_UNITS
 from curlfit.throws.throw import UNITS
 
 if TYPE_CHECKING:
-    from curlfit.inference.fit.result import Estimate, FitResult, Posterior, Systematics
-    from curlfit.inference.identifiability import Combination
+    from curlfit.inference.fit.result import FitResult, Posterior
 
-_NOTABLE = 0.1  # systematic shift that is reported, over the standard error
 _MOST_NAMED = 6  # outliers that the report lists
 _UNFINISHED = (
     "Sampling is unfinished; repeat the `curlfit fit` command with --resume to continue it."
 )
-_PLURAL = {
-    "its standard error is": "their standard errors are", "its standard error": "their standard "
-    "errors", "its typical size": "their typical size",
-}  # fmt: skip
-_WORDS = {
-    "x": "x", "y": "y", "phi": "the angle", "speed": "the speed", "omega": "the spin",
-}  # fmt: skip
 _SEEN = ("determined", "prior", "fixed")
 
 
@@ -138,66 +135,10 @@ def posterior_document(posterior: Posterior) -> Document:
     )
 
 
-def status_line(result: Any) -> Said:
-    """Whether a fit, of one throw or several, converged, as a line."""
-    return Said(capital(result.status), style=style_of(result))
-
-
-def caution(result: Any) -> Said:
-    """What the warnings of a fit that may be used are about, in a line."""
-    if not result.converged:
-        return Said("")
-    of_throws = dict.fromkeys(
-        one for throw in getattr(result, "throws", ()) for one in throw.warnings
-    )
-    own = [one for one in result.warnings if not one.endswith(tuple(of_throws))]
-    about = dict.fromkeys(re.split(r" \(|[;:,] ", one)[0] for one in (*own, *of_throws))
-    return Said(f"Caution: {'; '.join(about)}." if about else "No warnings.")
-
-
-def style_of(result: Any) -> str:
-    """The style of the status of a fit."""
-    return "green" if result.converged else "bold red"
-
-
-def lines_of(result: Any) -> list[str]:
-    """Coefficients and determined combinations in a line, and what is not identifiable."""
-    unseen = [
-        name for name, item in result.coefficients.items() if item.verdict == "not identifiable"
-    ]
-    known = [
-        f"{name} = {compact(item.value, item.stderr)}"
-        + ("" if item.verdict == "determined" else f" ({item.verdict})")
-        for name, item in result.coefficients.items()
-        if name not in unseen
-    ]
-    known += [f"{one.expression} = {compact(one.value, one.stderr)}" for one in result.combinations]
-    return [", ".join(known), f"not identifiable: {', '.join(unseen)}" if unseen else ""]
-
-
 def extent(fit: FitResult) -> str:
     """Number of data, and the time that they span."""
     events = f"{len(fit.events)} events at lines and at rest" * bool(fit.events)
     return "; ".join(filter(None, (rows_text(fit.data), events)))
-
-
-def estimate_cells(
-    name: str, item: Estimate | Combination, systematics: Systematics, head: str = "parameter"
-) -> dict[str, Any]:
-    """Cells of a row of a table of estimates."""
-    verdict, error = getattr(item, "verdict", "determined"), systematics.errors.get(name)
-    cells = _cells(head, name, item, getattr(item, "unit", ""), error)
-    return cells | {"verdict": judged(verdict)}
-
-
-def _cells(head: str, name: str, item: Any, unit: str, error: float | None) -> dict[str, Any]:
-    """An estimate with its standard and systematic errors."""
-    hidden = getattr(item, "verdict", "") == "not identifiable"
-    value, stderr = ("-", "-") if hidden else format_estimate(item.value, item.stderr)
-    return {
-        head: labelled(name, unit), ">estimate": value, ">std. error": stderr,
-        ">systematic": None if error is None else f"{error:.2g}",
-    }  # fmt: skip
 
 
 def _estimates(fit: FitResult) -> PlainTable:
@@ -260,12 +201,6 @@ def _beside_reference(fit: FitResult) -> PlainTable | None:
     return PlainTable(rows, caption, note=Text(text))
 
 
-def reported(result: Any) -> dict[str, tuple[float, float | None]]:
-    """Value and standard error of coefficients and determined combinations."""
-    found = {name: (item.value, item.stderr) for name, item in result.coefficients.items()}
-    return found | {item.expression: (item.value, item.stderr) for item in result.combinations}
-
-
 def _changes(constants: dict[str, float], now: dict[str, Any]) -> str:
     return ", ".join(
         f"{name} {value - now[name]:+g} {STONE_UNITS[name]}" for name, value in constants.items()
@@ -307,47 +242,6 @@ def _student(fit: FitResult) -> PlainTable | None:
     if fit.posterior is not None:
         text += " The posterior holds sigma fixed; its intervals are correspondingly too narrow."
     return PlainTable(rows, "Intervals at 95 %", note=Text(text))
-
-
-def systematics(result: Any) -> str:
-    """The largest systematic error of each coefficient or combination, and that due to the
-    calibration of a camera, in sentences."""
-    found, named = result.systematics, dict[str, list[str]]()
-    for name, (_, stderr) in reported(result).items():
-        shifts = {
-            condition: shift
-            for condition, shift in found.shifts.get(name, {}).items()
-            if not condition.startswith(CALIBRATION)
-        }
-        condition = max(shifts, key=lambda one: abs(shifts[one]), default="")
-        size = abs(shifts.get(condition, 0.0))
-        if stderr is None or size < _NOTABLE * stderr:
-            continue
-        verb = "higher" if shifts[condition] > 0 else "lower"
-        named.setdefault(condition, []).append(f"{name} is {size:.2g} {verb}")
-    text = ""
-    if named:
-        sentences = [
-            f"{if_off(condition, found.widths[condition])}, the true {join_words(parts)}"
-            for condition, parts in named.items()
-        ]
-        text = (
-            "Systematic errors come from conditions that the fit holds fixed; the largest: "
-            + "; ".join(sentences)
-            + ". `--systematic` sets the standard uncertainties of the conditions; `--prior` or "
-            "`--free` estimates them with the coefficients. "
-        )
-    calibration = [
-        f"{found.of_calibration.get(name, 0.0):.2g} to {name}"
-        for name, (_, stderr) in reported(result).items()
-        if stderr and found.of_calibration.get(name, 0.0) >= _NOTABLE * stderr
-    ]
-    if calibration:
-        text += (
-            f"The calibration of the camera contributes {join_words(calibration)}, according to "
-            "the residual of its known points."
-        )
-    return text.strip()
 
 
 def _quality(fit: FitResult) -> PlainTable:
@@ -404,74 +298,6 @@ def _memory(fit: FitResult, channel: str) -> str:
     return ", ".join(parts) or "independent"
 
 
-def identifiability(fit: FitResult) -> str:
-    """What the path determines and what it does not, in sentences."""
-    free = [name for name, item in fit.parameters.items() if item.verdict != "fixed"]
-    by_prior = [name for name, item in fit.parameters.items() if item.verdict == "prior"]
-    held = [name for name in free if name not in fit.covariance["names"]]
-    given = any(item.prior for item in fit.parameters.values())
-    what = "The path" if fit.rms else _counted(len(fit.events))
-    singular = bool(fit.rms) or len(fit.events) == 1
-    what += " and the priors determine" if given else " determine" + "s" * singular
-    if not fit.rms and fit.rank == len(free) and len(fit.coefficients) == 1:
-        return (
-            f"{what} one coefficient of friction and the initial state ({', '.join(free[1:])}): a "
-            f"mean friction, as in the {fit.law} law. Use `--law` to fit another law."
-        )
-    text = f"{what} {fit.rank} of {len(free) - len(held)} parameters"
-    text += f" ({', '.join(held)} at a bound not counted)." if held else "."
-    unseen = [name for name in free if fit.parameters[name].verdict == "not identifiable"]
-    if unseen:
-        text += (
-            f" {join_words(unseen)} {'are' if len(unseen) > 1 else 'is'} not identifiable: "
-            "the path stays the same when "
-            + "; or when ".join(_change(item) for item in fit.null_directions)
-            + "."
-        )
-        text += _instead(fit, unseen)
-    if by_prior:
-        text += (
-            f" {join_words(by_prior)} {'rest' if len(by_prior) > 1 else 'rests'} on the priors: "
-            "the path alone does not determine " + ("them." if len(by_prior) > 1 else "it.")
-        )
-    weak = [name for name in free if fit.parameters[name].verdict == "weak"]
-    for reason in dict.fromkeys(fit.parameters[name].reason for name in weak):
-        alike = [name for name in weak if fit.parameters[name].reason == reason]
-        text += f" {join_words(alike)} {'are' if len(alike) > 1 else 'is'} weakly determined"
-        if len(alike) > 1:
-            for one, several in _PLURAL.items():
-                reason = reason.replace(one, several)
-        text += f": {reason}." if reason else "."
-    if weak and not unseen:
-        text += _instead(fit, weak)
-    return text + "".join(f" {_remedy(fit, item)}" for item in fit.remedies)
-
-
-def _counted(number: int) -> str:
-    words = ("No", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight")
-    return f"{words[number]} measured value{'s' * (number != 1)}"
-
-
-def _remedy(fit: FitResult, remedy: dict[str, Any]) -> str:
-    """Measurements that would determine some parameters, as a sentence."""
-    names, channels = remedy["parameters"], [_WORDS[name] for name in remedy["measure"]]
-    if channels:
-        also = join_words(channels) if remedy["all"] else join_words(channels, "or")
-        return f"Measuring {also} as well would determine {join_words(names)}."
-    text = f"No further measurement along this path would determine {join_words(names)}"
-    own = [name for name in names if name in fit.coefficients]
-    if fit.data["law_file"] or len(own) != 2:
-        return text + "."
-    return text + f"; `curlfit design --separate {own[0]},{own[1]}` searches for throws that would."
-
-
-def _instead(fit: FitResult, names: list[str]) -> str:
-    """The combinations of some parameters that are determined, as a sentence."""
-    what = [item.expression for item in fit.combinations if set(item.weights) & set(names)]
-    verb = "are" if len(what) > 1 else "is"
-    return f" Only {join_words(what)} {verb} determined." if what else ""
-
-
 def outliers(fit: FitResult) -> str:
     """The values far from the fit, by channel and time, the farthest first."""
     if not fit.outliers:
@@ -486,19 +312,6 @@ def outliers(fit: FitResult) -> str:
     more = len(fit.outliers) - len(named)
     text = f"Outliers: {'; '.join(named)}"
     return text + (f"; and {more} more (all in fit.json)." if more else ".")
-
-
-def _change(direction: dict[str, float]) -> str:
-    """A null direction as a change that leaves the path the same."""
-    parts = []
-    for name, weight in direction.items():
-        verb = "grows" if weight > 0 else "falls"
-        size = abs(weight)
-        by = "" if size == max(map(abs, direction.values())) else f" {size:.3g} times as much"
-        parts.append(f"{name} {verb}{by}")
-    if len(parts) == 2 and " times " not in "".join(parts):
-        return f"{parts[0]} and {parts[1]} by the same amount"
-    return join_words(parts)
 
 
 def _posterior(fit: FitResult) -> Text | None:
@@ -576,58 +389,3 @@ def with_derived(flags: Sequence[str], result: Any) -> list[str]:
 def file_of(fit: FitResult) -> str:
     """The file of a throw, from a name that may include a row of the file."""
     return str(fit.data["file"]).partition(" row ")[0]
-
-
-def derived_table(items: Sequence[Derived]) -> PlainTable:
-    """Derived quantities with their errors."""
-    return PlainTable(
-        (_derived_row("derived", item) | {"verdict": judged(item.verdict)} | _quantiles(item)
-         for item in items),
-        "Derived quantities",
-    )  # fmt: skip
-
-
-def quantities_table(quantities: Mapping[str, Derived], *, discrepancy: bool) -> PlainTable:
-    """Quantities of the fitted path within the record, or of that of the law without the model
-    discrepancy."""
-    path = "path of the law" if discrepancy else "fitted path"
-    rows = []
-    for name, item in quantities.items():
-        item = to_its_side(item)
-        rows.append(item)
-        if name == "curl":
-            rows.append(scaled(replace(item, unit="ft"), 1 / FOOT))
-    return PlainTable(
-        (_derived_row(f"along the {path}", item) | _quantiles(item) for item in rows),
-        f"Along the {path}" + ", without the discrepancy" * discrepancy,
-    )
-
-
-def draw_text(quantities: Mapping[str, Derived]) -> str:
-    """Time and curl of a draw, as curlers state them."""
-    if not {"draw_time", "curl"} <= quantities.keys():
-        return ""
-    time, curl = quantities["draw_time"].value, abs(quantities["curl"].value) / FOOT
-    return f"{time:.1f} s / {curl:.1f} ft: time of the draw from the near hog line, and its curl."
-
-
-def quantities_line(quantities: Mapping[str, Derived]) -> str:
-    """The main quantities of the path in one line."""
-    parts = []
-    for name in ("friction", "curl", "turns", "hog_to_hog"):
-        if name not in quantities:
-            continue
-        item = quantities[name]
-        one = to_its_side(item)
-        unit = "" if item.unit in ("", "1") else f" {item.unit}"
-        parts.append(f"{one.meaning.partition(',')[0]} {compact(one.value, one.stderr)}{unit}")
-    return ", ".join(parts)
-
-
-def _derived_row(head: str, item: Derived) -> dict[str, Any]:
-    return _cells(head, item.meaning or item.expression, item, item.unit, item.systematic)
-
-
-def _quantiles(item: Derived) -> dict[str, str]:
-    found = item.quantiles
-    return {"68 % of posterior": from_to(found["16"], found["84"]) if found else ""}
