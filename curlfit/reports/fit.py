@@ -24,6 +24,7 @@ from curlfit.output.text import (
     stone_text,
     two_digits,
 )
+from curlfit.reports import posterior
 from curlfit.reports.determined import identifiability
 from curlfit.reports.estimates import (
     caution,
@@ -42,7 +43,7 @@ from curlfit.stone import UNITS as STONE_UNITS
 from curlfit.throws.throw import UNITS
 
 if TYPE_CHECKING:
-    from curlfit.inference.fit.result import FitResult, Posterior
+    from curlfit.inference.fit.result import FitResult
 
 _MOST_NAMED = 6  # outliers that the report lists
 _UNFINISHED = (
@@ -111,27 +112,6 @@ def document(fit: FitResult) -> Document:
         settings=settings_of(fit),
         command=command_of(fit),
         names=fit.parameters,
-    )
-
-
-def posterior_document(posterior: Posterior) -> Document:
-    """What a posterior says."""
-    spans = {">68 %": ("16", "84"), ">95 %": ("2.5", "97.5")}
-    table = PlainTable(
-        {"quantity": name}
-        | {
-            head: from_to(found[low], found[high], (found["84"] - found["16"]) / 3)
-            for head, (low, high) in spans.items()
-        }
-        for name, found in posterior.quantiles.items()
-    )
-    said = _sampled(posterior)
-    return Document(
-        finding=posterior.status,
-        style=_style(posterior),
-        subject=f"{len(posterior.ess)} parameters",
-        lines=[said],
-        sections=[Section("quantiles", "Quantiles", (table, said))],
     )
 
 
@@ -319,24 +299,8 @@ def _posterior(fit: FitResult) -> Text | None:
     found = fit.posterior
     if found is None:
         return None
-    return Text.assemble("Posterior: ", (found.status, _style(found)), f"; {_sampled(found)}")
-
-
-def _style(found: Posterior) -> str:
-    return "green" if found.converged else "bold yellow"
-
-
-def _sampled(found: Posterior) -> str:
-    sizes = []
-    for part, ess in (("bulk", found.ess), ("tail", found.ess_tail)):
-        if ess:  # records of earlier versions have none of the tails
-            least = min(ess, key=ess.__getitem__)
-            sizes.append(f"{ess[least]:.0f} in the {part} ({least})")
-    worst = max(found.r_hat, key=found.r_hat.__getitem__)
-    return (
-        f"{found.samples} samples ({found.ensembles} ensembles, {found.walkers} walkers, "
-        f"{found.steps} steps), effective sample size at least {' and '.join(sizes)}, "
-        f"R-hat at most {found.r_hat[worst]:.4f} ({worst}), acceptance {found.acceptance:.0%}."
+    return Text.assemble(
+        "Posterior: ", (found.status, posterior.style(found)), f"; {posterior.sampled(found)}"
     )
 
 
@@ -363,10 +327,10 @@ def settings_of(fit: FitResult) -> dict[str, str]:
             f"{name} {value:g}" for name, value in fit.systematics.settings.items() if value
         ),
     }  # fmt: skip
-    if (posterior := fit.posterior) is not None:
+    if (sampled := fit.posterior) is not None:
         found["Posterior"] = (
-            f"{posterior.samples} samples, {posterior.walkers} walkers, {posterior.steps} steps, "
-            f"seed {posterior.seed}"
+            f"{sampled.samples} samples, {sampled.walkers} walkers, {sampled.steps} steps, "
+            f"seed {sampled.seed}"
         )
     return found
 

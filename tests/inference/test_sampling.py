@@ -57,14 +57,12 @@ def test_chains_are_stored_for_curlfit_and_for_emcee(eq12_posterior, tmp_path):
     again = load_chain(tmp_path / "chain.h5")
     np.testing.assert_array_equal(again.values, chain.values)
     assert again.names == chain.names
-    for number, kept in enumerate(chain.kept):
-        backend = emcee.backends.HDFBackend(tmp_path / "chain.h5", name=f"ensemble-{number}")
-        found = backend.get_chain(discard=chain.discarded)
-        np.testing.assert_array_equal(found, kept.swapaxes(0, 1))
-        log = chain.log_posterior.reshape(len(chain.values), chain.ensembles, -1)[:, number]
-        np.testing.assert_array_equal(backend.get_log_prob(), log)
-        last = backend.get_last_sample()
-        np.testing.assert_array_equal(last.random_state[1], chain.random_state[1])
+    backend = emcee.backends.HDFBackend(tmp_path / "chain.h5")
+    np.testing.assert_array_equal(backend.get_chain(), chain.values)
+    np.testing.assert_array_equal(backend.get_log_prob(), chain.log_posterior)
+    np.testing.assert_array_equal(backend.accepted, chain.accepted)
+    last = backend.get_last_sample()
+    np.testing.assert_array_equal(last.random_state[1], chain.random_state[1])
     (tmp_path / "other.h5").write_text("no")
     with pytest.raises(curlfit.DataError, match=r"not a chain\.h5"):
         load_chain(tmp_path / "other.h5")

@@ -149,7 +149,7 @@ class Posterior(Displayed):
     status: str
 
     def _document(self) -> Document:
-        found: Document = import_module("curlfit.reports.fit").posterior_document(self)
+        found: Document = import_module("curlfit.reports.posterior").of_posterior(self)
         return found
 
 

@@ -75,14 +75,12 @@ class _Run:
         self.seed, self.subject = seed, subject_of(fit, seed)
         parameters = self._parameters = fit.parameter_set
         self._values, self._model, self.free = fit.values, fit.model, parameters.free
-        self._problem, origin = problem_of(fit)
+        problem, origin = problem_of(fit)
         self._offset = origin.offset(len(parameters))
         local = parameters.shifted(-self._offset)
-        self._posterior = local.lower, local.upper, self._problem, local.penalty
+        self._posterior = local.lower, local.upper, problem, local.penalty
         self._proposal = posterior_proposal(fit)
         self._walkers = _walkers(parameters)
-        self._interrupted = False
-        self._first: Any = None
         self._steps: list[Any] = []
         self._next_write = -np.inf
         self.choose_moves(mostly_ridge=True)
@@ -93,13 +91,12 @@ class _Run:
         ridge = MHMove(self._proposal.propose)
         others = SideBySide(StretchMove()), SideBySide(DEMove(sigma=_JITTER))
         shares = _MOSTLY_RIDGE if mostly_ridge else _MOSTLY_ENSEMBLE
+        moves = list(zip((ridge, *others), shares, strict=True))
         self._sampler = emcee.EnsembleSampler(
-            self._walkers,
-            int(self.free.sum()),
-            self._log_prob,
-            vectorize=True,
-            moves=list(zip((ridge, *others), shares, strict=True)),
+            self._walkers, int(self.free.sum()), self._log_prob, vectorize=True, moves=moves
         )
+        # Without emcee's wrapper, which prints a message of its own at Ctrl-C.
+        self._sampler.log_prob_fn = self._log_prob
 
     @property
     def steps(self) -> int:
@@ -119,27 +116,25 @@ class _Run:
     def begin(self) -> None:
         """Find initial positions of the walkers, unless a chain is resumed."""
         if self._steps:
+            self._last = self._steps[-1]
             return
         random = np.random.RandomState(self.seed)  # emcee accepts no other
         ends = self._parameters.lower[self.free], self._parameters.upper[self.free]
         coords = first_walkers(self._proposal, self._log_prob, self._walkers, *ends, random)
         log_prob, state = self._log_prob(coords), random.get_state()
-        self._first = emcee.State(coords, log_prob=log_prob, random_state=state)
-        self._raise_if_interrupted()
+        self._last = emcee.State(coords, log_prob=log_prob, random_state=state)
 
     def start_over(self) -> None:
         """Discard the steps so far as burn-in, and rely on the ensemble moves."""
-        self._first = self._steps[-1]
         self._steps = []
         self.choose_moves(mostly_ridge=False)
 
     def step(self) -> None:
         """Do one step of all walkers."""
-        last = self._steps[-1] if self._steps else self._first
-        state = self._sampler.run_mcmc(last, 1, store=False, skip_initial_state_check=True)
-        self._raise_if_interrupted()
-        self._steps.append(state)  # atomic: an interrupt leaves a valid chain
-        last.random_state = None  # only the last is needed
+        state = self._sampler.run_mcmc(self._last, 1, store=False, skip_initial_state_check=True)
+        self._steps.append(state)  # first, so that an interrupt leaves a valid chain
+        self._last.random_state = None  # only the last is needed
+        self._last = state
 
     def chain(self) -> Chain:
         """The chain of the steps so far."""
@@ -148,7 +143,6 @@ class _Run:
             names=self._parameters.names,
             values=values,
             log_posterior=np.stack([state.log_prob for state in self._steps]),
-            accepted=np.any(np.diff(values, axis=0) != 0, axis=2).sum(0),
             discarded=steps_to_discard(len(values)),
             ensembles=ENSEMBLES,
             seed=self.seed,
@@ -162,7 +156,7 @@ class _Run:
         now = monotonic()
         if file is None or now < self._next_write:
             return
-        self.chain().save(file, compressed=False)
+        self.chain().save(file)
         after = monotonic()
         self._next_write = after + max(_EVERY, _SHARE * (after - now))
 
@@ -176,17 +170,8 @@ class _Run:
 
     def _log_prob(self, free_values: Floats) -> Floats:
         values = self._whole(free_values) - self._offset
-        try:
-            # Half of the walkers at a time, as ensemble moves need them.
-            return np.asarray(in_batches(self._log_posterior, (values,), self._walkers // 2))
-        except KeyboardInterrupt:
-            # emcee would print its own error message; this step is discarded.
-            self._interrupted = True
-            return np.full(len(values), -np.inf)
-
-    def _raise_if_interrupted(self) -> None:
-        if self._interrupted:
-            raise KeyboardInterrupt
+        # Half of the walkers at a time, as ensemble moves need them.
+        return np.asarray(in_batches(self._log_posterior, (values,), self._walkers // 2))
 
 
 def sample(
