@@ -76,16 +76,13 @@ class Additions:
 
 
 def _of_joint(page: Additions, joint: JointResult) -> None:
-    from curlfit.reports.estimates import quantities_line
-    from curlfit.reports.fit import extent
+    from curlfit.reports.fit import extent, quantities_line
 
     throws, count = joint.throws, len(joint.throws)
     if not throws:
         return
     measured = {
-        Path(one.data["file"]).name: "; ".join(
-            filter(None, (extent(one), quantities_line(one.quantities)))
-        )
+        Path(one.data["file"]).name: "; ".join(filter(None, (extent(one), quantities_line(one))))
         for one in throws
     }
     page.add("coefficients", rows("The throws", measured))

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.text import Text
 
+from curlfit.inference.derived import scaled, to_its_side
 from curlfit.inference.parameters import START
 from curlfit.output.console import PlainTable
-from curlfit.output.document import Document, Said, Section, command_line, show
+from curlfit.output.document import Document, Section, command_line, show
 from curlfit.output.text import (
     capital,
+    compact,
     decimals,
     format_estimate,
-    from_to,
     join_words,
     lower,
     rows_text,
@@ -27,19 +29,16 @@ from curlfit.output.text import (
 from curlfit.reports import posterior
 from curlfit.reports.determined import identifiability
 from curlfit.reports.estimates import (
-    caution,
+    about,
     derived_table,
-    draw_text,
-    estimate_cells,
     lines_of,
-    quantities_line,
-    quantities_table,
     reported,
-    status_line,
+    row_of,
     style_of,
     systematics,
 )
-from curlfit.stone import UNITS as STONE_UNITS
+from curlfit.sheet import FOOT
+from curlfit.stone import UNITS as UNIT
 from curlfit.throws.throw import UNITS
 
 if TYPE_CHECKING:
@@ -49,6 +48,7 @@ _MOST_NAMED = 6  # outliers that the report lists
 _UNFINISHED = (
     "Sampling is unfinished; repeat the `curlfit fit` command with --resume to continue it."
 )
+_FEW = 30.0  # degrees of freedom from which Student's t is Gaussian to within 4 %
 _SEEN = ("determined", "prior", "fixed")
 
 
@@ -70,16 +70,13 @@ def document(fit: FitResult) -> Document:
     noise = "" if fit.noise.kind == "white" else f", {fit.noise.kind} noise"
     hidden = any(item.verdict not in _SEEN for item in fit.parameters.values())
     unfinished = Text(_UNFINISHED * (fit.sampling == "unfinished"), style="bold yellow")
+    numbers, line = lines_of(fit), quantities_line(fit)
     sections = (
         Section(
             "coefficients", "Coefficients",
-            (_estimates(fit), _student(fit), derived_table(fit.derived)),
+            (_estimates(fit), _few_values(fit), derived_table(fit.derived)),
         ),
-        Section(
-            "path", "The path",
-            (quantities_table(fit.quantities, discrepancy=bool(fit.noise.sizes)),
-             draw_text(fit.quantities)),
-        ),
+        Section("path", "The path", (_quantities(fit), _draw(fit))),
         Section(
             "quality", "Systematic errors and residuals",
             (systematics(fit), _beside_reference(fit), _quality(fit), _events(fit)),
@@ -100,11 +97,9 @@ def document(fit: FitResult) -> Document:
         ),
         about=(
             f"{extent(fit)}; stone {stone_text(fit.stone)}",
-            status_line(fit),
-            Said(capital(quantities_line(fit.quantities)) or lines_of(fit)[0]),
-            caution(fit),
+            *about(fit, fit.warnings, line or numbers[0]),
         ),
-        lines=[*lines_of(fit), quantities_line(fit.quantities)],
+        lines=[*numbers, line],
         sections=sections,
         warnings=fit.warnings,
         notes=data["notes"],
@@ -122,106 +117,116 @@ def extent(fit: FitResult) -> str:
 
 
 def _estimates(fit: FitResult) -> PlainTable:
-    reference, rows = fit.reference, []
-    combinations = [(one.expression, one, one.weights) for one in fit.combinations]
-    items: list[tuple[str, Any, dict[str, float]]] = []
+    """The combinations stand between coefficients and initial state."""
+    sampled = fit.posterior.quantiles if fit.posterior else {}
+    items: dict[str, Any] = {}
     for name, item in fit.parameters.items():
-        items += combinations * (name == START[0].name)
-        items.append((name, item, {name: 1.0}))
-    for name, item, weights in items:
-        row = estimate_cells(name, item, fit.systematics)
-        found = fit.posterior and fit.posterior.quantiles.get(name)
-        row["68 % of posterior"] = from_to(found["16"], found["84"]) if found else ""
-        if reference is not None:
-            known = reference.of(name, weights)
-            row[f">{reference.source}"] = "" if known is None else f"{known:g}"
+        if name == START[0].name:
+            items |= {one.expression: one for one in fit.combinations}
+        items[name] = item
+    rows = []
+    for name, item in items.items():
+        row = row_of("parameter", name, item, fit.systematics.errors.get(name), sampled.get(name))
+        if fit.reference is not None:
+            known = fit.reference.of(name, getattr(item, "weights", {name: 1.0}))
+            row[f">{fit.reference.source}"] = "" if known is None else f"{known:g}"
         rows.append(row)
     return PlainTable(rows, "Estimates with standard errors")
 
 
+def _few_values(fit: FitResult) -> str:
+    """How far intervals of 95 % extend where sigma was estimated from few values."""
+    items = (*fit.coefficients.values(), *fit.combinations)
+    degrees = min((one.dof for one in items if one.stderr and one.dof), default=math.inf)
+    if degrees >= _FEW:
+        return ""
+    from scipy.special import stdtrit
+
+    text = (
+        "Sigma is estimated from few values: an interval of 95 % (Student's t) extends up to "
+        f"{stdtrit(degrees, 0.975):.2f} standard errors to each side, with {degrees:.0f} degrees "
+        "of freedom."
+    )
+    if fit.posterior is not None:
+        text += " The posterior holds sigma fixed; its intervals are correspondingly too narrow."
+    return text
+
+
+def _quantities(fit: FitResult) -> PlainTable:
+    """Quantities of the fitted path within the record, or of that of the law without the model
+    discrepancy."""
+    discrepancy, rows = bool(fit.noise.sizes), []
+    along = f"along the {'path of the law' if discrepancy else 'fitted path'}"
+    for name, item in fit.quantities.items():
+        item = to_its_side(item)
+        units = [item, scaled(replace(item, unit="ft"), 1 / FOOT)][: 1 + (name == "curl")]
+        rows += [
+            row_of(along, one.meaning, one, one.systematic, one.quantiles) | {"verdict": ""}
+            for one in units
+        ]
+    return PlainTable(rows, capital(along) + ", without the discrepancy" * discrepancy)
+
+
+def _draw(fit: FitResult) -> str:
+    """Time and curl of a draw, as curlers state them."""
+    known = fit.quantities
+    if not {"draw_time", "curl"} <= known.keys():
+        return ""
+    time, curl = known["draw_time"].value, abs(known["curl"].value) / FOOT
+    return f"{time:.1f} s / {curl:.1f} ft: time of the draw from the near hog line, and its curl."
+
+
+def quantities_line(fit: FitResult) -> str:
+    """The main quantities of the path in one line."""
+    parts = []
+    for name in ("friction", "curl", "turns", "hog_to_hog"):
+        if item := fit.quantities.get(name):
+            one = to_its_side(item)
+            unit = "" if item.unit in ("", "1") else f" {item.unit}"
+            parts.append(f"{one.meaning.partition(',')[0]} {compact(one.value, one.stderr)}{unit}")
+    return ", ".join(parts)
+
+
 def _beside_reference(fit: FitResult) -> PlainTable | None:
     """How the estimates vary with the stone's constants if those of a reference are rounded."""
-    reference, fits = fit.reference, fit.reference_fits
+    reference, fits, now = fit.reference, fit.reference_fits, fit.stone.as_dict()
     if reference is None or not fits:
         return None
-    now, rows = fit.stone.as_dict(), []
-    agree, there = True, []
     places = max(map(_places, reference.values.values()))
+    first, agree = fits[0], True
+    constants = ", ".join(f"{k} = {value:g} {UNIT[k]}" for k, value in first["stone"].items())
+    there, rows = [], []
     for name, (value, stderr) in reported(fit).items():
         known = reference.values.get(name)
-        if known is None or any(name not in item["values"] for item in fits):
+        if known is None or any(name not in one["values"] for one in fits):
             continue
-        again = fits[0]["values"][name]
-        shifts = [item["values"][name] - value for item in fits]
-        agree &= abs(again - known) <= 0.5 * 10.0 ** -_places(known) + sum(map(abs, shifts[1:]))
+        again, row = first["values"][name], {"refitted parameter": name}
+        row[">std. error"] = format_estimate(value, stderr)[1]
+        shifts = [one["values"][name] - value for one in fits]
+        for one, shift in zip(fits, shifts, strict=True):
+            by = ", ".join(f"{k} {new - now[k]:+g} {UNIT[k]}" for k, new in one["stone"].items())
+            row[f">shift, {by}"] = f"{round(shift, places + 1) + 0.0:+.{places + 1}f}"
         there.append(f"{again:.{places}f}")
-        shifted = {
-            f">shift, {_changes(item['stone'], now)}":
-                f"{round(shift, places + 1) + 0.0:+.{places + 1}f}"
-            for item, shift in zip(fits, shifts, strict=True)
-        }  # fmt: skip
-        rows.append(
-            {"refitted parameter": name, ">std. error": format_estimate(value, stderr)[1]}
-            | shifted
-            | {f">with {_constants(fits[0]['stone'])}": there[-1],
-               f">{reference.source}": f"{known:g}"}
-        )  # fmt: skip
+        rows.append(row | {f">with {constants}": there[-1], f">{reference.source}": f"{known:g}"})
+        agree &= abs(again - known) <= 0.5 * 10.0 ** -_places(known) + sum(map(abs, shifts[1:]))
     if not rows:
         return None
-    flags = ",".join(f"{name}={value:g}" for name, value in fits[0]["stone"].items())
-    verdict = (
-        f"which agree with {reference.source} within the rounding of its digits and of the stone's "
-        "constants"
-        if agree
-        else f"which do not all agree with {reference.source}"
-    )
+    flags = ",".join(f"{name}={value:g}" for name, value in first["stone"].items())
+    verdict = f"which do not all agree with {reference.source}"
+    if agree:
+        verdict = (
+            f"which agree with {reference.source} within the rounding of its digits and of the "
+            "stone's constants"
+        )
     text = f"{reference.source}: {reference.note}. " if reference.note else ""
     text += f"`--stone {flags}` gives {join_words(there)}, {verdict}."
     caption = "Shift of the estimates with the constants of the stone"
     return PlainTable(rows, caption, note=Text(text))
 
 
-def _changes(constants: dict[str, float], now: dict[str, Any]) -> str:
-    return ", ".join(
-        f"{name} {value - now[name]:+g} {STONE_UNITS[name]}" for name, value in constants.items()
-    )
-
-
-def _constants(constants: dict[str, float]) -> str:
-    return ", ".join(f"{name} = {value:g} {STONE_UNITS[name]}" for name, value in constants.items())
-
-
 def _places(value: float) -> int:
     """Decimal places of a printed number."""
     return len(f"{value:g}".partition(".")[2])
-
-
-_FEW = 30.0  # degrees of freedom from which Student's t is Gaussian to within 4 %
-
-
-def _student(fit: FitResult) -> PlainTable | None:
-    """95 % intervals where sigma was estimated from few values."""
-    items = {name: item for name, item in fit.coefficients.items() if item.stderr is not None}
-    both: dict[str, Any] = items | {item.expression: item for item in fit.combinations}
-    if min((item.dof or math.inf for item in both.values()), default=math.inf) >= _FEW:
-        return None
-    rows = []
-    for name, item in both.items():
-        interval = item.interval()
-        if interval is None:
-            continue
-        digits = decimals(item.stderr or 0.0)
-        low, high = (f"{end:.{digits}f}" for end in interval)
-        rows.append(
-            {
-                "": name, "95 % interval (Student's t)": f"{low} .. {high}",
-                ">degrees of freedom": "-" if item.dof is None else f"{item.dof:.0f}",
-            }
-        )  # fmt: skip
-    text = "Sigma is estimated from few values, so that 95 % intervals exceed 1.96 standard errors."
-    if fit.posterior is not None:
-        text += " The posterior holds sigma fixed; its intervals are correspondingly too narrow."
-    return PlainTable(rows, "Intervals at 95 %", note=Text(text))
 
 
 def _quality(fit: FitResult) -> PlainTable:
@@ -230,12 +235,12 @@ def _quality(fit: FitResult) -> PlainTable:
         row = {
             "channel": name, ">rms": f"{rms:.3g}", "unit": UNITS[name],
             "noise assumed": _sigma(fit, name), "": fit.data["sigma"][name],
-            "lag-1 correlation": _two(fit.lag1.get(name)),
+            "lag-1 correlation": f"{fit.lag1[name]:.2f}" if name in fit.lag1 else "",
         }  # fmt: skip
         if fit.noise.kind != "white":
             after = fit.independence.get(name)
             row["noise model"] = _memory(fit, name)
-            row["lag-1 after whitening"] = _two(None if after is None else after.lag1)
+            row["lag-1 after whitening"] = f"{after.lag1:.2f}" if after else ""
         rows.append(row)
     return PlainTable(rows, "Residuals by channel")
 
@@ -247,6 +252,15 @@ def _sigma(fit: FitResult, name: str) -> str:
     by_row = fit.observed.get(f"sigma_{name}")
     most = "" if by_row is None else f" to {by_row.max():.3g}"
     return f"{fit.sigma[name]:.3g}{most} {UNITS[name]}"
+
+
+def _memory(fit: FitResult, channel: str) -> str:
+    """The correlation of a channel's noise, in a few words."""
+    parts = ["discrepancy"] if fit.noise.sizes else []
+    if memory := fit.noise.memory.get(channel):
+        share = fit.noise.white_share(channel)
+        parts.append(f"correlation time {memory:.2g} s, {share:.0%} independent")
+    return ", ".join(parts) or "independent"
 
 
 def _events(fit: FitResult) -> PlainTable:
@@ -265,19 +279,6 @@ def _events(fit: FitResult) -> PlainTable:
     return PlainTable(rows, "Timed events")
 
 
-def _two(value: float | None) -> str:
-    return "" if value is None else f"{value:.2f}"
-
-
-def _memory(fit: FitResult, channel: str) -> str:
-    """The correlation of a channel's noise, in a few words."""
-    parts = ["discrepancy"] if fit.noise.sizes else []
-    if memory := fit.noise.memory.get(channel):
-        share = fit.noise.white_share(channel)
-        parts.append(f"correlation time {memory:.2g} s, {share:.0%} independent")
-    return ", ".join(parts) or "independent"
-
-
 def outliers(fit: FitResult) -> str:
     """The values far from the fit, by channel and time, the farthest first."""
     if not fit.outliers:
@@ -290,14 +291,12 @@ def outliers(fit: FitResult) -> str:
             f"{UNITS[item['channel']]} ({two_digits(item['sigmas'])} robust sigma)"
         )
     more = len(fit.outliers) - len(named)
-    text = f"Outliers: {'; '.join(named)}"
-    return text + (f"; and {more} more (all in fit.json)." if more else ".")
+    return f"Outliers: {'; '.join(named)}{f'; and {more} more (all in fit.json)' * bool(more)}."
 
 
 def _posterior(fit: FitResult) -> Text | None:
     """How the posterior was sampled, and how well."""
-    found = fit.posterior
-    if found is None:
+    if (found := fit.posterior) is None:
         return None
     return Text.assemble(
         "Posterior: ", (found.status, posterior.style(found)), f"; {posterior.sampled(found)}"
@@ -306,32 +305,34 @@ def _posterior(fit: FitResult) -> Text | None:
 
 def settings_of(fit: FitResult) -> dict[str, str]:
     """The settings of a fit, by name."""
-    held = {name: item for name, item in fit.parameters.items() if item.verdict == "fixed"}
+    known, sampled = fit.parameters, fit.posterior
+    held = {name: item for name, item in known.items() if item.verdict == "fixed"}
+    listed = {
+        "Sigma": {name: f"{_sigma(fit, name)} ({fit.data['sigma'][name]})" for name in fit.rms},
+        "Held": {name: f"= {item.value:g}" for name, item in held.items()},
+        "Priors": {name: item.prior for name, item in known.items() if item.prior},
+        "Bounds": {
+            name: f"{item.lower:g} .. {item.upper:g}"
+            for name, item in fit.coefficients.items()
+            if name not in held
+        },
+        "Standard uncertainty of what is held": {
+            name: f"{value:g}" for name, value in fit.systematics.settings.items() if value
+        },
+    }
     found = {
         "Law, load": f"{fit.law}, {fit.load}",
         "Data": f"{fit.data['file']}, {rows_text(fit.data) or 'timed events alone'}",
         "Stone": stone_text(fit.stone),
         "Loss, noise": f"{fit.loss}, {fit.noise.kind}",
-        "Sigma": ", ".join(
-            f"{name} {_sigma(fit, name)} ({fit.data['sigma'][name]})" for name in fit.rms
-        ),
-        "Held": ", ".join(f"{name} = {item.value:g}" for name, item in held.items()),
-        "Priors": ", ".join(
-            f"{name} {item.prior}" for name, item in fit.parameters.items() if item.prior
-        ),
-        "Bounds": ", ".join(
-            f"{name} {item.lower:g} .. {item.upper:g}"
-            for name, item in fit.coefficients.items() if name not in held
-        ),
-        "Standard uncertainty of what is held": ", ".join(
-            f"{name} {value:g}" for name, value in fit.systematics.settings.items() if value
-        ),
-    }  # fmt: skip
-    if (sampled := fit.posterior) is not None:
-        found["Posterior"] = (
-            f"{sampled.samples} samples, {sampled.walkers} walkers, {sampled.steps} steps, "
-            f"seed {sampled.seed}"
-        )
+        **{
+            head: ", ".join(f"{name} {said}" for name, said in items.items())
+            for head, items in listed.items()
+        },
+    }
+    if sampled is not None:
+        size = f"{sampled.samples} samples, {sampled.walkers} walkers, {sampled.steps} steps"
+        found["Posterior"] = f"{size}, seed {sampled.seed}"
     return found
 
 

@@ -1,4 +1,4 @@
-"""Report of a data file by `curlfit check`, with small curves in Braille dots."""
+"""Report of a data file by `curlfit check`."""
 
 from __future__ import annotations
 
@@ -9,20 +9,15 @@ import numpy as np
 from rich.console import Console
 from rich.text import Text
 
-from curlfit.output.console import PlainTable, terminal
+from curlfit.output.console import PlainTable
 from curlfit.output.text import compact
-from curlfit.throws.inspection import Clock, Inspection, Rest
+from curlfit.throws.inspection import Inspection, Rest
 from curlfit.throws.throw import CHANNELS, UNITS
 
 if TYPE_CHECKING:
-    from curlfit.numerics.arrays import Floats
     from curlfit.throws.plausibility import Finding
     from curlfit.throws.readers.parsed_file import ParsedFile
     from curlfit.throws.throw import Throw
-
-
-_DOTS = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
-_CURVES = ("y", "x", "phi", "speed", "omega")  # in the order of drawing
 
 
 def print_inspection(
@@ -30,40 +25,23 @@ def print_inspection(
     throw: Throw,
     inspection: Inspection,
     settings: Mapping[str, Any],
-    console: Console | None = None,
+    console: Console,
 ) -> None:
-    """Print the columns of a file, the findings on its throw, the reader's notes and curves.
+    """Print the columns of a file, the findings on its throw, and the reader's notes.
 
     `settings` are those that a fit of the file would use.
     """
-    console = console or terminal(highlight=False)
-
-    def write(line: str) -> None:
-        console.print(line)
-
-    if throw.has_path:
-        write(
-            f"{parsed.source}: {parsed.format}, {len(throw)} rows, "
-            f"t = {throw.t[0]:.6g} .. {throw.t[-1]:.6g} s"
-        )
-        console.print(_columns(parsed))
-    else:
-        write(f"{parsed.source}: {parsed.format}, {len(throw.events)} events at lines and at rest")
-        console.print(_events(throw))
+    events = f"{len(throw.events)} events at lines and at rest"
+    rows = f"{len(throw)} rows, t = {throw.t[0]:.6g} .. {throw.t[-1]:.6g} s"
+    console.print(f"{parsed.source}: {parsed.format}, {rows if throw.has_path else events}")
+    console.print(_columns(parsed) if throw.has_path else _events(throw))
     console.print()
-    for line in facts(throw, inspection, settings):
-        write(line)
+    for name, found in facts(throw, inspection, settings):
+        console.print(f"{name:<10} {found}")
     if throw.notes:
         console.print("\nNotes")
         for note in throw.notes:
-            write(f"- {note}")
-    for channel in _CURVES:
-        values = getattr(throw, channel)
-        if np.isfinite(values).any():
-            span = f"{np.nanmin(values):.4g} .. {np.nanmax(values):.4g}"
-            write(f"\n{channel} ({UNITS[channel]}): {span}")
-            for line in () if console.options.ascii_only else braille(throw.t, values):
-                write(line)
+            console.print(f"- {note}")
 
 
 def print_findings(findings: Sequence[Finding], console: Console) -> None:
@@ -100,44 +78,37 @@ def _events(throw: Throw) -> PlainTable:
     )  # fmt: skip
 
 
-def facts(throw: Throw, inspection: Inspection, settings: Mapping[str, Any]) -> Iterator[str]:
-    """Findings on a throw before a fit, one per line."""
+def facts(
+    throw: Throw, inspection: Inspection, settings: Mapping[str, Any]
+) -> Iterator[tuple[str, str]]:
+    """Findings on a throw before a fit, each with its name."""
     if throw.has_path:
         yield from _of_rows(throw, inspection)
     if settings:
-        listed = (f"{key} = {value}" for key, value in settings.items() if value)
-        yield "settings   " + ", ".join(listed)
+        yield "settings", ", ".join(f"{key} = {value}" for key, value in settings.items() if value)
 
 
-def _of_rows(throw: Throw, inspection: Inspection) -> Iterator[str]:
-    if inspection.clock is not None:
-        yield from _clock(inspection.clock)
+def _of_rows(throw: Throw, inspection: Inspection) -> Iterator[tuple[str, str]]:
+    if (clock := inspection.clock) is not None:
+        spread = "" if clock.regular else f" ({clock.shortest:.4g} .. {clock.longest:.4g} s)"
+        rate = f"{1 / clock.median:.6g} rows per second"
+        yield "interval", f"{clock.median:.6g} s{spread}, {rate}"
+        if clock.longest_pause is not None:
+            longest = f"the longest {clock.longest_pause:.4g} s after t = {clock.pause_start:.6g} s"
+            yield "pauses", f"{clock.pauses}, {longest}"
     for name, row in (("first row", 0), ("last row", -1)):
-        values = (
-            f"{c} {getattr(throw, c)[row] + 0.0:.6g} {UNITS[c]}"
-            for c in throw.seen
-            if np.isfinite(getattr(throw, c)[row])
-        )
-        yield ", ".join([f"{name:<10} t {throw.t[row]:.6g} s", *values])
+        seen = ((channel, getattr(throw, channel)[row]) for channel in throw.seen)
+        values = [f"{c} {value + 0.0:.6g} {UNITS[c]}" for c, value in seen if np.isfinite(value)]
+        yield name, ", ".join([f"t {throw.t[row]:.6g} s", *values])
     for channel, times in inspection.jumps.items():
         first = f"{len(times)} in {channel}, the first at t = {times[0]:.6g} s"
-        yield f"jumps      {first}: steps that differ from the neighbouring ones"
+        yield "jumps", f"{first}: steps that differ from the neighbouring ones"
     if inspection.noise:
         listed = (f"{c} {noise:.2g} {UNITS[c]}" for c, noise in inspection.noise.items())
-        yield "scatter    " + ", ".join(listed) + " (from row to row)"
+        yield "scatter", ", ".join(listed) + " (from row to row)"
     if throw.sigma:
-        yield "sigma      given for " + ", ".join(c for c in CHANNELS if c in throw.sigma)
-    yield "rest       " + _rest(inspection.rest)
-
-
-def _clock(clock: Clock) -> Iterator[str]:
-    spread = "" if clock.regular else f" ({clock.shortest:.4g} .. {clock.longest:.4g} s)"
-    yield f"interval   {clock.median:.6g} s{spread}, {1 / clock.median:.6g} rows per second"
-    if clock.longest_pause is not None:
-        yield (
-            f"pauses     {clock.pauses}, the longest {clock.longest_pause:.4g} s "
-            f"after t = {clock.pause_start:.6g} s"
-        )
+        yield "sigma", "given for " + ", ".join(c for c in CHANNELS if c in throw.sigma)
+    yield "rest", _rest(inspection.rest)
 
 
 def _rest(rest: Rest) -> str:
@@ -145,30 +116,7 @@ def _rest(rest: Rest) -> str:
         return f"reached at t = {rest.time:.5g} s, within {1000 * rest.radius:.2g} mm"
     if rest.speed is None:
         return "unknown: too few positions"
-    if rest.measured and rest.speed == 0:
-        return "at the last row"
     if rest.measured:
-        return f"not reached: {rest.speed:.3g} m/s at the end"
-    speed = f"{compact(rest.speed, rest.error)} m/s at the last row"
-    if rest.speed < 2 * rest.error:
-        return f"uncertain: {speed}"
-    return f"not observed: {speed}"
-
-
-def braille(t: Floats, values: Floats, width: int = 60, height: int = 4) -> list[str]:
-    """A curve over time in Braille dots, `height` lines of `width` characters."""
-    finite = np.isfinite(values)
-    t, values = t[finite], values[finite]
-    if 8 <= len(t) < 8 * width:  # a line, with gaps where rows are missing
-        dense = np.linspace(t[0], t[-1], 8 * width)
-        pause = np.append(np.diff(t), 0.0)[np.searchsorted(t, dense, "right") - 1]
-        near = pause <= 2.5 * np.median(np.diff(t))
-        between = np.interp(dense, t, values)
-        t, values = np.append(t, dense[near]), np.append(values, between[near])
-    span, rise = max(float(np.ptp(t)), 1e-300), max(float(np.ptp(values)), 1e-300)
-    columns = np.minimum(((t - t[0]) / span * (2 * width - 1)).round().astype(int), 2 * width - 1)
-    rows = ((values.max() - values) / rise * (4 * height - 1)).round().astype(int)
-    grid = np.zeros((height, width), int)
-    for column, row in set(zip(columns.tolist(), rows.tolist(), strict=True)):
-        grid[row // 4, column // 2] |= _DOTS[column % 2][row % 4]
-    return ["".join(chr(0x2800 + int(cell)) for cell in line).rstrip("⠀") for line in grid]
+        return f"not reached: {rest.speed:.3g} m/s at the end" if rest.speed else "at the last row"
+    sure = "uncertain" if rest.speed < 2 * rest.error else "not observed"
+    return f"{sure}: {compact(rest.speed, rest.error)} m/s at the last row"

@@ -13,6 +13,7 @@ from scipy.optimize import brentq, least_squares
 import curlfit
 from curlfit import LAWS, InitialState, Stone, fit_together, simulate
 from curlfit.errors import InputError
+from curlfit.inference.joint.result import warnings_of
 from curlfit.inference.joint.variation import _variation
 from curlfit.options.settings import load_fit_and_chain
 
@@ -173,7 +174,7 @@ def test_a_warning_of_several_throws_is_one():
     warned = {"a": ("old", "all"), "b": ("old", "all"), "c": ("old", "all"), "d": ("old", "all"),
                  "e": ("all", "own")}  # fmt: skip
     throws = [SimpleNamespace(data={"file": k}, warnings=v) for k, v in warned.items()]
-    assert of_throws(throws) == ["a, b and 2 more: old", "all", "e: own"]
+    assert warnings_of(throws) == ["a, b and 2 more: old", "all", "e: own"]
 
 
 def test_on_the_command_line(three, tmp_path):

@@ -11,7 +11,7 @@ from conftest import command
 
 from curlfit import Throw
 from curlfit.throws.inspection import inspect_throw
-from curlfit.throws.report import braille, facts
+from curlfit.throws.report import facts
 from curlfit.throws.throw import scatter
 
 SLOWING, SPEED = 0.1, 2.0  # m/s^2, m/s: at rest after 20 s and 20 m
@@ -86,12 +86,12 @@ def test_rest_is_seen_where_it_lasted(power, noise, dt, after):
 
 
 def test_what_is_not_certain_is_said():
-    made, _ = ending(1, 20.5, 0.02, 0.1, 3)
-    (line,) = (line for line in facts(made, inspect_throw(made), {}) if line.startswith("rest"))
-    assert re.fullmatch(r"rest       uncertain: 0\.\d+\(\d+\) m/s at the last row", line)
-    made, _ = ending(1, 18, 0.002, 0.1, 0)
-    (line,) = (line for line in facts(made, inspect_throw(made), {}) if line.startswith("rest"))
-    assert re.fullmatch(r"rest       not observed: 0\.2\d+\(\d+\) m/s at the last row", line)
+    for (until, noise, seed), said in (
+        ((20.5, 0.02, 3), r"uncertain: 0\.\d+\(\d+\) m/s at the last row"),
+        ((18, 0.002, 0), r"not observed: 0\.2\d+\(\d+\) m/s at the last row"),
+    ):
+        made, _ = ending(1, until, noise, 0.1, seed)
+        assert re.fullmatch(said, dict(facts(made, inspect_throw(made), {}))["rest"])
 
 
 def test_pauses_and_jumps_are_counted():
@@ -105,29 +105,20 @@ def test_pauses_and_jumps_are_counted():
     assert found.clock.pause_start == pytest.approx(4.95)
     assert list(found.jumps) == ["y"]
     np.testing.assert_allclose(found.jumps["y"], [2.5, 2.55])
-    lines = list(facts(one, found, {"until": 12}))
-    assert "interval   0.05 s (0.05 .. 1.55 s), 20 rows per second" in lines
-    assert "pauses     1, the longest 1.55 s after t = 4.95 s" in lines
-    assert any(line.startswith("jumps      2 in y, the first at t = 2.5 s") for line in lines)
-    assert "settings   until = 12" in lines
+    said = dict(facts(one, found, {"until": 12}))
+    assert said["interval"] == "0.05 s (0.05 .. 1.55 s), 20 rows per second"
+    assert said["pauses"] == "1, the longest 1.55 s after t = 4.95 s"
+    assert said["jumps"].startswith("2 in y, the first at t = 2.5 s")
+    assert said["settings"] == "until = 12"
 
 
 def test_a_speed_that_was_measured_says_how_the_throw_ends():
     t = np.arange(0.0, 10.0)
     for last, words in ((0.0, "at the last row"), (0.5, "not reached: 0.5 m/s at the end")):
         one = Throw.from_arrays(t, speed=np.linspace(2.0, last, 10))
-        assert f"rest       {words}" in list(facts(one, inspect_throw(one), {}))
+        assert dict(facts(one, inspect_throw(one), {}))["rest"] == words
     spin = Throw.from_arrays(t, omega=t)
-    assert "rest       unknown: too few positions" in list(facts(spin, inspect_throw(spin), {}))
-
-
-def test_a_line_in_dots_rises_from_corner_to_corner():
-    lines = braille(np.arange(100.0), np.arange(100.0), width=10, height=2)
-    assert [len(line) for line in lines] == [10, 5]
-    dots = sum((ord(sign) - 0x2800).bit_count() for line in lines for sign in line)
-    assert dots >= 20  # each column has one at least
-    assert ord(lines[0][9]) & 0x08  # top right
-    assert ord(lines[1][0]) & 0x40  # bottom left
+    assert dict(facts(spin, inspect_throw(spin), {}))["rest"] == "unknown: too few positions"
 
 
 def test_what_no_fit_can_use_is_refused_by_check(tmp_path):

@@ -10,12 +10,9 @@ import numpy as np
 from curlfit.inference.fit.advice import curl_warnings
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.summary import IMPLAUSIBLE
-from curlfit.inference.joint.result import JointResult, Variation
+from curlfit.inference.joint.result import JointResult, Variation, warnings_of
 from curlfit.inference.least_squares import Solution
 from curlfit.numerics.arrays import Booleans
-from curlfit.output.text import join_words
-
-_NAMED = 3  # throws whose files a warning of several names
 
 
 def with_throws(
@@ -43,22 +40,9 @@ def with_throws(
     return replace(
         result,
         warnings=(
-            *_of_spins(result), *_of_equality(result), *curl_warnings(throws), *of_throws(throws)
+            *_of_spins(result), *_of_equality(result), *curl_warnings(throws), *warnings_of(throws)
         ),
     )  # fmt: skip
-
-
-def of_throws(throws: Sequence[FitResult]) -> list[str]:
-    """Warnings of single throws; of several with the same, one."""
-    files: dict[str, list[str]] = {}
-    for one in throws:
-        for warning in one.warnings:
-            files.setdefault(warning, []).append(one.data["file"])
-    found = []
-    for warning, some in files.items():
-        named = some if len(some) <= _NAMED else [*some[:2], f"{len(some) - 2} more"]
-        found.append(warning if len(some) == len(throws) else f"{join_words(named)}: {warning}")
-    return found
 
 
 def _of_spins(result: JointResult) -> list[str]:
