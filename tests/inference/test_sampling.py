@@ -86,17 +86,6 @@ def test_a_run_that_is_too_short_says_so():
     assert result.posterior.status.startswith("not converged after 20 steps")
 
 
-def test_ctrl_c_keeps_what_there_is(eq12_fit):
-    def impatient(least, steps, r_hat):
-        if steps >= 40:
-            raise KeyboardInterrupt
-
-    result, chain = sample(eq12_fit, effective=1e9, progress=impatient)
-    assert result.posterior.status.startswith("stopped by the user")
-    assert not result.posterior.converged
-    assert len(chain.values) == result.posterior.steps == 40
-
-
 def _run(move, log_prob, coords, steps, seed=0):
     sampler = emcee.EnsembleSampler(
         len(coords), coords.shape[1], log_prob, moves=move, vectorize=True

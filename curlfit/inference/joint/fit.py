@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -13,19 +13,17 @@ from curlfit.errors import InputError, UnusableFitError, require_kind
 from curlfit.foreign import quoted
 from curlfit.friction import Law, find_law, no_motion_because
 from curlfit.inference.derived import check_derived
-from curlfit.inference.fit.covariance import Covariance
 from curlfit.inference.fit.factors import Reduction
 from curlfit.inference.fit.prepared import PreparedThrow, local_bounds, penalties
 from curlfit.inference.fit.quantities import quantities_of
-from curlfit.inference.fit.result import Estimate
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.summary import LeastSquaresFit, summarize_many
 from curlfit.inference.fit.systematics import widths_of
-from curlfit.inference.identifiability import Bounded, Combination, r_factors
+from curlfit.inference.identifiability import Bounded, r_factors
 from curlfit.inference.joint.advice import with_throws
 from curlfit.inference.joint.draw import Draw
 from curlfit.inference.joint.effects import Covariates
-from curlfit.inference.joint.population import Together, pool, told_by_all
+from curlfit.inference.joint.population import Together, pool, told_by_data
 from curlfit.inference.joint.posterior import sampled
 from curlfit.inference.joint.result import JointResult, Variation
 from curlfit.inference.joint.solver import Progress, minimize_jointly
@@ -99,18 +97,12 @@ def fit_together(
     law = find_law(_common(throws, "law", "front-back") if law is None else law)
     load = _common(throws, "load", "uniform") if load is None else load
     chosen = [Fitting.of(throw.settings, **choices, law=law, load=load) for throw in throws]
-    own, linear = [item.name for item in law.coefficients()], chosen[0].loss == "linear"
-    shared = _shared(law, share or "all")
+    shared = _shared(law, share or "all", chosen[0], mean=bool(by or trend))
     covariates = Covariates.of([(throw.name, throw.labels) for throw in throws], by, trend)
-    if (by or trend) and not linear:
-        raise InputError("by, trend: groups and trends are estimated with loss linear")
-    if (by or trend) and set(shared) != set(own):
-        raise InputError("share: with groups or trends, all coefficients have a mean")
-    check_derived(chosen[0].derive, own)
     together = _together(throws, chosen, shared, covariates, progress)
     result, weights = _equal(together, chosen[0].systematics)
-    varies = bool(by or trend) or (share is None and len(throws) >= _VARYING and linear)
-    if varies and weights:
+    usual = share is None and len(throws) >= _VARYING and chosen[0].loss == "linear"
+    if weights and (by or trend or usual):
         result = _varying(together, result, weights, seed)
     each = tuple(replace(one, quantities=quantities_of(one)) for one in result.throws)
     return replace(result, throws=each).with_derived(chosen[0].derive)
@@ -128,8 +120,11 @@ def _common(throws: Sequence[Throw], name: str, default: str) -> str:
     return str(first)
 
 
-def _shared(law: type[Law], share: str | Sequence[str]) -> tuple[str, ...]:
-    """Names of the shared coefficients. Raises `InputError` for one that the law does not have."""
+def _shared(
+    law: type[Law], share: str | Sequence[str], chosen: Fitting, *, mean: bool
+) -> tuple[str, ...]:
+    """Names of the shared coefficients. Raises `InputError` for one that the law does not have, or
+    for choices that exclude a `mean` with groups or trends."""
     own = tuple(item.name for item in law.coefficients())
     shared = own if share == "all" else (share,) if isinstance(share, str) else tuple(share)
     for name in shared:
@@ -137,6 +132,11 @@ def _shared(law: type[Law], share: str | Sequence[str]) -> tuple[str, ...]:
             raise InputError(
                 f"share: law {law.name} has no coefficient {quoted(name)}; it has {', '.join(own)}"
             )
+    if mean and chosen.loss != "linear":
+        raise InputError("by, trend: groups and trends are estimated with loss linear")
+    if mean and set(shared) != set(own):
+        raise InputError("share: with groups or trends, all coefficients have a mean")
+    check_derived(chosen.derive, own)
     return shared
 
 
@@ -205,7 +205,7 @@ def _equal(
     )  # fmt: skip
     verdicts = {name: one.verdict for name, one in coefficients.items()}
     if tasks.penalty is not None:  # what varies is what the throws themselves determine
-        alone = _of_data(together, reduction, shared)
+        alone = told_by_data(together, reduction, shared)
         verdicts = {
             name: known if known == "fixed" else alone.classified(row)[1]
             for row, (name, known) in enumerate(verdicts.items())
@@ -229,8 +229,8 @@ def _equal(
         converged=False,
         status="",
         warnings=(),
-        coefficients={name: _among(item, among.get(name)) for name, item in coefficients.items()},
-        combinations=tuple(_among(item, among.get(item.expression)) for item in combinations),
+        coefficients={name: _among(item, among, name) for name, item in coefficients.items()},
+        combinations=tuple(_among(item, among, item.expression) for item in combinations),
         rank=int(first.rank + reduction.rank[1:].sum()),
         parameters=int(open_[0, common].sum() + open_[:, ~common].sum()),
         variation=variation,
@@ -244,23 +244,12 @@ def _equal(
     )  # fmt: skip
 
 
-def _of_data(together: Together, reduction: Reduction, shared: Sequence[str]) -> Covariance:
-    """What the throws say of what they share, without priors."""
-    _, tasks, solution, common, _ = together
-    rows = reduction.rows[..., np.append(common, True)].reshape(-1, len(shared) + 1)
-    ends = (part[0, common] for part in (solution.values, tasks.lower, tasks.upper))
-    return told_by_all(shared, rows, Bounded(*ends), tasks.typical[common])
-
-
-_Shared = TypeVar("_Shared", Estimate, Combination)
-
-
-def _among(item: _Shared, difference: Variation | None) -> _Shared:
-    """A shared estimate with its error as that of the mean over throws that differ in it."""
-    if difference is None:
+def _among(item: Any, differing: Mapping[str, Variation], name: str) -> Any:
+    """A shared estimate; where throws differ in it, its error is that of the mean over them."""
+    if name not in differing:
         return item
-    throws = sum(one is not None for one in difference.each)
-    return replace(item, stderr=difference.shared_stderr, dof=float(throws - 1))
+    throws = sum(one is not None for one in differing[name].each)
+    return replace(item, stderr=differing[name].shared_stderr, dof=float(throws - 1))
 
 
 def _varying(

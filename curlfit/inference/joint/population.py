@@ -114,15 +114,6 @@ class Population(NamedTuple):
         )
 
 
-def told_by_all(
-    names: Sequence[str], rows: Floats, bounded: Bounded, typical: Floats
-) -> Covariance:
-    """What rows of all throws, with the residual as the last column, say of parameters that these
-    have in common."""
-    factors = Factors.of(r_factor(rows), bounded, typical, None)
-    return _covariance(names, factors, bounded, typical)
-
-
 def _covariance(
     names: Sequence[str], factors: Factors, bounded: Bounded, typical: Floats
 ) -> Covariance:
@@ -216,6 +207,15 @@ def pool(
     ended = np.full(len(values), distance < _SETTLED)
     found = Population(fit, reference, typical, bounds, varying, of_data)
     return found, solution._replace(success=ended), others
+
+
+def told_by_data(throws: Together, reduction: Reduction, names: Sequence[str]) -> Covariance:
+    """What all throws say of what they have in common, without priors."""
+    _, tasks, solution, common, _ = throws
+    bounded = Bounded(*(part[0, common] for part in (solution.values, tasks.lower, tasks.upper)))
+    typical = tasks.typical[common]
+    rows = r_factor(reduction.rows[..., np.append(common, True)].reshape(-1, len(typical) + 1))
+    return _covariance(names, Factors.of(rows, bounded, typical, None), bounded, typical)
 
 
 def _of_throws(throws: Together) -> Penalty | None:

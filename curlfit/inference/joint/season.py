@@ -112,17 +112,16 @@ class _Quadratics(NamedTuple):
 
     def equal(self) -> tuple[Covariance, dict[str, Estimate]]:
         """What all throws say if they are equal."""
-        none, names = np.zeros((len(self.rows), 0)), [item.name for item in self.items]
-        known = self.population({}, none, none[0]).of_mean(names)
-        return known, {
-            item.name: Estimate(
-                float(value), None, known.classified(row)[1] if free else "fixed", item.unit,
-                item.symbol, item.meaning, item.lower, item.upper, item.typical,
-            )
-            for row, (item, value, free) in enumerate(
-                zip(self.items, self.reference, self.free, strict=True)
-            )
-        }  # fmt: skip
+        none = np.zeros((len(self.rows), 0))
+        known = self.population({}, none, none[0]).of_mean([item.name for item in self.items])
+        found = {}
+        for row, item in enumerate(self.items):
+            verdict = known.classified(row)[1] if self.free[row] else "fixed"
+            found[item.name] = Estimate(
+                float(self.reference[row]), None, verdict, item.unit, item.symbol, item.meaning,
+                item.lower, item.upper, item.typical,
+            )  # fmt: skip
+        return known, found
 
     def variations(self, wanted: Mapping[str, Floats], covariates: Floats) -> tuple[Variation, ...]:
         """Of what has these weights, as each throw alone gives it."""

@@ -32,12 +32,15 @@ from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import in_batches
 
+Progress = Callable[[float, int, float], None]
+
 ENSEMBLES = 4
 _MOSTLY_RIDGE = (0.8, 0.1, 0.1)  # shares: ridge, stretch, differential evolution
 _MOSTLY_ENSEMBLE = (0.2, 0.4, 0.4)  # the same where few ridge proposals are accepted
 _LEAST_ACCEPTANCE = 0.25  # of all proposals, where fewer than a fifth along the ridge are accepted
 _JITTER = 0.1  # relative standard deviation of the steps of differential evolution
 _EVERY = 2.0  # least time between two checkpoints, s
+_FEWEST = 4  # steps that can be judged
 _SHARE = 50  # of the time, in which checkpoints are written once
 
 
@@ -165,13 +168,40 @@ class _Run:
         values[..., self.free] = free_values
         return values
 
-    def _log_posterior(self, values: Floats) -> Any:
-        return log_posterior(self._model, values, *self._posterior)
-
     def _log_prob(self, free_values: Floats) -> Floats:
-        values = self._whole(free_values) - self._offset
+        def of(values: Floats) -> Any:
+            return log_posterior(self._model, values, *self._posterior)
+
         # Half of the walkers at a time, as ensemble moves need them.
-        return np.asarray(in_batches(self._log_posterior, (values,), self._walkers // 2))
+        values = self._whole(free_values) - self._offset
+        return np.asarray(in_batches(of, (values,), self._walkers // 2))
+
+    def until(
+        self, effective: float, most_steps: int, progress: Progress | None, file: Path | None
+    ) -> tuple[str, Diagnosis | None]:
+        """Sample until convergence, `most_steps` or Ctrl-C; how it ended, and the diagnosis of the
+        chain, if it is known."""
+        try:
+            self.begin()
+            while True:
+                if is_test_due(self.steps):
+                    chain = self.chain()
+                    if self.mostly_ridge and chain.acceptance < _LEAST_ACCEPTANCE:
+                        self.start_over()
+                        continue
+                    diagnosis = Diagnosis(chain.values[:, :, self.free], chain.ensembles)
+                    if progress is not None:
+                        progress(diagnosis.least_effective, self.steps, diagnosis.worst_r_hat)
+                    if diagnosis.good(effective):
+                        return "converged", diagnosis
+                    if self.steps >= most_steps:
+                        return f"not converged after {self.steps} steps", diagnosis
+                self.step()
+                self.write_if_due(file)
+        except KeyboardInterrupt:
+            if self.steps < _FEWEST:
+                raise
+            return "stopped by the user", None
 
 
 def sample(
@@ -180,7 +210,7 @@ def sample(
     seed: int = 0,
     effective: float = 4000.0,
     most_steps: int = 2_000,
-    progress: Callable[[float, int, float], None] | None = None,
+    progress: Progress | None = None,
     checkpoint: str | PathLike[str] | None = None,
     resume: bool = False,
 ) -> tuple[FitResult, Chain]:
@@ -227,30 +257,7 @@ def sample(
             raise InputError("resume: expected a checkpoint to resume from")
         if file.exists():
             run.resume(file)
-    ended, diagnosis = "stopped by the user", None
-    try:
-        run.begin()
-        while True:
-            if is_test_due(run.steps):
-                chain = run.chain()
-                if run.mostly_ridge and chain.acceptance < _LEAST_ACCEPTANCE:
-                    run.start_over()
-                    continue
-                diagnosis = Diagnosis(chain.values[:, :, run.free], chain.ensembles)
-                if progress is not None:
-                    progress(diagnosis.least_effective, run.steps, diagnosis.worst_r_hat)
-                if diagnosis.good(effective):
-                    ended = "converged"
-                    break
-                if run.steps >= most_steps:
-                    ended = f"not converged after {run.steps} steps"
-                    break
-            run.step()
-            run.write_if_due(file)
-    except KeyboardInterrupt:
-        if run.steps < 4:
-            raise
-        diagnosis = None  # of earlier steps
+    ended, diagnosis = run.until(effective, most_steps, progress, file)
     chain = run.chain()
     if file is not None:
         chain.save(file)
