@@ -29,7 +29,7 @@ def about(result: Any, warnings: Sequence[str], line: str = "") -> tuple[Said, .
     heads = dict.fromkeys(re.split(r" \(|[;:,] ", one)[0] for one in warnings)
     caution = f"Caution: {'; '.join(heads)}." if heads else "No warnings."
     status = Said(capital(result.status), style=style_of(result))
-    return status, Said(capital(line)), Said(caution * result.converged)
+    return status, Said(line), Said(caution * result.converged)
 
 
 def style_of(result: Any) -> str:

@@ -97,7 +97,7 @@ def document(fit: FitResult) -> Document:
         ),
         about=(
             f"{extent(fit)}; stone {stone_text(fit.stone)}",
-            *about(fit, fit.warnings, line or numbers[0]),
+            *about(fit, fit.warnings, capital(line) or numbers[0]),
         ),
         lines=[*numbers, line],
         sections=sections,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from functools import partial
 
 import emcee
 import numpy as np
@@ -15,7 +16,7 @@ from scipy import stats
 
 import curlfit
 from curlfit import Stone, fit, load_chain, sample
-from curlfit.inference.mcmc.ridge import RidgeProposal
+from curlfit.inference.mcmc.ridge import RidgeProposal, proposed
 from curlfit.inference.mcmc.sampler import SideBySide
 from curlfit.inference.mcmc.summary import Diagnosis, steps_to_discard
 
@@ -134,7 +135,7 @@ def test_ridge_move_leaves_its_target_as_it_is():
         return np.where((x[:, 0] > 0) & (x[:, 0] < 2), -(z**2) / 2, -np.inf)
 
     first = np.column_stack([np.linspace(0.1, 1.9, 32), 2 - np.linspace(0.1, 1.9, 32)])
-    chain = _run(MHMove(proposal.propose), log_prob, first, 3000)[100:].reshape(-1, 2)
+    chain = _run(MHMove(partial(proposed, proposal)), log_prob, first, 3000)[100:].reshape(-1, 2)
     assert stats.kstest(chain[::40, 0] / 2, "uniform").pvalue > 1e-3
     assert stats.kstest((chain[::40].sum(1) - 2) / np.sqrt(2) / 0.25, "norm").pvalue > 1e-3
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from time import monotonic
@@ -19,7 +20,7 @@ from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.inference.likelihood import log_posterior
 from curlfit.inference.mcmc.chain import Chain, load_chain, require_same, subject_of
-from curlfit.inference.mcmc.ridge import first_walkers, posterior_proposal
+from curlfit.inference.mcmc.ridge import first_walkers, posterior_proposal, proposed
 from curlfit.inference.mcmc.summary import (
     Diagnosis,
     is_test_due,
@@ -91,7 +92,7 @@ class _Run:
     def choose_moves(self, *, mostly_ridge: bool) -> None:
         """Rely on proposals along the ridge, or on the ensemble moves."""
         self.mostly_ridge = mostly_ridge
-        ridge = MHMove(self._proposal.propose)
+        ridge = MHMove(partial(proposed, self._proposal))
         others = SideBySide(StretchMove()), SideBySide(DEMove(sigma=_JITTER))
         shares = _MOSTLY_RIDGE if mostly_ridge else _MOSTLY_ENSEMBLE
         moves = list(zip((ridge, *others), shares, strict=True))
