@@ -181,7 +181,7 @@ def test_check_shows_what_was_understood(tmp_path):
     assert (run.returncode, run.stderr) == (0, "")
     for words in (
         "pixels.csv: table, 60 rows, t = 0 .. 14.75 s", "px", "interval", "0.25 s", "first row",
-        "rest", "Notes", "pixels to metres by 6 points", "phi (rad): 0.2", "Written: c.png",
+        "rest", "Notes", "pixels to metres by 6 points", "Written: c.png",
     ):  # fmt: skip
         assert words in run.stdout, words
     assert any(0x2800 < ord(sign) < 0x2900 for sign in run.stdout)
