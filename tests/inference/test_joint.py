@@ -191,14 +191,8 @@ def test_on_the_command_line(three, tmp_path):
     with pytest.raises(InputError, match=r"expected the fit of one throw, such as .*throw0"):
         load_fit_and_chain(tmp_path / "joint-fit")
     assert (tmp_path / "joint-fit" / "joint.png").stat().st_size > 20_000
-    for words, expected in (
-        (("show", "joint-fit/throw1"), "front-back law"),
-        (("show", "joint-fit"), done.stdout.partition("Written")[0]),
-        (("plot", "joint-fit", "--format", "svg"), "joint.svg"),
-    ):
-        again = command(*words, cwd=tmp_path)
-        assert again.returncode == 0, again.stderr
-        assert expected in again.stdout
+    again = command("show", "joint-fit", cwd=tmp_path)
+    assert done.stdout.partition("Written")[0] in again.stdout, again.stderr
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "throw0.csv").write_text((tmp_path / "throw1.csv").read_text())
     words = "throw0.csv", "other/throw0.csv", "throw2.csv"

@@ -220,10 +220,8 @@ def test_on_the_command_line(tmp_path):
     # aimed at the broom the way is longer by half a thousandth
     assert "Sheet 2, 13.41 s hog to hog, broom 4 ft 0 in to the left" in done.stdout, done
     for wrong, message in (
-        (("predict", "out", "--sheet", "3", "--v0", "2.2"), "expected 1 or 2"),
         (("predict", "out"), "a joint fit predicts another throw"),
         (("predict", "out", "--v0", "2.2", "--broom", "4 ft"), "to which side?"),
-        (("fit", "evening.csv", "--by", "ice"), "no label 'ice'"),
     ):
         refused = command(*wrong, cwd=tmp_path)
         assert refused.returncode == 2
