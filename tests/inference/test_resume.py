@@ -70,7 +70,7 @@ def test_a_process_struck_in_mid_sampling_goes_on_as_if_nothing_had_been(tmp_pat
         shown = " ".join(out.split())
         assert "Posterior: not finished: " in shown
         assert f" {len(left.values)} steps)" in shown
-        assert "--resume goes on with it" in shown
+        assert "with --resume to continue it" in shown
 
     more = ("--effective", "100000000", "--max-steps", max(40, len(left.values) + 1))
     status, _, err = command(*fit, *more, "--out", struck, "--resume", cwd=tmp_path)
