@@ -24,35 +24,36 @@ from .friction import (
     coefficient as coefficient,
     find_law as find_law,
 )
+from .friction_tables.figures import friction_figure as friction_figure
+from .friction_tables.fit import fit_friction as fit_friction
+from .friction_tables.report import print_friction as print_friction
+from .friction_tables.result import FrictionFits as FrictionFits, load_friction as load_friction
+from .friction_tables.table import (
+    FrictionTable as FrictionTable,
+    load_friction_table as load_friction_table,
+)
 from .html_report.page import write_report as write_report
-from .inference.figures import (
-    corner_figure as corner_figure,
-    fit_figure as fit_figure,
-    joint_figure as joint_figure,
-)
+from .inference.fit.estimates import Posterior as Posterior
 from .inference.fit.fit import fit as fit
-from .inference.fit.result import (
-    FitResult as FitResult,
-    Posterior as Posterior,
-    load_fit as load_fit,
-)
+from .inference.fit.result import FitResult as FitResult, load_fit as load_fit
 from .inference.joint.fit import fit_together as fit_together
-from .inference.joint.report import print_joint as print_joint
 from .inference.joint.result import JointResult as JointResult, load_joint as load_joint
 from .inference.mcmc.chain import Chain as Chain, load_chain as load_chain
 from .inference.mcmc.sampler import sample as sample
-from .inference.report import print_fit as print_fit
 from .optimal_design.design import design as design
 from .optimal_design.figures import design_figures as design_figures
 from .optimal_design.report import print_design as print_design
 from .optimal_design.result import Design as Design, load_design as load_design
 from .paper.claim import Claim as Claim
 from .paper.reproduce import Reproduction as Reproduction, reproduce as reproduce
-from .prediction.call import Call as Call
 from .prediction.figures import prediction_figure as prediction_figure
 from .prediction.predict import held_out as held_out, predict as predict
 from .prediction.report import print_prediction as print_prediction
-from .prediction.result import Prediction as Prediction, load_prediction as load_prediction
+from .prediction.result import (
+    Call as Call,
+    Prediction as Prediction,
+    load_prediction as load_prediction,
+)
 from .profile_likelihood.figures import profile_figure as profile_figure
 from .profile_likelihood.profile import profile as profile
 from .profile_likelihood.report import print_profile as print_profile
@@ -61,6 +62,10 @@ from .profile_likelihood.result import (
     Profile as Profile,
     load_profile as load_profile,
 )
+from .reports.corner import corner_figure as corner_figure
+from .reports.figures import fit_figure as fit_figure, joint_figure as joint_figure
+from .reports.fit import print_fit as print_fit
+from .reports.joint import print_joint as print_joint
 from .stone import Stone as Stone
 from .throws.load import load_throw as load_throw, load_throws as load_throws
 from .throws.synthetic import law_with as law_with, synthetic_throw as synthetic_throw

@@ -107,7 +107,7 @@ def damage_chain(chance: random.Random, file: Path) -> None:
         file.write_bytes(raw[: chance.choice([len(raw), len(raw), len(raw) // 2])])
         return
     with h5py.File(file, "r+") as out:
-        name = chance.choice(["ensemble-0/chain", "ensemble-2/log_prob", "ensemble-3/accepted"])
+        name = chance.choice(["mcmc/chain", "mcmc/log_prob", "mcmc/accepted"])
         data, kind = out[name], chance.random()
         if kind < 0.5:
             value = data[:]
@@ -120,7 +120,7 @@ def damage_chain(chance: random.Random, file: Path) -> None:
         elif kind < 0.6:
             del out[name]
         else:
-            group = chance.choice([out, out["ensemble-0"], out["ensemble-1"]])
+            group = out["mcmc"]
             key = chance.choice(list(group.attrs))
             del group.attrs[key]
             values = [-1, 0, 7, 10**9, 0.5, "x", "[" * 5000, "{}", [1, 2], ["a", "b"]]

@@ -48,31 +48,6 @@ def tracker(separator: str = "\t", comma: bool = False, angle: str = "θ_{r} (°
     return f"mass_A{separator * 4}\n{body}"
 
 
-def filmed(
-    length: float = 1.0, angle: float = 1.0, digits: int = 17, frames: float = 29.97
-) -> dict[str, np.ndarray]:
-    """Columns as of Tracker without units: noisy places, and what it computes from them.
-
-    `length` is the unit in m, `angle` in rad. All are computed before they are rounded.
-    """
-    t = np.arange(400) / frames
-    s = 1 - (1 - t / 20) ** 2
-    chance = np.random.default_rng(4)
-    x, y = np.stack([-0.9 * s**2 + 0.5, 28 * s + 1]) + chance.normal(0, 0.003, (2, len(t)))
-    direction = np.unwrap(np.arctan2(y, x))
-
-    def rate(values: np.ndarray) -> np.ndarray:
-        found = np.full(len(t), np.nan)
-        found[1:-1] = (values[2:] - values[:-2]) / (t[2:] - t[:-2])
-        return found
-
-    columns = {
-        "t": t, "x": x / length, "y": y / length, "v": np.hypot(rate(x), rate(y)) / length,
-        "θ_{r}": direction / angle, "ω": rate(direction) / angle,
-    }  # fmt: skip
-    return {name: np.array([float(f"{v:.{digits}g}") for v in c]) for name, c in columns.items()}
-
-
 def two_masses() -> str:
     """A stone and the end of its handle, side by side, the second one marked later."""
     other = np.where(T > 1, X + 0.1, np.nan)

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from curlfit.foreign import say
 from curlfit.options.output import COMPILES, Saved, progress_line
 from curlfit.settings.choices import COUNT, SEED, Fitting, Reading
 from curlfit.settings.forms import PATH, SWITCH, TEXT, option
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from curlfit.batch.settings import BatchSettings
+    from curlfit.batch.table import Table
 
 
 def batch(
@@ -58,12 +64,11 @@ def batch(
     quiet
         Print nothing but errors.
     """
-    from concurrent.futures import BrokenExecutor
-
-    from curlfit.batch.settings import BatchSettings, columns, found_files, usual_law
+    from curlfit.batch.settings import BatchSettings, columns
     from curlfit.batch.table import Table, settings_file
-    from curlfit.errors import CurlfitError, InputError
-    from curlfit.throws.load import states_sweeping
+    from curlfit.errors import InputError
+    from curlfit.output.console import terminal
+    from curlfit.throws.load import found_files, states_sweeping, usual_law
 
     if dask is not None and "://" not in dask:
         raise InputError(
@@ -77,34 +82,9 @@ def batch(
         posterior=posterior, seed=seed, any_swept=any(map(states_sweeping, files)),
     )  # fmt: skip
     names = columns(plan)
-
-    from rich.progress import BarColumn, MofNCompleteColumn, TimeRemainingColumn
-
-    from curlfit.output.console import terminal
-
     console = terminal(quiet=quiet)
     with Table(out, names, dict(plan), files, again=again) as table:
-        from curlfit.batch.executor import executor
-
-        if done := len(files) - len(table.todo):
-            console.print(f"{done} of {len(files)} files are in {out}.")
-        bar = "Fitting", BarColumn(), MofNCompleteColumn(), "files", TimeRemainingColumn(), COMPILES
-        try:
-            with (
-                progress_line(console, *bar) as show,
-                executor(plan, workers=workers, dask=dask) as fitted,
-            ):
-                show("", done, len(files))
-                for rows in fitted(table.todo):
-                    table.add(rows)
-                    done += len({row["file"] for row in rows})
-                    show("", done, len(files))
-        except BrokenExecutor:
-            raise CurlfitError(
-                "a process was killed, perhaps for lack of memory; "
-                f"{done} of {len(files)} files are in {out}, and the "
-                "same command continues"
-            ) from None
+        _fill(table, plan, len(files), console, workers=workers, dask=dask)
     counts = table.counts
     console.print(
         f"{counts['ok']} ok"
@@ -118,3 +98,29 @@ def batch(
         fault = "no throw is usable" if read else "no throw could be read"
         say(f"curlfit: {fault}; the column reason of {out} says why", error=True)
     return Saved(None, status=0 if counts["ok"] else 1 if read else 2)
+
+
+def _fill(table: Table, plan: BatchSettings, every: int, console: Console, **crew: Any) -> None:
+    """Fit what the table lacks of `every` file, with a line of progress."""
+    from concurrent.futures import BrokenExecutor
+
+    from rich.progress import BarColumn, MofNCompleteColumn, TimeRemainingColumn
+
+    from curlfit.batch.executor import executor
+    from curlfit.errors import CurlfitError
+
+    if done := every - len(table.todo):
+        console.print(f"{done} of {every} files are in {table.file}.")
+    bar = "Fitting", BarColumn(), MofNCompleteColumn(), "files", TimeRemainingColumn(), COMPILES
+    try:
+        with progress_line(console, *bar) as show, executor(plan, **crew) as fitted:
+            show("", done, every)
+            for rows in fitted(table.todo):
+                table.add(rows)
+                done += len({row["file"] for row in rows})
+                show("", done, every)
+    except BrokenExecutor:
+        raise CurlfitError(
+            f"a process was killed, perhaps for lack of memory; {done} of {every} files are in "
+            f"{table.file}, and the same command continues"
+        ) from None

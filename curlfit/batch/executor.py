@@ -7,9 +7,9 @@ not depend on who computed it.
 from __future__ import annotations
 
 import os
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 from curlfit.batch.settings import CHUNK, BatchSettings
@@ -32,7 +32,6 @@ _OF_WORKERS = {
 }
 _FEWEST = 64  # throws not worth dividing between two processes
 _SAMPLED = 16  # throws in a chunk if each is sampled, which takes seconds
-_AHEAD = 3  # chunks submitted ahead for each worker
 
 
 @contextmanager
@@ -56,8 +55,9 @@ def executor(
             yield fitted
         return
     count = workers or cores()
+    fit = partial(_fit, plan=plan)
     if count == 1:
-        yield lambda files: (_fit(chunk, plan) for chunk in _chunks(files, plan, 1))
+        yield lambda files: map(fit, _chunks(files, plan, 1))
         return
     from curlfit.numerics.processes import end_workers, worker_processes
 
@@ -65,11 +65,8 @@ def executor(
         os.environ.setdefault(name, value)
     with worker_processes(count) as pool:
         try:
-            yield lambda files: _in_order(
-                lambda chunk: pool.submit(_fit, chunk, plan),
-                _chunks(files, plan, count),
-                count * _AHEAD,
-            )
+            submit = partial(pool.submit, fit)
+            yield lambda files: _in_order(submit, _chunks(files, plan, count))
         except BaseException:  # Ctrl-C among them: what they are at is not waited for
             end_workers()
             raise
@@ -88,11 +85,8 @@ def _dask_crew(plan: BatchSettings, address: str) -> Iterator[Fitted]:
     try:
         count = max(len(client.scheduler_info()["workers"]), 1)
         # If a worker dies, the scheduler gives its chunk to another one.
-        yield lambda files: _in_order(
-            lambda chunk: client.submit(_fit, list(chunk), plan, pure=False, retries=5),
-            _chunks(files, plan, count),
-            count * _AHEAD,
-        )
+        submit = partial(client.submit, partial(_fit, plan=plan), pure=False, retries=5)
+        yield lambda files: _in_order(submit, _chunks(files, plan, count))
     finally:
         client.close()
 
@@ -112,13 +106,8 @@ def _chunks(files: Sequence[str], plan: BatchSettings, workers: int) -> Iterator
 
 
 def _in_order(
-    submit: Callable[[Sequence[str]], Any], chunks: Iterable[Sequence[str]], ahead: int
+    submit: Callable[[Sequence[str]], Any], chunks: Iterator[Sequence[str]]
 ) -> Iterator[Rows]:
-    """Results in the order of the chunks, with at most `ahead` of them pending."""
-    waiting: deque[Any] = deque()
-    for chunk in chunks:
-        waiting.append(submit(chunk))
-        if len(waiting) >= ahead:
-            yield waiting.popleft().result()
-    while waiting:
-        yield waiting.popleft().result()
+    """Results in the order of the chunks, all of which are submitted at once."""
+    waiting = [submit(chunk) for chunk in chunks]
+    return (done.result() for done in waiting)

@@ -58,6 +58,7 @@ def _read(files: Sequence[str | PathLike[str]], plan: BatchSettings) -> list[tup
 
 
 def _row(result: FitResult, plan: BatchSettings, sums: Sequence[str]) -> dict[str, Any]:
+    labels = result.data["labels"].items()
     row: dict[str, Any] = {
         "status": "ok" if result.converged else "not usable",
         "reason": None if result.converged else result.status,
@@ -68,32 +69,31 @@ def _row(result: FitResult, plan: BatchSettings, sums: Sequence[str]) -> dict[st
             for item in result.combinations
         ),
         "warnings": "; ".join(result.warnings),
+        LABELS: "; ".join(f"{name} = {label.replace(';', ',')}" for name, label in labels),
+        **{f"rms_{name}": result.rms.get(name) for name in ("x", "y", "phi")},
+        **{f"{name}_verdict": item.verdict for name, item in result.parameters.items()},
     }
-    labels = result.data["labels"].items()
-    row[LABELS] = "; ".join(f"{name} = {label.replace(';', ',')}" for name, label in labels)
+
+    def column(name: str, what: str) -> str:
+        return f"{name}{'_' if name in result.parameters else ' '}{what}"
+
+    known: dict[str, Any] = dict(result.parameters)
+    known |= {item.expression: item for item in result.combinations if item.expression in sums}
     if result.converged:
         told = ", ".join(f"{number:.17g}" for number in told_by(result).ravel())
         row[INFORMATION] = f"[{told}]"
-    row |= {f"rms_{name}": result.rms.get(name) for name in ("x", "y", "phi")}
-    row |= {f"{name}_verdict": item.verdict for name, item in result.parameters.items()}
-    known: list[Any] = [item for item in result.combinations if item.expression in sums]
-    if result.converged:
-        known += result.with_derived(plan.derive).derived
-    for name, gap, item in (
-        *((name, "_", item) for name, item in result.parameters.items()),
-        *((item.expression, " ", item) for item in known),
-    ):
-        row |= {name: item.value, f"{name}{gap}stderr": item.stderr}
+        known |= {item.expression: item for item in result.with_derived(plan.derive).derived}
+    for name, item in known.items():
+        row |= {name: item.value, column(name, "stderr"): item.stderr}
     if plan.systematics:
         for name, error in result.systematics.errors.items():
-            row[f"{name}{' ' if name in sums else '_'}systematic"] = error
+            row[column(name, "systematic")] = error
     if plan.posterior and result.converged:
         from curlfit.inference.mcmc.sampler import sample
 
         sampled, _ = sample(result, seed=plan.seed)
         assert sampled.posterior is not None
-        quantiles = sampled.posterior.quantiles
-        for name in quantiles.keys() & {*sums, *result.parameters}:
-            gap = " " if name in sums else "_"
-            row |= {f"{name}{gap}{q}": quantiles[name][q] for q in QUANTILES}
+        for name, quantiles in sampled.posterior.quantiles.items():
+            if name in known:
+                row |= {column(name, q): quantiles[q] for q in QUANTILES}
     return row

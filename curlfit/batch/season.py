@@ -73,8 +73,7 @@ def _read(file: Path, law: str | type[Law] | None = None) -> Season:
     chosen = BatchSettings.of(plan, law=kind)
     if chosen.priors:
         raise DataError("priors of the batch would count once for each throw", file=file)
-    known = columns(chosen)
-    names = [item.name for item in kind.coefficients()]
+    known, names = columns(chosen), [item.name for item in kind.coefficients()]
     labels, values, told, others = [], [], [], 0
     try:
         with file.open(encoding="utf-8", newline="") as stream:

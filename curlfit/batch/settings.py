@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from glob import glob
-from pathlib import Path
 from typing import Annotated
 
-from curlfit.errors import CurlfitError, InputError
 from curlfit.friction import Law, NetLaw, find_law
 from curlfit.inference.parameters import ParameterSet
 from curlfit.options.settings import checked_parameters
 from curlfit.settings.choices import SEED, Fitting, Reading
 from curlfit.settings.forms import SWITCH, option
-from curlfit.throws.load import check_reading, format_of
-from curlfit.throws.readers.timings import usual_law as law_of_timings
+from curlfit.throws.load import check_reading
 from curlfit.throws.throw import check_sigma
 
 CHUNK = 128
@@ -24,7 +19,6 @@ INFORMATION, LABELS = "information", "labels"
 """Columns from which a second fit takes what a throw says of its coefficients, and its groups."""
 QUANTILES = ("16", "50", "84")
 """Quantiles of the posterior, in percent."""
-_SUFFIXES = (".csv", ".tsv", ".txt", ".jsonl", ".json")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,36 +67,3 @@ def columns(plan: BatchSettings) -> list[str]:
     for text in plan.derive:
         found += [text, f"{text} stderr"]
     return [*found, INFORMATION, LABELS, "combinations", "warnings", "reason"]
-
-
-def usual_law(file: str, format: str | None) -> str:
-    """The law if none is given: for a stopwatch record, the one that its values determine."""
-    try:
-        if (format or format_of(file)) == "timings":
-            return law_of_timings(Path(file))
-    except CurlfitError:
-        pass  # reported with the file
-    return "front-back"
-
-
-def found_files(wanted: Sequence[str], besides: Collection[Path] = ()) -> list[Path]:
-    """Data files from folders, patterns and names, each once, sorted, except those in `besides`.
-
-    Raises
-    ------
-    InputError : a folder, pattern or name matches no file.
-    """
-    found: set[Path] = set()
-    left_out = {file.resolve() for file in besides}
-    for text in wanted:
-        place = Path(text)
-        if place.is_dir():
-            here = {file for file in place.iterdir() if file.suffix.lower() in _SUFFIXES}
-        else:
-            here = {Path(name) for name in glob(text, recursive=True) if Path(name).is_file()}
-        here = {file for file in here if file.resolve() not in left_out}
-        if not here:
-            what = f"no file that ends in {', '.join(_SUFFIXES)}" if place.is_dir() else "no file"
-            raise InputError(f"{text}: {what} found")
-        found |= here
-    return sorted(found)

@@ -14,7 +14,6 @@ import sys
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
-from itertools import takewhile
 from pathlib import Path
 from typing import Any, BinaryIO, Self
 
@@ -89,77 +88,66 @@ class Table:
         self.counts: Counter[str] = Counter()
         self.warned = 0
         self.settings = settings_file(file)
-        head = csv_lines([self.columns]).encode()
-        settings = plain(dict(plan))
-        done: set[str] = set()
-        size = 0
+        head, settings = csv_lines([self.columns]), plain(dict(plan))
+        size, done = 0, set[str]()
         try:
             before = plan_of(self.settings, _OTHERWISE) if self.settings.exists() else None
             file.parent.mkdir(parents=True, exist_ok=True)
             with ExitStack() as opened:
                 self.stream = opened.enter_context(file.open("ab"))
                 _lock(self.stream, file)
-                if not again:
-                    size, done = self._read(head, before, settings, files)
+                whole = file.read_bytes().decode(errors="surrogateescape")
+                if not (again or head.startswith(whole)):  # killed while the header was written
+                    self._require_own(whole, head, before, settings)
+                    size, done = self._read(whole, files)
                 self.stream.truncate(size)
                 if not size:
                     # The table is empty now: a kill cannot leave rows beside other settings.
                     made_by = f"{_MAKER} {__version__}"
                     write_json({"made_by": made_by, "plan": settings}, self.settings)
-                    self.stream.write(head)
+                    self.stream.write(head.encode())
                     self._settle()
                 opened.pop_all()
         except OSError as error:
             raise InputError(f"{file}: {error.strerror or error}") from None
         self.todo = [name for name in files if csv_cell(name) not in done]
 
-    def _read(
-        self,
-        head: bytes,
-        before: dict[str, Any] | None,
-        settings: dict[str, Any],
-        files: Sequence[str],
-    ) -> tuple[int, set[str]]:
+    def _require_own(
+        self, whole: str, head: str, before: dict[str, Any] | None, settings: dict[str, Any]
+    ) -> None:
+        """Raise `InputError` for a file that is no table with these settings."""
+        fault, recorded = "", before or {}
+        other = next((key for key in settings if recorded.get(key) != settings[key]), None)
+        if not whole.startswith("file,"):
+            fault = f", line 1: not a table of `{_MAKER}`"
+        elif before is None:
+            fault = f": the settings of its rows are unknown, because {self.settings} is missing"
+        elif other is not None:
+            here, now = _shown(recorded.get(other)), _shown(settings[other])
+            fault = f": made with other settings ({other} = {here}, not {now})"
+        elif not whole.startswith(head):
+            fault = ", line 1: other columns than this version of curlfit writes"
+        if fault:
+            raise InputError(f"{self.file}{fault}; {_OTHERWISE}")
+
+    def _read(self, whole: str, files: Sequence[str]) -> tuple[int, set[str]]:
         """Count complete rows; returns the length of the table up to the last of them, in bytes,
         and the files that are done."""
-        whole = self.file.read_bytes()
-        if head.startswith(whole):
-            return 0, set()  # killed while the header was written
-        if not whole.startswith(b"file,"):
-            raise InputError(f"{self.file}, line 1: not a table of `{_MAKER}`; {_OTHERWISE}")
-        if before is None:
-            raise InputError(
-                f"{self.file}: the settings of its rows are unknown, because {self.settings} is "
-                f"missing; {_OTHERWISE}"
-            )
-        for key in settings:
-            if before.get(key) != settings[key]:
-                raise InputError(
-                    f"{self.file}: made with other settings ({key} = {_shown(before.get(key))}, "
-                    f"not {_shown(settings[key])}); {_OTHERWISE}"
-                )
-        if not whole.startswith(head):
-            raise InputError(
-                f"{self.file}, line 1: other columns than this version of curlfit writes; "
-                f"{_OTHERWISE}"
-            )
-        size = whole.rfind(b"\n") + 1  # what follows was cut off by a kill
-        lines = whole[len(head) : size].decode(errors="surrogateescape").split("\n")[:-1]
-        rows = list(csv.reader(lines))
-        for number, row in enumerate(rows, start=2):
+        lines = whole.split("\n")[:-1]  # what follows was cut off by a kill
+        done = []
+        for number, row in enumerate(csv.reader(lines[1:]), start=2):
             if len(row) != len(self.columns):
-                raise DataError(
-                    f"expected {len(self.columns)} columns", file=self.file, line=number
-                )
-        done = [dict(zip(self.columns, row, strict=True)) for row in rows]
+                fault = f"expected {len(self.columns)} columns"
+                raise DataError(fault, file=self.file, line=number)
+            done.append(dict(zip(self.columns, row, strict=True)))
         # If the last rows are of a file with several throws, others of this file may be missing.
         last = done[-1] if done else {"file": "", "shot": "", "stone_index": ""}
         if (last["shot"] or last["stone_index"]) and last["file"] in map(csv_cell, files):
-            count = len([*takewhile(lambda row: row["file"] == last["file"], reversed(done))])
-            size -= sum(len(line.encode(errors="surrogateescape")) + 1 for line in lines[-count:])
-            del done[-count:]
+            while done and done[-1]["file"] == last["file"]:
+                done.pop()
         self._count(done)
-        return size, {row["file"] for row in done}
+        kept = "".join(f"{line}\n" for line in lines[: len(done) + 1])
+        return len(kept.encode(errors="surrogateescape")), {row["file"] for row in done}
 
     def add(self, rows: Sequence[Mapping[str, Any]]) -> None:
         """Write rows in one piece and flush them to the disk."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from enum import StrEnum
 from itertools import chain
 from pathlib import Path
@@ -32,10 +33,7 @@ class Form(StrEnum):
     table = "table"
 
 
-_GAME = {
-    Form.table: "accelerations.json", Form.c: "curlfit_stone.h", Form.js: "curlfit_stone.mjs",
-}  # fmt: skip
-"""Files of the forms for games."""
+_GAME = (Form.table, Form.c, Form.js)
 _LOADERS = {"joint": "load_joint", "compare": "load_comparison", "fit": "load_fit"}
 
 
@@ -76,7 +74,7 @@ def export(
             f"{folder}: a result of curlfit {kind}; expected the folder of a fit, a joint fit or a "
             "comparison"
         )
-    every = ((*_GAME,) if form is Form.game else (form,) for form in to)
+    every = (_GAME if form is Form.game else (form,) for form in to)
     forms = list(dict.fromkeys(chain.from_iterable(every)))
     for form in to:
         if form in (Form.netcdf, Form.game, *_GAME) and kind != "fit":
@@ -89,12 +87,10 @@ def export(
         result.with_law(law)
     # Everything is made before anything is written.
     made: dict[str, bytes] = {}
-    game, note = _game(result) if {*forms} & _GAME.keys() else ({}, "")
     for form in forms:
-        if form in _GAME:
-            made[_GAME[form]] = game[form].encode()
-        else:
-            made |= _files(form, result, kind, folder)
+        made |= {} if form in _GAME else _files(form, result, kind, folder)
+    of_games, note = _game(result, forms) if {*forms} & {*_GAME} else ({}, "")
+    made |= of_games
     target = prepare_folder(out or Path(f"{s.name_of(folder)}-export"))
     for name, data in made.items():
         atomic_write(target / name, data)
@@ -131,13 +127,15 @@ def _files(form: Form, result: Any, kind: str, folder: Path) -> dict[str, bytes]
     return {"posterior.nc": bytes(tree.to_netcdf(engine="h5netcdf"))}
 
 
-def _game(fit: FitResult) -> tuple[dict[Form, str], str]:
-    """The stone for games in each form, and what of the fit it does not include."""
+def _game(fit: FitResult, forms: Sequence[Form]) -> tuple[dict[str, bytes], str]:
+    """The stone for games in some forms, by file name, and what of the fit it does not include."""
     from curlfit.export.accelerations import c_header, javascript_module, not_included, tabulate
 
     table = tabulate(fit)
-    return {
-        Form.table: json.dumps(table.to_json(), indent=1) + "\n",
-        Form.c: c_header(table),
-        Form.js: javascript_module(table),
-    }, not_included(table)
+    made = {
+        Form.table: ("accelerations.json", json.dumps(table.to_json(), indent=1) + "\n"),
+        Form.c: ("curlfit_stone.h", c_header(table)),
+        Form.js: ("curlfit_stone.mjs", javascript_module(table)),
+    }
+    files = (made[form] for form in forms if form in made)
+    return {name: text.encode() for name, text in files}, not_included(table)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,9 +15,9 @@ from curlfit.errors import InputError
 from curlfit.foreign import say
 from curlfit.options import settings as s
 from curlfit.options.output import COMPILES, Output, Saved, progress_line
-from curlfit.output.display import corner_of, figures_of
+from curlfit.output.display import corner_of, document_of, figures_of
 from curlfit.settings.choices import SEED, Choices, Fitting, Reading
-from curlfit.settings.forms import NAMES, SWITCH, TEXT, option, whole
+from curlfit.settings.forms import NAMES, SWITCH, option, whole
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -61,7 +62,7 @@ class Sampling(Choices):
 def fit(
     *data: Path,
     flags: Fitting = Fitting(),
-    share: Annotated[str | None, option(TEXT, "all|NAME,...")] = None,
+    share: Annotated[Sequence[str], option(NAMES, "all|NAME,...")] = (),
     by: Annotated[Sequence[str], option(NAMES, "LABEL,...")] = (),
     trend: Annotated[Sequence[str], option(NAMES, "LABEL,...")] = (),
     reading: Reading = Reading(),
@@ -93,70 +94,80 @@ def fit(
         With several throws: labels along which the ice changes, such as `start` (clock times or
         numbers).
     """
-    from curlfit.options.figures import remove_figure
-    from curlfit.output.files import prepare_folder
-
-    if not data:
-        raise InputError("fit: no file given; expected DATA")
-    if any(file.is_dir() for file in data):
-        from curlfit.batch.settings import found_files
-
-        notes = [] if reading.throws is None else [Path(reading.throws)]
-        data = (*found_files(list(map(str, data)), besides=notes),)
-    drawn = output.drawn()
     from curlfit.batch.table import is_table
+    from curlfit.friction_tables.table import is_friction_table
 
-    if is_table(data[0]):
+    files = _files_of(data, reading)
+    if is_friction_table(files[0]) and len(files) == 1:
+        from curlfit.friction_tables.command import fit_table
+
+        return fit_table(files[0], flags, output, "fit", reading, sampling)
+    output.drawn()
+    if is_table(files[0]):
         if words := [*replace(flags, law=None).words(), *reading.words()]:
             raise InputError(
-                f"{words[0]}: the throws of {data[0]} are fitted already; expected it in the batch"
+                f"{words[0]}: the throws of {files[0]} are fitted already; expected it in the batch"
             )
-        return _fit_table(data, flags.law, by, trend, sampling.of_several(), output)
-    resume, no_sample = sampling.resume, sampling.no_sample
-    if resume and no_sample:
+        return _fit_table(files, flags.law, by, trend, sampling.of_several(), output)
+    if sampling.resume and sampling.no_sample:
         raise InputError("--resume continues sampling, and --no-sample skips it; give one of them")
-    several = len(data) > 1
-    if not several and reading.shot is None:
-        from curlfit.throws.load import holds_timed_rows
-
-        several = holds_timed_rows(data[0], reading.format)
-    jobs = s.prepare_all(data, config, reading, flags) if several else {}
+    jobs = s.prepare_all(files, config, reading, flags)
     if len(jobs) > 1:
         return _fit_jointly(jobs, share, by, trend, sampling.of_several(), output)
-    (file,) = data
     for name, value in (("share", share), ("by", by), ("trend", trend)):
         if value:
             raise InputError(f"--{name} needs several throws")
-    request = s.request_fit(file, config, reading, flags, sampling.seed)
-    seed = request.seed
-    folder = output.out or s.result_folder(file, "fit", reading)
-    saved = None
-    if resume:
-        saved, seed = _load_saved(folder, seed, request)
-    folder = prepare_folder(folder)
+    (job,) = jobs.values()
+    return _fit_one(job, s.result_folder(files[0], "fit", reading), sampling, output)
 
-    console = output.console()
-    if resume and saved is None:
+
+def _files_of(data: Sequence[Path], reading: Reading) -> Sequence[Path]:
+    """The files, those of folders among them."""
+    if not data:
+        raise InputError("fit: no file given; expected DATA")
+    if not any(file.is_dir() for file in data):
+        return data
+    from curlfit.throws.load import found_files
+
+    notes = [] if reading.throws is None else [Path(reading.throws)]
+    return found_files(list(map(str, data)), besides=notes)
+
+
+def _fit_one(
+    job: s.ConfiguredThrow[Fitting], usual: Path, sampling: Sampling, output: Output
+) -> Saved:
+    """Fit one throw and print the report; write `fit.json`, the chain and figures."""
+    from curlfit.options.figures import remove_figure
+    from curlfit.output.files import prepare_folder
+
+    s.checked(job)
+    folder, seed = output.out or usual, job.seed if sampling.seed is None else sampling.seed
+    saved = None
+    if sampling.resume:
+        saved, seed = _load_saved(folder, seed, job)
+    folder = prepare_folder(folder)
+    record, chain_file = folder / "fit.json", folder / "chain.h5"
+    drawn, console = output.drawn(), output.console()
+    if sampling.resume and saved is None:
         console.print(f"Nothing to resume in {folder}; this is a first run.", soft_wrap=True)
     drawn.draw_beside()
     if saved is None:
         with output.status(f"Fitting {COMPILES}"):
-            if not no_sample:
+            if not sampling.no_sample:
                 from curlfit.inference.mcmc.sampler import prepare_sampling
 
-                prepare_sampling(*request.problem())
-            result = request.fit()
+                prepare_sampling(*job.problem())
+            result = job.fit()
     else:
-        result = saved.with_derived(request.chosen.derive)
-    written, chain_file = [folder / "fit.json"], folder / "chain.h5"
-    if not no_sample:
+        result = saved.with_derived(job.chosen.derive)
+    if not sampling.no_sample:
         result = result.before_sampling()
-    result.save(written[0])
+    result.save(record)
     if saved is None:
         remove_figure(folder, "corner")  # of an earlier fit
         chain_file.unlink(missing_ok=True)
     drawn.replace(folder, ["fit"], partial(figures_of, result))
-    if not no_sample:
+    if not sampling.no_sample:
         try:
             result, chain = _sample(
                 console, result, seed=seed or 0, effective=sampling.effective or 4000,
@@ -166,21 +177,18 @@ def fit(
         except KeyboardInterrupt:
             drawn.written()
             raise
-        result.save(folder / "fit.json")
-        written.append(chain_file)
+        result.save(record)
         drawn.replace(folder, ["corner"], partial(corner_of, result, chain))
-
-    from curlfit.inference.report import print_fit
-
-    print_fit(result, console)
-    done = output.written(folder, written + drawn.written(), console)
+    console.print(document_of(result))
+    written = [record, *[chain_file] * (not sampling.no_sample), *drawn.written()]
+    done = output.written(folder, written, console)
     if result.converged and result.posterior is not None and not result.posterior.converged:
         say(f"curlfit: warning: posterior {result.posterior.status}", error=True)
     return _finish(result, done)
 
 
 def _load_saved(
-    folder: Path, seed: int | None, request: s.FitRequest[Fitting]
+    folder: Path, seed: int | None, job: s.ConfiguredThrow[Fitting]
 ) -> tuple[FitResult | None, int | None]:
     """The saved fit in a folder, if any, and the seed, of its chain unless one is given; fit and
     chain must be of the same problem."""
@@ -192,10 +200,10 @@ def _load_saved(
     from curlfit.stone import Stone
 
     found = load_fit(folder)
-    chosen = request.chosen
+    chosen = job.chosen
     now = chain.subject_of_fit(
-        request.cut.condensed(), find_law(chosen.law), chosen.load,
-        Stone().with_values(dict(chosen.stone)), request.parameters, chosen.loss, chosen.noise,
+        job.cut.condensed(), find_law(chosen.law), chosen.load,
+        Stone().with_values(dict(chosen.stone)), job.parameters, chosen.loss, chosen.noise,
     )  # fmt: skip
     chain.require_same(chain.subject_of_saved(found), now, folder / "fit.json")
     file = folder / "chain.h5"
@@ -236,7 +244,7 @@ def _sample(
 
 def _fit_jointly(
     named: Mapping[str, s.ConfiguredThrow[Fitting]],
-    share: str | None,
+    share: Sequence[str],
     by: Sequence[str],
     trend: Sequence[str],
     seed: int | None,
@@ -250,41 +258,35 @@ def _fit_jointly(
     drawn = output.drawn()
     jobs = list(named.values())
     chosen = jobs[0].chosen
-    for job in jobs:
-        for key in ("law", "load"):
-            own_value, first = getattr(job.chosen, key), getattr(chosen, key)
-            if own_value != first:
-                raise InputError(
-                    f"{job.throw.name}: {key}: {own_value}, where {jobs[0].throw.name} has "
-                    f"{first}; give one with --{key}"
-                )
+    _require_alike(jobs)
     law = find_law(chosen.law)
-    own = [item.name for item in law.coefficients()]
-    shared = None if share in (None, "all") else [one.strip() for one in str(share).split(",")]
-    for name in shared or ():
-        if name not in own:
+    names = [item.name for item in law.coefficients()]
+    for name in () if share == ("all",) else share:
+        if name not in names:
             raise InputError(
-                f"--share {name}: law {law.name} has no such coefficient; it has {', '.join(own)}"
+                f"--share {name}: law {law.name} has no such coefficient; it has {', '.join(names)}"
             )
     # Each throw keeps its own rows, stone and times of sweeping, unless one is given for all.
+    each = ("since", "until", "exclude", "stone", "sigma", "swept")
     any_swept = any(job.chosen.swept is not None for job in jobs)
-    throws = []
     for job in jobs:
-        cut = job.cut
-        require_plausible(cut)
-        s.checked_parameters(job.chosen, cut, others_swept=any_swept)
-        each = ("since", "until", "exclude", "stone", "sigma", "swept")
-        throws.append(job.throw.with_defaults(**{name: getattr(job.chosen, name) for name in each}))
+        require_plausible(job.cut)
+        s.checked_parameters(job.chosen, job.cut, others_swept=any_swept)
+    throws = [
+        job.throw.with_defaults(**{name: getattr(job.chosen, name) for name in each})
+        for job in jobs
+    ]
     common = {name: value for name, value in chosen if name not in each}
     folder = prepare_folder(output.out or Path("joint-fit"))
     drawn.draw_beside()
 
+    shared = "all" if share == ("all",) else share or None
     columns = f"Fitting {len(jobs)} throws {COMPILES}", "{task.description}"
     with progress_line(output.console(), *columns) as show:
         from curlfit.inference.joint.fit import fit_together
 
         result = fit_together(
-            throws, share=shared or share, by=by, trend=trend, seed=seed, **common,
+            throws, share=shared, by=by, trend=trend, seed=seed, **common,
             progress=lambda step, chi_squared: show(f"step {step}, chi squared {chi_squared:.6g}"),
         )  # fmt: skip
     for name, one in zip(named, result.throws, strict=True):
@@ -292,11 +294,21 @@ def _fit_jointly(
         one.save(own_folder / "fit.json")
         if one.rms or len(named) < _FEW:  # times alone are seen in one figure
             drawn.replace(own_folder, ["fit"], partial(figures_of, one))
-    folders = list(named)
-    if len(folders) > 3:
-        folders[1:-1] = ["..."]
+    first, *others, last = named
+    folders = [first, *(others if len(others) < 2 else ["..."]), last]
     each_in = f", and in {folder}/ a folder for each throw: {', '.join(folders)}"
     return _finish(result, output.finish(result, folder, drawn, more=each_in))
+
+
+def _require_alike(jobs: Sequence[s.ConfiguredThrow[Fitting]]) -> None:
+    """Raise `InputError` for throws whose files state different laws or loads."""
+    for job, key in product(jobs, ("law", "load")):
+        own, first = getattr(job.chosen, key), getattr(jobs[0].chosen, key)
+        if own != first:
+            raise InputError(
+                f"{job.throw.name}: {key}: {own}, where {jobs[0].throw.name} has {first}; give one "
+                f"with --{key}"
+            )
 
 
 def _fit_table(

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import json
 import textwrap
-from dataclasses import asdict
-from typing import TYPE_CHECKING, Annotated
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Annotated, Any
 
 from curlfit.settings.forms import SWITCH, option
 
 if TYPE_CHECKING:
     from curlfit.friction import Coefficient, Law
+    from curlfit.inference.conditions import Condition
 
 
 def laws(
     *names: str,
     conditions: Annotated[bool, option(SWITCH)] = False,
-    as_json: Annotated[bool, option(SWITCH, name="--json")] = False,
 ) -> None:
     """List the friction laws: formula, coefficients, source, direction of curl.
 
@@ -30,52 +29,21 @@ def laws(
     conditions
         The conditions that a fit holds (level ice, still air, the stone, the scales), and their
         standard uncertainties.
-    as_json
-        As JSON, for programs.
     """
     from curlfit.errors import InputError
-    from curlfit.friction import LAWS, find_law
-
-    if conditions:
-        if names:
-            raise InputError("--conditions are those of any law; give no names")
-        _print_conditions(as_json=as_json)
-        return
-    chosen = [find_law(name) for name in names] if names else list(LAWS.values())
-    if as_json:
-        print(json.dumps([_record(law) for law in chosen], indent=1))
-        return
-    from curlfit.output.console import terminal
-
-    width = terminal().width
-    print("\n\n".join(_text(law, width) for law in chosen))
-
-
-def _print_conditions(*, as_json: bool) -> None:
+    from curlfit.friction import LAWS, TERMS, find_law
     from curlfit.inference.conditions import CONDITIONS, SPIN
     from curlfit.output.console import terminal
 
-    every = (*CONDITIONS, SPIN)
-    if as_json:
-        print(json.dumps([asdict(item) for item in every], indent=1))
-        return
+    if conditions and names:
+        raise InputError("--conditions are those of any law; give no names")
     width = terminal().width
-    longest = max(len(item.name) for item in every)
-    for item in every:
-        unit = "" if item.unit == "1" else f" {item.unit}"
-        text = f"{item.meaning}; standard uncertainty {item.width:g}{unit} ({item.basis})"
-        print("\n".join(_wrap(f"{item.name:<{longest}}  ", text, width)))
-
-
-def _record(law: type[Law]) -> dict[str, object]:
-    return {
-        "name": law.name,
-        "summary": _summary(law),
-        "formula": law.formula,
-        "source": law.source,
-        "predicts": law.predicts,
-        "coefficients": [asdict(item) for item in law.coefficients()],
-    }
+    if conditions:
+        print("\n".join(_listed("", _condition, (*CONDITIONS, SPIN), width)))
+        return
+    every = (*LAWS.values(), *TERMS.values())
+    chosen = [TERMS.get(name) or find_law(name) for name in names] if names else every
+    print("\n\n".join(_text(law, width) for law in chosen))
 
 
 def _summary(law: type[Law]) -> str:
@@ -90,13 +58,20 @@ def _text(law: type[Law], width: int) -> str:
         ("", law.formula),
         ("source: ", law.source or law.origin),
         ("a counter-clockwise stone curls ", law.predicts),
+        ("", "" if law.brakes else f"does not brake: a part of sums, as in power+{law.name}"),
     ):
         if text:
             lines += _wrap("  ", f"{label}{text}", width)
-    longest = max((len(item.name) for item in law.coefficients()), default=0)
-    for item in law.coefficients():
-        lines += _wrap(f"    {item.name:<{longest}}  ", _describe(item), width)
-    return "\n".join(lines)
+    return "\n".join([*lines, *_listed("    ", _coefficient, law.coefficients(), width)])
+
+
+def _listed(
+    indent: str, describe: Callable[[Any], str], items: Sequence[Any], width: int
+) -> Iterator[str]:
+    """Lines of items, each with its name and description."""
+    longest = max((len(item.name) for item in items), default=0)
+    for item in items:
+        yield from _wrap(f"{indent}{item.name:<{longest}}  ", describe(item), width)
 
 
 def _wrap(head: str, text: str, width: int) -> list[str]:
@@ -107,10 +82,18 @@ def _wrap(head: str, text: str, width: int) -> list[str]:
     )  # fmt: skip
 
 
-def _describe(item: Coefficient) -> str:
-    unit = "" if item.unit == "1" else f" {item.unit}"
+def _coefficient(item: Coefficient) -> str:
+    unit = _unit(item)
     fixed = "; fixed there in a fit unless bounds are given" if item.optional else ""
     return (
         f"{item.meaning}; within {item.lower:g} .. {item.upper:g}{unit}, "
         f"default {item.default:g}{unit}{fixed}"
     )
+
+
+def _condition(item: Condition) -> str:
+    return f"{item.meaning}; standard uncertainty {item.width:g}{_unit(item)} ({item.basis})"
+
+
+def _unit(item: Coefficient | Condition) -> str:
+    return "" if item.unit == "1" else f" {item.unit}"

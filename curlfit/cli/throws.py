@@ -12,10 +12,10 @@ from curlfit.errors import InputError
 from curlfit.foreign import say
 from curlfit.options import settings as s
 from curlfit.settings.choices import SEED, Choices, Modelling, Reading, Rows
-from curlfit.settings.forms import NUMBER, PATH, PERIOD, SWITCH, TEXT, TIME, Form, option
+from curlfit.settings.forms import NUMBER, PATH, PERIOD, SWITCH, TIME, Form, OneOf, option
+from curlfit.sheet import LINES
 
 if TYPE_CHECKING:
-    from curlfit.errors import DataError
     from curlfit.throws.throw import Throw
 
 
@@ -41,55 +41,47 @@ def check(
     out
         Draw the data to this file.
     """
+    from curlfit.errors import DataError
     from curlfit.inference.parameters import FEWEST_ROWS
-    from curlfit.throws.inspection import inspect_throw
+    from curlfit.output.console import terminal
     from curlfit.throws.load import read, throw_of
-    from curlfit.throws.plausibility import examine, require_plausible
+    from curlfit.throws.plausibility import examine, require_motion, require_plausible
+    from curlfit.throws.report import print_findings, print_inspection
 
     if out is not None:
-        if out.suffix.lower() not in (".png", ".pdf", ".svg"):
-            raise InputError(f"--out {out}: expected a name that ends in .png, .pdf or .svg")
-        if not out.absolute().parent.is_dir():
-            raise InputError(f"--out {out}: the folder {out.parent} does not exist")
+        _require_picture(out)
     configured = s.read_config(config)
     reading = Reading.of(configured, vars(reading))
     parsed = read(data, reading)
     job = s.apply_settings(throw_of(parsed, reading), configured, Modelling(**vars(rows)))
-    throw, chosen, cut = job.throw, job.chosen, job.cut
-    cut.require_motion()
-    if out is not None and not throw.has_path:
+    require_motion(job.cut)
+    if out is not None and not job.throw.has_path:
         raise InputError(f"--out: {data} has timed events only, and no path to draw")
-    shown = {**throw.defaults, **configured, **rows.given()}
+    shown = {**job.throw.defaults, **configured, **rows.given()}
     shown = {key: value for key, value in shown.items() if key not in Reading.forms()}
-
-    from curlfit.output.console import terminal
-    from curlfit.throws.report import print_findings, print_inspection
-
     console = terminal(highlight=False)
-    print_inspection(parsed, throw, inspect_throw(throw), shown, console)
-    print_findings(examine(cut), console)
-    if (refused := _refusal(cut, chosen)) is not None:
-        if len(cut) < FEWEST_ROWS:
-            raise refused
-        console.print(f"\nNo fit as set: {refused}", style="yellow")
+    print_inspection(parsed, job.throw, shown, console)
+    print_findings(examine(job.cut), console)
+    try:
+        _ = job.parameters
+    except DataError as refusal:
+        if len(job.cut) < FEWEST_ROWS:
+            raise
+        console.print(f"\nNo fit as set: {refusal}", style="yellow")
     if out is not None:
         from curlfit.output.figures import save_figure
         from curlfit.throws.figures import throw_figure
 
-        save_figure(throw_figure(throw), out)
+        save_figure(throw_figure(job.throw), out)
         console.print(f"Written: {out}", soft_wrap=True)
-    require_plausible(cut)
+    require_plausible(job.cut)
 
 
-def _refusal(throw: Throw, chosen: Modelling) -> DataError | None:
-    """Why a fit with these choices would refuse the throw for its number of rows."""
-    from curlfit.errors import DataError
-
-    try:
-        s.checked_parameters(chosen, throw)
-    except DataError as error:
-        return error
-    return None
+def _require_picture(file: Path) -> None:
+    if file.suffix.lower() not in (".png", ".pdf", ".svg"):
+        raise InputError(f"--out {file}: expected a name that ends in .png, .pdf or .svg")
+    if not file.absolute().parent.is_dir():
+        raise InputError(f"--out {file}: the folder {file.parent} does not exist")
 
 
 def _swept(word: str) -> tuple[tuple[float, float], float]:
@@ -100,6 +92,7 @@ def _swept(word: str) -> tuple[tuple[float, float], float]:
     return found
 
 
+_LINE = OneOf("line", list(LINES)[:-1])
 _SWEPT = Form(
     "", lambda one: one, _swept, "A:B=V, times in s and the ratio of friction, of 0 or more"
 )
@@ -151,7 +144,7 @@ def simulate(
     fit: Annotated[Path | None, option(PATH, "FIT")] = None,
     given: Simulated = Simulated(),
     start: s.Start = s.Start(),
-    line: Annotated[str | None, option(TEXT, "NAME", group="Start")] = None,
+    line: Annotated[str | None, option(_LINE, "NAME", group="Start")] = None,
     conditions: Conditions = Conditions(),
     until: Annotated[float | None, option(TIME, "S")] = None,
     dt: Annotated[float, option(NUMBER, "S")] = 0.1,
@@ -191,29 +184,30 @@ def simulate(
         File to write. [default: print]
     """
     from curlfit.environment import Environment
-    from curlfit.errors import warn_once
-    from curlfit.throws.synthetic import SIMULATED, synthetic_throw, write_table
+    from curlfit.throws.synthetic import synthetic_throw
 
     state = start.given()
     if line is not None:
         if start.y0 is not None:
             raise InputError("--line and --y0: expected one of them")
-        state["y0"] = _line(line)
+        state["y0"] = LINES[line]
     model = _given_model(given) if fit is None else _fitted_model(fit, given)
     model |= {"dt": dt, "noise_xy": noise_xy, "noise_phi": noise_phi, "seed": seed} | state
     environment = replace(model["environment"], **conditions.environment())
     model["environment"] = None if environment == Environment() else environment
     throw = synthetic_throw(**model | ({} if until is None else {"until": until}))
-    if line is not None:
-        throw = throw.with_defaults(axes="from-hack")
-    for note in throw.notes:
-        warn_once(note)
+    _write(throw if line is None else throw.with_defaults(axes="from-hack"), out)
+
+
+def _write(throw: Throw, out: Path | None) -> None:
+    """Write a simulated throw, or print it."""
+    from curlfit.output.files import atomic_write, require_replaceable
+    from curlfit.throws.synthetic import SIMULATED, write_table
+
     text = write_table(throw)
     if out is None:
         print(text, end="")
         return
-    from curlfit.output.files import atomic_write, require_replaceable
-
     if not out.parent.is_dir():
         raise InputError(f"{out}: the folder {out.parent} does not exist")
     require_replaceable(out, "a simulated throw", SIMULATED)
@@ -263,13 +257,3 @@ def _fitted_model(folder: Path, given: Simulated) -> dict[str, Any]:
         "environment": environment, "until": fit.data["to"] - begin,
         **{one.name: fit.parameters[one.name].value for one in START},
     }  # fmt: skip
-
-
-def _line(name: str) -> float:
-    """y of a line, m from the hack."""
-    from curlfit.sheet import LINES
-
-    names = list(LINES)[:-1]
-    if name not in names:
-        raise InputError(f"--line {name}: expected one of {', '.join(names)}")
-    return LINES[name]

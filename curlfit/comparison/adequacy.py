@@ -146,8 +146,8 @@ def sides_of_curl(
         grid = grid[np.random.default_rng(0).choice(len(grid), _MOST, replace=False)]
     v = float(np.median(result.fitted["speed"]))
     omega = float(np.median(np.abs(result.fitted["omega"])))
-    # half a radian after release, where a law that depends on the angle still depends on it
-    state = np.tile(np.array([v, omega, 0.5, 0.0])[:, None], POINTS)
+    # half a radian and a second after release, where laws that depend on these push to their side
+    state = np.tile(np.array([v, omega, 0.5, 1.0])[:, None], POINTS)
     model = Model(law, load).within(family)
     stones = stacked([result.stone])
 

@@ -35,6 +35,12 @@ def compare(
     data
         Data as for `curlfit fit`.
     """
+    from curlfit.friction_tables.table import is_friction_table
+
+    if is_friction_table(data):
+        from curlfit.friction_tables.command import fit_table
+
+        return fit_table(data, flags, output, "compare", reading)
     from curlfit.friction import LAWS, find_law
     from curlfit.inference.parameters import ParameterSet, options_of, require_known
     from curlfit.output.files import prepare_folder

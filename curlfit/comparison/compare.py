@@ -21,13 +21,12 @@ from curlfit.comparison.adequacy import Adequacy, adequacy, opposes_sliding, sid
 from curlfit.comparison.criteria import (
     criteria,
     effective_values,
-    leave_one_out,
     log_evidence,
     log_likelihood,
     number_of_parameters,
     residuals_of,
-    standard_error,
 )
+from curlfit.comparison.leave_one_out import leave_one_out, standard_error
 from curlfit.comparison.result import PLACE, Candidate, Comparison
 from curlfit.errors import UnusableFitError
 from curlfit.friction import LAWS, Law, NetLaw, find_law
@@ -272,7 +271,11 @@ def ranked(found: list[Fitted], failed: Sequence[Candidate] = ()) -> Comparison:
             least = best_of([one.known[name] for one in best])
             for one in found:
                 one.known[difference] = one.known[name] - least
-    _add_ranks([one for one in found if one.counts])
+    total = sum(math.exp(one.known.get("delta_evidence", 0.0)) for one in found if one.counts)
+    for rank, one in enumerate([one for one in found if one.counts], 1):
+        one.known["rank"] = rank
+        if "delta_evidence" in one.known:
+            one.known["weight"] = math.exp(one.known["delta_evidence"]) / total
     return Comparison(
         data=first.data,
         stone=first.stone,
@@ -297,15 +300,6 @@ def _follow(found: Sequence[Fitted]) -> None:
         for one in found:
             if one.size.get(name, 0.0) > _FAR * least:
                 one.known["follows"] = False
-
-
-def _add_ranks(found: Sequence[Fitted]) -> None:
-    """Ranks, and posterior probabilities where the evidence is known."""
-    total = sum(math.exp(one.known.get("delta_evidence", 0.0)) for one in found)
-    for rank, one in enumerate(found, 1):
-        one.known["rank"] = rank
-        if "delta_evidence" in one.known:
-            one.known["weight"] = math.exp(one.known["delta_evidence"]) / total
 
 
 def _add_predictions(found: Sequence[Fitted]) -> None:

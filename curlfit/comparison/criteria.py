@@ -29,29 +29,6 @@ the data push against its bound contributes the integral over its half-line, and
 probability of the box under their joint normal density. A parameter p with a lognormal prior is
 replaced by its logarithm, q = p1 (1 + ln(p/p1)) about the estimate p1: the prior is normal in q,
 and the integral exact both where the data determine p and where only the prior does (MacKay 1998).
-
-Leave-one-out
--------------
-How well a law predicts rows that it was not fitted to. The expected log pointwise predictive
-density, elpd_loo = sum_i log p(y_i | y_-i), its standard error and the effective number of
-parameters p_loo = sum_i [log p(y_i | y) - log p(y_i | y_-i)] are those of Vehtari, Gelman and Gabry
-(2017, Statistics and Computing 27, 1413), eqs. 4, 23 and 24. A point i is a row, with all channels
-that were measured in it. Priors are those of the evidence.
-
-If the path is linear in the parameters within their errors, no row has to be left out explicitly.
-For residuals e in units of their sigma and the hat matrix H of all rows,
-
-    e_-i = (I - H_ii)^-1 e_i,    cov(e_-i) = (I - H_ii)^-1
-
-are the residual of a row from the fit to all others and its covariance (Cook and Weisberg 1982,
-sect. 2.2). Where sigma is estimated, the density is Student's t with n_c - p_c - 1 degrees of
-freedom in channel c, p_c being the sum of the leverages of its values, and sigma is estimated
-without the row. The bound that a parameter is pushed against is replaced by a normal factor that
-gives its density the same mean and variance (expectation propagation: Minka 2001).
-
-If residuals are correlated from row to row, a row is predicted from its neighbours, whatever the
-law; a robust loss has no closed form; and a row that alone determines a parameter is not predicted
-by the others at all.
 """
 
 from __future__ import annotations
@@ -61,21 +38,18 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple, Self
 
 import numpy as np
-from scipy.special import gammaln, log_ndtr
+from scipy.special import log_ndtr
 
 from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.likelihood import SIGMA_FLOOR, predict_channels
+from curlfit.inference.likelihood import SIGMA_FLOOR
 from curlfit.inference.noise.losses import likeliest_sigma, log_density
 from curlfit.inference.noise.whitening import whitened
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.numerics.differences import slopes
 from curlfit.throws.throw import CHANNELS
 
-_STEP = 0.1  # standard errors of a parameter with all others known, of differences
-_NULL = 1e-13  # of the largest singular value
-_HARD = 50.0  # standard deviations by which a parameter is pushed against its bound
-_ALONE = 1e-9  # 1 - leverage of a row, below which it alone determines a parameter
+NULL = 1e-13
+"""Share of the largest singular value below which one is rounding error."""
 _ORDER = 3.0  # standard deviation of a coefficient's prior over its typical size or default
 _FAR = 8.0  # standard deviations within which a bound matters
 _LEAST = 1e-12  # smallest probability of a box, and stiffness
@@ -190,7 +164,7 @@ class Quadratic(NamedTuple):
     def inverse(self, inner: Booleans | slice = slice(None)) -> Floats:
         """Pseudoinverse of A, of some parameters."""
         block = self.matrix[inner][:, inner]
-        return np.asarray(np.linalg.pinv(block, rcond=_NULL, hermitian=True), float)
+        return np.asarray(np.linalg.pinv(block, rcond=NULL, hermitian=True), float)
 
     def alone(self, row: Any, inner: Booleans) -> tuple[float, float]:
         """Slope and stiffness of a parameter with others integrated out."""
@@ -306,7 +280,7 @@ def _log_integral(
     quadratic, inner = Quadratic.of(linear, precision), ~pushed
     size, slope = quadratic.size, quadratic.slope[inner]
     squares = np.linalg.eigvalsh(quadratic.matrix[inner][:, inner])
-    squares = squares[squares > _NULL * squares.max(initial=0.0)]
+    squares = squares[squares > NULL * squares.max(initial=0.0)]
     inverse = quadratic.inverse(inner)
     mean = inverse @ slope
     total = 0.5 * float(slope @ mean + (np.log(2 * math.pi) - np.log(squares)).sum())
@@ -336,170 +310,3 @@ def _log_box(mean: Floats, covariance: Floats, lower: Floats, upper: Floats) -> 
         upper[near], lower_limit=lower[near]
     )
     return math.log(max(float(found), _LEAST))
-
-
-class LeaveOneOut(NamedTuple):
-    """Log predictive densities by row, in SI units."""
-
-    left_out: Floats
-    """log p(y_i | y_-i), shape (rows,)"""
-    fitted: Floats
-    """log p(y_i | y), of the same shape"""
-
-    @property
-    def elpd(self) -> float:
-        """Expected log pointwise predictive density."""
-        return float(self.left_out.sum())
-
-    @property
-    def p_loo(self) -> float:
-        """Effective number of parameters."""
-        return float((self.fitted - self.left_out).sum())
-
-    @property
-    def stderr(self) -> float:
-        """Standard error of `elpd`."""
-        return standard_error(self.left_out)
-
-
-def standard_error(pointwise: Floats) -> float:
-    """Standard error of a sum over rows, from their scatter; 0 for a single row."""
-    n = len(pointwise)
-    return float(np.sqrt(n * pointwise.var(ddof=1))) if n > 1 else 0.0
-
-
-def leave_one_out(result: FitResult) -> LeaveOneOut | None:
-    """Cross-validation of a fit; None under a robust loss or correlated noise, where a row alone
-    determines a parameter, and where the law admits no motion near the fit."""
-    if result.loss != "linear" or result.noise.kind != "white":
-        return None
-    known, where = Posterior.of(result), result.parameter_set.free
-    problem, origin = problem_of(result)
-    n, channels = len(result.observed["t"]), problem.observed.shape[0]
-    weight = problem.weight[:, :n]
-    there = weight > 0
-    offset = origin.offset(len(result.values))
-    values, parameters = result.values - offset, result.parameter_set.shifted(-offset)
-    error = np.sqrt(np.diag(np.array(result.information["matrix"])))
-    step = _STEP * parameters.typical
-    step[where] = _STEP / np.maximum(error, 1 / parameters.typical[where])
-
-    def weighted(values: Floats) -> Floats:
-        path = np.asarray(predict_channels(result.model, values, problem))[:channels, :n]
-        return np.where(there, path * weight, 0.0)
-
-    residual = problem.observed[:, :n] * weight - weighted(values)
-    jacobian = slopes(weighted, values, step, where, lower=parameters.lower, upper=parameters.upper)
-    if not (np.isfinite(residual).all() and np.isfinite(jacobian).all()):
-        return None
-    precision, away = known.prior.precision, known.away
-    design = jacobian.reshape(-1, len(away))
-    factors = _bound_factors(
-        design.T @ design + np.diag(precision), design.T @ residual.ravel() + precision * away,
-        known.inward,
-    )  # fmt: skip
-    roots = np.sqrt(np.stack([precision, factors.precision]))
-    return densities(
-        residual, jacobian, weight, (roots[..., None] * np.eye(len(away))).reshape(-1, len(away)),
-        (roots * np.stack([away, factors.mean])).ravel(),
-        np.array([name in result.sigma for name in CHANNELS[:channels]]),
-    )  # fmt: skip
-
-
-def _bound_factors(precision: Floats, gradient: Floats, inward: Floats) -> NormalFactors:
-    """Normal factors, about the estimates, that replace the bounds of parameters at a bound.
-
-    With all others integrated out, the density of the distance d from the bound is proportional to
-    exp(-push d - s d^2/2), d > 0: with a = push/sqrt(s) and l = phi(a)/Phi(-a), its mean is
-    (l - a)/sqrt(s) and its variance (1 - l (l - a))/s.
-
-    Parameters
-    ----------
-    precision, gradient : of the log-posterior, by the parameters.
-    inward : see `Posterior.inward`.
-    """
-    found = NormalFactors(*np.zeros((2, len(inward))))
-    quadratic = Quadratic.of(gradient, precision)
-    for row in np.flatnonzero(inward):
-        slope, stiffness = quadratic.alone(row, inward == 0)
-        push = max(-inward[row] * slope, 0.0)
-        a = push / np.sqrt(stiffness)
-        ratio = np.exp(_log_normal(a) - log_ndtr(-a))
-        mean, variance = (ratio - a) / np.sqrt(stiffness), (1 - ratio * (ratio - a)) / stiffness
-        if a > _HARD:  # an exponential density, without the rounding error of ratio - a
-            mean, variance = 1 / push, 1 / push**2
-        extra = 1 / variance - stiffness
-        found.precision[row] = extra * quadratic.size[row] ** 2
-        found.mean[row] = inward[row] * (mean / variance + push) / extra / quadratic.size[row]
-    return found
-
-
-# Not from `scipy.stats`, which is slow to load.
-def _log_normal(u: Any) -> Any:
-    """Log density of the standard normal distribution."""
-    return -(u**2) / 2 - np.log(2 * np.pi) / 2
-
-
-def _log_student(u: Floats, dof: Floats) -> Floats:
-    """Log density of Student's t distribution."""
-    norm = gammaln((dof + 1) / 2) - gammaln(dof / 2) - np.log(np.pi * dof) / 2
-    density: Floats = norm - (dof + 1) / 2 * np.log1p(u**2 / dof)
-    return density
-
-
-def densities(
-    residual: Floats, jacobian: Floats, weight: Floats,
-    prior_rows: Floats, prior_residual: Floats, estimated: Booleans,
-) -> LeaveOneOut | None:  # fmt: skip
-    """Log predictive densities in a linear model; None where a row alone determines a parameter.
-
-    Parameters
-    ----------
-    residual, jacobian : measured - fitted over sigma, and the derivative of fitted over sigma by
-        the parameters; shapes (channels, n) and (channels, n, parameters), 0 where not observed.
-    weight : 1/sigma, 0 where not observed, shape (channels, n).
-    prior_rows, prior_residual : the same of the prior, shapes (rows, parameters) and (rows,).
-    estimated : channels whose sigma is estimated.
-    """
-    channels, n, count = jacobian.shape
-    there = weight > 0
-    # Orthonormal columns: J^T J without a row is then 1 - Q_i^T Q_i.
-    design = np.concatenate([jacobian.reshape(-1, count), prior_rows])
-    size = np.sqrt((design**2).sum(0))
-    left, singular, _ = np.linalg.svd(design / np.where(size > 0, size, 1.0), full_matrices=False)
-    basis = left[:, singular > _NULL * singular.max(initial=0.0)]
-    away = np.concatenate([residual.ravel(), prior_residual])
-    e = (away - basis @ (basis.T @ away))[: channels * n].reshape(channels, n)
-    q = basis[: channels * n].reshape(channels, n, -1)
-    hat = np.einsum("cik,dik->icd", q, q)
-    left_over = np.eye(channels) - hat
-    if np.linalg.eigvalsh(left_over).min() < _ALONE:
-        return None
-    covariance = np.linalg.inv(left_over)
-    e_out = np.einsum("icd,di->ci", covariance, e)
-    # Without row i the parameters change by -Q_i^T e_-i, and the sums of squares accordingly.
-    change = np.einsum("cik,ci->ik", q, e_out)
-    gradient = np.einsum("cik,ci->ck", q, e)
-    information = np.einsum("cik,cil->ckl", q, q)
-    squares = (e**2).sum(1)
-    others = squares[:, None] + 2 * gradient @ change.T - e_out**2
-    others += np.einsum("ik,ckl,il->ci", change, information, change)
-    spent = np.einsum("icc->c", hat)
-    floor = (SIGMA_FLOOR * weight.max(1, initial=0.0)) ** 2
-
-    def log_density(off: Floats, cov: Floats, squares: Floats, dof: Floats) -> Floats:
-        dof = np.maximum(dof, 1.0)
-        scale = np.sqrt(np.where(estimated, np.maximum(squares / dof, floor), 1.0))
-        lower = np.linalg.cholesky(cov)
-        u = np.linalg.solve(lower, off.T[..., None])[..., 0] / scale
-        found = np.where(estimated, _log_student(u, dof), _log_normal(u))
-        found -= np.log(scale * np.diagonal(lower, axis1=1, axis2=2))
-        logs = np.log(np.where(there, weight, 1.0)).T
-        return np.where(there.T, found + logs, 0.0).sum(1)
-
-    dof = there.sum(1) - spent
-    seen = there.any(0)
-    return LeaveOneOut(
-        log_density(e_out, covariance, others.T, dof - 1)[seen],
-        log_density(e, np.eye(channels) + hat, squares, dof)[seen],
-    )

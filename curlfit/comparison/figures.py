@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from typing import Any
 
 import numpy as np
 
 from curlfit.comparison.result import Candidate, Comparison
-from curlfit.numerics.arrays import Floats
 from curlfit.output import figures as draw
-from curlfit.output.text import join_words
-
-_SAME = 0.0075  # fraction of an axis, about a line's width, within which curves coincide
 
 
 @draw.style()
@@ -25,23 +20,25 @@ def comparison_figure(comparison: Comparison) -> draw.Picture:
     """
     shown = [item for item in comparison.candidates if item.fitted is not None]
     t, x, y = (np.array(comparison.observed[name], float) for name in ("t", "x", "y"))
-    some, curves = draw.some_rows(len(t)), _curves(shown, x)
-    figure = draw.Picture(figsize=(draw.WIDTH, 4.0 + 0.17 * len(shown)), layout="constrained")
-    rows = figure.add_gridspec(2, 1, height_ratios=(1.0, 0.6 + 0.05 * len(shown)))
+    some, styles = draw.some_rows(len(t)), draw.line_styles(len(shown))
+    figure = draw.Picture(figsize=(draw.WIDTH, 4.0 + 0.2 * len(shown)), layout="constrained")
+    rows = figure.add_gridspec(2, 1)
     path: Any = rows[0].subgridspec(1, 1).subplots()
     lower: Any = rows[1].subgridspec(1, 2, width_ratios=(1.3, 1.0)).subplots()
     residual, dots = lower
 
     path.plot(y[some], x[some], **draw.DATA_STYLE, label="data")
-    for place, (same, style) in enumerate(zip(curves, draw.line_styles(len(curves)), strict=True)):
-        fitted = {name: np.array(values) for name, values in (same[0].fitted or {}).items()}
-        style |= {"lw": 1.5 if same[0].follows else 0.9, "zorder": 3 + len(curves) - place}
-        path.plot(fitted["y"], fitted["x"], **style, label=_names_of(same))
+    for place, (item, style) in enumerate(zip(shown, styles, strict=True)):
+        fitted = {name: np.array(values) for name, values in (item.fitted or {}).items()}
+        style |= {"lw": 1.5 if item.follows else 0.9, "zorder": 3 + len(shown) - place}
+        name = item.label if item.rank is None else f"{item.rank}. {item.label}"
+        name += ", law alone" * ("discrepancy" in item.noise)
+        path.plot(fitted["y"], fitted["x"], **style, label=name)
         residual.plot(t, 1000 * (x - fitted["x"]), **style)
     path.margins(x=0.02, y=0.1)
     draw.x_along_y(path)
     draw.title(path, f"{draw.file_name(comparison.data['file'])}: {len(shown)} fits")
-    path.legend(loc="upper left", bbox_to_anchor=(1.1, 1.04), labelspacing=0.6)
+    path.legend(loc="upper left", bbox_to_anchor=(1.1, 1.04), labelspacing=0.3)
     residual.axhline(0, **draw.ZERO_LINE)
     residual.set(xlabel="t (s)", ylabel="residual of x (mm)")
     _sizes(dots, shown, "rms" if comparison.loss == "linear" else "bulk")
@@ -67,32 +64,3 @@ def _sizes(axes: Any, shown: list[Candidate], size: str) -> None:
     axes.set(xscale="log", ylim=(len(shown) - 0.4, -0.6))
     axes.set_xlabel(f"{size} of the residuals\nbold: follows the path")
     axes.legend(ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
-
-
-def _curves(shown: list[Candidate], x: Floats) -> list[list[Candidate]]:
-    """The candidates by curve: grouped where the figure would not distinguish them."""
-    if not shown:
-        return []
-    paths = np.array([[item.fitted["x"], item.fitted["y"]] for item in shown if item.fitted])
-    reach = _SAME * np.array([np.ptp(paths[:, 0] - x), np.ptp(paths[:, 1])])
-    found: dict[int, list[Candidate]] = {}  # by the first of each group
-    for place, (item, path) in enumerate(zip(shown, paths, strict=True)):
-        near = (k for k in found if (np.abs(path - paths[k]).max(axis=1) <= reach).all())
-        found.setdefault(next(near, place), []).append(item)
-    return list(found.values())
-
-
-def _names_of(same: list[Candidate]) -> str:
-    """Ranks, laws and loads of candidates with one path, one line per law."""
-    laws: dict[tuple[str, str], list[Candidate]] = defaultdict(list)
-    for item in same:
-        noise = "" if item.noise == "white" else f", {item.noise} noise"
-        noise += ", law alone" if "discrepancy" in item.noise else ""
-        laws[item.law, (", any sign" if item.signs_free else "") + noise].append(item)
-    lines = []
-    for (law, more), items in laws.items():
-        ranks = ", ".join(str(item.rank) for item in items if item.rank is not None)
-        loads = [item.load for item in items]
-        load = "" if loads == ["-"] else f", {join_words(loads)} load"
-        lines.append(f"{ranks}{'. ' * bool(ranks)}{law}{load}{more}")
-    return "\n".join(lines) + (" (same path)" if len(same) > 1 else "")

@@ -15,7 +15,6 @@ from curlfit.output.console import Items, PlainTable
 from curlfit.output.document import Document, Said, Section, command_line, show
 from curlfit.output.text import STYLE, compact, join_words, rows_text, stone_text
 
-_NEIGHBOURS = "it would predict a row of correlated noise from its neighbours, whatever the law."
 _PROBABLE = 0.01  # weight of a law that is named
 _FIRST = 3  # laws named in a line
 _ELPD = 4.0  # below which differences and their errors are unreliable (Sivula, Magnusson, Matamoros
@@ -87,13 +86,8 @@ def _ranks(comparison: Comparison) -> PlainTable:
     measure, by = "rms", ""
     if comparison.loss != "linear":
         measure = "robust scale"
-        by = (
-            f" BIC and AICc are those of the noise distribution of the {comparison.loss} loss, for "
-            "which leave-one-out has no closed form."
-        )
-    elif evidence and comparison.noise != "white":
-        by = f" Leave-one-out is not given: {_NEIGHBOURS}"
-    criteria = "dlnZ: log evidence minus the largest; " if evidence else ""
+        by = f" BIC and AICc are those of the noise distribution of the {comparison.loss} loss."
+    criteria = "dlnZ: log evidence minus the largest; " * evidence
     if any(item.delta_elpd is not None for item in candidates):
         criteria += (
             "delpd: expected log predictive density of leave-one-out (elpd_loo) minus the largest, "
@@ -181,35 +175,24 @@ def conclusions(comparison: Comparison) -> list[str]:
         "; ".join(item.label for item in within if item.follows is follows and not item.negative)
         for follows in (True, None)
     )
-    lines = []
-    if following:
-        lines.append(f"Laws that follow the path within their bounds: {following}.")
-    if unclear:
-        lines.append(
-            "Laws of which it is unclear whether they follow the path, as their residuals may be "
-            f"correlated noise: {unclear}."
-        )
-    if not lines:
-        lines.append("No law follows the path within its bounds.")
-    if sum(item.follows is False and bool(item.rank) for item in within) > 1:
-        lines.append(
-            "The order of laws that do not follow the path is not meaningful: each is fitted with "
-            "noise estimated from its own residuals."
-        )
-    if isotropic := [item for item in within if item.isotropic]:
-        lines.append(_about_isotropic(isotropic))
-    for item in fitted:
-        if item.negative and item.follows:
-            lines.append(
-                f"{item.label}: follows the path only with negative {join_words(item.negative)}."
-            )
-    if weights := {item.label: item.weight for item in within if item.weight is not None}:
-        lines.append(_about_evidence(weights))
-    if predicted := [item for item in within if item.rank and item.delta_elpd is not None]:
-        lines.append(_about_predictions(predicted))
-    if len(comparison.noises) > 1:
-        lines.append(_about_noise(comparison))
-    return lines
+    isotropic = [item for item in within if item.isotropic]
+    weights = {item.label: item.weight for item in within if item.weight is not None}
+    predicted = [item for item in within if item.rank and item.delta_elpd is not None]
+    lines = [
+        f"Laws that follow the path within their bounds: {following}." if following else "",
+        "Laws of which it is unclear whether they follow the path, as their residuals may be "
+        f"correlated noise: {unclear}." if unclear else "",
+        "" if following or unclear else "No law follows the path within its bounds.",
+        _about_isotropic(isotropic) if isotropic else "",
+        *(
+            f"{item.label}: follows the path only with negative {join_words(item.negative)}."
+            for item in fitted if item.negative and item.follows
+        ),
+        _about_evidence(weights) if weights else "",
+        _about_predictions(predicted) if predicted else "",
+        _about_noise(comparison) if len(comparison.noises) > 1 else "",
+    ]  # fmt: skip
+    return [line for line in lines if line]
 
 
 def _about_evidence(weights: Mapping[str, float]) -> str:
@@ -226,20 +209,15 @@ def _about_evidence(weights: Mapping[str, float]) -> str:
 def _about_predictions(ranked: list[Candidate]) -> str:
     """Which laws leave-one-out does not distinguish from the best."""
     best, *others = sorted(ranked, key=lambda item: -(item.delta_elpd or 0.0))
-    if not others:
-        return f"By leave-one-out the expected log predictive density is {best.elpd_loo:.1f}."
     same = [
         item.label
         for item in others
         if -(item.delta_elpd or 0.0) < max(_ELPD, 2 * (item.delta_elpd_se or 0.0))
     ]
-    apart = f"than {_ELPD:g} or two standard errors."
-    if not same:
-        return f"By leave-one-out {best.label} predicts best: all others are lower by more {apart}"
-    return (
-        f"Leave-one-out does not distinguish {best.label} from {'; '.join(same)}: differences of "
-        f"less {apart}"
-    )
+    said = f"does not distinguish {best.label} from {'; '.join(same)}" if same else (
+        f"prefers {best.label} to all others"
+    )  # fmt: skip
+    return f"Leave-one-out {said}: {_ELPD:g} or two standard errors apart would count."
 
 
 def _about_noise(comparison: Comparison) -> str:
@@ -248,12 +226,11 @@ def _about_noise(comparison: Comparison) -> str:
     for name in comparison.noises:
         own = (item for item in comparison.candidates if item.noise == name and item.rank)
         if name != best.noise and (first := next(own, None)):
-            others.append(f"with {name} noise {_difference(first.delta_bic)} higher")
+            others.append(f"; with {name} noise it is {_difference(first.delta_bic)} higher")
     return (
-        f"The lowest BIC is that of {best.noise} noise ({best.label})"
-        + (f"; it is {join_words(others)}." if others else ".")
-        + " The log evidence is not given, because the parameters of the noise have no prior, nor "
-        f"is leave-one-out: {_NEIGHBOURS}"
+        f"The lowest BIC is that of {best.noise} noise ({best.label}){''.join(others)}. The log "
+        "evidence is not given, because the parameters of the noise have no prior, nor is "
+        "leave-one-out, which would predict a row of correlated noise from its neighbours."
     )
 
 
@@ -264,16 +241,13 @@ def _about_correlation(comparison: Comparison) -> str:
         values = comparison.observed.get(name, [])
         rows = sum(value is not None and math.isfinite(value) for value in values)
         worth.append(f"{count:.0f}{f' of {rows}' * bool(rows)} in {name}")
-    text = (
+    return (
         "the ranking is not reliable. Even the law that fits best leaves residuals that are "
         "correlated from row to row. The likelihoods in dBIC and dAICc are weighted by effective "
         f"sample sizes ({', '.join(worth)}), an approximation; correlated noise alone can put a "
         "wrong law first"
-    )
-    if len(comparison.noises) > 1:
-        return text
-    return (
-        f"{text}. The log evidence and leave-one-out, which assume independent residuals, are not "
+    ) + (len(comparison.noises) == 1) * (
+        ". The log evidence and leave-one-out, which assume independent residuals, are not "
         "given. Use --noise white,ar1 to compare noise models"
     )
 

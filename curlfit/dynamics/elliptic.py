@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 _AGM_ITERATIONS = 5  # of the arithmetic-geometric mean: exact to rounding for m1 >= _MIN_M1
@@ -71,13 +72,17 @@ def _(inputs: tuple[Any, Any], tangents: tuple[Any, Any]) -> tuple[Any, Any]:
 
 class Means(NamedTuple):
     """Half-ring means (integrals over the front half divided by 2 pi) of one component of a vector,
-    times 1, xi, xi^2, eta and xi eta."""
+    times 1, xi, xi^2, eta and xi eta: arrays, or numbers that are the same in all motions."""
 
-    one: Array
-    xi: Array
-    xi_xi: Array
-    eta: Array
-    xi_eta: Array
+    one: Any
+    xi: Any
+    xi_xi: Any
+    eta: Any
+    xi_eta: Any
+
+
+MEAN_PLACES = Means(one=0.5, xi=0.0, xi_xi=0.25, eta=1 / np.pi, xi_eta=0.0)
+"""Means of the places alone, of what acts at all points in the same direction"""
 
 
 def mean_directions(v: Array, u: Array) -> tuple[Means, Means]:

@@ -17,7 +17,7 @@ import numpy as np
 from jax import Array
 
 from curlfit.friction import Law, Load, LocalLaw, Motion, NetLaw, RingPoint, power
-from curlfit.friction.base import on_new_law
+from curlfit.friction.base import arctan, exp, on_new_law
 from curlfit.stone import Stone
 
 UNIT_POINT = RingPoint(*(1.0 for _ in RingPoint._fields))
@@ -71,6 +71,10 @@ def _(primals: tuple[Any], tangents: tuple[Any]) -> tuple[Array, Array]:
 @power.register(jax.core.Tracer)
 def _(base: Any, exponent: Any) -> Any:
     return jnp.exp(exponent * log(jnp.asarray(base, float)))
+
+
+arctan.register(jax.core.Tracer, jnp.arctan)
+exp.register(jax.core.Tracer, jnp.exp)
 
 
 def depends_on(function: Callable[..., Any], *inputs: Any) -> list[bool]:
@@ -142,7 +146,7 @@ def sample_points(front: float) -> RingPoint:
     speed = np.hypot(slide_xi, slide_eta)
     return RingPoint(
         xi, eta, angle, front, slide_xi, slide_eta, speed, slide_xi / speed, slide_eta / speed,
-        np.ones_like(speed), 0.7 * v, 3.1 * v,
+        np.ones_like(speed), v, u, 0.7 * v, 3.1 * v,
     )  # fmt: skip
 
 

@@ -189,6 +189,8 @@ def _panel(
         e_xi=slide_xi * inverse_speed,
         e_eta=slide_eta * inverse_speed,
         load=jnp.ones_like(nodes.xi),
+        v=v,
+        u=u,
         turned=turned,
         time=time,
     )

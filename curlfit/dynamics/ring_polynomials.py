@@ -16,12 +16,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from curlfit.dynamics.elliptic import MEAN_PLACES
 from curlfit.friction import Load, LocalLaw, RingPoint
 
 _SAMPLES = 16  # of coefficients and motions, for which terms must cancel
 _LARGE = 1e3  # bound on the sampled coefficients
 _ANGLES = 60  # on half a ring, at which friction between edges must be the same
 _ROUNDING = 1e-12
+_DIRECTIONS = {(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 0, 1), (0, 1, 1)}
+"""Powers of e_xi, e_eta and speed of the terms that have a mean: of a push, a direction of sliding
+and a velocity"""
 _MEANS = {(0, 0): "one", (1, 0): "xi", (2, 0): "xi_xi", (0, 1): "eta", (1, 1): "xi_eta"}
 
 
@@ -152,15 +156,16 @@ def _under(part: Polynomial, load: Any, constant: bool) -> Polynomial:
 
 
 def traction(
-    law: LocalLaw, load: Load, front: float, angle: Any, turned: Any, time: Any
+    law: LocalLaw, load: Load, front: float, angle: Any, motion: tuple[Any, ...]
 ) -> tuple[Polynomial, Polynomial]:
-    """Traction on one half; between two edges of a law, `angle` is any angle between them. Raises
-    some exception where it is not a polynomial."""
+    """Traction on one half in a motion (v, u, turned, time); between two edges of a law, `angle` is
+    any angle between them. Raises some exception where it is not a polynomial."""
+    v, u, turned, time = motion
     point = RingPoint(
         xi=XI, eta=ETA, angle=angle, front=front,
         slide_xi=_symbol(e_xi=1, speed=1), slide_eta=_symbol(e_eta=1, speed=1),
         speed=_symbol(speed=1), e_xi=_symbol(e_xi=1), e_eta=_symbol(e_eta=1),
-        load=1.0 if load == "uniform" else _LOAD, turned=turned, time=time,
+        load=1.0 if load == "uniform" else _LOAD, v=v, u=u, turned=turned, time=time,
     )  # fmt: skip
     factor = 1.0 if load == "uniform" else _LOAD  # traction is per unit load
     across, along = law.traction(point)
@@ -169,11 +174,7 @@ def traction(
 
 def has_mean(powers: Powers) -> bool:
     """Whether the mean of a term over half a ring has a closed form here."""
-    return (
-        (powers.xi, powers.eta) in _MEANS
-        and powers.e_xi + powers.e_eta == 1
-        and powers.speed in (0, 1)
-    )
+    return (powers.xi, powers.eta) in _MEANS and powers[2:5] in _DIRECTIONS
 
 
 def mean(part: Polynomial, of: Callable[[Powers], Any]) -> Any:
@@ -189,7 +190,8 @@ def mean_of_half(means: Any, front: float, powers: Powers) -> Any:
     ----------
     means : means of the directions and of the velocities of sliding.
     """
-    found = getattr(means[powers.speed][powers.e_eta], _MEANS[powers.xi, powers.eta])
+    of = means[powers.speed][powers.e_eta] if powers.e_xi or powers.e_eta else MEAN_PLACES
+    found = getattr(of, _MEANS[powers.xi, powers.eta])
     # The front and the back half slide to opposite sides.
     mirrored = (powers.eta + powers.e_xi) % 2 == 1 and not front
     return -found if mirrored else found
@@ -197,9 +199,9 @@ def mean_of_half(means: Any, front: float, powers: Powers) -> Any:
 
 def at_points(point: RingPoint, powers: Powers) -> Any:
     """A term of position and sliding at the points of a part."""
-    sliding = ((point.e_xi, point.e_eta), (point.slide_xi, point.slide_eta))
-    place = (point.xi,) * powers.xi + (point.eta,) * powers.eta
-    return prod(place, start=sliding[powers.speed][powers.e_eta])
+    sliding = ((point.e_xi, point.e_eta), (point.slide_xi, point.slide_eta))[powers.speed]
+    factors = (point.xi, point.eta, *sliding)
+    return prod(value for value, power in zip(factors, powers, strict=False) for _ in range(power))
 
 
 @cache
@@ -215,24 +217,24 @@ def has_closed_form(kind: type[LocalLaw], load: Load) -> bool:
                 random.uniform(max(item.lower, -_LARGE), min(item.upper, _LARGE), 1)[0]
                 for item in kind.coefficients()
             ]
-            turned, time = random.uniform((-farthest, 0.0), (farthest, 40.0))
-            _check(kind.from_vector(values), load, turned, time)
+            motion = random.uniform((0.1, -1.0, -farthest, 0.0), (3.0, 1.0, farthest, 40.0))
+            _check(kind.from_vector(values), load, tuple(motion))
         return True
     return False
 
 
-def _check(law: LocalLaw, load: Load, turned: float, time: float) -> None:
+def _check(law: LocalLaw, load: Load, motion: tuple[float, ...]) -> None:
     """Raise TypeError where the force or the moment needs a mean that has no closed form."""
-    jumps = law.edges(turned)
+    jumps = law.edges(motion[2])
     for front in (1.0, 0.0):
         if not any(jumps):
-            _check_means(traction(law, load, front, None, turned, time), load)
+            _check_means(traction(law, load, front, None, motion), load)
             continue
         halfway = np.linspace(0, np.pi, _ANGLES + 2)[1:-1]
         edges = np.sort(jumps.front if front else jumps.back)
         parts: dict[int, Any] = {}
         for angle in halfway if front else -halfway:
-            here = traction(law, load, front, angle, turned, time)
+            here = traction(law, load, front, angle, motion)
             same = parts.setdefault(int(np.searchsorted(edges, angle)), here)
             if [part.terms for part in same] != [part.terms for part in here]:
                 raise TypeError("friction varies between two edges")

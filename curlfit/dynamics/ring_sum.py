@@ -50,7 +50,7 @@ from curlfit.friction import Load, LocalLaw
 _BALANCE_TOLERANCE = 1e-9  # change of the tilt by the last Newton step
 _MAX_NEWTON_STEPS = 30
 _MIN_LOAD = 1e-6  # smallest load passed to a law, relative to the uniform load
-_SLIDING = ("slide_xi", "slide_eta", "speed", "e_xi", "e_eta")  # fields that depend on v and u
+_SLIDING = ("slide_xi", "slide_eta", "speed", "e_xi", "e_eta", "v", "u")
 
 Values = tuple[Array, ...]
 RingForces = tuple[Values, ...]
@@ -166,18 +166,18 @@ class _Part(NamedTuple):
 def _parts_in_closed_form(law: LocalLaw, load: Load, motion: RingMotion, ring: Ring) -> list[_Part]:
     """The force before the first edge of a law is summed over the whole of each half in closed
     form, and its change beyond the edges by quadrature."""
-    turned, time = motion.turned, motion.time
+    v, u, turned, time = motion
     parts = []
     for front in (1.0, 0.0):
         half = law, turned, ring.clustering, front
         angle, beyond = None, []
         if has_edges(type(law)):
             angle = angle_before_edges(*half)
-            beyond = parts_beyond_edges(*half, motion.v, motion.u, time)
-        before = traction(law, load, front, angle, turned, time)
+            beyond = parts_beyond_edges(*half, v, u, time)
+        before = traction(law, load, front, angle, motion)
         parts.append(_Part(Force.of(*before), partial(mean_of_half, ring.means, front)))
         for angle, panel in beyond:
-            across, along = traction(law, load, front, angle, turned, time)
+            across, along = traction(law, load, front, angle, motion)
             more = Force.of(across - before[0], along - before[1])
             parts.append(_Part(more, partial(_mean_of_panel, panel)))
     return parts

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
+from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.prepared import problem_of
-from curlfit.inference.fit.result import Estimate, FitResult
+from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import chi_squared_of_many, predict_channels
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import stacked
@@ -165,7 +166,6 @@ class Explorer:
             slider.observe(self._moved, names="value")
         left = widgets.VBox([*self.sliders.values(), self._reset, self._text])
         self.widget = widgets.HBox([left, self._image])
-        self._moving = False
         self._show()
 
     @property
@@ -175,17 +175,10 @@ class Explorer:
 
     def reset(self) -> None:
         """Return to the values of the fit."""
-        self._moving = True
-        try:
-            for slider, value in zip(self.sliders.values(), self.fit.values, strict=True):
-                slider.value = value
-        finally:
-            self._moving = False
-        self._moved()
+        for slider, value in zip(self.sliders.values(), self.fit.values, strict=True):
+            slider.value = value
 
     def _moved(self, _: Any = None) -> None:
-        if self._moving:
-            return
         self.curves = self._model.at(self.values)
         self._drawn.move(self.curves)
         self._show()

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from curlfit.foreign import csv_lines, printable
 from curlfit.inference.derived import Derived, to_its_side
-from curlfit.inference.fit.result import Estimate
+from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.identifiability import Combination
 from curlfit.output.console import PlainTable
 from curlfit.output.text import compact, from_to

@@ -6,6 +6,7 @@ from pkgutil import iter_modules
 from curlfit.friction.base import (
     LAWS,
     LOADS,
+    TERMS,
     Coefficient,
     Edges,
     Law,
@@ -28,6 +29,7 @@ for _module in iter_modules(__path__):
 __all__ = [
     "LAWS",
     "LOADS",
+    "TERMS",
     "Coefficient",
     "Edges",
     "Law",

@@ -12,6 +12,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, ClassVar, Literal, NamedTuple, Self, dataclass_transform, get_args
 
+import numpy as np
+
 from curlfit.errors import InputError
 from curlfit.foreign import quoted
 
@@ -139,6 +141,7 @@ class RingPoint(NamedTuple):
     speed : magnitude of the sliding velocity, m/s.
     e_xi, e_eta : unit vector of sliding, to the right and forward (eq. 4).
     load : normal load relative to the uniform load, n/n0.
+    v, u : speed of the centre and R omega, the same at all points, m/s.
     turned : angle turned since release (the first row of a throw), rad, counter-clockwise positive.
     time : time since release, s.
     """
@@ -153,6 +156,8 @@ class RingPoint(NamedTuple):
     e_xi: Any
     e_eta: Any
     load: Any
+    v: Any
+    u: Any
     turned: Any
     time: Any
 
@@ -187,8 +192,23 @@ def power(base: Any, exponent: Any) -> Any:
     return base**exponent
 
 
+@functools.singledispatch
+def arctan(value: Any) -> Any:
+    """The arc tangent, also in compiled programs."""
+    return np.arctan(value)
+
+
+@functools.singledispatch
+def exp(value: Any) -> Any:
+    """The exponential, also in compiled programs."""
+    return np.exp(value)
+
+
 LAWS: dict[str, type[Law]] = {}
 """All laws by name; a class that has one is registered when it is defined, others at first use."""
+
+TERMS: dict[str, type[Law]] = {}
+"""By name what does not brake a stone by itself, but may be a part of a sum of laws."""
 
 on_new_law: list[Callable[[type[Law]], None]] = []
 """Called with each law class as it is defined."""
@@ -212,6 +232,8 @@ class Law:
     formula: ClassVar[str] = ""
     source: ClassVar[str] = ""
     predicts: ClassVar[str] = ""
+    brakes: ClassVar[bool] = True
+    """Whether it is a law by itself; otherwise it is a part of sums, as in "power+sideways"."""
     approximates: ClassVar[str] = ""
     """Name of the law that this one approximates."""
     origin: ClassVar[str] = ""
@@ -258,12 +280,13 @@ class Law:
     @classmethod
     def register(cls, name: str) -> None:
         """Add the class to the laws. Raises TypeError if a law of curlfit has this name."""
-        if name in LAWS and LAWS[name].shipped() and not cls.shipped():
+        laws = LAWS if cls.brakes else TERMS
+        if name in laws and laws[name].shipped() and not cls.shipped():
             raise TypeError(
                 f"{cls.__name__}: curlfit has a law {quoted(name)} already; choose another"
             )
         cls.name = name
-        LAWS[name] = cls
+        laws[name] = cls
 
     @classmethod
     @functools.cache

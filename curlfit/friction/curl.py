@@ -60,7 +60,7 @@ def _ring_force(
         speed, load = np.hypot(slide_xi, slide_eta), 1 + tilt[0] * xi + tilt[1] * eta
         points = RingPoint(
             xi, eta, angle, front, slide_xi, slide_eta, speed, slide_xi / speed,
-            slide_eta / speed, load, turned, time,
+            slide_eta / speed, load, v, u, turned, time,
         )  # fmt: skip
         force += [float(np.mean(load * np.asarray(part))) / 2 for part in law.traction(points)]
     return float(force[0]), float(force[1])

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from curlfit.friction.base import LocalLaw, RingPoint, coefficient, power
+from curlfit.friction.base import LocalLaw, RingPoint, coefficient, exp, power
 
 
 def _opposing(mu: Any, point: RingPoint) -> tuple[Any, Any]:
@@ -78,6 +78,58 @@ class Angular(LocalLaw):
 
     def traction(self, point: RingPoint) -> tuple[Any, Any]:
         return _opposing(self.mu0 * (1 - self.f0 * point.eta), point)
+
+
+class PowerAngular(LocalLaw):
+    """Friction is a power of the sliding speed, lower in front than behind."""
+
+    name = "power-angular"
+    formula = "t = -mu n v/|v|, mu = c (|v|/(1 m/s))^k (1 - f0 cos theta)"
+    source = "Maeno (2014), as implemented by G. Ogden"
+    predicts = "left where f0 > 0"
+
+    c: float = coefficient(0.008, "coefficient of friction at 1 m/s, at the sides", symbol="c")
+    k: float = coefficient(-0.5, "exponent of the sliding speed", lower=-0.7, upper=2.0,
+                           typical=0.5, symbol="k", signed=True)  # fmt: skip
+    f0: float = coefficient(
+        0.3, "relative drop at the front", lower=-1.0, typical=0.5, symbol="f_0", signed=True
+    )
+
+    def steepness(self) -> Any:
+        return abs(self.k)
+
+    def traction(self, point: RingPoint) -> tuple[Any, Any]:
+        mu = self.c * power(point.speed**2 + Power.SLOWEST**2, self.k / 2)
+        return _opposing(mu * (1 - self.f0 * point.eta), point)
+
+
+class Sutor(LocalLaw):
+    """Friction has a minimum in the sliding speed, and is lower in front; less so for fast spin."""
+
+    name = "sutor"
+    formula = (
+        "t = -mu n v/|v|, mu = f_min (s + v_b^2/s)/(2 v_b) (1 - (1 - exp(-alpha cos theta)) "
+        "exp(1 - R |omega|/u0)), s = |v| + v_b (r - sqrt(r^2 - 1))"
+    )
+    source = "Sutor (1988), with u0 = R omega0 and r = f0/f_min"
+    predicts = "left"
+
+    f_min: float = coefficient(0.0066, "least coefficient of friction", symbol=r"f_\mathrm{min}")
+    r: float = coefficient(2.0, "coefficient at rest over the least", lower=1.01, upper=50.0,
+                           typical=1.0, symbol="r")  # fmt: skip
+    v_b: float = coefficient(2.0, "speed of the minimum, plus what is added to the speed",
+                             unit="m/s", lower=0.05, upper=20.0, typical=1.0,
+                             symbol="v_b")  # fmt: skip
+    alpha: float = coefficient(0.2, "drop from behind to the front", upper=5.0, typical=0.3,
+                               symbol=r"\alpha")  # fmt: skip
+    u0: float = coefficient(0.065, "R omega at which the drop is alpha", unit="m/s", lower=0.01,
+                            upper=10.0, typical=0.05, symbol="u_0")  # fmt: skip
+
+    def traction(self, point: RingPoint) -> tuple[Any, Any]:
+        shifted = point.speed + self.v_b * (self.r - power(self.r**2 - 1, 0.5))
+        mu = self.f_min / (2 * self.v_b) * (shifted + self.v_b**2 / shifted)
+        asymmetry = (1 - exp(-self.alpha * point.eta)) * exp(1 - abs(point.u) / self.u0)
+        return _opposing(mu * (1 - asymmetry), point)
 
 
 class Stribeck(LocalLaw):

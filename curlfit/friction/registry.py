@@ -9,8 +9,9 @@ from types import ModuleType
 
 from curlfit.errors import DataError, InputError, require_kind
 from curlfit.foreign import quoted
-from curlfit.friction.base import LAWS, Law, LocalLaw, NetLaw
+from curlfit.friction.base import LAWS, TERMS, Law, LocalLaw, NetLaw
 from curlfit.friction.checks import checked, first_line, last_line
+from curlfit.friction.sums import sum_of
 
 
 def find_law(name: str | type[Law], *, from_files: bool = True) -> type[Law]:
@@ -36,6 +37,15 @@ def find_law(name: str | type[Law], *, from_files: bool = True) -> type[Law]:
     assert isinstance(name, str)
     if name in LAWS:
         return checked(LAWS[name])
+    if name in TERMS:
+        raise InputError(
+            f"{name} does not brake a stone; add it to a law of the ring, as in power+{name}"
+        )
+    if "+" in name:
+        parts = name.split("+")
+        if all(part in TERMS or part in LAWS for part in parts[1:]):
+            each = (TERMS.get(part) or find_law(part, from_files=from_files) for part in parts)
+            return checked(sum_of(*each))  # type: ignore[arg-type]  # which it checks
     file, colon, kind = name.rpartition(":")
     if from_files and (file.endswith(".py") or name.endswith(".py")):
         return law_from_file(*((file, kind) if colon and not kind.endswith(".py") else (name, "")))

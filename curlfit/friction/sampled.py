@@ -71,7 +71,7 @@ def ring_points(alpha: Any, motion: Motion, array: Any = np) -> RingPoint:
     return RingPoint(
         xi=xi, eta=eta, angle=alpha, front=1.0 * (eta > 0), slide_xi=slide_xi, slide_eta=slide_eta,
         speed=speed, e_xi=slide_xi / speed, e_eta=slide_eta / speed, load=1 + 0 * xi,
-        turned=motion.turned, time=motion.time,
+        v=motion.speed, u=spin, turned=motion.turned, time=motion.time,
     )  # fmt: skip
 
 

@@ -76,15 +76,13 @@ class Additions:
 
 
 def _of_joint(page: Additions, joint: JointResult) -> None:
-    from curlfit.inference.report import extent, quantities_line
+    from curlfit.reports.fit import extent, quantities_line
 
     throws, count = joint.throws, len(joint.throws)
     if not throws:
         return
     measured = {
-        Path(one.data["file"]).name: "; ".join(
-            filter(None, (extent(one), quantities_line(one.quantities)))
-        )
+        Path(one.data["file"]).name: "; ".join(filter(None, (extent(one), quantities_line(one))))
         for one in throws
     }
     page.add("coefficients", rows("The throws", measured))
@@ -117,6 +115,7 @@ _CAPTIONS = {
     "fit": "The path with its fit, residuals by channel, speed and spin",
     "corner": "Posterior of the coefficients, pair by pair",
     "joint": "All throws with their fits, and what each alone says of what they have in common",
+    "friction": "Measured friction against speed, and the laws fitted to it",
     "compare": "All paths over the data, their residuals, and the size of these by channel",
     "predict": "The path on the sheet, the resting position, the bands, speed and spin",
     "design-map": "What a single throw would tell, over speed and spin",

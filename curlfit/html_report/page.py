@@ -100,7 +100,7 @@ def page_of(result: Any, chain: Chain | None = None) -> Page:
     ]  # fmt: skip
     for id, heading in _LATER.items():
         sections[id, heading] = added.blocks.get(id, [])
-    commands = {"lines": (document.command,), "notes": (document.remark,) * bool(document.remark)}
+    commands = {"lines": (document.command,) * bool(document.command)}
     sections["made", "How to reproduce this result"] = [
         Block("commands", commands), rows("Settings", document.settings),
         rows("Versions that wrote this page", _versions()),

@@ -80,7 +80,7 @@ class FirstOrder(NamedTuple):
     """What a fit says about its parameters, to first order."""
 
     parameters: Mapping[str, Any]
-    """an `Estimate` each (`curlfit.inference.fit.result`)"""
+    """an `Estimate` each (`curlfit.inference.fit.estimates`)"""
     covariance: Mapping[str, Any]
     """{"names", "matrix"} of the parameters that can move"""
     null_directions: Sequence[Mapping[str, float]]
@@ -201,20 +201,16 @@ def derive(known: FirstOrder, text: str, samples: Mapping[str, Floats] | None = 
     constants = {name: value for name, value in constants.items() if name not in values}
     sums = {item.expression: item.weights for item in known.combinations}
     expression = parse(text, (*values, *constants), sums)
-    value = float(expression.of({**constants, **values}))
-    if not math.isfinite(value):
-        raise InputError(
-            f"derive {quoted(expression.text)}: it has no finite value at the estimates"
-        )
-    gradient = expression.gradient({**constants, **values})
-    if not all(map(math.isfinite, gradient.values())):
-        raise InputError(f"derive {quoted(expression.text)}: it has no derivative at the estimates")
+    at = {**constants, **values}
+    value, gradient = float(expression.of(at)), expression.gradient(at)
     own = {name: slope for name, slope in gradient.items() if name in values}
-    if not own:
-        raise InputError(
-            f"derive {quoted(expression.text)}: it contains no parameter of the fit; the "
-            "parameters are " + ", ".join(values)
-        )
+    for sound, fault in (
+        (math.isfinite(value), "it has no finite value at the estimates"),
+        (all(map(math.isfinite, gradient.values())), "it has no derivative at the estimates"),
+        (own, "it contains no parameter of the fit; the parameters are " + ", ".join(values)),
+    ):
+        if not sound:
+            raise InputError(f"derive {quoted(expression.text)}: {fault}")
     changes = {
         name: slope * known.widths[name]
         for name, slope in gradient.items()

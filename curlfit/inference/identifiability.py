@@ -325,43 +325,6 @@ def _combinations(
     return tuple(sums.values())
 
 
-def slack(
-    jacobian: Floats, bounded: Floats, push: Floats, typical: Floats, room: Floats
-) -> tuple[Floats, Floats]:
-    """Spread of parameters at a bound, each a normal truncated there; the open ones follow.
-
-    An optimum at a bound leaves the parameter a one-sided spread: wide where the data hardly push
-    against the bound, as at the end of a ridge, and of scale 1/push where they do. Holding it at
-    the bound would make the others appear more precise than they are.
-
-    Parameters
-    ----------
-    jacobian, bounded : of the residuals over their sigma, with respect to the open parameters and
-        to those at a bound.
-    push : decrease of half of chi squared per unit beyond the bound, >= 0, for each at a bound.
-    typical, room : of those at a bound: typical size, and width of the interval of bounds.
-
-    Returns
-    -------
-    the rms distance of each from the bound, and the corresponding change of the open parameters,
-    shape (open, bounded).
-    """
-    from scipy.special import log_ndtr  # slow to load
-
-    size = np.linalg.norm(jacobian, axis=0)
-    size[size == 0] = 1.0
-    follow = -np.linalg.lstsq(jacobian / size, bounded, rcond=_ROUNDING)[0] / size[:, None]
-    stiff = np.linalg.norm(bounded + jacobian @ follow, axis=0)
-    sigma = 1 / np.maximum(stiff, _UNSEEN / typical)
-    alpha = push * sigma
-    # mean square distance from the cut of a normal truncated alpha sigma above its mean
-    least = np.minimum(alpha, 30)
-    hazard = np.exp(-(least**2 + np.log(2 * np.pi)) / 2 - log_ndtr(-least))
-    square = np.where(alpha < 30, 1 + alpha**2 - alpha * hazard, 2 / np.maximum(alpha, 1) ** 2)
-    distance = np.minimum(sigma * np.sqrt(square), room)
-    return distance, follow * distance
-
-
 def expression(weights: dict[str, float]) -> str:
     """A combination as text: {"a": 1, "b": 1} is "a + b", {"a": -2, "b": 1} is "b - 2 a"."""
     text = ""

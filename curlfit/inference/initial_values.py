@@ -2,20 +2,20 @@
 
 A polynomial through each channel gives speed, direction and spin accurately enough to evaluate the
 law's forces along the path. These are linear in the law's coefficients, or are linearized; they are
-integrated twice over time and fitted to the measured positions and angles, condensed to means over
-blocks of rows, by linear least squares. Only the polynomial is differentiated, and only once.
+integrated twice over time and fitted to the measured positions and angles by linear least squares.
+Only the polynomial is differentiated, and only once.
 """
 
 from __future__ import annotations
 
-from functools import cache, partial
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from numpy.polynomial.chebyshev import chebder, chebint, chebval, chebvander
+from numpy.polynomial.chebyshev import chebder, chebint, chebvander
 
 from curlfit.dynamics.contact import accelerations
 from curlfit.friction import Coefficient, Law, Load
@@ -32,7 +32,6 @@ from curlfit.numerics.trapezoid import running_integral
 from curlfit.stone import Stone
 from curlfit.throws.throw import last_motion
 
-_BLOCKS = 64  # of rows to which a throw is condensed
 _DEGREE = 5
 _NOTHING = 1e-13  # length of a column, over the longest, below which it is rounding error
 _FAINT = 1e-6  # singular value over the largest, below which derivatives are not accurate enough
@@ -148,16 +147,27 @@ def start_values(
         going = going[(bent | np.isnan(a)).any((1, 2))]
         if not len(going):
             break
+    conditions, state = (
+        assumed_conditions(model, problems),
+        _state(found[:, k:], path, moving, spin),
+    )
+    return np.clip(np.hstack([found[:, :k], conditions, state]), lower, upper)
 
-    x0, vx0, y0, vy0, phi0, omega0 = found[:, k:].T
+
+def _state(found: Floats, path: SmoothPath, moving: _Moving, spin: float) -> Floats:
+    """Initial states, in the order of `START`, from x0, vx0, y0, vy0, phi0, omega0."""
+    x0, vx0, y0, vy0, phi0, omega0 = found.T
     turning = path.known[:, 2]
-    phi0, omega0 = np.where(turning, phi0, 0.0), np.where(turning, omega0, spin)
     v, first = moving.measured[:, 0, 0], moving.velocity[:, :, 0].T
     slow = (v > 0.02) & (np.hypot(vx0, vy0) < 0.2 * v)
-    vx0, vy0 = np.where(slow, first, (vx0, vy0))
-    begin = np.stack([x0, y0, np.arctan2(vx0, vy0), np.hypot(vx0, vy0), phi0, omega0], -1)
-    conditions = assumed_conditions(model, problems)
-    return np.clip(np.hstack([found[:, :k], conditions, begin]), lower, upper)
+    velocity = np.where(slow, first, (vx0, vy0))
+    return np.stack(
+        [
+            x0, y0, np.arctan2(*velocity), np.hypot(*velocity),
+            np.where(turning, phi0, 0.0), np.where(turning, omega0, spin),
+        ],
+        -1,
+    )  # fmt: skip
 
 
 def start_values_of_sides(
@@ -203,11 +213,12 @@ class _Moving(NamedTuple):
 
 
 def _moving(path: SmoothPath, spin: float) -> _Moving:
-    values, slopes = _bases(path.curves.shape[-1])
-    pace = path.curves @ slopes.T * (2 / path.span[:, None, None])
-    grid = path.span[:, None] * np.linspace(0, 1, POINTS)
+    size, places = path.curves.shape[-1], np.linspace(0, 1, POINTS)
+    values, slopes = chebvander(2 * places - 1, size - 1), chebder(np.eye(size))
+    pace = path.curves @ (values[:, :-1] @ slopes).T * (2 / path.span[:, None, None])
+    grid = path.span[:, None] * places
     unknown_y, turning = ~path.known[:, 1], path.known[:, 2, None]
-    pace[unknown_y, 1] = _USUAL_SPEED * (1 - 0.9 * np.linspace(0, 1, POINTS))
+    pace[unknown_y, 1] = _USUAL_SPEED * (1 - 0.9 * places)
     omega = np.where(turning, pace[:, 2], spin)
     turned = np.where(turning, path.curves[:, 2] @ (values - values[0]).T, spin * grid)
     velocity = pace[:, :2]
@@ -238,75 +249,31 @@ def _design(
         ],
         1,
     )
-    step = path.span / (POINTS - 1)
-    along_last, steps = np.moveaxis(in_ice, 2, -1), step[:, None, None, None]
-    once = running_integral(along_last, steps)
-    twice = np.moveaxis(running_integral(once, steps), -1, 2)
+    step = path.span[:, None] / (POINTS - 1)
+    along_last = np.moveaxis(in_ice, 2, -1)
+    once = running_integral(along_last, step[..., None, None])
+    twice = np.moveaxis(running_integral(once, step[..., None, None]), -1, 2)
     once = np.moveaxis(once, -1, 2)
 
-    channels, k = use.shape[1], slopes.shape[-1] - 1
-    count, times, observed = _condensed(use, problems, path)
-    t = times / step[:, None, None]
-    below = np.minimum(t.astype(int), POINTS - 2)
-    share = (t - below)[..., None]
-    throw = np.arange(len(t))[:, None]
-    scale = np.sqrt(count) / path.rms[..., None]
-    design = np.zeros((len(t), channels, k + 3, k + len(START) + 1))
-    own = np.zeros((len(t), t.shape[-1], k + 3))
+    channels, rows = use.shape[1:]
+    k, times = slopes.shape[-1] - 1, problems.times
+    place = np.minimum(times / step, POINTS - 1.0)
+    below = np.minimum(place.astype(int), POINTS - 2)
+    share, throw = (place - below)[..., None], np.arange(len(times))[:, None]
+    design = np.zeros((len(times), channels, rows, k + len(START) + 1))
     for row in range(channels):
         # Position and angle are integrated twice, speed (along the initial heading) and spin once.
         series, axis = (twice, row) if row < 3 else (once, row - 2)
-        early, late = (series[throw, axis, below[:, row] + here] for here in (0, 1))
-        own[..., : k + 1] = early + share[:, row] * (late - early)
-        own[..., k + 2] = observed[:, row] - own[..., k]
-        own[..., k] = 1.0 if row < 3 else 0.0
-        own[..., k + 1] = times[:, row] if row < 3 else 1.0
-        columns = [*range(k), k + 2 * axis, k + 2 * axis + 1, -1]
-        few = r_factor(own * scale[:, row, :, None])
-        few = np.where(np.isfinite(few).all((1, 2), keepdims=True), few, 0.0)
-        design[:, row, :, columns] = np.moveaxis(few, -1, 0)
-    design = design.reshape(len(t), channels * (k + 3), -1)
-    return design[..., :-1], design[..., -1]
-
-
-def _condensed(use: Booleans, problems: Problem, path: SmoothPath) -> tuple[Floats, Floats, Floats]:
-    """Blocks of rows of each throw: number of rows used, means of their times, and values at these
-    times, each of shape (throws, channels, blocks).
-
-    The curvature of a path within a block is taken from its polynomial.
-    """
-    rows: Any = use.any(1)
-    n = np.where(rows.any(1), rows.shape[1] - np.argmax(rows[:, ::-1], 1), 0)
-    ends = n[:, None] * np.arange(_BLOCKS + 1) // np.minimum(np.maximum(n, 1), _BLOCKS)[:, None]
-    ends = np.minimum(ends, n[:, None])[:, None]
-
-    def sums(values: Floats) -> Floats:
-        running = np.pad(np.cumsum(values, -1), ((0, 0), (0, 0), (1, 0)))
-        return np.diff(np.take_along_axis(running, ends, -1))
-
-    count = np.round(sums(use.astype(float)))
-    some = np.maximum(count, 1.0)
-    times = sums(use * problems.times[:, None]) / some
-    observed = problems.observed.copy()
-    observed[:, :3] -= _along(path, np.broadcast_to(problems.times[:, None], observed[:, :3].shape))
-    means = sums(use * observed) / some
-    means[:, :3] += _along(path, times[:, :3])
-    return count, times, means
-
-
-def _along(path: SmoothPath, times: Floats) -> Floats:
-    """The polynomials at times, each of shape (throws, 3, n)."""
-    places = 2 * times / path.span[:, None, None] - 1
-    values: Any = chebval(places, np.moveaxis(path.curves, -1, 0)[..., None], tensor=False)
-    return values
-
-
-@cache
-def _bases(size: int) -> tuple[Any, Any]:
-    """Chebyshev polynomials and their derivatives on the grid, over -1 to 1."""
-    places = np.linspace(-1, 1, POINTS)
-    slopes = np.asarray(chebval(places, chebder(np.eye(size))), float)
-    return chebvander(places, size - 1), slopes.T
+        early, late = (series[throw, axis, below + here] for here in (0, 1))
+        own = early + share * (late - early)
+        design[:, row, :, :k] = own[..., :k]
+        design[:, row, :, k + 2 * axis] = 1.0 if row < 3 else 0.0
+        design[:, row, :, k + 2 * axis + 1] = times if row < 3 else 1.0
+        design[:, row, :, -1] = problems.observed[:, row] - own[..., k]
+    design = np.where(np.isfinite(design).all((2, 3), keepdims=True), design, 0.0)
+    design *= (use / path.rms[..., None])[..., None]
+    few = r_factor(design.reshape(len(times), channels * rows, -1))
+    return few[..., :-1], few[..., -1]
 
 
 def _bounded_least_squares(

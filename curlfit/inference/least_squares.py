@@ -33,6 +33,8 @@ from curlfit.numerics.batches import BATCH, in_batches, stacked, unstacked
 from curlfit.numerics.compiled import compiled
 
 Indices = NDArray[np.intp]
+Stacks = tuple[Any, Any, Any, Penalty | None, Problem]
+"""Initial values, bounds, priors and problems, along the first axis."""
 
 _MOST_STEPS = 200
 _FIRST_STEPS = 12  # of many problems, until those that are not done are grouped anew
@@ -142,15 +144,14 @@ class Tasks(NamedTuple):
             blocks = Blocks.of(self.common, self.problems.observed.shape[1])
         return (
             model.of_program, self._loss,
-            *map(model.vector, (self.start, self.lower, self.upper)),
-            penalty, self.problems, typical, blocks, control,
+            (*map(model.vector, (self.start, self.lower, self.upper)), penalty, self.problems),
+            typical, blocks, control,
         )  # fmt: skip
 
 
 def _solve(
-    model: Model, loss: str, starts: Array, lower: Array, upper: Array, penalties: Penalty | None,
-    problems: Problem, typical: Array, blocks: Blocks, control: Control,
-) -> Solution:  # fmt: skip
+    model: Model, loss: str, stacks: Stacks, typical: Array, blocks: Blocks, control: Control
+) -> Solution:
     # Imported only to compile the program: it takes half as long to load as JAX.
     import optimistix as optx
 
@@ -182,13 +183,11 @@ def _solve(
             found.value, state.residual, state.jacobian, state.evaluations, state.success, priors
         )
 
-    stacks = starts, lower, upper, penalties, problems
-    found: Solution
-    if len(starts) > 1:
-        found = jax.vmap(solved)(*stacks)
-    else:  # under vmap, both branches of each condition would be computed
-        alone = solved(*jax.tree.map(lambda leaf: leaf[0], stacks))
-        found = jax.tree.map(lambda leaf: leaf[None], alone)
+    if len(stacks[0]) > 1:
+        return jax.vmap(solved)(*stacks)
+    # Under vmap, both branches of each condition would be computed.
+    alone = solved(*jax.tree.map(lambda leaf: leaf[0], stacks))
+    found: Solution = jax.tree.map(lambda leaf: leaf[None], alone)
     return found
 
 
@@ -206,10 +205,8 @@ def solve(
     once : whether a program compiled quickly is better than a fast one.
     """
     program = _solve_once if once else _solve_often
-    law, loss, *stacks, typical, blocks, control = tasks.arguments(model, how)
-    found: Solution = in_batches(
-        lambda *some: program(law, loss, *some, typical, blocks, control), tuple(stacks), batch
-    )
+    law, loss, stacks, *common = tasks.arguments(model, how)
+    found: Solution = in_batches(lambda *some: program(law, loss, some, *common), stacks, batch)
     if model.family is not None:
         own = model.columns(tasks.start.shape[-1])
         found = found._replace(values=found.values[:, own], jacobian=found.jacobian[..., own])

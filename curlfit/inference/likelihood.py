@@ -136,16 +136,6 @@ def path_jacobians(model: Model, values: Floats, problems: Problem) -> Floats:
     return found[..., model.columns(values.shape[-1])]
 
 
-def prepare_path_jacobians(model: Model, values: Floats, problems: Problem) -> None:
-    """Begin to compile what `path_jacobians` needs."""
-    _slopes_of_channels.prepare(*_of_path(model, values, problems))
-
-
-def prepare_many(model: Model, values: Floats, problems: Problem) -> None:
-    """Begin to compile what `predict_many` needs for batches like this one."""
-    _batch_of_channels.prepare(model, values, _without_data(problems))
-
-
 def _unpadded_times(problem: Problem) -> Array:
     """The times; inf in padded rows, which repeat the last time."""
     padded = jnp.diff(problem.times, prepend=-jnp.inf) == 0
@@ -217,9 +207,7 @@ def log_posterior(
 @compiled("model")
 def _chi_squared(model: Model, values: Array, problems: Problem) -> Array:
     found = jax.vmap(partial(_whitened_residuals, model))(values, problems)
-    robust = (problems.loss > 0).any()
-    found = jax.lax.cond(robust, jax.vmap(signed_root), lambda r, _: r, found, problems.loss)
-    return (found**2).sum((1, 2))
+    return (jax.vmap(signed_root)(found, problems.loss) ** 2).sum((1, 2))
 
 
 def chi_squared_of_many(

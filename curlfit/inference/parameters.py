@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from curlfit.errors import DataError, InputError, require_kind
+from curlfit.errors import DataError, InputError
 from curlfit.foreign import quoted
 from curlfit.friction import Law, Parameter
 from curlfit.friction.curl import can_curl
-from curlfit.inference.conditions import CONDITIONS, WEAK_CONDITIONS
-from curlfit.inference.priors import NO_PRIOR, Penalty, Prior, parse_priors, penalty_of
+from curlfit.inference.conditions import CONDITIONS
+from curlfit.inference.priors import Penalty, Prior, parse_priors, penalty_of
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.stone import Stone
 from curlfit.throws.throw import Throw
@@ -23,20 +23,13 @@ from curlfit.throws.throw import Throw
 FEWEST_ROWS = 3
 """Rows of a path without given sigma below which nothing can be fitted."""
 
+_ANY = -math.inf, math.inf
 START = (
-    Parameter("x0", "m", -math.inf, math.inf, 1.0, "x_0", "initial position, to the right"),
-    Parameter("y0", "m", -math.inf, math.inf, 1.0, "y_0", "initial position, along the sheet"),
-    Parameter(
-        "heading",
-        "rad",
-        -math.inf,
-        math.inf,
-        1.0,
-        r"\beta_0",
-        "initial direction, from +y toward +x",
-    ),
+    Parameter("x0", "m", *_ANY, 1.0, "x_0", "initial position, to the right"),
+    Parameter("y0", "m", *_ANY, 1.0, "y_0", "initial position, along the sheet"),
+    Parameter("heading", "rad", *_ANY, 1.0, r"\beta_0", "initial direction, from +y toward +x"),
     Parameter("v0", "m/s", 0.0, 10.0, 1.0, "v_0", "initial speed"),
-    Parameter("phi0", "rad", -math.inf, math.inf, 1.0, r"\varphi_0", "initial angle"),
+    Parameter("phi0", "rad", *_ANY, 1.0, r"\varphi_0", "initial angle"),
     Parameter(
         "omega0", "rad/s", -100.0, 100.0, 1.0, r"\omega_0", "initial spin, counter-clockwise"
     ),
@@ -46,9 +39,6 @@ START = (
 def parameter_names(law: type[Law]) -> list[str]:
     """Names of all possible parameters of a fit of a law, in order."""
     return [item.name for item in (*law.coefficients(), *CONDITIONS, *START)]
-
-
-_HELD = 1e-4  # standard deviation that holds a parameter, over that of its prior
 
 
 @dataclass(frozen=True)
@@ -73,7 +63,7 @@ class ParameterSet:
         bounds: Mapping[str, tuple[float, float]] | None = None,
         unbounded: bool = False,
         free: Iterable[str] = (),
-        priors: Mapping[str, str | Prior] | None = None,
+        priors: Mapping[str, str] | None = None,
         swept: bool = False,
     ) -> ParameterSet:
         """Parameters of a fit of `law`.
@@ -98,46 +88,32 @@ class ParameterSet:
         InputError : an unknown name, a name both fixed and free, a text that is not a prior, an
             empty interval, a fixed value outside its bounds, or nothing left to fit.
         """
-        for name, choice in {"fix": fix, "bounds": bounds, "priors": priors}.items():
-            require_kind(choice or {}, Mapping, name, "a mapping by the name of the parameter")
-        for name, pair in (bounds or {}).items():
-            if np.shape(pair) != (2,):
-                raise InputError(f"bounds of {name}: {quoted(pair)} found, expected (lower, upper)")
-        known, fixed = parse_priors(priors), {name: float(v) for name, v in (fix or {}).items()}
-        limits = {name: (float(low), float(high)) for name, (low, high) in (bounds or {}).items()}
-        free = [*free, *known]
-        if "sweep" in {*fixed, *limits, *free}:
-            if not swept:
-                raise InputError(
-                    "sweep is a parameter only of a swept stone; expected also `swept`, the two "
-                    "times in s between which it was swept"
-                )
-        elif swept:
-            free.append("sweep")
-        coefficients: tuple[Parameter, ...] = law.coefficients()
-        if unbounded:
-            coefficients = tuple(item.unbounded() for item in law.coefficients())
-        for one in law.coefficients():
-            if one.optional and one.name not in (*limits, *free):
-                fixed.setdefault(one.name, one.default)
-        named, parameters = (*fixed, *limits, *free), []
-        for name in named:
-            if name not in parameter_names(law):
-                raise InputError(
-                    f"law {law.name} has no parameter {quoted(name)}; it has "
-                    + ", ".join(item.name for item in (*coefficients, *START))
-                    + "; conditions are "
-                    + ", ".join(item.name for item in CONDITIONS)
-                )
-            if name in fixed and name in free:
-                other = "has a prior" if name in known else "is free"
-                raise InputError(f"{name} is fixed and {other}; expected one of them")
-        conditions = [item for item in CONDITIONS if item.name in named]
-        for item in (*coefficients, *conditions, *START):
-            parameters.append(_limited(item, limits, known, fixed))
+        known = parse_priors(priors or {})
+        fixed = {name: float(value) for name, value in (fix or {}).items()}
+        estimated, coefficients = {*free, *known}, law.coefficients()
+        named = (*fixed, *(bounds or {}), *free, *known)
+        _require_named(law, named)
+        if "sweep" in named and not swept:
+            raise InputError(
+                "sweep is a parameter only of a swept stone; expected also `swept`, the two "
+                "times in s between which it was swept"
+            )
+        for name in fixed.keys() & estimated:
+            other = "has a prior" if name in known else "is free"
+            raise InputError(f"{name} is fixed and {other}; expected one of them")
+        for item in coefficients:
+            if item.optional and item.name not in named:
+                fixed[item.name] = item.default
+        named = (*named, "sweep") if swept else named
+        items = (
+            *(item.unbounded() if unbounded else item for item in coefficients),
+            *(item for item in CONDITIONS if item.name in named),
+            *START,
+        )
+        parameters = tuple(_limited(item, bounds or {}, known, fixed) for item in items)
         if len(fixed) == len(parameters):
             raise InputError("every parameter is fixed; nothing is left to fit")
-        return cls(tuple(parameters), fixed, known)
+        return cls(parameters, fixed, known)
 
     @classmethod
     def for_throw(cls, law: type[Law], throw: Throw, **choices: Any) -> ParameterSet:
@@ -262,21 +238,6 @@ class ParameterSet:
         fixed = {name: value + by[self.index(name)] for name, value in self.fixed.items()}
         return replace(self, parameters=moved, fixed=fixed, offset=self.offset - by)
 
-    def with_first_priors(self) -> ParameterSet:
-        """The same with the priors of a fit that weights all channels equally, 1 m like 1 rad.
-
-        Priors would outweigh the data there, and the misfit that they cause would be taken for
-        noise. They are therefore left out, except that the stone's constants and the scales, which
-        a path hardly determines, are held near the modes of their priors.
-        """
-        held = {
-            name: Prior("normal", (prior.mode, _HELD * prior.sd))
-            for name, prior in self.priors.items()
-            if name in WEAK_CONDITIONS
-        }
-        # an uninformative one for the others, so that one program serves both fits
-        return replace(self, priors=dict.fromkeys(self.priors, NO_PRIOR) | held)
-
     def with_fixed(self, name: str, value: float) -> ParameterSet:
         """The same with one more parameter fixed."""
         parameters = tuple(
@@ -286,6 +247,19 @@ class ParameterSet:
         return replace(self, parameters=parameters, fixed={**self.fixed, name: value})
 
 
+def _require_named(law: type[Law], names: Iterable[str]) -> None:
+    for name in names:
+        if name not in parameter_names(law):
+            own, conditions = (
+                ", ".join(item.name for item in items)
+                for items in ((*law.coefficients(), *START), CONDITIONS)
+            )
+            raise InputError(
+                f"law {law.name} has no parameter {quoted(name)}; it has {own}; conditions are "
+                f"{conditions}"
+            )
+
+
 def _limited(
     item: Parameter,
     limits: Mapping[str, tuple[float, float]],
@@ -293,15 +267,13 @@ def _limited(
     fixed: Mapping[str, float],
 ) -> Parameter:
     """A parameter with the bounds of a fit: those given, limited by its prior; its fixed value."""
-    lower, upper = limits.get(item.name, (item.lower, item.upper))
+    lower, upper = map(float, limits.get(item.name, (item.lower, item.upper)))
     if item.name in priors:
         lower, upper = priors[item.name].bounds(lower, upper)
     if not lower < upper:
         raise InputError(f"bound of {item.name}: {lower:g}:{upper:g} is empty; expected LOW:HIGH")
     if item.name in fixed:
         value = fixed[item.name]
-        if not math.isfinite(value):
-            raise InputError(f"{item.name} cannot be fixed at {value}")
         if item.name == "v0" and value == 0:
             raise InputError("v0 is fixed at 0; expected the speed of a stone that moves")
         if not lower <= value <= upper:

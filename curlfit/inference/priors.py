@@ -16,9 +16,7 @@ from curlfit.friction import Parameter
 from curlfit.numerics.arrays import Floats
 
 FORMS = "MEAN+-SD, lognormal:MEDIAN,SIGMA, half-normal:SD or uniform:LOW,HIGH"
-_FINITE = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-_NORMAL = re.compile(rf"\s*(?:normal:)?\s*({_FINITE})\s*(?:\+-|\+/-|±|,)\s*({_FINITE})\s*")
-_OTHERS = {"lognormal": 2, "half-normal": 1, "uniform": 2}
+_VALUES = {"normal": 2, "lognormal": 2, "half-normal": 1, "uniform": 2}
 
 
 @dataclass(frozen=True)
@@ -38,33 +36,26 @@ class Prior:
     @classmethod
     def parse(cls, name: str, text: str) -> Prior:
         """A prior from text, in one of the `FORMS`. Raises `InputError` for anything else."""
-        normal = _NORMAL.fullmatch(text)
-        if normal:
-            found = cls("normal", (float(normal[1]), float(normal[2])))
-        else:
-            kind, _, rest = text.strip().partition(":")
-            try:
-                values = tuple(float(part) for part in rest.split(","))
-            except ValueError:
-                values = ()
-            if len(values) != _OTHERS.get(kind.strip(), -1):
-                raise InputError(f"prior of {name}: {quoted(text)} is no prior; expected {FORMS}")
-            found = cls(kind.strip(), values)
-        found._check(name)
-        return found
-
-    def _check(self, name: str) -> None:
-        fault = None
-        if not all(map(is_size, self.values)):
+        kind, _, rest = text.rpartition(":")
+        kind = kind.strip() or "normal"
+        try:
+            values = tuple(map(float, re.split(r"\+-|\+/-|±|,", rest)))
+        except ValueError:
+            values = ()
+        if len(values) != _VALUES.get(kind):
+            raise InputError(f"prior of {name}: {quoted(text)} is no prior; expected {FORMS}")
+        found, fault = cls(kind, values), None
+        if not all(map(is_size, values)):
             fault = f"expected finite numbers, {SIZES}"
-        elif self.kind == "uniform" and not self.values[0] < self.values[1]:
+        elif kind == "uniform" and not values[0] < values[1]:
             fault = "is empty; expected LOW below HIGH"
-        elif self.kind != "uniform" and not self.values[-1] > 0:
+        elif kind != "uniform" and not values[-1] > 0:
             fault = "expected a positive width"
-        elif self.kind == "lognormal" and not self.values[0] > 0:
+        elif kind == "lognormal" and not values[0] > 0:
             fault = "expected a positive median"
         if fault:
-            raise InputError(f"prior of {name}: {self} {fault}")
+            raise InputError(f"prior of {name}: {found} {fault}")
+        return found
 
     def __str__(self) -> str:
         """As text, in one of the `FORMS`."""
@@ -80,16 +71,6 @@ class Prior:
             return median * math.exp(-(sigma**2))
         return {"half-normal": 0.0, "uniform": sum(self.values) / 2}.get(self.kind, self.values[0])
 
-    @property
-    def sd(self) -> float:
-        """Standard deviation."""
-        if self.kind == "lognormal":
-            median, sigma = self.values
-            return median * math.exp(sigma**2 / 2) * math.sqrt(math.expm1(sigma**2))
-        if self.kind == "uniform":
-            return (self.values[1] - self.values[0]) / math.sqrt(12)
-        return self.values[-1] * (math.sqrt(1 - 2 / math.pi) if self.kind == "half-normal" else 1.0)
-
     def bounds(self, lower: float, upper: float) -> tuple[float, float]:
         """The bounds of the parameter, limited to the support of the density."""
         if self.kind == "uniform":
@@ -101,12 +82,9 @@ class Prior:
         return lower, upper
 
 
-def parse_priors(given: Mapping[str, str | Prior] | None) -> dict[str, Prior]:
+def parse_priors(given: Mapping[str, str]) -> dict[str, Prior]:
     """Priors by the name of the parameter. Raises `InputError` for an invalid one."""
-    return {
-        name: one if isinstance(one, Prior) else Prior.parse(name, str(one))
-        for name, one in (given or {}).items()
-    }
+    return {name: Prior.parse(name, text) for name, text in given.items()}
 
 
 class Penalty(NamedTuple):
@@ -139,10 +117,6 @@ class Penalty(NamedTuple):
         of Gauss and Newton."""
         residual, slope = self.residual_and_slope(values)
         return (residual**2).sum(-1) / 2, slope * residual, slope**2
-
-
-NO_PRIOR = Prior("normal", (0.0, math.inf))
-"""A prior that adds nothing to chi squared, in the form of one that does."""
 
 
 def penalty_of(

@@ -8,14 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from curlfit.environment import Environment
-from curlfit.inference.noise.models import LOSSES, Noise
-from curlfit.inference.noise.whitening import Whitener
+from curlfit.inference.noise.models import LOSSES
 from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Floats
 from curlfit.stone import Stone
@@ -93,9 +91,7 @@ def build_problem(
     origin: Origin,
     sigma: dict[str, float],
     loss: str = "linear",
-    noise: Noise | None = None,
-    parameters: int = 0,
-    environment: Environment | None = None,
+    swept: Sequence[float] | None = None,
     shape: tuple[int, int] | None = None,
 ) -> Problem:
     """The throw relative to an origin, padded.
@@ -103,8 +99,7 @@ def build_problem(
     Parameters
     ----------
     sigma : of the channels for which the throw gives none.
-    parameters : their number, for a noise that is not white.
-    environment : the assumed one, see `environment_of`; level ice and still air if None.
+    swept : times at which sweeping began and ended, see `environment_of`; None without.
     shape : of the data, channels and rows; the smallest possible if None.
     """
     n = len(throw)
@@ -127,11 +122,10 @@ def build_problem(
         times=times,
         observed=observed,
         weight=weight,
-        stone=_as_arrays(*map(float, vars(stone).values())),
-        environment=environment or LEVEL_AND_STILL,
+        stone=Stone(*map(np.asarray, vars(stone).values())),  # type: ignore[arg-type]
+        environment=environment_of(swept, origin.t),
         loss=np.asarray(LOSSES.index(loss)),
         events=events,
-        whitener=None if noise is None else Whitener.of(noise, times, weight, parameters),
     )
 
 
@@ -154,11 +148,6 @@ def environment_of(swept: Sequence[float] | None, t0: float) -> Environment:
         return LEVEL_AND_STILL
     begin, end = (np.asarray(time - t0) for time in swept)
     return replace(LEVEL_AND_STILL, swept_from=begin, swept_to=end)
-
-
-@lru_cache(64)
-def _as_arrays(*values: float) -> Stone:
-    return Stone(*map(np.asarray, values))  # type: ignore[arg-type]
 
 
 def _sigma_of(throw: Throw, sigma: dict[str, float], name: str) -> Any:

@@ -23,7 +23,7 @@ from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import BATCH, in_batches
 from curlfit.numerics.compiled import compiled
-from curlfit.stone import UNITS as STONE_UNITS, Stone
+from curlfit.stone import Stone
 
 
 class System(NamedTuple):
@@ -62,11 +62,9 @@ def _replaced(record: Any, values: dict[str, Any]) -> Any:
 def assumed_conditions(model: Model, problems: Problem) -> Floats:
     """Values of the model's conditions assumed for many throws, shape (throws, conditions)."""
     found = np.ones((len(problems.times), len(model.conditions)))
+    known = vars(problems.stone) | vars(problems.environment)
     for column, name in enumerate(model.conditions):
-        if name in STONE_UNITS:
-            found[:, column] = getattr(problems.stone, name)
-        elif name not in ("length_scale", "time_scale"):
-            found[:, column] = getattr(problems.environment, name)
+        found[:, column] = known.get(name, 1.0)
     return found
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -21,11 +22,11 @@ _SIZE = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 
 
 def _quantity(name: str) -> Form:
-    """A number in SI or followed by its unit, such as `5mm`; None for `none`."""
+    """A number in SI or followed by its unit, such as `5mm`; NaN for `none`."""
 
-    def parse(word: str) -> float | None:
+    def parse(word: str) -> float:
         if word.lower() == "none":
-            return None
+            return math.nan
         size = _SIZE.match(word)
         if size is None:
             raise ValueError
@@ -38,8 +39,9 @@ def _quantity(name: str) -> Form:
         return value
 
     return Form(
-        "a number in SI", lambda value: value, parse, "a number, followed by its unit unless in SI"
-    )
+        "a number in SI", lambda value: value, parse, "a number, followed by its unit unless in SI",
+        lambda value: "none" if math.isnan(value) else f"{value:.10g}",
+    )  # fmt: skip
 
 
 @Parameter(name="*", group=Group("Assumed values", sort_key=0))
@@ -70,7 +72,7 @@ class Grid(Choices):
 
     v0: Annotated[Sequence[float], option(NUMBERS, "V,V")] = ()
     omega0: Annotated[Sequence[float], option(NUMBERS, "V,V")] = ()
-    rate: Annotated[Sequence[float], option(NUMBERS, "V,V")] = ()
+    rate: Annotated[float | None, option(NUMBER, "V")] = None
 
 
 @Parameter(name="*", group=Group("The record", sort_key=2))
@@ -102,7 +104,9 @@ class Record(Choices):
             "x": self.sigma_xy, "y": self.sigma_xy, "phi": self.sigma_phi,
             "speed": self.sigma_speed, "omega": self.sigma_omega,
         }  # fmt: skip
-        return {name: value for name, value in each.items() if value is not None}
+        return {
+            name: value for name, value in each.items() if not (value is None or math.isnan(value))
+        }
 
 
 def design(
@@ -117,7 +121,7 @@ def design(
 ) -> Saved:
     """Optimal design: the expected errors of a law's coefficients, and the best choice of throws.
 
-    Every combination of speed, spin and rate is a candidate. Each throw has its own unknown initial
+    Every combination of speed and spin is a candidate. Each throw has its own unknown initial
     state; the coefficients are common to all. Errors are those of least squares (from the exact
     derivatives of the trajectory), for noise that is independent from row to row. Where only the
     sum of two coefficients is determined, the report gives the precision, the throws or the changes
@@ -145,6 +149,7 @@ def design(
     relative_error
         Required, of their difference, or of their mean where they are equal. [default: 0.2]
     """
+    from curlfit.output.document import command_line
     from curlfit.output.files import prepare_folder
 
     drawn = output.drawn()
@@ -158,12 +163,7 @@ def design(
 
     known = load_fit(fit).with_law(assumed.law) if fit is not None else None
     drawn.draw_beside()
-    with output.status("Reading") as say:
-
-        def progress(text: str) -> None:
-            say(f"Computing {text} {COMPILES}")
-
-        progress("the information of each throw")
+    with output.status(f"Computing the information of the throws {COMPILES}"):
         from curlfit.optimal_design.design import design as compute_design
 
         result = compute_design(
@@ -177,8 +177,11 @@ def design(
             throws=throws,
             separate=list(separate) or None,
             relative_error=relative_error,
-            progress=progress,
             **grid.given(),
         )
+    words = [*assumed.words(), *grid.words(), *record.words(), f"--throws={throws}"]
+    words += [f"--separate={','.join(separate)}"] * bool(separate)
+    words += [f"--relative-error={relative_error:.10g}"]
+    result = replace(result, command=command_line("design", *words))
     folder = prepare_folder(output.out or Path("design"))
     return output.finish(result, folder, drawn)

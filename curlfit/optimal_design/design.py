@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import product
 
 import numpy as np
@@ -26,24 +26,17 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.systematics import shifts, widths_of
 from curlfit.inference.identifiability import Identifiability, analyse, classify, r_factor
 from curlfit.numerics.arrays import Floats
-from curlfit.optimal_design.information import (
-    Assumptions,
+from curlfit.optimal_design.information import Assumptions, PlannedThrow, record_information
+from curlfit.optimal_design.result import Candidate, Design, ExpectedErrors, Scenario
+from curlfit.optimal_design.selection import (
     CandidateSet,
-    PlannedThrow,
-    RecordInformation,
     combined,
     d_criterion,
     error_criterion,
-    marginal_factor,
-    marginal_factors,
-    prepare_information,
-    record_information,
     select_design,
     standard_error,
 )
-from curlfit.optimal_design.result import Candidate, Design, ExpectedErrors, Scenario
 from curlfit.optimal_design.separability import CoefficientPair, analyse_separation
-from curlfit.sheet import LINES, TEE, TEE_TO_BACK
 from curlfit.stone import Stone
 from curlfit.throws.synthetic import law_with
 from curlfit.throws.throw import CHANNELS
@@ -66,7 +59,6 @@ _MAX_THROWS = 1000
 _FACTORS = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)  # factors on the noise, for the curves
 _RATES = (1.0, 3.0, 10.0, 30.0, 100.0)  # Hz
 _COUNTS = (1, 2, 3, 4, 6, 8, 12, 16)  # throws
-_LONGEST_DISTANCE = TEE + TEE_TO_BACK - LINES["hog"]
 _POSITION, _ANGLE = {"x", "y", "speed"}, {"phi", "omega"}
 
 
@@ -78,14 +70,13 @@ def design(
     stone: Stone | None = None,
     v0: Sequence[float] = SPEEDS,
     omega0: Sequence[float] = SPINS,
-    rate: float | Sequence[float] = 30.0,
+    rate: float = 30.0,
     until: float | None = None,
     sigma: Mapping[str, float] | None = None,
     discrepancy: float = 0.0,
     throws: int = 3,
     separate: Sequence[str] | None = None,
     relative_error: float = 0.2,
-    progress: Callable[[str], None] | None = None,
 ) -> Design:
     """The expected errors of the coefficients of a law from planned throws.
 
@@ -94,8 +85,8 @@ def design(
     law : name or class of the law; or a fit, for its law, coefficients, load and stone.
     coefficients : assumed values, in place of the law's defaults or the fit's values.
     load, stone : "uniform" or "consistent" (eq. 8-9); `Stone()`.
-    v0, omega0, rate : speeds (m/s), spins (rad/s) and rows per second: all combinations are
-        candidates.
+    v0, omega0 : speeds (m/s) and spins (rad/s): all combinations are candidates.
+    rate : rows per second.
     until : end of the records in s; the time of rest if not given.
     sigma : noise by channel (m, rad, m/s, rad/s) of x, y, phi, speed, omega; other channels are
         not measured. 5 mm and 10 mrad if not given.
@@ -107,7 +98,6 @@ def design(
         uniform load determine only the sum.
     relative_error : required error of their difference, relative to it (or to their mean if they
         are equal).
-    progress : called with a description of each step.
 
     Raises
     ------
@@ -120,29 +110,33 @@ def design(
     >>> len(plan.candidates), plan.rank
     (4, 3)
     """
-    progress = progress or (lambda text: None)
     law, values, load, stone = _assumed(law, coefficients, load, stone)
-    rates = (rate,) if isinstance(rate, int | float) else tuple(rate)
     sigma = NOISE if sigma is None else sigma
-    _check(sigma, v0, omega0, rates, until, throws, relative_error)
+    _check(sigma, v0, omega0, rate, until, throws, relative_error)
     sigma = {name: float(sigma[name]) for name in CHANNELS if name in sigma}
     assumed = Assumptions(law, load, values, sigma, until, discrepancy)
     pair = None if separate is None else CoefficientPair(assumed, separate)
-    planned = [
-        PlannedThrow(float(v), float(w), float(hertz), stone)
-        for v, w, hertz in product(v0, omega0, rates)
-    ]
+    planned = [PlannedThrow(float(v), float(w), float(rate), stone) for v, w in product(v0, omega0)]
     if len(planned) > _MAX_CANDIDATES:
         raise InputError(
-            f"{len(v0)} speeds, {len(omega0)} spins and {len(rates)} rates make {len(planned)} "
-            f"candidates; expected at most {_MAX_CANDIDATES}"
+            f"{len(v0)} speeds and {len(omega0)} spins make {len(planned)} candidates; expected at "
+            f"most {_MAX_CANDIDATES}"
         )
     if not 0 <= discrepancy < math.inf:
         raise InputError(f"discrepancy = {discrepancy:g}; expected 0 or more, over the friction")
-    for one in assumed.by_load.values() if law.sums or separate else (assumed,):
-        prepare_information(one, planned[0])
-    progress("the information of each throw")
-    records, factors = assumed.records(planned), marginal_factors(assumed, planned)
+    return _designed(assumed, pair, planned, throws, relative_error)
+
+
+def _designed(
+    assumed: Assumptions,
+    pair: CoefficientPair | None,
+    planned: Sequence[PlannedThrow],
+    throws: int,
+    relative_error: float,
+) -> Design:
+    """The design of throws among planned ones."""
+    law, load = assumed.law, assumed.load
+    records, factors = assumed.records(planned), assumed.factors(planned)
     candidates, together = CandidateSet.from_factors(factors), combined(factors)
     if not candidates.rank:
         raise InputError(f"these throws determine no coefficient of law {law.name}")
@@ -155,31 +149,26 @@ def design(
     best = _best(assumed, candidates, throws)
     if pair is None:
         if load == "consistent":
-            progress("the directions hidden under uniform load")
             uniform = assumed.by_load["uniform"]
-            known = _identifiability(uniform, combined(marginal_factors(uniform, planned)))
+            known = _identifiability(uniform, combined(uniform.factors(planned)))
         names = _undetermined_pair(known)
         pair = None if names is None else CoefficientPair(assumed, names)
-    progress("errors against noise, rate and number of throws")
     made = [planned[index] for index in next(iter(best.values())).throws]
     curves = _curves(assumed, made, candidates, quantities)
-    progress("systematic errors")
     found, separation = scenarios(assumed, made, quantities), None
     if pair is not None:
-        separation = analyse_separation(
-            assumed.by_load, pair, planned, throws, relative_error, progress
-        )
+        separation = analyse_separation(assumed.by_load, pair, planned, throws, relative_error)
     items = {item.name: item for item in law.coefficients()}
     return Design(
         law=law.name,
         load=load,
-        stone=stone,
-        coefficients=dict(zip(items, values.tolist(), strict=True)),
+        stone=planned[0].stone,
+        coefficients=dict(zip(items, assumed.values.tolist(), strict=True)),
         symbols={name: item.symbol for name, item in items.items()},
         units={name: item.unit for name, item in items.items()},
         typical={name: item.typical for name, item in items.items()},
-        sigma=sigma,
-        until=until,
+        sigma=dict(assumed.sigma),
+        until=assumed.until,
         throws=throws,
         candidates=tuple(
             Candidate(
@@ -194,8 +183,8 @@ def design(
         best=best,
         curves=curves,
         separation=separation,
-        notes=_notes(rates, until, records, discrepancy),
-        discrepancy=discrepancy,
+        notes=_notes(assumed.discrepancy),
+        discrepancy=assumed.discrepancy,
         scenarios=found,
     )  # fmt: skip
 
@@ -257,23 +246,19 @@ def _assumed(
 
 def _check(
     sigma: Mapping[str, float], v0: Sequence[float], omega0: Sequence[float],
-    rates: Sequence[float], until: float | None, throws: int, relative_error: float,
+    rate: float, until: float | None, throws: int, relative_error: float,
 ) -> None:  # fmt: skip
-    for name in sigma:
-        if name not in CHANNELS:
-            raise InputError(
-                f"sigma: no channel {quoted(name)}; the channels are {', '.join(CHANNELS)}"
-            )
-    if not sigma:
-        raise InputError("sigma: nothing is measured; expected the noise of at least one channel")
-    positive: dict[str, Sequence[float]] = {"v0": v0, "rate": rates}
-    single = {f"sigma of {name}": value for name, value in sigma.items()}
-    single |= {"until": 1.0 if until is None else until, "relative error": relative_error}
-    for name, values in (positive | {name: (value,) for name, value in single.items()}).items():
-        if not values or not all(math.isfinite(value) and value > 0 for value in values):
+    if not sigma or (unknown := [name for name in sigma if name not in CHANNELS]):
+        what = f"no channel {quoted(unknown[0])}" if sigma else "nothing is measured"
+        raise InputError(f"sigma: {what}; expected noise of some of {', '.join(CHANNELS)}")
+    single = {"rate": rate, "until": 1.0 if until is None else until}
+    single |= {"relative error": relative_error}
+    single |= {f"sigma of {name}": value for name, value in sigma.items()}
+    for name, values in {"v0": v0, **{name: (value,) for name, value in single.items()}}.items():
+        if not values or not all(0 < value < math.inf for value in values):
             shown = ",".join(f"{value:g}" for value in values)
-            number = "a positive number" if name in single else "positive numbers"
-            raise InputError(f"{name} = {shown}: expected {number}")
+            kind = "a positive number" if name in single else "positive numbers"
+            raise InputError(f"{name} = {shown}: expected {kind}")
     if not omega0 or not all(map(math.isfinite, omega0)):
         raise InputError("omega0: expected finite numbers")
     if isinstance(throws, bool) or not isinstance(throws, int) or not 1 <= throws <= _MAX_THROWS:
@@ -301,11 +286,11 @@ def _curves(
         if noisy := assumed.sigma.keys() & channels:
             others = {by: assumed.noisier(noisy, by) for by in _FACTORS}
             factors[name] = {
-                by: combined([marginal_factor(other, one) for one in records])
+                by: combined([other.marginal(one) for one in records])
                 for by, other in others.items()
             }
     factors["rate"] = {
-        rate: combined(marginal_factors(assumed, [one._replace(rate=rate) for one in made]))
+        rate: combined(assumed.factors([one._replace(rate=rate) for one in made]))
         for rate in _RATES
     }
     factors["throws"] = {
@@ -321,29 +306,17 @@ def _curves(
     return found
 
 
-def _notes(
-    rates: Sequence[float],
-    until: float | None,
-    records: Sequence[RecordInformation],
-    discrepancy: float,
-) -> tuple[str, ...]:
-    early = 0 if until is None else sum(one.rest > until for one in records)
-    far = [one.distance for one in records if until is None and one.distance > _LONGEST_DISTANCE]
-    notes = (
-        (not discrepancy, "these errors hold if the law is correct and noise is independent from "
-         "row to row; the discrepancy of a law does not average out: `--discrepancy 0.05` allows "
-         "for one"),
-        (discrepancy, "these errors allow for accelerations that the law lacks, of "
-         f"{100 * discrepancy:.2g} % of what friction does and independent from throw to throw; "
-         "where they recur, more throws help less"),
-        (len(rates) > 1, "with independent noise more rows always reduce the errors: the highest "
-         "rate is chosen"),
-        (early, f"of {len(records)} records {early} end at {until or 0:g} s, before the stone is "
-         "at rest"),
-        (far, f"{len(far)} of {len(records)} throws go up to {max(far, default=0):.1f} m; from the "
-         f"hog line to the far back line there are {_LONGEST_DISTANCE:.1f} m"),
-    )  # fmt: skip
-    return tuple(note for applies, note in notes if applies)
+def _notes(discrepancy: float) -> tuple[str, ...]:
+    if discrepancy:
+        return (
+            "these errors allow for accelerations that the law lacks, of "
+            f"{100 * discrepancy:.2g} % of what friction does and independent from throw to throw; "
+            "where they recur, more throws help less",
+        )
+    return (
+        "these errors hold if the law is correct and noise is independent from row to row; the "
+        "discrepancy of a law does not average out: `--discrepancy 0.05` allows for one",
+    )
 
 
 def scenarios(
@@ -366,7 +339,7 @@ def scenarios(
     ]
     columns = np.append(assumed.free, len(assumed.parameters) + np.arange(len(widths)))
     records = record_information(assumed, varied, widths)
-    factors = [marginal_factor(assumed, one, columns) for one in records]
+    factors = [assumed.marginal(one, columns) for one in records]
     each = np.reshape(factors, (len(count), len(ways), *factors[0].shape))
     found = []
     for name, chosen in SCENARIOS.items():

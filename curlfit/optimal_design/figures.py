@@ -13,7 +13,6 @@ from matplotlib.patches import Rectangle
 from curlfit.optimal_design.report import noise_text
 from curlfit.optimal_design.result import Design, Separation
 from curlfit.output import figures as draw
-from curlfit.output.text import two_digits
 
 _MAX_LABELLED = 80  # cells of a map with a number in each
 _PLANNED: dict[str, Any] = {"color": "0.5", "lw": 0.9, "ls": ":"}
@@ -43,19 +42,15 @@ def _quantity(design: Design, name: str) -> str:
     return draw.in_symbols(name, design.symbols) + unit.replace("^2", "\N{SUPERSCRIPT TWO}")
 
 
-def _cells(
-    axes: Any, design: Design, values: Sequence[float | None], framed: Sequence[int], unit: str = ""
-) -> None:
-    """A cell for each speed and spin at the highest rate, dark where the error is small; those of
-    the selected throws are framed."""
-    rate = max(one.rate for one in design.candidates)
+def _cells(axes: Any, design: Design, name: str) -> None:
+    """A cell for each speed and spin, dark where the error is small; those of the selected throws
+    are framed."""
     speeds = sorted({one.v0 for one in design.candidates})
     spins = sorted({one.omega0 for one in design.candidates})
     places = [(speeds.index(one.v0), spins.index(one.omega0)) for one in design.candidates]
     cells = np.full((len(spins), len(speeds)), np.nan)
-    for one, (column, row), value in zip(design.candidates, places, values, strict=True):
-        if one.rate == rate and value is not None:
-            cells[row, column] = value
+    for (column, row), one in zip(places, design.candidates, strict=True):
+        cells[row, column] = np.nan if (error := one.stderr[name]) is None else error
     axes.set_facecolor("0.9")
     axes.grid(visible=False)
     known = cells[np.isfinite(cells)]
@@ -68,16 +63,16 @@ def _cells(
         for (row, column), value in np.ndenumerate(cells):
             text, color = "not\ndetermined", "black"
             if np.isfinite(value):
-                text = f"{two_digits(value)} %" if unit else _number(value)
+                text = _number(value)
                 color = "white" if norm(value) < 0.6 else "black"
             axes.text(column, row, text, ha="center", va="center", fontsize=6, color=color)
     else:
-        axes.figure.colorbar(shown, ax=axes, label=unit)
+        axes.figure.colorbar(shown, ax=axes)
     for axis, numbers, most in ((axes.xaxis, speeds, 6), (axes.yaxis, spins, 12)):
         some = range(0, len(numbers), -(-len(numbers) // most))
         axis.set_ticks(some, [f"{numbers[index]:g}" for index in some])
     axes.set_xlabel("initial speed (m/s)")
-    for column, row in {places[index] for index in framed}:
+    for column, row in {places[index] for index in next(iter(design.best.values())).throws}:
         corner = column - 0.47, row - 0.47
         axes.add_patch(Rectangle(corner, 0.94, 0.94, fill=False, ec=draw.REFERENCE_COLOR, lw=2.2))
 
@@ -93,9 +88,8 @@ def _map(design: Design) -> draw.Picture:
     tall = 0.8 + 0.28 * len({one.omega0 for one in design.candidates})
     figure, grid = draw.panels(max(tall, 1.9) * rows + 0.5, rows, columns, squeeze=False)
     panels = grid.flat
-    best = next(iter(design.best.values())).throws
     for axes, name in zip(panels, names, strict=False):
-        _cells(axes, design, [one.stderr[name] for one in design.candidates], best)
+        _cells(axes, design, name)
         axes.set_title(_quantity(design, name), loc="center")
     for axes in panels[len(names) :]:
         axes.set_visible(False)
@@ -115,8 +109,7 @@ def _errors(design: Design) -> draw.Picture:
         "rate": "rows per second\n(Hz)",
         "throws": "number of throws\n(optimal for each)",
     }
-    rates = sorted({one.rate for one in design.candidates})
-    planned = {"place": [1.0], "angle": [1.0], "rate": rates, "throws": [float(design.throws)]}
+    planned = {"place": 1.0, "angle": 1.0, "rate": design.rate, "throws": design.throws}
     names = [name for name in about if name in design.curves]
     figure, (panels,) = draw.panels(3.2, 1, len(names), sharey=True, squeeze=False)
     for axes, name in zip(panels, names, strict=True):
@@ -125,8 +118,7 @@ def _errors(design: Design) -> draw.Picture:
             values = np.array(curve[quantity], float)
             axes.plot(curve["at"], values, ".", ms=4, **style, label=_quantity(design, quantity))
         axes.set(xscale="log", yscale="log", xlabel=about[name])
-        for value in planned[name]:
-            axes.axvline(value, **_PLANNED)
+        axes.axvline(planned[name], **_PLANNED)
         if name == "throws":
             counts = [int(one) for one in curve["at"] if one is not None]
             axes.set_xticks(counts, map(str, counts))
@@ -145,32 +137,16 @@ def _noise_of(design: Design, channels: Sequence[str]) -> str:
 
 
 def _separation(design: Design, separation: Separation) -> draw.Picture:
-    """Left: error of the difference against noise. Right: from single throws."""
-    figure, (left, right) = draw.panels(4.2, 1, 2, width_ratios=(1.35, 1.0))
-    names, scenario = separation.pair, separation.scenario("consistent")
-    difference = draw.in_symbols(f"{names[0]} - {names[1]}", design.symbols)
-    _noise_needed(left, design, separation, difference)
-    lines = left.get_legend_handles_labels()
-    figure.legend(*lines, loc="outside lower center", ncols=2, title="consistent load")
-    shares = [None if one is None else 100 * one / separation.size for one in scenario.each]
-    _cells(right, design, shares, scenario.throws or (), "%")
-    right.set_ylabel("initial spin (rad/s)")
-    right.set_title(
-        f"{difference} from one throw, % of {separation.size:g}\n"
-        f"consistent load; framed: in the optimal {design.throws} throws",
-        fontsize=7, loc="center",
-    )  # fmt: skip
-    figure.suptitle(f"{draw.literal(design.law)} law: separation of {' and '.join(names)}")
-    return figure
-
-
-def _noise_needed(axes: Any, design: Design, separation: Separation, difference: str) -> None:
+    """Error of the difference against noise, under consistent load."""
+    figure, axes = draw.panels(4.2, 1, 1, 0.72 * draw.WIDTH)
+    one, other = separation.pair
+    difference = draw.in_symbols(f"{one} - {other}", design.symbols)
     scenario, count = separation.scenario("consistent"), design.throws
     throw, plain = design.candidates[separation.ordinary], scenario.each[separation.ordinary]
     ordinary = f"{count} x ({throw.v0:g} m/s, {throw.omega0:g} rad/s)"
     black, blue, green = draw.PALETTE[6], draw.PALETTE[0], draw.PALETTE[2]
     several = None if plain is None else plain / np.sqrt(count)
-    framed = f"the optimal {count} throws, framed"
+    framed = f"the optimal {count} throws"
     lines = [(several, ordinary, black, "-", 1.6), (scenario.stderr, framed, blue, "-", 2.2)]
     changes = [item for item in separation.changes if item.name == "h"]
     values = sorted(item.value for item in changes)
@@ -197,3 +173,6 @@ def _noise_needed(axes: Any, design: Design, separation: Separation, difference:
     if separation.proof.hidden:
         said = "uniform load: not separable, at any noise, with any number of throws"
         axes.set_title(said, color=draw.REFERENCE_COLOR, fontsize=7, loc="center")
+    figure.legend(loc="outside lower center", ncols=2, title="consistent load")
+    figure.suptitle(f"{draw.literal(design.law)} law: separation of {one} and {other}")
+    return figure

@@ -1,4 +1,4 @@
-"""Fisher information of planned throws, from exact derivatives, and the best choice of N of them.
+"""Fisher information of planned throws, from exact derivatives.
 
 The information is J^T W J, with J the derivatives of the trajectory with respect to coefficients
 and initial state, and W = 1/sigma^2 of independent Gaussian noise. It is stored as its factor R, an
@@ -8,22 +8,14 @@ The QR of the stacked factors of several throws or channels gives the factor of 
 information.
 
 Columns are scaled by typical sizes of the parameters, as in `curlfit.inference.identifiability`.
-
-Throws are chosen with repetition. D: largest determinant of the information, that is the smallest
-volume of the confidence ellipsoid. A: smallest sum of squared standard errors over typical sizes
-(Atkinson, Donev and Tobias 2007). C: smallest standard error of one linear combination. Where all
-candidates together do not determine all directions, D and A refer to the subspace that they
-determine.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations_with_replacement
-from math import comb
 from typing import NamedTuple
 
 import jax
@@ -32,29 +24,25 @@ import numpy as np
 from curlfit.errors import InputError
 from curlfit.friction import Law, Load, no_motion_because
 from curlfit.inference.fit.systematics import residual_changes
-from curlfit.inference.identifiability import Bounded, confined, r_factor, stderr_of, visible
+from curlfit.inference.identifiability import Bounded, confined, r_factor
 from curlfit.inference.least_squares import Indices
-from curlfit.inference.likelihood import linearize, predict_many, prepare_many
+from curlfit.inference.likelihood import linearize, predict_many
 from curlfit.inference.model import Model
 from curlfit.inference.noise.accelerations import Responses
 from curlfit.inference.parameters import START, ParameterSet
 from curlfit.inference.problem import LEVEL_AND_STILL, Problem
-from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.inference.system import motions
+from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import in_batches, stacked
+from curlfit.optimal_design.selection import standard_error
 from curlfit.stone import Stone
 from curlfit.throws.throw import CHANNELS
 
-_MAX_ENUMERATED = 20_000  # designs; for more, exchanges of one throw at a time
-_MAX_ROUNDS = 50
-_SINGULAR = 1e-12  # share of the information of all candidates in an undetermined direction
-
-Criterion = Callable[[Floats], Floats]
 LONGEST = 120.0
 """Seconds within which a stone must come to rest if the end of the record is not given."""
 MOST_ROWS = 50_000
 """Maximum number of rows of one throw."""
 
-_REFINEMENTS = 3  # 120 s/255^3 is a hundred thousandth of a second
 _ROWS = 256  # in a column of a batch
 _BATCH = 16  # columns; few, so that one or two throws do not leave most of them empty
 _ROUNDING = 1e-13  # relative to the largest singular value of the columns of the initial state
@@ -186,13 +174,46 @@ class Assumptions:
             self._known.update(zip(new, record_information(self, new), strict=True))
         return [self._known[throw] for throw in throws]
 
+    def factors(self, throws: Sequence[PlannedThrow]) -> list[Floats]:
+        """R factor of the information of each throw on the free coefficients."""
+        return [self.marginal(one) for one in self.records(throws)]
 
-def prepare_information(assumed: Assumptions, throw: PlannedThrow) -> None:
-    """Begin compiling the programs that `record_information` needs."""
-    some = [(throw, np.arange(2.0))] * _BATCH
-    values, problems = _stacked(assumed, some, assumed.channels)
-    prepare_many(assumed.model, values, problems)
-    linearize.prepare(assumed.model, values, problems)
+    def marginal(self, record: RecordInformation, columns: Indices | None = None) -> Floats:
+        """R factor of the information on some columns of a record, marginal over the initial state.
+
+        The Schur complement: the columns are projected onto the orthogonal complement of those of
+        the initial state. Initial values that only channels without noise determine are fixed, as
+        in a fit.
+
+        Parameters
+        ----------
+        columns : by default those of the free coefficients.
+
+        Returns
+        -------
+        Upper triangular, shape (columns, columns), scaled by typical sizes.
+        """
+        sigma, width = self.sigma, record.factors.shape[-1]
+        rows = [
+            factor / sigma[name]
+            for name, factor in zip(CHANNELS, record.factors, strict=False)
+            if name in sigma
+        ]
+        lacking = np.arange(width - record.shapes, width)
+        # a priori the amplitudes of the shapes have unit variance
+        everything = np.concatenate([*rows, np.eye(width)[lacking]])
+        needed = {"x0": {"x"}, "y0": {"y"}, "phi0": {"phi"}, "heading": {"x", "y"}}
+        names = self.parameters.names
+        state = [
+            names.index(item.name) for item in START if needed.get(item.name, set()) <= {*sigma}
+        ]
+        wanted = everything[:, self.free if columns is None else columns]
+        left, singular, _ = np.linalg.svd(everything[:, [*state, *lacking]], full_matrices=False)
+        left = left[:, singular > _ROUNDING * singular[0]]
+        for _ in range(2):  # twice, against rounding errors
+            wanted = wanted - left @ (left.T @ wanted)
+        factor = r_factor(wanted)
+        return np.pad(factor, ((0, factor.shape[1] - len(factor)), (0, 0)))
 
 
 def record_information(
@@ -211,12 +232,13 @@ def record_information(
     InputError : a stone that does not come to rest, or for which there is no motion; a record
         with fewer than two rows or more than `MOST_ROWS`.
     """
-    model, channels, ends = assumed.model, range(assumed.channels), _rests(assumed, throws)
+    model, channels, ends = assumed.model, range(assumed.channels), _ends(assumed, throws)
     clocks = [_clock(assumed, throw, rest) for throw, (rest, _) in zip(throws, ends, strict=True)]
     responses: list[Responses] = []
     if assumed.discrepancy:  # to accelerations of the size of the friction
-        even = np.linspace(0.0, [clock[-1] for clock in clocks], _ROWS, axis=-1)
-        about = zip(even, _paths(assumed, throws, even), throws, strict=True)
+        even = [np.linspace(0.0, clock[-1], _ROWS) for clock in clocks]
+        paths = predict_many(model, _vectors(assumed, throws), _problems(throws, even, 3), _BATCH)
+        about = zip(even, paths, throws, strict=True)
         responses = [Responses.of(times, path, throw.stone) for times, path, throw in about]
     # Long records are split into several columns of a batch.
     columns = [
@@ -224,34 +246,34 @@ def record_information(
         for index, clock in enumerate(clocks)
         for first in range(0, len(clock), _ROWS)
     ]
+    owner = np.array([index for index, _ in columns])
 
     def factors_of(some: Indices) -> Floats:
-        owners = [columns[place][0] for place in some]
-        batch = [(throws[columns[place][0]], columns[place][1]) for place in some]
-        values, problems = _stacked(assumed, batch, len(channels))
+        own = [throws[index] for index in owner[some]]
+        values = _vectors(assumed, own)
+        problems = _problems(own, [columns[place][1] for place in some], len(channels))
         jacobian = np.asarray(linearize(model, values, problems)[1]) * assumed.parameters.typical
         if widths:
             paths = predict_many(model, values, problems, _BATCH)
-            changes = residual_changes(model, problems, values, paths, widths, "linear", _BATCH)
+            changes = residual_changes(model, problems, values, paths, widths, _BATCH)
             jacobian = np.concatenate([jacobian, np.stack(list(changes.values()), -1)], -1)
         if (lost := ~np.isfinite(jacobian).all((1, 2, 3))).any():
-            raise _no_motion(assumed, batch[int(np.argmax(lost))][0])
+            raise _no_motion(assumed, own[int(np.argmax(lost))])
         if responses:
-            about = zip(owners, problems.times, strict=True)
-            lacking = [[responses[own].at(t, row) for row in channels] for own, t in about]
+            about = zip(owner[some], problems.times, strict=True)
+            lacking = [[responses[one].at(t, row) for row in channels] for one, t in about]
             scale = assumed.discrepancy * problems.weight[..., None]
             jacobian = np.concatenate([jacobian, scale * lacking], -1)
         return r_factor(jacobian)
 
     factors = in_batches(factors_of, (np.arange(len(columns)),), _BATCH)
-    owner = np.array([index for index, _ in columns])
     shapes = responses[0].by_channel.shape[-1] if responses else 0
     return [
         RecordInformation(
-            len(clock), float(clock[-1]), *end,
+            len(clock), float(clock[-1]), rest, distance,
             r_factor(np.concatenate(factors[owner == index], 1)), shapes,
         )
-        for index, (clock, end) in enumerate(zip(clocks, ends, strict=True))
+        for index, (clock, (rest, distance)) in enumerate(zip(clocks, ends.tolist(), strict=True))
     ]  # fmt: skip
 
 
@@ -266,59 +288,41 @@ def _clock(assumed: Assumptions, throw: PlannedThrow, rest: float) -> Floats:
     return np.arange(rows) / throw.rate
 
 
-def _paths(
-    assumed: Assumptions, throws: Sequence[PlannedThrow], clocks: Iterable[Floats]
-) -> Floats:
-    """x, y, phi, speed and spin of throws at `_ROWS` times of each, shape (throws, 5, times)."""
-    values, problems = _stacked(assumed, list(zip(throws, clocks, strict=True)), 3)
-    return predict_many(assumed.model, values, problems, _BATCH)
+def _vectors(assumed: Assumptions, throws: Sequence[PlannedThrow]) -> Floats:
+    """Parameter vectors of throws from the origin."""
+    return np.array(
+        [[*assumed.values, *(getattr(throw, item.name, 0.0) for item in START)] for throw in throws]
+    )
 
 
-def _stacked(
-    assumed: Assumptions, batch: Sequence[tuple[PlannedThrow, Floats]], channels: int
-) -> tuple[Floats, Problem]:
-    """Parameter vectors, and problems with unit noise, whose residuals have the derivatives of the
-    trajectory, of throws with their times."""
-    n = len(batch)
-    weight, times = np.zeros((n, channels, _ROWS)), np.empty((n, _ROWS))
-    values = np.zeros((n, len(assumed.values) + len(START)))
-    values[:, : len(assumed.values)] = assumed.values
-    places = {item.name: k for k, item in enumerate(START, start=len(assumed.values))}
-    for column, (throw, clock) in enumerate(batch):
-        weight[column, :, : len(clock)] = 1.0
-        times[column] = np.pad(clock, (0, _ROWS - len(clock)), mode="edge")
-        for name, value in (("v0", throw.v0), ("omega0", throw.omega0), ("heading", throw.heading)):
-            values[column, places[name]] = value
-    stone = stacked([jax.tree.map(float, throw.stone) for throw, _ in batch])
-    level = jax.tree.map(lambda value: np.full(n, value), LEVEL_AND_STILL)
-    return values, Problem(times, np.zeros_like(weight), weight, stone, level, np.zeros(n, int))
+def _problems(throws: Sequence[PlannedThrow], clocks: Sequence[Floats], channels: int) -> Problem:
+    """Problems with unit noise, whose residuals have the derivatives of the trajectory, of throws
+    at times of each."""
+    times = np.stack([np.pad(clock, (0, _ROWS - len(clock)), mode="edge") for clock in clocks])
+    seen = np.arange(_ROWS) < np.array([len(clock) for clock in clocks])[:, None]
+    weight = np.repeat(seen[:, None].astype(float), channels, axis=1)
+    stone = stacked([jax.tree.map(float, throw.stone) for throw in throws])
+    level = jax.tree.map(lambda value: np.full(len(throws), value), LEVEL_AND_STILL)
+    return Problem(times, np.zeros_like(weight), weight, stone, level, np.zeros(len(throws), int))
 
 
-def _rests(assumed: Assumptions, throws: Sequence[PlannedThrow]) -> list[tuple[float, float]]:
-    """Time of rest (s), above `LONGEST` only where the records end before, and distance (m) of
-    throws."""
-    # The first time at rest, on successively finer grids.
-    early, late = np.zeros(len(throws)), np.full(len(throws), LONGEST)
-    moves = np.zeros(len(throws), bool)
-    for _ in range(_REFINEMENTS):
-        clocks = np.linspace(early, late, _ROWS, axis=-1)
-        paths = _paths(assumed, throws, clocks)
-        speed = paths[:, 3]
-        if (lost := np.isnan(speed).any(1)).any():
-            raise _no_motion(assumed, throws[int(np.argmax(lost))])
-        moves |= (speed > 0).all(1)
-        first = np.maximum(np.argmax(speed == 0, 1), 1)[:, None]
-        early, late = (np.take_along_axis(clocks, first - k, 1)[:, 0] for k in (1, 0))
-        early, late = np.where(moves, 0.0, early), np.where(moves, LONGEST, late)
-    times = np.where(moves, 2 * LONGEST, late)
-    for throw, rest in zip(throws, times, strict=True):
+def _ends(assumed: Assumptions, throws: Sequence[PlannedThrow]) -> Floats:
+    """Time of rest (s), extrapolated beyond `LONGEST`, and distance (m) of throws."""
+    ends = np.empty((len(throws), 2))
+    for stone in {throw.stone for throw in throws}:
+        own = [row for row, throw in enumerate(throws) if throw.stone == stone]
+        values, whole = _vectors(assumed, [throws[row] for row in own]), np.array([0.0, LONGEST])
+        state, rest = motions(assumed.model, values, stone, LEVEL_AND_STILL, whole)
+        ends[own] = np.column_stack([rest, np.hypot(*state[:, :2, -1].T)])
+    for throw, (rest, distance) in zip(throws, ends, strict=True):
+        if np.isnan([rest, distance]).any():
+            raise _no_motion(assumed, throw)
         if assumed.until is None and not 0 < rest <= LONGEST:
             raise InputError(
                 f"a stone of {throw.v0:g} m/s and {throw.omega0:g} rad/s does not come to rest "
                 f"within {LONGEST:g} s; give the length of the record (--until)"
             )
-    distances = np.hypot(paths[:, 0, -1], paths[:, 1, -1])
-    return list(zip(times.tolist(), distances.tolist(), strict=True))
+    return ends
 
 
 def _no_motion(assumed: Assumptions, throw: PlannedThrow) -> InputError:
@@ -326,148 +330,3 @@ def _no_motion(assumed: Assumptions, throw: PlannedThrow) -> InputError:
         f"law {assumed.law.name} with {assumed.load} load admits no motion from {throw.v0:g} m/s "
         f"and {throw.omega0:g} rad/s{no_motion_because(assumed.load)}"
     )
-
-
-def marginal_factors(assumed: Assumptions, throws: Sequence[PlannedThrow]) -> list[Floats]:
-    """R factor of the information of each throw on the free coefficients."""
-    return [marginal_factor(assumed, one) for one in assumed.records(throws)]
-
-
-def marginal_factor(
-    assumed: Assumptions, record: RecordInformation, columns: Indices | None = None
-) -> Floats:
-    """R factor of the information on some columns of a record, marginal over the initial state.
-
-    The Schur complement: the columns are projected onto the orthogonal complement of those of the
-    initial state. Initial values that only channels without noise determine are fixed, as in a fit.
-
-    Parameters
-    ----------
-    columns : by default those of the free coefficients.
-
-    Returns
-    -------
-    Upper triangular, shape (columns, columns), scaled by typical sizes.
-    """
-    sigma, width = assumed.sigma, record.factors.shape[-1]
-    rows = [
-        factor / sigma[name]
-        for name, factor in zip(CHANNELS, record.factors, strict=False)
-        if name in sigma
-    ]
-    lacking = np.arange(width - record.shapes, width)
-    # a priori the amplitudes of the shapes have unit variance
-    everything = np.concatenate([*rows, np.eye(width)[lacking]])
-    needed = {"x0": {"x"}, "y0": {"y"}, "phi0": {"phi"}, "heading": {"x", "y"}}
-    names = assumed.parameters.names
-    state = [names.index(item.name) for item in START if needed.get(item.name, set()) <= {*sigma}]
-    wanted = everything[:, assumed.free if columns is None else columns]
-    left, singular, _ = np.linalg.svd(everything[:, [*state, *lacking]], full_matrices=False)
-    left = left[:, singular > _ROUNDING * singular[0]]
-    for _ in range(2):  # twice, against rounding errors
-        wanted = wanted - left @ (left.T @ wanted)
-    factor = r_factor(wanted)
-    return np.pad(factor, ((0, factor.shape[1] - len(factor)), (0, 0)))
-
-
-def combined(factors: Sequence[Floats]) -> Floats:
-    """R factor of the information of several throws together."""
-    return r_factor(np.concatenate(list(factors)))
-
-
-def standard_error(factor: Floats, weights: Floats) -> float | None:
-    """Standard error of a linear combination of coefficients; None where it is undetermined.
-
-    Parameters
-    ----------
-    factor : scaled by typical sizes, shape (free, free).
-    weights : of the free coefficients, times their typical sizes, shape (free,).
-    """
-    _, singular, right = np.linalg.svd(factor)
-    mask = visible(singular)
-    return stderr_of(weights, right[mask], singular[mask])
-
-
-class CandidateSet(NamedTuple):
-    """The information of candidates, whitened by that of all of them together."""
-
-    information: Floats
-    """of each candidate, shape (candidates, rank, rank); their sum is the identity matrix"""
-    basis: Floats
-    """whitened directions in coefficients over their typical sizes, shape (free, rank)"""
-    factors: Sequence[Floats]
-    """R factor of the information of each candidate"""
-
-    @property
-    def rank(self) -> int:
-        """Number of directions that the candidates together determine."""
-        return self.basis.shape[1]
-
-    @classmethod
-    def from_factors(cls, factors: Sequence[Floats]) -> CandidateSet:
-        """The set from the R factors of the information of each candidate."""
-        _, singular, right = np.linalg.svd(combined(factors))
-        mask = visible(singular)
-        basis = right[mask].T / singular[mask]
-        whitened = np.stack([factor @ basis for factor in factors])
-        return cls(np.swapaxes(whitened, 1, 2) @ whitened, basis, factors)
-
-    def together(self, indices: Sequence[int]) -> Floats:
-        """R factor of the information of some candidates together."""
-        return combined([self.factors[index] for index in indices])
-
-
-def d_criterion(information: Floats) -> Floats:
-    """D: minus the logarithm of the determinant, up to a constant."""
-    sign, size = np.linalg.slogdet(information)
-    return np.where(_nonsingular(information) & (sign > 0), -size, np.inf)
-
-
-def error_criterion(candidates: CandidateSet, weights: Floats) -> Criterion:
-    """Sum of the squared standard errors of linear combinations (rows of weights by typical sizes):
-    A for the coefficients themselves, C for one combination."""
-    along = np.atleast_2d(weights) @ candidates.basis
-    return lambda information: _trace(information, along.T @ along)
-
-
-def _nonsingular(information: Floats) -> Booleans:
-    return np.linalg.eigvalsh(information)[..., 0] > _SINGULAR
-
-
-def _trace(information: Floats, of: Floats) -> Floats:
-    nonsingular = _nonsingular(information)
-    safe = np.where(nonsingular[..., None, None], information, np.eye(information.shape[-1]))
-    return np.where(nonsingular, np.trace(np.linalg.solve(safe, of), axis1=-2, axis2=-1), np.inf)
-
-
-def select_design(
-    candidates: CandidateSet, criterion: Criterion, throws: int
-) -> tuple[int, ...] | None:
-    """Indices of the optimal throws, sorted; None if no choice determines all directions.
-
-    Small sets of designs are enumerated; otherwise throws are exchanged one at a time (Fedorov
-    1972), from a greedy start.
-    """
-    n = len(candidates.information)
-    if comb(n + throws - 1, throws) <= _MAX_ENUMERATED:
-        choices = np.array(list(combinations_with_replacement(range(n), throws)))
-        value = criterion(candidates.information[choices].sum(1))
-        best = int(np.argmin(value))
-        return tuple(map(int, choices[best])) if np.isfinite(value[best]) else None
-    # A small multiple of the total information keeps the criterion finite at first.
-    total = 1e-6 * candidates.information.sum(0)
-    indices: list[int] = []
-    for _ in range(throws):
-        indices.append(int(np.argmin(criterion(total + candidates.information))))
-        total = total + candidates.information[indices[-1]]
-    total = candidates.information[indices].sum(0)
-    for _ in range(_MAX_ROUNDS):
-        previous = list(indices)
-        for position, index in enumerate(indices):
-            rest = total - candidates.information[index]
-            indices[position] = int(np.argmin(criterion(rest + candidates.information)))
-            total = rest + candidates.information[indices[position]]
-        if indices == previous:
-            break
-    value = criterion(candidates.information[indices].sum(0))
-    return tuple(sorted(indices)) if np.isfinite(value) else None

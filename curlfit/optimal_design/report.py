@@ -9,7 +9,6 @@ from collections.abc import Iterable, Sequence
 from rich.console import Console
 from rich.text import Text
 
-from curlfit.inference.conditions import WIDTHS, if_off
 from curlfit.optimal_design.result import (
     Candidate,
     Design,
@@ -17,24 +16,22 @@ from curlfit.optimal_design.result import (
     Proof,
     Scenario,
     Separation,
+    StoneChange,
 )
 from curlfit.output.console import PlainTable
-from curlfit.output.document import Document, Part, Said, Section, command_line, exact, show
+from curlfit.output.document import Document, Part, Said, Section, show
 from curlfit.output.text import join_words, judged, labelled, lower, stone_text, two_digits
 
 _CRITERIA = {
     "D": "smallest volume of the confidence ellipsoid (D-optimal)",
     "A": "smallest mean squared standard error, in units of typical sizes (A-optimal)",
 }
+_FORCES = ("T_xi", "T_eta", "M")
 _WEAK = 0.05  # relative error above which a difference is weakly determined
 _SCATTER = 0.01  # relative variation of the ice from throw to throw
 _WORTH = 1.2  # factor of reduction of a systematic error above which a scenario is recommended
 _MAX_LISTED = 24  # candidates; the others are in design.json
-_LENGTH_AND_ANGLE = {"x": ("m", "mm", "um"), "phi": ("rad", "mrad", "urad")}
-_UNITS = {
-    "x": _LENGTH_AND_ANGLE["x"], "y": _LENGTH_AND_ANGLE["x"], "phi": _LENGTH_AND_ANGLE["phi"],
-    "speed": ("m/s", "mm/s", "um/s"), "omega": ("rad/s", "mrad/s", "urad/s"),
-}  # fmt: skip
+_UNITS = {"x": "m", "y": "m", "phi": "rad", "speed": "m/s", "omega": "rad/s"}
 
 
 def print_design(design: Design, console: Console | None = None) -> None:
@@ -87,7 +84,7 @@ def document(design: Design) -> Document:
             "Noise": noise_text(design.sigma),
             "Throws": str(design.throws),
         },
-        command=_command(design),
+        command=design.command,
         names=design.coefficients,
     )  # fmt: skip
 
@@ -103,7 +100,7 @@ def noise_text(sigma: dict[str, float], factor: float = 1.0) -> str:
 def with_unit(value: float, channel: str) -> str:
     """A value in a suitable unit, as in "12 um"."""
     index = min(max(math.ceil(-math.log10(value) / 3 - 1e-9), 0), 2)
-    return f"{two_digits(value * 1000**index)} {_UNITS[channel][index]}"
+    return f"{two_digits(value * 1000**index)} {('', 'm', 'u')[index]}{_UNITS[channel]}"
 
 
 def percent(fraction: float) -> str:
@@ -114,15 +111,13 @@ def percent(fraction: float) -> str:
 def throws_text(design: Design, indices: Iterable[int]) -> str:
     """Throws as in "2 x (2.2 m/s, 10 rad/s)"."""
     return " and ".join(
-        f"{count} x ({_start(design, design.candidates[index])})"
+        f"{count} x ({_start(design.candidates[index])})"
         for index, count in Counter(indices).items()
     )
 
 
-def _start(design: Design, one: Candidate) -> str:
-    rates = {item.rate for item in design.candidates}
-    more = f", {one.rate:g} Hz" if len(rates) > 1 else ""
-    return f"{one.v0:g} m/s, {one.omega0:g} rad/s{more}"
+def _start(one: Candidate) -> str:
+    return f"{one.v0:g} m/s, {one.omega0:g} rad/s"
 
 
 def _throws(count: int) -> str:
@@ -131,11 +126,10 @@ def _throws(count: int) -> str:
 
 def _measured(design: Design) -> str:
     """What is measured of each throw, in a line."""
-    rates = ", ".join(f"{rate:g}" for rate in sorted({one.rate for one in design.candidates}))
     end = "until the stone is at rest" if design.until is None else f"for {design.until:g} s"
     discrepancy = f", a discrepancy of {100 * design.discrepancy:.2g} % of what friction does"
     return (
-        f"{rates} Hz {end}, independent noise of {noise_text(design.sigma)}"
+        f"{design.rate:g} Hz {end}, independent noise of {noise_text(design.sigma)}"
         f"{discrepancy * bool(design.discrepancy)}; stone {stone_text(design.stone, mass=False)}"
     )
 
@@ -153,53 +147,36 @@ def _scenarios(design: Design) -> PlainTable:
 
 
 def _recommended(scenarios: Sequence[Scenario]) -> str:
-    """The recommended scenario, and the largest shifts that remain."""
-    planned, *others = scenarios
-    first = planned.systematic
+    """The simplest scenario with nearly the largest gain, if there is a gain."""
+    first, *others = (one.systematic for one in scenarios)
     gains = {
-        one.name: max(first[name] / max(error, 1e-300) for name, error in one.systematic.items())
-        for one in others
+        one.name: max(first[name] / max(error, 1e-300) for name, error in systematic.items())
+        for one, systematic in zip(scenarios[1:], others, strict=True)
     }
-    # Of scenarios with about the same gain, the simplest.
     best = next(name for name, gain in gains.items() if gain > 0.8 * max(gains.values()))
-    chosen = next(one for one in others if one.name == best)
-    left = []
-    for name, shifts in chosen.shifts.items():
-        condition = max(shifts, key=lambda key: abs(shifts[key]))
-        verb = "higher" if shifts[condition] > 0 else "lower"
-        text = if_off(condition, WIDTHS[condition])
-        left.append(f"{text}, {name} is {two_digits(abs(shifts[condition]))} {verb}")
-    said = "What is left" if gains[best] > _WORTH else "The largest shifts"
-    remains = f"{said}: {'; '.join(left)}."
     if gains[best] <= _WORTH:
-        return f"Throwing with both spins or in both directions cancels little. {remains}"
+        return "Throwing with both spins or in both directions cancels little."
     return (
         f"Throw with {best}, in equal shares: the systematic errors, mostly by ice that is not "
-        f"level, become smaller by up to a factor of {gains[best]:.2g}. {remains}"
+        f"level, become smaller by up to a factor of {gains[best]:.2g}."
     )
 
 
 def _best(design: Design) -> PlainTable:
     first, *others = design.best.values()
-    if all(item.throws == first.throws for item in others):
-        shown = {"": first}
-    else:
-        shown = {f" by {name}": item for name, item in design.best.items()}
+    same = all(item.throws == first.throws for item in others)
+    shown = {"": first} if same else {f" by {name}": item for name, item in design.best.items()}
     assumed = {one.expression: one.value for one in first.combinations} | design.coefficients
-    rows = []
-    for name in first.stderr:
-        errors = {
-            f">std. error, best {_throws(design.throws)}{by}": _error(item.stderr.get(name))
-            for by, item in shown.items()
+    head = f">std. error, best {_throws(design.throws)}"
+    rows = [
+        {
+            "coefficient": labelled(name, design.units.get(name, "1")),
+            ">assumed": f"{assumed[name]:.6g}",
+            **{f"{head}{by}": _error(item.stderr.get(name)) for by, item in shown.items()},
+            "verdict": judged(first.verdicts.get(name, "determined")),
         }
-        rows.append(
-            {
-                "coefficient": labelled(name, design.units.get(name, "1")),
-                ">assumed": f"{assumed[name]:.6g}",
-                **errors,
-                "verdict": judged(first.verdicts.get(name, "determined")),
-            }
-        )
+        for name in first.stderr
+    ]
     return PlainTable(rows, "The best throws: expected standard errors")
 
 
@@ -208,17 +185,13 @@ def _error(stderr: float | None) -> str:
 
 
 def _summary(design: Design) -> list[str]:
-    lines = []
-    best = {name: throws_text(design, item.throws) for name, item in design.best.items()}
-    if len(set(best.values())) == 1:
-        lines.append(
-            f"Best {_throws(design.throws)}: {next(iter(best.values()))}, by "
-            + " and by ".join(_CRITERIA[name] for name in best)
-            + "."
-        )
-    else:
-        for name, text in best.items():
-            lines.append(f"Best {_throws(design.throws)} by {_CRITERIA[name]}: {text}.")
+    throws: dict[str, list[str]] = {}
+    for name, item in design.best.items():
+        throws.setdefault(throws_text(design, item.throws), []).append(_CRITERIA[name])
+    lines = [
+        f"Best {_throws(design.throws)}: {text}, by {' and by '.join(criteria)}."
+        for text, criteria in throws.items()
+    ]
     first = next(iter(design.best.values()))
     if design.rank < design.free:
         hidden = [name for name, verdict in first.verdicts.items() if verdict == "not identifiable"]
@@ -235,11 +208,10 @@ def _summary(design: Design) -> list[str]:
 
 
 def _single_throws(design: Design) -> PlainTable:
-    rates = len({one.rate for one in design.candidates}) > 1
     rows = [
         {
             ">v0\n(m/s)": f"{one.v0:g}", ">omega0\n(rad/s)": f"{one.omega0:g}",
-            ">rate\n(Hz)": f"{one.rate:g}" * rates, ">rows": str(one.rows),
+            ">rows": str(one.rows),
             ">at rest\n(s)": f"{one.rest:.1f}", ">after\n(m)": f"{one.distance:.1f}",
             **{f">error of\n{name}": _error(one.stderr[name]) for name in design.quantities},
         }
@@ -250,18 +222,11 @@ def _single_throws(design: Design) -> PlainTable:
     return PlainTable(rows, "Expected errors from a single throw", keys=2, note=note)
 
 
-def target_text(separation: Separation) -> str:
-    """The required error, as in "20 % of their mean, 0.009"."""
-    reference = "their mean" if separation.of == "mean" else "their difference"
-    return f"{100 * separation.wanted:g} % of {reference}, {separation.size:g}"
-
-
 def _separation(design: Design, separation: Separation) -> Section:
-    a, b = separation.pair
-    proof = separation.proof
+    (a, b), proof, size = separation.pair, separation.proof, separation.size
     parts: list[Part] = [
-        f"Required: standard error of {a} - {b} {separation.wanted * separation.size:.2g}, "
-        f"{target_text(separation)}."
+        f"Required: standard error of {a} - {b} {separation.wanted * size:.2g}, "
+        f"{100 * separation.wanted:g} % of their {separation.of}, {size:g}."
     ]
     if proof.hidden:
         parts += [
@@ -279,62 +244,57 @@ def _separation(design: Design, separation: Separation) -> Section:
 
 
 def _proof(proof: Proof) -> str:
-    def sizes(values: tuple[float, ...]) -> str:
-        return ", ".join(
-            f"{name} {value:.1g}"
-            for name, value in zip(("T_xi", "T_eta", "M"), values, strict=True)
-        )
-
+    by_difference, by_sum = (
+        ", ".join(f"{name} {value:.1g}" for name, value in zip(_FORCES, values, strict=True))
+        for values in (proof.by_difference, proof.by_sum)
+    )
     return (
         f"Computed: over {proof.states} random speeds and spins, the largest derivatives of force "
-        "(over m g) and moment (over m g R) along the difference are "
-        f"{sizes(proof.by_difference)}; along the sum {sizes(proof.by_sum)}. {proof.throws} "
-        "throws of various speeds and spins together have the singular values "
-        f"{', '.join(f'{value:.2g}' for value in proof.singular_values)}: the last is zero to "
-        "rounding error."
+        f"(over m g) and moment (over m g R) along the difference are {by_difference}; along the "
+        f"sum {by_sum}. {proof.throws} throws of various speeds and spins together have the "
+        f"singular values {', '.join(f'{value:.2g}' for value in proof.singular_values)}: the last "
+        "is zero to rounding error."
     )
 
 
 def _scenario(design: Design, separation: Separation, scenario: LoadScenario) -> list[Part]:
-    name = f"{scenario.load.capitalize()} load" + (
-        " (eq. 8-9)" if scenario.load == "consistent" else ""
-    )
+    name = f"{scenario.load.capitalize()} load{' (eq. 8-9)' * (scenario.load == 'consistent')}"
     if scenario.throws is None or scenario.stderr is None:
         return [Text(f"{name}: none of these throws can separate them.", style="bold red")]
-    weak = scenario.stderr > _WEAK * separation.size
-    rows = []
-    for index in _by_spin(design, scenario):
-        one, stderr = design.candidates[index], scenario.each[index]
-        assert stderr is not None
-        rows.append(
-            {
-                ">omega0\n(rad/s)": f"{one.omega0:g}", ">v0\n(m/s)": f"{one.v0:g}",
-                ">error from\none throw": f"{stderr:.2g}",
-                ">relative": percent(stderr / separation.size),
-                "noise for the\nrequired error": noise_text(
-                    design.sigma, separation.noise_factor(stderr)
-                ),
-                ">or throws at\nthis noise": _count(separation.throws_needed(stderr, 1)),
-            }
-        )  # fmt: skip
+    weak, rows = scenario.stderr > _WEAK * separation.size, []
+    for spin in dict.fromkeys(one.omega0 for one in design.candidates):
+        own = [
+            (stderr, one.v0)
+            for one, stderr in zip(design.candidates, scenario.each, strict=True)
+            if one.omega0 == spin and stderr is not None
+        ]
+        for stderr, v0 in sorted(own)[:1]:
+            noise = noise_text(design.sigma, separation.noise_factor(stderr))
+            rows.append(
+                {
+                    ">omega0\n(rad/s)": f"{spin:g}", ">v0\n(m/s)": f"{v0:g}",
+                    ">error from\none throw": f"{stderr:.2g}",
+                    ">relative": percent(stderr / separation.size),
+                    "noise for the\nrequired error": noise,
+                    ">or throws at\nthis noise": _count(separation.throws_needed(stderr, 1)),
+                }
+            )  # fmt: skip
     return [
         Text(f"{name}: the difference is {'weakly ' * weak}determined.", style="bold yellow"),
         PlainTable(rows, f"{name}: the best throw of each spin", keys=2),
-        _optimal(design, separation, scenario),
+        _optimal(design, separation, scenario, scenario.stderr),
     ]
 
 
-def _optimal(design: Design, separation: Separation, scenario: LoadScenario) -> str:
+def _optimal(design: Design, separation: Separation, scenario: LoadScenario, stderr: float) -> str:
     """The optimal throws for a separation, and what they would need."""
-    assert scenario.throws is not None
-    assert scenario.stderr is not None
-    factor = separation.noise_factor(scenario.stderr)
+    factor = separation.noise_factor(stderr)
     text = (
-        f"The optimal {_throws(design.throws)}: {throws_text(design, scenario.throws)}. Error "
-        f"{scenario.stderr:.2g}, that is {percent(scenario.stderr / separation.size)}: "
+        f"The optimal {_throws(design.throws)}: {throws_text(design, scenario.throws or ())}. "
+        f"Error {stderr:.2g}, that is {percent(stderr / separation.size)}: "
     )
     if factor < 1:
-        needed = _count(separation.throws_needed(scenario.stderr, design.throws))
+        needed = _count(separation.throws_needed(stderr, design.throws))
         text += (
             f"needs noise of {noise_text(design.sigma, factor)}, or {needed} throws at the present "
             f"noise, or {two_digits(1 / factor**2)} times as many rows per second."
@@ -350,16 +310,6 @@ def _optimal(design: Design, separation: Separation, scenario: LoadScenario) -> 
     return text
 
 
-def _by_spin(design: Design, scenario: LoadScenario) -> list[int]:
-    """For each spin the candidate with the smallest error by itself."""
-    found: dict[float, tuple[float, int]] = {}
-    for index, stderr in enumerate(scenario.each):
-        if stderr is not None:
-            own, spin = (stderr, index), design.candidates[index].omega0
-            found[spin] = min(found.get(spin, own), own)
-    return [index for _, index in found.values()]
-
-
 def _count(number: float) -> str:
     """A number of throws: an integer, rounded where it is large."""
     whole = math.ceil(number - 1e-9)
@@ -368,27 +318,26 @@ def _count(number: float) -> str:
 
 def _changes(design: Design, separation: Separation) -> PlainTable:
     scenario, draw = separation.scenario("consistent"), design.candidates[separation.ordinary]
-    assert scenario.stderr is not None
     count, alone = _throws(design.throws), scenario.each[separation.ordinary]
-
-    def row(stone: str, whole: float | None, half: float | None) -> dict[str, str]:
-        relative = ["-" if one is None else percent(one / separation.size) for one in (whole, half)]
-        kind = f"{draw.v0:g} m/s, {draw.omega0:g} rad/s"
-        return {
-            "stone": stone,
-            f">error, {count}\nas above": _error(whole), ">relative": relative[0],
-            f">error, {count} of\n{kind},\nhalf with each stone": _error(half),
-            "> relative": relative[1],
-        }  # fmt: skip
-
     single = None if alone is None else alone / math.sqrt(design.throws)
-    rows = [row("original", scenario.stderr, single)]
-    for item in separation.changes:
-        averaged = item.steady and _count(separation.throws_for_scatter(_SCATTER, item.steady))
+    original = StoneChange("", 0.0, scenario.stderr, single, None)
+    rows = []
+    for item in (original, *separation.changes):
+        whole, half = (
+            "-" if one is None else percent(one / separation.size) for one in (item.all, item.half)
+        )
+        steady = averaged = "--" * bool(item.name)
+        if item.steady:
+            steady = percent(item.steady)
+            averaged = _count((2 * _SCATTER / item.steady) ** 2)
         rows.append(
-            row(f"{item.name} = {1000 * item.value:.3g} mm", item.all, item.half)
-            | {">ice constant\nto": percent(item.steady) if item.steady else "--",
-               f">throws, ice\nscatter {percent(_SCATTER)}": averaged or "--"}
+            {
+                "stone": f"{item.name} = {1000 * item.value:.3g} mm" if item.name else "original",
+                f">error, {count}\nas above": _error(item.all), ">relative": whole,
+                f">error, {count} of\n{_start(draw)},\nhalf with each stone": _error(item.half),
+                "> relative": half, ">ice constant\nto": steady,
+                f">throws, ice\nscatter {percent(_SCATTER)}": averaged,
+            }
         )  # fmt: skip
     return PlainTable(rows, "Changes of the stone")
 
@@ -404,27 +353,3 @@ def _about_changes(separation: Separation) -> str:
         "number of throws, alternately with one stone and the other, that averages out a scatter "
         f"of the ice of {percent(_SCATTER)} from throw to throw."
     )
-
-
-def _command(design: Design) -> str:
-    """The command of a design, as far as it is recorded."""
-    stone = ",".join(f"{name}={exact(value)}" for name, value in design.stone.as_dict().items())
-    words = [f"--law={design.law}", f"--load={design.load}", f"--stone={stone}"]
-    words += [f"--set={name}={exact(value)}" for name, value in design.coefficients.items()]
-    for flag, name in (("xy", "x"), ("phi", "phi"), ("speed", "speed"), ("omega", "omega")):
-        if name in design.sigma:
-            words.append(f"--sigma-{flag}={exact(design.sigma[name])}")
-        elif flag in ("xy", "phi"):
-            words.append(f"--sigma-{flag}=none")
-    for name in ("v0", "omega0", "rate"):
-        values = dict.fromkeys(getattr(one, name) for one in design.candidates)
-        words.append(f"--{name}=" + ",".join(map(exact, values)))
-    if design.until is not None:
-        words.append(f"--until={exact(design.until)}")
-    words.append(f"--throws={design.throws}")
-    if design.discrepancy:
-        words.append(f"--discrepancy={exact(design.discrepancy)}")
-    if design.separation is not None:
-        words.append("--separate=" + ",".join(design.separation.pair))
-        words.append(f"--relative-error={exact(design.separation.wanted)}")
-    return command_line("design", *words)

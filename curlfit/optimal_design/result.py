@@ -103,6 +103,7 @@ class Design(Record):
     separation : separability of two coefficients, if requested or if only their sum is
         determined.
     notes : caveats, as sentences.
+    command : that made it; empty if it was made in Python.
     discrepancy : size of the accelerations that the law may lack, relative to the friction.
     scenarios : systematic errors of the D-optimal throws, as planned and in other scenarios.
 
@@ -136,6 +137,12 @@ class Design(Record):
     notes: tuple[str, ...]
     scenarios: tuple[Scenario, ...] = ()
     discrepancy: float = 0.0
+    command: str = ""
+
+    @property
+    def rate(self) -> float:
+        """Rows per second of every throw, Hz."""
+        return self.candidates[0].rate
 
     def to_frame(self) -> Any:
         """The candidates as a pandas DataFrame, one per row: the throw, and the standard error of
@@ -288,7 +295,3 @@ class Separation:
     def throws_needed(self, stderr: float, throws: int) -> float:
         """Number of throws that gives the required error, if `throws` of them give `stderr`."""
         return throws / self.noise_factor(stderr) ** 2
-
-    def throws_for_scatter(self, scatter: float, steady: float) -> float:
-        """Number of throws, half with each stone, that averages out a scatter of the sum."""
-        return (2 * scatter / steady) ** 2

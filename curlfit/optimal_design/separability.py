@@ -12,7 +12,7 @@ would rotate with it; it is not modelled.)
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -26,17 +26,15 @@ from curlfit.foreign import quoted
 from curlfit.friction import Law, Load
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.compiled import compiled
-from curlfit.optimal_design.information import (
-    Assumptions,
+from curlfit.optimal_design.information import Assumptions, PlannedThrow
+from curlfit.optimal_design.result import LoadScenario, Proof, Separation, StoneChange
+from curlfit.optimal_design.selection import (
     CandidateSet,
-    PlannedThrow,
     combined,
     error_criterion,
-    marginal_factors,
     select_design,
     standard_error,
 )
-from curlfit.optimal_design.result import LoadScenario, Proof, Separation, StoneChange
 from curlfit.stone import GRAVITY, Stone
 
 HIDDEN = (
@@ -166,7 +164,6 @@ def analyse_separation(
     candidates: Sequence[PlannedThrow],
     throws: int,
     required: float,
-    progress: Callable[[str], None],
 ) -> Separation:
     """What it takes to separate two coefficients.
 
@@ -175,36 +172,32 @@ def analyse_separation(
     by_load : an exact law under each load.
     candidates, throws : candidates, and number of throws.
     required : relative error.
-    progress : called with the current step.
     """
     stone = candidates[0].stone
-    progress("the proof for the uniform load")
     varied = [PlannedThrow(v0, omega0, _PROOF_RATE, stone) for v0, omega0 in _PROOF]
     uniform, consistent = by_load["uniform"], by_load["consistent"]
-    proof = prove_unidentifiable(uniform, pair, stone, marginal_factors(uniform, varied))
+    proof = prove_unidentifiable(uniform, pair, stone, uniform.factors(varied))
     scenarios = []
     for load, assumed in by_load.items():
-        progress(f"the candidates under {load} load")
-        factors = marginal_factors(assumed, candidates)
+        factors = assumed.factors(candidates)
         scenarios.append(_load_scenario(pair, load, factors, throws, required))
 
-    def strangeness(one: PlannedThrow) -> tuple[float, float]:
+    def strangeness(one: PlannedThrow) -> float:
         v0, omega0 = _ORDINARY
-        return abs(math.log(one.v0 / v0)) + abs(abs(one.omega0) - omega0), -one.rate
+        return abs(math.log(one.v0 / v0)) + abs(abs(one.omega0) - omega0)
 
     ordinary = min(candidates, key=strangeness)
     best = scenarios[-1].throws
     changes = []
     for name, factor in _CHANGES if best is not None else ():
         value = factor * getattr(stone, name)
-        progress(f"the stone with {name} = {value:.3g} m")
         other = stone.with_values({name: value})
         made = [*(candidates[index] for index in best or ()), ordinary]
         modified = [throw._replace(stone=other) for throw in made]
         errors: tuple[float | None, ...] = (None,) * 3
         with suppress(InputError):  # no motion
-            *found, draw = marginal_factors(consistent, modified)
-            both = [*marginal_factors(consistent, [ordinary]), draw]
+            *found, draw = consistent.factors(modified)
+            both = [*consistent.factors([ordinary]), draw]
             errors = (
                 standard_error(combined(found), pair.difference),
                 standard_error(combined(both) * math.sqrt(throws / 2), pair.difference),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +14,7 @@ from curlfit.errors import InputError
 from curlfit.numerics.threads import cores
 
 if TYPE_CHECKING:
-    from concurrent.futures import ProcessPoolExecutor
+    from concurrent.futures import Future, ProcessPoolExecutor
 
     from matplotlib.figure import Figure
 
@@ -29,7 +30,7 @@ class FigureFiles:
     def __init__(self, formats: tuple[str, ...]) -> None:
         self.formats = formats
         self._second: ProcessPoolExecutor | None = None
-        self._tasks: list[tuple[Callable[[], list[Path]], ...]] = []
+        self._tasks: list[tuple[Future[list[Path]] | None, Callable[[], list[Path]]]] = []
         self._files: list[Path] = []
 
     @classmethod
@@ -44,7 +45,7 @@ class FigureFiles:
             if text is not None:
                 raise InputError(f"{flag} {text}: --no-figures draws nothing; give one of them")
             return cls(())
-        names = [one.strip().lower() for one in (FORMATS[0] if text is None else text).split(",")]
+        names = [name.strip().lower() for name in (FORMATS[0] if text is None else text).split(",")]
         if not set(names) <= set(FORMATS):
             raise InputError(
                 f"{flag} {text}: expected {', '.join(FORMATS[:-1])} or {FORMATS[-1]}, or several "
@@ -76,19 +77,19 @@ class FigureFiles:
         if self._second is None:
             self._files += task()
             return
-        try:
+        sent = None
+        with suppress(Exception):  # what cannot be sent is drawn here
             sent = self._second.submit(_unpickled, pickle.dumps(task))
-            self._tasks.append((sent.result, task))
-        except Exception:
-            self._tasks.append((task, task))
+        self._tasks.append((sent, task))
 
     def written(self) -> list[Path]:
         """The files of all figures, once they are written; raises what drawing them raised."""
-        for drawn, task in self._tasks:
-            try:
-                self._files += drawn()
-            except Exception:  # a law that it does not know, or it was killed; or the same error
-                self._files += task()
+        for sent, task in self._tasks:
+            files = None
+            if sent is not None:
+                with suppress(Exception):  # a law that it does not know, or it was killed
+                    files = sent.result()
+            self._files += task() if files is None else files
         self._tasks = []
         return self._files
 

@@ -71,13 +71,12 @@ class Output(Choices):
     def status(self, text: str) -> Iterator[Callable[[str], None]]:
         """A line on the terminal that says what is done, and a function that changes it."""
         from rich.console import Console
+        from rich.progress import SpinnerColumn
 
         console = Console(stderr=True, quiet=self.quiet)
-        if self.quiet or not console.is_terminal:
-            yield lambda text: None
-            return
-        with console.status(text) as status:
-            yield status.update
+        with progress_line(console, SpinnerColumn(), "{task.description}") as show:
+            show(text)
+            yield show
 
     def finish(
         self,

@@ -5,8 +5,9 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Generic, TypeVar
 
 from cyclopts import Group, Parameter
 
@@ -63,9 +64,7 @@ class LawValues(Choices):
     """
 
     law: Annotated[Any, option(LAW, "NAME")] = None
-    coefficients: Annotated[Named, option(VALUES, "NAME=V", name="--set")] = field(
-        default_factory=dict
-    )
+    coefficients: Annotated[Named, option(VALUES, "NAME=V")] = field(default_factory=dict)
     load: Annotated[str | None, option(LOAD, "NAME")] = None
     stone: Annotated[Named, option(VALUES, "R=V,rho=V")] = field(default_factory=dict)
 
@@ -118,22 +117,49 @@ def read_config(file: Path | None) -> dict[str, Any]:
     return {_KEYS[key]: value for key, value in found.items()}
 
 
-class ConfiguredThrow(NamedTuple, Generic[Chosen]):
+@dataclass(frozen=True)
+class ConfiguredThrow(Generic[Chosen]):
     """A throw with the choices for its fit."""
 
     throw: Throw
     chosen: Chosen
     seed: int | None = None
 
-    @property
+    @cached_property
     def cut(self) -> Throw:
         """The rows to be used, with the sigmas that are given."""
         throw = self.throw.with_sigma(dict(self.chosen.sigma))
         return throw.select_rows(**self.chosen.rows)
 
+    @cached_property
+    def parameters(self: ConfiguredThrow[ModelChoices]) -> ParameterSet:
+        """The parameters of its fit."""
+        return checked_parameters(self.chosen, self.cut)
+
+    def fit(self) -> FitResult:
+        """Run the fit."""
+        from curlfit.inference.fit.fit import fit
+
+        return fit(self.throw, **vars(self.chosen))
+
+    def problem(self: ConfiguredThrow[ModelChoices]) -> tuple[Model, ParameterSet, Problem]:
+        """The initial problem of the fit, for programs compiled alongside it."""
+        from curlfit.friction import find_law
+        from curlfit.inference.fit.prepared import PreparedThrow
+        from curlfit.inference.fit.rounds import Rounds
+        from curlfit.inference.model import Model
+        from curlfit.numerics.batches import unstacked
+
+        chosen = self.chosen
+        prepared = PreparedThrow.of(self.throw, chosen)
+        model = Model(find_law(chosen.law), chosen.load, prepared.parameters.conditions)
+        rounds = Rounds(model, [prepared], loss=chosen.loss, noise=chosen.noise)
+        (problem,) = unstacked(rounds.problems)
+        return model, prepared.local_parameters, problem
+
 
 def prepare(
-    data: Path, config: Path | None, reading: Reading, flags: Chosen, seed: int | None = None
+    data: Path, config: Path | None, reading: Reading, flags: Chosen
 ) -> ConfiguredThrow[Chosen]:
     """The throw and its choices: its own, overridden by the configuration, then by the flags.
 
@@ -145,17 +171,15 @@ def prepare(
 
     configured = read_config(config)
     throw = load_throw(data, **vars(Reading.of(configured, vars(reading))))
-    return apply_settings(throw, configured, flags, seed)
+    return apply_settings(throw, configured, flags)
 
 
 def apply_settings(
-    throw: Throw, configured: Mapping[str, Any], flags: Chosen, seed: int | None = None
+    throw: Throw, configured: Mapping[str, Any], flags: Chosen
 ) -> ConfiguredThrow[Chosen]:
     """`prepare` for a throw that has already been read."""
     chosen = type(flags).of(throw.settings, configured, vars(flags))
-    if seed is None:
-        seed = configured.get("seed", throw.defaults.get("seed"))
-    return ConfiguredThrow(throw, chosen, seed)
+    return ConfiguredThrow(throw, chosen, configured.get("seed", throw.defaults.get("seed")))
 
 
 def result_folder(data: Path, kind: str, reading: Reading) -> Path:
@@ -219,52 +243,25 @@ def checked_parameters(
     return parameters
 
 
-class FitRequest(NamedTuple, Generic[ModelChoices]):
-    """A requested fit; `cut` is the throw with only the rows to be used."""
-
-    throw: Throw
-    cut: Throw
-    chosen: ModelChoices
-    seed: int | None
-    parameters: ParameterSet
-
-    def fit(self) -> FitResult:
-        """Run the fit."""
-        from curlfit.inference.fit.fit import fit
-
-        return fit(self.throw, **vars(self.chosen))
-
-    def problem(self) -> tuple[Model, ParameterSet, Problem]:
-        """The initial problem of the fit, for programs compiled alongside it."""
-        from curlfit.friction import find_law
-        from curlfit.inference.fit.prepared import PreparedThrow
-        from curlfit.inference.fit.rounds import Rounds
-        from curlfit.inference.model import Model
-        from curlfit.numerics.batches import unstacked
-
-        chosen = self.chosen
-        prepared = PreparedThrow.of(self.throw, chosen)
-        model = Model(find_law(chosen.law), chosen.load, prepared.parameters.conditions)
-        rounds = Rounds(model, [prepared], loss=chosen.loss, noise=chosen.noise)
-        (problem,) = unstacked(rounds.problems)
-        return model, prepared.local_parameters, problem
-
-
 def request_fit(
-    data: Path, config: Path | None, reading: Reading, flags: ModelChoices, seed: int | None = None
-) -> FitRequest[ModelChoices]:
-    """The requested fit, with its input checked before slow modules are loaded.
+    data: Path, config: Path | None, reading: Reading, flags: ModelChoices
+) -> ConfiguredThrow[ModelChoices]:
+    """The throw to be fitted, with everything checked before slow modules are loaded.
 
     Raises
     ------
     InputError : the data, a setting or a value cannot be used.
     """
+    return checked(prepare(data, config, reading, flags))
+
+
+def checked(job: ConfiguredThrow[ModelChoices]) -> ConfiguredThrow[ModelChoices]:
+    """The same throw. Raises `InputError` if it cannot be fitted."""
     from curlfit.throws.plausibility import require_plausible
 
-    throw, chosen, seed = job = prepare(data, config, reading, flags, seed)
-    cut = job.cut
-    require_plausible(cut)
-    return FitRequest(throw, cut, chosen, seed, checked_parameters(chosen, cut))
+    require_plausible(job.cut)
+    _ = job.parameters
+    return job
 
 
 def kind_of(folder: Path) -> str:

@@ -26,10 +26,11 @@ class Kind(NamedTuple):
 
 
 KINDS = {
-    "fit": Kind("inference.report", "fit"),
+    "fit": Kind("reports.fit", "fit"),
     "compare": Kind("comparison.report", "comparison"),
-    "joint": Kind("inference.joint.report", "joint"),
+    "joint": Kind("reports.joint", "joint"),
     "predict": Kind("prediction.report", "prediction"),
+    "friction": Kind("friction_tables.report", "friction"),
     "profile": Kind("profile_likelihood.report", "profile"),
     "design": Kind(
         "optimal_design.report", "design", ("design-map", "design-errors", "design-separate")

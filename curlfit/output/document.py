@@ -15,9 +15,6 @@ from curlfit.output.console import terminal
 Part = str | Text | Table | None
 
 LONG = 110  # maximum number of characters in a first line
-FOLDER_OF_FIT = (
-    "The folder of the fit has the name that `curlfit fit` gives it, unless --out said otherwise."
-)
 
 
 class Said(Text):
@@ -63,7 +60,6 @@ class Document:
     title : of a page.
     settings : how the result was made, by name.
     command : that makes it again; empty if there is none.
-    remark : on the command.
     names : words that keep a lower-case initial.
     """
 
@@ -79,7 +75,6 @@ class Document:
     title: str = ""
     settings: Mapping[str, str] = field(default_factory=dict)
     command: str = ""
-    remark: str = ""
     names: Collection[str] = ()
 
     @property
@@ -134,8 +129,3 @@ def show(document: RenderableType, console: Console | None = None) -> None:
 def command_line(*words: str) -> str:
     """A command of curlfit as it is typed."""
     return shlex.join(["curlfit", *words])
-
-
-def exact(value: float) -> str:
-    """A number of a command."""
-    return f"{value:.10g}"

@@ -218,7 +218,12 @@ class SpeedMixture(LocalLaw):
         return -mu * point.e_xi, -mu * point.e_eta
 
 
-_LOCAL = [law for law in LAWS.values() if issubclass(law, LocalLaw) and law.shipped()]
+_LOCAL = [
+    law
+    for law in LAWS.values()
+    if issubclass(law, LocalLaw) and "Ivanov and Shuvalov" in law.source
+]
+"""The laws of the ring that the paper has or cites."""
 _FAMILY = family_of([*_LOCAL, SpeedMixture])  # one compiled program serves them all
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,7 +16,7 @@ from curlfit.settings.choices import COUNT, SEED, Choices, Named, Reading
 from curlfit.settings.forms import LABELS, NUMBER, PATH, SWITCH, TEXT, numbers, option
 
 if TYPE_CHECKING:
-    from curlfit.prediction.call import Call
+    from curlfit.prediction.result import Call
 
 _SIDES = {"left", "right"}
 _CHECK = Group("Comparison with measured rows", sort_key=1)
@@ -74,7 +74,7 @@ class Called(Choices):
 
     def call(self) -> Call:
         """The throw. Raises `InputError` for an offset without a side."""
-        from curlfit.prediction.call import Call
+        from curlfit.prediction.result import Call
         from curlfit.throws.readers.notation import parse_quantity
 
         labels = dict(self.group) | ({} if self.sheet is None else {"sheet": self.sheet})
@@ -145,6 +145,7 @@ def predict(
     seed
         Seed of the draws. [default: 0]
     """
+    from curlfit.output.document import command_line
     from curlfit.output.files import atomic_write, prepare_folder
 
     drawn = output.drawn()
@@ -171,6 +172,10 @@ def predict(
             target=(0.0, 0.0) if goal.to_tee else goal.target, weight=goal.weight,
             tee_speed=goal.tee_speed, draws=draws, seed=seed, check=throw,
         )  # fmt: skip
+    words = [*start.words(), *goal.words(), *called.words(), *reading.words()]
+    words += [f"--from={line}"] * bool(line) + [f"--check={check}"] * bool(check)
+    words += [f"--draws={draws}", f"--seed={seed}"]
+    found = replace(found, command=command_line("predict", str(fit), *words))
     folder = prepare_folder(output.out or Path(f"{s.name_of(fit)}-predict"))
     table = folder / "predict.csv"
     atomic_write(table, found.table())

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from typing import cast
+from collections.abc import Collection
 
 import numpy as np
-from numpy.typing import NDArray
 
 from curlfit.errors import InputError
 from curlfit.inference.fit.advice import curl_warnings
@@ -18,7 +16,8 @@ from curlfit.prediction.simulation import Simulation
 from curlfit.sheet import STONE_RADIUS, TEE, WIDTH
 from curlfit.throws.throw import Throw
 
-_MAX_CHECKED = 2000  # measured rows that a prediction is compared with
+MOST_ROWS = 2000
+"""Measured rows that a prediction contains, at most."""
 _EXTRAPOLATION = 1.02  # of the fitted range of speed or spin, beyond which a warning is given
 _RELEVANT = 1e-3  # m and rad; smaller effects of null directions at rest are negligible
 
@@ -28,48 +27,37 @@ def remarks(
 ) -> tuple[list[str], list[str]]:
     """Warnings and notes; `anywhere` is where neither user nor data say where the throw starts."""
     null_warnings, null_notes = _null_direction_effects(fit, found)
-    law_warnings: list[str] = []
-    notes = [*null_notes]
-    if found.discrepancy is not None:
-        law_warnings, law_notes = _discrepancy_remarks(found.discrepancy)
-        notes += law_notes
-    else:
-        notes.append(
-            "the bands contain the spread between the throws of the joint fit, and with it what "
-            "the law lacks at the speeds and spins of these"
-        )
-    if anywhere and request.line == "hog" and not request.new:
-        notes.append(
-            "the data do not state where on the sheet y = 0 lies; the throw is assumed to start on "
-            "the near hog line, which affects the resting position but not the motion"
-        )
-    if request.new and found.discrepancy is not None:
-        notes.append(
-            "the variation of the ice from throw to throw cannot be estimated from a single throw"
-        )
+    law_warnings, law_notes = _discrepancy_remarks(found.discrepancy)
+    notes = {
+        "the data do not state where on the sheet y = 0 lies; the throw is assumed to start on the "
+        "near hog line, which affects the resting position but not the motion":
+            anywhere and request.line == "hog" and not request.new,
+        "the variation of the ice from throw to throw cannot be estimated from a single throw":
+            request.new and found.discrepancy is not None,
+    }  # fmt: skip
     return [
         *_extrapolation(fit, found, request.new), *null_warnings, *law_warnings,
         *curl_warnings([fit]), *_off_the_sheet(found),
-    ], notes  # fmt: skip
+    ], [*null_notes, *law_notes, *(note for note, holds in notes.items() if holds)]  # fmt: skip
 
 
 def _extrapolation(fit: FitResult, found: Simulation, new: bool) -> list[str]:
     """Warnings where the throw leaves the fitted range of speed or spin."""
     seen, spins = fit.fitted["speed"], np.abs(fit.fitted["omega"])
-    speed, (omega, *_), y = found.best.speed[0], found.best.state[0, 5], found.best.state[0, 1]
-
-    def outside(what: str, first: float, lowest: float, highest: float) -> list[str]:
-        side = "above" if first > _EXTRAPOLATION * highest else "below"
-        if side == "below" and not 0 < first < lowest / _EXTRAPOLATION:
-            return []
-        end = f"up to {highest:.3g}" if side == "above" else f"from {lowest:.3g}"
-        name, unit = what.split()
-        return [
-            f"the initial {name} of {first:.3g} {unit} is {side} the fitted range, {end} {unit}: "
-            "an extrapolation"
-        ]
-
-    warnings = outside("speed m/s", speed[0], 0.0, seen.max())
+    speed, omega, y = found.best.speed[0], found.best.state[0, 5, 0], found.best.state[0, 1]
+    warnings = []
+    for name, unit, first, lowest, highest in (
+        ("speed", "m/s", speed[0], 0.0, seen.max()),
+        ("spin", "rad/s", abs(omega) * new, spins.min(), spins.max()),
+    ):
+        above, below = first > _EXTRAPOLATION * highest, 0 < first < lowest / _EXTRAPOLATION
+        if above or below:
+            side = "above" if above else "below"
+            end = f"up to {highest:.3g}" if above else f"from {lowest:.3g}"
+            warnings.append(
+                f"the initial {name} of {first:.3g} {unit} is {side} the fitted range, {end} "
+                f"{unit}: an extrapolation"
+            )
     slow = np.flatnonzero(speed < seen.min() / _EXTRAPOLATION)
     distance = float(y[-1] - y[slow[0]]) if len(slow) else 0.0
     if distance > 0.01:
@@ -77,8 +65,6 @@ def _extrapolation(fit: FitResult, found: Simulation, new: bool) -> list[str]:
             f"the last {distance:.2g} m, below {seen.min():.2g} m/s, are slower than the fitted "
             "range: an extrapolation"
         )
-    if new:
-        warnings += outside("spin rad/s", abs(omega), spins.min(), spins.max())
     if new and (omega * fit.fitted["omega"] < 0).all():
         warnings.append(
             "it turns the opposite way to what was fitted: mirror symmetry of the ice is assumed"
@@ -117,41 +103,39 @@ def _null_direction_effects(fit: FitResult, found: Simulation) -> tuple[list[str
     return warnings, notes
 
 
-def _discrepancy_remarks(discrepancy: Discrepancy) -> tuple[list[str], list[str]]:
-    """Warnings and notes on the model discrepancy."""
+def _discrepancy_remarks(discrepancy: Discrepancy | None) -> tuple[list[str], list[str]]:
+    """Warnings and notes on the model discrepancy, without one of a joint fit."""
+    if discrepancy is None:
+        return [], [
+            "the bands contain the spread between the throws of the joint fit, and with it what "
+            "the law lacks at the speeds and spins of these"
+        ]
+    found = {name for name, excess in discrepancy.excess.items() if excess > DETECTION}
 
-    def listing(sizes: Mapping[str, float], shown: Collection[str]) -> str:
+    def listing(shown: Collection[str]) -> str:
         return ", ".join(
-            f"{size:.2g} {'rad' if name == 'turning' else 'm'}/s^2 {COMPONENT_LABELS[name]}"
-            for name, size in sizes.items()
+            f"{discrepancy.sizes[name]:.2g} {'rad' if name == 'turning' else 'm'}/s^2 {label}"
+            for name, label in COMPONENT_LABELS.items()
             if name in shown
         )
 
-    limit = (
-        "the prior is truncated at what friction does to this throw, "
-        f"{listing(discrepancy.ceilings, COMPONENT_LABELS)} (mu = {discrepancy.friction:.2g}; "
-        "untruncated, 5 % of it would lie above, and its mean would be a third of that)"
-    )
     if not discrepancy.estimated:
         return [
             "too few rows were fitted to estimate the model discrepancy; the bands use its prior "
-            f"alone: {listing(discrepancy.sizes, COMPONENT_LABELS)}"
-        ], [f"the size of a missing acceleration is limited: {limit}"]
-    found = [name for name, excess in discrepancy.excess.items() if excess > DETECTION]
-    rest = [name for name in COMPONENT_LABELS if name not in found]
+            f"alone: {listing(COMPONENT_LABELS)}"
+        ], []
     warnings = [
         "the law does not describe the fitted rows: the residuals show a missing acceleration of "
-        f"about {listing(discrepancy.sizes, found)}. The bands include it, to the side of the path "
-        "of the law that the residuals indicate; beyond the fitted speeds and spins the error of "
-        "the law may be larger"
-    ] if found else []  # fmt: skip
-    undetected = (
-        "the bands include accelerations too small to be detected in the fitted rows, about "
-        f"{listing(discrepancy.sizes, rest)}; "
-    )
-    return warnings, [
-        (undetected if rest else "the size of a missing acceleration is limited: ") + limit
+        f"about {listing(found)}. The bands include it, to the side of the path of the law that "
+        "the residuals indicate; beyond the fitted speeds and spins the error of the law may be "
+        "larger"
     ]
+    notes = [
+        "the bands include accelerations too small to be detected in the fitted rows, about "
+        f"{listing(COMPONENT_LABELS.keys() - found)}; the prior is truncated at what friction does "
+        f"to this throw (mu = {discrepancy.friction:.2g})"
+    ]
+    return warnings[: len(found)], notes[: len(COMPONENT_LABELS) - len(found)]
 
 
 def _off_the_sheet(found: Simulation) -> list[str]:
@@ -177,7 +161,7 @@ def compare_held_out(
             f"{throw.name}: no rows after t = {last:g} s, the last one fitted; fit with a smaller "
             "--until"
         )
-    later = thin(later)
+    later = later[:: len(later) // MOST_ROWS + 1]
     observed = {"t": throw.t[later] - fit.data["from"]}
     predicted = found.full.positions_at(observed["t"]).swapaxes(0, 1)
     best = found.best.positions_at(observed["t"])[0]
@@ -214,28 +198,18 @@ def _noise(throw: Throw, fit: FitResult, discrepancy: Discrepancy | None, name: 
     if course is not None and f"sigma_{name}" in fit.observed:
         fitted = np.interp(fit.observed["t"], throw.t, course)
         return course * np.nanmedian(fit.observed[f"sigma_{name}"] / fitted)
-    known = {} if discrepancy is None else discrepancy.noise
-    sigma = known.get(name, fit.sigma.get(name, 0.0))
-    return np.full(len(throw.t), sigma)
+    known = fit.sigma | ({} if discrepancy is None else discrepancy.noise)
+    return np.full(len(throw.t), known.get(name, 0.0))
 
 
 def _require_same_throw(throw: Throw, fit: FitResult) -> None:
     """Raise `InputError` if a throw does not contain the fitted rows."""
-    for name in PREDICTED:
-        if name not in fit.rms:
-            continue
+    for name in (one for one in PREDICTED if one in fit.rms):
         own = np.interp(fit.observed["t"], throw.t, getattr(throw, name))
         off = np.abs(own - fit.observed[name])
-        size = 10 * fit.rms[name] + 0.05 * float(np.nanmax(np.abs(np.ptp(fit.fitted[name]))))
-        overlap = np.isfinite(off)
-        if not overlap.any() or float(np.nanmedian(off)) > size:
+        size = 10 * fit.rms[name] + 0.05 * float(np.ptp(fit.fitted[name]))
+        if not np.isfinite(off).any() or np.nanmedian(off) > size:
             raise InputError(
                 f"{throw.name}: not the throw that was fitted ({fit.data['file']}): "
                 f"{name} differs before t = {fit.data['to']:g} s"
             )
-
-
-def thin(rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    """At most `_MAX_CHECKED` of the given rows, evenly spaced."""
-    indices = np.linspace(0, len(rows) - 1, min(len(rows), _MAX_CHECKED)).astype(int)
-    return cast(NDArray[np.int64], rows[np.unique(indices)])

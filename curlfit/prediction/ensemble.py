@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from curlfit.environment import Environment
+from curlfit.errors import InputError
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.joint.draw import Draw
 from curlfit.inference.model import Model
@@ -15,13 +17,17 @@ from curlfit.inference.problem import LEVEL_AND_STILL, environment_of
 from curlfit.inference.system import motions, prepare_motions
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import BATCH
-from curlfit.prediction.call import CENTRED, Call
-from curlfit.prediction.request import ThrowStart
-from curlfit.sheet import TEE
+from curlfit.prediction.request import GUARD, ThrowStart, aimed
+from curlfit.prediction.result import CENTRED, Call, Weight
+from curlfit.sheet import HOUSE, LINES, TEE, TEE_TO_HACK
 from curlfit.stone import Stone
 
 VARIED = {"v0": 0.01, "omega0": 0.1}
 """Changes of the initial state for the sensitivity of the resting position, in m/s and rad/s."""
+_PLACES = {
+    "guard": GUARD, "front of the house": -HOUSE, "tee": 0.0, "back of the house": HOUSE,
+    "hack": TEE_TO_HACK,
+}  # fmt: skip
 _GRID = np.arange(301.0)
 _GRID_STEPS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)  # s between times
 _MAX_FILLED = 0.8  # fraction of the time grid within which throws come to rest
@@ -134,20 +140,22 @@ class TrajectoryEnsemble(NamedTuple):
 
         A throw that starts within `_AT_START` beyond it is taken to start on it.
         """
-        from scipy.optimize.elementwise import find_root  # slow to load
+        from scipy.interpolate import CubicHermiteSpline  # slow to load
+        from scipy.optimize.elementwise import find_root
 
         y, rows = self.state[:, 1], np.arange(len(self.t))
         beyond = (y >= level) & (y[:, -1:] > level + _ON_LINE)
         k = np.maximum(np.argmax(beyond, 1), 1)
-        t, a, b = self.t[rows, k - 1], self.state[rows, :, k - 1], self.state[rows, :, k]
-        step = self.t[rows, k] - t
-        ends = a[:, 1], b[:, 1], a[:, 4] * step, b[:, 4] * step
-        part = find_root(lambda s, *ends: _cubic(s, *ends)[0] - level, (0.0, 1.0), args=ends).x
-        s, widths = part[:, None], step[:, None]
-        slopes = _cubic(s, a[:, :2], b[:, :2], a[:, 3:5] * widths, b[:, 3:5] * widths)[1] / widths
+        ends = self.state[rows, :, [k - 1, k]]
+        step = self.t[rows, k] - self.t[rows, k - 1]
+        path = CubicHermiteSpline([0.0, 1.0], ends[..., :2], ends[..., 3:5] * step[:, None])
+        height, rates = path.c[:, 0, :, 1], path.derivative().c[:, 0]
+        height[-1] -= level
+        part = find_root(lambda s, *cubic: np.polyval(cubic, s), (0.0, 1.0), args=(*height,)).x
+        velocity = np.polyval(rates, part[:, None]) / step[:, None]
         crosses = beyond.any(1) & ~beyond[:, 0]
-        time = np.where(crosses, t + step * part, np.nan)
-        speed = np.where(crosses, np.hypot(*slopes.T), np.nan)
+        time = np.where(crosses, self.t[rows, k - 1] + step * part, np.nan)
+        speed = np.where(crosses, np.hypot(*velocity.T), np.nan)
         since, ahead = y[:, 0] - level, self.state[:, 4, 0]
         on_it = (since >= 0) & (since < _AT_START)
         before = -since / np.where(ahead > 0, ahead, np.nan)
@@ -249,17 +257,22 @@ def simulate_ensemble(
     return TrajectoryEnsemble(np.minimum(t, rest[:, None]), state)
 
 
-def _cubic(
-    s: Floats, a: Floats, b: Floats, slope_a: Floats, slope_b: Floats
-) -> tuple[Floats, Floats]:
-    """Cubic Hermite interpolation from a to b at a fraction s, and its slope; slopes with respect
-    to s."""
-    value = (
-        a * (1 + 2 * s) * (1 - s) ** 2 + b * s**2 * (3 - 2 * s)
-        + slope_a * s * (1 - s) ** 2 - slope_b * s**2 * (1 - s)
-    )  # fmt: skip
-    turning = 6 * s * (1 - s) * (b - a)
-    return value, turning + slope_a * (1 - s) * (1 - 3 * s) + slope_b * s * (3 * s - 2)
+def weights_of(fit: FitResult, spin: float) -> tuple[Weight, ...]:
+    """What to throw for places from guard to hack, with a spin in rad/s of either sense, on the ice
+    of a fit. A place that no throw reaches is left out."""
+    spin, start, found = abs(spin), LINES["hog"], []
+    for name, y in _PLACES.items():
+        try:
+            throws = [aimed(fit, (0.0, TEE + y), omega) for omega in (-spin, spin)]
+        except InputError:
+            continue
+        right, left = (math.tan(one.heading) * (TEE - start) for one in throws)
+        state = 0.0, start, throws[1].heading, throws[1].v0, 0.0, spin
+        values = np.array([[*fit.values[: -len(START)], *state]])
+        path = simulate_ensemble(fit.model, values, fit.stone, LEVEL_AND_STILL, 0.2 * _GRID)
+        hog, tee = (float(path.crossing(LINES[line])[0][0]) for line in ("far-hog", "far-tee"))
+        found.append(Weight(name, y, hog, tee if y > 0 else None, (right, left)))
+    return tuple(found)
 
 
 def _means(values: Floats) -> Floats:

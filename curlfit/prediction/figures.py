@@ -114,19 +114,13 @@ def _resting_place(prediction: Prediction, axes: Any) -> None:
         axes.plot(*target, "+", color=draw.REFERENCE_COLOR, markersize=9, mew=1.5, zorder=7)
     for rows, style, _ in _measured_rows(prediction):
         axes.plot(rows["x"], rows["y"] - sheet.TEE, **style | {"zorder": 3.5})
-    end = sheet.TEE_TO_HACK + 0.3
-    away = y - reach[1] > end
-    sides = half if away else max(half, abs(x) + reach[0])
-    low = -sheet.HOUSE - 0.5
-    ends = low if away else min(low, y - reach[1]), end if away else max(-low, y + reach[1])
-    _equal_scales(axes, (-sides, sides), ends)
+    edge, sides = sheet.HOUSE + 0.5, max(half, abs(x) + reach[0])
+    top = min(max(edge, y + reach[1]), sheet.TEE_TO_HACK + 0.3)
+    _equal_scales(axes, (-sides, sides), (min(-edge, y - reach[1]), top))
     axes.set(xlabel="right of the centre line (m)", ylabel="beyond the tee line (m)")
     axes.grid(visible=False)
     draw.feet(axes)
-    if away:
-        draw.title(axes, "passes through the house; band: 95 %", columns=2)
-    else:  # as wide and high as the intervals of the table
-        draw.legend_above(axes)
+    draw.legend_above(axes)
 
 
 def _equal_scales(axes: Any, x: tuple[float, float], y: tuple[float, float]) -> None:
@@ -182,11 +176,9 @@ def _rate(prediction: Prediction, axes: Any, name: str) -> None:
     for rows, style, _ in _measured_rows(prediction):
         draw.plot_rate(axes, rows, name, style)
     axes.plot(series["t"], series[name], color=draw.FIT_COLOR)
+    axes.axhline(0, **draw.ZERO_LINE)  # which the scale then includes
     axes.set(xlabel="t (s)", ylabel=draw.RATE_LABEL[name])
-    axes.set(xlim=(0, 1.05 * prediction.quantities["time"].value), ylim=(0, None))
-    if name == "omega":
-        low, high = float(series[name].min()), float(series[name].max())
-        axes.set_ylim((min(low, 0.0) * 1.05, max(high, 0.0) * 1.05) if high > low else (-1, 1))
+    axes.set_xlim(0, 1.05 * prediction.quantities["time"].value)
 
 
 def _residuals(prediction: Prediction, axes: Any, name: str) -> None:

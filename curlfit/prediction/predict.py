@@ -26,7 +26,6 @@ import numpy as np
 from curlfit.errors import InputError, UnusableFitError
 from curlfit.friction import Law
 from curlfit.inference.fit.fit import fit as fit_throw, refit
-from curlfit.inference.fit.prepared import prepare_linearized
 from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.inference.joint.another import another
 from curlfit.inference.joint.result import JointResult
@@ -35,12 +34,10 @@ from curlfit.inference.mcmc.ridge import ridge_proposal
 from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Floats
 from curlfit.prediction import diagnostics
-from curlfit.prediction.call import CENTRED, Call
-from curlfit.prediction.ensemble import ThrowFamily, prepare_ensemble
-from curlfit.prediction.request import ThrowRequest, ThrowStart, start_by, start_of
-from curlfit.prediction.result import Prediction
+from curlfit.prediction.ensemble import ThrowFamily, prepare_ensemble, weights_of
+from curlfit.prediction.request import ThrowRequest, ThrowStart, start_of
+from curlfit.prediction.result import CENTRED, Call, Prediction
 from curlfit.prediction.simulation import Simulation
-from curlfit.prediction.weights import weights_of
 from curlfit.throws.throw import CHANNELS, Throw
 
 _ROUNDS = 200  # of draws, until enough are within the bounds
@@ -105,20 +102,17 @@ def predict(
     drawn = None
     if isinstance(fit, JointResult):
         fit, drawn = another(fit, call.labels, draws, random)
-        line = line or "hog"
+    elif call.labels:
+        raise InputError(
+            f"{', '.join(call.labels)}: the fit of one throw has no groups; leave it out"
+        )
     require_fit(fit)
-    given = dict(start or {})
-    called = start_by(call, fit, given, line or "hog")
-    start = called | given
-    if together and not (start or target or weight):
+    request = ThrowRequest.of(fit, call, start or {}, line, target, weight, tee_speed)
+    if together and not request.new:
         raise InputError(
             "a joint fit predicts another throw: give its weight as hog to hog time or v0, or "
             "where it is to rest"
         )
-    named = frozenset(called.keys() - given.keys())
-    request = ThrowRequest(start, line or "hog", target, weight, tee_speed, named)
-    if line is None and not request.new and fit.counts_from_hack:
-        request = request._replace(line="data")
     request.require(fit, check)
     _require_predictable(fit, draws)
     notes = []
@@ -130,11 +124,10 @@ def predict(
             "as noise is here in the bands"
         )
     prepare_ensemble(fit)
-    prepare_linearized(fit)
     begin = start_of(fit, request)
-    values, source = drawn, "throws"
-    if values is None:
-        values, source = _drawn_values(fit, chain, draws, random)
+    values, source = (
+        _drawn_values(fit, chain, draws, random) if drawn is None else (drawn, "throws")
+    )
     family = ThrowFamily(fit, begin, request.new)
     found = Simulation.of(fit, family, values, random, call if together else None)
     warned, noted = diagnostics.remarks(fit, found, request, line is None)
@@ -148,13 +141,7 @@ def predict(
         load=fit.load,
         stone=fit.stone,
         fit={key: fit.data[key] for key in ("file", "rows", "from", "to")},
-        start={
-            item.name: {
-                "value": float(begin.values[item.name]), "unit": item.unit,
-                "origin": begin.origins[item.name],
-            }
-            for item in START
-        },
+        start=begin.described(),
         of="new" if request.new else "fitted",
         line="" if "y0" in request.start else request.line,
         goal=request.goal(),
@@ -242,7 +229,7 @@ def _measured_rows(fit: FitResult, begin: ThrowStart) -> dict[str, Floats]:
     measured = fit.observed
     if not all(np.isfinite(measured.get(name, np.nan)).any() for name in ("x", "y")):
         return {}
-    rows = diagnostics.thin(np.arange(len(measured["t"])))
+    rows = slice(None, None, len(measured["t"]) // diagnostics.MOST_ROWS + 1)
     fitted = {item.name: fit.parameters[item.name].value for item in START}
     right, along = (measured[name][rows] - fitted[f"{name}0"] for name in ("x", "y"))
     turn = begin.values["heading"] - fitted["heading"]  # from +y toward +x

@@ -10,17 +10,10 @@ from rich.console import Console
 from rich.text import Text
 
 from curlfit.output.console import PlainTable
-from curlfit.output.document import (
-    FOLDER_OF_FIT,
-    Document,
-    Said,
-    Section,
-    command_line,
-    exact,
-    show,
-)
+from curlfit.output.document import Document, Said, Section, show
 from curlfit.output.text import (
     capital,
+    decimals,
     format_estimate,
     labelled,
     lower,
@@ -45,6 +38,7 @@ _CHANGES = {
     "v0": "m/s more speed", "heading": "rad of heading", "omega0": "rad/s more spin",
     "hog_to_hog": "s longer hog to hog", "broom": "m (1 ft) of broom to the right",
 }  # fmt: skip
+_ALONG = ("beyond", "before")
 _SIDES = ("right of", "left of")
 
 
@@ -107,8 +101,7 @@ def document(prediction: Prediction) -> Document:
             ),
             "Draws": f"{draws['used']} of {draws['number']}, seed {draws['seed']}",
         },
-        command=_command(prediction),
-        remark=FOLDER_OF_FIT,
+        command=prediction.command,
         names=prediction.start,
     )  # fmt: skip
 
@@ -122,7 +115,7 @@ def describe_rest(prediction: Prediction) -> tuple[str, str]:
     text += f" after {found['time'].value:.1f} s and {abs(turns):.2f} turns"
     text += " counter-clockwise" if turns > 0 else " clockwise" if turns < 0 else ""
     text += (
-        f", {_off(found['rest_y'].value, ('beyond', 'before'))} the tee line and "
+        f", {_off(found['rest_y'].value, _ALONG)} the tee line and "
         f"{_off(found['rest_x'].value, _SIDES)} the centre line."
     )
     side = "right" if curl > 0 else "left"
@@ -149,22 +142,21 @@ def _start(prediction: Prediction) -> str:
 def _aim(prediction: Prediction) -> str:
     """Speed and heading found for the goal."""
     goal, start = prediction.goal or {}, prediction.start
-    found = [f"{start['v0']['value']:.4f} m/s"]
+    found = f"{start['v0']['value']:.4f} m/s"
     if start["heading"]["origin"] == "found":
         heading = start["heading"]["value"]
-        side = "right" if heading > 0 else "left"
-        found.append(
-            f"a heading of {1000 * heading:.2f} mrad ({abs(math.degrees(heading)):.2f} degrees to "
-            f"the {side})"
+        found += (
+            f" and a heading of {1000 * heading:.2f} mrad ({abs(math.degrees(heading)):.2f} "
+            f"degrees to the {'right' if heading > 0 else 'left'})"
         )
     x, y = goal["x"], goal["y"]
-    where = f"{_off(y, ('beyond', 'before'))} the tee line"
-    if x is not None:
-        where = "on the tee" if x == y == 0 else f"{where} and {_off(x, _SIDES)} the centre line"
-    if goal["speed"] == 0:
-        return f"With {' and '.join(found)} it comes to rest {where}"
     place = "the tee line" if x is None else "the tee"
-    return f"With {' and '.join(found)} it passes {place} at {goal['speed']:g} m/s"
+    if goal["speed"]:
+        return f"With {found} it passes {place} at {goal['speed']:g} m/s"
+    if x or y:
+        across = "" if x is None else f" and {_off(x, _SIDES)} the centre line"
+        return f"With {found} it comes to rest {_off(y, _ALONG)} the tee line{across}"
+    return f"With {found} it comes to rest on {place}"
 
 
 def _called(prediction: Prediction) -> str:
@@ -184,7 +176,7 @@ def _weights(prediction: Prediction) -> PlainTable:
     return PlainTable(
         [
             {
-                "rests": f"{one.rests}, {_off(one.y, ('beyond', 'before'))} the tee" if one.y
+                "rests": f"{one.rests}, {_off(one.y, _ALONG)} the tee" if one.y
                 else "tee",
                 ">hog to hog (s)": f"{one.hog_to_hog:.2f}",
                 ">hog to tee (s)": "" if one.hog_to_tee is None else f"{one.hog_to_tee:.2f}",
@@ -204,39 +196,35 @@ def _broom(place: float) -> str:
 
 
 def _quantities(prediction: Prediction) -> PlainTable:
-    rows = []
+    rows, both = [], prediction.misfit is not None
     for name, item in prediction.quantities.items():
         meaning, unit = QUANTITIES[name]
         meaning, sign = sided(meaning, item.value)
         share = "" if item.share == 1 else f"{100 * item.share:.3g} %"
-        row = {"": labelled(meaning, unit)} | _row(item, sign) | {"of draws": share}
-        if prediction.misfit is None:
-            names = {">parameters": ">std. dev."}
-            row = {names.get(key, key): text for key, text in row.items() if key != ">model"}
-        rows.append(row)
-    errors = "standard deviations by the errors of the parameters and by the model discrepancy, "
+        rows.append({"": labelled(meaning, unit), **_row(item, sign, both), "of draws": share})
+    errors = "standard deviations by the errors of the parameters and by the model discrepancy"
     return PlainTable(
         rows,
-        f"Predicted quantities: best estimate, {errors}intervals by both"
-        if prediction.misfit is not None
-        else "Predicted quantities: best estimate, standard deviation and intervals",
+        "Predicted quantities: best estimate, "
+        + (f"{errors}, intervals by both" if both else "standard deviation and intervals"),
     )
 
 
-def _row(item: Quantity, sign: float) -> dict[str, str]:
-    """Best value, both errors, and the intervals, to two digits of the larger error."""
+def _row(item: Quantity, sign: float, both: bool) -> dict[str, str]:
+    """Best value, both errors or the one of a joint fit, and the intervals, to two digits of the
+    larger error."""
     size = max(item.parameter_sd, item.model_sd)
-    digits = 4 if size < 1e-9 else min(len(format_estimate(0.0, size)[1].partition(".")[2]), 4)
-    own = [
+    known = size >= 1e-9
+    digits = min(decimals(size), 4)
+    own, model = (
         f"{part:.{digits + 1}f}" if part > 1e-9 else "-"
         for part in (item.parameter_sd, item.model_sd)
-    ]
+    )
     ends = sorted(sign * value for value in item.quantiles.values())
     q = {level: f"{value:.{digits}f}" for level, value in zip(item.quantiles, ends, strict=True)}
-    known = size >= 1e-9
     return {
         ">best": "-" if math.isnan(item.value) else f"{sign * item.value:.{digits}f}",
-        ">parameters": own[0], ">model": own[1],
+        **({">parameters": own, ">model": model} if both else {">std. dev.": own}),
         "68 %": f"{q['16']} .. {q['84']}" * known, "95 %": f"{q['2.5']} .. {q['97.5']}" * known,
     }  # fmt: skip
 
@@ -254,15 +242,15 @@ def _outcomes(prediction: Prediction) -> str:
 def _sensitivity(prediction: Prediction) -> str:
     changes = []
     for name, words in _CHANGES.items():
-        item = prediction.sensitivity.get(name)
-        if item is None:
+        if (item := prediction.sensitivity.get(name)) is None:
             continue
-        along, right = item["along"], item["right"]
         moves = [
             f"{abs(size):.2g} m {sides[size < 0]}"
-            for size, sides in ((along, ("farther", "shorter")), (right, ("right", "left")))
+            for size, sides in (
+                (item["along"], ("farther", "shorter")), (item["right"], ("right", "left")),
+            )
             if abs(size) >= 0.001
-        ]
+        ]  # fmt: skip
         changes.append(f"{item['by']:.3g} {words}: {', '.join(moves) or 'no change'}")
     return f"Sensitivity of the resting position: {'; '.join(changes)}." if changes else ""
 
@@ -286,28 +274,3 @@ def _check(check: HeldOut) -> tuple[PlainTable, str]:
         "by one standard deviation has hardly a row within 68 %."
     )
     return PlainTable(rows, "Rows that were not fitted"), remark
-
-
-def _command(prediction: Prediction) -> str:
-    """The command of a prediction, from a fit under its default name."""
-    goal, draws = prediction.goal, prediction.draws
-    together = draws["source"] == "throws"
-    words = ["joint-fit" if together else f"{Path(prediction.fit['file']).stem}-fit"]
-    words += prediction.call.options()
-    words += [
-        f"--{name}={exact(item['value'])}"
-        for name, item in prediction.start.items()
-        if item["origin"] == "given"
-    ]
-    words += [f"--from={prediction.line}"] * bool(prediction.line)
-    if goal is not None:
-        if goal["words"] in ("draw", "guard", "takeout"):
-            words.append(f"--weight={goal['words']}")
-            words += [f"--tee-speed={exact(goal['speed'])}"] * (goal["words"] == "takeout")
-        elif goal["words"] == "to the tee":
-            words.append("--to-tee")
-        else:
-            words.append(f"--target={exact(goal['x'])},{exact(goal['y'])}")
-    words += [f"--draws={draws['number']}", f"--seed={draws['seed']}"]
-    words += [f"--check={prediction.check.file}"] if prediction.check else []
-    return command_line("predict", *words)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
-from curlfit.dynamics.aim import aim
+from curlfit.dynamics.aim import Aim, aim
 from curlfit.environment import Environment
 from curlfit.errors import InputError
 from curlfit.foreign import quoted
@@ -14,7 +14,8 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.joint.draw import Draw
 from curlfit.inference.parameters import START
 from curlfit.inference.system import System
-from curlfit.prediction.call import Call
+from curlfit.prediction.result import Call
+from curlfit.settings.forms import VALUES, numbers
 from curlfit.sheet import HOUSE, LINES, TEE, TEE_TO_HOG, WIDTH
 from curlfit.throws.plausibility import SPEED
 from curlfit.throws.throw import Throw
@@ -25,6 +26,7 @@ TAKEOUT = 1.5
 """Speed in m/s at which a takeout passes the tee."""
 WEIGHTS = {"draw": (0.0, 0.0), "guard": (GUARD, 0.0), "takeout": (0.0, TAKEOUT)}
 """Place in m beyond the tee line that a throw reaches, and its speed there."""
+TARGET = numbers(2, "X,Y in m from the tee")
 _STARTING_LINES = tuple(LINES)[:-1]
 _FASTEST_SPIN = 100.0  # rad/s
 # The in-turn of a right-hander is clockwise.
@@ -43,6 +45,45 @@ class ThrowRequest(NamedTuple):
     called: frozenset[str] = frozenset()
     """components of the start by the call"""
 
+    @classmethod
+    def of(
+        cls,
+        fit: FitResult,
+        call: Call,
+        given: Mapping[str, float],
+        line: str | None,
+        target: tuple[float, float] | None,
+        weight: str | None,
+        tee_speed: float | None,
+    ) -> Self:
+        """From what is given; by default on the near hog line, or where its data begin.
+
+        Raises
+        ------
+        InputError : an unknown turn, or a stone that does not reach the far hog line.
+        """
+        called, start_line = {}, line or "hog"
+        if call.turn is not None:
+            if call.turn not in _TURNS:
+                raise InputError(f"turn {quoted(call.turn)}: expected one of {', '.join(_TURNS)}")
+            called["omega0"] = _TURNS[call.turn] * abs(fit.parameters["omega0"].value)
+        if call.broom is not None:
+            slope, y0 = call.broom / TEE, LINES.get(start_line, fit.parameters["y0"].value)
+            called |= {"heading": math.atan(slope), "x0": slope * y0}
+        if call.hog_to_hog is not None:
+            if start_line != "hog":
+                raise InputError(
+                    "hog to hog: the throw starts on the near hog line; leave out line"
+                )
+            spin = {**called, **given}.get("omega0", fit.parameters["omega0"].value)
+            coefficients, draw = fit.values[None, : -len(START)], Draw(fit.model, fit.stone)
+            called["v0"] = float(draw.speeds(coefficients, spin, call.hog_to_hog)[0])
+        named = frozenset(called.keys() - given.keys())
+        request = cls({**called, **given}, start_line, target, weight, tee_speed, named)
+        if line is None and not request.new and fit.counts_from_hack:
+            return request._replace(line="data")
+        return request
+
     @property
     def new(self) -> bool:
         """Whether it is a throw other than the fitted one."""
@@ -56,28 +97,23 @@ class ThrowRequest(NamedTuple):
     def require(self, fit: FitResult, check: Throw | None) -> None:
         """Raise `InputError` for contradictory or impossible requests."""
         start, target, names = self.start, self.target, [item.name for item in START]
-        for name, value in start.items():
+        for name in start:
             if name not in names:
                 raise InputError(
                     f"start: unknown {quoted(name)}; expected some of {', '.join(names)}"
                 )
-            if not math.isfinite(value):
-                raise InputError(f"{name} = {value}: expected a finite number")
-        if target is not None and (isinstance(target, str) or len(target) != 2):
-            raise InputError(
-                f"target {quoted(target)}: expected (x, y), m from the tee; (0, 0) is the tee"
-            )
+        VALUES.checked("start", start)
+        aside, _ = (0.0, 0.0) if target is None else TARGET.checked("target", target)
         v0, omega0 = start.get("v0", 1.0), start.get("omega0", 0.0)
-        aside = 0.0 if target is None else target[0]
         unknown_spin = fit.parameters["omega0"].verdict == "not identifiable"
         for refused, why in (
             (not 0 < v0 <= SPEED, f"v0 = {v0:g} m/s: expected a speed up to {SPEED:g} m/s; none "
              "is thrown at more than about 4 m/s"),
-            (not abs(omega0) <= _FASTEST_SPIN,
+            (abs(omega0) > _FASTEST_SPIN,
              f"omega0 = {omega0:g} rad/s: expected at most {_FASTEST_SPIN:g} rad/s"),
             (self.line not in (*_STARTING_LINES, "data"), f"start on {quoted(self.line)}: expected "
              f"one of {', '.join(_STARTING_LINES)}, data"),
-            (not abs(aside) <= WIDTH / 2, f"target {aside:g} m to the side: expected at most "
+            (abs(aside) > WIDTH / 2, f"target {aside:g} m to the side: expected at most "
              f"{WIDTH / 2:g} m, half the width of the sheet"),
             (target is not None and self.weight is not None,
              "a target and a weight are given; expected one of them"),
@@ -113,31 +149,6 @@ class ThrowRequest(NamedTuple):
         }  # fmt: skip
 
 
-def start_by(call: Call, fit: FitResult, given: Mapping[str, float], line: str) -> dict[str, float]:
-    """Components of the initial state on a line of the sheet; `given` are known.
-
-    Raises
-    ------
-    InputError : an unknown turn, or a stone that does not reach the far hog line.
-    """
-    found = {}
-    if call.turn is not None:
-        if call.turn not in _TURNS:
-            raise InputError(f"turn {quoted(call.turn)}: expected one of {', '.join(_TURNS)}")
-        found["omega0"] = _TURNS[call.turn] * abs(fit.parameters["omega0"].value)
-    if call.broom is not None:
-        slope = call.broom / TEE
-        found |= {"heading": math.atan(slope), "x0": slope * LINES[line]}
-    if call.hog_to_hog is not None:
-        if line != "hog":
-            raise InputError("hog to hog: the throw starts on the near hog line; leave out line")
-        spin = {**found, **given}.get("omega0", fit.parameters["omega0"].value)
-        coefficients = fit.values[: -len(START)]
-        draw = Draw(fit.model, fit.stone)
-        found["v0"] = float(draw.speeds(coefficients[None], spin, call.hog_to_hog)[0])
-    return found
-
-
 class ThrowStart(NamedTuple):
     """Initial state of the throw, on the sheet."""
 
@@ -146,6 +157,16 @@ class ThrowStart(NamedTuple):
     """of each value: given, fitted, default or found"""
     shift: tuple[float, float]
     """from the data's x and y to those of the sheet"""
+
+    def described(self) -> dict[str, dict[str, Any]]:
+        """Value, unit and origin of each component."""
+        return {
+            item.name: {
+                "value": float(self.values[item.name]), "unit": item.unit,
+                "origin": self.origins[item.name],
+            }
+            for item in START
+        }  # fmt: skip
 
 
 def start_of(fit: FitResult, request: ThrowRequest) -> ThrowStart:
@@ -157,7 +178,12 @@ def start_of(fit: FitResult, request: ThrowRequest) -> ThrowStart:
     if request.new:
         usual = here | {"heading": 0.0, "phi0": 0.0} | usual
         if (goal := request.goal()) is not None:
-            found = _aimed(fit, goal, fitted | usual | request.start)
+            known = fitted | usual | request.start
+            found = aimed(
+                fit, (goal["x"] or 0.0, TEE + goal["y"]), known["omega0"], speed=goal["speed"],
+                start=(known["x0"], known["y0"]),
+                heading=known["heading"] if goal["x"] is None else None,
+            )._asdict()  # fmt: skip
     layers = {"fitted": fitted, "default": usual, "found": found, "given": request.start}
     values = {name: value for layer in layers.values() for name, value in layer.items()}
     origins = {name: origin for origin, layer in layers.items() for name in layer}
@@ -166,13 +192,18 @@ def start_of(fit: FitResult, request: ThrowRequest) -> ThrowStart:
     return ThrowStart(values, origins, (0.0, 0.0) if request.new else shift)
 
 
-def _aimed(fit: FitResult, goal: dict[str, Any], values: dict[str, float]) -> dict[str, float]:
-    """Speed and heading of a throw that reaches a goal; values of the others."""
+def aimed(
+    fit: FitResult,
+    target: tuple[float, float],
+    omega0: float,
+    *,
+    start: tuple[float, float] = (0.0, LINES["hog"]),
+    heading: float | None = None,
+    speed: float = 0.0,
+) -> Aim:
+    """Speed and heading of a throw on the ice of a fit that rests at a target, or passes it."""
     system = System.of(fit.model, fit.values, fit.stone, Environment())
-    found = aim(
-        system.law, system.stone, (goal["x"] or 0.0, TEE + goal["y"]), omega0=values["omega0"],
-        start=(values["x0"], values["y0"]),
-        heading=values["heading"] if goal["x"] is None else None, speed=goal["speed"],
+    return aim(
+        system.law, system.stone, target, omega0=omega0, start=start, heading=heading, speed=speed,
         load=fit.load, environment=system.environment if fit.model.conditions else None,
     )  # fmt: skip
-    return found._asdict()

@@ -12,7 +12,6 @@ from curlfit.inference.fit.result import Extent, LoadName
 from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Floats
 from curlfit.output.frames import frame
-from curlfit.prediction.call import Call, Weight
 from curlfit.records import SERIES, Arrays, Choice, Names, Record, keys, require, require_rows
 from curlfit.sheet import TEE
 from curlfit.stone import Stone
@@ -52,6 +51,57 @@ _BAND = ("y", "x", *(f"x{end}" for end in _AROUND))
 
 
 @dataclass(frozen=True)
+class Call:
+    """A throw in curlers' terms.
+
+    Attributes
+    ----------
+    labels : its group in a joint fit, such as the sheet.
+    hog_to_hog : s between the hog lines, which gives the speed.
+    broom : m to the right of the centre line at the far tee, where the stone is aimed from the
+        hack.
+    thrower : standard deviations of the time between hog lines in s, and of the aim at the broom
+        in m.
+    turn : "clockwise" or "counter-clockwise"; "in" and "out" as of a right-hander.
+
+    Examples
+    --------
+    >>> call = curlfit.Call({"sheet": "2"}, hog_to_hog=12.75, broom=-0.9, turn="in")
+    >>> call.broom
+    -0.9
+    """
+
+    labels: dict[str, str] = field(default_factory=dict)
+    hog_to_hog: float | None = None
+    broom: float | None = None
+    thrower: tuple[float, float] | None = None
+    turn: str | None = None
+
+
+CENTRED = Call()
+"""Along the centre line, with the speed and spin of the fitted throw."""
+
+
+@dataclass(frozen=True)
+class Weight:
+    """A stone that comes to rest on the centre line.
+
+    Attributes
+    ----------
+    rests : the name of the place, and `y`, m beyond the far tee.
+    hog_to_hog, hog_to_tee : s from the near hog line; the latter None if it stops short.
+    brooms : m to the right of the centre line at the far tee, of a stone that turns clockwise and
+        of one that turns counter-clockwise.
+    """
+
+    rests: str
+    y: float
+    hog_to_hog: float
+    hog_to_tee: float | None
+    brooms: tuple[float, float]
+
+
+@dataclass(frozen=True)
 class Quantity:
     """A predicted number.
 
@@ -70,11 +120,6 @@ class Quantity:
     model_sd: float
     quantiles: Annotated[dict[str, float], keys(**dict.fromkeys(LEVELS, float))]
     share: float
-
-    @property
-    def sd(self) -> float:
-        """Both errors added in quadrature."""
-        return math.hypot(self.parameter_sd, self.model_sd)
 
 
 @dataclass(frozen=True)
@@ -123,6 +168,7 @@ class Prediction(Record):
     goal : None, or "words", "x", "y" (m from the tee; x None where free), "speed".
     draws : "number", "used", "source" ("chain", "covariance" or "throws" of a joint fit), "seed".
     call : the throw in curlers' terms, as asked for.
+    command : that made it; empty if it was made in Python.
     weights : what to throw for several places, on the ice of a joint fit.
     misfit : the model discrepancy; None where the throws of a joint fit contain its effect.
     series : t (s since the start) and x, y, phi, speed, omega of the best estimate; of x, y, phi
@@ -176,6 +222,7 @@ class Prediction(Record):
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
     call: Call = field(default_factory=Call)
+    command: str = ""
     weights: tuple[Weight, ...] = ()
     check: HeldOut | None = None
     measured: dict[str, Floats] = field(default_factory=dict, metadata=SERIES)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -13,10 +12,9 @@ from curlfit.friction import no_motion_because
 from curlfit.inference.derived import LEVELS, quantiles_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.numerics.arrays import Floats
-from curlfit.prediction.call import CENTRED, Call
 from curlfit.prediction.discrepancy import discrepancy_posterior
 from curlfit.prediction.ensemble import VARIED, ThrowFamily, TrajectoryEnsemble
-from curlfit.prediction.result import PREDICTED, QUANTITIES, Discrepancy, Quantity
+from curlfit.prediction.result import CENTRED, PREDICTED, QUANTITIES, Call, Discrepancy, Quantity
 from curlfit.sheet import END, FOOT, HOUSE, LINES, STONE_RADIUS, TEE
 
 _BAND_POINTS = 121
@@ -56,15 +54,9 @@ class Simulation(NamedTuple):
         ------
         UnusableFitError : it, or most of the draws, do not come to rest.
         """
-        vectors = {"best": throws.with_start(fit.values[None]), **throws.probes()}
-        vectors["draws"] = throws.with_start(values, call or CENTRED, random)
-        whole = throws.simulate(np.concatenate([*vectors.values()]))
-        ends = np.cumsum([0, *map(len, vectors.values())]).tolist()
-        probed = {
-            name: whole.select(slice(*rows))
-            for name, rows in zip(vectors, pairwise(ends), strict=True)
-        }
-        best, plain = probed.pop("best"), probed.pop("draws")
+        plain = throws.simulate(throws.with_start(values, call or CENTRED, random))
+        best = throws.simulate(throws.with_start(fit.values[None]))
+        probed = {name: throws.simulate(some) for name, some in throws.probes().items()}
         if not best.good[0]:
             raise UnusableFitError(
                 f"the {fit.law} law as fitted does not bring this stone to rest"
@@ -217,8 +209,7 @@ def _errors(plain: Floats, full: Floats) -> dict[str, Floats]:
 
 def _around(name: str, values: Floats) -> dict[str, Floats]:
     """Quantiles over the draws, except the median, by name and level."""
-    quantile = np.nanquantile if np.isnan(values).any() else np.quantile  # the faster one
-    levels = quantile(values, [float(level) / 100 for level in LEVELS], axis=0)
+    levels = np.nanquantile(values, [float(level) / 100 for level in LEVELS], axis=0)
     rows = zip(LEVELS, levels, strict=True)
     return {f"{name}_{level}": row for level, row in rows if level != "50"}
 

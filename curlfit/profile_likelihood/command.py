@@ -53,6 +53,7 @@ def profile(
         Range; given twice, of the first and the second parameter. [default: 4 standard errors to
         either side; where there are none, up to the limits]
     """
+    from curlfit.output.document import command_line
     from curlfit.output.files import prepare_folder
     from curlfit.profile_likelihood.result import require_usable
 
@@ -75,7 +76,7 @@ def profile(
     kind = f"profile-{'-'.join(param)}"
     drawn.draw_beside()
 
-    with output.status(f"Fitting {COMPILES}") as say:
+    with output.status(f"Fitting {COMPILES}"):
         if request is not None:
             from curlfit.inference.least_squares import prepare_minimize
 
@@ -87,8 +88,10 @@ def profile(
 
         from curlfit.profile_likelihood.profile import profile as compute_profile
 
-        found = compute_profile(
-            fit, param, chain=chain, points=points, ranges=limits,
-            progress=lambda done: say(f"Fitting the other parameters again: {done} fits"),
-        )  # fmt: skip
+        found = compute_profile(fit, param, chain=chain, points=points, ranges=limits)
+    words = [f"--param={name}" for name in param]
+    words += [f"--range={low:.10g},{high:.10g}" for low, high in ranges]
+    words += [f"--points={points}"] * bool(points) + [*reading.words()]
+    words += (request.chosen if request else flags).words()
+    found = replace(found, command=command_line("profile", str(data), *words))
     return output.finish(found, folder, drawn)

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.patches import Patch
 
-from curlfit.inference.fit.result import Estimate
-from curlfit.numerics.arrays import Floats
+from curlfit.inference.fit.estimates import Estimate
 from curlfit.output import figures as draw
 from curlfit.output.ticks import neat_axis
 from curlfit.profile_likelihood.result import PairProfile, Profile
@@ -16,8 +15,6 @@ from curlfit.profile_likelihood.result import PairProfile, Profile
 _REGIONS = ("#a6cfe5", "#deedf6")  # of the profile, 68 and 95 %
 _HIGH, _LOW = 10.0, 5.5  # upper ends of the axis, of limited profiles and of others
 _MOVES = 0.05  # smallest change of another parameter that is shown, standard errors
-_MAX_SHOWN = 8  # of these
-_THIN = 0.4  # relative width of a valley below which it is also drawn straightened
 
 
 @draw.style()
@@ -63,21 +60,20 @@ def _chi_squared(profile: Profile, axes: Any) -> None:
         axes.plot(fine, parabola, "--", label="covariance", **style)
     style = {"color": draw.FIT_COLOR, "zorder": 3}
     axes.plot(at, profile.delta, ".-", ms=4, lw=1.5, label="profile", **style)
-    lowest = -0.04 * top
     if found is not None:
         axes.errorbar(
             found["at"], found["height"], found["error"], fmt="o", color=draw.POSTERIOR_COLOR,
             markersize=3, lw=0.9, label=r"posterior, $-2\,\ln$ density", zorder=2,
         )  # fmt: skip
-        lower = float((found["height"] - found["error"]).min())
-        lowest = max(-1.0, min(lowest, lower - 0.1))
     style = {"color": draw.FIT_COLOR, "markersize": 5, "zorder": 5}
     axes.plot(profile.best, 0, "v", clip_on=False, mec="white", **style)
-    axes.set(xlim=_widened(at[0], at[-1], 0.02), ylim=(lowest, top))
+    axes.set(xlim=_widened(at[0], at[-1], 0.02), ylim=(-0.04 * top, top))
     axes.set_ylabel(r"$\Delta\chi^2$, all others refitted")
     axes.legend(loc="upper center", bbox_to_anchor=(0.62, 1.0))
     if not limited:
-        _note_rise(profile, axes)
+        low, high = profile.free
+        said = f"{_rise(profile)} over {low:.5g} .. {high:.5g}"
+        draw.note(axes, 0.04, 0.93, said, color=draw.FIT_COLOR)
 
 
 def _widened(low: float, high: float, share: float) -> tuple[float, float]:
@@ -89,22 +85,6 @@ def _widened(low: float, high: float, share: float) -> tuple[float, float]:
 def _rise(profile: Profile) -> str:
     rise = profile.rise
     return rf"$\Delta\chi^2 \leq$ {f'{rise:.1g}' if rise < 1e-3 else f'{rise:.2g}'}"
-
-
-def _note_rise(profile: Profile, axes: Any) -> None:
-    """The largest delta chi squared of a flat profile, and a magnified inset of a small one."""
-    low, high = profile.free
-    said = f"{_rise(profile)} over {low:.5g} .. {high:.5g}"
-    draw.note(axes, 0.04, 0.93, said, color=draw.FIT_COLOR)
-    if profile.verdict != "hardly" or profile.rise > 0.5:
-        return
-    inside = (profile.at >= low) & (profile.at <= high)
-    inset = axes.inset_axes((0.12, 0.46, 0.33, 0.3))
-    inset.plot(profile.at[inside], profile.delta[inside], color=draw.FIT_COLOR, lw=1.3)
-    inset.set_title(r"the same $\Delta\chi^2$, magnified", loc="center")
-    inset.tick_params(labelsize=6)
-    inset.locator_params(nbins=4)
-    inset.margins(x=0.02)
 
 
 def _others(profile: Profile, axes: Any) -> None:
@@ -121,9 +101,7 @@ def _others(profile: Profile, axes: Any) -> None:
     }
     partners = {name for item in profile.combinations for name in item.weights}
     values = [name for name, item in others.items() if not item.stderr and name in partners]
-    size = {name: float(np.abs(move).max()) for name, move in moves.items()}
-    largest = sorted(size, key=lambda name: -size[name])[:_MAX_SHOWN]
-    kept = [name for name in moves if name in largest and size[name] > _MOVES]
+    kept = [name for name, move in moves.items() if np.abs(move).max() > _MOVES]
     axes.axhline(0, **draw.ZERO_LINE)
     lines: list[Any] = []
     for name, style in zip(kept, draw.line_styles(len(kept)), strict=True):
@@ -159,72 +137,49 @@ def _label(item: Estimate, name: str) -> tuple[str, str]:
 
 
 def _pair_figure(profile: PairProfile) -> draw.Picture:
+    figure, axes = draw.panels(4.2, 1, 1, 0.72 * draw.WIDTH)
+    along, valley = profile.each[0], profile.valley
     near = np.isfinite(profile.delta)
     near &= profile.delta < max(_HIGH, 2 * float(profile.delta[near].min(initial=np.inf)))
-    thin = profile.across is not None and 8 * profile.across < _THIN * np.ptp(profile.second[near])
-    width = draw.WIDTH * (1 if thin else 0.72)
-    figure, (panels,) = draw.panels(4.2, 1, 2 if thin else 1, width, squeeze=False)
-    one, other = (profile.parameters[name] for name in profile.names)
-    along, valley = profile.each[0], profile.valley
-    some = np.isfinite(valley)
-
-    def level(first: Floats) -> Floats:
-        return np.interp(first, along.at[some], valley[some])
-
-    subtracted: list[Any] = [np.zeros_like, level]
-    for axes, below in zip(panels, subtracted, strict=False):
-        _regions(profile, axes, below)
-        first, second = profile.first[near], (profile.second - below(profile.first))[near]
-        axes.set_xlim(_widened(first.min(), first.max(), 0.04))
-        axes.set_ylim(_widened(second.min(), second.max(), 0.04))
-    draw.title(panels[0], draw.heading_of(along), columns=len(panels), margin=0.5)
-    if thin:
-        draw.title(panels[1], "the same, minus the refitted value", columns=len(panels))
+    _regions(profile, axes)
+    for values, set_limits in ((profile.first, axes.set_xlim), (profile.second, axes.set_ylim)):
+        set_limits(_widened(values[near].min(), values[near].max(), 0.04))
+    draw.title(axes, draw.heading_of(along), margin=0.5)
     handles = [
         Patch(facecolor=color, edgecolor=draw.FIT_COLOR, label=level.name)
         for level, color in zip(profile.levels, _REGIONS, strict=True)
-    ] + panels[-1].get_legend_handles_labels()[0]
+    ] + axes.get_legend_handles_labels()[0]
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
     if along.verdict in ("flat", "hardly"):
         sums = [draw.weighted_sum(item.weights, profile.parameters) for item in along.combinations]
-        said = [
-            f"along the valley {_rise(along)}",
-            *(f"only ${sum_}$ is determined" for sum_ in sums),
-        ]
+        said = [f"along the valley {_rise(along)}"]
+        said += [f"only ${sum_}$ is determined" for sum_ in sums]
         x = 0.95 if valley[-1] < valley[0] else 0.05
-        draw.note(panels[0], x, 0.95, "\n".join(said), color="black")
+        draw.note(axes, x, 0.95, "\n".join(said), color="black")
     figure.draw_without_rendering()  # the layout, which the ticks depend on
-    symbol = draw.symbol_of(other)
-    refitted = f"{symbol} \N{MINUS SIGN} refitted {symbol}", other.unit
-    for axes, label in zip(panels, (_label(other, profile.names[1]), refitted), strict=False):
-        neat_axis(axes.xaxis, *_label(one, profile.names[0]))
-        neat_axis(axes.yaxis, *label)
+    for axis, name in zip((axes.xaxis, axes.yaxis), profile.names, strict=True):
+        neat_axis(axis, *_label(profile.parameters[name], name))
     return figure
 
 
-def _regions(profile: PairProfile, axes: Any, below: Any) -> None:
-    """Regions, ellipse, samples and valley; `below` is subtracted from the second."""
-
-    def plot(first: Any, second: Any, *form: str, **style: Any) -> None:
-        axes.plot(first, second - below(first), *form, **style)
-
-    second = profile.second - below(profile.first)
-    surface = profile.first, second, np.ma.masked_invalid(profile.delta)
+def _regions(profile: PairProfile, axes: Any) -> None:
+    """Regions, ellipse, samples and valley."""
+    surface = profile.first, profile.second, np.ma.masked_invalid(profile.delta)
     edges = [level.delta_chi2_pair for level in profile.levels]
     axes.contourf(*surface, levels=[-1, *edges], colors=_REGIONS, zorder=1)
     if (profile.delta < edges[-1]).any():
         axes.contour(*surface, levels=edges, colors=draw.FIT_COLOR, linewidths=0.9, zorder=3)
     if len(profile.samples):
-        style = {"color": draw.POSTERIOR_COLOR, "markersize": 2.6, "mew": 0, "zorder": 2}
-        plot(*profile.samples.T, ".", rasterized=True, label="posterior", **style)
+        style: dict[str, Any] = {"color": draw.POSTERIOR_COLOR, "markersize": 2.6, "mew": 0}
+        axes.plot(*profile.samples.T, ".", rasterized=True, label="posterior", zorder=2, **style)
     refitted = f"{draw.symbol_of(profile.parameters[profile.names[1]])} refitted"
     style = {"color": draw.FIT_COLOR, "lw": 1.2, "zorder": 4}
-    plot(profile.each[0].at, profile.valley, "-.", label=refitted, **style)
+    axes.plot(profile.each[0].at, profile.valley, "-.", label=refitted, **style)
     best = np.array(profile.best)
     if profile.covariance is not None:
         angle = np.linspace(0, 2 * np.pi, 361)
         circle = np.linalg.cholesky(profile.covariance) @ [np.cos(angle), np.sin(angle)]
         style = {"color": draw.COVARIANCE_COLOR, "lw": 1.3, "zorder": 5}
         for edge, label in zip(edges, ("68 %, 95 % of the covariance", None), strict=True):
-            plot(*(best[:, None] + np.sqrt(edge) * circle), "--", label=label, **style)
-    plot(*best, "+", color="black", markersize=7, mew=1.2, zorder=6)
+            axes.plot(*(best[:, None] + np.sqrt(edge) * circle), "--", label=label, **style)
+    axes.plot(*best, "+", color="black", markersize=7, mew=1.2, zorder=6)

@@ -16,25 +16,21 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from curlfit.errors import InputError, UnusableFitError
-from curlfit.inference.fit.fit import fit as least_squares
 from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.inference.mcmc.chain import Chain
 from curlfit.numerics.arrays import Floats
-from curlfit.profile_likelihood.refit import BETTER, ConstrainedFits, Progress, Refit
+from curlfit.profile_likelihood.refit import BETTER, ConstrainedFits, Refit
 from curlfit.profile_likelihood.result import Interval, Level, PairProfile, Profile, require_usable
-from curlfit.throws.throw import Throw
 
 POINTS = 41
 POINTS_OF_PAIR = 25
 _NO_RESPONSE = 1e-3  # change of the residuals by a typical size that counts as none
-_MIN_STEP, _WIDEST = 0.05, 30.0  # smallest step and largest width, over that at the best fit
 _WIDENING = 1.6  # factor
 _MAX_SAMPLES = 1500
 _REACH = 4.0  # standard errors to either side of the best value
 _HIGH = 1.5  # delta chi squared at the ends of a range, over that of a 95 % region of two
 _ROUNDS = 8
 _FIRST, _LAST = 1e-3, 30.0  # first and last step of the search, in typical sizes
-_PARALLEL = 6  # points of the search fitted at a time
 _SECTION = 10  # parts of an interval that is searched or refined
 _SHARP = 0.02  # precision of the ends of a range, relative to its width
 _STEEP = 0.6  # largest step of the root of delta chi squared between points at a threshold
@@ -45,20 +41,18 @@ _BINS = 24
 
 
 def profile(
-    subject: FitResult | Throw,
+    fit: FitResult,
     names: str | Sequence[str],
     *,
     chain: Chain | None = None,
     points: int | None = None,
     ranges: Mapping[str, tuple[float, float]] | None = None,
-    progress: Progress | None = None,
-    **choices: Any,
 ) -> Profile | PairProfile:
     """The profile likelihood of a parameter, or of two.
 
     Parameters
     ----------
-    subject : a converged fit, or a throw, which is then fitted first.
+    fit : a converged fit.
     names : one free parameter or two, of the law, the conditions or the initial state.
     chain : a posterior sample of the fit, for comparison.
     points : values of each parameter, by default `POINTS` for one and `POINTS_OF_PAIR` for two;
@@ -66,8 +60,6 @@ def profile(
     ranges : (low, high) by name. By default four standard errors to either side where the fit
         determines the parameter; otherwise to where chi squared is 9 higher, or to its bounds (30
         typical sizes away where it has none).
-    progress : called with the number of fits done.
-    choices : of `curlfit.fit`, for a throw.
 
     Returns
     -------
@@ -76,7 +68,7 @@ def profile(
     Raises
     ------
     InputError : an unknown, fixed or repeated name; more than two; a range that is empty, outside
-        the bounds or without the best estimate; a chain of another law; choices given with a fit.
+        the bounds or without the best estimate; a chain of another law.
     UnusableFitError : the fit did not converge.
 
     Examples
@@ -86,13 +78,7 @@ def profile(
     'limited'
     """
     selected = (names,) if isinstance(names, str) else tuple(names)
-    if isinstance(subject, Throw):
-        fit = least_squares(subject, **choices)
-    else:
-        require_fit(subject)
-        fit = subject
-        if choices:
-            raise InputError(f"{', '.join(choices)}: a fit has its own; give a throw to fit anew")
+    require_fit(fit)
     parameters, ranges = fit.parameter_set, ranges or {}
     require_usable(parameters, selected, points, ranges, parameters.values_of(fit.values))
     count = (POINTS, POINTS_OF_PAIR)[len(selected) - 1] if points is None else points
@@ -100,7 +86,7 @@ def profile(
         raise UnusableFitError(f"the fit is not usable: {fit.status}")
     if chain is not None and chain.names != parameters.names:
         raise InputError("the chain is of another fit: its parameters differ")
-    refit = Refit(fit, progress)
+    refit = Refit(fit)
     found: Any
     for _ in range(3):
         found, *second = [
@@ -193,39 +179,31 @@ def _search_range(fits: ConstrainedFits, name: str) -> tuple[float, float]:
     item, best = fits.refit.fit.parameters[name], float(fits.best[0])
     sharp = item.verdict not in ("determined", "prior") or not item.stderr
     step = _FIRST * item.typical if sharp else _REACH * (item.stderr or 0.0)
-    parallel = _PARALLEL if sharp else 1
-    ladders = []
-    for sense, bound in zip((-1.0, 1.0), fits.bounds, strict=True):
-        bounded = math.isfinite(bound)
-        farthest = abs(bound - best) if bounded else max(_LAST * item.typical, step)
-        count = 1 + max(0, math.ceil(math.log2(max(farthest / step, 1))))
-        steps = np.minimum(step * 2.0 ** np.arange(count), farthest)
-        ladder = np.where(bounded & (steps == farthest), bound, best + sense * steps)
-        ladders.append(np.unique(ladder)[:: int(sense)] if farthest > 0 else ladder[:0])
-    fits.at(np.concatenate([ladder[:parallel] for ladder in ladders])[:, None])
-    low, high = (_search_end(fits, ladder, parallel, sharp=sharp) for ladder in ladders)
+    farthest = max(_LAST * item.typical, step)
+    low, high = (
+        _search_end(fits, step, bound if math.isfinite(bound) else best + way * farthest, sharp)
+        for way, bound in zip((-1.0, 1.0), fits.bounds, strict=True)
+    )
     return low, high
 
 
-def _search_end(fits: ConstrainedFits, ladder: Floats, parallel: int, *, sharp: bool) -> float:
-    """First step of a ladder away from the best value where chi squared is high, or the last."""
-    inside = best = float(fits.best[0])
+def _search_end(fits: ConstrainedFits, step: float, farthest: float, sharp: bool) -> float:
+    """First of steps from the best value, each twice the one before, where chi squared is high; the
+    farthest place if it is high nowhere."""
+    inside = outside = best = float(fits.best[0])
     limit = _HIGH * fits.levels[-1].delta_chi2_pair
-    for first in range(0, len(ladder), parallel):
-        part = ladder[first : first + parallel]
-        low = part[np.logical_and.accumulate(fits.delta(part[:, None]) < limit)]
-        inside = float(low[-1]) if len(low) else inside
-        if len(low) == len(part):
-            continue
-        outside = float(part[len(low)])
-        while sharp and abs(outside - inside) > _SHARP * abs(outside - best):
-            line = np.linspace(inside, outside, _SECTION + 1)[1:-1]
-            low = line[fits.delta(line[:, None]) < limit]
-            inside = float(low[-1]) if len(low) else inside
-            beyond = np.array([*line, outside])
-            outside = float(beyond[np.argmax(np.abs(beyond - best) > abs(inside - best))])
-        return outside if np.isfinite(fits.delta(np.array([[outside]]))).all() else inside
-    return inside
+    while outside == inside:
+        if inside == farthest:
+            return farthest
+        short = step < abs(farthest - best)
+        outside = best + math.copysign(step, farthest - best) if short else farthest
+        if fits.delta(np.array([[outside]]))[0] < limit:
+            inside, step = outside, 2 * step
+    while sharp and abs(outside - inside) > _SHARP * abs(outside - best):
+        line = np.linspace(inside, outside, _SECTION + 1)
+        last = int(np.argmin(fits.delta(line[1:, None]) < limit))
+        inside, outside = line[last : last + 2].tolist()
+    return outside if np.isfinite(fits.delta(np.array([[outside]]))).all() else inside
 
 
 def _refinement(line: Floats, delta: Floats, best: float, levels: tuple[Level, ...]) -> Floats:
@@ -233,9 +211,7 @@ def _refinement(line: Floats, delta: Floats, best: float, levels: tuple[Level, .
     root = np.sqrt(np.maximum(delta, 0.0))
     low, high = np.minimum(root[:-1], root[1:]), np.maximum(root[:-1], root[1:])
     # including those of regions of two parameters
-    thresholds = np.array([[item.delta_chi2, item.delta_chi2_pair] for item in levels]).reshape(
-        -1, 1
-    )
+    thresholds = np.reshape([[item.delta_chi2, item.delta_chi2_pair] for item in levels], (-1, 1))
     passed = ((low**2 < thresholds) & (thresholds <= high**2)).any(0)
     size = np.abs([line[:-1], line[1:], line[1:] - best]).max(0)
     steep = passed & (high - low > _STEEP) & (np.diff(line) > 1e-9 * size)
@@ -335,18 +311,15 @@ def _profile_pair(
     (one, other), fit = each, refit.fit
     names = one.name, other.name
     fits = ConstrainedFits(refit, names)
-    stiff, (low, high) = float(fits.stiffness[1]), fits.bounds
+    stiff, first = float(fits.stiffness[1]), _columns(one, points)
     across = 1 / stiff if stiff * other.estimate.typical > _NO_RESPONSE else None
-    margin = _REACH * (across or 0.0)
-    edges = [] if across is None else [low + margin, high - margin]
-    first = _columns(one, other.name, edges, points)
     if across is None or other.name in ranges:
         second = np.tile(np.linspace(other.at[0], other.at[-1], points), (len(first), 1))
     else:
         finite = np.isfinite(one.delta)
         valley = np.interp(first, one.at[finite], one.others[other.name][finite])
         second = _across_valley(fits, first, valley, across, points)
-    grid = _grid(first, np.clip(second, low, high))
+    grid = _grid(first, np.clip(second, *fits.bounds))
     fits.settle(grid)
     delta, best = fits.delta(grid), np.array([one.best, other.best])
     covariance = _covariance(fit, names)
@@ -387,37 +360,23 @@ def _off_ellipse(
     return float(np.abs(delta - expected)[within].max()) if within.any() else None
 
 
-def _columns(one: Profile, other: str, edges: Sequence[float], points: int) -> Floats:
-    """Values of the first of two parameters, evenly spaced; of a flat one, more at its ends.
-
-    There the region is cut off by the bound of the second, beginning at `edges`.
-    """
+def _columns(one: Profile, points: int) -> Floats:
+    """Values of the first of two parameters, evenly spaced; of a flat one, within its free part."""
     if one.verdict == "limited":
         return np.unique([*np.linspace(one.at[0], one.at[-1], points), one.best])
-    free = (one.at >= one.free[0]) & (one.at <= one.free[1])
-    at, values = one.at[free], one.others[other][free]
-    order = np.argsort(values)
-    cut = [
-        float(np.interp(edge, values[order], at[order]))
-        for edge in edges
-        if values.min() < edge < values.max()
-    ]
-    return np.unique([*np.linspace(*one.free, points), one.best, *cut, *one.at[~free]])
+    beyond = one.at[(one.at < one.free[0]) | (one.at > one.free[1])]
+    return np.unique([*np.linspace(*one.free, points), one.best, *beyond])
 
 
 def _across_valley(
     fits: ConstrainedFits, first: Floats, valley: Floats, across: float, points: int
 ) -> Floats:
-    """Values of the second about the bottom of the valley, scaled by its local width."""
-    steps, sense, bounds = np.linspace(-_REACH, _REACH, points | 1), np.array([-1, 1]), fits.bounds
-    valley = valley[:, None]
-    sides = np.clip(valley + sense * across, *bounds)
-    bottom, *delta = fits.delta(_grid(first, np.hstack([valley, sides]))).T
-    away, rise = np.abs(sides - valley) / across, np.transpose(delta - bottom)
-    quick = np.sqrt(np.fmax(rise, (np.maximum(away, _MIN_STEP) / _WIDEST) ** 2))
-    wide = across * np.where((away > _MIN_STEP) & np.isfinite(rise), away / quick, 1.0)
-    for _ in range(_ROUNDS):  # wider where chi squared is not quadratic
-        ends = np.clip(valley + _REACH * sense * wide, *bounds)
+    """Values of the second about the bottom of the valley, farther where chi squared is not high
+    there."""
+    steps, bounds, valley = np.linspace(-_REACH, _REACH, points | 1), fits.bounds, valley[:, None]
+    wide = np.full((len(first), 2), across)
+    for _ in range(_ROUNDS):
+        ends = np.clip(valley + _REACH * np.array([-1, 1]) * wide, *bounds)
         low = fits.delta(_grid(first, ends)) < _HIGH * fits.levels[-1].delta_chi2_pair
         low &= (ends > bounds[0]) & (ends < bounds[1])
         if not low.any():

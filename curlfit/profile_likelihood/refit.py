@@ -9,7 +9,7 @@ has to match the difference of chi squared.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -23,7 +23,6 @@ from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import stacked, unstacked
 from curlfit.profile_likelihood.result import levels_for
 
-Progress = Callable[[int], None]
 Point = tuple[float, ...]
 
 BETTER = 1e-3
@@ -47,9 +46,8 @@ class Optimum(NamedTuple):
 class Refit:
     """A fit to be repeated with parameters fixed, and the best one so far."""
 
-    def __init__(self, fit: FitResult, progress: Progress | None) -> None:
+    def __init__(self, fit: FitResult) -> None:
         self.fit, self.parameters, self.model = fit, fit.parameter_set, fit.model
-        self._progress, self.done = progress, 0
         self._problem, origin = problem_of(fit)
         self._offset = origin.offset(len(self.parameters))
         self._penalty = self.parameters.shifted(-self._offset).penalty
@@ -66,20 +64,15 @@ class Refit:
     def _solved(
         self, held: list[int], points: Floats, starts: Sequence[Floats]
     ) -> list[Solution | None]:
-        before, count, offset = self.done, len(starts), self._offset
+        count, offset = len(starts), self._offset
         ends = self.parameters.lower, self.parameters.upper
         lower, upper = (np.tile(end - offset, (count, 1)) for end in ends)
         lower[:, held] = upper[:, held] = points - offset[held]
         problems, penalty = stacked([(self._problem, self._penalty)] * count)
         start, typical = np.array(starts) - offset, self.parameters.typical
 
-        def arrived(count: int) -> None:
-            self.done = before + count
-            if self._progress is not None:
-                self._progress(self.done)
-
         tasks = Tasks(problems, start, lower, upper, typical, penalty)
-        found = unstacked(minimize_many(self.model, tasks, progress=arrived, few=True))
+        found = unstacked(minimize_many(self.model, tasks, few=True))
         return [one if np.isfinite(one.residual).all() else None for one in found]
 
     def optima(
@@ -152,7 +145,6 @@ class ConstrainedFits:
         self._response, stiffness = refit.response(self.index)
         self.stiffness = stiffness
         self._typical = refit.parameters.typical[self.index]
-        self._tried: set[tuple[Point, Point, float]] = set()
 
     @property
     def bounds(self) -> tuple[float, float]:
@@ -201,12 +193,8 @@ class ConstrainedFits:
                 for point, near in ((pair[1], self.known[pair[0]]), (pair[0], self.known[pair[1]]))
                 if near is not None and not self._agree(self.known[point], near)
             ]
-            tried = [(point, tuple(fit.values), fit.chi_squared) for point, fit in tries]
-            # not twice from the same optimum
-            tries = [one for one, key in zip(tries, tried, strict=True) if key not in self._tried]
             if not tries:
                 return
-            self._tried.update(tried)
             better = False
             for (point, _), fit in zip(tries, self._fitted(*zip(*tries, strict=True)), strict=True):
                 known = self.known[point]

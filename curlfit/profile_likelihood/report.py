@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
 from rich.text import Text
 
-from curlfit.inference.fit.result import Estimate
+from curlfit.inference.fit.estimates import Estimate
 from curlfit.output.console import PlainTable
-from curlfit.output.document import FOLDER_OF_FIT, Document, Said, Section, command_line, show
+from curlfit.output.document import Document, Said, Section, show
 from curlfit.output.text import (
     STYLE,
     compact,
@@ -20,10 +19,12 @@ from curlfit.output.text import (
     join_words,
     labelled,
     rows_text,
+    two_digits,
 )
 from curlfit.profile_likelihood.result import Interval, Level, PairProfile, Profile
 
 _AGREE = 0.1  # largest difference of agreeing limits, standard errors
+_EXACT = 1e-9  # of chi squared: rounding errors
 _AGREE_PAIR = 0.5  # largest difference of chi squared within an agreeing ellipse
 _VERDICTS = {
     "limited": ("limited by the data", ""),
@@ -76,10 +77,7 @@ def document(profile: Profile | PairProfile) -> Document:
             "Data": f"{one.data['file']}, {rows_text(one.data) or 'timed events alone'}",
             "Loss": one.loss,
         },
-        command=command_line(
-            "profile", f"{Path(one.data['file']).stem}-fit", *(f"--param={name}" for name in names)
-        ),
-        remark=FOLDER_OF_FIT,
+        command=profile.command,
         names=names,
     )
 
@@ -92,34 +90,26 @@ def describe_undetermined(profile: Profile) -> str:
             f"The range is too narrow: within {span} chi squared rises by no more than {rise:.2g}."
         )
     if profile.verdict == "flat":
-        same = f"the same to {rise:.0e}" if rise > 0 else "exactly the same"
         text = (
-            f"{name} is not identifiable, its profile is flat: chi squared is {same} over the "
-            f"whole range {span}."
+            f"{name} is not identifiable, its profile is flat: chi squared is the same to "
+            f"{max(rise, _EXACT):.0e} over the whole range {span}."
         )
     else:
-        (less, more), (least, most) = (
-            (_times(quieter), _times(quieter**2))
-            for quieter in map(profile.quieter, (1.0, profile.levels[-1].delta_chi2))
-        )
+        less, least = map(profile.quieter, (1.0, profile.levels[-1].delta_chi2))
         text = (
             f"{name} is weakly determined: chi squared changes by no more than {rise:.2g} over "
-            f"{span}. For a limit at 68 % the noise would have to be {less} smaller, or the rows "
-            f"{more} as many; at 95 %, {least} and {most}."
+            f"{span}. For a limit at 68 % the noise would have to be {two_digits(less)} times "
+            f"smaller, or the rows {two_digits(less**2)} times as many; at 95 %, "
+            f"{two_digits(least)} times and {two_digits(least**2)} times."
         )
     if known := [
         f"{item.expression} = {compact(item.value, item.stderr)}" for item in profile.combinations
     ]:
         text += f" Only {join_words(known)} {'are' if len(known) > 1 else 'is'} determined."
-    bounds = profile.estimate.lower, profile.estimate.upper
-    ends = list(zip(("lower", "upper"), profile.free, profile.stops, bounds, strict=True))
-    for _, end, names, _ in ends:
+    for end, names in zip(profile.free, profile.stops, strict=True):
         if names:
             come = "reaches its bound" if len(names) == 1 else "reach their bounds"
             text += f" The profile ends at {end:.4g}, where {join_words(names)} {come}."
-    for side, end, names, bound in ends:
-        if not names and end != bound and end in (profile.at[0], profile.at[-1]):
-            text += f" {_no_limit(side, end)}"
     return text
 
 
@@ -128,16 +118,12 @@ def describe_pair(profile: PairProfile) -> str:
     one, other = profile.names
     if profile.ellipse is None:
         text = "The covariance gives no ellipse to compare with."
-    elif profile.ellipse <= _AGREE_PAIR:
-        text = (
-            "The 95 % confidence ellipse from the covariance is accurate: within it, chi squared "
-            f"differs from its quadratic approximation by at most {profile.ellipse:.1g}."
-        )
     else:
-        size = f"up to {profile.ellipse:.2g}" if profile.ellipse < 100 else "more than 100"
+        agrees = profile.ellipse <= _AGREE_PAIR
         text = (
-            "The 95 % confidence ellipse from the covariance is not accurate: within it, chi "
-            f"squared differs from its quadratic approximation by {size}. Use the contours."
+            f"The 95 % confidence ellipse from the covariance is {'' if agrees else 'not '}"
+            "accurate: within it, chi squared differs from its quadratic approximation by up to "
+            f"{profile.ellipse:.2g}.{'' if agrees else ' Use the contours.'}"
         )
     if profile.across is None:
         text += f" {other} is not identifiable even with {one} fixed."
@@ -173,16 +159,14 @@ def _table(profile: Profile | PairProfile) -> PlainTable | None:
     """The intervals of a parameter, or the extents of the region of two."""
     levels = profile.levels
     if isinstance(profile, PairProfile):
-        rows = []
-        for index, one in enumerate(profile.each):
-            limited, scale = one.verdict == "limited", _scale(one)
-            rows.append(
-                {"region spans": labelled(one.name, one.estimate.unit)}
-                | {
-                    level.name: _ends(profile.extent[level.name][index], scale) if limited else "-"
-                    for level in levels
-                }
-            )
+        rows = [
+            {"region spans": labelled(one.name, one.estimate.unit)}
+            | {
+                name: _ends(extent[index], _scale(one)) if one.verdict == "limited" else "-"
+                for name, extent in profile.extent.items()
+            }
+            for index, one in enumerate(profile.each)
+        ]
         return PlainTable(rows, "Extent of the regions of both parameters")
     if profile.verdict != "limited":
         return None
@@ -232,21 +216,9 @@ def _limits(profile: Profile) -> list[str]:
                 f"No {side} limit from these data: its {side} bound, {end:.4g}, is within 95 %."
             )
         elif by == "range":
-            remarks.append(_no_limit(side, end))
-    for names, end, side in zip(profile.stops, profile.free, ("Below", "Above"), strict=True):
-        if names and profile.free[0] < profile.free[1] and widest.low <= end <= widest.high:
-            bound = "is at its bound" if len(names) == 1 else "are at their bounds"
-            remarks.append(
-                f"{side} {end:.4g} {join_words(names)} {bound}, which makes the profile steeper "
-                "there."
-            )
+            way = "down" if side == "lower" else "up"
+            remarks.append(f"No {side} limit within the range examined, {way} to {end:.4g}.")
     return remarks
-
-
-def _no_limit(side: str, end: float) -> str:
-    """That no limit was found up to an end of the range examined."""
-    way = "down" if side == "lower" else "up"
-    return f"No {side} limit within the range examined, {way} to {end:.4g}."
 
 
 def _notes(each: Sequence[Profile]) -> list[str]:
@@ -286,11 +258,3 @@ def _span(profile: Profile, low: float, high: float) -> str:
     scale = (profile.at[-1] - profile.at[0]) / 50
     ends = (float(low), float(high))
     return " .. ".join(format_estimate(end, scale)[0] if end else "0" for end in ends)
-
-
-def _times(factor: float) -> str:
-    """A factor in words, to two digits."""
-    if not math.isfinite(factor):
-        return "infinitely"
-    size = f"{factor:.2g}" if factor < 100 else f"{factor:.0f}" if factor < 1e6 else f"{factor:.1e}"
-    return f"{size} times"

@@ -11,7 +11,8 @@ from typing import Annotated, Any, ClassVar, NamedTuple
 
 from curlfit.errors import InputError
 from curlfit.inference.derived import Quantiles
-from curlfit.inference.fit.result import Estimate, Extent, LoadName, LossName
+from curlfit.inference.fit.estimates import Estimate
+from curlfit.inference.fit.result import Extent, LoadName, LossName
 from curlfit.inference.identifiability import Combination, student_quantile
 from curlfit.inference.parameters import ParameterSet
 from curlfit.numerics.arrays import Floats
@@ -117,6 +118,7 @@ class Profile(Record):
         "error" (its standard deviation), by bin of the chain.
     quantiles : of the posterior by level, keys "2.5", "16", "50", "84", "97.5"; empty without one.
     warnings : for the reader.
+    command : that made it; empty if it was made in Python.
 
     Examples
     --------
@@ -154,6 +156,7 @@ class Profile(Record):
     )
     quantiles: Quantiles
     warnings: tuple[str, ...]
+    command: str = ""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -241,6 +244,7 @@ class PairProfile(Record):
         95 % ellipse; None without one.
     samples : of the posterior, shape (samples, 2); empty without a chain.
     warnings : for the reader.
+    command : that made it; empty if it was made in Python.
 
     Examples
     --------
@@ -263,6 +267,7 @@ class PairProfile(Record):
     ellipse: float | None
     samples: Matrix = field(metadata=SERIES)
     warnings: tuple[str, ...]
+    command: str = ""
 
     @property
     def parameters(self) -> dict[str, Estimate]:

@@ -44,6 +44,7 @@ FLAGS = {
     "bounds": "--bound",
     "priors": "--prior",
     "systematics": "--systematic",
+    "coefficients": "--set",
 }
 """Flags of other names than their choices."""
 UNSET: Any = None
@@ -245,8 +246,7 @@ class Rows(Choices):
     @property
     def rows(self) -> dict[str, Any]:
         """The choices of rows, as `Throw.select_rows` takes them."""
-        excluded = [list(pair) for pair in self.exclude]
-        return {"since": self.since, "until": self.until, "exclude": excluded}
+        return {"since": self.since, "until": self.until, "exclude": self.exclude}
 
 
 @Parameter(name="*")

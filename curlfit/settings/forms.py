@@ -34,12 +34,12 @@ class Form:
         ),
     ) -> None:
         self.expected, self.written = expected, written or expected
-        self._check, self._parse, self._words = check, parse, words
+        self.check, self._parse, self._words = check, parse, words
 
     def checked(self, name: str, value: Any) -> Any:
         """A value of a file or of Python. Raises `InputError` if it is of another kind."""
         try:
-            return self._check(value)
+            return self.check(value)
         except (TypeError, ValueError, OverflowError, AttributeError):
             raise InputError(f"{name} = {quoted(value)}; expected {self.expected}") from None
 
@@ -51,7 +51,7 @@ class Form:
     def read_word(self, flag: str, word: str) -> Any:
         """The value of one word after the text `flag`. Raises `InputError`."""
         try:
-            return self._check(self._parse(word.strip()))
+            return self.check(self._parse(word.strip()))
         except InputError as error:
             raise InputError(f"{flag}{cut(word.strip())}: {error}") from None
         except (TypeError, ValueError, OverflowError):
@@ -113,12 +113,7 @@ class Several(Form):
             value = [one.strip() if isinstance(one, str) else one for one in each]
         if isinstance(value, str | Mapping) or not hasattr(value, "__iter__"):
             raise InputError(f"{name} = {quoted(value)}; expected {self.expected}")
-        try:
-            return tuple(dict.fromkeys(self.value.checked(name, one) for one in value))
-        except InputError as error:
-            if isinstance(self.value, OneOf):
-                raise
-            raise InputError(f"{name} = {quoted(value)}; expected {self.expected}") from error
+        return tuple(dict.fromkeys(self.value.checked(name, one) for one in value))
 
     def __call__(self, _: Any, tokens: Sequence[Any]) -> tuple[Any, ...]:
         """All words together."""
@@ -173,27 +168,22 @@ def _finite(value: Any) -> float:
     return number
 
 
-def _text(value: Any) -> str:
-    if not isinstance(value, str):
-        raise TypeError
-    return value
+def _of_type(kind: type) -> Callable[[Any], Any]:
+    def check(value: Any) -> Any:
+        if not isinstance(value, kind):
+            raise TypeError
+        return value
 
-
-def _truth(value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise TypeError
-    return value
+    return check
 
 
 def whole(low: int, high: int = 10**9) -> Form:
     """A whole number within limits."""
 
     def check(value: Any) -> int:
-        if isinstance(value, bool) or not isinstance(value, Integral):
-            raise TypeError
-        if not low <= (number := int(value)) <= high:
+        if not (isinstance(value, Integral) and low <= _real(value) <= high):
             raise ValueError
-        return number
+        return int(value)
 
     return Form(f"a whole number from {low} to {high}", check, int)
 
@@ -202,24 +192,19 @@ class OneOf(Form):
     """One of some names; `others` are further names of these."""
 
     def __init__(self, what: str, names: Sequence[str], **others: str) -> None:
-        self.what, self.names, self.others = what, tuple(names), others
-        super().__init__(f"one of {', '.join(names)}", _text)
+        expected = " or ".join(names) if len(names) < 3 else f"one of {', '.join(names)}"
 
-    def checked(self, name: str, value: Any) -> str:
-        """One of the names."""
-        text = super().checked(name, value)
-        text = self.others.get(text, text)
-        if text not in self.names:
-            listed = " or ".join(self.names) if len(self.names) < 3 else self.expected
-            raise InputError(f"unknown {self.what} {quoted(text)}; expected {listed}")
-        return text
+        def check(value: Any) -> str:
+            text = others.get(TEXT.check(value), value)
+            if text not in names:
+                raise InputError(f"unknown {what} {quoted(text)}; expected {expected}")
+            return str(text)
 
-    def read_word(self, flag: str, word: str) -> str:
-        """One of the names."""
-        return self.checked(flag.strip(), word.strip())
+        super().__init__(expected, check)
+        self.names = tuple(names)
 
 
-TEXT = Form("a quoted string", _text, written="a word")
+TEXT = Form("a quoted string", _of_type(str), written="a word")
 
 
 def numbers(count: int, written: str) -> Form:
@@ -231,13 +216,16 @@ def numbers(count: int, written: str) -> Form:
             raise ValueError
         return found
 
-    return Form(f"{count} numbers", check, lambda word: map(float, word.split(",")), written)
+    return Form(
+        f"{count} numbers", check, lambda word: map(float, word.split(",")), written,
+        words=lambda value: ",".join(f"{one:.10g}" for one in value),
+    )  # fmt: skip
 
 
 PATH = Form("a name of a file or folder", lambda one: Path(one), Path, "a file or folder")
 NUMBER = Form(f"a number, {SIZES}", _finite, float)
 TIME = Form("a time in s", _finite, float)
-SWITCH = Form("true or false", _truth)
+SWITCH = Form("true or false", _of_type(bool))
 VALUES = Table(NUMBER, "NAME=VALUE", many=True)
 LABELS = Table(TEXT, "LABEL=NAME", many=True)
 LIMITS = Table(Interval("[low, high]", "LOW:HIGH", open_ended=True), "NAME=LOW:HIGH")
@@ -246,7 +234,7 @@ PERIODS = Several(PERIOD, "[[A, B], ...], times in s with A before B", "A:B")
 NAMES = Several(TEXT, "a list of names", "NAME,...")
 NUMBERS = Several(NUMBER, "a list of numbers", "numbers separated by commas")
 PRIORS = Table(
-    Form("a string such as '1+-0.1'", lambda one: one if hasattr(one, "kind") else _text(one)),
+    Form("a string such as '1+-0.1'", lambda one: one if hasattr(one, "kind") else TEXT.check(one)),
     "NAME=PRIOR",
 )
 TEXTS = Several(TEXT, "a list of strings", "a text", commas=False)

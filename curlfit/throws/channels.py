@@ -1,4 +1,4 @@
-"""The channels of a throw, and what their rows alone tell: their noise and the last motion."""
+"""The channels of a throw, and what their rows alone tell: noise, last motion, means."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from curlfit.numerics.arrays import Floats
 CHANNELS = ("x", "y", "phi", "speed", "omega")
 UNITS = {"t": "s", "x": "m", "y": "m", "phi": "rad", "speed": "m/s", "omega": "rad/s"}
 _MIN_ROWS = 10  # needed to estimate the scatter of a series
+_REST_ROWS = 200  # rows of a condensed throw after the stone has come to rest
 _REST_DISTANCE = 0.003  # m; this close to its last position a stone is at rest
 
 
@@ -54,3 +55,47 @@ def last_motion(t: Floats, x: Floats, y: Floats) -> float:
     near = max(_REST_DISTANCE, 5 * math.hypot(*scatter(positions)))
     moving = np.flatnonzero(distance > near)
     return float(t[moving[-1]]) if len(moving) else float(t[-1])
+
+
+def condensed(throw: Any, most: int) -> dict[str, Any]:
+    """The fields of a throw condensed to at most about `most` rows.
+
+    Mean time, position and angle of a block lie on the path except for its curvature within
+    the block. The noise and given sigmas decrease as for any mean. Rows after the stone has
+    come to rest, which repeat one measurement, are averaged over long blocks.
+    """
+    n, names = len(throw.t), ("t", *CHANNELS)
+    rest = int(np.searchsorted(throw.t, last_motion(throw.t, throw.x, throw.y), side="right"))
+    block = max(1, -(-rest // (most - _REST_ROWS)))
+    rest_block = max(block, -(-(n - rest) // _REST_ROWS))  # not noisier than the others
+    moving, still = -(-rest // block), -(-(n - rest) // rest_block)
+    pieces = (0, rest, moving), (rest, n, still)
+    starts = np.concatenate([np.linspace(*piece, endpoint=False).astype(int) for piece in pieces])
+    found = {name: block_means(getattr(throw, name), starts) for name in names}
+
+    def of_means(sigma: dict[str, Floats]) -> dict[str, Floats]:
+        return {
+            name: np.sqrt(block_means(values**2, starts)[0] / np.maximum(found[name][1], 1))
+            for name, values in sigma.items()
+        }
+
+    length = block * float(np.median(np.diff(throw.t)))
+    note = (
+        f"{n} rows condensed to {len(starts)}: means over {block} rows ({1000 * length:.3g} ms) up "
+        f"to t = {throw.t[min(rest, n - 1)]:.6g} s"
+    )
+    if rest < n:
+        note += (
+            f", over {rest_block} rows after that, when the stone was at rest and every row "
+            f"repeats one measurement, which counts as {still}"
+        )
+    # A deceleration a = 0.2 m/s^2, twice the usual, displaces a mean over T by a T^2/24.
+    bend = 0.2 * length**2 / 24
+    note += f"; means of moving rows lie off the path by some {bend:.1g} m, which is negligible"
+    return {
+        **{name: means for name, (means, _) in found.items()},
+        "sigma": of_means(throw.sigma),
+        "relative_sigma": of_means(throw.relative_sigma),
+        "lines": None if throw.lines is None else throw.lines[starts],
+        "notes": (*throw.notes, note),
+    }

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Collection, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
-from itertools import islice
+from glob import glob
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,14 +17,13 @@ from curlfit.foreign import quoted
 from curlfit.settings.choices import Reading, takes
 from curlfit.throws.readers.assemble import assemble
 from curlfit.throws.readers.axes import parse_axes
+from curlfit.throws.readers.camera import load_homography
 from curlfit.throws.readers.columns import parse_units
 from curlfit.throws.readers.digitalcurling import DIGITALCURLING
-from curlfit.throws.readers.homography import load_homography
 from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile
-from curlfit.throws.readers.spreadsheet import BEGINNINGS
 from curlfit.throws.readers.table import TABLE
-from curlfit.throws.readers.text import TextFile, lines_of
-from curlfit.throws.readers.timings import TIMINGS, is_table, labels_in
+from curlfit.throws.readers.text import TextFile, is_aside, lines_of
+from curlfit.throws.readers.timings import TIMINGS, is_table, labels_in, usual_law as law_of_timings
 from curlfit.throws.readers.tracker import TRACKER
 from curlfit.throws.throw import Throw
 
@@ -30,8 +31,8 @@ _READERS = (DIGITALCURLING, TIMINGS, TRACKER, TABLE)
 """Formats in the order in which they are tried; the last accepts any file."""
 _BY_NAME = {reader.name: reader for reader in reversed(_READERS)}
 FORMATS = tuple(_BY_NAME)
-_BEGINNING = 10_000  # characters that show whether a table has one throw per row
-_HEAD = 30  # lines that show the format
+_SUFFIXES = (".csv", ".tsv", ".txt", ".jsonl", ".json")
+_MOST_ASIDES, _HEAD = 200, 30  # lines that show the format, with and without comments
 
 
 @takes(Reading)
@@ -161,34 +162,30 @@ def throw_of(parsed: ParsedFile, reading: Reading) -> Throw:
     return replace(throw, labels=throw.labels | labels, notes=(*throw.notes, note))
 
 
-def _beginning(file: str | PathLike[str]) -> list[str]:
-    """The first lines of a file; none if it cannot be read."""
+def _lines_if_any(file: str | PathLike[str]) -> list[str]:
+    """The lines of a file; none if it cannot be read, as is said elsewhere."""
     try:
-        with Path(file).open("rb") as start:
-            if start.read(4) in BEGINNINGS:
-                return lines_of(Path(file))
-        with Path(file).open(encoding="utf-8-sig", errors="replace") as stream:
-            return stream.read(_BEGINNING).splitlines()
-    except (OSError, ValueError, DataError):
+        return lines_of(Path(file))
+    except DataError:
         return []
 
 
 def holds_timed_rows(file: str | PathLike[str], format: str | None = None) -> bool:
-    """Whether a file is a table of stopwatch times with one throw per row, by its beginning."""
-    lines = _beginning(file) if format in (None, TIMINGS.name) else []
-    head = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
-    return is_table(head) and detect_format(lines) == TIMINGS.name
+    """Whether a file is a table of stopwatch times with one throw per row."""
+    lines = _lines_if_any(file) if format in (None, TIMINGS.name) else []
+    first = next((line for line in lines if not is_aside(line)), "")
+    return is_table([first]) and detect_format(lines) == TIMINGS.name
 
 
 def states_sweeping(file: str | PathLike[str]) -> bool:
-    """Whether a file states in its beginning that its stone was swept (`# swept = [A, B]`)."""
-    comments = (line.lstrip() for line in _beginning(file) if line.lstrip().startswith("#"))
-    return any(line.lstrip("#").split("=")[0].strip() == "swept" for line in comments)
+    """Whether a file states that its stone was swept (`# swept = [A, B]`)."""
+    return any(re.match(r"\s*#+\s*swept\s*=", line) for line in _lines_if_any(file))
 
 
 def check_reading(reading: Reading) -> None:
     """Raise `InputError` if no file could be read with these choices."""
-    _check_format(reading.format)
+    if reading.format is not None and reading.format not in FORMATS:
+        raise InputError(f"format {quoted(reading.format)}: expected one of {', '.join(FORMATS)}")
     parse_units(reading.units)
     parse_axes(reading.axes)
     if reading.reference is not None:
@@ -201,14 +198,8 @@ def read(file: str | PathLike[str], reading: Reading) -> ParsedFile:
     return format.selected(path, contents, getattr(reading, format.selected_by))
 
 
-def _check_format(format: str | None) -> None:
-    if format is not None and format not in FORMATS:
-        raise InputError(f"format {quoted(format)}: expected one of {', '.join(FORMATS)}")
-
-
 def _open(file: str | PathLike[str], reading: Reading) -> tuple[Path, Format, Contents]:
-    _check_format(reading.format)
-    parse_units(reading.units)
+    check_reading(reading)
     path = Path(file)
     lines = lines_of(path)
     format = _BY_NAME[reading.format or detect_format(lines)]
@@ -216,15 +207,38 @@ def _open(file: str | PathLike[str], reading: Reading) -> tuple[Path, Format, Co
     return path, format, format.contents(TextFile(path, lines), reading)
 
 
-def format_of(file: str | PathLike[str]) -> str:
-    """The format of a file. Raises `DataError` if it cannot be read."""
-    return detect_format(lines_of(Path(file)))
+def usual_law(file: str | PathLike[str], format: str | None = None) -> str:
+    """The law if none is given: for a stopwatch record, the one that its values determine."""
+    with suppress(DataError):  # reported where the file is read
+        lines = lines_of(Path(file))
+        if (format or detect_format(lines)) == TIMINGS.name:
+            return law_of_timings(TextFile(Path(file), lines))
+    return "front-back"
 
 
 def detect_format(lines: list[str]) -> str:
     """The format of a file, from its first lines."""
-    shown = (line for line in lines[:200] if line.strip() and not line.lstrip().startswith("#"))
-    head = list(islice(shown, _HEAD))
-    if not head:
-        return TABLE.name
+    head = [line for line in lines[:_MOST_ASIDES] if not is_aside(line)][:_HEAD] or ["t"]
     return next(reader.name for reader in _READERS if reader.recognizes(head))
+
+
+def found_files(wanted: Sequence[str], besides: Collection[Path] = ()) -> list[Path]:
+    """Data files from folders, patterns and names, each once, sorted, except those in `besides`.
+
+    Raises
+    ------
+    InputError : a folder, pattern or name matches no file.
+    """
+    found: set[Path] = set()
+    left_out = {file.resolve() for file in besides}
+    for text in wanted:
+        place = Path(text)
+        if place.is_dir():
+            here = {file for file in place.iterdir() if file.suffix.lower() in _SUFFIXES}
+        else:
+            here = {Path(name) for name in glob(text, recursive=True) if Path(name).is_file()}
+        if not (here := {file for file in here if file.resolve() not in left_out}):
+            what = f"no file that ends in {', '.join(_SUFFIXES)}" if place.is_dir() else "no file"
+            raise InputError(f"{text}: {what} found")
+        found |= here
+    return sorted(found)

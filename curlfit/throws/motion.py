@@ -1,5 +1,5 @@
 """The motion of a stone from its rows alone, without a model: velocities from straight lines
-through blocks of rows, mean friction, curl, rotation, and the largest jump in velocity."""
+through blocks of rows, mean friction, curl, rotation, the largest jump in velocity, and rest."""
 
 from __future__ import annotations
 
@@ -19,7 +19,13 @@ FEWEST = 10
 """Smallest number of positions from which a motion is estimated."""
 _BRAKING = 0.3  # m/s^2; three times the deceleration by friction on ice
 _BLOCKS = 24
-_REST = 0.03  # m/s
+_REST = 0.03  # m/s; at a deceleration of 0.1 m/s^2 the stone then stops within 0.3 s and 5 mm
+MIN_POSITIONS = 4
+"""Positions needed to determine a speed."""
+_MIN_REST_ROWS, _MIN_REST_TIME = 4, 0.2  # rows and time (s) at rest needed to detect rest
+_CAMERA_DRIFT = 0.001  # m, in addition to the scatter from row to row
+_CONFIDENCE = 3.0  # in standard errors
+_END_ROWS, _END_TIME = 6, 1.0  # rows and time (s) from which the final speed is estimated
 
 
 class MeasuredMotion(NamedTuple):
@@ -29,7 +35,7 @@ class MeasuredMotion(NamedTuple):
     ----------
     t, begin, end : middle, first and last time of each block in s, shape (k,).
     speed, error : speed and its standard error in m/s, shape (k,).
-    velocity : in m/s, shape (2, k); NaN where only speeds were measured.
+    velocity : in m/s, shape (2, k).
     length : extent of the path, m. friction, friction_error : mean deceleration over g, and its
         standard error.
     curl, curl_error : deviation at the end from the initial direction in m, positive to the left of
@@ -63,33 +69,20 @@ def path_of(throw: Throw) -> tuple[Floats, Floats]:
 
 
 def motion_of(throw: Throw) -> MeasuredMotion | None:
-    """The motion of a throw; None if there are too few positions and speeds."""
+    """The motion of a throw; None if there are too few positions."""
     t, positions = path_of(throw)
-    if len(t) >= FEWEST:
-        t, positions = _without_outliers(t, positions)
-        begin, end, middle, velocity, error = _block_slopes(t, positions)
-        speed = np.hypot(*velocity)
-        if len(speed) >= 8:  # noise correlated from row to row shows up from block to block
-            rough = np.abs(speed[2:] - 2 * speed[1:-1] + speed[:-2])
-            error = np.maximum(error, float(np.median(rough)) / (0.6745 * math.sqrt(6)))
-        length = float(np.hypot(*np.ptp(positions, axis=1)))
-        curl, curl_error, direction = _curl(t, positions)
-    else:
-        known = np.isfinite(throw.speed)
-        if known.sum() < FEWEST:
-            return None
-        t, measured = throw.t[known], throw.speed[known]
-        rows = np.array_split(np.arange(len(t)), min(_BLOCKS, len(t) // 3))
-        begin, end = (t[[block[k] for block in rows]] for k in (0, -1))
-        middle = (begin + end) / 2
-        speed = np.array([np.median(measured[block]) for block in rows])
-        velocity = np.full((2, len(rows)), np.nan)
-        error = scatter(measured) / np.sqrt([len(block) for block in rows])
-        length = float(np.trapezoid(measured, t))
-        curl, curl_error, direction = 0.0, math.inf, (math.nan, math.nan)
-    friction = _friction(middle, speed, error)
+    if len(t) < FEWEST:
+        return None
+    t, positions = _without_outliers(t, positions)
+    begin, end, middle, velocity, error = _block_slopes(t, positions)
+    speed = np.hypot(*velocity)
+    if len(speed) >= 8:  # noise correlated from row to row shows up from block to block
+        rough = np.abs(speed[2:] - 2 * speed[1:-1] + speed[:-2])
+        error = np.maximum(error, float(np.median(rough)) / (0.6745 * math.sqrt(6)))
+    length = float(np.hypot(*np.ptp(positions, axis=1)))
+    friction, (curl, off, direction) = _friction(middle, speed, error), _curl(t, positions)
     return MeasuredMotion(
-        middle, begin, end, speed, error, velocity, length, *friction, curl, curl_error, direction
+        middle, begin, end, speed, error, velocity, length, *friction, curl, off, direction
     )
 
 
@@ -226,3 +219,59 @@ def velocity_jump(throw: Throw, motion: MeasuredMotion) -> tuple[float, float] |
     if not len(size) or not size[best] > _JUMP:
         return None
     return float(t[best + rows]), float(np.hypot(*change[:, best]))
+
+
+def first_row_at_rest(t: Floats, positions: Floats) -> int | None:
+    """First of those final rows whose regression line excludes all but a negligible speed.
+
+    A slowly moving stone may stay within the noise of its last position, but the line through those
+    rows then has a slope, or a standard error that allows for one. Of all numbers of final rows,
+    the one with the smallest upper limit on the speed is taken.
+    """
+    late = t - t[-1]
+    position = positions - positions[:, -1:]
+    # Sums over the rows from each one to the last.
+    n, st, stt, sp, stp, spp = (
+        np.cumsum(part[..., ::-1], -1)[..., ::-1]
+        for part in (np.ones_like(t), late, late**2, position, late * position, position**2)
+    )
+    enough = (n >= _MIN_REST_ROWS) & (late < -_MIN_REST_TIME)
+    if not enough.any():
+        return None
+    n, st, stt, sp, stp, spp = (part[..., enough] for part in (n, st, stt, sp, stp, spp))
+    spread = stt - st**2 / n
+    slope = (stp - st * sp / n) / spread
+    variance = np.maximum(spp - sp**2 / n - slope**2 * spread, 0.0) / (n - 2)
+    noise = np.maximum(variance, np.reshape(scatter(positions), (2, 1)) ** 2)
+    error = np.sqrt(noise / spread + (_CAMERA_DRIFT / late[enough]) ** 2)
+    compatible = (np.abs(slope) < _CONFIDENCE * error).all(0)
+    limit = np.where(compatible, np.hypot(*(np.abs(slope) + _CONFIDENCE * error)), np.inf)
+    best = int(np.argmin(limit))
+    return int(np.flatnonzero(enough)[best]) if limit[best] < _REST else None
+
+
+def final_speed(t: Floats, positions: Floats) -> tuple[float, float]:
+    """Speed at the last row and its standard error, from a parabola fitted to the last rows.
+
+    A difference from the speed given by a cubic that noise does not explain adds to the error.
+    """
+    last = max(min(len(t), _END_ROWS), int((t > t[-1] - _END_TIME).sum()))
+    late, positions = t[-last:] - t[-1], positions[:, -last:]
+    noise = scatter(positions)
+    (velocity, variance), (other, its_variance) = (
+        _final_slope(late, positions, min(degree, last - 2), noise) for degree in (2, 3)
+    )
+    bias = np.maximum((other - velocity) ** 2 - np.maximum(its_variance - variance, 0.0), 0.0)
+    speed = float(np.hypot(*velocity))
+    along = velocity**2 / speed**2 if speed > 0 else np.full(2, 0.5)
+    return speed, float(np.sqrt(along @ (variance + bias) + (_CAMERA_DRIFT / late[0]) ** 2))
+
+
+def _final_slope(
+    late: Floats, positions: Floats, degree: int, noise: Floats
+) -> tuple[Floats, Floats]:
+    """Slopes of polynomials at 0 and their variances, for noise of at least the given size."""
+    powers = np.vander(late, degree + 1, increasing=True)
+    found, *_ = np.linalg.lstsq(powers, positions.T, rcond=None)
+    residual = ((positions.T - powers @ found) ** 2).sum(0) / (len(late) - degree - 1)
+    return found[1], np.linalg.inv(powers.T @ powers)[1, 1] * np.maximum(residual, noise**2)

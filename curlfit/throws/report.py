@@ -1,4 +1,4 @@
-"""Report of a data file by `curlfit check`, with small curves in Braille dots."""
+"""Report of a data file by `curlfit check`."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import numpy as np
 from rich.console import Console
 from rich.text import Text
 
-from curlfit.output.console import PlainTable, terminal
+from curlfit.output.console import PlainTable
 from curlfit.output.text import compact
-from curlfit.throws.inspection import Clock, Inspection, Rest
-from curlfit.throws.throw import CHANNELS, UNITS
+from curlfit.throws.motion import MIN_POSITIONS, final_speed, first_row_at_rest, path_of
+from curlfit.throws.throw import CHANNELS, UNITS, scatter
 
 if TYPE_CHECKING:
     from curlfit.numerics.arrays import Floats
@@ -21,49 +21,36 @@ if TYPE_CHECKING:
     from curlfit.throws.throw import Throw
 
 
-_DOTS = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
-_CURVES = ("y", "x", "phi", "speed", "omega")  # in the order of drawing
+_PAUSE = 2.5  # a longer interval is a pause; in median intervals
 
 
 def print_inspection(
     parsed: ParsedFile,
     throw: Throw,
-    inspection: Inspection,
     settings: Mapping[str, Any],
-    console: Console | None = None,
+    console: Console,
 ) -> None:
     """Print the columns of a file, the findings on its throw, the reader's notes and curves.
 
     `settings` are those that a fit of the file would use.
     """
-    console = console or terminal(highlight=False)
-
-    def write(line: str) -> None:
-        console.print(line)
-
+    write = console.print
     if throw.has_path:
         write(
             f"{parsed.source}: {parsed.format}, {len(throw)} rows, "
             f"t = {throw.t[0]:.6g} .. {throw.t[-1]:.6g} s"
         )
-        console.print(_columns(parsed))
+        write(_columns(parsed))
     else:
         write(f"{parsed.source}: {parsed.format}, {len(throw.events)} events at lines and at rest")
-        console.print(_events(throw))
-    console.print()
-    for line in facts(throw, inspection, settings):
+        write(_events(throw))
+    write()
+    for line in facts(throw, settings):
         write(line)
     if throw.notes:
-        console.print("\nNotes")
+        write("\nNotes")
         for note in throw.notes:
             write(f"- {note}")
-    for channel in _CURVES:
-        values = getattr(throw, channel)
-        if np.isfinite(values).any():
-            span = f"{np.nanmin(values):.4g} .. {np.nanmax(values):.4g}"
-            write(f"\n{channel} ({UNITS[channel]}): {span}")
-            for line in () if console.options.ascii_only else braille(throw.t, values):
-                write(line)
 
 
 def print_findings(findings: Sequence[Finding], console: Console) -> None:
@@ -100,75 +87,56 @@ def _events(throw: Throw) -> PlainTable:
     )  # fmt: skip
 
 
-def facts(throw: Throw, inspection: Inspection, settings: Mapping[str, Any]) -> Iterator[str]:
+def facts(throw: Throw, settings: Mapping[str, Any]) -> Iterator[str]:
     """Findings on a throw before a fit, one per line."""
     if throw.has_path:
-        yield from _of_rows(throw, inspection)
+        if len(throw) > 1:
+            yield from _clock(throw.t)
+        for name, row in (("first row", 0), ("last row", -1)):
+            found = ((c, getattr(throw, c)[row] + 0.0) for c in throw.seen)
+            values = (f"{c} {value:.6g} {UNITS[c]}" for c, value in found if np.isfinite(value))
+            yield ", ".join([f"{name:<10} t {throw.t[row]:.6g} s", *values])
+        measured = {c: getattr(throw, c) for c in throw.seen}
+        noise = {c: scatter(values[np.isfinite(values)]) for c, values in measured.items()}
+        if seen := [f"{c} {size:.2g} {UNITS[c]}" for c, size in noise.items() if size > 1e-12]:
+            yield f"scatter    {', '.join(seen)} (from row to row)"
+        if throw.sigma:
+            yield "sigma      given for " + ", ".join(c for c in CHANNELS if c in throw.sigma)
+        yield "rest       " + _rest(throw)
     if settings:
         listed = (f"{key} = {value}" for key, value in settings.items() if value)
         yield "settings   " + ", ".join(listed)
 
 
-def _of_rows(throw: Throw, inspection: Inspection) -> Iterator[str]:
-    if inspection.clock is not None:
-        yield from _clock(inspection.clock)
-    for name, row in (("first row", 0), ("last row", -1)):
-        values = (
-            f"{c} {getattr(throw, c)[row] + 0.0:.6g} {UNITS[c]}"
-            for c in throw.seen
-            if np.isfinite(getattr(throw, c)[row])
-        )
-        yield ", ".join([f"{name:<10} t {throw.t[row]:.6g} s", *values])
-    for channel, times in inspection.jumps.items():
-        first = f"{len(times)} in {channel}, the first at t = {times[0]:.6g} s"
-        yield f"jumps      {first}: steps that differ from the neighbouring ones"
-    if inspection.noise:
-        listed = (f"{c} {noise:.2g} {UNITS[c]}" for c, noise in inspection.noise.items())
-        yield "scatter    " + ", ".join(listed) + " (from row to row)"
-    if throw.sigma:
-        yield "sigma      given for " + ", ".join(c for c in CHANNELS if c in throw.sigma)
-    yield "rest       " + _rest(inspection.rest)
-
-
-def _clock(clock: Clock) -> Iterator[str]:
-    spread = "" if clock.regular else f" ({clock.shortest:.4g} .. {clock.longest:.4g} s)"
-    yield f"interval   {clock.median:.6g} s{spread}, {1 / clock.median:.6g} rows per second"
-    if clock.longest_pause is not None:
+def _clock(t: Floats) -> Iterator[str]:
+    """The intervals between rows, and pauses, which are much longer."""
+    step = np.diff(t)
+    usual = float(np.median(step))
+    even = np.ptp(step) <= 1e-6 * usual
+    spread = "" if even else f" ({step.min():.4g} .. {step.max():.4g} s)"
+    yield f"interval   {usual:.6g} s{spread}, {1 / usual:.6g} rows per second"
+    pauses = step > max(_PAUSE * usual, 1.5 * float(np.quantile(step, 0.9)))
+    if pauses.any():
+        longest = int(np.argmax(step))
         yield (
-            f"pauses     {clock.pauses}, the longest {clock.longest_pause:.4g} s "
-            f"after t = {clock.pause_start:.6g} s"
+            f"pauses     {pauses.sum()}, the longest {step[longest]:.4g} s after t = "
+            f"{t[longest]:.6g} s"
         )
 
 
-def _rest(rest: Rest) -> str:
-    if rest.time is not None:
-        return f"reached at t = {rest.time:.5g} s, within {1000 * rest.radius:.2g} mm"
-    if rest.speed is None:
-        return "unknown: too few positions"
-    if rest.measured and rest.speed == 0:
-        return "at the last row"
-    if rest.measured:
-        return f"not reached: {rest.speed:.3g} m/s at the end"
-    speed = f"{compact(rest.speed, rest.error)} m/s at the last row"
-    if rest.speed < 2 * rest.error:
-        return f"uncertain: {speed}"
-    return f"not observed: {speed}"
-
-
-def braille(t: Floats, values: Floats, width: int = 60, height: int = 4) -> list[str]:
-    """A curve over time in Braille dots, `height` lines of `width` characters."""
-    finite = np.isfinite(values)
-    t, values = t[finite], values[finite]
-    if 8 <= len(t) < 8 * width:  # a line, with gaps where rows are missing
-        dense = np.linspace(t[0], t[-1], 8 * width)
-        pause = np.append(np.diff(t), 0.0)[np.searchsorted(t, dense, "right") - 1]
-        near = pause <= 2.5 * np.median(np.diff(t))
-        between = np.interp(dense, t, values)
-        t, values = np.append(t, dense[near]), np.append(values, between[near])
-    span, rise = max(float(np.ptp(t)), 1e-300), max(float(np.ptp(values)), 1e-300)
-    columns = np.minimum(((t - t[0]) / span * (2 * width - 1)).round().astype(int), 2 * width - 1)
-    rows = ((values.max() - values) / rise * (4 * height - 1)).round().astype(int)
-    grid = np.zeros((height, width), int)
-    for column, row in set(zip(columns.tolist(), rows.tolist(), strict=True)):
-        grid[row // 4, column // 2] |= _DOTS[column % 2][row % 4]
-    return ["".join(chr(0x2800 + int(cell)) for cell in line).rstrip("⠀") for line in grid]
+def _rest(throw: Throw) -> str:
+    """Whether and when the stone comes to rest."""
+    t, positions = path_of(throw)
+    if len(t) < MIN_POSITIONS:
+        measured = throw.speed[np.isfinite(throw.speed)]
+        if not len(measured):
+            return "unknown: too few positions"
+        last = float(measured[-1])
+        return f"not reached: {last:.3g} m/s at the end" if last else "at the last row"
+    if (first := first_row_at_rest(t, positions)) is not None:
+        at_rest = positions[:, first:]
+        off = np.hypot(*(at_rest - np.median(at_rest, axis=1, keepdims=True)))
+        return f"reached at t = {t[first]:.5g} s, within {1000 * off.max():.2g} mm"
+    speed, error = final_speed(t, positions)
+    known = "uncertain" if speed < 2 * error else "not observed"
+    return f"{known}: {compact(speed, error)} m/s at the last row"

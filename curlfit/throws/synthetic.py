@@ -21,7 +21,6 @@ _SOURCE = "true value"
 SIMULATED = f'# reference.source = "{_SOURCE}"'
 """The line that each table of a simulated throw has."""
 _MOST_ROWS = 2_000_000
-_ENERGY_GAIN = 1e-6  # relative, from row to row; above the error of the velocities
 
 
 def law_with(
@@ -91,8 +90,7 @@ def synthetic_throw(
 ) -> Throw:
     """A throw with independent Gaussian noise on x, y (m) and phi (rad).
 
-    The true coefficients and conditions are the reference of the throw. A note reports where the
-    stone gains energy, which friction cannot provide.
+    The true coefficients and conditions are the reference of the throw.
 
     Parameters
     ----------
@@ -113,25 +111,15 @@ def synthetic_throw(
     (5, 0.055)
     """
     conditions = _conditions(environment)
-    numbers = {
-        "until": until, "dt": dt, "v0": v0, "noise-xy": noise_xy, "noise-phi": noise_phi,
-        "omega0": omega0, "heading": heading, "x0": x0, "y0": y0, "phi0": phi0,
-    } | conditions  # fmt: skip
-    for name, value in numbers.items():
-        if not math.isfinite(value):
-            raise InputError(f"{name} = {value}: expected a finite number")
-        if name in ("until", "dt") and value <= 0:
-            raise InputError(f"{name} = {value:g}: expected a positive number")
-        if name in ("v0", "noise-xy", "noise-phi") and value < 0:
-            raise InputError(f"{name} = {value:g}: expected a non-negative number")
-    rows = math.floor(until / dt + 1e-9) + 1
-    if not 2 <= rows <= _MOST_ROWS:
-        raise InputError(f"until = {until:g} s in steps of {dt:g} s makes {rows} rows")
+    state = {"omega0": omega0, "heading": heading, "x0": x0, "y0": y0, "phi0": phi0}
+    _require("positive", math.ulp(0.0), {"until": until, "dt": dt})
+    _require("non-negative", 0.0, {"v0": v0, "noise-xy": noise_xy, "noise-phi": noise_phi})
+    _require("finite", -math.inf, state | conditions)
+    t = _times(until, dt)
     checked = check_load(load)
 
     from curlfit.dynamics.trajectory import InitialState, simulate
 
-    t: Floats = np.arange(rows, dtype=np.float64) * dt
     start = InitialState(x=x0, y=y0, heading=heading, v=v0, phi=phi0, omega=omega0)
     path = simulate(law, stone, start, t, load=checked, environment=environment).to_numpy()
     if not np.isfinite(path.x).all():
@@ -139,18 +127,14 @@ def synthetic_throw(
             f"law {law.name} with {load} load admits no motion from this start"
             + no_motion_because(load)
         )
-    notes: tuple[str, ...] = ()
-    if environment is None or not (environment.slope_x or environment.slope_y):
-        notes = _of_energy(t, np.asarray(path.vx**2 + path.vy**2 + (stone.rho * path.omega) ** 2))
     random = np.random.default_rng(seed)
     names = [item.name for item in law.coefficients()]
     return Throw(
         t=t,
-        x=np.asarray(path.x) + noise_xy * random.standard_normal(rows),
-        y=np.asarray(path.y) + noise_xy * random.standard_normal(rows),
-        phi=np.asarray(path.phi) + noise_phi * random.standard_normal(rows),
+        x=np.asarray(path.x) + noise_xy * random.standard_normal(len(t)),
+        y=np.asarray(path.y) + noise_xy * random.standard_normal(len(t)),
+        phi=np.asarray(path.phi) + noise_phi * random.standard_normal(len(t)),
         name="synthetic throw",
-        notes=notes,
         reference=Reference(
             _SOURCE,
             law.name,
@@ -161,16 +145,17 @@ def synthetic_throw(
     )
 
 
-def _of_energy(t: Floats, energy: Floats) -> tuple[str, ...]:
-    """A note where a stone gains energy on level ice; none otherwise."""
-    gains = np.flatnonzero(np.diff(energy) > _ENERGY_GAIN * energy[:-1])
-    if not len(gains):
-        return ()
-    first, most = t[gains[0]], t[int(np.argmax(energy))]
-    return (
-        f"friction drives the stone: its energy grows from t = {first:g} s on, at t = {most:g} s "
-        f"to {energy.max() / energy[0]:.3g} times its initial value, which is unphysical",
-    )
+def _times(until: float, dt: float) -> Floats:
+    rows = math.floor(until / dt + 1e-9) + 1
+    if not 2 <= rows <= _MOST_ROWS:
+        raise InputError(f"until = {until:g} s in steps of {dt:g} s makes {rows} rows")
+    return np.arange(rows, dtype=np.float64) * dt
+
+
+def _require(kind: str, least: float, numbers: Mapping[str, float]) -> None:
+    for name, value in numbers.items():
+        if not (math.isfinite(value) and value >= least):
+            raise InputError(f"{name} = {value:g}: expected a {kind} number")
 
 
 def _conditions(environment: Environment | None) -> dict[str, float]:
@@ -187,13 +172,10 @@ def write_table(throw: Throw) -> str:
     settings: dict[str, Any] = dict(throw.defaults)
     if throw.reference is not None:
         settings["reference"] = {key: v for key, v in asdict(throw.reference).items() if v != ""}
-    lines = list(_settings("", settings))
-    lines.append("t,x,y,phi")
-    for row in zip(throw.t, throw.x, throw.y, throw.phi, strict=True):
-        time, *position = row
-        lines.append(
-            ",".join([f"{time:.9g}", *("" if math.isnan(v) else f"{v:.9f}" for v in position)])
-        )
+    lines = [*_settings("", settings), "t,x,y,phi"]
+    for time, *position in zip(throw.t, throw.x, throw.y, throw.phi, strict=True):
+        cells = ["" if math.isnan(value) else f"{value:.9f}" for value in position]
+        lines.append(",".join([f"{time:.9g}", *cells]))
     return "\n".join(lines).replace("-0.000000000", "0.000000000") + "\n"
 
 

@@ -19,7 +19,7 @@ from curlfit.output.display import Displayed
 from curlfit.output.document import Document, Section
 from curlfit.output.frames import frame
 from curlfit.settings.choices import Reading, takes
-from curlfit.throws.channels import CHANNELS, UNITS, block_means, last_motion, scatter
+from curlfit.throws.channels import CHANNELS, UNITS, condensed, last_motion, scatter
 from curlfit.throws.events import Event, lines_of, sketch
 from curlfit.throws.reference import Conventions, Reference, StoneValues
 
@@ -30,7 +30,6 @@ __all__ = [
 
 MOST_ROWS = 6000
 """Number of rows above which a fit condenses its data."""
-_REST_ROWS = 200  # rows of a condensed throw after the stone has come to rest
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -53,7 +52,7 @@ class Throw(Displayed):
     relative_sigma : of channels without a sigma, its course over the rows where this is known, up
         to a factor that a fit estimates; each of shape (n,).
     calibration : independent errors of the map from pixels to metres, one standard deviation each,
-        as of `curlfit.throws.readers.homography.Homography`, shape (errors, 3, 3); None without.
+        as of `curlfit.throws.readers.camera.Homography`, shape (errors, 3, 3); None without.
     name : name of the throw, for instance a file name.
     reference : values to show beside a fit.
     defaults : settings in the data file (`since`, `until`, `exclude`, `stone`, `law`, `load`;
@@ -109,30 +108,22 @@ class Throw(Displayed):
             object.__setattr__(self, name, values)
             if values.shape != (n,):
                 raise self._error(f"{name} has shape {values.shape}, t has {(n,)}")
-            bad = np.isinf(values) if name in CHANNELS else ~np.isfinite(values)
-            if bad.any():
-                row = int(np.argmax(bad))
-                expected = "a finite number or an empty cell" if name != "t" else "a finite number"
-                raise self._error(f"{values[row]} found, expected {expected}", row, name)
+            bad = np.isinf(values) | (np.isnan(values) & (name == "t"))
+            self._require(~bad, name, "expected a finite number" + ", or NaN" * (name != "t"))
         for name, values in self.sigma.items():
-            bad = ~(np.isfinite(values) & (values > 0)) & np.isfinite(getattr(self, name))
-            if bad.any():
-                row = int(np.argmax(bad))
-                fault = f"{values[row]} found, expected a positive standard deviation"
-                raise self._error(fault, row, f"sigma_{name}")
-        late = self.t[1:] <= self.t[:-1]
-        if late.any():
-            row = int(np.argmax(late)) + 1
-            before = self.t[row - 1]
-            fault = "is repeated" if self.t[row] == before else f"follows {before:g} s"
-            raise self._error(
-                f"time {self.t[row]:g} s {fault}; times must increase from row to row "
-                "(`Throw.from_frame` sorts rows)",
-                row,
-                "t",
-            )
+            sound = (np.isfinite(values) & (values > 0)) | np.isnan(getattr(self, name))
+            self._require(sound, f"sigma_{name}", "expected a positive standard deviation")
+        order = "times must increase from row to row (`Throw.from_frame` sorts rows)"
+        self._require(np.append(True, np.diff(self.t) > 0), "t", order)
         if not self.finite.any() and not self.events:
             raise self._error(f"no value is given; expected some of {', '.join(CHANNELS)}")
+
+    def _require(self, sound: Booleans, column: str, expected: str) -> None:
+        if not sound.all():
+            row = int(np.argmin(sound))
+            name = column.removeprefix("sigma_")
+            value = (self.sigma[name] if name != column else getattr(self, name))[row]
+            raise self._error(f"{value:g} found; {expected}", row, column)
 
     def _error(self, message: str, row: int | None = None, column: str | None = None) -> DataError:
         line = None if row is None or self.lines is None else int(self.lines[row])
@@ -164,23 +155,16 @@ class Throw(Displayed):
         require_kind(sigma or {}, Mapping, "sigma", "a mapping by channel, such as {'x': 0.005}")
         t = np.asarray(t, float)
         channels = {"x": x, "y": y, "phi": phi, "speed": speed, "omega": omega}
-        arrays: dict[str, Any] = {
-            name: np.asarray(values, float)
-            for name, values in channels.items()
-            if values is not None
-        }
+        arrays = {name: np.asarray(v, float) for name, v in channels.items() if v is not None}
         given = {
             name: np.broadcast_to(np.asarray(values, float), t.shape)
             for name, values in (sigma or {}).items()
         }
         if units or axes:
-            columns = {name: np.broadcast_to(values, t.shape) for name, values in arrays.items()}
-            columns |= {f"sigma_{name}": values for name, values in given.items()}
-            own = {"name": more["name"]} if "name" in more else {}
-            return replace(
-                cls.from_frame({"t": t, **columns}, units=units, axes=axes, **own), **more
-            )
-        blank = {name: np.full_like(t, np.nan) for name in CHANNELS}
+            columns = {"t": t, **arrays, **{f"sigma_{name}": v for name, v in given.items()}}
+            made = cls.from_frame(columns, more.get("name", "table"), units=units, axes=axes)
+            return replace(made, **more)
+        blank: Any = {name: np.full_like(t, np.nan) for name in CHANNELS}
         return cls(t=t, **blank | arrays, sigma=given, **more)
 
     @classmethod
@@ -225,7 +209,7 @@ class Throw(Displayed):
         ------
         DataError, InputError : not a table, a column that is missing or not numeric.
         """
-        from curlfit.throws.readers.frames import values_of
+        from curlfit.throws.readers.table import values_of
 
         return cls.from_arrays(**values_of(table, Reading.of(**choices), name))
 
@@ -251,17 +235,16 @@ class Throw(Displayed):
     __hash__ = None  # type: ignore[assignment]  # arrays are mutable
 
     def _document(self) -> Document:
-        rows = []
-        for name in ("t", *self.seen):
-            values, sigma = getattr(self, name), self.sigma.get(name)
-            seen = values[np.isfinite(values)]
-            rows.append(
-                {
-                    "channel": name, "unit": UNITS[name], ">values": str(len(seen)),
-                    ">from": f"{seen.min():.5g}", ">to": f"{seen.max():.5g}",
-                    ">sigma": "" if sigma is None else f"{np.nanmedian(sigma):.3g}",
-                }
-            )  # fmt: skip
+        rows = [
+            {
+                "channel": name, "unit": UNITS[name],
+                ">values": str(np.isfinite(getattr(self, name)).sum()),
+                ">from": f"{np.nanmin(getattr(self, name)):.5g}",
+                ">to": f"{np.nanmax(getattr(self, name)):.5g}",
+                ">sigma": f"{np.nanmedian(self.sigma[name]):.3g}" if name in self.sigma else "",
+            }
+            for name in ("t", *self.seen)
+        ]  # fmt: skip
         given = ", ".join(name for name in CHANNELS if name in self.sigma)
         said = f"sigma given for {given}" if given else "no sigma given"
         return Document(
@@ -274,23 +257,18 @@ class Throw(Displayed):
 
     @cached_property
     def observed(self) -> Floats:
-        """All channels as a read-only array of shape (5, n), in the order of `CHANNELS`."""
-        whole = np.stack([getattr(self, name) for name in CHANNELS])
-        whole.flags.writeable = False
-        return whole
+        """All channels, shape (5, n), in the order of `CHANNELS`."""
+        return np.stack([getattr(self, name) for name in CHANNELS])
 
     @cached_property
     def finite(self) -> Booleans:
-        """Whether each value was measured, read-only, shape (5, n)."""
-        found = np.isfinite(self.observed)
-        found.flags.writeable = False
-        return found
+        """Whether each value was measured, shape (5, n)."""
+        return np.isfinite(self.observed)
 
     @cached_property
     def seen(self) -> tuple[str, ...]:
         """Channels with at least one value."""
-        there: Any = self.finite.any(1)
-        return tuple(name for name, some in zip(CHANNELS, there, strict=True) if some)
+        return tuple(name for name in CHANNELS if np.isfinite(getattr(self, name)).any())
 
     @cached_property
     def n_observations(self) -> int:
@@ -317,70 +295,9 @@ class Throw(Displayed):
         channels: Any = {} if self.has_path else sketch(self.events, self.assumed)[1]
         return replace(self, events=(), **channels)
 
-    def require_motion(self) -> None:
-        """Raise `DataError` if the motion does not exceed the scatter of the data."""
-        if not {"x", "y"} & set(self.seen):
-            return
-        for row, values in enumerate((self.x, self.y)):
-            seen = values[self.finite[row]]
-            if len(seen) < 2:
-                continue
-            # Independent noise has the same spread over the whole throw as from row to row.
-            if np.ptp(seen) > 1e-6 and seen.std() > 3 * scatter(seen):
-                return
-        raise self._error(
-            "the stone never moves by more than the scatter of the data; nothing can be fitted"
-        )
-
     def condensed(self, most: int = MOST_ROWS) -> Throw:
-        """The throw condensed to at most about `most` rows, means over blocks, with a note.
-
-        Mean time, position and angle of a block lie on the path except for its curvature within
-        the block. The noise and given sigmas decrease as for any mean. Rows after the stone has
-        come to rest, which repeat one measurement, are averaged over long blocks.
-        """
-        n = len(self)
-        if n <= most:
-            return self
-        rest = int(np.searchsorted(self.t, last_motion(self.t, self.x, self.y), side="right"))
-        block = max(1, -(-rest // (most - _REST_ROWS)))
-        rest_block = max(block, -(-(n - rest) // _REST_ROWS))  # not noisier than the others
-        pieces = [(0, rest, -(-rest // block)), (rest, n, -(-(n - rest) // rest_block))]
-        starts = np.concatenate(
-            [np.linspace(*piece, endpoint=False).astype(int) for piece in pieces]
-        )
-
-        def of_means(sigma: dict[str, Floats]) -> dict[str, Floats]:
-            found = {}
-            for name, values in sigma.items():
-                _, count = block_means(getattr(self, name), starts)
-                found[name] = np.sqrt(block_means(values**2, starts)[0] / np.maximum(count, 1))
-            return found
-
-        step = float(np.median(np.diff(self.t)))
-        note = (
-            f"{n} rows condensed to {len(starts)}: means over {block} rows "
-            f"({1000 * block * step:.3g} ms) up to t = {self.t[min(rest, n - 1)]:.6g} s"
-        )
-        if rest < n:
-            note += (
-                f", over {rest_block} rows after that, when the stone was at rest and every row "
-                f"repeats one measurement, which counts as {pieces[1][2]}"
-            )
-        # A deceleration a = 0.2 m/s^2, twice the usual, displaces a mean over T by a T^2/24.
-        bend = 0.2 * (block * step) ** 2 / 24
-        note += f"; means of moving rows lie off the path by some {bend:.1g} m, which is negligible"
-        means: dict[str, Any] = {
-            name: block_means(getattr(self, name), starts)[0] for name in ("t", *CHANNELS)
-        }
-        return replace(
-            self,
-            **means,
-            sigma=of_means(self.sigma),
-            relative_sigma=of_means(self.relative_sigma),
-            lines=None if self.lines is None else self.lines[starts],
-            notes=(*self.notes, note),
-        )
+        """The throw condensed to at most about `most` rows, means over blocks, with a note."""
+        return self if len(self) <= most else replace(self, **condensed(self, most))
 
     def select_rows(
         self,
@@ -398,12 +315,12 @@ class Throw(Displayed):
             return self
         if not self.has_path:
             raise InputError(f"{self.name}: timed events only; there are no rows to choose")
-        low = -math.inf if since is None else since
-        high = math.inf if until is None else until
+        limits = {"since": since, "until": until}
+        given = {name: limit for name, limit in limits.items() if limit is not None}
+        low, high = given.get("since", -math.inf), given.get("until", math.inf)
         keep = (self.t >= low - 1e-9) & (self.t <= high + 1e-9)
         if not keep.any():
-            limits = {"since": since, "until": until}
-            said = " and ".join(f"{key} = {v:g} s" for key, v in limits.items() if v is not None)
+            said = " and ".join(f"{name} = {limit:g} s" for name, limit in given.items())
             raise InputError(
                 f"no row of {self.name} remains with {said}; its times are {self.t[0]:g} .. "
                 f"{self.t[-1]:g} s"
@@ -414,17 +331,15 @@ class Throw(Displayed):
             keep &= (self.t < begin - 1e-9) | (self.t > end + 1e-9)
         if not keep.any():
             raise InputError(f"the excluded intervals leave no row of {self.name}")
-        return replace(
-            self,
-            **{name: getattr(self, name)[keep] for name in ("t", *CHANNELS)},
-            sigma={name: values[keep] for name, values in self.sigma.items()},
-            relative_sigma={name: values[keep] for name, values in self.relative_sigma.items()},
-            lines=None if self.lines is None else self.lines[keep],
-        )
+        every: dict[str, Any] = {name: getattr(self, name)[keep] for name in ("t", *CHANNELS)}
+        for name in ("sigma", "relative_sigma"):
+            every[name] = {channel: v[keep] for channel, v in getattr(self, name).items()}
+        every["lines"] = None if self.lines is None else self.lines[keep]
+        return replace(self, **every)
 
     def with_defaults(self, **defaults: Any) -> Throw:
         """The throw with some defaults replaced."""
-        return replace(self, defaults={**self.defaults, **defaults})
+        return replace(self, defaults=self.defaults | defaults)
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -440,9 +355,9 @@ class Throw(Displayed):
         if not sigma:
             return self
         filled = {name: np.full_like(self.t, sigma[name]) for name in CHANNELS if name in sigma}
-        timed: dict[str, Any] = {"sigma": sigma["time"]} if "time" in sigma else {}
         events = tuple(
-            replace(event, **timed) if event.quantity == "time" else event for event in self.events
+            replace(one, sigma=sigma.get("time", one.sigma)) if one.quantity == "time" else one
+            for one in self.events
         )
         return replace(self, sigma={**self.sigma, **filled}, events=events)
 
@@ -478,9 +393,7 @@ def check_sigma(sigma: Mapping[str, float]) -> None:
     """Raise `InputError` if a standard deviation is not positive or its channel is unknown."""
     for name, value in sigma.items():
         if name not in (*CHANNELS, "time"):
-            raise InputError(
-                f"no channel {quoted(name)}; the channels are {', '.join(CHANNELS)}, and `time` "
-                "is that of events"
-            )
+            known = f"{', '.join(CHANNELS)}, and `time` of events"
+            raise InputError(f"no channel {quoted(name)}; the channels are {known}")
         if not (math.isfinite(value) and value > 0):
             raise InputError(f"sigma of {name} = {value:g}: expected a positive number")

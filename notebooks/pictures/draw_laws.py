@@ -32,7 +32,8 @@ def ring(law: LocalLaw, alpha: np.ndarray, load: Any) -> tuple[np.ndarray, np.nd
     speed = np.hypot(right, forward)
     point = RingPoint(
         xi=xi, eta=eta, angle=alpha, front=1.0 * (eta > 0), slide_xi=right, slide_eta=forward,
-        speed=speed, e_xi=right / speed, e_eta=forward / speed, load=load, turned=TURNED, time=0.0,
+        speed=speed, e_xi=right / speed, e_eta=forward / speed, load=load, v=SPEED, u=u,
+        turned=TURNED, time=0.0,
     )  # fmt: skip
     t_xi, t_eta = law.traction(point)
     return load * t_xi * np.ones_like(alpha), load * t_eta * np.ones_like(alpha)
@@ -182,11 +183,11 @@ def local_law(name: str) -> list[str]:
 
 
 def net_law(name: str) -> list[str]:
-    """Accelerations by speed of a law of the whole stone, at 1 rad/s."""
+    """Accelerations by speed of a law of the whole stone, at 1 rad/s, 10 s after release."""
     law = curlfit.law_with(name, {})
     assert isinstance(law, NetLaw)
     speed = np.linspace(0.3, 2.2, 60)
-    across, along, _ = law.accelerations(Motion(speed, 1.0, 0.0, 0.0), STONE)
+    across, along, _ = law.accelerations(Motion(speed, 1.0, 0.0, 10.0), STONE)
     flat = np.ones_like(speed)
     horizontal = (0.3, 2.2, [(v, f"{v:g}") for v in (0.5, 1.0, 1.5, 2.0)], "speed (m/s)")
     curves = [(speed, across * flat, "to the right", "5 4"), (speed, along * flat, "forward", "")]

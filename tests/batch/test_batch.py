@@ -6,29 +6,25 @@ import csv
 import json
 import os
 import signal
-import subprocess
-import sys
 import time
 from contextlib import suppress
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pandas
 import psutil
 import pytest
 from conftest import command, process, started
-from distributed import Client, LocalCluster
+from distributed import LocalCluster
 from sample_files import log, shot, two_masses
 
 import curlfit
-from curlfit import FitResult, Stone, Throw
+from curlfit import Stone
 from curlfit.batch.fit_many import fit_files
 from curlfit.batch.settings import BatchSettings, columns
 from curlfit.batch.table import Table
 from curlfit.dynamics.contact import accelerations
 from curlfit.friction import LAWS
-from curlfit.inference.fit.fit import fit_throws
 from curlfit.throws.synthetic import law_with, synthetic_throw, write_table
 
 STONE = Stone(R=0.054)
@@ -118,49 +114,6 @@ def test_each_row_is_the_fit_of_that_throw(season, done):
     assert warned
     said = f"ok ({warned} with warnings, in the column of that name), 1 not usable, 1 failed"
     assert said in run.stdout
-    frame = pandas.read_csv(out)
-    assert list(frame.columns) == list(rows[0])
-    words = ("file", "status", "information", "labels", "combinations", "warnings", "reason")
-    numbers = [n for n in frame.columns if not n.endswith("_verdict") and n not in words]
-    assert all(frame[name].dtype.kind in "if" for name in numbers)
-
-
-def mixed():
-    """Throws with gaps, without an angle, with some sigma, with speeds, and short."""
-    law = law_with("front-back", {"mu1_xi": 6e-4, "mu2_xi": 0.055, "mu1_eta": 0.0087})
-    whole = synthetic_throw(
-        law, STONE, v0=2.1, omega0=-1.3, noise_xy=0.005, noise_phi=0.01, seed=7, dt=0.2
-    )
-    t, x, y, phi = whole.t, whole.x, whole.y, whole.phi
-    gaps = np.where(np.random.default_rng(1).random(len(t)) < 0.3, np.nan, x)
-    speed, omega = np.hypot(np.gradient(x, t), np.gradient(y, t)), np.gradient(phi, t)
-    return {
-        "gaps": Throw.from_arrays(t, gaps, y, phi),
-        "no angle": Throw.from_arrays(t, x, y),
-        "one sigma": Throw.from_arrays(t, x, y, phi, sigma={"x": 0.005}),
-        "all sigmas": Throw.from_arrays(t, x, y, phi, sigma={"x": 0.005, "y": 0.005, "phi": 0.01}),
-        "radar": Throw.from_arrays(t, x, y, phi, speed=speed),
-        "no place": Throw.from_arrays(t, speed=speed, omega=omega),
-        "short": Throw.from_arrays(t[:12], x[:12], y[:12], phi[:12]),
-    }
-
-
-@pytest.mark.slow
-def test_throws_of_every_kind_side_by_side_are_fitted_as_alone():
-    throws = mixed()
-    for (kind, throw), found in zip(throws.items(), fit_throws(list(throws.values())), strict=True):
-        alone = curlfit.fit(throw)
-        assert isinstance(found, FitResult), (kind, found)
-        assert found.rank == alone.rank, kind
-        # a batch has no systematic errors unless they are requested, and tries no noise models
-        expected = [w.partition("; `--noise")[0] for w in alone.warnings if "systematic" not in w]
-        assert [w.partition("; `--noise")[0] for w in found.warnings] == expected, kind
-        for name, item in alone.parameters.items():
-            assert found.parameters[name].verdict == item.verdict, (kind, name)
-            if item.stderr is not None:
-                off = found.parameters[name].value - item.value
-                assert abs(off) < 1e-3 * item.stderr, (kind, name)
-                assert found.parameters[name].stderr == pytest.approx(item.stderr, rel=1e-3)
 
 
 def test_company_changes_not_a_digit(season):
@@ -182,19 +135,6 @@ def test_a_table_cut_off_anywhere_is_completed_to_the_same_bytes(season, done):
     again = command(*words, cwd=out.parent).stdout
     assert "8 of 8 files" in again
     assert run.stdout.splitlines()[-1] in again
-
-
-def test_columns_of_sums_are_those_of_the_law_and_what_is_free():
-    assert set(BatchSettings.of().sums()) == {"mu1_eta + mu2_eta"}
-    assert "mu1_eta + mu2_eta stderr" in columns(BatchSettings.of())
-    assert "mu1_eta + mu2_eta 50" in columns(BatchSettings.of(posterior=True))
-    for plan in (
-        BatchSettings.of(load="consistent"),
-        BatchSettings.of(fix={"mu1_eta": 0.01}),
-        BatchSettings.of(law="radial"),
-    ):
-        assert not plan.sums()
-    assert BatchSettings.of(law="front-back-first-order", load="consistent").sums()  # knows no load
 
 
 @pytest.mark.parametrize("name", [name for name, law in LAWS.items() if law.shipped()])
@@ -241,24 +181,6 @@ def test_a_log_has_a_row_for_each_shot_and_an_export_one_for_each_object(logs):
         assert row["n_observations"] == alone.n_observations
         assert row["rms_y"] == pytest.approx(alone.rms["y"], rel=1e-3)
     assert fit_files(files[-1:], BatchSettings.of(shot=2)) == rows[-1:]
-    assert fit_files(files[1:2], BatchSettings.of(stone_index=1)) == rows[3:4]
-
-
-@pytest.mark.slow
-def test_a_log_cut_off_between_its_shots_is_completed(logs, tmp_path):
-    out = tmp_path / "r.csv"
-    words = ["batch", str(logs), "--out", str(out), "--workers", "1"]
-    assert command(*words, cwd=tmp_path).returncode == 0
-    whole = out.read_bytes()
-    lines = whole.splitlines(keepends=True)
-    for rows in (2, 4, 6):  # of the first file, of the second, of the third
-        out.write_bytes(b"".join(lines[: rows + 1]) + lines[rows + 1][:9])
-        assert command(*words, cwd=tmp_path).returncode == 0
-        assert out.read_bytes() == whole
-    # Rows of files that are not asked for again stay.
-    other = command("batch", str(logs / "b.txt"), *words[2:], cwd=tmp_path)
-    assert other.returncode == 0
-    assert out.read_bytes() == whole
 
 
 @pytest.mark.parametrize(
@@ -280,14 +202,6 @@ def test_the_exit_status_tells_what_became_of_the_throws(season, tmp_path, names
         assert bool(run.stderr) == bool(said)
         assert run.stdout == ""
     assert len(table(out)) == len(names)
-
-
-def test_the_table_may_lie_among_the_throws(season, tmp_path):
-    """As a user starts it: a process, which shares the work between others."""
-    (tmp_path / "a.csv").write_bytes((season / "throw0.csv").read_bytes())
-    assert process("batch", ".", cwd=tmp_path).returncode == 0
-    assert command("batch", ".", "--workers", 1, cwd=tmp_path).returncode == 0
-    assert [row["file"] for row in table(tmp_path / "results.csv")] == ["a.csv"]
 
 
 @pytest.mark.parametrize(
@@ -359,20 +273,16 @@ def test_two_batches_do_not_write_one_table(season, tmp_path):
     assert command(*words, cwd=tmp_path).returncode == 0
 
 
-@pytest.fixture
-def cluster():
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
-        yield cluster
-
-
 @pytest.mark.slow
-def test_whoever_does_the_work_the_table_is_the_same(season, tmp_path, cluster):
+def test_whoever_does_the_work_the_table_is_the_same(season, tmp_path):
     texts = []
-    for words in (["--workers", "1"], ["--workers", "2"], ["--dask", cluster.scheduler_address]):
-        out = tmp_path / "results.csv"
-        done = process("batch", str(season), "--again", "--out", str(out), *words, cwd=tmp_path)
-        assert done.returncode == 0, done.stderr
-        texts.append(out.read_bytes())
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        crews = ["--workers", "1"], ["--workers", "2"], ["--dask", cluster.scheduler_address]
+        for words in crews:
+            out = tmp_path / "results.csv"
+            done = process("batch", str(season), "--again", "--out", str(out), *words, cwd=tmp_path)
+            assert done.returncode == 0, done.stderr
+            texts.append(out.read_bytes())
     assert texts[0] == texts[1] == texts[2]
 
 
@@ -415,34 +325,3 @@ def test_a_stopped_batch_ends_at_once_with_all_its_processes(many, tmp_path, blo
     out, err = run.communicate(timeout=100)
     assert not psutil.wait_procs(children, timeout=20)[1]
     assert (run.returncode, out, err) == (status, "", said)
-
-
-@pytest.mark.slow
-def test_a_killed_worker_of_dask_costs_no_throw(many, tmp_path, cluster):
-    out, alone = tmp_path / "results.csv", tmp_path / "alone.csv"
-    words = [sys.executable, "-m", "curlfit", "batch", many]
-    with Client(cluster) as client:
-        run = subprocess.Popen([*words, "--out", out, "--dask", cluster.scheduler_address])
-        while run.poll() is None and (not out.exists() or out.stat().st_size < 20_000):
-            time.sleep(0.02)
-        assert run.poll() is None
-        before = client.run(os.getpid)
-        os.kill(next(iter(before.values())), signal.SIGKILL)
-        assert run.wait() == 0
-        assert set(client.run(os.getpid).values()) != set(before.values())
-    assert subprocess.run([*words, "--out", alone, "--workers", "1"], check=False).returncode == 0
-    assert out.read_bytes() == alone.read_bytes()
-    assert [row["file"] for row in table(out)] == [str(file) for file in sorted(many.iterdir())]
-
-
-@pytest.mark.slow
-def test_a_killed_run_goes_on_without_repeating_or_losing_a_throw(many, tmp_path):
-    out = tmp_path / "results.csv"
-    words = [sys.executable, "-m", "curlfit", "batch", str(many), "--out", str(out)]
-    run = subprocess.Popen(words, start_new_session=True)
-    while run.poll() is None and (not out.exists() or out.stat().st_size < 20_000):
-        time.sleep(0.02)
-    os.killpg(run.pid, signal.SIGKILL)
-    run.wait()
-    assert subprocess.run(words, check=False).returncode == 0
-    assert [row["file"] for row in table(out)] == [str(file) for file in sorted(many.iterdir())]

@@ -6,12 +6,11 @@ import json
 import subprocess
 import sys
 
-import numpy as np
 import pytest
 from conftest import DATA, command as curlfit, process
-from sample_files import PIXELS, PLAIN, SAMPLES, known_points
+from sample_files import PIXELS, PLAIN, known_points
 
-from curlfit import load_chain, load_fit, load_throw
+from curlfit import LAWS, load_chain, load_fit, load_throw
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -88,20 +87,6 @@ def test_a_simulated_throw_comes_back(tmp_path):
     assert [file.name for file in (tmp_path / "a-fit").iterdir()] == ["fit.json"]
 
 
-def test_a_stone_that_friction_drives_is_warned_of(tmp_path):
-    run = curlfit("simulate", "--unbounded", "--set", "mu1_xi=-1", "--out", "a.csv", cwd=tmp_path)
-    assert run.returncode == 0
-    assert run.stderr.startswith("curlfit: Warning: friction drives the stone: its energy grows")
-    assert len(run.stderr.splitlines()) == 1
-    mild = curlfit("simulate", "--unbounded", "--set", "mu1_xi=-0.001", cwd=tmp_path)
-    assert (mild.returncode, mild.stderr) == (0, "")
-    # within the bounds, and driven at once: 0.01 g for 2 s
-    run = curlfit("simulate", "--law", "stribeck", "--set", "mu0=-0.01,mu1=0", "--omega0", 0,
-                  "--until", 2, cwd=tmp_path)  # fmt: skip
-    times = ((2 + 0.0981 * 2) / 2) ** 2
-    assert f"from t = 0 s on, at t = 2 s to {times:.3g} times" in run.stderr
-
-
 def test_flags_override_the_configuration_and_that_the_file(tmp_path):
     (tmp_path / "c.toml").write_text("until = 15\n[stone]\nR = 0.06\n[bound]\nmu1_xi = [0, 0.5]\n")
     run = curlfit(
@@ -113,17 +98,6 @@ def test_flags_override_the_configuration_and_that_the_file(tmp_path):
     assert (result.stone.R, result.stone.rho) == (0.055, 0.1)
     assert result.data["to"] == 15
     assert result.parameters["mu1_xi"].upper == 0.5
-
-
-def test_the_folder_of_a_chosen_throw_has_its_number(tmp_path):
-    (tmp_path / "two.csv").write_text(SAMPLES["two"], encoding="utf-8")
-    for number in (1, 2):
-        run = curlfit(
-            "fit", "two.csv", "--stone-index", number, "--no-sample", "--no-figures", "--law",
-            "coulomb", cwd=tmp_path,
-        )  # fmt: skip
-        assert run.returncode in (0, 1), run.stderr
-        assert (tmp_path / f"two-{number}-fit" / "fit.json").is_file()
 
 
 def test_help_and_refusals_load_no_jax(tmp_path):
@@ -181,30 +155,12 @@ def test_check_shows_what_was_understood(tmp_path):
     assert (run.returncode, run.stderr) == (0, "")
     for words in (
         "pixels.csv: table, 60 rows, t = 0 .. 14.75 s", "px", "interval", "0.25 s", "first row",
-        "rest", "Notes", "pixels to metres by 6 points", "phi (rad): 0.2", "Written: c.png",
+        "rest", "Notes", "pixels to metres by 6 points", "Written: c.png",
     ):  # fmt: skip
         assert words in run.stdout, words
-    assert any(0x2800 < ord(sign) < 0x2900 for sign in run.stdout)
     assert (tmp_path / "c.png").read_bytes().startswith(PNG)
     shown = curlfit("check", DATA, cwd=tmp_path)
     assert "until = 20" in shown.stdout
-
-
-@pytest.mark.parametrize(
-    ("name", "flags", "words"),
-    [
-        ("semicolons", (), "phi: 2 jumps of 360 degrees removed"),
-        ("tracker", ("--axes", "x-left"), "not how the stone turns"),
-        ("two", ("--stone-index", 2), "taken: 2 mass B"),
-        ("log", ("--shot", 2), "end 0 shot 1"),
-        ("timings", (), "6 events at lines and at rest"),
-    ],
-)
-def test_check_of_each_format(name, flags, words, tmp_path):
-    (tmp_path / "data").write_text(SAMPLES[name], encoding="utf-8")
-    run = curlfit("check", "data", *flags, cwd=tmp_path)
-    assert (run.returncode, run.stderr) == (0, "")
-    assert words in run.stdout
 
 
 def test_how_to_read_may_stand_in_the_configuration(tmp_path):
@@ -232,11 +188,6 @@ def test_the_seed_may_stand_in_the_file_and_in_the_configuration(tmp_path):
 
 def test_laws(tmp_path):
     text = " ".join(curlfit("laws", cwd=tmp_path).stdout.split())
-    listed = json.loads(curlfit("laws", "--json", cwd=tmp_path).stdout)
-    assert {law["name"] for law in listed} >= {"front-back", "coulomb", "front-back-first-order"}
-    for law in listed:
-        assert law["name"] in text
-        assert law["source"] in text
-        for item in law["coefficients"]:
-            assert item["meaning"] in text
-            assert np.isfinite([item["lower"], item["upper"], item["default"]]).all()
+    for law in (law for law in LAWS.values() if law.shipped()):
+        for words in (law.name, law.source, *(item.meaning for item in law.coefficients())):
+            assert words in text

@@ -3,7 +3,6 @@ in a configuration, and in the file of the data."""
 
 from __future__ import annotations
 
-import csv
 import json
 
 import numpy as np
@@ -16,12 +15,11 @@ from curlfit import (
     Throw,
     load_comparison,
     load_fit,
-    load_joint,
     load_profile,
     simulate,
 )
 from curlfit.environment import Environment
-from curlfit.inference.conditions import CONDITIONS, SPIN
+from curlfit.inference.conditions import CONDITIONS
 from curlfit.throws.synthetic import write_table
 
 COULOMB = ("--law", "coulomb")
@@ -112,32 +110,6 @@ def test_settings_of_files_mean_what_the_flags_mean(typed, folder):
     assert load_fit(folder / "both").parameters["mu"].prior == "0.02+-0.01"
 
 
-@pytest.mark.slow
-def test_a_joint_fit_shares_conditions_and_each_throw_keeps_what_its_file_states(typed, folder):
-    quick = (*COULOMB, *ASSUMED, "--no-figures")
-    out = typed("fit", "own.csv", "b.csv", *quick, "--systematic", "rho=0", "--out", "joint")
-    said = " ".join(out[: out.index("Written:")].split())
-    joint = load_joint(folder / "joint")
-    assert joint.coefficients["mu"].prior == "0.01+-0.001"
-    holds(joint, slope_x=2e-4, mu=0.009)
-    assert {"slope_x", "rho"}.isdisjoint(joint.systematics.widths)
-    assert joint.systematics.errors["mu"] > 0
-    assert "shared: mu, slope_x" in said
-    assert "Systematic errors come from conditions that the fit holds fixed" in said
-    assert " ".join(typed("show", "joint").split()) == said
-    swept, other = (load_fit(folder / "joint" / name) for name in ("own", "b"))
-    assert swept.systematics.widths == joint.systematics.widths
-    assert (swept.data["swept"], other.data["swept"]) == ((6.0, 11.0), None)
-    holds(swept, sweep=0.8)
-    assert (swept.data["since"], other.data["since"]) == (1.0, None)
-    # flags override what the files state, of all throws
-    typed("fit", "own.csv", "b.csv", *quick, "--since", 0.5, "--sweep", "6:10.9", "--out", "over")
-    for name in ("own", "b"):
-        data = load_fit(folder / "over" / name).data
-        assert data["swept"] == (6.0, 10.9)
-        assert data["from"] == data["since"] == 0.5
-
-
 @pytest.fixture
 def alone(typed, folder):
     typed("fit", "a.csv", *CHOSEN, *QUICK, "--out", "alone")
@@ -161,29 +133,8 @@ def test_profile_and_compare_have_the_flags(typed, folder, alone):
     assert one.coefficients["mu"]["value"] == pytest.approx(alone["mu"].value, rel=1e-6)
 
 
-@pytest.mark.slow
-def test_batch_has_the_flags(typed, folder, alone):
-    # there are columns of sweep, since one of the files states it
-    words = (*COULOMB, *ASSUMED, *SYSTEMATIC, "--workers", 1, "--out", "table.csv")
-    typed("batch", "own.csv", "b.csv", *words)
-    plain, swept = csv.DictReader((folder / "table.csv").read_text().splitlines())
-    assert swept["status"] == plain["status"] == "ok"
-    assert (plain["sweep"], plain["sweep_verdict"]) == ("", "")
-    assert int(swept["n_observations"]) == 3 * KEPT
-    for name in ("slope_x", "mu", "sweep"):
-        item = alone[name]
-        assert float(swept[name]) == pytest.approx(item.value, abs=1e-3 * item.stderr)
-        assert float(swept[f"{name}_stderr"]) == pytest.approx(item.stderr, rel=1e-3)
-    assert 9e-4 < float(swept["mu_systematic"]) < 1.01e-3
-    assert float(swept["slope_x_systematic"]) < 1e-3
-
-
 def test_the_conditions_are_listed_with_their_widths(typed):
     out = " ".join(typed("laws", "--conditions").split())
     for item in CONDITIONS:
         assert f"{item.name} {item.meaning}; standard uncertainty {item.width:g}" in out
         assert item.basis in out
-    listed = json.loads(typed("laws", "--conditions", "--json"))
-    assert [(one["name"], one["width"]) for one in listed] == [
-        (item.name, item.width) for item in (*CONDITIONS, SPIN)
-    ]

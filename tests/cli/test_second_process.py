@@ -82,21 +82,6 @@ except ValueError as error:
     assert not (tmp_path / "a.pdf").exists()
 
 
-@pytest.mark.skipif(cores() < 2, reason="there is no second process")
-def test_figures_are_drawn_though_the_second_process_is_killed(run, tmp_path):
-    code = """
-import multiprocessing
-files.replace(folder, ["a"], partial(picture, "a"))
-multiprocessing.active_children()[0].kill()
-assert len(files.written()) == 2
-files.replace(folder, ["b"], lambda: picture("b"))  # which no other process can call
-assert len(files.written()) == 4
-print("done")
-"""
-    assert run(code) == "done"
-    assert {"a.png", "b.svg"} <= {file.name for file in tmp_path.iterdir()}
-
-
 VERBS = (
     "fit DATA",
     "compare DATA",

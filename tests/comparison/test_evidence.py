@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.interpolate import CubicSpline
-from scipy.stats import halfnorm, lognorm, norm, truncnorm
+from scipy.stats import halfnorm, lognorm, norm
 
 import curlfit
 from curlfit.comparison.criteria import (
@@ -71,33 +71,6 @@ def few(eq12):
     return curlfit.fit(throw, fix=FIXED, systematics={"all": 0.0})
 
 
-def test_the_evidence_of_a_law_against_quadrature(few):
-    problem, origin = problem_of(few)
-    names = list(few.parameters)
-    values = few.values - origin.offset(len(few.values))
-    total = few.combinations[0]
-    sums = total.value + total.stderr * np.linspace(-6, 6, 25)
-    speeds = few.parameters["v0"].value + few.parameters["v0"].stderr * np.linspace(-6, 6, 25)
-    # of the difference of the two only the prior, and the bounds, depend
-    grid = np.stack(np.meshgrid(sums, speeds, indexing="ij"), -1).reshape(-1, 2)
-    points = np.tile(values, (len(grid), 1))
-    points[:, names.index("mu1_eta")] = points[:, names.index("mu2_eta")] = grid[:, 0] / 2
-    points[:, names.index("v0")] = grid[:, 1]
-    problems = stacked([problem] * len(grid))
-    chi_squared = chi_squared_of_many(few.model, points, problems, BATCH)
-    likelihood = np.exp(-0.5 * (chi_squared - few.chi_squared)).reshape(25, 25).sum(1)
-    likelihood *= speeds[1] - speeds[0]
-    prior = truncnorm(0, 1 / 0.03, scale=0.03)  # three times the typical size, 0.01, within 0..1
-    density = []
-    for one in sums:
-        differences = np.linspace(-one, one, 2001)
-        both = prior.pdf((one + differences) / 2) * prior.pdf((one - differences) / 2)
-        density.append(np.trapezoid(both, differences) / 2)
-    expected = np.log(np.sum(likelihood * density) * (sums[1] - sums[0]))
-    given = sum(log_likelihood(few).values())
-    assert log_evidence(few, given) - given == pytest.approx(expected, abs=0.02)
-
-
 def test_the_number_of_parameters_does_not_jump(few):
     counts = []
     for factor in 10.0 ** np.arange(-8, 3, 0.5):
@@ -110,16 +83,6 @@ def test_the_number_of_parameters_does_not_jump(few):
     assert counts[-1] == pytest.approx(2.0, abs=1e-3)
     assert np.all(np.diff(counts) > -1e-9)
     assert np.diff(counts).max() < 0.6
-
-
-def test_a_prior_of_the_user_takes_the_place_of_the_default(few):
-    throw = few.throw
-    narrow = curlfit.fit(
-        throw, fix=FIXED, priors={"mu1_eta": "0.009+-1e-5"}, systematics={"all": 0.0}
-    )
-    given = sum(log_likelihood(narrow).values())
-    # The prior puts the likelihood's peak where it is: less is averaged away.
-    assert log_evidence(narrow, given) > log_evidence(few, sum(log_likelihood(few).values())) + 0.5
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from scipy.special import gammaln
 from scipy.stats import expon, multivariate_normal, norm, truncnorm
 
 import curlfit
-from curlfit.comparison.criteria import _bound_factors, densities, leave_one_out
+from curlfit.comparison.leave_one_out import _bound_factors, densities, leave_one_out
 from curlfit.inference.fit.fit import fit_throws
 
 SIGMA = {"x": 0.005, "y": 0.005, "phi": 0.01}
@@ -160,23 +160,3 @@ def test_a_row_that_alone_determines_a_parameter_is_not_predicted():
     assert densities(
         np.zeros((1, 3)), design[..., :1], np.ones((1, 3)), np.zeros((0, 1)), *none[1:]
     )
-
-
-@pytest.mark.slow
-def test_differences_are_of_rows_and_there_is_none_where_a_row_tells_of_its_neighbours(
-    throw, of_all, eq12
-):
-    rows = [leave_one_out(fit).left_out for fit in of_all.fits]
-    totals = [row.sum() for row in rows]
-    best = rows[int(np.argmax(totals))]
-    for item, row, total in zip(of_all.candidates, rows, totals, strict=True):
-        assert item.delta_elpd == pytest.approx(total - max(totals))
-        assert item.delta_elpd_se == pytest.approx(
-            np.sqrt(len(row)) * np.std(row - best, ddof=1), abs=1e-9
-        )
-    smooth = curlfit.compare(eq12, ["coulomb"])
-    assert smooth.effective
-    smooth = smooth.best
-    assert smooth.elpd_loo is smooth.delta_elpd is smooth.p_loo is None
-    assert smooth.log_evidence is smooth.weight is None
-    assert leave_one_out(curlfit.fit(throw, "coulomb", loss="student")) is None

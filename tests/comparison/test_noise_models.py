@@ -6,15 +6,12 @@ from io import StringIO
 
 import numpy as np
 import pytest
-from conftest import invoke
 from rich.console import Console
 from scipy.stats import multivariate_normal
 
 import curlfit
 from curlfit.comparison.report import conclusions, document, print_comparison
 from curlfit.comparison.result import load_comparison
-from curlfit.errors import InputError
-from curlfit.settings.choices import Comparing
 from curlfit.throws.synthetic import write_table
 
 MEMORY = 0.5
@@ -72,16 +69,6 @@ def test_criteria_of_noise_models_are_comparable(found):
     assert ar1.log_evidence is white.log_evidence is ar1.elpd_loo is white.elpd_loo is None
 
 
-def test_independent_noise_is_not_taken_for_correlated():
-    throw = curlfit.synthetic_throw(
-        curlfit.LAWS["coulomb"](0.009), curlfit.Stone(), noise_xy=0.005, noise_phi=0.01, seed=5
-    )
-    white, ar1 = curlfit.compare(throw, ["coulomb"], noise="white,ar1").candidates
-    assert (white.noise, ar1.noise) == ("white", "ar1")
-    assert ar1.noise_model["memory"] == dict.fromkeys(SIGMA, 0.0)
-    assert ar1.log_likelihood == pytest.approx(white.log_likelihood, abs=1e-3)
-
-
 def test_report_and_record_name_the_noise_of_each_fit(found, tmp_path):
     console = Console(width=110, file=StringIO())
     print_comparison(found, console)
@@ -98,31 +85,7 @@ def test_report_and_record_name_the_noise_of_each_fit(found, tmp_path):
     with pytest.raises(KeyError, match="discrepancy"):
         found.of("coulomb", noise="discrepancy")
     legend = curlfit.comparison_figure(found).axes[0].get_legend_handles_labels()[1]
-    assert legend[1] == "1. coulomb, uniform load, ar1 noise\n2. coulomb, uniform load (same path)"
-
-
-def test_noise_models_by_flag_and_in_a_configuration(typed, folder):
-    (folder / "c.toml").write_text('noise = ["white", "ar1"]\n')
-    (folder / "n.toml").write_text("noise = 3\n")
-    only = ("compare", "a.csv", "--laws", "coulomb", "--no-figures")
-    typed(*only, "--config", "c.toml", "--out", "both")
-    assert load_comparison(folder / "both").noises == ("white", "ar1")
-    typed(*only, "--config", "c.toml", "--noise", "white", "--out", "flag")
-    assert load_comparison(folder / "flag").noises == ("white",)
-    for words, said in (
-        ((*only, "--config", "n.toml"), "noise = 3; expected noise models"),
-        (("fit", "a.csv", "--config", "c.toml"), "expected one of white, ar1"),
-    ):
-        assert said in str(invoke(words).exception)
-
-
-def test_noise_models_that_are_none_are_refused():
-    assert Comparing.of(noise="white, ar1,white").noise == ("white", "ar1")
-    for wrong, what in (("white,pink", "pink"), (",", "''"), (3, "expected noise models")):
-        with pytest.raises(InputError, match=what):
-            Comparing.of(noise=wrong)
-    with pytest.raises(InputError, match="cannot be combined"):
-        Comparing.of(noise="white,ar1", loss="student")
+    assert legend[1:] == ["1. coulomb, uniform load, ar1 noise", "2. coulomb, uniform load"]
 
 
 def test_correlated_residuals_count_effective_values_less_those_spent(folder):

@@ -62,9 +62,62 @@ def tensor(b11, b22, b12):
     return traction
 
 
+def motion(ring):
+    """Speed of the centre, and R omega, of a ring in motion."""
+    u = -ring.v_xi[0] / ring.eta[0]
+    return ring.v_eta[0] - u * ring.xi[0], u
+
+
+def sutor(f_min, r, v_b, alpha, u0):
+    v_a = v_b * (r - np.sqrt(r**2 - 1))
+
+    def mu(ring, _):
+        s, (_, u) = ring.speed + v_a, motion(ring)
+        asymmetry = (1 - np.exp(-alpha * np.sin(ring.alpha))) * np.exp(1 - abs(u) / u0)
+        return f_min / (2 * v_b) * (s + v_b**2 / s) * (1 - asymmetry)
+
+    return against(mu)
+
+
+def pushed(law, push, torque=0.0):
+    """A law with a force over the weight, a function of v and u, and with a torque R times it."""
+
+    def traction(ring, load):
+        right, forward = law(ring, load)
+        force = push(*motion(ring))
+        # spread over the ring otherwise than in the program: round it, with a mean of 1
+        return (right + force - torque * force * ring.eta, forward + torque * force * ring.xi)
+
+    return traction
+
+
+def slow_side(u, exponent=0.0, slowest=1e-3):
+    return -u * (u**2 + slowest**2) ** ((exponent - 1) / 2)
+
+
+def power(c, k):
+    return against(lambda ring, load: c * (ring.speed**2 + 1e-6) ** (k / 2))
+
+
+def sideways(law, a, n):
+    return pushed(law, lambda v, u: a / G * (v**2 + 1e-6) ** (n / 2) * slow_side(u))
+
+
 FORMULAS = {
     "coulomb": lambda mu: against(lambda ring, load: mu),
-    "power": lambda c, k: against(lambda ring, load: c * (ring.speed**2 + 1e-6) ** (k / 2)),
+    "power": power,
+    "power-angular": lambda c, k, f0: against(
+        lambda ring, load: c * (ring.speed**2 + 1e-6) ** (k / 2) * (1 - f0 * np.sin(ring.alpha))
+    ),
+    "sutor": sutor,
+    "power+sideways": lambda c, k, a, n: sideways(power(c, k), a, n),
+    "power+transverse": lambda c, k, b: pushed(
+        power(c, k), lambda v, u: -2 * b / G * np.arctan(u / np.hypot(v, 1e-3))
+    ),
+    "power+pivot": lambda c, k, q: pushed(
+        power(c, k), lambda v, u: q * slow_side(u, -0.5, 1e-2), torque=1.0
+    ),
+    "front-back+sideways": lambda *values: sideways(front_back(*values[:4]), *values[4:]),
     "pressure": lambda mu0, k: against(lambda ring, load: mu0 / load**k),
     "angular": lambda mu0, f0: against(lambda ring, load: mu0 * (1 - f0 * np.sin(ring.alpha))),
     "stribeck": lambda mu0, mu1: against(lambda ring, load: mu0 + mu1 * ring.speed / load),
@@ -123,6 +176,14 @@ LAWS_OF_THE_RING = [
     ("radial", (0.02, 0.003, 0.01, 0.015)),
     ("tensor", (0.02, 0.009, 0.0005)),
     ("front-back", (0.005, 0.05, 0.009, 0.009)),
+    ("power-angular", (0.008, -0.5, 0.4)),
+    ("sutor", (0.0066, 2.0, 2.0, 0.2, 0.065)),
+    ("power+sideways", (0.008, -0.5, 0.005, -0.5)),
+    ("power+sideways", (0.008, 0.0, 0.005, 2.0)),
+    ("power+transverse", (0.008, -0.5, 0.05)),
+    ("power+pivot", (0.008, -0.5, 1.1e-4)),
+    ("power+pivot", (0.008, 0.0, 1e-3)),  # its spin ends early
+    ("front-back+sideways", (0.005, 0.05, 0.009, 0.009, 0.005, 2.0)),
 ]
 UNLIKE = ("power", "pressure", "debris", "front-back")
 """Laws whose paths under the consistent load are found in different ways: by sums over the ring,

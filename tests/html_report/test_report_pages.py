@@ -21,7 +21,7 @@ import curlfit
 from curlfit.cli import app
 from curlfit.html_report.page import page_of, render
 from curlfit.html_report.replay import replay_of_fit
-from curlfit.inference.report import command_of
+from curlfit.reports.fit import command_of
 from curlfit.settings.choices import Fitting
 
 KINDS = ("fit", "joint", "comparison", "profile", "prediction", "design")

@@ -12,9 +12,6 @@ import curlfit
 from curlfit import LAWS, InitialState, InputError, Stone, Throw, load_fit, simulate
 from curlfit.environment import Environment
 from curlfit.inference.conditions import CONDITIONS, WIDTHS, if_off
-from curlfit.prediction.ensemble import ThrowFamily
-from curlfit.prediction.request import ThrowRequest, start_of
-from curlfit.sheet import TEE
 from curlfit.throws.events import Event
 
 LAW = LAWS["front-back"](mu1_xi=0.005, mu2_xi=0.05, mu1_eta=0.009, mu2_eta=0.009)
@@ -200,28 +197,6 @@ def test_a_condition_is_fixed_at_a_value_or_estimated(name):
         assert item.value == pytest.approx(true[name], abs=1e-3 * item.stderr)
 
 
-@pytest.mark.slow
-def test_a_prediction_carries_the_slope_that_was_fixed():
-    """`curlfit.predict` but for its bands, which no condition enters and which take long."""
-    slope = {"slope_x": 2e-4}
-    fit = curlfit.fit(measured(slope, noise=1.0), fix=SPLIT | ASSUMED | slope)
-    law = LAWS["front-back"](*(item.value for item in fit.coefficients.values()))
-
-    def carried(values, **surroundings):
-        start = InitialState(*(values[n] for n in ("x0", "y0", "heading", "v0", "phi0", "omega0")))
-        path = simulate(law, fit.stone, start, [0.0, np.inf], t0=0.0,
-                        environment=Environment(**surroundings))  # fmt: skip
-        return np.array([path.x[-1], path.y[-1]])
-
-    value = {name: item.value for name, item in fit.parameters.items()}
-    found = start_of(fit, ThrowRequest({}, "data", None, None, None))
-    ensemble = ThrowFamily(fit, found, new=False).simulate(fit.values[None])
-    np.testing.assert_allclose(ensemble.state[0, :2, -1], carried(value, **slope), atol=1e-7)
-    assert carried(value, **slope)[0] - carried(value)[0] > 0.2
-    aimed = start_of(fit, ThrowRequest({}, "data", (0.3, -1.0), None, None))
-    np.testing.assert_allclose(carried(aimed.values, **slope), [0.3, TEE - 1.0], atol=1e-7)
-
-
 @pytest.fixture(scope="module")
 def pair():
     """Two throws of opposite spins on ice that falls to the right."""
@@ -230,22 +205,6 @@ def pair():
         measured({"slope_x": 1e-4}, start, noise=1.0, seed=seed)
         for seed, start in enumerate(starts)
     ]
-
-
-@pytest.mark.slow
-def test_opposite_spins_determine_the_slope(pair):
-    joint = curlfit.fit_together(pair, fix=SPLIT, free=["slope_x"])
-    assert joint.converged
-    assert joint.share[-1] == "slope_x"
-    true = TRUTH | {"slope_x": 1e-4}
-    for name, value in true.items():
-        item = joint.coefficients[name]
-        assert item.verdict == "determined"
-        assert abs(item.value - value) < 3 * item.stderr, name
-    assert joint.coefficients["slope_x"].stderr < 1e-5
-    assert "slope_x" not in joint.systematics.widths
-    for one in joint.throws:
-        assert one.conditions["slope_x"].value == joint.coefficients["slope_x"].value
 
 
 def test_opposite_spins_cancel_the_shift_by_the_slope(pair):

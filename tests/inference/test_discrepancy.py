@@ -14,6 +14,7 @@ from curlfit import LAWS, InitialState, Stone, simulate
 from curlfit.inference.fit.prepared import linearized_fit, problem_of
 from curlfit.inference.noise import accelerations
 from curlfit.inference.noise.accelerations import Responses
+from curlfit.inference.noise.whitening import whitened
 from curlfit.throws.throw import CHANNELS
 
 STONE = Stone()
@@ -121,7 +122,7 @@ def test_its_whitening_is_the_inverse_root_of_its_covariance(wrong_law):
     n, weight = len(TIMES), np.asarray(problem.weight)
     residual = np.random.default_rng(0).standard_normal(weight.shape)
     residual[weight == 0] = 0.0
-    white = np.asarray(problem.whitener.whiten(residual))[:, :n].ravel()
+    white = np.asarray(whitened(residual, problem.whitener))[:, :n].ravel()
     own = residual[:, :n][weight[:, :n] > 0]
     assert white @ white == pytest.approx(own @ np.linalg.solve(covariance, own), rel=1e-6)
     determinant = -0.5 * np.linalg.slogdet(covariance)[1]

@@ -14,16 +14,6 @@ def _analysed(jacobian, names, typical=None):
     return analyse(np.asarray(jacobian, float), names, np.arange(1.0, p + 1), typical)
 
 
-def test_full_rank_gives_the_usual_covariance():
-    random = np.random.default_rng(0)
-    jacobian = random.standard_normal((30, 3)) * [1, 10, 100]
-    found = _analysed(jacobian, ["a", "b", "c"])
-    assert found.rank == 3
-    assert not found.unseen.any()
-    assert not found.combinations
-    np.testing.assert_allclose(found.covariance, np.linalg.inv(jacobian.T @ jacobian), rtol=1e-9)
-
-
 def test_a_sum_is_found_with_its_error():
     random = np.random.default_rng(1)
     column = random.standard_normal((40, 2)) * 30

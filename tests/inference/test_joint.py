@@ -13,7 +13,7 @@ from scipy.optimize import brentq, least_squares
 import curlfit
 from curlfit import LAWS, InitialState, Stone, fit_together, simulate
 from curlfit.errors import InputError
-from curlfit.inference.joint.fit import _warnings_of
+from curlfit.inference.joint.result import warnings_of
 from curlfit.inference.joint.variation import _variation
 from curlfit.options.settings import load_fit_and_chain
 
@@ -171,10 +171,10 @@ def test_what_cannot_be_fitted_together_is_refused(three):
 
 
 def test_a_warning_of_several_throws_is_one():
-    of_throws = {"a": ("old", "all"), "b": ("old", "all"), "c": ("old", "all"), "d": ("old", "all"),
+    warned = {"a": ("old", "all"), "b": ("old", "all"), "c": ("old", "all"), "d": ("old", "all"),
                  "e": ("all", "own")}  # fmt: skip
-    throws = [SimpleNamespace(data={"file": k}, warnings=v) for k, v in of_throws.items()]
-    assert _warnings_of(throws) == ["a, b and 2 more: old", "all", "e: own"]
+    throws = [SimpleNamespace(data={"file": k}, warnings=v) for k, v in warned.items()]
+    assert warnings_of(throws) == ["a, b and 2 more: old", "all", "e: own"]
 
 
 def test_on_the_command_line(three, tmp_path):
@@ -191,14 +191,8 @@ def test_on_the_command_line(three, tmp_path):
     with pytest.raises(InputError, match=r"expected the fit of one throw, such as .*throw0"):
         load_fit_and_chain(tmp_path / "joint-fit")
     assert (tmp_path / "joint-fit" / "joint.png").stat().st_size > 20_000
-    for words, expected in (
-        (("show", "joint-fit/throw1"), "front-back law"),
-        (("show", "joint-fit"), done.stdout.partition("Written")[0]),
-        (("plot", "joint-fit", "--format", "svg"), "joint.svg"),
-    ):
-        again = command(*words, cwd=tmp_path)
-        assert again.returncode == 0, again.stderr
-        assert expected in again.stdout
+    again = command("show", "joint-fit", cwd=tmp_path)
+    assert done.stdout.partition("Written")[0] in again.stdout, again.stderr
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "throw0.csv").write_text((tmp_path / "throw1.csv").read_text())
     words = "throw0.csv", "other/throw0.csv", "throw2.csv"
@@ -265,7 +259,7 @@ def test_the_spread_between_throws_is_that_of_paule_and_mandel():
     random = np.random.default_rng(8)
     error = np.array([1, 2, 1, 0.3, 4, 1, 2, 0.5])
     value = 10 + random.standard_normal(8) * np.hypot(error, 3.0)
-    item = _variation("mu", list(zip(value, error, strict=True)), error**-2.0)
+    item = _variation("mu", list(zip(value, error, strict=True)), error**-2.0, np.zeros((8, 0)))
 
     def excess(variance):
         weight = 1 / (error**2 + variance)
@@ -275,7 +269,7 @@ def test_the_spread_between_throws_is_that_of_paule_and_mandel():
     weight = 1 / (error**2 + item.spread**2)
     assert item.mean == pytest.approx(np.average(value, weights=weight))
     assert item.stderr == pytest.approx(weight.sum() ** -0.5)
-    alike = _variation("mu", [(10.0, one) for one in error], error**-2.0)
+    alike = _variation("mu", [(10.0, one) for one in error], error**-2.0, np.zeros((8, 0)))
     assert (alike.spread, alike.p_value) == (0.0, 1.0)
     assert alike.shared_stderr == pytest.approx(alike.stderr) == (error**-2.0).sum() ** -0.5
 

@@ -19,12 +19,11 @@ from curlfit.inference.noise.losses import (
     likeliest_sigma,
     log_density,
     precision,
-    robust_sigma,
     root_slope,
     signed_root,
 )
 from curlfit.inference.noise.models import LOSSES
-from curlfit.inference.report import outliers
+from curlfit.reports.fit import outliers
 
 R = np.concatenate([-np.logspace(3, -9, 60), [0.0], np.logspace(-9, 3, 60)])
 
@@ -104,12 +103,6 @@ def test_constants_give_95_percent_of_the_information_of_gaussian_noise(loss, ef
     assert precision(sample, loss) == pytest.approx(efficiency, abs=0.01)
 
 
-def test_sigma_of_the_bulk():
-    values = np.random.default_rng(2).standard_normal(100_000)
-    values[:5000] = 1e6
-    assert robust_sigma(values) == pytest.approx(1.0, abs=0.08)
-
-
 @pytest.fixture(scope="module")
 def clean():
     return filmed(seed=3, omega=-1.3)
@@ -163,18 +156,6 @@ def test_outliers_are_called_by_name(spoiled):
     assert text.count(" by ") == 6
     assert f"and {len(fit.outliers) - 6} more" in text
     assert curlfit.fit_figure(fit).axes
-
-
-@pytest.mark.slow
-def test_a_robust_fit_is_kept_and_sampled_as_such(spoiled, tmp_path):
-    fit = curlfit.fit(spoiled[0], loss="student")
-    fit.save(tmp_path / "fit.json")
-    again = curlfit.load_fit(tmp_path)
-    assert again.loss == "student"
-    assert again.outliers == fit.outliers
-    sampled, _ = curlfit.sample(again, effective=600)
-    spread = sampled.posterior.sd["mu2_xi"] / fit.parameters["mu2_xi"].stderr
-    assert 0.9 < spread < 1.3
 
 
 def test_an_unknown_loss_is_refused(clean):

@@ -14,8 +14,6 @@ from curlfit.inference.model import Model
 from curlfit.inference.problem import Origin, build_problem
 from curlfit.numerics.batches import BATCH, stacked
 
-LAW = LAWS["front-back"](mu1_xi=0.005, mu2_xi=0.05, mu1_eta=0.009, mu2_eta=0.009)
-
 
 @pytest.fixture(scope="module")
 def throws():
@@ -59,36 +57,6 @@ def test_a_batch_has_the_answers_of_single_fits(throws, choices):
             if item.stderr is not None:
                 assert other.value == pytest.approx(item.value, abs=1e-3 * item.stderr)
                 assert other.stderr == pytest.approx(item.stderr, rel=1e-3)
-
-
-@pytest.mark.slow
-def test_throws_that_share_nothing_are_fitted_together_as_alone(throws):
-    """With every coefficient known, a joint fit is a fit of each throw by itself."""
-    values = {item.name: getattr(LAW, item.name) for item in LAW.coefficients()}
-    del values["mu1_xi"]
-    joint = curlfit.fit_together(throws, fix=values, share=["mu2_xi"], noise="ar1")
-    assert joint.converged
-    for throw, one in zip(throws, joint.throws, strict=True):
-        alone = curlfit.fit(throw, fix=values, noise="ar1")
-        for name in ("mu1_xi", "v0", "omega0"):
-            item = alone.parameters[name]
-            assert one[name].value == pytest.approx(item.value, abs=1e-3 * item.stderr)
-
-
-def test_log_likelihood_of_correlated_noise_is_that_of_its_covariance(throws):
-    from curlfit.comparison.criteria import log_likelihood
-
-    fit = curlfit.fit(throws[1], noise="ar1")
-    t = fit.observed["t"] - fit.observed["t"][0]
-    for name, found in log_likelihood(fit).items():
-        residual = fit.observed[name] - fit.fitted[name]
-        white = fit.noise.white[name]
-        covariance = (1 - white) * np.exp(-np.abs(t[:, None] - t) / fit.noise.memory[name])
-        covariance += white * np.eye(len(t))
-        # the most likely scale, and the density of the normal distribution there
-        square = residual @ np.linalg.solve(covariance, residual) / len(t)
-        _, determinant = np.linalg.slogdet(2 * np.pi * square * covariance)
-        assert found == pytest.approx(-(len(t) + determinant) / 2, abs=1e-2)
 
 
 @pytest.mark.slow

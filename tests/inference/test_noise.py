@@ -6,14 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import DATA, NOISE as SIGMA, filmed, shown
+from conftest import DATA, NOISE as SIGMA, filmed
 from scipy.linalg import block_diag, toeplitz
 
 import curlfit
-from curlfit.inference.fit.result import load_fit
 from curlfit.inference.noise.accelerations import SHAPES
 from curlfit.inference.noise.linearized import Linearized
-from curlfit.inference.noise.models import Noise, independences
+from curlfit.inference.noise.models import Independence, Noise
 from curlfit.inference.noise.restricted import _slope
 from curlfit.inference.noise.whitening import Whitener, whitened
 
@@ -81,8 +80,8 @@ def test_the_restricted_likelihood_is_that_of_the_covariance():
         random.standard_normal((2, 50, 3 * SHAPES)),
     )
     residual = np.where(weight > 0, random.standard_normal((2, 50)), 0.0)
-    data = Linearized.of(
-        t, 9.0, weight, residual, jacobian, np.ones(4), np.ones(4, bool), 2, responses
+    data = Linearized.of(t, weight, residual, jacobian, np.ones(4), np.ones(4, bool), 2)._replace(
+        span=np.asarray(9.0), responses=responses
     )
     seen = weight.ravel() > 0
     j, s = (part.reshape(100, -1)[seen] for part in (jacobian, responses))
@@ -131,24 +130,19 @@ def test_a_file_without_noise_is_fitted_as_with_independent_noise(noise):
         assert other.sigma[name] > size / 2
 
 
-def independence(series):
-    """Of one channel of one throw."""
-    return independences(series[None, None], np.array([[len(series)]]))[0][0]
-
-
 def test_independence_by_hand():
     signs = np.array([1.0, 1, 1, -1, -1, 1, -1, -1, -1, 1])  # 5 of each, 5 runs
-    found = independence(signs)
+    found = Independence.of(signs)
     assert found.runs == pytest.approx((5 - 6) / np.sqrt(5 * 4 / 9))
     assert found.lag1 == pytest.approx(0.1)  # five neighbours agree, four do not
     assert found.effective == pytest.approx(10 * 0.9 / 1.1)
     assert not found.doubtful
-    white = [independence(np.random.default_rng(k).standard_normal(150)) for k in range(400)]
+    white = [Independence.of(np.random.default_rng(k).standard_normal(150)) for k in range(400)]
     assert not any(item.doubtful for item in white)
     assert np.std([item.runs for item in white]) == pytest.approx(1, abs=0.1)
     walk = np.cumsum(np.random.default_rng(0).standard_normal(150))
-    assert independence(walk).doubtful
-    assert independence(walk).effective < 10
+    assert Independence.of(walk).doubtful
+    assert Independence.of(walk).effective < 10
 
 
 def test_white_noise_is_told_from_noise_with_a_memory():
@@ -181,22 +175,6 @@ def test_given_sigmas_are_kept():
     found = curlfit.fit(given, "front-back", noise="ar1")
     assert found.sigma == {}
     assert all(0.1 < value < 2 for value in found.noise.memory.values())
-
-
-@pytest.mark.slow
-def test_it_is_saved_and_sampled(tmp_path):
-    found = curlfit.fit(thrown(2, 0.9), "front-back", noise="ar1")
-    found.save(tmp_path / "fit.json")
-    again = load_fit(tmp_path / "fit.json")
-    assert again.noise == found.noise
-    assert again.independence == found.independence
-    assert "ar1 noise" in shown(again)
-    sampled, _ = curlfit.sample(again, seed=1, effective=600)
-    white = curlfit.fit(thrown(2, 0.9), "front-back")
-    for name in ("mu2_xi", "v0", "omega0"):
-        item = found.parameters[name]
-        assert sampled.posterior.sd[name] == pytest.approx(item.stderr, rel=0.1)
-        assert item.stderr > 2 * white.parameters[name].stderr
 
 
 def test_what_cannot_be_combined_is_refused():

@@ -10,7 +10,7 @@ from conftest import TIMES as T, filmed
 import curlfit
 from curlfit.inference.fit.advice import NOISE
 from curlfit.inference.fit.result import load_fit
-from curlfit.inference.report import identifiability
+from curlfit.reports.determined import identifiability
 
 TIMES = T[:151]
 
@@ -67,10 +67,3 @@ def test_nothing_is_said_to_help_under_correlated_noise_but_the_split_stays_hidd
     assert found.parameters["omega0"].verdict in ("weak", "not identifiable")
     split = {"parameters": ["mu1_eta", "mu2_eta"], "measure": [], "all": False}
     assert found.remedies == (split,)
-
-
-def test_what_is_held_stays_so_and_what_is_known_needs_nothing(seen):
-    held = fitted(seen, "x", "y", "phi", fix={"mu1_eta": 0.009})
-    assert held.remedies == ()
-    spin = fitted(seen, "x", "y", fix={"omega0": 1.3})
-    assert not any("omega0" in item["parameters"] for item in spin.remedies)

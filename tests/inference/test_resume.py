@@ -70,7 +70,7 @@ def test_a_process_struck_in_mid_sampling_goes_on_as_if_nothing_had_been(tmp_pat
         shown = " ".join(out.split())
         assert "Posterior: not finished: " in shown
         assert f" {len(left.values)} steps)" in shown
-        assert "--resume goes on with it" in shown
+        assert "with --resume to continue it" in shown
 
     more = ("--effective", "100000000", "--max-steps", max(40, len(left.values) + 1))
     status, _, err = command(*fit, *more, "--out", struck, "--resume", cwd=tmp_path)
@@ -194,8 +194,8 @@ def refused(folder, *words):
         (["--until", "15"], "not the same data"),
         (["--sigma", "x=0.01"], "not the same data"),
         (["--stone", "rho=0.11"], "stone was m = 20.0, R = 0.054, rho = 0.1, h = 0.057, now"),
-        (["--bound", "mu2_xi=0:0.3"], "bounds was mu2_xi 0.0:1.0, now mu2_xi 0.0:0.3"),
-        (["--fix", "mu1_xi=0"], "bounds was mu1_xi 0.0:1.0, now mu1_xi 0.0:0.0"),
+        (["--bound", "mu2_xi=0:0.3"], "bounds of mu2_xi was 0.0:1.0, now 0.0:0.3"),
+        (["--fix", "mu1_xi=0"], "bounds of mu1_xi was 0.0:1.0, now 0.0:0.0"),
         (["--no-sample"], "--resume continues sampling"),
     ],
 )
@@ -220,12 +220,9 @@ def test_a_chain_of_another_version_or_fit_is_refused(saved, monkeypatch):
         sample(fit, seed=2, checkpoint=saved / "chain.h5", resume=True)
     with h5py.File(saved / "chain.h5", "w") as earlier:
         earlier.create_group("mcmc")
-    assert refused(saved) == (
-        f"{saved / 'chain.h5'}: written by an earlier version of curlfit; sample again with "
-        "`curlfit fit FILE`, without --resume"
-    )
+    assert "not a chain.h5 of this version of curlfit" in refused(saved)
     (saved / "chain.h5").write_bytes(b"half a file")
-    assert "not a chain.h5 of curlfit" in refused(saved)
+    assert "sample again with `curlfit fit FILE`, without --resume" in refused(saved)
 
 
 def test_a_law_s_file_that_changed_makes_another_subject(eq12_fit, tmp_path, monkeypatch):

@@ -14,7 +14,7 @@ from dataclasses import replace
 import damaged_records
 import h5py
 import pytest
-from conftest import DATA, command, invoke
+from conftest import invoke
 from matplotlib.figure import Figure
 
 import curlfit
@@ -53,15 +53,6 @@ def read_only_folder():
         yield
 
 
-def claims(folder):
-    """`reproduce` without its work, of which the first file cannot be written."""
-    with pytest.MonkeyPatch.context() as patch:
-        found = type("Found", (), {"claims": ()})
-        patch.setattr("curlfit.paper.reproduce.reproduce", lambda *_: found)
-        patch.setattr("curlfit.paper.claim.page", lambda found, format: "claims")
-        run("reproduce", "--out", folder)
-
-
 def run(*words):
     found = invoke(words)
     if found.exception is not None:
@@ -78,8 +69,6 @@ WRITERS = {
     "fit.json": lambda file, saved: saved[0].save(file),
     "chain.h5": lambda file, saved: saved[1].save(file),
     "a.png": lambda file, _: drawn(file),
-    "a.svg": lambda file, _: drawn(file),
-    "claims.json": lambda file, _: claims(file.parent),
     "a.csv": lambda file, _: run("simulate", "--until", 1, "--out", file),
     "eq12.csv": lambda file, _: paper.write_jensen_shegelski(file),
 }
@@ -99,7 +88,7 @@ def test_what_cannot_be_written_is_said_and_what_was_there_stays(
     assert file.read_text() == before
     assert [*tmp_path.iterdir()] == [file]
     WRITERS[name](file, eq12_posterior)
-    assert file.stat().st_size > 100 or name == "claims.json"
+    assert file.stat().st_size > 100
     assert file.read_bytes() != before.encode()
 
 
@@ -153,20 +142,6 @@ def test_what_a_killed_run_left_half_written_is_cleared(tmp_path):
     assert sorted(tmp_path.iterdir()) == [new, folder]
 
 
-def test_results_are_shown_and_drawn_without_the_data(compared, tmp_path):
-    data = tmp_path / "gone.csv"
-    data.write_bytes(DATA.read_bytes())
-    curlfit.fit(curlfit.load_throw(data)).save(tmp_path / "fit.json")
-    (tmp_path / "both").mkdir()
-    compared.save(tmp_path / "both" / "compare.json")
-    data.unlink()
-    for words, said in ((["show", "fit.json"], "gone.csv"), (["plot", "both"], "compare.png")):
-        run = command(*words, cwd=tmp_path)
-        assert (run.returncode, run.stderr) == (0, "")
-        assert said in run.stdout
-    assert (tmp_path / "both" / "compare.png").stat().st_size > 10_000
-
-
 def record_of(result, folder, change):
     result.save(folder / "record.json")
     record = json.loads((folder / "record.json").read_text())
@@ -175,7 +150,7 @@ def record_of(result, folder, change):
     return folder / "record.json"
 
 
-def test_records_that_have_more_than_this_version_knows(eq12_posterior, compared, tmp_path):
+def test_records_that_have_more_than_this_version_knows(eq12_posterior, tmp_path):
     def later(record):
         record["new"] = 1
         for item in record["parameters"].values():
@@ -189,11 +164,6 @@ def test_records_that_have_more_than_this_version_knows(eq12_posterior, compared
     assert same.to_json() == fit.to_json()
     again = load_fit(record_of(fit, tmp_path, later))
     assert (again.parameters, again.posterior) == (fit.parameters, fit.posterior)
-
-    def later_still(record):
-        record["candidates"][0]["new"] = record["stone"]["new"] = 1
-
-    assert load_comparison(record_of(compared, tmp_path, later_still)).best == compared.best
 
 
 @pytest.mark.parametrize(
@@ -228,6 +198,7 @@ def test_what_cannot_be_read_is_refused(eq12_fit, compared, tmp_path, change, sa
         ("observed.x", [1.0, 2.0], "observed: expected series of 201 values"),
         ("covariance.matrix", [[1.0]], "covariance: expected a square matrix"),
         ("combinations", [{"expression": "a"}], "combinations.0: no 'weights' in it"),
+        ("noise.initial_state", [[1.0]], "noise: expected a covariance"),
         ("null_directions", 3, None),
     ],
 )
@@ -291,23 +262,12 @@ def test_a_chain_is_of_its_fit_wherever_it_is_read(eq12_posterior, tmp_path):
     assert {file.name for file in tmp_path.iterdir()} == {"fit.json", "chain.h5"}
 
 
-@pytest.mark.parametrize(
-    ("name", "shape", "said"),
-    [
-        ("ensemble-0/chain", (10**7, 32, 10), "its numbers are not in the file"),
-        ("ensemble-0/chain", (10**7,), "not enough values"),
-        ("ensemble-1/log_prob", (10**7, 32), "found, expected"),
-        ("ensemble-3/accepted", (10**9,), "found, expected"),
-    ],
-)
-def test_a_chain_is_as_large_as_its_file(eq12_posterior, tmp_path, name, shape, said):
+def test_a_chain_is_as_large_as_its_file(eq12_posterior, tmp_path):
     eq12_posterior[1].save(tmp_path / "chain.h5")
     with h5py.File(tmp_path / "chain.h5", "r+") as out:
-        del out[name]
-        out.create_dataset(name, shape, "f8", chunks=True, compression="gzip")
-        if len(shape) == 3:
-            out.attrs["discarded"] = 0
-    with pytest.raises(DataError, match=rf"chain\.h5: not a chain\.h5 of curlfit \(.*{said}"):
+        del out["mcmc"]["chain"]
+        out["mcmc"].create_dataset("chain", (10**7, 32, 10), "f8")
+    with pytest.raises(DataError, match=r"of this version of curlfit \(.*are not in the file"):
         curlfit.load_chain(tmp_path / "chain.h5")
 
 

@@ -103,7 +103,6 @@ def test_columns_that_were_added_to_a_table_are_labels(season, tmp_path):
         (lambda text: text, ["--fix", "mu1_xi=0"], "--fix=mu1_xi=0: the throws of"),
         (lambda text: text, ["--by", "rink"], "no label 'rink'; it has sheet, day"),
         (lambda text: text.replace("information", "info"), [], "line 1: no column information"),
-        (lambda text: text.replace("[", "[x", 1), [], "line 2: not a row of `curlfit batch`"),
         (lambda text: text.replace("[", "[1, ", 1), [], "line 2: not a row of `curlfit batch`"),
         (lambda text: "\n".join(text.split("\n")[:3]) + "\n", [], "2 usable throws; expected 4"),
     ],

@@ -11,12 +11,12 @@ from conftest import NOISE as SIGMA, filmed, shown
 from scipy.stats import binomtest, chi2, f, t
 
 import curlfit
+from curlfit.inference.fit.caveats import outlier_warning
 from curlfit.inference.fit.covariance import Covariance
 from curlfit.inference.fit.fit import fit_throws
-from curlfit.inference.fit.residuals import outlier_warning
 from curlfit.inference.likelihood import SIGMA_FLOOR
-from curlfit.inference.report import identifiability
 from curlfit.profile_likelihood.result import levels_of
+from curlfit.reports.determined import identifiability
 
 TRUE = {"mu1_xi": 0.005, "mu2_xi": 0.05}
 START = {"x0": 0.0, "y0": 0.0, "heading": 0.02, "v0": 2.1, "phi0": 0.0, "omega0": 1.3}
@@ -108,7 +108,7 @@ def test_a_gross_outlier_is_found_in_few_rows(rows, sigmas):
 
 
 def test_few_rows_have_their_interval_in_the_report():
-    assert "95 % interval (Student's t)" in shown(curlfit.fit(thrown(1, 12)))
+    assert "an interval of 95 % (Student's t) extends up to" in shown(curlfit.fit(thrown(1, 12)))
     assert "Student" not in shown(curlfit.fit(thrown(1, 150)))
 
 
@@ -141,7 +141,7 @@ def test_a_weak_parameter_says_why():
     assert "weakly determined: its standard error" in identifiability(fit)
     # the same of two parameters
     said = identifiability(replace(fit, parameters=fit.parameters | {"v0": weak}))
-    assert "are weakly determined: their standard errors are more than half their typical" in said
+    assert "are weakly determined: for each, its standard error is more than half" in said
 
 
 def test_outliers_in_the_first_rows_alone_have_a_flag_that_leaves_them_out():

@@ -11,9 +11,6 @@ from conftest import TIMES, filmed
 import curlfit
 from curlfit import LAWS, InputError, Throw
 from curlfit.environment import Environment
-from curlfit.inference.fit.fit import fit_throws
-from curlfit.prediction.ensemble import ThrowFamily
-from curlfit.prediction.request import ThrowRequest, start_of
 
 LAW = LAWS["front-back"](0.005, 0.05, 0.009, 0.009)
 T0 = 100.0  # of the clock
@@ -79,50 +76,6 @@ def test_a_stone_that_another_one_touches_is_found(at, size, flag, limits):
     cut = {"--until": "until", "--since": "since"}[flag]
     again = curlfit.fit(throw, **{cut: T0 + value})
     assert not any("changes abruptly" in text for text in again.warnings)
-
-
-@pytest.fixture(scope="module")
-def mixed(swept):
-    """A swept throw, which states when, and one that was not swept."""
-    return [swept.with_defaults(swept=[T0 + time for time in SWEPT]), thrown(1, factor=1.0)]
-
-
-@pytest.mark.slow
-def test_swept_and_unswept_throws_are_fitted_side_by_side(mixed, fitted):
-    one, other = fit_throws(mixed)
-    np.testing.assert_allclose(one.values, fitted.values, rtol=1e-6, atol=1e-9)
-    assert "sweep" not in other.parameters
-    assert other.data["swept"] is None
-    alone = curlfit.fit(mixed[1])
-    np.testing.assert_allclose(other.values, alone.values, rtol=1e-6, atol=1e-9)
-
-
-@pytest.mark.slow
-def test_swept_and_unswept_throws_are_fitted_jointly(mixed, fitted):
-    joint = curlfit.fit_together(mixed)
-    assert joint.converged
-    one, other = joint.throws
-    assert one.data["swept"] == (T0 + SWEPT[0], T0 + SWEPT[1])
-    assert other.data["swept"] is None
-    for item in (one.parameters["sweep"], other.parameters["sweep"]):  # a condition is shared
-        assert abs(item.value - 0.85) < 3 * item.stderr < 0.01
-    assert one.parameters["sweep"].stderr < fitted.parameters["sweep"].stderr
-    assert all(one.rms[name] < 1.1 * size for name, size in (("x", 0.005), ("phi", 0.01)))
-    # The throw that was not swept is as in a joint fit without sweeping.
-    np.testing.assert_allclose(other.rms["y"], curlfit.fit(mixed[1]).rms["y"], rtol=0.01)
-
-
-@pytest.mark.slow
-def test_the_fitted_throw_goes_on_swept_and_another_does_not(fitted):
-    request = ThrowRequest({}, "hog", None, None, None)
-    same = ThrowFamily(fitted, start_of(fitted, request), new=False)
-    path = same.simulate(same.with_start(fitted.values[None]))
-    y = np.interp(TIMES, path.t[0], path.state[0, 1]) - same.start.shift[1]
-    np.testing.assert_allclose(y, fitted.fitted["y"], atol=2e-3)
-    other = ThrowFamily(fitted, start_of(fitted, request), new=True)
-    longer = same.simulate(same.with_start(fitted.values[None])).state[0, 1, -1]
-    shorter = other.simulate(same.with_start(fitted.values[None])).state[0, 1, -1]
-    assert longer > shorter + 0.5
 
 
 @pytest.mark.parametrize(

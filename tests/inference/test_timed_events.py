@@ -13,13 +13,12 @@ import curlfit
 from curlfit import LAWS, InitialState, Stone, simulate
 from curlfit.errors import InputError
 from curlfit.inference.fit.systematics import residual_changes
-from curlfit.inference.joint.fit import fit_together
 from curlfit.inference.likelihood import linearize, predict_channels, predict_many
 from curlfit.inference.model import Model
 from curlfit.inference.problem import Origin, build_problem
 from curlfit.numerics.batches import in_batches, stacked
 from curlfit.prediction.report import describe_rest
-from curlfit.throws.events import MOST_EVENTS, Event, even_motion
+from curlfit.throws.events import MOST_EVENTS, Event
 from curlfit.throws.throw import Throw
 
 G = 9.81
@@ -62,14 +61,6 @@ def record(**values):
     """Events of a record from the near hog line."""
     known = {event.name: event for event in EVENTS}
     return tuple(replace(known[name], value=value) for name, value in values.items())
-
-
-def drawn(mu, rest, curl, random):
-    """Three numbers of a draw shot with their noise."""
-    length, heading = np.hypot(rest - HOG, curl), np.arctan2(curl, rest - HOG)
-    exact = motion(mu, heading, np.sqrt(2 * mu * G * length))
-    return {name: exact[name] + SIGMA[name] * random.standard_normal()
-            for name in ("hog_to_hog", "rest", "curl")}  # fmt: skip
 
 
 def residual_of(values, *parameters):
@@ -191,53 +182,6 @@ def test_three_numbers_determine_one_friction_coefficient(tmp_path):
     assert again.throw.assumed["y0"] == HOG
 
 
-@pytest.mark.slow
-def test_eight_draws_of_an_evening_give_one_friction():
-    random = np.random.default_rng(3)
-    evening = [
-        drawn(0.0085, TEE + rest, side, random)
-        for rest, side in zip(random.uniform(-1.5, 1.5, 8), [1.2, -1.2] * 4, strict=True)
-    ]
-    result = fit_together([Throw.from_events(record(**one)) for one in evening], "coulomb")
-    assert result.converged
-    assert result.rank == result.parameters == 17
-
-    def residual(p):
-        own = p[1:].reshape(8, 2)
-        return np.concatenate(
-            [residual_of(one, p[0], *start) for one, start in zip(evening, own, strict=True)]
-        )
-
-    start = np.concatenate([[0.008], np.tile([0.0, 2.2], 8)])
-    peer = least_squares(residual, start, xtol=1e-14, x_scale=np.maximum(np.abs(start), 0.01))
-    found = result.coefficients["mu"]
-    assert found.value == pytest.approx(peer.x[0], rel=1e-6)
-    assert found.stderr == pytest.approx(
-        np.sqrt(np.linalg.inv(peer.jac.T @ peer.jac)[0, 0]), rel=1e-4
-    )
-    assert abs(found.value - 0.0085) < 3 * found.stderr
-
-
-@pytest.mark.slow
-def test_draws_that_differ_are_fitted_together_and_stay_usable():
-    """Chi squared of each has a slope at the joint optimum, which is no fault of the search."""
-    random = np.random.default_rng(7)
-    frictions, sides = (0.0080, 0.0090) * 4, (1.2, -1.2) * 4
-    evening = [
-        Throw.from_events(record(**drawn(mu, TEE, side, random)))
-        for mu, side in zip(frictions, sides, strict=True)
-    ]
-    result = fit_together(evening, "coulomb", share="all")
-    assert [item.significant for item in result.variation] == [True]
-    assert {one.converged for one in result.throws} == {True}
-    assert {one.status for one in result.throws} == {result.status}
-    # two numbers along the sheet fit any law, if not one friction
-    assert any("the fit deviates from" in text for text in result.warnings)
-    assert not any("--law power" in text for text in result.warnings)
-    # the curl of an event is one number and the heading takes it up: it says nothing of a slope
-    assert not any("slope_x" in text for text in result.warnings)
-
-
 @pytest.mark.parametrize("loss", ["linear", pytest.param("student", marks=pytest.mark.slow)])
 def test_fitted_values_are_those_of_the_motion_under_every_loss(loss):
     events = record(hog_to_hog=14.2, hog_to_rest=12.5, rest=TEE + 0.6, curl=1.0)
@@ -255,7 +199,7 @@ def test_systematic_errors_of_lengths_and_times(problem):
     at, one = vector(mu, 0.0, v)[None], stacked([problem])
     path = predict_many(MODEL, at, one, 1)
     widths = {"length_scale": width, "time_scale": width}
-    found = residual_changes(MODEL, one, at, path, widths, "linear", 1)
+    found = residual_changes(MODEL, one, at, path, widths, 1)
     changes = {
         name: change[0, -1, : len(EVENTS)] * [event.sigma for event in EVENTS] / width
         for name, change in found.items()
@@ -268,15 +212,6 @@ def test_systematic_errors_of_lengths_and_times(problem):
     )
     np.testing.assert_allclose(changes["time_scale"][:4], values[:4], rtol=1e-6)
     np.testing.assert_allclose(changes["time_scale"][4:], 0, atol=1e-6)
-
-
-def test_the_first_guess_is_the_motion_itself():
-    mu, v = 0.009, 2.1
-    exact = motion(mu, 0.0, v)
-    for name in ("rest", "hog_to_rest"):
-        found = even_motion(record(hog_to_hog=exact["hog_to_hog"], **{name: exact[name]}), {})
-        assert found.length == pytest.approx(exact["rest"] - HOG, rel=2e-3)
-        assert found.time == pytest.approx(v / (mu * G), rel=2e-3)
 
 
 @pytest.mark.parametrize(
@@ -324,13 +259,6 @@ def test_a_law_that_cannot_curl_names_the_measured_curl(curled):
     words = "the coulomb law cannot curl a stone: the measured curl of 1.00 m to the left is in "
     assert said.startswith(words + "the heading; ")
     assert abs(found["heading"].value + 1.0 / 28.7) < 1e-3  # the chord of the curl
-
-
-@pytest.mark.slow
-def test_so_does_a_joint_fit(curled):
-    joint = fit_together([curled] * 8, "coulomb")
-    (said,) = (item for item in joint.warnings if "cannot" in item)
-    assert "the measured curls of 8 of 8 throws are in the heading" in said
 
 
 @pytest.mark.slow

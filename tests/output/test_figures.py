@@ -1,4 +1,4 @@
-"""Figures: no text runs into another or out of the picture, and curves that are one are named."""
+"""Figures: no text runs into another or out of the picture."""
 
 from dataclasses import replace
 from itertools import combinations
@@ -8,14 +8,14 @@ import pytest
 from matplotlib.text import Text
 
 import curlfit
-from curlfit.comparison.figures import comparison_figure
 from curlfit.comparison.result import Candidate, Comparison
-from curlfit.inference.figures import corner_figure, fit_figure, joint_figure
 from curlfit.inference.joint.result import JointResult, Variation
 from curlfit.inference.mcmc.chain import Chain
 from curlfit.options.figures import FigureFiles, write_figures
-from curlfit.output.figures import PALETTE, Picture, measured_slopes
+from curlfit.output.figures import Picture, measured_slopes
 from curlfit.output.ticks import neat_axis, unit_for
+from curlfit.reports.corner import corner_figure
+from curlfit.reports.figures import fit_figure, joint_figure
 
 
 def agg(figure):
@@ -230,18 +230,6 @@ def test_a_fit_with_a_discrepancy_is_drawn_with_it(eq12_fit):
         np.testing.assert_allclose(drawn, [fit.predicted[name], fit.fitted[name]])
 
 
-def test_a_fit_without_one_is_the_law(eq12_fit):
-    path = fit_figure(eq12_fit).axes[0]
-    shown = lines_of(path)
-    assert set(shown) == {"data", "front-back law"}
-    low, high = path.get_ylim()
-    assert low > high  # as seen from above: left of the stone is up
-    (second,) = path.child_axes
-    second.apply_aspect()
-    second._set_lims()
-    assert np.array(second.get_ylim()) * 0.3048 == pytest.approx((low, high))
-
-
 def test_slopes_of_data_are_those_of_the_motion():
     """Of evenly spaced rows a straight line has the slope of a parabola at the middle."""
     t = np.linspace(2.0, 12.0, 201)
@@ -362,67 +350,6 @@ def a_comparison(eq12, paths):
         data={"file": "a.csv"}, stone=curlfit.Stone(), curl=0.1, side="left", candidates=found,
         observed=observed,
     )  # fmt: skip
-
-
-def test_equal_curves_are_named_together(eq12):
-    bent, straight = eq12.x + 0.001, np.linspace(0, eq12.x[-1], len(eq12))
-    found = a_comparison(
-        eq12,
-        [
-            ("front-back", "uniform", False, bent),
-            ("front-back", "consistent", False, bent + 1e-5),
-            ("coulomb", "uniform", False, straight),
-            ("semi-empirical", "-", False, bent + 0.2),
-            ("radial", "uniform", True, bent),
-        ],
-    )
-    figure = comparison_figure(found)
-    require_room(figure)
-    named = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
-    assert named == [
-        "data",
-        "1, 2. front-back, uniform and consistent load\nradial, uniform load, any sign (same path)",
-        "3. coulomb, uniform load",
-        "4. semi-empirical",
-    ]
-    # as many lines as names, all of different looks
-    lines = [line for line in figure.axes[0].lines if line.get_linestyle() != "None"]
-    assert len(lines) == 3
-    assert len({(line.get_color(), line.get_linestyle()) for line in lines}) == 3
-
-
-def test_a_comparison_fills_its_figure(eq12):
-    """No blank strip: the panels reach the figure's right, and the legend does above."""
-    laws = [f"law-{k}" for k in range(10)]
-    paths = [
-        (law, load, False, eq12.x * (1 + 0.05 * k) + (load == "consistent") * 1e-6)
-        for k, law in enumerate(laws)
-        for load in ("uniform", "consistent")
-    ]
-    figure = comparison_figure(a_comparison(eq12, paths))
-    require_room(figure)
-    right = max(axes.get_position().x1 for axes in figure.axes[1:])
-    assert right > 0.97
-    legend = figure.axes[0].get_legend().get_window_extent()
-    assert legend.x1 / figure.bbox.width > 0.95
-    path = figure.axes[0].get_window_extent()
-    assert not path.overlaps(legend)
-
-
-def test_colours_are_told_apart_by_the_colour_blind():
-    """Neighbours of the palette differ under simulated deuteranopia (Vienot et al. 1999)."""
-    from matplotlib.colors import to_rgb
-
-    to_lms = np.array(
-        [[17.8824, 43.5161, 4.11935], [3.45565, 27.1554, 3.86714], [0.0299566, 0.184309, 1.46709]]
-    )
-    blind = np.array([[1, 0, 0], [0.494207, 0, 1.24827], [0, 0, 1]])
-    seen = []
-    for color in PALETTE:
-        linear = np.array(to_rgb(color)) ** 2.2
-        seen.append(np.clip(np.linalg.solve(to_lms, blind @ to_lms @ linear), 0, 1) ** (1 / 2.2))
-    gaps = [np.linalg.norm(a - b) for a, b in combinations(seen, 2)]
-    assert min(gaps) > 0.15
 
 
 # --- several throws ------------------------------------------------------------------------------

@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import DATA, invoke
+from conftest import invoke
 from rich.console import Console
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 import curlfit
 from curlfit import InputError, UnusableFitError
-from curlfit.inference.fit.result import Estimate
+from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.likelihood import whitened_residuals_of_many
 from curlfit.inference.mcmc.sampler import sample
 from curlfit.inference.problem import Origin, build_problem
@@ -50,7 +50,7 @@ def flat(eq12_fit):
 @pytest.fixture(scope="module")
 def sloping(eq12):
     """The split under consistent load, with noise of the same size in all places."""
-    return curlfit.profile(eq12, "mu1_eta", load="consistent", points=11)
+    return curlfit.profile(curlfit.fit(eq12, load="consistent"), "mu1_eta", points=11)
 
 
 def printed(profile):
@@ -134,14 +134,6 @@ def test_limits_far_from_those_of_the_covariance_are_right(blind):
     assert "Use the profile" in printed(found)
 
 
-@pytest.mark.slow
-def test_a_bent_region_is_on_the_grid_as_a_whole(blind):
-    pair = curlfit.profile(blind, ("mu2_xi", "omega0"), points=9)
-    assert (pair.delta[:, [0, -1]] >= 5.99).all()
-    assert (pair.delta[[0, -1]] >= 5.99).all()
-    assert pair.ellipse > 1
-
-
 def test_a_parameter_that_only_moves_the_path_has_its_parabola(fit):
     """With the rest fixed, chi squared is sum (x - x0)^2/sigma^2: a mean of n rows."""
     fixed = {name: item.value for name, item in fit.parameters.items() if name not in ("x0", "y0")}
@@ -166,19 +158,6 @@ def test_limits_are_where_chi_squared_is_higher_by_the_threshold(fit, sharp):
     assert max(sharp.departure.values()) < 0.1
     assert sharp.verdict == "limited"
     assert "agree" in printed(sharp)
-
-
-def test_a_mirrored_throw_has_the_mirrored_profile(fit):
-    throw = thrown()
-    mirrored = curlfit.fit(replace(throw, x=-throw.x, phi=-throw.phi))
-    one, other = (curlfit.profile(of, "omega0", points=9) for of in (fit, mirrored))
-    at, delta = -other.at[::-1], other.delta[::-1]
-    # Whether there is one more point out at an end may rest on rounding.
-    place = np.abs(one.at[:, None] - at).argmin(1)
-    same = np.isclose(one.at, at[place], rtol=1e-5, atol=1e-9)
-    assert same.sum() >= max(len(one.at), len(at)) - 1
-    np.testing.assert_allclose(one.delta[same], delta[place[same]], atol=2e-3)
-    assert one.delta.max() > 10
 
 
 # --- what is not determined ----------------------------------------------------------------------
@@ -222,22 +201,6 @@ def test_under_consistent_load_it_slopes_and_how_much_is_said(sloping):
     text = printed(sloping)
     assert "mu1_eta is weakly determined" in text
     assert "noise would have to be 3.3 times smaller, or the rows 11 times as many" in text
-
-
-@pytest.mark.slow
-def test_with_less_noise_the_consistent_split_is_determined(sloping, eq12):
-    """As much less as was said."""
-    fit = curlfit.fit(eq12, load="consistent")
-    less = {name: sigma / sloping.quieter(3.84) / 1.1 for name, sigma in fit.sigma.items()}
-    found = curlfit.profile(eq12.with_sigma(less), "mu1_eta", load="consistent", points=11)
-    assert found.verdict == "limited"
-    (first, second) = found.intervals
-    assert (first.low_by, first.high_by) == ("bound", "data")
-    assert second.high_by == "data"
-    assert second.high > first.high > 0
-    assert second.high < sloping.free[1]
-    assert found.rise == pytest.approx(3.84 * 1.21, rel=0.02)
-    assert "No lower limit from these data: its lower bound, 0" in printed(found)
 
 
 def test_a_pair_with_a_valley_follows_it(eq12_fit):
@@ -321,12 +284,6 @@ def test_a_saved_profile_is_the_same_and_its_label_does_not_meet_the_legend(
     assert not any(label.overlaps(legend.get_window_extent()) for legend in figure.legends)
 
 
-def test_a_coefficient_without_a_symbol_is_named_once(sharp):
-    own = replace(sharp.estimate, symbol=r"\mathrm{mu_left}")
-    named = replace(sharp, name="mu_left", parameters=sharp.parameters | {"mu_left": own})
-    assert curlfit.profile_figure(named).axes[1].get_xlabel().startswith("mu_left (")
-
-
 # --- the command ---------------------------------------------------------------------------------
 
 
@@ -355,26 +312,7 @@ def test_the_command_writes_prints_and_is_shown_again(fit, tmp_path, monkeypatch
     }  # no figure of an earlier one
 
 
-def test_options_of_a_fit_are_heeded(tmp_path):
-    words = ["profile", DATA, "--param", "v0", "--points", "5", "--until", "10", "--no-figures"]
-    words += ["--fix", "mu1_eta=0", "--sigma", "x=0.01,y=0.01,phi=0.01", "--out", tmp_path]
-    found = invoke(list(map(str, words)))
-    assert found.exit_code == 0, found.exception
-    profile = curlfit.load_profile(tmp_path)
-    assert profile.data["to"] == 10
-    assert "mu1_eta" not in profile.others
-    assert profile.parameters["mu1_eta"].verdict == "fixed"
-    expected = curlfit.fit(
-        curlfit.load_throw(DATA).with_sigma(dict.fromkeys("xy", 0.01) | {"phi": 0.01}),
-        until=10, fix={"mu1_eta": 0},
-    )  # fmt: skip
-    item = expected.parameters["v0"]
-    assert abs(profile.best - item.value) < 1e-6 * item.stderr
-
-
 def test_python_refuses_the_same(fit):
-    with pytest.raises(InputError, match="a fit has its own"):
-        curlfit.profile(fit, "v0", load="consistent")
     with pytest.raises(InputError, match="expected one of v0"):
         curlfit.profile(fit, "v0", ranges={"x0": (0, 1)})
     with pytest.raises(UnusableFitError, match="not usable"):
@@ -382,19 +320,3 @@ def test_python_refuses_the_same(fit):
 
 
 # --- counting ------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_intervals_hold_the_truth_as_often_as_they_say():
-    """Two coefficients of 100 throws each: 68 and 95 %, within four binomial deviations."""
-    held = {"68 %": 0, "95 %": 0}
-    tries = 0
-    for seed in range(100):
-        fit = curlfit.fit(thrown(seed=1000 + seed))
-        for name in ("mu1_xi", "mu2_xi"):
-            tries += 1
-            for interval in curlfit.profile(fit, name, points=9).intervals:
-                held[interval.level] += interval.low <= TRUE[name] <= interval.high
-    for level, chance in (("68 %", 0.683), ("95 %", 0.95)):
-        sd = np.sqrt(chance * (1 - chance) / 100)  # the two of a throw are not independent
-        assert abs(held[level] / tries - chance) < 4 * sd, held

@@ -44,6 +44,8 @@ class Case:
     options: Mapping[str, Any] = field(default_factory=dict)
     systematic: bool = False
     """whether the systematic error is added to the standard error"""
+    weak: bool = True
+    """whether weakly determined estimates count"""
 
 
 def prior(name: str) -> str:
@@ -131,7 +133,11 @@ def counts(case: Case, throws: int, seed: int = 0) -> tuple[dict[str, list[int]]
             failed += 1
             continue
         estimates = {name: fit.parameters[name] for name in true if name in fit.parameters}
-        items: dict[str, Any] = {name: item for name, item in estimates.items() if item.stderr}
+        items: dict[str, Any] = {
+            name: item
+            for name, item in estimates.items()
+            if item.stderr and (case.weak or item.verdict != "weak")
+        }
         known = {name: true[name] for name in items}
         for one in fit.combinations:
             if set(one.weights) <= true.keys():

@@ -121,7 +121,7 @@ def answers(kind: str, evenings: int) -> Iterator[dict[str, Answer]]:
             v = (low + high) / 2
             low, high = (v, high) if hog_to_hog(path_of(law, v, SPIN)) > WEIGHT else (low, v)
         end = path_of(law, v, SPIN)
-        from curlfit.prediction.call import Call
+        from curlfit.prediction.result import Call
 
         call = Call(labels, hog_to_hog=WEIGHT)
         predicted = curlfit.predict(joint, call=call, start={"omega0": SPIN}, seed=seed)

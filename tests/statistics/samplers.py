@@ -23,7 +23,8 @@ from scipy.stats import multivariate_normal, norm, truncnorm
 from tables import head, put, row
 
 import curlfit
-from curlfit.comparison.criteria import LeaveOneOut, leave_one_out, log_evidence, log_likelihood
+from curlfit.comparison.criteria import log_evidence, log_likelihood
+from curlfit.comparison.leave_one_out import LeaveOneOut, leave_one_out
 from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.likelihood import predict_channels
 

@@ -10,8 +10,8 @@ import pytest
 from conftest import command
 
 from curlfit import Throw
-from curlfit.throws.inspection import inspect_throw
-from curlfit.throws.report import braille, facts
+from curlfit.throws.motion import final_speed, first_row_at_rest, path_of
+from curlfit.throws.report import facts
 from curlfit.throws.throw import scatter
 
 SLOWING, SPEED = 0.1, 2.0  # m/s^2, m/s: at rest after 20 s and 20 m
@@ -36,14 +36,6 @@ def test_scatter_is_the_noise_and_not_the_bend(noise):
     assert scatter(bent[:9]) == 0
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.002])
-def test_rest_is_where_the_stone_stopped(noise):
-    rest = inspect_throw(throw(np.arange(0, 25, 0.02), noise)).rest
-    # within a second of 20 s a stone moves less than 5 cm
-    assert rest.time == pytest.approx(20, abs=np.sqrt(2 * (0.003 + 8 * noise) / SLOWING))
-    assert rest.radius < 0.003 + 8 * noise
-
-
 def ending(power, until, noise, dt, seed):
     """A throw whose speed falls as 2 m/s (1 - t/20 s)^power, and its speed at the last row.
 
@@ -65,9 +57,10 @@ def test_a_throw_cut_off_is_not_at_rest():
         until = 20 * (1 - (speed / SPEED) ** (1 / power))
         for seed in range(4):
             made, last = ending(power, until, noise, dt, seed)
-            rest = inspect_throw(made).rest
-            assert rest.time is None, (power, noise, dt, speed, seed)
-            off.append((rest.speed - last) / rest.error)
+            rows = path_of(made)
+            assert first_row_at_rest(*rows) is None, (power, noise, dt, speed, seed)
+            found, error = final_speed(*rows)
+            off.append((found - last) / error)
     # 0.954, were the paths parabolas; the braking of the first grows without limit toward rest
     assert 0.92 < np.mean(np.abs(off) < 2) < 0.98
 
@@ -80,35 +73,26 @@ def test_a_throw_cut_off_is_not_at_rest():
 )  # fmt: skip
 def test_rest_is_seen_where_it_lasted(power, noise, dt, after):
     for seed in range(8):
-        rest = inspect_throw(ending(power, 20 + after, noise, dt, seed)[0]).rest
-        assert rest.time is not None, seed
-        assert -0.5 - 60 * noise < rest.time - 20 < after, seed
+        t, positions = path_of(ending(power, 20 + after, noise, dt, seed)[0])
+        first = first_row_at_rest(t, positions)
+        assert first is not None, seed
+        assert -0.5 - 60 * noise < t[first] - 20 < after, seed
 
 
 def test_what_is_not_certain_is_said():
     made, _ = ending(1, 20.5, 0.02, 0.1, 3)
-    (line,) = (line for line in facts(made, inspect_throw(made), {}) if line.startswith("rest"))
+    (line,) = (line for line in facts(made, {}) if line.startswith("rest"))
     assert re.fullmatch(r"rest       uncertain: 0\.\d+\(\d+\) m/s at the last row", line)
     made, _ = ending(1, 18, 0.002, 0.1, 0)
-    (line,) = (line for line in facts(made, inspect_throw(made), {}) if line.startswith("rest"))
+    (line,) = (line for line in facts(made, {}) if line.startswith("rest"))
     assert re.fullmatch(r"rest       not observed: 0\.2\d+\(\d+\) m/s at the last row", line)
 
 
-def test_pauses_and_jumps_are_counted():
+def test_pauses_are_counted():
     t = np.delete(np.arange(0, 15, 0.05), slice(100, 130))
-    one = throw(t, 0.001)
-    spoiled = one.y.copy()
-    spoiled[50] += 3.0  # there and back
-    found = inspect_throw(Throw.from_arrays(t, one.x, spoiled))
-    assert found.clock.pauses == 1
-    assert found.clock.longest_pause == pytest.approx(1.55)
-    assert found.clock.pause_start == pytest.approx(4.95)
-    assert list(found.jumps) == ["y"]
-    np.testing.assert_allclose(found.jumps["y"], [2.5, 2.55])
-    lines = list(facts(one, found, {"until": 12}))
+    lines = list(facts(throw(t, 0.001), {"until": 12}))
     assert "interval   0.05 s (0.05 .. 1.55 s), 20 rows per second" in lines
     assert "pauses     1, the longest 1.55 s after t = 4.95 s" in lines
-    assert any(line.startswith("jumps      2 in y, the first at t = 2.5 s") for line in lines)
     assert "settings   until = 12" in lines
 
 
@@ -116,18 +100,9 @@ def test_a_speed_that_was_measured_says_how_the_throw_ends():
     t = np.arange(0.0, 10.0)
     for last, words in ((0.0, "at the last row"), (0.5, "not reached: 0.5 m/s at the end")):
         one = Throw.from_arrays(t, speed=np.linspace(2.0, last, 10))
-        assert f"rest       {words}" in list(facts(one, inspect_throw(one), {}))
+        assert f"rest       {words}" in list(facts(one, {}))
     spin = Throw.from_arrays(t, omega=t)
-    assert "rest       unknown: too few positions" in list(facts(spin, inspect_throw(spin), {}))
-
-
-def test_a_line_in_dots_rises_from_corner_to_corner():
-    lines = braille(np.arange(100.0), np.arange(100.0), width=10, height=2)
-    assert [len(line) for line in lines] == [10, 5]
-    dots = sum((ord(sign) - 0x2800).bit_count() for line in lines for sign in line)
-    assert dots >= 20  # each column has one at least
-    assert ord(lines[0][9]) & 0x08  # top right
-    assert ord(lines[1][0]) & 0x40  # bottom left
+    assert "rest       unknown: too few positions" in list(facts(spin, {}))
 
 
 def test_what_no_fit_can_use_is_refused_by_check(tmp_path):

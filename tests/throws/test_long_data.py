@@ -40,32 +40,6 @@ def test_means_over_blocks_keep_time_place_and_noise(long):
     assert "30001 rows condensed to" in short.notes[-1]
 
 
-@pytest.mark.slow
-def test_the_fit_is_that_of_all_rows_while_the_stone_moves(long):
-    moving = long.select_rows(until=22.0)
-    whole = curlfit.fit(replace(moving, notes=()), "front-back")
-    assert whole.data["rows"] < 6001
-    for name in ("mu1_xi", "mu2_xi", "v0", "omega0"):
-        item = whole.parameters[name]
-        true = {"v0": 2.1, "omega0": 1.3, **long.reference.values}[name]
-        assert abs(item.value - true) < 4 * item.stderr
-    thinned = curlfit.fit(replace(moving.condensed(1500), notes=()), "front-back")
-    for name in ("mu1_xi", "mu2_xi"):  # the start is that of the first block
-        one, other = whole.parameters[name], thinned.parameters[name]
-        # What is lost with the means scatters by the difference of the variances (Hausman 1978).
-        assert one.stderr < other.stderr < 1.01 * one.stderr
-        lost = np.sqrt(other.stderr**2 - one.stderr**2)
-        assert abs(one.value - other.value) < 4 * lost
-
-
-def test_given_sigmas_fall_as_in_a_mean(long):
-    given = long.with_sigma({"x": 0.005, "y": 0.005, "phi": 0.01})
-    short = given.condensed(3000)
-    moving = short.t < 20
-    block = np.diff(short.t[moving]).mean() / 0.002
-    assert np.median(short.sigma["x"][moving]) == pytest.approx(0.005 / np.sqrt(block), rel=0.05)
-
-
 def test_gaps_stay_gaps(long):
     phi = long.phi.copy()
     phi[2000:4000] = np.nan

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from conftest import parts_in
-from sample_files import PHI, T, X, Y, known_points, project, table
+from sample_files import PHI, T, X, Y, table
 
 from curlfit import DataError, InputError, load_throw
 
@@ -36,24 +36,16 @@ def export(places, t=T, unit="m", factor=1.0):
     )
 
 
-@pytest.mark.parametrize(("unit", "factor"), [("m", 1.0), ("cm", 100.0), ("mm", 1000.0)])
+@pytest.mark.parametrize(("unit", "factor"), [("m", 1.0), ("cm", 100.0)])
 def test_the_direction_of_the_handle_is_the_angle(write, unit, factor):
     places, phi = marked()
-    throw = load_throw(write(export(places, unit=unit, factor=factor)), handle=2)
+    file = write(export(places, unit=unit, factor=factor))
+    throw = load_throw(file, handle=2)
+    assert [part.stone_index for part in parts_in(file, handle=2)] == [1]  # of a batch
     turns = 2 * np.pi * np.round((throw.phi[0] - phi[0]) / (2 * np.pi))
     np.testing.assert_allclose(throw.phi - turns, phi, atol=1e-6)
     np.testing.assert_allclose(throw.x, X, atol=1e-8)
     assert any("the direction of the mark, 120 mm from" in note for note in throw.notes)
-
-
-def test_either_object_may_be_the_stone_and_a_batch_leaves_the_handle_out(write):
-    places, phi = marked()
-    file = write(export([*places[2:], *places[:2]]))
-    throw = load_throw(file, stone_index=2, handle=1)
-    np.testing.assert_allclose(np.diff(throw.phi), np.diff(phi), atol=1e-6)
-    (part,) = parts_in(file, handle=1)
-    assert part.stone_index == 2
-    np.testing.assert_allclose(part.throw.phi, throw.phi)
 
 
 @pytest.mark.parametrize("words", ["x-along", "x-left", "y-back,counter-clockwise", "clockwise"])
@@ -95,20 +87,6 @@ def test_given_sigmas_are_propagated(write):
     assert keep.sum() > 50
     np.testing.assert_allclose(throw.sigma["phi"][keep], expected[keep], rtol=1e-6)
     np.testing.assert_allclose(np.diff(throw.phi), np.diff(phi), atol=1e-9)
-    in_cm = {name: 100 * v if name[0] in "xy" else v for name, v in columns.items()
-             if "sigma" not in name}  # fmt: skip
-    again = load_throw(write(table(in_cm)), units="length=cm")
-    np.testing.assert_allclose(again.phi, throw.phi, atol=1e-9)
-
-
-def test_marks_in_pixels(write):
-    places, phi = marked()
-    u, v = project(places[0], places[1])
-    u_handle, v_handle = project(places[2], places[3])
-    points = write(known_points(), "points.csv")
-    columns = {"t": T, "x": u, "y": v, "x_handle": u_handle, "y_handle": v_handle}
-    throw = load_throw(write(table(columns)), reference=points)
-    np.testing.assert_allclose(np.diff(throw.phi), np.diff(phi), atol=1e-6)
 
 
 def test_gaps_of_either_mark_are_gaps_of_the_angle(write):

@@ -15,25 +15,6 @@ PLAIN = "t,x,y,phi\n0,0.1,0,0\n1,0.2,2,1\n2,0.4,3,1.5\n"
 
 
 @pytest.mark.parametrize(
-    "content",
-    [
-        PLAIN,
-        b"\xef\xbb\xbf" + PLAIN.encode(),
-        PLAIN.replace("\n", "\n\n").replace("0,0.1", "# a comment\n0,0.1"),
-        PLAIN.replace("\n", ",\n"),
-        'y,"phi",t,x,camera\n0,0,0,0.1,a\n2,1,1,0.2,b\n3,1.5,2,0.4,c\n',
-        "time_ms,x_cm,y [mm],angle (rad)\n0,10,0,0\n1000,20,2000,1\n2000,40,3000,1.5\n",
-    ],
-)  # fmt: skip
-def test_the_same_throw_in_many_forms(write, content):
-    throw = load_throw(write(content))
-    np.testing.assert_allclose(throw.t, [0, 1, 2])
-    np.testing.assert_allclose(throw.x, [0.1, 0.2, 0.4])
-    np.testing.assert_allclose(throw.y, [0, 2, 3])
-    np.testing.assert_allclose(throw.phi, [0, 1, 1.5])
-
-
-@pytest.mark.parametrize(
     ("header", "quantity", "factor"),
     [
         ("t", "t", 1), ("time", "t", 1), ("t_s", "t", 1), ("Time [ms]", "t", 1e-3),
@@ -72,15 +53,6 @@ def test_an_empty_column_was_not_measured(write, header):
     assert throw.seen == ("x", "y")
     assert not throw.sigma
     assert any(f"column {header} is empty" in note for note in throw.notes)
-    frame = {"t": [0, 1, 2], "x": [0.1, 0.2, 0.4], "y": [0, 2, 3], header: [None, np.nan, None]}
-    assert Throw.from_frame(frame).seen == ("x", "y")
-
-
-@pytest.mark.parametrize("header", ["t,v", "t,phi,omega", "t_gyro,omega,sigma_omega"])
-def test_a_file_of_empty_columns_is_refused(write, header):
-    blank = "," * header.count(",")
-    with pytest.raises(DataError, match="no value of"):
-        load_throw(write(f"{header}\n0{blank}\n1{blank}\n"))
 
 
 def test_settings_and_other_comments(write):
@@ -88,12 +60,7 @@ def test_settings_and_other_comments(write):
         write('# seen from the gallery\n# until = 1.5\n# stone.R = 0.06\n# ice = "new"\n' + PLAIN)
     )
     assert throw.defaults == {"until": 1.5, "stone": {"R": 0.06}}
-    assert any("'ice' is not known" in note for note in throw.notes)
-
-
-def test_ignored_columns_are_named(write):
-    throw = load_throw(write(PLAIN.replace("phi", "heat")))
-    assert any("heat" in note for note in throw.notes)
+    assert "settings not known and ignored: 'ice' (line 4)" in throw.notes
 
 
 @pytest.mark.parametrize(
@@ -106,7 +73,6 @@ def test_ignored_columns_are_named(write):
         (PLAIN.replace("x", "z"), 1, None, "no column for x among t, z, y, phi"),
         (PLAIN.replace("phi", "x_cm"), 1, None, "both mean x"),
         (PLAIN.replace("0.2", "hello"), 3, "x", "'hello' found, expected a finite number"),
-        (PLAIN.replace("0.2", "1_000"), 3, "x", "'1_000' found"),
         (PLAIN.replace("0.2", "1e999"), 3, "x", "'1e999' found"),
         (PLAIN.replace("\n1,", "\n,"), 3, "t", "the time is missing"),
         (PLAIN.replace("\n2,", "\n1,").replace("0.4,3", "9,3"), 4, "t", "places 8.8 m apart"),
@@ -144,7 +110,7 @@ def test_files_that_are_none(tmp_path):
 def test_arrays():
     throw = Throw.from_arrays([0, 1, 2], [0, 0, 0], [0, 2, 3], sigma={"x": 0.01})
     np.testing.assert_array_equal(throw.sigma["x"], 0.01)
-    with pytest.raises(DataError, match="row 2: time 1 s is repeated"):
+    with pytest.raises(DataError, match="row 2: 1 found; times must increase"):
         Throw.from_arrays([0, 1, 1], [0, 0, 0], [0, 2, 3])
 
 

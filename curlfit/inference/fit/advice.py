@@ -20,12 +20,14 @@ import numpy as np
 
 from curlfit.friction import check_load
 from curlfit.friction.curl import can_curl
-from curlfit.inference.fit.residuals import CORRELATED
+from curlfit.inference.fit.caveats import CORRELATED
+from curlfit.inference.fit.prepared import LeastSquaresFit
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.fit.summary import LeastSquaresFit
 from curlfit.inference.identifiability import WEAK_ERROR, Identifiability, analyse
+from curlfit.inference.least_squares import Indices
 from curlfit.inference.likelihood import predict_channels
 from curlfit.inference.noise.models import is_rough
+from curlfit.numerics.arrays import Floats
 from curlfit.numerics.differences import slopes
 from curlfit.output.text import join_words, two_digits
 from curlfit.throws.motion import SURE, motion_of
@@ -148,32 +150,25 @@ def remedies(
     Parameters with the same remedy are grouped. Of several channels in "measure" any one suffices,
     unless "all" is true: then all are needed. It is empty where no channel would help.
     """
-    parameters, values = fit.prepared.local_parameters, fit.solution.values
-    problem, rows = fit.problem, len(fit.prepared.throw)
+    parameters = fit.prepared.local_parameters
     free = np.array([place for place, name in enumerate(parameters.names) if name not in held])
-    fixed = parameters.lower >= parameters.upper  # for lack of a channel that depends on them
-    jacobian = slopes(
-        lambda moved: predict_channels(fit.model, moved, problem)[:, :rows],
-        values, _STEP * parameters.typical, free,
-        lower=np.where(fixed, -np.inf, parameters.lower),
-        upper=np.where(fixed, np.inf, parameters.upper),
-    )  # fmt: skip
-    weight = np.zeros(jacobian.shape[:2])
-    weight[: len(problem.weight)] = problem.weight[:, :rows]
+    names, values = [parameters.names[place] for place in free], fit.solution.values[free]
+    jacobian, typical = _slopes_of_all_channels(fit, free), parameters.typical[free]
+    weight = np.zeros_like(jacobian[..., 0])
+    weight[: len(fit.problem.weight)] = fit.problem.weight[:, : weight.shape[1]]
     missing = [name for row, name in enumerate(CHANNELS) if not weight[row].any()]
-    names = [parameters.names[place] for place in free]
 
     def analysed(channels: Sequence[str]) -> Identifiability:
         full = weight.copy()
         for name in channels:
             full[CHANNELS.index(name)] = 1 / NOISE[name]
         matrix = (full[..., None] * jacobian).reshape(-1, len(free))
-        return analyse(matrix, names, values[free], parameters.typical[free])
+        return analyse(matrix, names, values, typical)
 
     def determined(channels: Sequence[str]) -> set[str]:
         known = analysed(channels)
         spread = np.sqrt(np.diag(known.covariance))
-        sharp = (spread < WEAK_ERROR * parameters.typical[free]) & ~known.unseen
+        sharp = (spread < WEAK_ERROR * typical) & ~known.unseen
         return {name for name, take in zip(names, sharp, strict=True) if take}
 
     if fit.noise.kind != "white":
@@ -197,3 +192,15 @@ def remedies(
         {"parameters": named, "measure": list(channels), "all": all_}
         for (channels, all_), named in found.items()
     )
+
+
+def _slopes_of_all_channels(fit: LeastSquaresFit, free: Indices) -> Floats:
+    """Derivatives of the path by some parameters, shape (channels, rows, parameters)."""
+    parameters, rows = fit.prepared.local_parameters, len(fit.prepared.throw)
+    fixed = parameters.lower >= parameters.upper  # for lack of a channel that depends on them
+    return slopes(
+        lambda moved: predict_channels(fit.model, moved, fit.problem)[:, :rows],
+        fit.solution.values, _STEP * parameters.typical, free,
+        lower=np.where(fixed, -np.inf, parameters.lower),
+        upper=np.where(fixed, np.inf, parameters.upper),
+    )  # fmt: skip

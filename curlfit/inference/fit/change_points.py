@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 
-from curlfit.inference.fit.summary import LeastSquaresFit
+from curlfit.inference.fit.prepared import LeastSquaresFit
 from curlfit.inference.likelihood import predict_channels
 from curlfit.inference.noise.models import time_of_motion
 from curlfit.numerics.arrays import Floats

@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,9 @@ _CURVED = 0.003  # standard error over typical size below which chi squared is q
 _UNKNOWN = 3.0  # the same, above which nothing is determined in any case
 _MISLEADING = 4.0  # factor by which the rise of chi squared is off if a standard error is by two
 _SMALL = 0.1  # standard error over typical size, below which an estimate is determined even then
+_FAINT = 0.5  # standard error over typical size above which a direction is hardly determined
+_CURVED_RIDGE = 4.0  # rise of chi squared: what fits has left the tangent by two standard errors
+_TAKES_PART = 0.05  # component over the largest, above which a parameter takes part in a direction
 _QUADRATIC = 0.5  # largest departure from one of the rise of chi squared at one standard error
 _KNOWN = 1e-3  # share of estimated variances in a sum below which the sum counts as known
 _MEDIAN_EFFICIENCY = 0.37  # of sigma from the median absolute residual, Gaussian noise (Huber 1981)
@@ -50,6 +53,7 @@ class Covariance:
     identifiability: Identifiability
     of_data: Identifiability
     """identifiability from the data without the priors"""
+    free: Booleans
     at_bound: Booleans
     open: Booleans
     matrix: Floats
@@ -73,7 +77,6 @@ class Covariance:
         names: Sequence[str],
         bounded: Bounded,
         typical: Floats,
-        free: Booleans,
         factors: tuple[Factors, Factors],
         jacobian: Floats,
         sigmas: Sigmas,
@@ -90,6 +93,7 @@ class Covariance:
         has_priors : whether there is information besides these residuals.
         """
         searched, estimator = factors
+        free = bounded.upper > bounded.lower
         problem = LinearizedProblem(
             searched.confined[:, -1], searched.confined[:, :-1], *bounded, typical, free
         )
@@ -98,14 +102,15 @@ class Covariance:
         ends = Bounded(*(part[open_] for part in bounded))
         about = list(itertools.compress(names, open_)), ends.values, typical[open_], slack, ends
         known = of_data = analyse(estimator.whole[:, :-1][:, open_], *about)
-        if estimator.whole is not estimator.of_data:
+        if has_priors:
             of_data = analyse(estimator.of_data[:, :-1][:, open_], *about)
         matrix, by_open = known.covariance - slack @ slack.T, jacobian[..., open_]
         effect = by_open @ matrix
         leverage = (effect * by_open).sum(-1)
         whole = problem._replace(jacobian=searched.whole[:, :-1])
         return cls(
-            names, bounded.values, typical, searched.confined, known, of_data, at_bound, open_,
+            names, bounded.values, typical, searched.confined, known, of_data, free, at_bound,
+            open_,
             matrix, float(problem.distance(sigmas.total, whole)), effect,
             sigmas.dof(leverage), leverage, has_priors,
         )  # fmt: skip
@@ -114,14 +119,13 @@ class Covariance:
         """For the variances of weighted sums of the open parameters, one per row of weights; None
         where all sigmas were given."""
         parts = ((self.effect @ weights.T) ** 2).sum(1).T
-        dof = np.broadcast_to(self.dof, parts.shape)
+        dof = self.dof
         if self.others is not None:
-            of_others, dof_of_others = self.others.variance(weights)
-            parts, dof = np.column_stack([parts, of_others]), np.column_stack([dof, dof_of_others])
+            parts = np.hstack([parts, self.others.parts(weights)])
+            dof = np.append(dof, self.others.dof)
         if self.has_priors:  # which are known exactly
             rest = ((weights @ self.matrix) * weights).sum(-1) - parts.sum(-1)
-            parts = np.column_stack([parts, rest])
-            dof = np.column_stack([dof, np.full(len(dof), np.inf)])
+            parts, dof = np.column_stack([parts, rest]), np.append(dof, np.inf)
         return satterthwaite(parts, dof)
 
     @property
@@ -159,18 +163,94 @@ class Covariance:
             for name, row in self.identifiability.determined().items()
         }
 
-    def bound_warnings(self, lower: Floats, upper: Floats) -> list[str]:
-        """Warnings about parameters at a bound."""
-        warnings = []
-        for name, low, high in itertools.compress(
-            zip(self.names, lower, upper, strict=True), self.at_bound
-        ):
-            within = f"{low:g}..{high:g}"
-            what = f"favour values outside {within}"
-            if name in self.identifiability.names:
-                what = f"hardly distinguish this value from others within {within}"
-            warnings.append(f"{name} is at its bound; the data {what}")
-        return warnings
+    def information(self) -> dict[str, list[Any]]:
+        """The information matrix J^T J of the free parameters, and the gradient of the
+        log-likelihood."""
+        jacobian = self.factor[:, :-1][:, self.free]
+        return {
+            "names": list(itertools.compress(self.names, self.free)),
+            "gradient": (-self.factor[:, -1] @ jacobian).tolist(),
+            "matrix": (jacobian.T @ jacobian).tolist(),
+        }
+
+    def one_sigma_points(self, bounded: Bounded) -> tuple[Floats, Floats]:
+        """Points one standard error from the optimum along the principal axes of the covariance,
+        within the bounds, on axes whose standard error is neither tiny nor meaningless; and these
+        axes in typical sizes, of the same shape (points, parameters).
+
+        `bounded` is in the problem's coordinates.
+        """
+        # Covariance of the open parameters alone: those at a bound stay there.
+        sizes = self.typical[self.open]
+        squares, axes = np.linalg.eigh(self.matrix / np.outer(sizes, sizes))
+        some = (squares > _CURVED**2) & (squares < _UNKNOWN**2)
+        along = np.zeros((int(some.sum()), 2, len(self.typical)))
+        along[..., self.open] = axes.T[some, None]
+        size = np.sqrt(squares[some])[:, None, None] * [[1.0], [-1.0]]
+        points = bounded.values + size * along * self.typical
+        inside = ((points >= bounded.lower) & (points <= bounded.upper)).all(-1)
+        return points[inside], along[inside]
+
+    def ridge_points(self, bounded: Bounded) -> Ridge:
+        """Points along what is hardly determined, or not at all: one standard error from the
+        optimum, or a typical size where that is less, whatever the bounds."""
+        sizes = self.typical[self.open]
+        _, singular, rows = np.linalg.svd(self.factor[:, :-1][:, self.open] * sizes)
+        sigmas = 1 / np.maximum(np.append(singular, np.zeros(len(rows) - len(singular))), 1e-12)
+        faint = sigmas > _FAINT
+        axes = np.zeros((int(faint.sum()), 2, len(self.typical)))
+        axes[..., self.open] = rows[faint, None]
+        steps = np.minimum(sigmas[faint], 1.0)
+        points = bounded.values + steps[:, None, None] * [[1.0], [-1.0]] * axes * self.typical
+        expected = np.repeat((steps / sigmas[faint]) ** 2, 2)
+        size = len(self.typical)
+        return Ridge(points.reshape(-1, size), axes.reshape(-1, size), expected)
+
+    def beside_a_ridge(self, ridge: Ridge, delta_chi2: Floats) -> set[str]:
+        """Combinations of parameters along a direction that is hardly determined, where chi squared
+        rises more than at first order: the values that fit lie on a curve, and a sum of parameters
+        is constant along its tangent alone.
+
+        `delta_chi2` is the rise of chi squared at the points of the ridge.
+        """
+        curved = delta_chi2 - ridge.expected > _CURVED_RIDGE
+        size = np.abs(ridge.axes)[curved][:, self.open]
+        concerned = (size > _TAKES_PART * size.max(-1, keepdims=True)).any(0)
+        weights = self.identifiability.determined()
+        return {
+            item.expression
+            for item in self.identifiability.combinations
+            if (concerned & (weights[item.expression] != 0)).any()
+        }
+
+    def nonquadratic(self, axes: Floats, delta_chi2: Floats) -> dict[str, bool]:
+        """Parameters and combinations along which chi squared does not rise by about one at one
+        standard error, and whether it is so misleading there that nothing may be determined.
+
+        An axis concerns an estimate if it contributes a quarter or more of its variance. A large
+        departure is misleading for the parameters that dominate the axis, and for estimates whose
+        standard error is not small.
+
+        Parameters
+        ----------
+        axes : from `one_sigma_points`; `delta_chi2` is the rise of chi squared at these points.
+        """
+        off = ~(np.abs(delta_chi2 - 1) < _QUADRATIC)
+        if not off.any():
+            return {}
+        rise = np.maximum(np.nan_to_num(delta_chi2[off], nan=np.inf), 1e-300)
+        axes, sizes = axes[off][:, self.open], self.typical[self.open]
+        factor, longest = np.maximum(rise, 1 / rise), np.abs(axes).max(1)
+        named = {}
+        for name, row in self.identifiability.determined().items():
+            error = np.sqrt(row @ self.identifiability.covariance @ row)
+            concerned = np.abs(axes @ (row * sizes)) > 0.5 * error
+            if concerned.any():
+                dominant = (np.abs(axes @ row)[concerned] > 0.3 * longest[concerned]).any()
+                large = error > _SMALL * sizes[row != 0].max()
+                most = factor[concerned].max()
+                named[name] = bool(most > _MISLEADING and (dominant or large))
+        return named
 
 
 def satterthwaite(parts: Floats, dof: Floats) -> list[float | None]:
@@ -183,45 +263,49 @@ def satterthwaite(parts: Floats, dof: Floats) -> list[float | None]:
     return [None if exact else n for n, exact in zip(found.tolist(), known, strict=True)]
 
 
+class Ridge(NamedTuple):
+    """Points along directions that are hardly determined, shape (points, parameters)."""
+
+    points: Floats
+    axes: Floats
+    """in typical sizes"""
+    expected: Floats
+    """rise of chi squared at the points, to first order"""
+
+
 class OtherThrows(NamedTuple):
     """What the noise of the other throws contributes to the variances of a throw's estimates."""
 
     follow: Floats
     """change of the open parameters with those in common, shape (open, common)"""
-    matrix: Floats
-    """covariance of those in common due to channels whose sigma was estimated"""
-    squares: Floats
-    """sum of the squares of its parts by channel, each over its degrees of freedom, by pairs of
-    parameters in common"""
+    matrices: Floats
+    """covariance of those in common due to each channel of all throws, shape (throws, channels,
+    common, common)"""
+    dof: Floats
+    """of each channel's sigma, shape (throws, channels)"""
+    own: int
+    """index of the throw itself"""
 
-    @classmethod
-    def of_each(cls, found: Sequence[Covariance], reduction: Reduction) -> list[OtherThrows]:
-        """For each of some throws that are fitted together."""
-        matrices, squares, common = [], [], reduction.common
-        for one in found:
-            effect = np.zeros((*one.effect.shape[:-1], len(common)))
-            effect[..., one.open] = one.effect
-            effect = effect[np.isfinite(one.dof)][..., common]
-            parts = effect.mT @ effect
-            rows = parts.reshape(len(parts), int(common.sum()) ** 2)
-            matrices.append(parts.sum(0))
-            squares.append(rows.T @ (rows / one.dof[np.isfinite(one.dof), None]))
-        total, all_squares = np.sum(matrices, 0), np.sum(squares, 0)
-        return [
-            cls(follow[one.open][:, common], total - matrix, all_squares - square)
-            for one, follow, matrix, square in zip(
-                found, reduction.follow, matrices, squares, strict=True
-            )
-        ]
-
-    def variance(self, weights: Floats) -> tuple[Floats, Floats]:
-        """Of weighted sums of the open parameters, one per row of weights, the part that is due to
-        estimated sigmas of the others, and its degrees of freedom."""
+    def parts(self, weights: Floats) -> Floats:
+        """Of the variances of weighted sums of the open parameters, one per row of weights."""
         along = weights @ self.follow
-        pairs = (along[:, :, None] * along[:, None]).reshape(len(along), -1)
-        part, square = pairs @ self.matrix.ravel(), ((pairs @ self.squares) * pairs).sum(-1)
-        part = np.maximum(part, 0.0)
-        return part, np.where(square > 0, part**2 / np.where(square > 0, square, 1.0), np.inf)
+        found = np.einsum("wi,tcij,wj->wtc", along, self.matrices, along)
+        found[:, self.own] = 0.0
+        return found.reshape(len(along), -1)
+
+
+def with_others(found: Sequence[Covariance], reduction: Reduction) -> list[Covariance]:
+    """Those of throws that are fitted together, each with the noise of the others."""
+    common = reduction.common
+    effects = np.zeros((len(found), *found[0].effect.shape[:-1], len(common)))
+    for effect, one in zip(effects, found, strict=True):
+        effect[..., one.open] = one.effect
+    effects = effects[..., common]
+    matrices, dof = effects.mT @ effects, np.stack([one.dof for one in found])
+    return [
+        replace(one, others=OtherThrows(follow[one.open][:, common], matrices, dof, row))
+        for row, (one, follow) in enumerate(zip(found, reduction.follow, strict=True))
+    ]
 
 
 class Sigmas(NamedTuple):
@@ -250,77 +334,9 @@ def robust_jacobians(problems: Problem, solutions: Solution, residual: Floats, l
     The covariance of an M-estimator is that of least squares divided by `precision` (Huber 1981).
     `residual` is measured - fitted.
     """
-    if loss == "linear":
-        return solutions.jacobian
     jacobians: Floats = solutions.jacobian.copy()
     for place in np.ndindex(jacobians.shape[:2]):
         weight = problems.weight[place]
         r = -residual[place] * weight
         jacobians[place] *= np.sqrt(precision(r[weight > 0], loss)) / root_slope(r, loss)[:, None]
     return jacobians
-
-
-class OneSigmaPoints(NamedTuple):
-    """Points one standard error from the optimum along the principal axes of the covariances."""
-
-    owner: NDArray[np.intp]
-    """index of the throw, shape (points,)"""
-    point: Floats
-    """shape (points, parameters)"""
-    axis: Floats
-    """in typical sizes, of the same shape; 0 for parameters that are not open"""
-
-
-def one_sigma_points(
-    found: Sequence[Covariance], values: Floats, lower: Floats, upper: Floats, typical: Floats
-) -> OneSigmaPoints:
-    """The points within bounds on axes whose standard error is neither tiny nor meaningless.
-
-    Parameters
-    ----------
-    values, lower, upper : of each throw, in the problems' coordinates. typical : of all.
-    """
-    parts = []
-    for owner, one in enumerate(found):
-        # Covariance of the open parameters alone: those at a bound stay there.
-        squares, axes = np.linalg.eigh(one.matrix / np.outer(typical[one.open], typical[one.open]))
-        some = (squares > _CURVED**2) & (squares < _UNKNOWN**2)
-        along = np.zeros((int(some.sum()), 2, len(typical)))
-        along[..., one.open] = axes.T[some, None]
-        size = np.sqrt(squares[some])[:, None, None] * [[1.0], [-1.0]]
-        points = values[owner] + size * along * typical
-        inside = ((points >= lower[owner]) & (points <= upper[owner])).all(-1)
-        which = np.full(int(inside.sum()), owner)
-        parts.append(OneSigmaPoints(which, points[inside], along[inside]))
-    return OneSigmaPoints(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
-
-
-def nonquadratic_estimates(
-    found: Sequence[Covariance], around: OneSigmaPoints, delta_chi2: Floats, typical: Floats
-) -> list[dict[str, bool]]:
-    """Parameters and combinations along which chi squared does not rise by about one at one
-    standard error, and whether it is so misleading there that nothing may be determined.
-
-    An axis concerns an estimate if it contributes a quarter or more of its variance. A large
-    departure is misleading for the parameters that dominate the axis, and for estimates whose
-    standard error is not small.
-    """
-    off = ~(np.abs(delta_chi2 - 1) < _QUADRATIC)
-    rise = np.maximum(np.nan_to_num(delta_chi2, nan=np.inf), 1e-300)
-    factor = np.maximum(rise, 1 / rise)
-    named: list[dict[str, bool]] = [{} for _ in found]
-    for owner in np.unique(around.owner[off]):
-        mine = off & (around.owner == owner)
-        known, sizes = found[owner].identifiability, typical[found[owner].open]
-        axes = around.axis[mine][:, found[owner].open]
-        longest = np.abs(axes).max(1)
-        for name, row in known.determined().items():
-            error = np.sqrt(row @ known.covariance @ row)
-            concerned = np.abs(axes @ (row * sizes)) > 0.5 * error
-            if not concerned.any():
-                continue
-            most = float(factor[mine][concerned].max())
-            dominant = (np.abs(axes @ row)[concerned] > 0.3 * longest[concerned]).any()
-            large = error > _SMALL * sizes[row != 0].max()
-            named[owner][name] = bool(most > _MISLEADING and (dominant or large))
-    return named

@@ -9,20 +9,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from curlfit.inference.identifiability import (
-    Bounded,
-    confined,
-    inverted,
-    r_factor,
-    slack,
-    visible,
-)
+from curlfit.inference.identifiability import Bounded, confined, inverted, r_factor, visible
 from curlfit.inference.priors import Penalty
 from curlfit.numerics.arrays import Booleans, Floats
 
 _LOOSE = 0.1  # typical sizes inside its bound from which a parameter is not held by it
 _NEAR = 1e-6  # typical sizes from a bound within which a parameter is at the bound
 _PUSHED = 10.0  # least push against a bound over the slopes by the parameters inside theirs ...
+_ROUNDING = 1e-9  # singular value over the largest
+_WIDEST = 1e3  # typical sizes, beyond which nothing is known
 _LEAST_PUSH, _CLEAR_PUSH = 1e-6, 1e-3  # ... within these limits, half chi squared per typical size
 
 
@@ -82,7 +77,7 @@ class LinearizedProblem(NamedTuple):
         held = at_bound.copy()
         for _ in range(2):
             open_ = self.free & ~held
-            distance, columns = slack(
+            distance, columns = _slack(
                 self.jacobian[:, open_], self.jacobian[:, held], push[held], self.typical[held],
                 room[held],
             )  # fmt: skip
@@ -115,6 +110,43 @@ class LinearizedProblem(NamedTuple):
         if not np.array_equal(self.jacobian, whole.jacobian):
             decrement = np.minimum(decrement, whole.newton_decrement(whole.movable()))
         return decrement / np.sqrt(np.maximum(reduced, 1.0))
+
+
+def _slack(
+    jacobian: Floats, bounded: Floats, push: Floats, typical: Floats, room: Floats
+) -> tuple[Floats, Floats]:
+    """Spread of parameters at a bound, each a normal truncated there; the open ones follow.
+
+    An optimum at a bound leaves the parameter a one-sided spread: wide where the data hardly push
+    against the bound, as at the end of a ridge, and of scale 1/push where they do. Holding it at
+    the bound would make the others appear more precise than they are.
+
+    Parameters
+    ----------
+    jacobian, bounded : of the residuals over their sigma, with respect to the open parameters and
+        to those at a bound.
+    push : decrease of half of chi squared per unit beyond the bound, >= 0, for each at a bound.
+    typical, room : of those at a bound: typical size, and width of the interval of bounds.
+
+    Returns
+    -------
+    the rms distance of each from the bound, and the corresponding change of the open parameters,
+    shape (open, bounded).
+    """
+    from scipy.special import log_ndtr  # slow to load
+
+    size = np.linalg.norm(jacobian, axis=0)
+    size[size == 0] = 1.0
+    follow = -np.linalg.lstsq(jacobian / size, bounded, rcond=_ROUNDING)[0] / size[:, None]
+    stiff = np.linalg.norm(bounded + jacobian @ follow, axis=0)
+    sigma = 1 / np.maximum(stiff, 1 / (_WIDEST * typical))
+    alpha = push * sigma
+    # mean square distance from the cut of a normal truncated alpha sigma above its mean
+    least = np.minimum(alpha, 30)
+    hazard = np.exp(-(least**2 + np.log(2 * np.pi)) / 2 - log_ndtr(-least))
+    square = np.where(alpha < 30, 1 + alpha**2 - alpha * hazard, 2 / np.maximum(alpha, 1) ** 2)
+    distance = np.minimum(sigma * np.sqrt(square), room)
+    return distance, follow * distance
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,6 +259,4 @@ class Factors(NamedTuple):
 
     def at(self, row: int) -> Factors:
         """Those of one problem."""
-        same = self.whole is self.of_data
-        of_data = self.of_data[row]
-        return Factors(of_data, of_data if same else self.whole[row], self.confined[row])
+        return Factors(self.of_data[row], self.whole[row], self.confined[row])

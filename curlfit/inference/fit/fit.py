@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 from typing import Any
@@ -15,11 +15,11 @@ from curlfit.friction.family import LawFamily
 from curlfit.inference.derived import check_derived
 from curlfit.inference.fit.advice import remedies, with_curl_warning, with_noise_advice
 from curlfit.inference.fit.change_points import sudden_change
-from curlfit.inference.fit.prepared import PreparedThrow, local_bounds, penalties
+from curlfit.inference.fit.prepared import LeastSquaresFit, PreparedThrow, local_bounds, penalties
 from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.rounds import Rounds
-from curlfit.inference.fit.summary import LeastSquaresFit, summarize, summarize_many
+from curlfit.inference.fit.summary import summarize, summarize_many
 from curlfit.inference.fit.systematics import widths_of
 from curlfit.inference.least_squares import (
     Solution,
@@ -36,7 +36,6 @@ from curlfit.inference.model import Model
 from curlfit.inference.problem import Origin, problem_shape
 from curlfit.numerics.batches import BATCH, stacked, unstacked
 from curlfit.settings.choices import Fitting, takes
-from curlfit.stone import Stone
 from curlfit.throws.throw import Reference, Throw, require_throw
 
 _OPEN = ("not identifiable", "weak")  # verdicts that another measurement might change
@@ -112,7 +111,8 @@ def _fit(
         return result
     result = replace(with_curl_warning(result), quantities=quantities_of(result))
     if result.reference is not None:
-        result = replace(result, reference_fits=_reference_fits(found, result))
+        fits = _reference_fits(found, result, result.reference)
+        result = replace(result, reference_fits=fits)
     open_ = [name for name, item in result.parameters.items() if item.verdict in _OPEN]
     return replace(result, remedies=remedies(found, open_, chosen.fix)) if open_ else result
 
@@ -141,7 +141,7 @@ def _fitted(
     model, throws, alone = rounds.model, rounds.throws, rounds.batch == 1
     if alone:
         (problem,) = unstacked(rounds.problems)
-        prepare_minimize(model, throws[0].first_parameters, problem)
+        prepare_minimize(model, throws[0].local_parameters, problem)
         prepare_channels(model, len(throws[0].parameters), problem)
     _, lower, upper = local_bounds(throws)
     paths, sides = rounds.starts()
@@ -202,12 +202,18 @@ def _outcome(
     return rounds.record(row, best, tried, rival)
 
 
-def _reference_fits(fit: LeastSquaresFit, result: FitResult) -> tuple[dict[str, Any], ...]:
-    """The values that the fit gives with other constants of the stone."""
-    assert result.reference is not None
-    start = fit.prepared.parameters.values_of(result.values)
+def _reference_fits(
+    fit: LeastSquaresFit, result: FitResult, reference: Reference
+) -> tuple[dict[str, Any], ...]:
+    """The values that the fit gives with other constants of the stone: those of the reference, and
+    each constant of the fit shifted by its rounding; none where they are parameters of the fit."""
+    now, start = result.stone.as_dict(), result.parameter_set.values_of(result.values)
+    own = {name: value for name, value in reference.stone.items() if value != now[name]}
+    if not own or result.conditions.keys() & {*reference.stone, *reference.rounding}:
+        return ()
+    off = [{name: round(now[name] + by, 9)} for name, by in reference.rounding.items()]
     found = []
-    for constants in _other_stones(result.reference, result.stone, result.conditions):
+    for constants in (own, *(one for one in off if one != own)):
         prepared = fit.prepared._replace(stone=result.stone.with_values(constants))
         rounds = Rounds(fit.model, [prepared], loss=fit.loss, noise=fit.noise.kind)
         other = summarize(_fitted_alone(rounds, start))
@@ -215,21 +221,6 @@ def _reference_fits(fit: LeastSquaresFit, result: FitResult) -> tuple[dict[str, 
         each |= {item.expression: item.value for item in other.combinations}
         found.append({"stone": constants, "values": each})
     return tuple(found)
-
-
-def _other_stones(
-    reference: Reference, stone: Stone, parameters: Collection[str]
-) -> list[dict[str, float]]:
-    """Constants for repeated fits: those of the reference, and each constant of the fit shifted by
-    its rounding; none where they are parameters of the fit."""
-    if set(parameters) & {*reference.stone, *reference.rounding}:
-        return []
-    now = stone.as_dict()
-    own = {name: value for name, value in reference.stone.items() if value != now[name]}
-    if not own:
-        return []
-    off = [{name: round(now[name] + by, 9)} for name, by in reference.rounding.items()]
-    return [own, *(item for item in off if item != own)]
 
 
 def fit_throws(

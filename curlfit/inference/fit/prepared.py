@@ -8,26 +8,27 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from curlfit.environment import Environment
-from curlfit.errors import InputError
 from curlfit.friction import find_law
+from curlfit.inference.conditions import WEAK_CONDITIONS
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.likelihood import path_jacobians, prepare_path_jacobians
+from curlfit.inference.least_squares import Solution
+from curlfit.inference.likelihood import path_jacobians
 from curlfit.inference.model import Model
 from curlfit.inference.noise.accelerations import Responses
 from curlfit.inference.noise.linearized import Linearized
-from curlfit.inference.noise.models import WHITE, time_of_motion
-from curlfit.inference.noise.restricted import prepare_estimate
+from curlfit.inference.noise.models import WHITE, Noise, time_of_motion
 from curlfit.inference.noise.whitening import Whitener
 from curlfit.inference.parameters import ParameterSet
-from curlfit.inference.priors import Penalty
-from curlfit.inference.problem import Origin, Problem, build_problem, environment_of
+from curlfit.inference.priors import Penalty, penalty_of
+from curlfit.inference.problem import Origin, Problem, build_problem
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import stacked
 from curlfit.settings.choices import Modelling
 from curlfit.stone import Stone
 from curlfit.throws.plausibility import Finding, require_plausible
 from curlfit.throws.throw import CHANNELS, Throw
+
+_HELD = 1e-4  # standard deviation that holds a parameter, over that of its prior
 
 
 class PreparedThrow(NamedTuple):
@@ -70,11 +71,6 @@ class PreparedThrow(NamedTuple):
         )  # fmt: skip
 
     @property
-    def environment(self) -> Environment:
-        """What is assumed about the environment, in the problem's coordinates."""
-        return environment_of(self.swept, self.origin.t)
-
-    @property
     def assumed_spin(self) -> float:
         """The spin in rad/s that the throw assumes where nothing determines it; 0 if none."""
         spin = self.throw.assumed.get("omega0", 0.0)
@@ -90,11 +86,19 @@ class PreparedThrow(NamedTuple):
         """The parameters in the problem's coordinates."""
         return self.parameters.shifted(-self.offset)
 
-    @property
-    def first_parameters(self) -> ParameterSet:
-        """The same for the first fit, which weights channels equally where no sigma is given."""
-        local = self.local_parameters
-        return local.with_first_priors() if self.equal_sigma() else local
+    def penalty(self, *, first: bool) -> Penalty | None:
+        """What the priors add to chi squared, in the problem's coordinates; None without priors.
+
+        The `first` fit weights all channels equally, 1 m like 1 rad, where no sigma is given.
+        Priors would outweigh the data there, and the misfit that they cause would be taken for
+        noise. They are therefore left out, except that the stone's constants and the scales, which
+        a path hardly determines, are held near the modes of their priors.
+        """
+        found = penalty_of(self.parameters.parameters, self.parameters.priors, self.offset)
+        if found is None or not (first and self.equal_sigma()):
+            return found
+        held = np.isin(self.parameters.names, WEAK_CONDITIONS)
+        return found._replace(weight=found.weight * held / _HELD)
 
     def equal_sigma(self) -> dict[str, float]:
         """Sigma in the first fit for channels whose own is unknown: equal weights."""
@@ -113,42 +117,37 @@ class PreparedThrow(NamedTuple):
         return np.clip(absolute, self.parameters.lower, self.parameters.upper) - self.offset
 
 
+class LeastSquaresFit(NamedTuple):
+    """The outcome of a fit, and what was fitted."""
+
+    prepared: PreparedThrow
+    model: Model
+    loss: str
+    noise: Noise
+    problem: Problem
+    sigma: dict[str, float]
+    """of the channels for which it was not given"""
+    solution: Solution
+    tried: int
+    """number of initial values tried"""
+    rival: Floats | None = None
+    """another optimum that fits as well, in the coordinates of the problem"""
+
+
 def problem_of(fit: FitResult) -> tuple[Problem, Origin]:
     """The problem that a fit solved, with its noise and loss, and its origin."""
     throw = fit.throw
     origin = Origin.of(throw)
-    environment = environment_of(fit.data["swept"], origin.t)
-    problem = build_problem(
-        throw, fit.stone, origin, fit.sigma, fit.loss, fit.noise, len(fit.values),
-        environment=environment,
-    )  # fmt: skip
-    if fit.noise.sizes:
-        if not fit.noise.initial_state:
-            raise InputError(
-                f"{throw.name}: this fit was saved with an earlier noise model; fit it again"
-            )
-        data = linearized_fit(fit).first(len(problem.weight))
-        whitener = Whitener.of(fit.noise, problem.times, problem.weight, len(fit.values), data)
-        problem = problem._replace(whitener=whitener)
-    return problem, origin
+    problem = build_problem(throw, fit.stone, origin, fit.sigma, fit.loss, fit.data["swept"])
+    data = linearized_fit(fit).first(len(problem.weight)) if fit.noise.sizes else None
+    whitener = Whitener.of(fit.noise, problem.times, problem.weight, len(fit.values), data)
+    return problem._replace(whitener=whitener), origin
 
 
 def linearized_fit(fit: FitResult) -> Linearized:
     """The fitted path to first order, with the weights of independent noise."""
     independent = fit.sigma | fit.noise.independent
     problem, origin = problem_of(replace(fit, sigma=independent, noise=WHITE))
-    return _linearized(fit, problem, origin)
-
-
-def prepare_linearized(fit: FitResult) -> None:
-    """Begin to compile what `linearized_fit` needs, and the discrepancy estimated from it."""
-    problem, _ = problem_of(replace(fit, noise=WHITE))
-    prepare_path_jacobians(fit.model, fit.values[None], stacked([problem]))
-    channels, coefficients = len(CHANNELS) + bool(fit.events), len(fit.model.law.coefficients())
-    prepare_estimate(channels, len(problem.times), len(fit.values), coefficients)
-
-
-def _linearized(fit: FitResult, problem: Problem, origin: Origin) -> Linearized:
     path = np.array([fit.fitted[name] for name in CHANNELS]) - origin.place[:, None]
     if fit.events:
         row = np.zeros((1, path.shape[1]))
@@ -163,14 +162,8 @@ def _linearized(fit: FitResult, problem: Problem, origin: Origin) -> Linearized:
 
 
 def penalties(throws: Sequence[PreparedThrow], *, first: bool = False) -> Penalty | None:
-    """Penalty of the priors of many throws, in the problems' coordinates; None without priors.
-
-    `first` selects the first fit, see `PreparedThrow.first_parameters`.
-    """
-    if not any(one.parameters.priors for one in throws):
-        return None
-    each = [(one.first_parameters if first else one.local_parameters).penalty for one in throws]
-    known = [one for one in each if one is not None]
+    """The same of many throws."""
+    known = [found for one in throws if (found := one.penalty(first=first)) is not None]
     return stacked(known) if known else None
 
 
@@ -216,7 +209,8 @@ def linearized(
     responses = [response.at(times, row) for row in range(len(CHANNELS))]
     if len(jacobian) > len(CHANNELS):
         responses.append(np.zeros_like(responses[0]))
-    return Linearized.of(
-        times, time_of_motion(times[:rows], path[CHANNELS.index("speed")]), weight, residual,
-        jacobian, typical, adjustable, len(model.law.coefficients()), np.stack(responses),
-    )  # fmt: skip
+    found = Linearized.of(
+        times, weight, residual, jacobian, typical, adjustable, len(model.law.coefficients())
+    )
+    span = time_of_motion(times[:rows], path[CHANNELS.index("speed")])
+    return found._replace(span=np.asarray(span), responses=np.stack(responses))

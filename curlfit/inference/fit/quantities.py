@@ -198,29 +198,27 @@ def _definitions(fit: FitResult, best: _Motion) -> list[_Definition]:
     tee = "far-tee" if "far-tee" in passed else None
     where = "at the tee line" if tee else "at rest" if rests else "at the end of the record"
     in_house = rests and abs(best.y[-1] - TEE) < HOUSE
-    known: dict[str, tuple[Any, str, str, Callable[[_Motion], float]]] = {
-        "friction": (
-            seen & {"y", "speed"}, f"mean deceleration / g, {until}", "1", lambda m: m.friction
-        ),
-        "curl": ({"x", "y"} <= seen, f"curl to the right, {where}", "m", lambda m: m.curl(tee)),
-        "turns": (
-            seen & {"phi", "omega"}, f"turns counter-clockwise, {until}", "1", lambda m: m.turns
-        ),
-        "hog_to_hog": (
-            {"hog", "far-hog"} <= passed, "hog line to hog line", "s",
+    known = [
+        (seen & {"y", "speed"}, _Definition(
+            "friction", f"mean deceleration / g, {until}", "1", lambda m: m.friction,
+        )),
+        ({"x", "y"} <= seen, _Definition(
+            "curl", f"curl to the right, {where}", "m", lambda m: m.curl(tee),
+        )),
+        (seen & {"phi", "omega"}, _Definition(
+            "turns", f"turns counter-clockwise, {until}", "1", lambda m: m.turns,
+        )),
+        ({"hog", "far-hog"} <= passed, _Definition(
+            "hog_to_hog", "hog line to hog line", "s",
             lambda m: m.time_at("far-hog") - m.time_at("hog"),
-        ),
-        "hog_to_tee": (
-            {"hog", "far-tee"} <= passed, "near hog line to tee line", "s",
+        )),
+        ({"hog", "far-tee"} <= passed, _Definition(
+            "hog_to_tee", "near hog line to tee line", "s",
             lambda m: m.time_at("far-tee") - m.time_at("hog"),
-        ),
-        "draw_time": (
-            "hog" in passed and in_house, "near hog line to rest in the house", "s",
+        )),
+        ("hog" in passed and in_house, _Definition(
+            "draw_time", "near hog line to rest in the house", "s",
             lambda m: m.rest - m.time_at("hog"),
-        ),
-    }  # fmt: skip
-    return [
-        _Definition(name, meaning, unit, of)
-        for name, (determined, meaning, unit, of) in known.items()
-        if determined
-    ]
+        )),
+    ]  # fmt: skip
+    return [quantity for determined, quantity in known if determined]

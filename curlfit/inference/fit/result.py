@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
-from importlib import import_module
 from os import PathLike
 from typing import Annotated, Any, ClassVar, NotRequired
 
@@ -17,18 +16,16 @@ import numpy as np
 
 from curlfit.errors import InputError, require_kind
 from curlfit.friction import LAWS, Law, Parameter, check_load, find_law
-from curlfit.inference.conditions import CALIBRATION, CONDITIONS
-from curlfit.inference.derived import Derived, FirstOrder, Quantiles, derive
-from curlfit.inference.identifiability import Combination, Verdict, WithInterval
+from curlfit.inference.conditions import CONDITIONS
+from curlfit.inference.derived import Derived, FirstOrder, derive
+from curlfit.inference.fit.estimates import Estimate, NamedEstimates, Posterior, Systematics
+from curlfit.inference.identifiability import Combination
 from curlfit.inference.model import Model
 from curlfit.inference.noise.models import LOSSES, WHITE, Independence, Noise
 from curlfit.inference.parameters import START, ParameterSet
 from curlfit.inference.priors import parse_priors
 from curlfit.numerics.arrays import Floats
-from curlfit.output.display import Displayed
-from curlfit.output.document import Document
-from curlfit.output.frames import frame
-from curlfit.records import SERIES, Choice, Names, Record, keys, require, require_rows
+from curlfit.records import SERIES, Choice, Names, keys, require, require_rows
 from curlfit.stone import Stone
 from curlfit.throws.events import QUANTITIES, Event
 from curlfit.throws.throw import CHANNELS, Reference, StoneValues, Throw
@@ -37,7 +34,6 @@ ChannelName = Annotated[str, Choice(CHANNELS)]
 LoadName = Annotated[str, Choice(("uniform", "consistent"))]
 LossName = Annotated[str, Choice(LOSSES)]
 Pair = tuple[float, float]
-Curves = Annotated[dict[str, Floats], Names(CHANNELS)]
 
 Extent = Annotated[dict[str, Any], keys(file=str, rows=int, **{"from": float}, to=float)]
 """The data of a fit: the name of the file, the number of rows of a path, first and last time."""
@@ -60,195 +56,10 @@ _Event = Annotated[
     ),
 ]  # fmt: skip
 _Outlier = Annotated[
-    dict[str, Any],
-    keys(channel=ChannelName, t=float, line=int | None, off=float, sigmas=float),
+    dict[str, Any], keys(channel=ChannelName, t=float, line=int | None, off=float, sigmas=float)
 ]
 _Remedy = Annotated[dict[str, Any], keys(parameters=list[str], measure=list[ChannelName], all=bool)]
 _ReferenceFit = Annotated[dict[str, Any], keys(stone=StoneValues, values=dict[str, float])]
-
-
-@dataclass(frozen=True)
-class Estimate(WithInterval):
-    """The estimate of one parameter.
-
-    Attributes
-    ----------
-    stderr : standard error; None where the data do not determine the parameter, where it is at a
-        bound, or where it was fixed.
-    verdict : "determined"; "prior" (determined, but not without the priors); "weak"; "not
-        identifiable"; "at bound" or "fixed".
-    reason : of a weak parameter: its standard error is more than half its typical size, chi
-        squared is so far from quadratic that the standard error is wrong by a factor of two or
-        more, or another value fits as well; of a parameter that rests on priors: that the data
-        alone do not determine it. Otherwise empty.
-    dof : degrees of freedom of the standard error; None without one, or where sigma was given.
-    prior : its prior, in the notation of `curlfit.inference.priors`; empty without one.
-    """
-
-    value: float
-    stderr: float | None
-    verdict: Verdict
-    unit: str
-    symbol: str = field(repr=False)
-    meaning: str = field(repr=False)
-    lower: float = field(repr=False)
-    upper: float = field(repr=False)
-    typical: float = field(repr=False)
-    reason: str = ""
-    dof: float | None = None
-    prior: str = ""
-
-    def interval(self, level: float = 0.95) -> tuple[float, float] | None:
-        """Confidence interval by Student's t, within the bounds; None where there is no standard
-        error."""
-        found = super().interval(level)
-        return found and (max(found[0], self.lower), min(found[1], self.upper))
-
-
-@dataclass(frozen=True, repr=False)
-class Posterior(Displayed):
-    """Summary of a posterior sample; the sample itself is in `chain.h5`.
-
-    Attributes
-    ----------
-    samples : number kept, over all walkers, after the first `discarded` steps.
-    steps, walkers, ensembles : of the run; the walkers are divided among the ensembles.
-    ess, ess_tail : bulk and tail effective sample sizes by parameter; the latter is the smaller of
-        those of the quantiles 5 % and 95 %.
-    r_hat : rank-normalised, by parameter: the larger of that of the halves of the ensembles and
-        that of their distances from the median (Vehtari et al. 2021).
-    acceptance : fraction of proposals accepted.
-    quantiles : by parameter and by determined combination, keys "2.5", "16", "50", "84", "97.5".
-    mean, sd : the same.
-    correlation : between parameters.
-    converged, status : whether the targets were met, and the same in words.
-
-    Examples
-    --------
-    >>> sampled.posterior.converged
-    True
-    >>> sorted(sampled.posterior.quantiles["mu2_xi"], key=float)
-    ['2.5', '16', '50', '84', '97.5']
-    """
-
-    samples: int
-    steps: int
-    discarded: int
-    walkers: int
-    ensembles: int
-    seed: int
-    acceptance: float
-    ess: dict[str, float]
-    ess_tail: dict[str, float] = field(default_factory=dict, kw_only=True)
-    r_hat: dict[str, float]
-    quantiles: dict[str, Quantiles]
-    mean: dict[str, float]
-    sd: dict[str, float]
-    correlation: dict[str, dict[str, float]]
-    converged: bool
-    status: str
-
-    def _document(self) -> Document:
-        found: Document = import_module("curlfit.inference.report").posterior_document(self)
-        return found
-
-
-@dataclass(frozen=True)
-class Systematics:
-    """Effects of the conditions that a fit holds fixed (`curlfit.inference.fit.systematics`).
-
-    Attributes
-    ----------
-    widths : standard uncertainty of each of these conditions, SI.
-    shifts : by determined parameter or combination and by condition: true value minus estimate
-        where the condition is one width above its assumed value.
-    """
-
-    widths: dict[str, float] = field(default_factory=dict)
-    shifts: dict[str, dict[str, float]] = field(default_factory=dict)
-
-    @property
-    def errors(self) -> dict[str, float]:
-        """Systematic error of each parameter or combination: the shifts added in quadrature."""
-        return {
-            name: math.hypot(*shifts.values()) for name, shifts in self.shifts.items() if shifts
-        }
-
-    @property
-    def of_calibration(self) -> dict[str, float]:
-        """The part of each error that the map from pixels to metres contributes."""
-        return {
-            name: math.hypot(*(shifts[one] for one in shifts if one.startswith(CALIBRATION)))
-            for name, shifts in self.shifts.items()
-        }
-
-    @property
-    def settings(self) -> dict[str, float]:
-        """The widths as `fit` takes them, with one for the calibration."""
-        return {
-            CALIBRATION if name.startswith(CALIBRATION) else name: width
-            for name, width in self.widths.items()
-        }
-
-
-class NamedEstimates(Record):
-    """A result whose estimates are items by name, and rows of a table."""
-
-    combinations: tuple[Combination, ...]
-    systematics: Systematics
-    derived: tuple[Derived, ...]
-
-    @property
-    def _estimates(self) -> dict[str, Estimate]:
-        """The parameters by name."""
-        raise NotImplementedError
-
-    def _items(self) -> dict[str, Estimate | Combination | Derived]:
-        sums = {item.expression: item for item in self.combinations}
-        # A combination that was requested as a derived quantity is not repeated.
-        named = self._estimates.keys() | sums.keys()
-        others = {one.expression: one for one in self.derived if one.expression not in named}
-        return {**self._estimates, **sums, **others}
-
-    def __getitem__(self, name: str) -> Estimate | Combination | Derived:
-        """A parameter, a determined combination or a derived quantity. Raises KeyError for any
-        other name."""
-        found = self._items().get(name)
-        if found is None:
-            raise KeyError(f"no {name!r}; the names are {', '.join(self._items())}")
-        return found
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._items()
-
-    __iter__ = None
-    """not a sequence, though it has items"""
-
-    def _ipython_key_completions_(self) -> list[str]:
-        return list(self._items())
-
-    def to_frame(self) -> Any:
-        """Parameters and determined combinations as a pandas DataFrame, one row each.
-
-        Columns are value, stderr, systematic (error due to conditions that the fit holds fixed),
-        low and high (95 % interval), verdict and unit. What is not identifiable has no value.
-
-        Raises
-        ------
-        InputError : pandas is not installed.
-        """
-        rows, errors = [], self.systematics.errors
-        for name, item in self._items().items():
-            verdict, unit = "determined", ""
-            if isinstance(item, Estimate | Derived):
-                verdict, unit = item.verdict, item.unit
-            error = item.systematic if isinstance(item, Derived) else errors.get(name)
-            value = math.nan if verdict == "not identifiable" else item.value
-            numbers = (item.stderr, error, *(item.interval() or (None, None)))
-            known = (math.nan if number is None else number for number in numbers)
-            rows.append((value, *known, verdict, unit))
-        heads = ("value", "stderr", "systematic", "low", "high", "verdict", "unit")
-        return frame(dict(zip(heads, zip(*rows, strict=True), strict=True)), list(self._items()))
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -369,9 +180,8 @@ class FitResult(NamedEstimates):
             ("posterior", self.posterior.ess if self.posterior else ()),
         ):  # fmt: skip
             require(place, set(names) <= parameters, "names of parameters")
-        require_rows("observed", self.observed, rows)
-        require_rows("fitted", self.fitted, rows)
-        require_rows("discrepancy", self.discrepancy, rows)
+        for place in ("observed", "fitted", "discrepancy"):
+            require_rows(place, getattr(self, place), rows)
         for name, shifts in self.systematics.shifts.items():
             known = shifts.keys() <= self.systematics.widths.keys()
             require("systematics", known, f"{name}: names of conditions")
@@ -380,6 +190,8 @@ class FitResult(NamedEstimates):
         for place, found in (("covariance", self.covariance), ("information", self.information)):
             sizes = {len(found["names"]), *map(len, (found["matrix"], *found["matrix"]))}
             require(place, len(sizes) == 1, "a square matrix")
+        shape = (len(START),) * 2 if self.noise.sizes else (0,)
+        require("noise", np.shape(self.noise.initial_state) == shape, "a covariance")
         gradient = self.information["gradient"]
         require("information", len(gradient) == len(self.information["names"]), "a gradient")
 
@@ -506,11 +318,7 @@ class FitResult(NamedEstimates):
     def residuals(self) -> dict[str, Floats]:
         """Measured - fitted by measured channel (SI, rad), NaN where there is no value; at the
         times `observed["t"]`."""
-        return {
-            name: self.observed[name] - self.fitted[name]
-            for name in self.rms
-            if name in self.fitted
-        }
+        return {name: self.observed[name] - self.fitted[name] for name in self.rms if self.fitted}
 
     @property
     def predicted(self) -> dict[str, Floats]:

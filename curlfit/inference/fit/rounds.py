@@ -16,21 +16,14 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from operator import itemgetter
-from typing import Any
 
 import jax
 import numpy as np
 
 from curlfit.errors import InputError
-from curlfit.inference.fit.prepared import PreparedThrow, linearized, local_bounds
-from curlfit.inference.fit.summary import LeastSquaresFit
+from curlfit.inference.fit.prepared import LeastSquaresFit, PreparedThrow, linearized, local_bounds
 from curlfit.inference.initial_values import SmoothPath, smooth, start_values_of_sides
-from curlfit.inference.least_squares import (
-    Indices,
-    Solution,
-    as_slice,
-    residual_sigma,
-)
+from curlfit.inference.least_squares import Indices, Solution, as_slice, residual_sigma
 from curlfit.inference.likelihood import SIGMA_FLOOR, predict_many, whitened_residuals_of_many
 from curlfit.inference.model import Model
 from curlfit.inference.noise.linearized import Linearized
@@ -81,20 +74,20 @@ class Rounds:
         self.loss = loss
         even = [throw.equal_sigma() for throw in throws]
 
-        def built(cut: Sequence[Throw], shape: tuple[int, int] | None, **how: Any) -> Problem:
+        def built(cut: Sequence[Throw], shape: tuple[int, int] | None) -> Problem:
             return stacked(
                 [
-                    build_problem(
-                        throw, one.stone, one.origin, sigma, environment=one.environment,
-                        shape=shape, parameters=len(one.parameters), **how,
-                    )
+                    build_problem(throw, one.stone, one.origin, sigma, swept=one.swept, shape=shape)
                     for throw, one, sigma in zip(cut, throws, even, strict=True)
                 ]
-            )  # fmt: skip
+            )
 
-        blank = None if noise == "white" else Noise(noise)
-        self.problems = built([one.throw for one in throws], shape, noise=blank)
-        self.initial_problems = self.problems
+        self.initial_problems = self.problems = built([one.throw for one in throws], shape)
+        if noise != "white":
+            size, blank = len(throws[0].parameters), Noise(noise)
+            each = zip(self.problems.times, self.problems.weight, strict=True)
+            whiteners = stacked([Whitener.of(blank, *one, size) for one in each])
+            self.problems = self.problems._replace(whitener=whiteners)
         if self.problems.events is not None:
             # Initial values do without events; a throw with nothing else needs a rough path.
             small = len(CHANNELS), self.problems.times.shape[-1]
@@ -150,21 +143,13 @@ class Rounds:
         self, index: int, solution: Solution, tried: int = 1, rival: Floats | None = None
     ) -> LeastSquaresFit:
         """The outcome of the fit of a throw."""
+        estimated = np.flatnonzero(self.unknown[index])
+        sigma = {self.channels[row]: float(self.sigma[index, row]) for row in estimated}
+        problem = jax.tree.map(itemgetter(index), self.problems)
         return LeastSquaresFit(
-            prepared=self.throws[index],
-            model=self.model,
-            loss=self.loss,
-            noise=self.noises[index],
-            problem=jax.tree.map(itemgetter(index), self.problems),
-            sigma={
-                name: float(self.sigma[index, row])
-                for row, name in enumerate(self.channels)
-                if self.unknown[index, row]
-            },
-            solution=solution,
-            tried=tried,
-            rival=rival,
-        )
+            self.throws[index], self.model, self.loss, self.noises[index], problem, sigma,
+            solution, tried, rival,
+        )  # fmt: skip
 
     def _estimate_sigma(self, now: Indices, solutions: Solution) -> None:
         sigma = residual_sigma(solutions, self._problems_of(now), self.free[now])
@@ -199,34 +184,28 @@ class Rounds:
     def _estimate_noise(self, now: Indices, solutions: Solution) -> None:
         problems = self._problems_of(now)
         paths = predict_many(self.model, solutions.values, problems, self.batch)
-        estimated: dict[int, Linearized] = {}
-        for place, index in enumerate(now):
-            solution = jax.tree.map(itemgetter(place), solutions)
-            problem = jax.tree.map(itemgetter(place), problems)
-            data = self._linearized(int(index), problem, solution, paths[place])
+        for place, (index, unknown) in enumerate(zip(now.tolist(), self.unknown[now], strict=True)):
+            solution, problem = (
+                jax.tree.map(itemgetter(place), stack) for stack in (solutions, problems)
+            )
+            data = self._linearized(index, problem, solution, paths[place])
             if not data.enough.any():
                 name = self.throws[index].throw.name
-                self.failures[int(index)] = InputError(
+                self.failures[index] = InputError(
                     f"{name}: too few values to estimate a correlation of the noise"
                 )
                 continue
-            found = estimate(self.noises[index].kind, data, ~self.unknown[index])
-            self.noises[index] = found.noise
-            if found.noise.sizes:
-                own = self.unknown[index]
-                names = itertools.compress(self.channels, own)
-                sigmas = self.sigma[index][own].tolist()
-                found.noise.independent.update(zip(names, sigmas, strict=True))
-            scale = np.where(self.unknown[index], found.scale, 1.0)
-            self.sigma[index] = scale * self.sigma[index] + SIGMA_FLOOR * self.unknown[index]
-            estimated[int(index)] = data
-        now = np.array(list(estimated), int)
-        self._reweight(now)
-        for index, data in estimated.items():
+            found = estimate(self.noises[index].kind, data, ~unknown)
+            noise = self.noises[index] = found.noise
+            if noise.sizes:
+                sigmas = zip(self.channels, self.sigma[index].tolist(), strict=True)
+                noise.independent.update(itertools.compress(sigmas, unknown))
+            scale = np.where(unknown, found.scale, 1.0)
+            self.sigma[index] = scale * self.sigma[index] + SIGMA_FLOOR * unknown
+            self._reweight(np.array([index]))
             whitener = Whitener.of(
-                self.noises[index], self.problems.times[index], self.problems.weight[index],
-                len(data.from_standard), data,
-            )  # fmt: skip
+                noise, problem.times, self.problems.weight[index], len(data.from_standard), data
+            )
             pairs = zip(*map(jax.tree.leaves, (self.problems.whitener, whitener)), strict=True)
             for leaf, new in pairs:
                 leaf[index] = new
@@ -244,11 +223,13 @@ class Rounds:
                 self.model, problem, solution.values, path[:, :n], one.stone, typical, adjustable
             ).first(channels)
         inverse = 1 / np.where(problem.weight > 0, problem.weight, 1.0)
-        return Linearized.of(
-            problem.times, time_of_motion(problem.times[:n], path[CHANNELS.index("speed"), :n]),
-            problem.weight, -solution.residual * inverse, solution.jacobian * inverse[..., None],
-            typical, adjustable, len(self.model.law.coefficients()),
+        found = Linearized.of(
+            problem.times, problem.weight, -solution.residual * inverse,
+            solution.jacobian * inverse[..., None], typical, adjustable,
+            len(self.model.law.coefficients()),
         )  # fmt: skip
+        span = time_of_motion(problem.times[:n], path[CHANNELS.index("speed"), :n])
+        return found._replace(span=np.asarray(span))
 
     def _reweight(self, now: Indices) -> None:
         before = self.problems.weight[now]

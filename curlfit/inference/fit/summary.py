@@ -10,35 +10,31 @@ from typing import Any, NamedTuple, Self
 import jax
 import numpy as np
 
+from curlfit.inference.fit.caveats import warnings_of
 from curlfit.inference.fit.covariance import (
     CONVERGED,
     Covariance,
-    OtherThrows,
     Sigmas,
-    nonquadratic_estimates,
-    one_sigma_points,
     robust_jacobians,
+    with_others,
 )
+from curlfit.inference.fit.estimates import Estimate, Systematics
 from curlfit.inference.fit.factors import Factors, Reduction, chi_squared_change
-from curlfit.inference.fit.prepared import PreparedThrow, linearized, local_bounds, penalties
-from curlfit.inference.fit.residuals import (
-    ResidualStatistics,
-    correlation_warnings,
-    event_warnings,
-    given_sigma_warnings,
-    outlier_warning,
-    outliers_of,
-    residual_statistics,
+from curlfit.inference.fit.prepared import (
+    LeastSquaresFit,
+    PreparedThrow,
+    linearized,
+    local_bounds,
+    penalties,
 )
-from curlfit.inference.fit.result import Estimate, FitResult, Systematics
-from curlfit.inference.fit.systematics import (
-    residual_changes,
-)
+from curlfit.inference.fit.residuals import outliers_of, residuals_of
+from curlfit.inference.fit.result import FitResult
+from curlfit.inference.fit.systematics import residual_changes
 from curlfit.inference.identifiability import Bounded, r_factors
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.likelihood import chi_squared_of_many, predict_many
 from curlfit.inference.model import Model
-from curlfit.inference.noise.models import Noise, time_of_motion
+from curlfit.inference.noise.models import Independence
 from curlfit.inference.noise.whitening import posterior_mean
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty
@@ -46,30 +42,12 @@ from curlfit.inference.problem import ROWS_OF_DATA, Problem
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import BATCH, stacked
 from curlfit.throws.plausibility import Finding, examine_fit
-from curlfit.throws.throw import CHANNELS, Throw
+from curlfit.throws.throw import CHANNELS
 
 IMPLAUSIBLE = "implausible"
 """First word of the status of a fit that is impossible for a curling stone."""
+_FEWEST = 3  # values of a channel, above which their correlation is given
 _DIFFERENT = 0.1  # typical sizes by which solutions that fit equally differ in a parameter
-_NOT_LINEAR = 10.0  # typical sizes, beyond which a shift is not of first order
-_LASTING = 0.1  # memory over time of motion, above which errors are too small (`tests/statistics`)
-
-
-class LeastSquaresFit(NamedTuple):
-    """The outcome of a fit, and what was fitted."""
-
-    prepared: PreparedThrow
-    model: Model
-    loss: str
-    noise: Noise
-    problem: Problem
-    sigma: dict[str, float]
-    """of the channels for which it was not given"""
-    solution: Solution
-    tried: int
-    """number of initial values tried"""
-    rival: Floats | None = None
-    """another optimum that fits as well, in the coordinates of the problem"""
 
 
 def summarize(fit: LeastSquaresFit, widths: Mapping[str, float] | None = None) -> FitResult:
@@ -106,19 +84,22 @@ def summarize_many(
     paths = (
         predict_many(many.model, many.solutions.values, many.problems, batch) if curves else None
     )
-    statistics = residual_statistics(many.problems, many.solutions, paths)
-    found, reduction = many.covariances(statistics)
+    residuals = residuals_of(many.problems, many.solutions, paths)
+    found, reduction = many.covariances(residuals)
     nonquadratic = many.nonquadratic(found, reduction, batch)
     systematics = [Systematics()] * len(fits)
     if paths is not None and widths:
         systematics = many.systematics(found, reduction, paths, widths, batch)
-    return list(map(_record, fits, statistics.each(len(fits)), found, nonquadratic, systematics))
+    each = [None] * len(fits) if paths is None else paths
+    return list(map(_record, fits, each, residuals, found, nonquadratic, systematics))
 
 
 class _Many(NamedTuple):
     """Fits of one model and loss, with what they need along the first axis."""
 
     fits: Sequence[LeastSquaresFit]
+    model: Model
+    loss: str
     throws: list[PreparedThrow]
     problems: Problem
     solutions: Solution
@@ -141,63 +122,64 @@ class _Many(NamedTuple):
             known = (others[..., :-1] != 0).any((0, 1))
             penalty = penalty._replace(weight=penalty.weight * ~known)
         return cls(
-            fits, throws, stacked([fit.problem for fit in fits]), solutions, offset,
-            Bounded(solutions.values, *ends), throws[0].parameters.typical, penalty, common, others,
+            fits, fits[0].model, fits[0].loss, throws, stacked([fit.problem for fit in fits]),
+            solutions, offset, Bounded(solutions.values, *ends), throws[0].parameters.typical,
+            penalty, common, others,
         )  # fmt: skip
 
-    @property
-    def model(self) -> Model:
-        return self.fits[0].model
-
-    @property
-    def loss(self) -> str:
-        return self.fits[0].loss
-
-    def covariances(
-        self, statistics: ResidualStatistics
-    ) -> tuple[list[Covariance], Reduction | None]:
+    def covariances(self, residuals: Floats) -> tuple[list[Covariance], Reduction | None]:
         """Of each throw, and how throws that are fitted together act on one another."""
         solutions, loss = self.solutions, self.loss
         about = self.bounded, self.typical, self.penalty, self.common, self.others
         factors = estimator = Factors.of(r_factors(solutions.jacobian, solutions.residual), *about)
         if loss != "linear":
-            robust = robust_jacobians(self.problems, solutions, statistics.residual, loss)
+            robust = robust_jacobians(self.problems, solutions, residuals, loss)
             estimator = Factors.of(r_factors(robust, solutions.residual), *about)
         channels = ROWS_OF_DATA[: self.problems.observed.shape[1]]
-        number, found = statistics.number, []
+        number, found = (self.problems.weight > 0).sum(-1), []
         for row, fit in enumerate(self.fits):
-            own, total = fit.prepared.parameters, number[row if self.common is None else ...].sum()
+            total = number[row if self.common is None else ...].sum()
             known = Sigmas(number[row], np.isin(channels, [*fit.sigma]), loss, total)
             absolute = Bounded(*(part[row] + self.offset[row] for part in self.bounded))
             both = factors.at(row), estimator.at(row)
             found.append(
                 Covariance.of(
-                    own.names, absolute, self.typical, own.free, both, fit.solution.jacobian, known,
+                    fit.prepared.parameters.names, absolute, self.typical, both,
+                    fit.solution.jacobian, known,
                     self.penalty is not None or self.others is not None,
                 )
             )  # fmt: skip
-        reduction = estimator.reduction
-        if reduction is not None:
-            others = OtherThrows.of_each(found, reduction)
-            found = [replace(one, others=own) for one, own in zip(found, others, strict=True)]
+        if estimator.reduction is not None:
+            found = with_others(found, estimator.reduction)
         return found, factors.reduction
 
     def nonquadratic(
         self, found: Sequence[Covariance], reduction: Reduction | None, batch: int
     ) -> list[dict[str, bool]]:
-        """See `nonquadratic_estimates`; the others of a throw are quadratic."""
-        around = one_sigma_points(found, *self.bounded, self.typical)
-        owner, best = around.owner, self.solutions.values[around.owner]
+        """See `Covariance.nonquadratic`; the others of a throw are quadratic."""
+        at = [Bounded(*(part[row] for part in self.bounded)) for row in range(len(found))]
+        around = [one.one_sigma_points(there) for one, there in zip(found, at, strict=True)]
+        ridges = [one.ridge_points(there) for one, there in zip(found, at, strict=True)]
+        each = [one for one, _ in around] + [ridge.points for ridge in ridges]
+        points = np.concatenate(each)
+        place = np.repeat(np.arange(len(each)), [len(one) for one in each])
+        owner = place % len(found)
+        best = self.solutions.values[owner]
         problems = jax.tree.map(itemgetter(owner), self.problems)
-        delta = chi_squared_of_many(self.model, around.point, problems, batch)
+        delta = chi_squared_of_many(self.model, points, problems, batch)
         delta = delta - self.solutions.chi_squared[owner]
         if self.penalty is not None:
             there = Penalty(*(part[owner] for part in self.penalty))
-            delta += there.chi_squared(around.point) - there.chi_squared(best)
+            delta += there.chi_squared(points) - there.chi_squared(best)
         rows = self.others if reduction is None else reduction.others
         if rows is not None:
-            delta += chi_squared_change(rows[owner], around.point - best)
-        return nonquadratic_estimates(found, around, delta, self.typical)
+            delta += chi_squared_change(rows[owner], points - best)
+        named = []
+        for row, (one, (_, axes), ridge) in enumerate(zip(found, around, ridges, strict=True)):
+            curved = one.beside_a_ridge(ridge, delta[place == len(found) + row])
+            mine = one.nonquadratic(axes, delta[place == row])
+            named.append(mine | dict.fromkeys(sorted(curved), True))
+        return named
 
     def systematics(
         self,
@@ -209,7 +191,7 @@ class _Many(NamedTuple):
     ) -> list[Systematics]:
         """Errors due to conditions, which are common to throws that are fitted together."""
         changes = residual_changes(
-            self.model, self.problems, self.solutions.values, paths, widths, self.loss, batch,
+            self.model, self.problems, self.solutions.values, paths, widths, batch,
             self.throws, jointly=self.common is not None,
         )  # fmt: skip
         gradients = {}
@@ -224,105 +206,106 @@ class _Many(NamedTuple):
 
 def _record(
     fit: LeastSquaresFit,
-    statistics: ResidualStatistics,
+    path: Floats | None,
+    residual: Floats,
     found: Covariance,
     nonquadratic: dict[str, bool],
     systematics: Systematics,
 ) -> FitResult:
-    law, prepared, noise = fit.model.law, fit.prepared, fit.noise
-    throw, parameters = prepared.throw, prepared.parameters
-    known, n = found.identifiability, len(throw)
-    curves = {}
-    if statistics.path is not None:
-        path = statistics.path[: len(CHANNELS), :n] + prepared.origin.place[:, None]
-        curves = dict(zip(CHANNELS, path, strict=True))
-    rms = {name: float(v) for name, v in statistics.by_channel(statistics.rms).items()}
-    lag1 = {name: float(v) for name, v in statistics.by_channel(statistics.lag1, 3).items()}
-    misleading = {name for name, yes in nonquadratic.items() if yes}
-    rival = _rival(fit)
-    estimates = _estimates(parameters, found, misleading, rival)
+    law, throw, known = fit.model.law, fit.prepared.throw, found.identifiability
+    reference, residual = throw.reference, residual[:, : len(throw)]
+    curves: dict[str, Floats] = {}
+    if path is not None:
+        path = path[:, : len(throw)]
+        curves = dict(zip(CHANNELS, path[:5] + fit.prepared.origin.place[:, None], strict=True))
+    series = _by_channel(fit, residual)
+    enough = {name: pair for name, pair in series.items() if len(pair[0]) > _FEWEST}
+    lag1 = {name: Independence.of(off).lag1 for name, (off, _) in enough.items()}
+    misleading, rival = {name for name, yes in nonquadratic.items() if yes}, _rival(fit)
+    estimates = _estimates(fit.prepared.parameters, found, misleading, rival)
     unusual = _unusual(fit, estimates["v0"], curves)
-    converged = found.distance < CONVERGED and not any(one.refused for one in unusual)
-    outliers = outliers_of(throw, statistics.residual, lag1, found.dof, found.leverage, fit.loss)
-    warnings = [str(one) for one in unusual]
-    warnings += _rival_warnings(rival, throw)
-    warnings += _parameter_warnings(fit, found)
-    warnings += correlation_warnings(statistics, noise.kind)
-    warnings += _error_warnings(parameters, nonquadratic, systematics)
-    if outliers and fit.loss == "linear":
-        warnings.append(outlier_warning(outliers, throw.t))
-    if fit.loss == "linear" and noise.kind == "white":
-        warnings += given_sigma_warnings(throw, fit.solution.residual[:, :n], outliers)
-    warnings += _memory_warnings(noise, throw.t, curves)
-    events = _events(fit, statistics)
-    warnings += event_warnings(events, law.name)
-    shown = [name for name in CHANNELS if name in throw.seen or name in ("x", "y", "phi")]
-    observed = {name: getattr(throw, name) for name in ("t", *shown)}
-    by_row = throw.sigma | {
-        name: fit.sigma[name] * throw.sigma_over_smallest(name)
-        for name in throw.relative_sigma.keys() & fit.sigma.keys()
-    }
-    observed |= {f"sigma_{name}": by_row[name] for name in CHANNELS if name in by_row}
-    free = parameters.free
-    residual, jacobian = found.factor[:, -1], found.factor[:, :-1][:, free]
-    reference = throw.reference
-    return FitResult(
+    result = FitResult(
         law=law.name,
         load=fit.model.load,
-        stone=prepared.stone,
-        data={
-            "file": throw.name,
-            "law_file": law.origin or None,
-            "rows": n if throw.has_path else 0,
-            "from": float(throw.t[0]),
-            "to": float(throw.t[-1]),
-            **prepared.rows,
-            "swept": prepared.swept,
-            "sigma": {name: "estimated" if name in fit.sigma else "given" for name in rms},
-            "notes": list(throw.notes),
-            "labels": dict(throw.labels),
-            "flags": list(prepared.flags),
-        },
-        converged=converged,
+        stone=fit.prepared.stone,
+        data=_data(fit),
+        converged=found.distance < CONVERGED and not any(one.refused for one in unusual),
         status=_status(fit, found.distance, unusual),
-        warnings=tuple(warnings),
+        warnings=(),
         n_observations=throw.n_observations,
-        rms=rms,
+        rms={name: float(np.sqrt(np.mean(off**2))) for name, (off, _) in series.items()},
         sigma=fit.sigma,
         lag1=lag1,
         parameters=estimates,
         systematics=systematics,
         chi_squared=float(fit.solution.chi_squared),
         prior_chi_squared=float(fit.solution.penalty),
-        combinations=tuple(
-            item for item in found.combinations if item.expression not in misleading
-        ),
+        combinations=tuple(one for one in found.combinations if one.expression not in misleading),
         rank=known.rank,
         singular_values=tuple(map(float, known.singular_values)),
         null_directions=known.null_directions,
         covariance={"names": list(known.names), "matrix": known.covariance.tolist()},
-        information={
-            "gradient": (-residual @ jacobian).tolist(),
-            "names": parameters.names_where(free),
-            "matrix": (jacobian.T @ jacobian).tolist(),
-        },
+        information=found.information(),
         reference=reference if reference and reference.law == law.name else None,
-        observed=observed,
+        observed=_observed(fit),
         fitted=curves,
-        discrepancy=_discrepancy(fit, statistics, found),
+        discrepancy=_discrepancy(fit, path, found),
         loss=fit.loss,
-        noise=noise,
-        independence=statistics.by_channel(statistics.independence, 3),
-        outliers=outliers,
-        events=events,
+        noise=fit.noise,
+        independence={name: Independence.of(white) for name, (_, white) in enough.items()},
+        outliers=outliers_of(throw, residual, lag1, found.dof, found.leverage, fit.loss),
+        events=tuple(
+            asdict(event) | {"fitted": event.value - float(off)}
+            for event, off in zip(throw.events, residual[-1], strict=False)
+        ),
     )
+    warnings = warnings_of(fit, result, residual, unusual, rival, nonquadratic)
+    return replace(result, warnings=warnings)
 
 
-def _discrepancy(
-    fit: LeastSquaresFit, statistics: ResidualStatistics, found: Covariance
-) -> dict[str, Floats]:
+def _by_channel(fit: LeastSquaresFit, residual: Floats) -> dict[str, tuple[Floats, Floats]]:
+    """Residuals of each channel at its values: measured - fitted, and whitened over sigma."""
+    there = fit.problem.weight[:, : residual.shape[1]] > 0
+    rows = zip(CHANNELS, there, residual, fit.solution.residual, strict=False)
+    return {
+        name: (off[seen], white[: len(seen)][seen]) for name, seen, off, white in rows if seen.any()
+    }
+
+
+def _data(fit: LeastSquaresFit) -> dict[str, Any]:
+    """What was fitted."""
+    prepared = fit.prepared
+    throw = prepared.throw
+    return {
+        "file": throw.name,
+        "law_file": fit.model.law.origin or None,
+        "rows": len(throw) if throw.has_path else 0,
+        "from": float(throw.t[0]),
+        "to": float(throw.t[-1]),
+        **prepared.rows,
+        "swept": prepared.swept,
+        "sigma": {name: "estimated" if name in fit.sigma else "given" for name in throw.seen},
+        "notes": list(throw.notes),
+        "labels": dict(throw.labels),
+        "flags": list(prepared.flags),
+    }
+
+
+def _observed(fit: LeastSquaresFit) -> dict[str, Floats]:
+    """The measured series, and sigmas that were given or vary by row."""
+    throw = fit.prepared.throw
+    shown = [name for name in CHANNELS if name in throw.seen or name in ("x", "y", "phi")]
+    by_row = throw.sigma | {
+        name: fit.sigma[name] * throw.sigma_over_smallest(name)
+        for name in throw.relative_sigma.keys() & fit.sigma.keys()
+    }
+    sigmas = {f"sigma_{name}": by_row[name] for name in CHANNELS if name in by_row}
+    return {name: getattr(throw, name) for name in ("t", *shown)} | sigmas
+
+
+def _discrepancy(fit: LeastSquaresFit, path: Floats | None, found: Covariance) -> dict[str, Floats]:
     """Mean of the model discrepancy by channel; empty where the noise has none."""
-    if statistics.path is None or not fit.noise.sizes:
+    if path is None or not fit.noise.sizes:
         return {}
     n, prepared = len(fit.prepared.throw), fit.prepared
     adjustable = prepared.parameters.free & ~found.at_bound
@@ -330,22 +313,13 @@ def _discrepancy(
     for name, sigma in fit.noise.independent.items():
         weight[CHANNELS.index(name)] *= fit.sigma[name] / sigma
     data = linearized(
-        fit.model, fit.problem._replace(weight=weight), fit.solution.values,
-        statistics.path[:, :n], prepared.stone,
+        fit.model, fit.problem._replace(weight=weight), fit.solution.values, path, prepared.stone,
         prepared.parameters.typical, adjustable,
     )  # fmt: skip
     now = np.zeros_like(data.weight)
     now[: len(weight)] = fit.problem.weight
     mean = posterior_mean(fit.noise, fit.problem.times, now, data)[:, :n]
     return dict(zip(CHANNELS, mean, strict=False))
-
-
-def _events(fit: LeastSquaresFit, statistics: ResidualStatistics) -> tuple[dict[str, Any], ...]:
-    """The events of a throw with their values in the fit."""
-    return tuple(
-        asdict(event) | {"fitted": event.value - float(off)}
-        for event, off in zip(fit.prepared.throw.events, statistics.residual[-1], strict=False)
-    )
 
 
 def _unusual(
@@ -377,54 +351,6 @@ def _status(fit: LeastSquaresFit, distance: float, unusual: Sequence[Finding]) -
     return f"converged ({steps})"
 
 
-def _parameter_warnings(fit: LeastSquaresFit, found: Covariance) -> list[str]:
-    """Warnings about inadmissible coefficients and parameters at a bound."""
-    warnings = []
-    fault = fit.model.law.from_vector(fit.solution.values).fault()
-    if fault is not None:
-        warnings.append(f"{fault}; the fitted coefficients are not those of a friction law")
-    parameters = fit.prepared.parameters
-    return warnings + found.bound_warnings(parameters.lower, parameters.upper)
-
-
-def _error_warnings(
-    parameters: ParameterSet, nonquadratic: dict[str, bool], systematics: Systematics
-) -> list[str]:
-    """Warnings about standard and systematic errors that first order does not describe."""
-    warnings = []
-    if nonquadratic:
-        warnings.append(
-            f"chi squared is not quadratic within a standard error of {', '.join(nonquadratic)}: "
-            "these standard errors are rough; use the profile likelihood or the posterior"
-        )
-    beyond = [
-        item.name
-        for item in parameters.parameters
-        if systematics.errors.get(item.name, 0.0) > _NOT_LINEAR * item.typical
-    ]
-    if beyond:
-        warnings.append(
-            f"systematic errors of {', '.join(beyond)} exceed the range in which they can be "
-            "estimated: with the conditions as uncertain as assumed, the path does not determine "
-            f"{'it' if len(beyond) == 1 else 'them'}"
-        )
-    return warnings
-
-
-def _memory_warnings(noise: Noise, t: Floats, curves: dict[str, Floats]) -> list[str]:
-    """Warnings about noise whose correlation time is too long for the throw."""
-    memory = max(noise.memory.values(), default=0.0)
-    if not memory:
-        return []
-    span = time_of_motion(t, curves["speed"])
-    if memory <= _LASTING * span:
-        return []
-    return [
-        f"the noise has a correlation time of {memory:.2g} s in a throw of {span:.3g} s, too long "
-        "to be estimated well: its standard errors may be too small by a quarter"
-    ]
-
-
 def _rival(fit: LeastSquaresFit) -> dict[str, float]:
     """Parameters that differ at another optimum that fits as well, with their values there."""
     if fit.rival is None:
@@ -433,20 +359,6 @@ def _rival(fit: LeastSquaresFit) -> dict[str, float]:
     far = np.abs(fit.rival - fit.solution.values) > _DIFFERENT * parameters.typical
     values = parameters.values_of(fit.rival + fit.prepared.offset)
     return {name: values[name] for name in parameters.names_where(far)}
-
-
-def _rival_warnings(rival: dict[str, float], throw: Throw) -> list[str]:
-    """Warnings about another optimum that fits as well."""
-    if not rival:
-        return []
-    listed = ", ".join(f"{name} = {value:.3g}" for name, value in rival.items())
-    missing = [
-        said
-        for said, channels in (("x", ("x",)), ("the angle", ("phi", "omega")))
-        if not set(channels) & set(throw.seen)
-    ]
-    remedy = f"; measure {' or '.join(missing)} to distinguish them" if missing else ""
-    return [f"other values fit as well: {listed}; the estimates are one of two solutions{remedy}"]
 
 
 def _estimates(

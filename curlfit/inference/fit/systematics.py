@@ -20,6 +20,7 @@ from curlfit.inference.identifiability import inverted, visible
 from curlfit.inference.likelihood import predict_many
 from curlfit.inference.model import Model
 from curlfit.inference.noise.losses import root_slope
+from curlfit.inference.noise.models import LOSSES
 from curlfit.inference.noise.whitening import whitened
 from curlfit.inference.parameters import START
 from curlfit.inference.problem import Problem
@@ -28,7 +29,7 @@ from curlfit.numerics.batches import unstacked
 from curlfit.numerics.differences import slopes
 from curlfit.stone import UNITS as STONE_UNITS
 from curlfit.throws.events import EventArrays
-from curlfit.throws.readers.homography import displacements
+from curlfit.throws.readers.camera import displacements
 
 _SPIN = [item.name for item in START].index("omega0") - len(START)
 _STEP = 1e-2  # of a width, of differences: the path is accurate to 1e-7 of it
@@ -93,7 +94,6 @@ def residual_changes(
     values: Floats,
     paths: Floats,
     widths: Mapping[str, float],
-    loss: str,
     batch: int,
     throws: Sequence[PreparedThrow] = (),
     *,
@@ -123,16 +123,14 @@ def residual_changes(
 
     none = np.zeros(len(names))
     changes = slopes(measured, none, _STEP, value=paths[:, :channels]) if names else none
-    found = {}
+    residual = (paths[:, :channels] - problems.observed) * problems.weight
+    by_loss, found = root_slope(residual, LOSSES[problems.loss.max()]), {}
     for name, change in zip(names, np.moveaxis(changes, -1, 0), strict=True):
         change = change * problems.weight
         if problems.whitener is not None:
             pairs = zip(change, unstacked(problems.whitener), strict=True)
             change = np.array([whitened(*pair) for pair in pairs])
-        if loss != "linear":
-            residual = (paths[:, :channels] - problems.observed) * problems.weight
-            change = change * root_slope(residual, loss)
-        found[name] = change
+        found[name] = change * by_loss
     return found
 
 

@@ -95,22 +95,6 @@ class Covariates(NamedTuple):
             raise InputError(f"{names}: the throws do not distinguish their effects")
         return cls(groups, trends, mean, values - mean)
 
-    def of_group(self, name: str, group: str) -> Floats:
-        """The columns of the mean of a group, at the mean of all others."""
-        found, place = np.zeros(len(self.mean)), 0
-        for label, names in self.groups.items():
-            own = slice(place, place + len(names) - 1)
-            if label == name:
-                found[own] = np.array([one == group for one in names[1:]]) - self.mean[own]
-            place = own.stop
-        return found
-
-    def of_trend(self, name: str) -> Floats:
-        """The columns of one unit along a trend."""
-        found = np.zeros(len(self.mean))
-        found[len(self.mean) - len(self.trends) + list(self.trends).index(name)] = 1.0
-        return found
-
 
 def _labels(throws: Labelled, name: str) -> list[str]:
     for throw, labels in throws:
@@ -184,6 +168,20 @@ class Means:
         """Matrix from the estimate to the parameters where covariates have some values."""
         return to_mean(self.directions, columns)
 
+    def of_groups(self, of: Mapping[str, str]) -> Floats:
+        """The covariates of some groups, by label, at the mean of all else."""
+        found, end = np.zeros(len(self.centre)), 0
+        for name, members in self.groups.items():
+            own = slice(end, end := end + len(members) - 1)
+            if name in of:
+                found[own] = [of[name] == one for one in members[1:]] - self.centre[own]
+        return found
+
+    def along_trend(self, name: str) -> Floats:
+        """The covariates of one unit along a trend."""
+        unit: Floats = np.eye(len(self.centre))[list(self.trends).index(name) - len(self.trends)]
+        return unit
+
     def columns(self, labels: Mapping[str, str]) -> Floats:
         """The covariates of another throw: of its group, or the mean of all groups; along a trend
         at its label, or as at the last throw.
@@ -192,27 +190,21 @@ class Means:
         ------
         InputError : an unknown label or group.
         """
-        for name in labels:
+        for name, label in labels.items():
             if name not in (*self.groups, *self.trends):
                 known = join_words([*self.groups, *self.trends]) or "none"
                 raise InputError(
                     f"{name}: the fit distinguishes no throws by {quoted(name)}; it has {known}"
                 )
-        found, place = np.zeros(len(self.centre)), 0
-        for name, members in self.groups.items():
+            if label not in self.groups.get(name, [label]):
+                expected = join_words(self.groups[name], "or")
+                raise InputError(f"{name} {quoted(label)}: expected {expected}")
+        found = self.of_groups(labels)
+        for name in self.trends:
+            there = self.last
             if name in labels:
-                if labels[name] not in members:
-                    raise InputError(
-                        f"{name} {quoted(labels[name])}: expected {join_words(members, 'or')}"
-                    )
-                own = slice(place, place + len(members) - 1)
-                found[own] = np.array([labels[name] == one for one in members[1:]])
-                found[own] -= self.centre[own]
-            place += len(members) - 1
-        for column, name in enumerate(self.trends, place):
-            found[column] = self.last[column]
-            if name in labels:
-                found[column] = _numbers(name, [labels[name]])[0][0] - self.centre[column]
+                there = _numbers(name, [labels[name]])[0][0] - self.centre
+            found += self.along_trend(name) * there
         return found
 
     def expected(

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -13,33 +13,35 @@ from curlfit.errors import InputError, UnusableFitError, require_kind
 from curlfit.foreign import quoted
 from curlfit.friction import Law, find_law, no_motion_because
 from curlfit.inference.derived import check_derived
-from curlfit.inference.fit.advice import curl_warnings
 from curlfit.inference.fit.factors import Reduction
-from curlfit.inference.fit.prepared import PreparedThrow, local_bounds, penalties
+from curlfit.inference.fit.prepared import (
+    LeastSquaresFit,
+    PreparedThrow,
+    local_bounds,
+    penalties,
+)
 from curlfit.inference.fit.quantities import quantities_of
-from curlfit.inference.fit.result import Estimate, FitResult
 from curlfit.inference.fit.rounds import Rounds
-from curlfit.inference.fit.summary import IMPLAUSIBLE, summarize_many
+from curlfit.inference.fit.summary import summarize_many
 from curlfit.inference.fit.systematics import widths_of
-from curlfit.inference.identifiability import Bounded, Combination, r_factors
+from curlfit.inference.identifiability import Bounded, r_factors
+from curlfit.inference.joint.advice import with_throws
 from curlfit.inference.joint.draw import Draw
 from curlfit.inference.joint.effects import Covariates
-from curlfit.inference.joint.population import pool, told_by_all
+from curlfit.inference.joint.population import Together, pool, told_by_data
 from curlfit.inference.joint.posterior import sampled
 from curlfit.inference.joint.result import JointResult, Variation
 from curlfit.inference.joint.solver import Progress, minimize_jointly
-from curlfit.inference.joint.summary import varying_fields
+from curlfit.inference.joint.summary import about_mean
 from curlfit.inference.joint.variation import each_alone, told_by_each, variations_of, wanted_of
 from curlfit.inference.least_squares import Solution, Tasks
 from curlfit.inference.model import Model
 from curlfit.inference.problem import problem_shape
-from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import unstacked
-from curlfit.output.text import join_words
 from curlfit.settings.choices import Fitting, takes
 from curlfit.throws.throw import Throw, require_throw
 
-_NAMED = 3  # throws whose files a warning of several names
 _VARYING = 4  # throws from which on their coefficients may vary
 _FEWEST = 3  # throws that determine what varies
 
@@ -99,32 +101,70 @@ def fit_together(
         raise InputError(f"{len(throws)} throw to fit together; expected two or more")
     law = find_law(_common(throws, "law", "front-back") if law is None else law)
     load = _common(throws, "load", "uniform") if load is None else load
-    given = {**choices, "law": law, "load": load}
-    chosen = [Fitting.of(throw.settings, **given) for throw in throws]
-    first = chosen[0]
-    shared = _shared(law, share or "all")
-    labels = [(throw.name, throw.labels) for throw in throws]
-    covariates = Covariates.of(labels, by, trend)
-    varies = bool(by or trend) or (share is None and len(throws) >= _VARYING)
-    if first.loss != "linear" and varies:
-        if by or trend:
-            raise InputError("by, trend: groups and trends are estimated with loss linear")
-        varies = False
-    if (by or trend) and set(shared) != {item.name for item in law.coefficients()}:
+    chosen = [Fitting.of(throw.settings, **choices, law=law, load=load) for throw in throws]
+    shared = _shared(law, share or "all", chosen[0], mean=bool(by or trend))
+    covariates = Covariates.of([(throw.name, throw.labels) for throw in throws], by, trend)
+    together = _together(throws, chosen, shared, covariates, progress)
+    result, weights = _equal(together, chosen[0].systematics)
+    usual = share is None and len(throws) >= _VARYING and chosen[0].loss == "linear"
+    if weights and (by or trend or usual):
+        result = _varying(together, result, weights, seed)
+    each = tuple(replace(one, quantities=quantities_of(one)) for one in result.throws)
+    return replace(result, throws=each).with_derived(chosen[0].derive)
+
+
+def _common(throws: Sequence[Throw], name: str, default: str) -> str:
+    """The law or load that the throws state. Raises `InputError` where they differ."""
+    first, *others = [throw.defaults.get(name, default) for throw in throws]
+    for throw, own in zip(throws[1:], others, strict=True):
+        if own != first:
+            raise InputError(
+                f"{throws[0].name} and {throw.name} state different values of {name}, {first} and "
+                f"{own}; give the one for this fit"
+            )
+    return str(first)
+
+
+def _shared(
+    law: type[Law], share: str | Sequence[str], chosen: Fitting, *, mean: bool
+) -> tuple[str, ...]:
+    """Names of the shared coefficients. Raises `InputError` for one that the law does not have, or
+    for choices that exclude a `mean` with groups or trends."""
+    own = tuple(item.name for item in law.coefficients())
+    shared = own if share == "all" else (share,) if isinstance(share, str) else tuple(share)
+    for name in shared:
+        if name not in own:
+            raise InputError(
+                f"share: law {law.name} has no coefficient {quoted(name)}; it has {', '.join(own)}"
+            )
+    if mean and chosen.loss != "linear":
+        raise InputError("by, trend: groups and trends are estimated with loss linear")
+    if mean and set(shared) != set(own):
         raise InputError("share: with groups or trends, all coefficients have a mean")
-    check_derived(first.derive, [item.name for item in law.coefficients()])
-    any_swept = any(one.swept is not None for one in chosen)
+    check_derived(chosen.derive, own)
+    return shared
+
+
+def _together(
+    throws: Sequence[Throw],
+    chosen: Sequence[Fitting],
+    shared: Sequence[str],
+    covariates: Covariates,
+    progress: Progress | None,
+) -> Together:
+    """The throws at their optimum with equal coefficients."""
+    any_swept, first = any(one.swept is not None for one in chosen), chosen[0]
     prepared = [
         PreparedThrow.of(throw, one, others_swept=any_swept)
         for throw, one in zip(throws, chosen, strict=True)
     ]
     parameters = prepared[0].parameters
-    shared = (*shared, *parameters.conditions)
-    common = np.isin(parameters.names, shared)
+    common = np.isin(parameters.names, (*shared, *parameters.conditions))
     channels, rows = zip(*(problem_shape(one.throw) for one in prepared), strict=True)
-    shape = max(channels), max(rows)
-    model = Model(law, first.load, parameters.conditions)
-    rounds = Rounds(model, prepared, loss=first.loss, noise=first.noise, shape=shape)
+    model = Model(find_law(first.law), first.load, parameters.conditions)
+    rounds = Rounds(
+        model, prepared, loss=first.loss, noise=first.noise, shape=(max(channels), max(rows))
+    )
     starts = [
         one.with_start(values, first.start)
         for one, values in zip(prepared, rounds.starts()[1][0], strict=True)
@@ -142,250 +182,98 @@ def fit_together(
         raise failure
     if not np.isfinite(solution.chi_squared).all():
         raise UnusableFitError(
-            f"law {law.name} with {first.load} load gives no finite path for these throws"
+            f"law {model.law.name} with {first.load} load gives no finite path for these throws"
             + no_motion_because(first.load)
         )
-    widths = widths_of(model, first.systematics, prepared, jointly=True)
-    result, weights = _equal(rounds, tasks, solution, common, widths, covariates.values)
-    if varies and weights:
-        result = _varying(result, rounds, tasks, solution, common, weights, covariates, seed)
-    each = tuple(replace(one, quantities=quantities_of(one)) for one in result.throws)
-    return replace(result, throws=each).with_derived(first.derive)
+    return Together(rounds, tasks, solution, common, covariates)
 
 
-def _differs_by_spin(item: Variation, counter_clockwise: Booleans) -> bool:
-    """Whether throws of the same sense of spin agree much better than all throws do."""
-    known = np.array([one is not None for one in item.each])
-    value, error = np.array([one for one in item.each if one is not None]).T
-    sense = counter_clockwise[known]
-
-    def chi_squared(rows: Booleans) -> float:
-        if not rows.any():
-            return 0.0
-        mean = np.average(value[rows], weights=error[rows] ** -2)
-        return float((((value[rows] - mean) / error[rows]) ** 2).sum())
-
-    within = chi_squared(sense) + chi_squared(~sense)
-    return within < chi_squared(np.ones_like(sense)) / 2
-
-
-def _common(throws: Sequence[Throw], name: str, default: str) -> str:
-    """The law or load that the throws state. Raises `InputError` where they differ."""
-    first = throws[0].defaults.get(name, default)
-    for throw in throws:
-        own = throw.defaults.get(name, default)
-        if own != first:
-            raise InputError(
-                f"{throws[0].name} and {throw.name} state different values of {name}, {first} and "
-                f"{own}; give the one for this fit"
-            )
-    return str(first)
-
-
-def _shared(law: type[Law], share: str | Sequence[str]) -> tuple[str, ...]:
-    """Names of the shared coefficients. Raises `InputError` for one that the law does not have."""
-    own = tuple(item.name for item in law.coefficients())
-    shared = own if share == "all" else (share,) if isinstance(share, str) else tuple(share)
-    for name in shared:
-        if name not in own:
-            raise InputError(
-                f"share: law {law.name} has no coefficient {quoted(name)}; it has {', '.join(own)}"
-            )
-    return shared
+def _records(together: Together, solution: Solution) -> list[LeastSquaresFit]:
+    return [together.rounds.record(row, one) for row, one in enumerate(unstacked(solution))]
 
 
 def _equal(
-    rounds: Rounds,
-    tasks: Tasks,
-    solution: Solution,
-    common: Booleans,
-    widths: Mapping[str, float],
-    covariates: Floats,
+    together: Together, given: Mapping[str, float] | None
 ) -> tuple[JointResult, dict[str, Floats]]:
-    """The result where the shared coefficients are equal in all throws, and the weights of the
-    parameters in what may vary."""
-    fits = [rounds.record(row, one) for row, one in enumerate(unstacked(solution))]
-    throws = summarize_many(fits, widths=widths, common=common)
-    status = _status(throws, solution)
-    throws = _with_status(throws, status)
+    """The result where the shared coefficients are equal in all throws, with the systematic errors
+    due to the `given` conditions, and the weights of the parameters in what may vary."""
+    rounds, tasks, solution, common, covariates = together
+    widths = widths_of(rounds.model, given, rounds.throws, jointly=True)
+    throws = summarize_many(_records(together, solution), widths=widths, common=common)
     first, parameters = throws[0], rounds.throws[0].parameters
     shared = tuple(parameters.names_where(common))
     coefficients = {name: first.parameters[name] for name in shared}
     combinations = tuple(item for item in first.combinations if set(item.weights) <= set(shared))
-    plain = rounds.loss == "linear" and rounds.noises[0].kind == "white"
-    factors = r_factors(solution.jacobian, solution.residual)
-    bounded = Bounded(solution.values, tasks.lower, tasks.upper)
-    reduction = Reduction.of(factors, bounded, tasks.typical, common)
+    reduction = Reduction.of(
+        r_factors(solution.jacobian, solution.residual),
+        Bounded(solution.values, tasks.lower, tasks.upper), tasks.typical, common,
+    )  # fmt: skip
     verdicts = {name: one.verdict for name, one in coefficients.items()}
     if tasks.penalty is not None:  # what varies is what the throws themselves determine
-        rows = reduction.rows[..., np.append(common, True)].reshape(-1, len(shared) + 1)
-        at = Bounded(*(part[0, common] for part in bounded))
-        alone = told_by_all(shared, rows, at, tasks.typical[common])
+        alone = told_by_data(together, reduction, shared)
         verdicts = {
             name: known if known == "fixed" else alone.classified(row)[1]
             for row, (name, known) in enumerate(verdicts.items())
         }
         known = {item.expression: item for item in (*alone.combinations, *combinations)}
         combinations = tuple(known.values())
-    by_name = wanted_of(verdicts, combinations)
-    weights = {
-        name: np.array([own.get(one, 0.0) for one in parameters.names])
-        for name, own in by_name.items()
-    }
+    weights = wanted_of(verdicts, combinations, parameters.names)
+    plain = rounds.loss == "linear" and rounds.noises[0].kind == "white"
     variation = variations_of(
         each_alone(solution, tasks, rounds.unknown & plain), tasks.upper > tasks.lower,
-        solution.values[0], weights, tasks.typical, covariates,
+        solution.values[0], weights, tasks.typical, covariates.values,
     )  # fmt: skip
     among = {item.expression: item for item in variation if item.significant}
     open_ = np.array([np.isin(parameters.names, one.covariance["names"]) for one in throws])
     named = {*shared, *(item.expression for item in combinations)}
+    shifts = {name: by for name, by in first.systematics.shifts.items() if name in named}
     result = JointResult(
-        law=rounds.model.law.name,
-        load=rounds.model.load,
+        law=first.law,
+        load=first.load,
         share=shared,
-        converged=all(one.converged for one in throws),
-        status=_implausible_ones(throws) or status,
-        warnings=(
-            *_spin_warnings(variation, throws, rounds),
-            *_equality_warnings(variation),
-            *_throw_warnings(throws),
-        ),
-        coefficients={name: _among(item, among.get(name)) for name, item in coefficients.items()},
-        combinations=tuple(_among(item, among.get(item.expression)) for item in combinations),
+        converged=False,
+        status="",
+        warnings=(),
+        coefficients={name: _among(item, among, name) for name, item in coefficients.items()},
+        combinations=tuple(_among(item, among, item.expression) for item in combinations),
         rank=int(first.rank + reduction.rank[1:].sum()),
         parameters=int(open_[0, common].sum() + open_[:, ~common].sum()),
         variation=variation,
-        throws=tuple(throws),
-        systematics=replace(
-            first.systematics,
-            shifts={name: by for name, by in first.systematics.shifts.items() if name in named},
-        ),
+        systematics=replace(first.systematics, shifts=shifts),
     )
-    of_law = [item.name for item in rounds.model.law.coefficients()]
     told = {one.expression for one in variation if sum(map(bool, one.each)) >= _FEWEST}
-    return result, told_by_each(
+    of_law = np.isin(parameters.names, [item.name for item in rounds.model.law.coefficients()])
+    return with_throws(result, throws, solution), told_by_each(
         reduction.rows[..., :-1], tasks.typical * (tasks.upper > tasks.lower)[0],
-        {name: own for name, own in weights.items()
-         if name in told and by_name[name].keys() <= set(of_law)},
+        {name: own for name, own in weights.items() if name in told and not own[~of_law].any()},
     )  # fmt: skip
+
+
+def _among(item: Any, differing: Mapping[str, Variation], name: str) -> Any:
+    """A shared estimate; where throws differ in it, its error is that of the mean over them."""
+    if name not in differing:
+        return item
+    throws = sum(one is not None for one in differing[name].each)
+    return replace(item, stderr=differing[name].shared_stderr, dof=float(throws - 1))
 
 
 def _varying(
-    result: JointResult,
-    rounds: Rounds,
-    tasks: Tasks,
-    solution: Solution,
-    common: Booleans,
-    weights: dict[str, Floats],
-    covariates: Covariates,
-    seed: int | None,
+    together: Together, equal: JointResult, weights: dict[str, Floats], seed: int | None
 ) -> JointResult:
     """The result where what the throws determine varies about its mean."""
-    variation = {one.expression: one for one in result.variation}
+    variation = {one.expression: one for one in equal.variation}
     guess = np.array([variation[name].first_spread for name in weights])
-    found, solution, others = pool(
-        rounds, tasks, solution, common, weights, guess, covariates.values
-    )
-    fits = [rounds.record(row, one) for row, one in enumerate(unstacked(solution))]
+    found, solution, others = pool(together, weights, guess)
     throws = [
         replace(one, systematics=before.systematics)
-        for one, before in zip(summarize_many(fits, others=others), result.throws, strict=True)
-    ]
-    status = _status(throws, solution)
-    throws = _with_status(throws, status)
-    fields = varying_fields(
-        found, result.coefficients, result.combinations, result.variation, covariates,
-        (tasks.lower[0, common], tasks.upper[0, common]),
-        Draw(rounds.model, rounds.throws[0].stone), solution.values[:, common],
-        np.array([one.parameters["omega0"].value for one in throws]),
-        sampled(found.fit, guess, seed),
-    )  # fmt: skip
-    return replace(
-        result,
-        **fields,
-        converged=all(one.converged for one in throws),
-        status=_implausible_ones(throws) or status,
-        warnings=(*_spin_warnings(result.variation, throws, rounds), *_throw_warnings(throws)),
-        throws=tuple(throws),
-    )
-
-
-def _with_status(throws: Sequence[FitResult], status: str) -> list[FitResult]:
-    """The throws, with the status of all if that is no success."""
-    if status.startswith("converged"):
-        return [*throws]
-    return [
-        one if _implausible(one) else replace(one, converged=False, status=status) for one in throws
-    ]
-
-
-def _implausible_ones(throws: Sequence[FitResult]) -> str:
-    return ". ".join(f"{one.data['file']}: {one.status}" for one in throws if _implausible(one))
-
-
-def _throw_warnings(throws: Sequence[FitResult]) -> list[str]:
-    return [*curl_warnings(throws), *_warnings_of(throws)]
-
-
-def _status(throws: Sequence[FitResult], solution: Solution) -> str:
-    """How the search for the optimum of all throws ended."""
-    ends = (one.status for one in throws if not (one.converged or _implausible(one)))
-    converged = "converged" if solution.success.all() else "not converged"
-    return next(ends, f"{converged} ({solution.steps[0]} steps)")
-
-
-def _implausible(fit: FitResult) -> bool:
-    return fit.status.startswith(IMPLAUSIBLE)
-
-
-def _warnings_of(throws: Sequence[FitResult]) -> list[str]:
-    """Warnings of single throws; of several with the same, one."""
-    files: dict[str, list[str]] = {}
-    for one in throws:
-        for warning in one.warnings:
-            files.setdefault(warning, []).append(one.data["file"])
-    found = []
-    for warning, some in files.items():
-        named = (
-            some if len(some) <= _NAMED else [*some[: _NAMED - 1], f"{len(some) - _NAMED + 1} more"]
+        for one, before in zip(
+            summarize_many(_records(together, solution), others=others), equal.throws, strict=True
         )
-        found.append(warning if len(some) == len(throws) else f"{join_words(named)}: {warning}")
-    return found
-
-
-_Shared = TypeVar("_Shared", Estimate, Combination)
-
-
-def _among(item: _Shared, difference: Variation | None) -> _Shared:
-    """A shared estimate with its error as that of the mean over throws that differ in it."""
-    if difference is None:
-        return item
-    throws = sum(one is not None for one in difference.each)
-    return replace(item, stderr=difference.shared_stderr, dof=float(throws - 1))
-
-
-def _spin_warnings(
-    variation: Sequence[Variation], throws: Sequence[FitResult], rounds: Rounds
-) -> list[str]:
-    """A warning if throws of opposite spins differ."""
-    # For a throw without a path the curl is at most one number, which the heading absorbs.
-    paths = any(one.throw.has_path for one in rounds.throws)
-    senses = np.array([one.parameters["omega0"].value > 0 for one in throws])
-    differ = any(_differs_by_spin(item, senses) for item in variation if item.significant)
-    if not differ or not paths or rounds.model.has_slope:
-        return []
-    return [
-        "throws of opposite spins differ, as they do on ice that is not level; `--free slope_x` "
-        "fits a common slope"
     ]
-
-
-def _equality_warnings(variation: Sequence[Variation]) -> list[str]:
-    """Warnings about equal coefficients that differ from throw to throw."""
-    return [
-        f"{item.expression} varies between throws by more than its errors ({item.p_text}); "
-        "its standard error is that of the mean over such throws, and large residuals of single "
-        "throws may be due to the common value rather than to their data"
-        for item in reversed(variation)
-        if item.significant
-    ]
+    spins = np.array([one.parameters["omega0"].value for one in throws])
+    result = about_mean(
+        equal, found, together.covariates,
+        Draw(together.rounds.model, together.rounds.throws[0].stone),
+        (solution.values[:, together.common], spins), sampled(found.fit, guess, seed),
+    )  # fmt: skip
+    return with_throws(result, throws, solution)

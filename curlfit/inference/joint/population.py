@@ -15,9 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.inference.fit.covariance import Covariance, Sigmas
-from curlfit.inference.fit.factors import Factors
+from curlfit.inference.fit.factors import Factors, Reduction
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.identifiability import Bounded, Combination, r_factor, r_factors
+from curlfit.inference.joint.effects import Covariates, Means
 from curlfit.inference.least_squares import Solution, Tasks, minimize_many
 from curlfit.inference.priors import Penalty
 from curlfit.numerics.arrays import Booleans, Floats
@@ -39,10 +40,9 @@ class Population(NamedTuple):
     reference: Floats
     """values of the common parameters"""
     typical: Floats
-    varying: tuple[str, ...]
-    """coefficients and combinations that vary"""
-    weights: Floats
-    """of the common parameters in these, shape (varying, common)"""
+    bounds: tuple[Floats, Floats]
+    weights: dict[str, Floats]
+    """of the common parameters in the coefficients and combinations that vary"""
     of_data: MixedFit
     """the fit without priors"""
 
@@ -52,10 +52,17 @@ class Population(NamedTuple):
         found: Floats = np.sqrt(self.fit.variances)
         return found
 
-    def of_mean_at(self, columns: Floats) -> Floats:
-        """The common parameters of the mean where covariates have some values, shape (...,
-        parameters)."""
-        found: Floats = self.reference + self.typical * (self.fit.at(columns) @ self.fit.estimate)
+    @property
+    def dof(self) -> float:
+        """Degrees of freedom of the spreads."""
+        throws, covariates = self.fit.model.covariates.shape
+        return max(throws - 1.0 - covariates, 1.0)
+
+    @property
+    def scale(self) -> Floats:
+        """Of the estimate: typical sizes, and one for the effects."""
+        found = np.ones(len(self.fit.estimate))
+        found[: len(self.typical)] = self.typical
         return found
 
     def combinations(
@@ -64,19 +71,20 @@ class Population(NamedTuple):
         """Those of the mean, known and, from the ones before the throws varied, what varies."""
         found, size = {one.expression: one for one in known}, len(self.typical)
         for one in before:
-            if one.expression in self.varying and one.expression not in found:
-                scaled = self.weights[self.varying.index(one.expression)] * self.typical
+            if one.expression in self.weights and one.expression not in found:
+                scaled = self.weights[one.expression] * self.typical
                 value = scaled @ (self.reference / self.typical + self.fit.estimate[:size])
                 variance = scaled @ self.fit.covariance[:size, :size] @ scaled
-                found[one.expression] = replace(one, value=float(value), stderr=variance**0.5)
+                stderr = float(variance**0.5)
+                found[one.expression] = replace(one, value=float(value), stderr=stderr)
         return tuple(replace(one, dof=self.dof) for one in found.values())
 
-    def of_mean(self, names: Sequence[str], lower: Floats, upper: Floats) -> Covariance:
-        """What all throws say of the common parameters of their mean, within bounds."""
+    def of_mean(self, names: Sequence[str]) -> Covariance:
+        """What all throws say of the common parameters of their mean."""
         size = len(self.typical)
         best = self.fit.estimate[:size]
-        values = _inside(self.reference + self.typical * best, self.typical, lower, upper)
-        bounded = Bounded(values, lower, upper)
+        values = _inside(self.reference + self.typical * best, self.typical, *self.bounds)
+        bounded = Bounded(values, *self.bounds)
 
         def told(fit: MixedFit) -> Factors:
             mean, matrix = fit.unbounded
@@ -88,20 +96,22 @@ class Population(NamedTuple):
             factors = factors._replace(of_data=told(self.of_data).whole)
         return _covariance(names, factors, bounded, self.typical)
 
-    @property
-    def dof(self) -> float:
-        """Degrees of freedom of the spreads."""
-        throws, covariates = self.fit.model.covariates.shape
-        return max(throws - 1.0 - covariates, 1.0)
-
-
-def told_by_all(
-    names: Sequence[str], rows: Floats, bounded: Bounded, typical: Floats
-) -> Covariance:
-    """What rows of all throws, with the residual as the last column, say of parameters that these
-    have in common."""
-    factors = Factors.of(r_factor(rows), bounded, typical, None)
-    return _covariance(names, factors, bounded, typical)
+    def means(self, names: tuple[str, ...], covariates: Covariates, angle: float) -> Means:
+        """The record of the mean; a draw to the tee turns by `angle`."""
+        effects = np.zeros(len(self.scale) - len(self.reference))
+        return Means(
+            names=names,
+            groups=covariates.groups,
+            trends=covariates.trends,
+            centre=covariates.mean,
+            last=covariates.values[-1],
+            estimate=np.append(self.reference, effects) + self.scale * self.fit.estimate,
+            covariance=self.scale[:, None] * self.fit.covariance * self.scale,
+            directions=self.typical[:, None] * self.fit.model.directions,
+            spreads=self.spreads,
+            dof=self.dof,
+            angle=angle,
+        )
 
 
 def _covariance(
@@ -109,10 +119,7 @@ def _covariance(
 ) -> Covariance:
     nothing = np.zeros((1, 1, len(typical)))
     sigmas = Sigmas(np.ones(1, int), np.zeros(1, bool), "linear", len(typical))
-    return Covariance.of(
-        names, bounded, typical, bounded.upper > bounded.lower, (factors, factors), nothing,
-        sigmas, True,
-    )  # fmt: skip
+    return Covariance.of(names, bounded, typical, (factors, factors), nothing, sigmas, True)
 
 
 def ends_from(
@@ -126,67 +133,60 @@ def ends_from(
     )
 
 
+class Together(NamedTuple):
+    """Throws that are fitted together."""
+
+    rounds: Rounds
+    tasks: Tasks
+    solution: Solution
+    """their optimum with equal coefficients"""
+    common: Booleans
+    """which parameters they have in common"""
+    covariates: Covariates
+
+
 def pool(
-    rounds: Rounds,
-    tasks: Tasks,
-    solution: Solution,
-    common: Booleans,
-    weights: Mapping[str, Floats],
-    guess: Floats,
-    covariates: Floats,
+    throws: Together, weights: Mapping[str, Floats], guess: Floats
 ) -> tuple[Population, Solution, Floats]:
     """The mean of throws and their deviations from it; the throws at their own coefficients; and
     rows of what the others say of the parameters of each, with the residual as the last column,
     shape (throws, rows, parameters + 1).
 
+    Sigmas that were estimated are estimated again as the throws come to their own coefficients.
+
     Parameters
     ----------
-    rounds : of the fit; sigmas that it estimated are estimated again as the throws come to their
-        own coefficients.
-    tasks, solution : the throws, and their optimum with equal coefficients, where this begins.
     weights : of the parameters in what varies, by expression, each of shape (parameters,).
     guess : standard deviations between throws.
-    covariates : with mean zero, shape (throws, covariates).
     """
-    typical, size = tasks.typical[common], int(common.sum())
-    free = (tasks.upper > tasks.lower)[0, common]
-    reference = solution.values[0, common]
+    rounds, tasks, solution, common, covariates = throws
+    typical, reference = tasks.typical[common], solution.values[0, common]
+    bounds = tasks.lower[0, common], tasks.upper[0, common]
+    free = bounds[1] > bounds[0]
     whole = np.array([*weights.values()])[:, common]
     directions = np.linalg.pinv(whole * typical * free)
-    ends = tasks.lower[0, common], tasks.upper[0, common]
-    lower, upper = ends_from(reference, typical, free, *ends)
-    values, penalty, scale = np.array(solution.values), tasks.penalty, np.append(typical, 1.0)
-    if penalty is not None:
-        penalty = penalty._replace(weight=penalty.weight * ~common)
-    of_mean = None if tasks.penalty is None else Penalty(*(one[0, common] for one in tasks.penalty))
-    distance, centre = np.inf, reference
+    lower, upper = ends_from(reference, typical, free, *bounds)
+    values, distance, centre = np.array(solution.values), np.inf, reference
     for step in range(_MOST):
         if step:
             held = [np.where(common, values, end) for end in (tasks.lower, tasks.upper)]
-            own = tasks._replace(start=values, lower=held[0], upper=held[1], penalty=penalty)
+            own = tasks._replace(
+                start=values, lower=held[0], upper=held[1], penalty=_of_throws(throws)
+            )
             solution = minimize_many(rounds.model, own, few=len(values) <= _FEW)
             values = np.array(solution.values)
         solution = rounds.with_own_sigma(solution)
-        factors = r_factors(solution.jacobian, solution.residual)
-        within = Bounded(values, tasks.lower, tasks.upper)
-        reduction = Factors.of(factors, within, tasks.typical, penalty, common).reduction
-        assert reduction is not None
+        reduction = _reduction(throws, solution)
         each = reduction.rows[..., np.append(common, True)] * np.append(typical * free, 1.0)
-        rows, left = each[..., :-1], each[..., -1]
-        now = (values[:, common] - reference) / typical
-        target = (rows @ now[..., None])[..., 0] - left
-        prior = None
-        if of_mean is not None:
-            off, slope = of_mean.residual_and_slope(centre)
-            slope = slope * typical * free
-            prior = np.diag(slope), slope * (centre - reference) / typical - off
-        model = MixedModel.of(rows, target, directions, covariates, prior)
+        rows, now = each[..., :-1], (values[:, common] - reference) / typical
+        target = (rows @ now[..., None])[..., 0] - each[..., -1]
+        prior = _prior(throws, centre, free)
+        model = MixedModel.of(rows, target, directions, covariates.values, prior)
         if distance > _NEAR:  # afterwards variances stay, which might alternate with zero
             variances = model.variances(guess**2)
         fit = MixedFit(model, variances, lower, upper)
-        centre = reference + typical * fit.estimate[:size]
-        mean, matrix = fit.predicted_by_others()
-        told = _rows(mean, matrix, now, fit.model.null)
+        centre = reference + typical * fit.estimate[: len(typical)]
+        told = _rows(*fit.predicted_by_others(), now, fit.model.null)
         every = np.concatenate([each, told], 1)
         move = _moves(every, fit.model.null, lower - now, upper - now)[..., None]
         distance = float(np.linalg.norm(every[..., :-1] @ move, axis=1).max())
@@ -194,15 +194,53 @@ def pool(
             break
         steps = reduction.follow[:, :, common] @ (typical[:, None] * move)
         values = _inside(values + steps[..., 0], tasks.typical, tasks.lower, tasks.upper)
-    others = np.zeros((len(values), size, len(tasks.typical) + 1))
-    others[..., np.append(common, True)] = told / scale
-    ended = np.full(len(values), distance < _SETTLED)
+    others = np.zeros((*told.shape[:2], len(tasks.typical) + 1))
+    others[..., np.append(common, True)] = told / np.append(typical, 1.0)
     of_data = fit
     if prior is not None:
-        model = MixedModel.of(rows, target, directions, covariates)
+        model = MixedModel.of(rows, target, directions, covariates.values)
         of_data = MixedFit(model, variances, lower, upper)
-    found = Population(fit, reference, typical, tuple(weights), whole, of_data)
+    varying = dict(zip(weights, whole, strict=True))
+    ended = np.full(len(values), distance < _SETTLED)
+    found = Population(fit, reference, typical, bounds, varying, of_data)
     return found, solution._replace(success=ended), others
+
+
+def told_by_data(throws: Together, reduction: Reduction, names: Sequence[str]) -> Covariance:
+    """What all throws say of what they have in common, without priors."""
+    _, tasks, solution, common, _ = throws
+    bounded = Bounded(*(part[0, common] for part in (solution.values, tasks.lower, tasks.upper)))
+    typical = tasks.typical[common]
+    rows = r_factor(reduction.rows[..., np.append(common, True)].reshape(-1, len(typical) + 1))
+    return _covariance(names, Factors.of(rows, bounded, typical, None), bounded, typical)
+
+
+def _of_throws(throws: Together) -> Penalty | None:
+    """The priors of what throws do not have in common."""
+    penalty = throws.tasks.penalty
+    return penalty and penalty._replace(weight=penalty.weight * ~throws.common)
+
+
+def _prior(throws: Together, centre: Floats, free: Booleans) -> tuple[Floats, Floats] | None:
+    """Rows of the priors of what throws have in common, in typical sizes from the first optimum,
+    and what they then give."""
+    if throws.tasks.penalty is None:
+        return None
+    common, typical = throws.common, throws.tasks.typical[throws.common]
+    off, slope = Penalty(*(one[0, common] for one in throws.tasks.penalty)).residual_and_slope(
+        centre
+    )
+    slope = slope * typical * free
+    return np.diag(slope), slope * (centre - throws.solution.values[0, common]) / typical - off
+
+
+def _reduction(throws: Together, solution: Solution) -> Reduction:
+    """What throws say of what they have in common, near their optima."""
+    tasks, factors = throws.tasks, r_factors(solution.jacobian, solution.residual)
+    within = Bounded(np.array(solution.values), tasks.lower, tasks.upper)
+    found = Factors.of(factors, within, tasks.typical, _of_throws(throws), throws.common).reduction
+    assert found is not None
+    return found
 
 
 def _moves(rows: Floats, null: Floats, lower: Floats, upper: Floats) -> Floats:

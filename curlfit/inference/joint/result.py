@@ -16,21 +16,16 @@ from curlfit.errors import InputError
 from curlfit.foreign import safe_name
 from curlfit.friction import Law
 from curlfit.inference.derived import Derived, Quantiles, derive
-from curlfit.inference.fit.result import (
-    Estimate,
-    FitResult,
-    LoadName,
-    NamedEstimates,
-    Systematics,
-    load_fit,
-)
+from curlfit.inference.fit.estimates import Estimate, NamedEstimates, Systematics
+from curlfit.inference.fit.result import FitResult, LoadName, load_fit
 from curlfit.inference.identifiability import Combination
 from curlfit.inference.joint.effects import Effect, Means
-from curlfit.output.text import p_text
+from curlfit.output.text import join_words, p_text
 from curlfit.records import UNSAVED, keys, plain, require, structured
 from curlfit.stone import Stone
 
 _SIGNIFICANT = 0.01
+_NAMED = 3  # throws whose files a warning of several names
 
 
 @dataclass(frozen=True)
@@ -259,6 +254,19 @@ def folder_name(throw: str) -> str:
     """The folder of a throw beside `joint.json`: `evening-3` for row 3 of `evening.csv`."""
     row = re.fullmatch(r"(.*) row (\d+)", throw)
     return safe_name(Path(throw).stem if row is None else f"{Path(row[1]).stem}-{row[2]}")
+
+
+def warnings_of(throws: Sequence[FitResult]) -> list[str]:
+    """Warnings of single throws; of several with the same, one."""
+    files: dict[str, list[str]] = {}
+    for one in throws:
+        for warning in one.warnings:
+            files.setdefault(warning, []).append(one.data["file"])
+    found = []
+    for warning, some in files.items():
+        named = some if len(some) <= _NAMED else [*some[:2], f"{len(some) - 2} more"]
+        found.append(warning if len(some) == len(throws) else f"{join_words(named)}: {warning}")
+    return found
 
 
 def load_joint(file: str | PathLike[str]) -> JointResult:

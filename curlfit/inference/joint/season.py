@@ -14,14 +14,15 @@ import numpy as np
 from curlfit.errors import InputError
 from curlfit.friction import Coefficient
 from curlfit.inference.fit.covariance import Covariance
-from curlfit.inference.fit.result import Estimate, FitResult
+from curlfit.inference.fit.estimates import Estimate
+from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import Bounded
 from curlfit.inference.joint.draw import Draw
 from curlfit.inference.joint.effects import Covariates, Labelled
 from curlfit.inference.joint.population import Population, ends_from
 from curlfit.inference.joint.posterior import sampled
 from curlfit.inference.joint.result import JointResult, SeparateFits, Variation
-from curlfit.inference.joint.summary import varying_fields
+from curlfit.inference.joint.summary import about_mean
 from curlfit.inference.joint.variation import Alone, told_by_each, variations_of, wanted_of
 from curlfit.inference.model import Model
 from curlfit.numerics.arrays import Booleans, Floats
@@ -98,11 +99,6 @@ class _Quadratics(NamedTuple):
         target = season.told[..., -1] - rows @ reference
         return cls(items, reference, typical, free, bounds, rows * typical, target)
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Of the coefficients."""
-        return tuple(item.name for item in self.items)
-
     def population(
         self, weights: Mapping[str, Floats], columns: Floats, spreads: Floats
     ) -> Population:
@@ -113,23 +109,20 @@ class _Quadratics(NamedTuple):
         ends = ends_from(self.reference, self.typical, self.free, *self.bounds)
         variances = model.variances(spreads**2) if len(spreads) else spreads
         fit = MixedFit(model, variances, *ends)
-        return Population(fit, self.reference, self.typical, tuple(weights), whole, fit)
+        return Population(fit, self.reference, self.typical, self.bounds, dict(weights), fit)
 
     def equal(self) -> tuple[Covariance, dict[str, Estimate]]:
         """What all throws say if they are equal."""
-        none = np.zeros(0)
-        known = self.population({}, np.zeros((len(self.rows), 0)), none).of_mean(
-            self.names, *self.bounds
-        )
-        return known, {
-            item.name: Estimate(
-                float(value), None, known.classified(row)[1] if free else "fixed", item.unit,
-                item.symbol, item.meaning, item.lower, item.upper, item.typical,
-            )
-            for row, (item, value, free) in enumerate(
-                zip(self.items, self.reference, self.free, strict=True)
-            )
-        }  # fmt: skip
+        none = np.zeros((len(self.rows), 0))
+        known = self.population({}, none, none[0]).of_mean([item.name for item in self.items])
+        found = {}
+        for row, item in enumerate(self.items):
+            verdict = known.classified(row)[1] if self.free[row] else "fixed"
+            found[item.name] = Estimate(
+                float(self.reference[row]), None, verdict, item.unit, item.symbol, item.meaning,
+                item.lower, item.upper, item.typical,
+            )  # fmt: skip
+        return known, found
 
     def variations(self, wanted: Mapping[str, Floats], covariates: Floats) -> tuple[Variation, ...]:
         """Of what has these weights, as each throw alone gives it."""
@@ -164,10 +157,7 @@ def mean_of(
     throws = _Quadratics.of(season)
     known, coefficients = throws.equal()
     verdicts = {name: item.verdict for name, item in coefficients.items()}
-    wanted = {
-        name: np.array([own.get(one, 0.0) for one in throws.names])
-        for name, own in wanted_of(verdicts, known.combinations).items()
-    }
+    wanted = wanted_of(verdicts, known.combinations, tuple(coefficients))
     variation = {one.expression: one for one in throws.variations(wanted, covariates.values)}
     weights = told_by_each(
         season.told[..., :-1], throws.typical * throws.free,
@@ -175,23 +165,24 @@ def mean_of(
     )  # fmt: skip
     if not weights:
         raise InputError(f"{season.file}: a throw determines no coefficient by itself")
-    spreads = np.array([variation[name].first_spread for name in weights])
-    found = throws.population(weights, covariates.values, spreads)
-    some = np.linspace(0, count - 1, min(count, _TURNING)).astype(int)
-    fields = varying_fields(
-        found, coefficients, known.combinations, variation.values(), covariates, throws.bounds,
-        Draw(season.model, season.stone), season.values[some], season.spins[some],
-        sampled(found.fit, spreads, seed),
-    )  # fmt: skip
-    return JointResult(
+    equal = JointResult(
         law=season.model.law.name,
         load=season.model.load,
-        share=throws.names,
+        share=tuple(coefficients),
         converged=True,
         status=f"converged ({count} throws that were fitted one by one)",
         warnings=(),
+        coefficients=coefficients,
+        combinations=known.combinations,
         rank=known.identifiability.rank,
         parameters=int(throws.free.sum()),
+        variation=tuple(variation.values()),
         table=SeparateFits(season.file, count, season.stone, season.notes),
-        **fields,
     )
+    spreads = np.array([variation[name].first_spread for name in weights])
+    found = throws.population(weights, covariates.values, spreads)
+    some = np.linspace(0, count - 1, min(count, _TURNING)).astype(int)
+    return about_mean(
+        equal, found, covariates, Draw(season.model, season.stone),
+        (season.values[some], season.spins[some]), sampled(found.fit, spreads, seed),
+    )  # fmt: skip

@@ -25,8 +25,6 @@ from curlfit.inference.joint.result import Variation
 from curlfit.inference.least_squares import Solution, Tasks, residual_sigma
 from curlfit.numerics.arrays import Booleans, Floats
 
-_HALVINGS = 60  # of the interval that contains the variance between throws
-
 
 class Alone(NamedTuple):
     """What a throw alone determines, to first order about the joint optimum."""
@@ -53,16 +51,19 @@ class Alone(NamedTuple):
 
 
 def wanted_of(
-    verdicts: Mapping[str, str], combinations: Iterable[Combination]
-) -> dict[str, dict[str, float]]:
-    """Weights of coefficients in those that are determined, and in combinations."""
-    combinations = tuple(combinations)
+    verdicts: Mapping[str, str], combinations: Sequence[Combination], names: Sequence[str]
+) -> dict[str, Floats]:
+    """Weights of parameters in the coefficients that are determined, and in combinations."""
     combined = {name for item in combinations for name in item.weights}
-    return {
+    wanted = {
         name: {name: 1.0}
         for name, verdict in verdicts.items()
         if verdict == "determined" or (verdict == "weak" and name not in combined)
     } | {item.expression: item.weights for item in combinations}
+    return {
+        expression: np.array([weights.get(name, 0.0) for name in names])
+        for expression, weights in wanted.items()
+    }
 
 
 def told_by_each(rows: Floats, typical: Floats, wanted: Mapping[str, Floats]) -> dict[str, Floats]:
@@ -164,17 +165,16 @@ def each_alone(solution: Solution, tasks: Tasks, unknown: Booleans) -> list[tupl
 
 def _variation(
     expression: str,
-    each: Iterable[tuple[float, float] | None],
+    each: Sequence[tuple[float, float] | None],
     shared: Floats,
-    covariates: Floats | None = None,
+    covariates: Floats,
 ) -> Variation:
     """`shared` are the weights of the throws in the joint fit."""
-    each = tuple(each)
+    from scipy.optimize import brentq  # slow to load
+
     known = [item is not None for item in each]
     estimate, stderr = np.array([item for item in each if item is not None]).T
-    design = np.ones((len(stderr), 1))
-    if covariates is not None:
-        design = np.column_stack([design, covariates[known]])
+    design = np.column_stack([np.ones(len(stderr)), covariates[known]])
     variance, degrees = stderr**2, len(stderr) - np.linalg.matrix_rank(design)
 
     def about_mean(between: float) -> tuple[float, float, float]:
@@ -185,21 +185,20 @@ def _variation(
         off = (estimate - design @ found) * root
         return float(found[0]), float((inverse[0] ** 2).sum()), float(off @ off)
 
-    q = about_mean(0.0)[2]
-    low, high = 0.0, float(estimate.var()) if q > degrees else 0.0
-    while about_mean(high)[2] > degrees:
-        high *= 2
-    for _ in range(_HALVINGS if high else 0):
-        middle = (low + high) / 2
-        low, high = (middle, high) if about_mean(middle)[2] > degrees else (low, middle)
-    mean, of_mean, _ = about_mean(high)
+    q, between = about_mean(0.0)[2], 0.0
+    if q > degrees:
+        high = float(estimate.var())
+        while about_mean(high)[2] > degrees:
+            high *= 2
+        between = brentq(lambda size: about_mean(size)[2] - degrees, 0.0, high, xtol=1e-300)
+    mean, of_mean, _ = about_mean(between)
     share = shared / shared.sum()
     return Variation(
         expression=expression,
-        each=each,
+        each=tuple(each),
         p_value=float(chdtrc(degrees, q)),
-        spread=float(np.sqrt(high)),
+        spread=float(np.sqrt(between)),
         mean=mean,
         stderr=float(np.sqrt(of_mean)),
-        shared_stderr=float(np.sqrt(share**2 @ (variance + high))),
+        shared_stderr=float(np.sqrt(share**2 @ (variance + between))),
     )

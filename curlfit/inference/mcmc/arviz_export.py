@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
 from importlib import import_module
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -15,15 +14,13 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import with_combinations
 from curlfit.inference.likelihood import predict_channels
 from curlfit.inference.noise.losses import log_density
-from curlfit.inference.problem import Problem
+from curlfit.inference.problem import ROWS_OF_DATA, Origin, Problem
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.output.frames import optional
-from curlfit.throws.throw import CHANNELS
 from curlfit.version import __version__
 
 _DRAWS = ("chain", "draw")
 _MOST_CORRELATED = 6000  # largest number of values whose covariance is inverted
-_BLOCK = 256  # columns of a matrix that are computed at a time
 _REACH = 200.0  # sigmas within which the noise of a robust loss is drawn
 
 
@@ -39,63 +36,34 @@ def inference_data(
     """
     if draws < 1:
         raise InputError(f"draws = {draws}: expected a positive number")
-    _arviz()  # before what takes time
-    ensembles, walkers, steps, _ = samples.shape
+    with warnings.catch_warnings():  # its first import of a day announces the next version
+        warnings.simplefilter("ignore", FutureWarning)
+        arviz = optional("arviz", "arviz")
+    ensembles, walkers, steps, size = samples.shape
     thin = -(-ensembles * walkers * steps // draws)
     kept = samples[:, :, ::thin]
     # Draws of one walker are consecutive, so that autocorrelations are those of the walkers.
-    flat = kept.reshape(ensembles, -1, samples.shape[-1])
-    labels = {
+    flat = kept.reshape(ensembles, -1, size)
+    index = {
+        "chain": np.arange(ensembles),
+        "draw": np.arange(flat.shape[1]),
         "walker": ("draw", np.repeat(np.arange(walkers), kept.shape[2])),
         "step": ("draw", np.tile(np.arange(0, steps, thin), walkers)),
     }
-    problem, origin = problem_of(fit)
-    data = _Observations.of(fit, problem, origin.place)
-    paths = np.array([
-        np.asarray(predict_channels(fit.model, values, problem))[data.finite_rows]
-        for values in flat.reshape(-1, samples.shape[-1]) - origin.offset(samples.shape[-1])
-    ])  # fmt: skip
-    mean = paths + data.place
-    pointwise = log_likelihoods((data.values - mean) / data.sigma, data.noise, fit.loss)
-    random = np.random.default_rng(seed)
-    replicated = mean + data.sigma * draw_noise(random, mean.shape, data.noise, fit.loss)
-
-    def by_draw(array: Floats) -> dict[str, Any]:
-        return data.by_channel(array.reshape(*flat.shape[:2], -1), *_DRAWS)
-
-    lp = log_posterior[:, :, ::thin].reshape(ensembles, -1)
-    times = data.coordinates(fit.observed["t"])
-    groups: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
-        "posterior": (_parameters(fit, flat), labels),
-        "posterior_predictive": (by_draw(replicated), times),
-        "log_likelihood": (by_draw(pointwise - np.log(data.sigma)), times),
-        "log_prior": (_log_priors(fit, flat), {}),
-        "sample_stats": ({"lp": (_DRAWS, lp)}, labels),
-        "observed_data": (data.by_channel(data.values), times),
-        "constant_data": (
-            {"t": ("time", fit.observed["t"]), **data.by_channel(data.sigma, prefix="sigma_")},
-            times,
+    groups = {
+        "posterior": (_parameters(fit, flat), index),
+        "log_prior": (_log_priors(fit, flat), index),
+        "sample_stats": (
+            {"lp": (_DRAWS, log_posterior[:, :, ::thin].reshape(ensembles, -1))}, index
         ),
-    }
+        **_of_data(fit, flat, index, np.random.default_rng(seed)),
+    }  # fmt: skip
     attrs = {
         "inference_library": "curlfit", "inference_library_version": __version__,
         "law": fit.law, "load": fit.load, "data": fit.data["file"], "thinning": thin,
     }  # fmt: skip
-    index = {"chain": np.arange(ensembles), "draw": np.arange(flat.shape[1])}
-    return _assembled(groups, index, attrs)
-
-
-def _assembled(
-    groups: dict[str, tuple[dict[str, Any], dict[str, Any]]],
-    index: dict[str, Any],
-    attrs: dict[str, Any],
-) -> Any:
-    """The `InferenceData` or `DataTree` of variables and coordinates by group."""
-    arviz, xarray = _arviz(), import_module("xarray")
-    sets = {
-        name: xarray.Dataset(values, coords if name.endswith("_data") else index | coords)
-        for name, (values, coords) in groups.items()
-    }
+    xarray = import_module("xarray")
+    sets = {name: xarray.Dataset(*each) for name, each in groups.items()}
     if arviz.__version__.startswith("0."):
         return arviz.InferenceData(**sets, attrs=attrs)
     return xarray.DataTree.from_dict({"/": xarray.Dataset(attrs=attrs), **sets})
@@ -110,69 +78,72 @@ def _parameters(fit: FitResult, flat: Floats) -> dict[str, Any]:
 
 def _log_priors(fit: FitResult, flat: Floats) -> dict[str, Any]:
     """Log-densities of the priors of free parameters, each up to a constant; a flat one is 0."""
-    penalty = fit.parameter_set.penalty
+    known = fit.parameter_set
+    penalty = known.penalty
     logs = flat * 0.0 if penalty is None else -0.5 * penalty.residual_and_slope(flat)[0] ** 2
-    names = fit.parameter_set.names
-    return {name: (_DRAWS, logs[..., names.index(name)]) for name in _free(fit)}
+    return {
+        name: (_DRAWS, logs[..., row])
+        for row, name in enumerate(known.names)
+        if name not in known.fixed
+    }
 
 
-def _free(fit: FitResult) -> Sequence[str]:
-    return fit.parameter_set.names_where(fit.parameter_set.free)
+def _of_data(
+    fit: FitResult, flat: Floats, index: dict[str, Any], random: np.random.Generator
+) -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
+    """Variables and coordinates of the groups about the data, by channel."""
+    problem, origin = problem_of(fit)
+    seen = np.asarray(problem.weight) > 0
+    rows, _ = np.nonzero(seen)
+    names, times = {}, {"time": fit.observed["t"]}
+    for row in dict.fromkeys(rows.tolist()):
+        name, there = ROWS_OF_DATA[row], seen[row, : len(times["time"])]
+        dimension = "time" if there.all() else f"time_{name}"
+        if name == "event":
+            dimension, times["measured"] = (
+                "measured",
+                np.array([event.name for event, _ in fit.timed]),
+            )
+        elif dimension != "time":
+            times[dimension] = times["time"][there]
+        names[row] = name, dimension
 
-
-def _arviz() -> Any:
-    with warnings.catch_warnings():  # its first import of a day announces the next version
-        warnings.simplefilter("ignore", FutureWarning)
-        return optional("arviz", "arviz")
-
-
-class _Observations(NamedTuple):
-    """The m observed values of all channels, concatenated."""
-
-    finite_rows: Booleans
-    """which values of a problem were observed, shape (channels, padded rows)"""
-    row_of: Any
-    """row of the channel of each value, shape (m,)"""
-    place: Floats
-    """the problem's origin in the coordinates of the data, shape (m,)"""
-    values: Floats
-    sigma: Floats
-    noise: Floats | None
-    """whitening matrix of residuals over sigma, shape (m, m); None where they are independent"""
-    channels: tuple[tuple[int, str], ...]
-    """rows and names of the observed channels"""
-    dimensions: dict[str, str]
-    """by channel: `time`, or one of its own where values are missing"""
-    seen: dict[str, Booleans]
-
-    @classmethod
-    def of(cls, fit: FitResult, problem: Problem, place: Floats) -> _Observations:
-        weight = np.zeros((len(CHANNELS), problem.weight.shape[1]))
-        weight[: len(problem.weight)] = problem.weight
-        finite = weight > 0
-        row_of = np.nonzero(finite)[0]
-        channels = tuple((row, CHANNELS[row]) for row in np.unique(row_of).tolist())
-        n = len(fit.observed["t"])
-        seen = {name: finite[row, :n] for row, name in channels}
-        origin = place[row_of]
-        return cls(
-            finite, row_of, origin, problem.observed[finite[: len(problem.weight)]] + origin,
-            1 / weight[finite], whitening_matrix(problem), channels,
-            {name: "time" if there.all() else f"time_{name}" for name, there in seen.items()}, seen,
-        )  # fmt: skip
-
-    def by_channel(self, array: Floats, *outer: str, prefix: str = "") -> dict[str, Any]:
-        """Variables of xarray, of an array of the last axis m."""
+    def by_channel(array: Floats, *outer: str, prefix: str = "") -> dict[str, Any]:
         return {
-            prefix + name: ((*outer, self.dimensions[name]), array[..., self.row_of == row])
-            for row, name in self.channels
+            prefix + name: ((*outer, dimension), array[..., rows == row])
+            for row, (name, dimension) in names.items()
         }
 
-    def coordinates(self, t: Floats) -> dict[str, Floats]:
-        """Times of each dimension, s."""
-        return {"time": t} | {
-            self.dimensions[name]: t[there] for name, there in self.seen.items() if not there.all()
-        }
+    def by_draw(array: Floats) -> dict[str, Any]:
+        return by_channel(array.reshape(*flat.shape[:2], -1), *_DRAWS)
+
+    size = flat.shape[-1]
+    paths = np.array([
+        np.asarray(predict_channels(fit.model, values, problem))[: len(seen)][seen]
+        for values in flat.reshape(-1, size) - origin.offset(size)
+    ])  # fmt: skip
+    place, sigma = _places(fit, origin, seen), 1 / problem.weight[seen]
+    mean, values = paths + place, problem.observed[seen] + place
+    noise = whitening_matrix(problem)
+    replicated = mean + sigma * draw_noise(random, mean.shape, noise, fit.loss)
+    pointwise = log_likelihoods((values - mean) / sigma, noise, fit.loss) - np.log(sigma)
+    return {
+        "posterior_predictive": (by_draw(replicated), index | times),
+        "log_likelihood": (by_draw(pointwise), index | times),
+        "observed_data": (by_channel(values), times),
+        "constant_data": (
+            {"t": ("time", times["time"]), **by_channel(sigma, prefix="sigma_")}, times
+        ),
+    }  # fmt: skip
+
+
+def _places(fit: FitResult, origin: Origin, seen: Booleans) -> Floats:
+    """The origins of observed values."""
+    place = np.zeros(seen.shape)
+    place[: len(origin.place)] = origin.place[: len(place), None]
+    events = [origin.of_event(event) for event, _ in fit.timed]
+    place[len(origin.place) :, : len(events)] = events
+    return place[seen]
 
 
 def whitening_matrix(problem: Problem) -> Floats | None:
@@ -185,23 +156,20 @@ def whitening_matrix(problem: Problem) -> Floats | None:
     """
     if problem.whitener is None:
         return None
-    from jax import vmap
+    import jax
 
-    seen = problem.weight > 0
-    places = np.argwhere(seen)
-    if len(places) > _MOST_CORRELATED:
+    seen = np.asarray(problem.weight) > 0
+    number = int(seen.sum())
+    if number > _MOST_CORRELATED:
         raise InputError(
-            f"{len(places)} values with correlated noise; ArviZ can be given at most "
+            f"{number} values with correlated noise; ArviZ can be given at most "
             f"{_MOST_CORRELATED}: fit fewer rows"
         )
-    whiten = vmap(problem.whitener.whiten)
-    columns = []
-    for first in range(0, len(places), _BLOCK):
-        block = places[first : first + _BLOCK]
-        units = np.zeros((_BLOCK, *seen.shape))
-        units[(np.arange(len(block)), *block.T)] = 1.0
-        columns.append(np.asarray(whiten(units))[: len(block), seen])
-    return np.concatenate(columns).T
+
+    def whitened(values: Any) -> Any:
+        return problem.whitener.whiten(jax.numpy.zeros(seen.shape).at[seen].set(values))[seen]
+
+    return np.asarray(jax.jacfwd(whitened)(np.zeros(number)))
 
 
 def log_likelihoods(residual: Floats, whitening: Floats | None, loss: str) -> Floats:

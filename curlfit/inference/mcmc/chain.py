@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from importlib import import_module
 from importlib.metadata import version as version_of
 from io import BytesIO
 from os import PathLike
@@ -21,20 +22,16 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import with_combinations
 from curlfit.inference.parameters import ParameterSet
 from curlfit.numerics.arrays import Floats
-from curlfit.output.console import PlainTable
 from curlfit.output.display import Displayed
-from curlfit.output.document import Document, Section
+from curlfit.output.document import Document
 from curlfit.output.files import atomic_write
 from curlfit.output.frames import frame, optional
-from curlfit.output.text import from_to
 from curlfit.records import structured
 from curlfit.stone import Stone
 from curlfit.throws.throw import Throw
 from curlfit.version import __version__
 
-_COMPRESSED = 200  # times as large as in its file, more than a chain can be
-_SHOWN = 4  # parameters in a line
-_LEVELS = (0.025, 0.16, 0.84, 0.975)
+_GROUP = "mcmc"  # in which emcee looks
 _DIGEST = "#"  # first character of a digest of numbers too many to be shown
 
 
@@ -46,7 +43,7 @@ class Chain(Displayed):
     ----------
     names : of the parameters, fixed ones included.
     values : shape (steps, walkers, parameters). log_posterior : shape (steps, walkers).
-    accepted : number of accepted proposals by walker. discarded : number of initial steps left out.
+    discarded : number of initial steps left out.
     ensembles : number of ensembles of equally many walkers. seed : of the run.
     subject : what was sampled, see `subject_of`.
     random_state : of numpy's `RandomState` after the last step, for resuming; None where unknown.
@@ -67,7 +64,6 @@ class Chain(Displayed):
     names: tuple[str, ...]
     values: Floats
     log_posterior: Floats
-    accepted: NDArray[np.int64]
     discarded: int
     ensembles: int
     seed: int
@@ -82,16 +78,20 @@ class Chain(Displayed):
         return self.values[self.discarded :].reshape(-1, len(self.names))
 
     @property
+    def accepted(self) -> NDArray[np.int64]:
+        """Number of accepted proposals by walker."""
+        return np.any(np.diff(self.values, axis=0) != 0, axis=2).sum(0)
+
+    @property
     def acceptance(self) -> float:
         """Fraction of proposals accepted."""
         return float(self.accepted.mean() / max(len(self.values) - 1, 1))
 
     def of(self, weights: dict[str, float]) -> Floats:
         """Samples of a combination of parameters."""
-        return cast(
-            Floats,
-            sum(weight * self.flat[:, self.names.index(name)] for name, weight in weights.items()),
-        )
+        places = [self.names.index(name) for name in weights]
+        found: Floats = self.flat[:, places] @ np.array([*weights.values()])
+        return found
 
     @property
     def kept(self) -> Floats:
@@ -105,21 +105,7 @@ class Chain(Displayed):
         return np.moveaxis(split, 0, 2)
 
     def _document(self) -> Document:
-        steps, walkers, _ = self.values.shape
-        rows = []
-        for name, samples in zip(self.names, self.flat.T, strict=True):
-            if len(samples) and np.ptp(samples) > 0:
-                lowest, low, high, highest = np.quantile(samples, _LEVELS).tolist()
-                outer = from_to(lowest, highest, (high - low) / 3)
-                rows.append({"parameter": name, ">68 %": from_to(low, high), ">95 %": outer})
-        shown = ", ".join(f"{row['parameter']} {row['>68 %']}" for row in rows[:_SHOWN])
-        return Document(
-            finding=f"{len(self.flat)} samples",
-            subject=f"{self.ensembles} ensembles, {walkers} walkers, {steps} steps, of which the "
-            f"first {self.discarded} are left out",
-            lines=[f"68 %: {shown}{' ...' if len(rows) > _SHOWN else ''}"],
-            sections=[Section("quantiles", "Quantiles", [PlainTable(rows)])],
-        )
+        return cast(Document, import_module("curlfit.reports.posterior").of_chain(self))
 
     def to_frame(self) -> Any:
         """The kept samples as a pandas DataFrame: a column for each parameter, for each determined
@@ -149,11 +135,9 @@ class Chain(Displayed):
         """
         now = subject_of(fit, self.seed) | {"parameters": ", ".join(fit.parameters)}
         own = self.subject | {"parameters": ", ".join(self.names)}
-        for name, value in now.items():
-            if not name.startswith("version") and own.get(name) != value:
-                raise InputError(
-                    f"the chain is of another fit: not the same {name}; sample this one again"
-                )
+        versions = {name: own[name] for name in own if name.startswith("version")}
+        if changed := _change(own, now | versions):
+            raise InputError(f"the chain is of another fit: {changed}; sample this one again")
         return replace(self, fit=fit)
 
     def to_arviz(self, fit: FitResult | None = None, *, draws: int = 4000, seed: int = 0) -> Any:
@@ -191,41 +175,26 @@ class Chain(Displayed):
         lp = self._by_ensemble(self.log_posterior)
         return inference_data(chain.fit, self.kept, lp, draws=draws, seed=seed)
 
-    def save(self, file: str | PathLike[str], *, compressed: bool = True) -> None:
-        """Write `chain.h5` atomically: a group for each ensemble, which emcee's `HDFBackend` opens,
-        and curlfit's own attributes. Without compression it takes a tenth of the time and twice the
-        space."""
+    def save(self, file: str | PathLike[str]) -> None:
+        """Write `chain.h5` atomically: a group as emcee's `HDFBackend` has it, which opens it, with
+        curlfit's own attributes."""
         import h5py
 
         # Made in memory: HDF5 does not recover from a full disk.
         image = BytesIO()
         with h5py.File(image, "w") as out:
-            self._write(out, {"compression": "gzip", "shuffle": True} if compressed else {})
-        atomic_write(Path(file), image.getvalue())
-
-    def _write(self, out: Any, how: dict[str, Any]) -> None:
-        out.attrs.update(
-            curlfit=__version__,
-            names=list(self.names),
-            discarded=self.discarded,
-            seed=self.seed,
-            subject=json.dumps(self.subject),
-            mostly_ridge=self.mostly_ridge,
-        )
-        series = self.values, self.log_posterior, self.accepted[None]
-        split = [np.split(each, self.ensembles, axis=1) for each in series]
-        for number, (values, log_posterior, accepted) in enumerate(zip(*split, strict=True)):
-            group = out.create_group(f"ensemble-{number}")
-            steps, walkers, dimension = values.shape
+            group = out.create_group(_GROUP)
+            group["chain"], group["log_prob"] = self.values, self.log_posterior
+            group["accepted"] = self.accepted
+            steps, walkers, dimension = self.values.shape
+            state = enumerate(self.random_state or ())
             group.attrs.update(
                 version=version_of("emcee"), iteration=steps, nwalkers=walkers, ndim=dimension,
-                has_blobs=False,
+                has_blobs=False, **{f"random_state_{place}": item for place, item in state},
+                names=list(self.names), discarded=self.discarded, ensembles=self.ensembles,
+                seed=self.seed, subject=json.dumps(self.subject), mostly_ridge=self.mostly_ridge,
             )  # fmt: skip
-            group.create_dataset("chain", data=values, **how)
-            group.create_dataset("log_prob", data=log_posterior)
-            group.create_dataset("accepted", data=accepted[0])
-            for place, item in enumerate(self.random_state or ()):
-                group.attrs[f"random_state_{place}"] = item
+        atomic_write(Path(file), image.getvalue())
 
 
 def load_chain(file: str | PathLike[str], fit: FitResult | None = None) -> Chain:
@@ -251,70 +220,52 @@ def load_chain(file: str | PathLike[str], fit: FitResult | None = None) -> Chain
         raise DataError("no such file", file=path)
     import h5py
 
-    chain = None
     try:
         with h5py.File(path, "r") as stored:
-            if "mcmc" not in stored:
-                chain = _read_chain(stored)
+            chain = _read_chain(stored[_GROUP])
     except (
         OSError, LookupError, ValueError, TypeError, AttributeError, RuntimeError, OverflowError
     ) as error:  # fmt: skip
-        raise DataError(f"not a chain.h5 of curlfit ({error})", file=path) from None
-    if chain is None:
         raise DataError(
-            "written by an earlier version of curlfit; sample again with `curlfit fit FILE`, "
-            "without --resume",
+            f"not a chain.h5 of this version of curlfit ({error}); sample again with `curlfit fit "
+            "FILE`, without --resume",
             file=path,
-        )
+        ) from None
     try:
         return chain if fit is None else chain.with_fit(fit)
     except InputError as error:
         raise DataError(str(error), file=path) from None
 
 
-def _read_chain(stored: Any) -> Chain:
-    attrs, names = stored.attrs, tuple(map(str, stored.attrs["names"]))
-    groups = [stored[f"ensemble-{number}"] for number in range(len(stored))]
-    steps, walkers, dimension = groups[0]["chain"].shape
-    if not (0 <= int(attrs["discarded"]) <= steps and walkers and dimension == len(names)):
-        raise ValueError(f"{walkers} walkers of {steps} steps, {attrs['discarded']} discarded")
-
-    def joined(name: str, *shape: int, kind: str = "f") -> Any:
-        return np.concatenate([_numbers(group, name, shape, kind) for group in groups], -1)
-
+def _read_chain(group: Any) -> Chain:
+    attrs = group.attrs
+    names, ensembles = tuple(map(str, attrs["names"])), int(attrs["ensembles"])
+    values, log_posterior = _numbers(group["chain"]), _numbers(group["log_prob"])
+    steps, walkers, _ = values.shape
+    discarded = int(attrs["discarded"])
+    if (
+        log_posterior.shape != (steps, walkers) or len(names) != values.shape[2]
+        or not 0 <= discarded <= steps or walkers // ensembles * ensembles != walkers or not walkers
+    ):  # fmt: skip
+        raise ValueError(f"{walkers} walkers, {steps} steps, {discarded} discarded")
+    state = None
+    if "random_state_0" in attrs:
+        name, key, *rest = (attrs[f"random_state_{place}"] for place in range(5))
+        state = (str(name), key, *(item.item() for item in rest))
+        np.random.RandomState().set_state(state)  # raises an error where it is none
     return Chain(
-        names=names,
-        values=np.concatenate(
-            [_numbers(group, "chain", (steps, walkers, dimension)) for group in groups], 1
-        ),
-        log_posterior=joined("log_prob", steps, walkers),
-        accepted=joined("accepted", walkers, kind="i"),
-        discarded=int(attrs["discarded"]),
-        ensembles=len(groups),
-        seed=int(attrs["seed"]),
-        subject=structured(json.loads(attrs["subject"]), dict[str, str]),
-        random_state=_random_state(groups[0].attrs),
+        names=names, values=values, log_posterior=log_posterior, discarded=discarded,
+        ensembles=ensembles, seed=int(attrs["seed"]),
+        subject=structured(json.loads(attrs["subject"]), dict[str, str]), random_state=state,
         mostly_ridge=attrs["mostly_ridge"].item(),
-    )
+    )  # fmt: skip
 
 
-def _numbers(group: Any, name: str, shape: tuple[int, ...], kind: str = "f") -> Any:
-    """The numbers of a dataset, checked before memory is taken for them."""
-    data = group[name]
-    if data.shape != shape or data.dtype.kind != kind:
-        raise ValueError(f"{name}: {data.dtype} {data.shape} found, expected {shape}")
-    if data.is_virtual or data.external or data.nbytes > _COMPRESSED * data.id.get_storage_size():
-        raise ValueError(f"{name}: its numbers are not in the file")
-    return data[:]
-
-
-def _random_state(attrs: Any) -> tuple[Any, ...] | None:
-    if "random_state_0" not in attrs:
-        return None
-    name, key, *rest = (attrs[f"random_state_{place}"] for place in range(5))
-    state = (str(name), key, *(item.item() for item in rest))
-    np.random.RandomState().set_state(state)  # raises an error where it is none
-    return state
+def _numbers(data: Any) -> Floats:
+    """The numbers of a dataset, which take no more memory than their file."""
+    if data.id.get_offset() is None or data.dtype.kind != "f":
+        raise ValueError(f"{data.name}: its numbers are not in the file")
+    return np.asarray(data[...], float)
 
 
 def subject_of_fit(
@@ -336,10 +287,9 @@ def subject_of_fit(
         "loss": loss,
         "noise": noise,
         "stone": ", ".join(f"{name} = {value!r}" for name, value in stone.as_dict().items()),
-        "bounds": "; ".join(
-            f"{item.name} {item.lower!r}:{item.upper!r}" for item in parameters.parameters
-        ),
-        "priors": "; ".join(f"{name} {prior}" for name, prior in parameters.priors.items()),
+        "priors": "; ".join(f"{name} {one}" for name, one in parameters.priors.items()) or "none",
+    } | {
+        f"bounds of {item.name}": f"{item.lower!r}:{item.upper!r}" for item in parameters.parameters
     }
 
 
@@ -367,22 +317,18 @@ def subject_of(fit: FitResult, seed: int) -> dict[str, str]:
 
 def require_same(stored: Mapping[str, str], now: Mapping[str, str], file: Path) -> None:
     """Raise `DataError` if two subjects differ, and say in what."""
+    if changed := _change(stored, now):
+        raise DataError(f"cannot be resumed: {changed}", file=file)
+
+
+def _change(stored: Mapping[str, str], now: Mapping[str, str]) -> str:
+    """What is first not the same; empty if all is."""
     for name, value in now.items():
-        was = stored.get(name, "")
-        if was == value:
-            continue
-        if value.startswith(_DIGEST):
-            raise DataError(f"cannot be resumed: not the same {name} as before", file=file)
-        if name == "bounds":
-            value, was = _first_difference(value, was)
-        if name == "priors":
-            value, was = value or "none", was or "none"
-        raise DataError(f"cannot be resumed: {name} was {was or 'unknown'}, now {value}", file=file)
-
-
-def _first_difference(now: str, before: str) -> tuple[str, str]:
-    pairs = zip(now.split("; "), before.split("; "), strict=False)
-    return next((pair for pair in pairs if pair[0] != pair[1]), (now, before))
+        was = stored.get(name, "unknown")
+        if was != value:
+            hidden = value.startswith(_DIGEST)
+            return f"not the same {name}" if hidden else f"{name} was {was}, now {value}"
+    return ""
 
 
 def _law(law: type[Law]) -> dict[str, str]:

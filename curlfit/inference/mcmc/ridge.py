@@ -8,7 +8,6 @@ along the determined directions, and uniform over the prior along the null direc
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -40,30 +39,8 @@ _NOTHING = 1e-6  # probability of an interval that is given up
 _NEAR = 1e-6  # typical sizes from its bound within which a parameter is at it
 
 
-class Proposal(ABC):
-    """An independent proposal of parameter vectors, of known density."""
-
-    @abstractmethod
-    def draw(self, n: int, random: Any) -> Floats:
-        """n parameter vectors, shape (n, p)."""
-
-    @abstractmethod
-    def log_density(self, values: Floats) -> Floats:
-        """Log-density of the proposal up to a constant, shape (n,)."""
-
-    def propose(self, coords: Floats, random: Any) -> tuple[Floats, Floats]:
-        """Proposals for emcee's Metropolis-Hastings move, and the log of their factors in its
-        ratio."""
-        new, back = self.draw(len(coords), random), self.log_density(coords)
-        # A walker outside the support of the proposal can only be moved by the other moves.
-        reachable = np.isfinite(back)
-        return new, np.where(
-            reachable, np.where(reachable, back, 0) - self.log_density(new), -np.inf
-        )
-
-
 @dataclass(frozen=True)
-class RidgeProposal(Proposal):
+class RidgeProposal:
     """Student along determined directions, uniform along null directions, exponential away from the
     bounds that parameters are pushed against.
 
@@ -182,7 +159,7 @@ def _about(
 
 
 @dataclass(frozen=True)
-class CurvedRidge(Proposal):
+class CurvedRidge:
     """Proposals about optima along a curved ridge, and their probabilities."""
 
     parts: Sequence[RidgeProposal]
@@ -201,6 +178,18 @@ class CurvedRidge(Proposal):
             [part.log_density(values) + np.log(share) for part, share in pairs if share > 0]
         )
         return found
+
+
+Proposal = RidgeProposal | CurvedRidge
+
+
+def proposed(proposal: Proposal, coords: Floats, random: Any) -> tuple[Floats, Floats]:
+    """Proposals for emcee's Metropolis-Hastings move, and the log of their factors in its ratio."""
+    new, back = proposal.draw(len(coords), random), proposal.log_density(coords)
+    # A walker outside the support of the proposal can only be moved by the other moves.
+    reachable = np.isfinite(back)
+    there = np.where(reachable, back, 0) - proposal.log_density(new)
+    return new, np.where(reachable, there, -np.inf)
 
 
 def posterior_proposal(fit: FitResult) -> Proposal:

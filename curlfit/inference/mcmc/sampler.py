@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from time import monotonic
@@ -19,7 +20,7 @@ from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.inference.likelihood import log_posterior
 from curlfit.inference.mcmc.chain import Chain, load_chain, require_same, subject_of
-from curlfit.inference.mcmc.ridge import first_walkers, posterior_proposal
+from curlfit.inference.mcmc.ridge import first_walkers, posterior_proposal, proposed
 from curlfit.inference.mcmc.summary import (
     Diagnosis,
     is_test_due,
@@ -32,12 +33,15 @@ from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import in_batches
 
+Progress = Callable[[float, int, float], None]
+
 ENSEMBLES = 4
 _MOSTLY_RIDGE = (0.8, 0.1, 0.1)  # shares: ridge, stretch, differential evolution
 _MOSTLY_ENSEMBLE = (0.2, 0.4, 0.4)  # the same where few ridge proposals are accepted
 _LEAST_ACCEPTANCE = 0.25  # of all proposals, where fewer than a fifth along the ridge are accepted
 _JITTER = 0.1  # relative standard deviation of the steps of differential evolution
 _EVERY = 2.0  # least time between two checkpoints, s
+_FEWEST = 4  # steps that can be judged
 _SHARE = 50  # of the time, in which checkpoints are written once
 
 
@@ -75,14 +79,12 @@ class _Run:
         self.seed, self.subject = seed, subject_of(fit, seed)
         parameters = self._parameters = fit.parameter_set
         self._values, self._model, self.free = fit.values, fit.model, parameters.free
-        self._problem, origin = problem_of(fit)
+        problem, origin = problem_of(fit)
         self._offset = origin.offset(len(parameters))
         local = parameters.shifted(-self._offset)
-        self._posterior = local.lower, local.upper, self._problem, local.penalty
+        self._posterior = local.lower, local.upper, problem, local.penalty
         self._proposal = posterior_proposal(fit)
         self._walkers = _walkers(parameters)
-        self._interrupted = False
-        self._first: Any = None
         self._steps: list[Any] = []
         self._next_write = -np.inf
         self.choose_moves(mostly_ridge=True)
@@ -90,16 +92,15 @@ class _Run:
     def choose_moves(self, *, mostly_ridge: bool) -> None:
         """Rely on proposals along the ridge, or on the ensemble moves."""
         self.mostly_ridge = mostly_ridge
-        ridge = MHMove(self._proposal.propose)
+        ridge = MHMove(partial(proposed, self._proposal))
         others = SideBySide(StretchMove()), SideBySide(DEMove(sigma=_JITTER))
         shares = _MOSTLY_RIDGE if mostly_ridge else _MOSTLY_ENSEMBLE
+        moves = list(zip((ridge, *others), shares, strict=True))
         self._sampler = emcee.EnsembleSampler(
-            self._walkers,
-            int(self.free.sum()),
-            self._log_prob,
-            vectorize=True,
-            moves=list(zip((ridge, *others), shares, strict=True)),
+            self._walkers, int(self.free.sum()), self._log_prob, vectorize=True, moves=moves
         )
+        # Without emcee's wrapper, which prints a message of its own at Ctrl-C.
+        self._sampler.log_prob_fn = self._log_prob
 
     @property
     def steps(self) -> int:
@@ -119,27 +120,25 @@ class _Run:
     def begin(self) -> None:
         """Find initial positions of the walkers, unless a chain is resumed."""
         if self._steps:
+            self._last = self._steps[-1]
             return
         random = np.random.RandomState(self.seed)  # emcee accepts no other
         ends = self._parameters.lower[self.free], self._parameters.upper[self.free]
         coords = first_walkers(self._proposal, self._log_prob, self._walkers, *ends, random)
         log_prob, state = self._log_prob(coords), random.get_state()
-        self._first = emcee.State(coords, log_prob=log_prob, random_state=state)
-        self._raise_if_interrupted()
+        self._last = emcee.State(coords, log_prob=log_prob, random_state=state)
 
     def start_over(self) -> None:
         """Discard the steps so far as burn-in, and rely on the ensemble moves."""
-        self._first = self._steps[-1]
         self._steps = []
         self.choose_moves(mostly_ridge=False)
 
     def step(self) -> None:
         """Do one step of all walkers."""
-        last = self._steps[-1] if self._steps else self._first
-        state = self._sampler.run_mcmc(last, 1, store=False, skip_initial_state_check=True)
-        self._raise_if_interrupted()
-        self._steps.append(state)  # atomic: an interrupt leaves a valid chain
-        last.random_state = None  # only the last is needed
+        state = self._sampler.run_mcmc(self._last, 1, store=False, skip_initial_state_check=True)
+        self._steps.append(state)  # first, so that an interrupt leaves a valid chain
+        self._last.random_state = None  # only the last is needed
+        self._last = state
 
     def chain(self) -> Chain:
         """The chain of the steps so far."""
@@ -148,7 +147,6 @@ class _Run:
             names=self._parameters.names,
             values=values,
             log_posterior=np.stack([state.log_prob for state in self._steps]),
-            accepted=np.any(np.diff(values, axis=0) != 0, axis=2).sum(0),
             discarded=steps_to_discard(len(values)),
             ensembles=ENSEMBLES,
             seed=self.seed,
@@ -162,7 +160,7 @@ class _Run:
         now = monotonic()
         if file is None or now < self._next_write:
             return
-        self.chain().save(file, compressed=False)
+        self.chain().save(file)
         after = monotonic()
         self._next_write = after + max(_EVERY, _SHARE * (after - now))
 
@@ -171,22 +169,40 @@ class _Run:
         values[..., self.free] = free_values
         return values
 
-    def _log_posterior(self, values: Floats) -> Any:
-        return log_posterior(self._model, values, *self._posterior)
-
     def _log_prob(self, free_values: Floats) -> Floats:
-        values = self._whole(free_values) - self._offset
-        try:
-            # Half of the walkers at a time, as ensemble moves need them.
-            return np.asarray(in_batches(self._log_posterior, (values,), self._walkers // 2))
-        except KeyboardInterrupt:
-            # emcee would print its own error message; this step is discarded.
-            self._interrupted = True
-            return np.full(len(values), -np.inf)
+        def of(values: Floats) -> Any:
+            return log_posterior(self._model, values, *self._posterior)
 
-    def _raise_if_interrupted(self) -> None:
-        if self._interrupted:
-            raise KeyboardInterrupt
+        # Half of the walkers at a time, as ensemble moves need them.
+        values = self._whole(free_values) - self._offset
+        return np.asarray(in_batches(of, (values,), self._walkers // 2))
+
+    def until(
+        self, effective: float, most_steps: int, progress: Progress | None, file: Path | None
+    ) -> tuple[str, Diagnosis | None]:
+        """Sample until convergence, `most_steps` or Ctrl-C; how it ended, and the diagnosis of the
+        chain, if it is known."""
+        try:
+            self.begin()
+            while True:
+                if is_test_due(self.steps):
+                    chain = self.chain()
+                    if self.mostly_ridge and chain.acceptance < _LEAST_ACCEPTANCE:
+                        self.start_over()
+                        continue
+                    diagnosis = Diagnosis(chain.values[:, :, self.free], chain.ensembles)
+                    if progress is not None:
+                        progress(diagnosis.least_effective, self.steps, diagnosis.worst_r_hat)
+                    if diagnosis.good(effective):
+                        return "converged", diagnosis
+                    if self.steps >= most_steps:
+                        return f"not converged after {self.steps} steps", diagnosis
+                self.step()
+                self.write_if_due(file)
+        except KeyboardInterrupt:
+            if self.steps < _FEWEST:
+                raise
+            return "stopped by the user", None
 
 
 def sample(
@@ -195,7 +211,7 @@ def sample(
     seed: int = 0,
     effective: float = 4000.0,
     most_steps: int = 2_000,
-    progress: Callable[[float, int, float], None] | None = None,
+    progress: Progress | None = None,
     checkpoint: str | PathLike[str] | None = None,
     resume: bool = False,
 ) -> tuple[FitResult, Chain]:
@@ -242,30 +258,7 @@ def sample(
             raise InputError("resume: expected a checkpoint to resume from")
         if file.exists():
             run.resume(file)
-    ended, diagnosis = "stopped by the user", None
-    try:
-        run.begin()
-        while True:
-            if is_test_due(run.steps):
-                chain = run.chain()
-                if run.mostly_ridge and chain.acceptance < _LEAST_ACCEPTANCE:
-                    run.start_over()
-                    continue
-                diagnosis = Diagnosis(chain.values[:, :, run.free], chain.ensembles)
-                if progress is not None:
-                    progress(diagnosis.least_effective, run.steps, diagnosis.worst_r_hat)
-                if diagnosis.good(effective):
-                    ended = "converged"
-                    break
-                if run.steps >= most_steps:
-                    ended = f"not converged after {run.steps} steps"
-                    break
-            run.step()
-            run.write_if_due(file)
-    except KeyboardInterrupt:
-        if run.steps < 4:
-            raise
-        diagnosis = None  # of earlier steps
+    ended, diagnosis = run.until(effective, most_steps, progress, file)
     chain = run.chain()
     if file is not None:
         chain.save(file)

@@ -17,7 +17,8 @@ from scipy.special import ndtri
 
 from curlfit.errors import InputError
 from curlfit.inference.derived import quantiles_of
-from curlfit.inference.fit.result import FitResult, Posterior
+from curlfit.inference.fit.estimates import Posterior
+from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import with_combinations
 from curlfit.inference.mcmc.chain import Chain, load_chain
 from curlfit.numerics.arrays import Floats

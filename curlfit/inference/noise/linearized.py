@@ -51,10 +51,11 @@ class Linearized(NamedTuple):
 
     @classmethod
     def of(
-        cls, times: Floats, span: float, weight: Floats, residual: Floats, jacobian: Floats,
-        typical: Floats, adjustable: Booleans, coefficients: int, responses: Floats | None = None,
+        cls, times: Floats, weight: Floats, residual: Floats, jacobian: Floats,
+        typical: Floats, adjustable: Booleans, coefficients: int,
     ) -> Self:  # fmt: skip
-        """From the derivatives by all parameters.
+        """From the derivatives by all parameters; without a discrepancy, of a stone that moves up
+        to the last row.
 
         Parameters
         ----------
@@ -74,8 +75,7 @@ class Linearized(NamedTuple):
         held = np.where((sizes > _NOTHING * sizes.max(initial=0.0))[:, None], held, 0.0)
         return cls(
             np.diff(times, append=times[-1]), weight, residual, jacobian @ from_standard,
-            jacobian[..., :0] if responses is None else responses, from_standard, to_standard, held,
-            np.asarray(span),
+            jacobian[..., :0], from_standard, to_standard, held, np.asarray(times[-1] - times[0]),
         )  # fmt: skip
 
     @property

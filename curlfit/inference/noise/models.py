@@ -17,9 +17,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from curlfit.numerics.arrays import Floats
 from curlfit.settings.choices import LOSS, NOISE
@@ -104,48 +104,21 @@ class Independence:
     runs: float
     effective: float
 
+    @classmethod
+    def of(cls, residual: Floats) -> Self:
+        """Of at least two residuals, in the order of their rows."""
+        n, centred = len(residual), residual - residual.mean()
+        total, up = float(centred @ centred), centred > 0
+        lag1 = float(centred[1:] @ centred[:-1]) / total if total else 0.0
+        above, runs = int(up.sum()), 1 + int((up[1:] != up[:-1]).sum())
+        mean = 1 + 2 * above * (n - above) / n
+        variance = (mean - 1) * (mean - 2) / (n - 1)
+        z = (runs - mean) / math.sqrt(variance) if variance > 0 else 0.0
+        return cls(lag1, z, n * min((1 - lag1) / (1 + lag1), 1.0))
+
     @property
     def doubtful(self) -> bool:
         """Whether independence is rejected, with a correlation that matters for the errors."""
         n = self.effective * (1 + self.lag1) / max(1 - self.lag1, 1e-9)
         sure = self.lag1 * math.sqrt(n) > _SURE or self.runs < -_SURE
         return sure and self.lag1 > _MATTERS
-
-
-def lag1_of(residual: Floats, count: NDArray[np.int64]) -> Floats:
-    """Correlation of neighbouring residuals; 0 for independent noise.
-
-    Parameters
-    ----------
-    residual : shape (..., n), of which the first `count`, shape (...), are used.
-    """
-    return _lag1(_centred(residual, count))
-
-
-def _lag1(centred: Floats) -> Floats:
-    total = (centred**2).sum(-1)
-    found: Floats = (centred[..., 1:] * centred[..., :-1]).sum(-1) / np.where(total > 0, total, 1.0)
-    return found
-
-
-def _centred(residual: Floats, count: NDArray[np.int64]) -> Floats:
-    there = np.arange(residual.shape[-1]) < count[..., None]
-    mean = np.where(there, residual, 0.0).sum(-1) / np.maximum(count, 1)
-    return np.where(there, residual - mean[..., None], 0.0)
-
-
-def independences(residual: Floats, count: NDArray[np.int64]) -> list[list[Independence]]:
-    """Independence of the first `count` residuals of each channel, shape (throws, channels, n)."""
-    centred = _centred(residual, count)
-    lag1 = _lag1(centred)
-    up, n = centred > 0, np.maximum(count, 2)
-    above = up.sum(-1)
-    pairs = np.arange(1, residual.shape[-1]) < count[..., None]
-    runs = 1 + ((up[..., 1:] != up[..., :-1]) & pairs).sum(-1)
-    mean = 1 + 2 * above * (count - above) / n
-    variance = (mean - 1) * (mean - 2) / (n - 1)
-    sure = variance > 0
-    z = np.where(sure, (runs - mean) / np.sqrt(np.where(sure, variance, 1.0)), 0.0)
-    effective = count * np.minimum((1 - lag1) / (1 + lag1), 1.0)
-    parts = np.stack([lag1, z, effective], -1).tolist()
-    return [[Independence(*channel) for channel in throw] for throw in parts]

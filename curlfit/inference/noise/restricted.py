@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from curlfit.inference.noise.accelerations import COMPONENTS, SHAPES, SIZES, log_prior
+from curlfit.inference.noise.accelerations import COMPONENTS, SIZES, log_prior
 from curlfit.inference.noise.kalman import KalmanFilter
 from curlfit.inference.noise.linearized import Linearized, Regression
 from curlfit.inference.noise.models import Noise, is_rough
@@ -101,16 +101,6 @@ class Estimate(NamedTuple):
         return found / found.sum()
 
 
-def prepare_estimate(channels: int, rows: int, parameters: int, coefficients: int) -> None:
-    """Begin to compile what `estimate` needs for the noise and discrepancy of a fitted path."""
-    shape, square = (channels, rows), (parameters, parameters)
-    shapes: tuple[tuple[int, ...], ...] = (
-        (rows,), shape, shape, (*shape, parameters), (*shape, len(COMPONENTS) * SHAPES), square,
-        square, (min(coefficients, parameters), parameters), (),
-    )  # fmt: skip
-    _slope.prepare(np.zeros(2 * channels + 1 + len(COMPONENTS)), Linearized(*map(np.zeros, shapes)))
-
-
 def estimate(kind: str, data: Linearized, known: Sequence[bool]) -> Estimate:
     """The noise of some residuals.
 
@@ -173,28 +163,26 @@ class _Search:
         """From an initial correlation time over the time of motion; None: of independent noise."""
         from scipy.optimize import minimize  # slow to load
 
-        data, free = self.data, self.free
-        scale = np.where(free, self.rms, 0.0)
-        ends = np.array(self.ends if memory else self.ends[:1] * 2)
+        data, far = self.data, _FAR * self.free
+        scale = np.where(self.free, self.rms, 0.0)
         time = math.log((memory or 1e-9) * float(data.span))
-        smallest, far = math.log(SIZES[0]), _FAR * free
-        start = [*scale, *np.where(correlated, 0.0, _WHITE), time, *[math.log(_SIZE)] * self.sizes]
-        low = [
-            *scale - far,
-            *np.where(correlated, -_MOST, _WHITE),
-            ends[0],
-            *[smallest] * self.sizes,
-        ]
-        high = [*scale + far, *np.where(correlated, _MOST, _WHITE), ends[1], *[0.0] * self.sizes]
+        shares = [(0.0, -_MOST, _MOST) if own else (_WHITE,) * 3 for own in correlated]
+        start, *bounds = np.array(
+            [
+                *zip(scale, scale - far, scale + far, strict=True),
+                *shares,
+                (time, *(self.ends if memory else self.ends[:1] * 2)),
+                *[(math.log(_SIZE), math.log(SIZES[0]), 0.0)] * self.sizes,
+            ]
+        ).T
 
         def slope(logs: Floats) -> tuple[float, Floats]:
             value, gradient, _ = _slope(logs, data)
             return float(value), np.asarray(gradient)
 
-        bounds = np.array([low, high])
         found = minimize(
-            slope, np.clip(start, *bounds), jac=True, method="L-BFGS-B", bounds=bounds.T,
-            options={"ftol": _PRECISE},
+            slope, np.clip(start, *bounds), jac=True, method="L-BFGS-B",
+            bounds=np.transpose(bounds), options={"ftol": _PRECISE},
         )  # fmt: skip
         likelihood = float(_slope(found.x, data)[2])
         return _Maximum(found.x, correlated, -float(found.fun), likelihood)

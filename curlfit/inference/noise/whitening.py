@@ -98,11 +98,6 @@ class Whitener(NamedTuple):
             restored.reshape(shape), np.asarray(determinant),
         )  # fmt: skip
 
-    def whiten(self, residual: Array) -> Array:
-        """Whitened residuals from residuals over sigma, shape (channels, n)."""
-        found: Array = _whitened(self, residual)
-        return found
-
     def log_determinant(self) -> Floats:
         """Log-determinant of the whitening by channel, for the likelihood; shape (channels,)."""
         found = np.array(self.filter.log_determinant())
@@ -123,7 +118,7 @@ def _whitened(whitener: Whitener, residual: Array) -> Array:
 
 def whitened(residual: Array, whitener: Whitener | None) -> Array:
     """Whitened residuals from residuals over sigma, shape (channels, n)."""
-    return residual if whitener is None else whitener.whiten(residual)
+    return residual if whitener is None else _whitened(whitener, residual)
 
 
 def scale_between(before: Floats, weight: Floats) -> Floats:

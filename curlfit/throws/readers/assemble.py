@@ -11,20 +11,10 @@ from curlfit.errors import InputError
 from curlfit.numerics.arrays import Floats
 from curlfit.settings.choices import Reading
 from curlfit.throws.channels import CHANNELS, block_means
-from curlfit.throws.readers.axes import (
-    MAX_SPIN,
-    AmbiguousTurnError,
-    AxisConvention,
-    jump_in_degrees,
-    parse_axes,
-    spin_quantile,
-    turning_rate,
-    unwrap,
-)
-from curlfit.throws.readers.columns import parse_header
-from curlfit.throws.readers.mark import add_angle_of_mark
+from curlfit.throws.readers.angles import add_angle_of_mark, require_radians, unwrap_angle
+from curlfit.throws.readers.axes import AxisConvention, parse_axes
+from curlfit.throws.readers.camera import pixels_to_metres
 from curlfit.throws.readers.parsed_file import ParsedFile, clock_of
-from curlfit.throws.readers.pixels import pixels_to_metres
 from curlfit.throws.reference import Conventions
 
 _Columns = dict[str, Floats]  # by quantity, with the times as "t"
@@ -55,19 +45,18 @@ def assemble(parsed: ParsedFile, reading: Reading) -> dict[str, Any]:
                 f"{parsed.source}: times between lines have no axes and no pixels; leave out "
                 "--axes and --reference"
             )
-        own = {"events": parsed.events, "assumed": parsed.assumed}
-        return {**common, **own, "notes": tuple(parsed.notes)}
+        events = {"events": parsed.events, "assumed": parsed.assumed}
+        return common | events | {"notes": tuple(parsed.notes)}
     columns = _in_order(parsed, _on_one_clock(parsed))
     calibration, unknown = _in_metres(parsed, columns, reading.reference, convention)
     if not settings.get("as_given"):
-        _require_radians(parsed, columns)
-    _unwrap(parsed, columns)
+        require_radians(parsed, columns)
+    if "phi" in columns and (said := unwrap_angle(parsed, columns)):
+        parsed.notes.append(said)
     mark = [columns.pop(name) for name in ("x_mark", "y_mark") if name in columns]
-    if convention != AxisConvention():
-        columns = _to_sheet_axes(columns, convention)
+    columns = _to_sheet_axes(columns, convention)
+    if words:
         parsed.notes.append(f"axes: {words}")
-    elif "from-hack" in words:
-        parsed.notes.append("y from the hack")
     relative = {name: columns.pop(f"sigma_{name}") for name in unknown}
     if len(mark) == 2:
         add_angle_of_mark(parsed, columns, convention.to_sheet(mark[0], mark[1]))
@@ -103,15 +92,8 @@ def _chosen(parsed: ParsedFile, columns: _Columns, rows: np.ndarray) -> _Columns
     return {name: values[rows] for name, values in columns.items()}
 
 
-def _averaged(parsed: ParsedFile, columns: _Columns) -> _Columns:
-    """Means over the rows of equal time, in order of time."""
-    begin = np.flatnonzero(np.append(True, np.diff(columns["t"]) > 0))
-    means = {name: block_means(values, begin)[0] for name, values in columns.items()}
-    return means | _chosen(parsed, {"t": columns["t"]}, begin)
-
-
 def _on_one_clock(parsed: ParsedFile) -> _Columns:
-    """Every column on the union of the times of all clocks; gaps are NaN."""
+    """Every column beside the times "t", with a row for each row of each clock; gaps are NaN."""
     if parsed.ignored:
         parsed.notes.append(f"columns ignored: {', '.join(parsed.ignored)}")
     for _, column, _ in parsed.series:
@@ -130,38 +112,39 @@ def _on_one_clock(parsed: ParsedFile) -> _Columns:
         if late.any():
             fault = "the time is missing; each row needs one"
             raise parsed.error(fault, int(np.argmax(late)), name)
-    timed = [np.isfinite(clocks[name]) for name in used]
-    empty = int((~np.any([*used.values(), *timed], axis=0)).sum())
-    if empty:
-        parsed.notes.append(f"{empty} empty rows left out")
-    if len(used) == 1:
-        return _chosen(parsed, {"t": clocks[next(iter(used))], **columns}, timed[0])
-    # A row of a clock counts only where one of its channels has a value.
-    for name, rows in used.items():
-        bad = np.diff(clocks[name][rows]) <= 0
-        if bad.any():
-            row = int(np.flatnonzero(rows)[np.argmax(bad) + 1])
+        early = np.diff(clocks[name][rows]) <= 0
+        if len(used) > 1 and early.any():
+            row = int(np.flatnonzero(rows)[np.argmax(early) + 1])
             fault = f"time {clocks[name][row]:g} s is not later than the one before"
             raise parsed.error(fault, row, name)
+    timed = {name: np.isfinite(clocks[name]) for name in used}
+    empty = int((~np.any([*used.values(), *timed.values()], axis=0)).sum())
+    if empty:
+        parsed.notes.append(f"{empty} empty rows left out")
+    if len(used) == 1:  # of several clocks, a row counts only where one of its channels has a value
+        used = timed
+    else:
+        listed = ", ".join(f"{name} ({int(rows.sum())} rows)" for name, rows in used.items())
+        parsed.notes.append(f"clocks {listed} merged")
     origin = np.concatenate([np.flatnonzero(rows) for rows in used.values()])
     of = np.repeat(list(used), [rows.sum() for rows in used.values()])
     every = {c: np.where(of == clock[c], v[origin], np.nan) for c, v in columns.items()}
     every["t"] = np.concatenate([clocks[name][rows] for name, rows in used.items()])
     _chosen(parsed, {}, origin)
-    merged = _averaged(parsed, _chosen(parsed, every, np.argsort(every["t"], kind="stable")))
-    listed = ", ".join(f"{name} ({int(rows.sum())} rows)" for name, rows in used.items())
-    parsed.notes.append(f"clocks {listed} merged to {len(merged['t'])} times")
-    return merged
+    return every
 
 
 def _in_order(parsed: ParsedFile, columns: _Columns) -> _Columns:
     """The rows sorted by time; repeated rows appear once, rows of equal time are averaged."""
+    merged = len({s.column.quantity for s in parsed.series if s.column.base == "t"}) > 1
     if (np.diff(columns["t"]) < 0).any():
         order = np.argsort(columns["t"], kind="stable")
         columns = _chosen(parsed, columns, order)
         place = np.argsort(order)
         moved = int((np.maximum.accumulate(place) > place).sum())
-        parsed.notes.append(f"{moved} row{'s' * (moved > 1)} out of the order of time, now sorted")
+        if not merged:
+            say = f"{moved} row{'s' * (moved > 1)} out of the order of time, now sorted"
+            parsed.notes.append(say)
     first = np.append(True, np.diff(columns["t"]) > 0)
     if first.all():
         return columns
@@ -174,12 +157,15 @@ def _in_order(parsed: ParsedFile, columns: _Columns) -> _Columns:
     means = int((~first).sum()) - repeated
     if repeated:
         parsed.notes.append(f"{repeated} repeated row{'s' * (repeated > 1)} left out")
-    if means:
+    if means and not merged:
         parsed.notes.append(
             f"{means + len(np.unique(owner[~same]))} rows share their time with others: means over "
             "rows of one time are taken"
         )
-    return _averaged(parsed, _chosen(parsed, columns, first | ~same))
+    columns = _chosen(parsed, columns, first | ~same)
+    begin = np.flatnonzero(np.append(True, np.diff(columns["t"]) > 0))
+    means_of = {name: block_means(values, begin)[0] for name, values in columns.items()}
+    return means_of | _chosen(parsed, {"t": columns["t"]}, begin)
 
 
 def _require_one_place(
@@ -218,57 +204,6 @@ def _in_metres(
             "or x_px, y_px, or x, y without a unit)"
         )
     return None, ()
-
-
-def _require_radians(parsed: ParsedFile, columns: _Columns) -> None:
-    """Refuse an angle or a spin whose numbers cannot be radians.
-
-    They cannot be if they jump by 360 or 180, and are unlikely to be if the stone would turn more
-    than twice a second; columns named `phi` and `omega` then are rad and rad/s, with a note.
-    """
-    for header, (quantity, unit, factor, stated), _ in parsed.series:
-        if quantity not in ("phi", "omega"):
-            continue
-        values = columns[quantity]
-        flag, other = ("angle", "deg") if quantity == "phi" else ("spin", "deg/s")
-        remedy = f"--units {flag}={other} if so, {flag}=rad{other[3:]} if not"
-        jump = jump_in_degrees(values) if quantity == "phi" else None
-        if stated:
-            named = parse_header(header)
-            if jump is not None and factor == 1 and named is not None and named.stated:
-                fault = f"the header says {unit}, and the numbers jump by {jump[1]} as degrees do; "
-                raise parsed.error(f"{fault}give `--units angle=deg`", jump[0], quantity)
-            continue
-        if jump is not None:
-            fault = f"no unit is given, and the numbers jump by {jump[1]} as degrees do; give "
-            raise parsed.error(fault + remedy, jump[0], quantity)
-        rate = turning_rate(columns["t"], values) if flag == "angle" else spin_quantile(values)
-        if rate <= MAX_SPIN:
-            continue
-        fault = (
-            f"no unit is given, and {rate:.3g} rad/s would be more than two turns a second; these "
-            f"may be degrees: give {remedy}"
-        )
-        if header.strip().lower() != quantity:
-            raise parsed.error(fault, quantity=quantity)
-        parsed.notes.append(f"{quantity}: {fault}")
-
-
-def _unwrap(parsed: ParsedFile, columns: _Columns) -> None:
-    if "phi" not in columns:
-        return
-    try:
-        columns["phi"], jumps, period = unwrap(columns["t"], columns["phi"], columns.get("omega"))
-    except AmbiguousTurnError as error:
-        raise parsed.error(
-            "the angle is wrapped and the stone turns so far from row to row that the sense is "
-            "ambiguous; expected rows closer in time, an unwrapped angle, or a column of the spin",
-            error.row,
-            "phi",
-        ) from None
-    if jumps:
-        size = "360" if period > 4 else "180"
-        parsed.notes.append(f"phi: {jumps} jump{'s' * (jumps > 1)} of {size} degrees removed")
 
 
 def _to_sheet_axes(columns: _Columns, convention: AxisConvention) -> _Columns:

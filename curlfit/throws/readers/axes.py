@@ -1,8 +1,7 @@
-"""Conventions of axes and angles: directions of x and y, zero of y, sense, unwrapping."""
+"""Conventions of axes: directions of x and y, zero of y, sense of angles."""
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -12,9 +11,6 @@ from curlfit.foreign import quoted
 from curlfit.numerics.arrays import Floats
 from curlfit.sheet import LINES
 
-_TURN = 2 * math.pi
-MAX_SPIN = 2 * _TURN
-"""rad/s; a thrown stone makes two to four turns, at about 1 rad/s or 60 degrees/s."""
 WORDS = (
     *(f"{axis}-{way}" for axis in "yx" for way in ("along", "back", "right", "left")),
     "clockwise", "counter-clockwise", *(f"from-{line}" for line in LINES),
@@ -137,153 +133,3 @@ def parse_axes(text: str | None) -> AxisConvention:
         )
     senses = {"": convention.handedness, "clockwise": -1, "counter-clockwise": 1}
     return convention._replace(turn=senses[found.get("turn", "")])
-
-
-class AmbiguousTurnError(Exception):
-    """About half a period between two rows, of ambiguous sense. `row` is the later one."""
-
-    def __init__(self, row: int) -> None:
-        super().__init__(row)
-        self.row = row
-
-
-def unwrap(t: Floats, phi: Floats, omega: Floats | None = None) -> tuple[Floats, int, float]:
-    """The angle without its jumps, and their number and size.
-
-    An angle that stays within one turn (or half a turn, the direction of a line) and jumps against
-    its trend was reduced modulo that period. A measured spin determines the rotation between two
-    rows; without one, the rotation from row to row must be well below half a period, and gaps are
-    bridged at the neighbouring rate. In an angle that exceeds one turn, single jumps by whole turns
-    are removed.
-
-    Parameters
-    ----------
-    t : times in s, increasing. phi : angle in rad, NaN where not measured.
-    omega : spin in rad/s with the same sign convention, NaN where not measured.
-
-    Raises
-    ------
-    AmbiguousTurnError : the stone turns too fast for the rows.
-    """
-    finite = np.flatnonzero(np.isfinite(phi) & np.isfinite(t))
-    if len(finite) < 3:
-        return phi, 0, _TURN
-    time, angle = t[finite], phi[finite]
-    step, dt = np.diff(angle), np.diff(time)
-    if (dt <= 0).any():
-        return phi, 0, _TURN
-    expected = None if omega is None else _integrated_spin(t, omega, time)
-    period, wrapped = _period(angle, step)
-    if expected is not None:
-        true = step - period * np.round((step - expected) / period)
-        if np.median(np.abs(true - expected)) > 0.25 * period:
-            expected = None  # the spin has another sign or clock
-    if expected is None:
-        if wrapped:
-            true = _unwrap_by_rate(time, step, dt, period, finite)
-        else:
-            period, true = _TURN, _remove_jumps(step, dt)
-    jumps = int((np.abs(true - step) > period / 2).sum())
-    if not jumps:
-        return phi, 0, period
-    result = phi.copy()
-    result[finite] = angle[0] + np.concatenate([[0.0], np.cumsum(true)])
-    return result, jumps, period
-
-
-def jump_in_degrees(angle: Floats) -> tuple[int, int] | None:
-    """Row and size (360 or 180) of the first jump of an apparently wrapped angle in degrees.
-
-    None if the values do not look like one.
-    """
-    if not np.fmax.reduce(angle) - np.fmin.reduce(angle) > 90:
-        return None
-    finite = np.flatnonzero(np.isfinite(angle))
-    degrees = np.radians(angle[finite])
-    step = np.diff(degrees)
-    period, reduced = _period(degrees, step)
-    if not reduced:
-        return None
-    row = int(finite[np.argmax(np.abs(step) > 0.5 * period) + 1])
-    return row, round(math.degrees(period))
-
-
-def turning_rate(t: Floats, phi: Floats) -> float:
-    """Largest turning rate in rad/s over a tenth of the rows, which averages out the noise."""
-    finite = np.isfinite(phi)
-    if not finite.all():
-        t, phi = t[finite], phi[finite]
-    some = slice(None, None, max(1, len(t) // 10))
-    turned, dt = phi[some], t[some]
-    return float(np.abs((turned[1:] - turned[:-1]) / (dt[1:] - dt[:-1])).max(initial=0.0))
-
-
-def spin_quantile(omega: Floats) -> float:
-    """90 % quantile of the absolute spin, rad/s."""
-    return float(np.nanquantile(np.abs(omega), 0.9))
-
-
-def _period(angle: Floats, step: Floats) -> tuple[float, bool]:
-    """The period of an angle, and whether it is wrapped."""
-    span = float(np.ptp(angle))
-    for period in (_TURN / 2, _TURN):
-        large = np.abs(step) > 0.5 * period
-        if not large.any() or not 0.7 * period < span <= 1.02 * period:
-            continue
-        if not ((step > 0).any() and (step < 0).any()):
-            continue  # monotonic
-        if period < _TURN:
-            typical = float(np.median(np.abs(step)))
-            if (np.abs(np.abs(step[large]) - period) > 0.15 * period + typical).any():
-                continue
-        return period, True
-    return _TURN, False
-
-
-def _integrated_spin(t: Floats, omega: Floats, time: Floats) -> Floats | None:
-    """Rotation between the times, from the spin; None if it is not known throughout."""
-    known = np.isfinite(omega)
-    if known.sum() < 2 or t[known][0] > time[0] + 1e-9 or t[known][-1] < time[-1] - 1e-9:
-        return None
-    at, rate = t[known], omega[known]
-    turned = np.concatenate([[0.0], np.cumsum(np.diff(at) * (rate[1:] + rate[:-1]) / 2)])
-    return np.diff(np.interp(time, at, turned))
-
-
-def _unwrap_by_rate(
-    time: Floats, step: Floats, dt: Floats, period: float, finite: np.ndarray
-) -> Floats:
-    near = step - period * np.round(step / period)
-    usual = dt <= 1.5 * np.median(dt)
-    fast = usual & (np.abs(near) > 0.4 * period)
-    if fast.any():
-        raise AmbiguousTurnError(int(finite[np.argmax(fast) + 1]))
-    if usual.all():
-        return near
-    width = min(9, int(usual.sum()))
-    rates = np.convolve(np.pad(near[usual] / dt[usual], width // 2, "edge"), np.ones(width), "same")
-    weight = np.convolve(np.ones(len(rates)), np.ones(width), "same")
-    inner = slice(width // 2, width // 2 + int(usual.sum()))
-    middle = (time[1:] + time[:-1]) / 2
-    expected = np.interp(middle, middle[usual], (rates / weight)[inner]) * dt
-    far = ~usual & (np.abs(expected) * 0.25 > 0.4 * period)
-    if far.any():
-        raise AmbiguousTurnError(int(finite[np.argmax(far) + 1]))
-    bridged = step - period * np.round((step - expected) / period)
-    return np.where(usual, near, bridged)
-
-
-def _remove_jumps(step: Floats, dt: Floats) -> Floats:
-    """Steps of an unwrapped angle, with single ones corrected that are off by whole turns."""
-    if len(step) < 5:
-        return step
-    rate = step / dt
-    padded = np.pad(rate, 2, "edge")
-    pace = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1)
-    off = step - pace * dt
-    turns = np.round(off / _TURN)
-    odd = np.abs(off) > 0.1 * _TURN
-    clear = (turns != 0) & (np.abs(off - turns * _TURN) < 0.15 * _TURN)
-    if odd.sum() > 0.2 * len(step) or not clear.any():
-        return step
-    return np.where(clear, step - turns * _TURN, step)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import tomllib
-from bisect import bisect_left
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from curlfit.errors import InputError
 from curlfit.foreign import quoted
@@ -21,8 +21,12 @@ _SETTINGS = (
     "since", "until", "exclude", "swept", "law", "load", "stone", "sigma", "seed", "reference",
     "axes", "as_given", "keep",
 )  # fmt: skip
-_MOST_SETTINGS, _MOST_NOTES = 500, 5
+_MOST_SETTINGS = 500
 _FORMS = {**Modelling.forms(), **Reading.forms(), "seed": SEED}
+_REFERENCE = (
+    'a reference needs reference.law = "NAME" and reference.values.NAME = number, and may have '
+    "reference.stone.NAME and reference.rounding.NAME, NAME being R, rho, h or m"
+)
 
 
 def begun(
@@ -41,63 +45,50 @@ def begun(
     ------
     DataError : a setting that cannot be read or used.
     """
-    found: list[tuple[int, str]] = []
+    settings: dict[str, Any] = {}
     unknown: list[str] = []
-    for number, line in file.comments(until):
+    count = 0
+    for index, line in file.comments(until):
         body = line.lstrip().lstrip("#").strip()
         key = body.split("=", 1)[0].strip().split(".")[0]
         if "=" not in body or not key.isidentifier():
             continue
-        if key in _SETTINGS:
-            found.append((number, body))
-        else:
-            unknown.append(f"line {number}: setting {quoted(key)} is not known and was ignored")
-    if len(found) > _MOST_SETTINGS:
-        fault = f"more than {_MOST_SETTINGS} settings; expected those of one throw"
-        raise file.error(fault, found[_MOST_SETTINGS][0] - 1)
-    notes, more = unknown[:_MOST_NOTES], len(unknown) - _MOST_NOTES
-    if more > 0:
-        notes.append(f"{more} more settings are not known and were ignored")
-    try:
-        settings = _settings([body for _, body in found])
-    except (ValueError, RecursionError, InputError):
-        _raise_at_fault(file, found)
-    given = settings.pop("reference", None)
-    reference = None if given is None else _reference(file, given)
+        if key not in _SETTINGS:
+            unknown.append(f"{quoted(key)} (line {index + 1})")
+            continue
+        count += 1
+        if count > _MOST_SETTINGS:
+            fault = f"more than {_MOST_SETTINGS} settings; expected those of one throw"
+            raise file.error(fault, index)
+        try:
+            found = tomllib.loads(body)
+            _check(found)
+            _merge(settings, found)
+        except InputError as error:
+            raise file.error(str(error), index) from None
+        except (ValueError, RecursionError):
+            raise file.error(
+                f"cannot read the setting {quoted(body)}; expected key = value as in TOML, text in "
+                "quotes, each key once",
+                index,
+            ) from None
+    more = f" and {len(unknown) - 5} more" if len(unknown) > 5 else ""
+    notes = [f"settings not known and ignored: {', '.join(unknown[:5])}{more}"] if unknown else []
+    reference = _reference(file, settings.pop("reference", None))
     return ParsedFile(
         source or file.path, format, settings=settings, reference=reference, notes=notes
     )
 
 
-def _settings(bodies: list[str]) -> dict[str, Any]:
-    """The settings in some lines, each of them valid TOML."""
-    text = "\n".join(bodies)
-    if any(mark in text for mark in ("[", '"""', "'''")):  # values that may extend over lines
-        for body in bodies:
-            tomllib.loads(body)
-    found = tomllib.loads(text)
-    _check(found)
-    return found
-
-
-def _raise_at_fault(file: TextFile, found: list[tuple[int, str]]) -> NoReturn:
-    """Raise `DataError` with the first line that makes the settings unusable."""
-
-    def fault(count: int) -> str:
-        """What is wrong with the first lines; more lines mend nothing."""
-        try:
-            _settings([body for _, body in found[:count]])
-        except InputError as error:
-            return str(error)
-        except (ValueError, RecursionError):
-            return (
-                f"cannot read the setting {quoted(found[count - 1][1])}; expected key = value as "
-                "in TOML, text in quotes, each key once"
-            )
-        return ""
-
-    last = 1 + bisect_left(range(1, len(found)), True, key=lambda count: bool(fault(count)))
-    raise file.error(fault(last), found[last - 1][0] - 1)
+def _merge(table: dict[str, Any], more: Mapping[str, Any]) -> None:
+    """Add entries to a table, and to the tables in it. Raises `ValueError` for one given twice."""
+    for key, value in more.items():
+        if key not in table:
+            table[key] = value
+        elif isinstance(value, dict) and isinstance(table[key], dict):
+            _merge(table[key], value)
+        else:
+            raise ValueError(key)
 
 
 def _check(settings: dict[str, Any]) -> None:
@@ -111,22 +102,17 @@ def _check(settings: dict[str, Any]) -> None:
     parse_axes(settings.get("axes"))
 
 
-def _reference(file: TextFile, found: Any) -> Reference:
+def _reference(file: TextFile, found: Any) -> Reference | None:
+    if found is None:
+        return None
     try:
-        return Reference(
-            source=str(found.get("source", "reference")),
-            law=str(found["law"]),
-            values={str(name): float(value) for name, value in found["values"].items()},
-            note=str(found.get("note", "")),
-            **{key: _stone_constants(found.get(key, {})) for key in ("stone", "rounding")},
-        )
+        found = {"source": "reference", "note": "", "stone": {}, "rounding": {}, **found}
+        for key in ("stone", "rounding"):
+            Stone().with_values(found[key])  # checks names and signs
+        tables = {
+            key: {str(name): float(value) for name, value in found[key].items()}
+            for key in ("values", "stone", "rounding")
+        }
+        return Reference(str(found["source"]), str(found["law"]), note=str(found["note"]), **tables)
     except (AttributeError, KeyError, TypeError, ValueError, OverflowError):
-        raise file.error(
-            'a reference needs reference.law = "NAME" and reference.values.NAME = number, and may '
-            "have reference.stone.NAME and reference.rounding.NAME, NAME being R, rho, h or m"
-        ) from None
-
-
-def _stone_constants(found: dict[str, Any]) -> dict[str, float]:
-    Stone().with_values(found)  # checks names and signs
-    return {str(name): float(value) for name, value in found.items()}
+        raise file.error(_REFERENCE) from None

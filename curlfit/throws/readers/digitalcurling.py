@@ -17,7 +17,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,9 +34,14 @@ from curlfit.throws.readers.text import TextFile, is_aside
 _EXPECTED = (
     'expected a log of a DigitalCurling 3 shot with a "trajectory" (shot_*.json or server.log)'
 )
-_MOST_NUMBERS = 2_000_000
+_MOST_NUMBERS, _MOST_STONES = 2_000_000, 64
+_DEEPEST = 6  # entry around a trajectory
 _HEAD = 200  # lines whose comments are settings
 _MOVED = 1e-4  # m; positions are 32-bit numbers
+_CHANGE = (
+    "expected changes of stones of the start, each with team, index and value, this with a "
+    "position x, y and an angle, all finite numbers"
+)
 
 
 class Shot(NamedTuple):
@@ -48,8 +53,7 @@ class Shot(NamedTuple):
 
 
 def _recognizes(head: list[str]) -> bool:
-    first = head[0].lstrip()
-    return first.startswith("{") or bool(re.match(r"\[\s*([{\[]|$)", first))
+    return bool(re.match(r"\s*(\{|\[\s*([{\[]|$))", head[0]))
 
 
 def _contents(file: TextFile, reading: Reading) -> Contents:
@@ -59,7 +63,7 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
     ------
     DataError : the file is not a log of a shot. InputError : there is no such stone.
     """
-    shots = shots_of(file)
+    shots = _shots_of(file)
     return Contents(
         [shot.name for shot in shots],
         lambda index: _read_shot(file, shots[index], reading.stone_index),
@@ -104,17 +108,13 @@ def _read_shot(file: TextFile, chosen: Shot, stone_index: int | None) -> ParsedF
     notes.append("a simulated throw: positions are exact to the 32 bits of the log")
     parsed.lines = np.full(int(keep.sum()), chosen.line, np.int64)
     parsed.add("seconds_per_frame", Column("t", "s", 1.0), np.asarray(time[keep]))
-    xyz = positions[stone, keep].T
-    for header, column, values in (
-        ("position.x", Column("x", "m", 1.0), xyz[0]),
-        ("position.y", Column("y", "m", 1.0), xyz[1]),
-        ("angle", Column("phi", "rad", 1.0), xyz[2]),
-    ):
-        parsed.add(header, column, values)
+    measured = ("position.x", "x", "m"), ("position.y", "y", "m"), ("angle", "phi", "rad")
+    for (header, quantity, unit), values in zip(measured, positions[stone, keep].T, strict=True):
+        parsed.add(header, Column(quantity, unit, 1.0), values)
     return parsed
 
 
-def shots_of(file: TextFile) -> list[Shot]:
+def _shots_of(file: TextFile) -> list[Shot]:
     """Every shot in the file: one JSON value, or one per line.
 
     Raises
@@ -135,41 +135,28 @@ def shots_of(file: TextFile) -> list[Shot]:
 def _values(file: TextFile) -> Iterator[tuple[int, Any]]:
     """The JSON values of the file, with their lines."""
     rows = [(k, line) for k, line in enumerate(file.lines) if not is_aside(line)]
-    text = "\n".join(line for _, line in rows)
     try:
-        whole = json.loads(text)
+        yield 1, json.loads("\n".join(line for _, line in rows))
     except (ValueError, RecursionError):
         for index, line in rows:
             try:
                 yield index + 1, json.loads(line)
             except (ValueError, RecursionError):
                 raise file.error(f"not a line of JSON; {_EXPECTED}", index) from None
-    else:
-        yield 1, whole
 
 
-def _trajectory(item: Any) -> tuple[str, dict[str, Any]] | None:
-    """A trajectory and its name, at any depth of the entry."""
-    label: dict[str, Any] = {}
-    for _ in range(6):
-        if not isinstance(item, dict):
-            return None
-        if isinstance(item.get("state"), dict):  # a client's update, after the shot
-            label |= {key: item["state"].get(key) for key in ("end", "shot")}
-        label |= {key: item[key] for key in ("end", "shot") if isinstance(item.get(key), int)}
-        if isinstance(item.get("trajectory"), dict):
-            item = item["trajectory"]
-            break
-        if "frames" in item and "seconds_per_frame" in item:
-            break
-        item = next(
-            (item[key] for key in ("log", "last_move", "msg") if isinstance(item.get(key), dict)),
-            None,
-        )
-    else:
+def _trajectory(
+    item: Any, name: str = "shot", deepest: int = _DEEPEST
+) -> tuple[str, dict[str, Any]] | None:
+    """The first trajectory in an entry, named after the end and the shot given beside it."""
+    if not isinstance(item, dict) or not deepest:
         return None
-    parts = [f"{key} {label[key]}" for key in ("end", "shot") if isinstance(label.get(key), int)]
-    return " ".join(parts) or "shot", item
+    if "frames" in item and "seconds_per_frame" in item:
+        return name, item
+    if isinstance(item.get("end"), int) and isinstance(item.get("shot"), int):
+        name = f"end {item['end']} shot {item['shot']}"
+    parts = (_trajectory(part, name, deepest - 1) for part in item.values())
+    return next((found for found in parts if found is not None), None)
 
 
 def _paths(file: TextFile, shot: Shot) -> tuple[float, Floats, list[str]]:
@@ -184,44 +171,38 @@ def _paths(file: TextFile, shot: Shot) -> tuple[float, Floats, list[str]]:
     start, frames = shot.trajectory.get("start"), shot.trajectory.get("frames")
     if not isinstance(start, dict) or not isinstance(frames, list):
         raise refuse("a trajectory needs a start and frames")
-    slots = [
-        (team, k)
+    stones = {
+        (team, k): stone
         for team in sorted(start)
         if isinstance(start[team], list)
-        for k in range(len(start[team]))
-    ]
-    if not slots or len(slots) > 64 or len(slots) * (len(frames) + 1) > _MOST_NUMBERS:
+        for k, stone in enumerate(start[team])
+    }
+    if not 0 < len(stones) <= min(_MOST_STONES, _MOST_NUMBERS / (len(frames) + 1)):
         raise refuse("the start needs some stones by team")
-    positions = np.empty((len(slots), len(frames) + 1, 3))
-    positions[:, 0] = [_stone(start[team][k], refuse) for team, k in slots]
-    for count, changes in enumerate(frames, 1):
-        positions[:, count] = positions[:, count - 1]
-        if not isinstance(changes, list):
-            raise refuse(f"frame {count}: expected a list of changes")
-        for change in changes:
-            if not isinstance(change, dict):
-                raise refuse(f"frame {count}: a change needs team, index and value")
-            side: Any = change.get("team")
-            number: Any = change.get("index")
-            if isinstance(side, int) and not isinstance(side, bool):
-                side = f"team{side}"
-            if (side, number) not in slots:
-                raise refuse(f"frame {count}: no stone {quoted(number)} of team {quoted(side)}")
-            stone = slots.index((side, number))
-            positions[stone, count] = _stone(change.get("value"), refuse)
-    return float(period), positions, [f"{team} stone {k + 1}" for team, k in slots]
+    places = {key: slot for slot, key in enumerate(stones)}
+    positions = np.empty((len(stones), len(frames) + 1, 3))
+    try:
+        count = 0
+        positions[:, 0] = [_stone(stone) for stone in stones.values()]
+        for count, changes in enumerate(frames, 1):
+            positions[:, count] = positions[:, count - 1]
+            for change in changes:
+                team, index = change["team"], change["index"]
+                place = places[team if isinstance(team, str) else f"team{team}", index]
+                positions[place, count] = _stone(change["value"])
+    except (KeyError, TypeError, ValueError):
+        raise refuse(f"frame {count}: {_CHANGE}") from None
+    return float(period), positions, [f"{team} stone {k + 1}" for team, k in stones]
 
 
-def _stone(value: Any, refuse: Callable[[str], DataError]) -> list[float]:
+def _stone(value: Any) -> list[float]:
+    """x, y, angle of a logged stone, NaN for null. Raises `KeyError`, `TypeError`, `ValueError`."""
     if value is None:
         return [math.nan] * 3
-    try:
-        numbers = [value["position"]["x"], value["position"]["y"], value["angle"]]
-    except (TypeError, KeyError):
-        numbers = [None]
+    numbers = [value["position"]["x"], value["position"]["y"], value["angle"]]
     if not all(map(is_number, numbers)):
-        raise refuse("a stone needs a position x, y and an angle, all finite numbers")
-    return [float(number) for number in numbers]
+        raise ValueError
+    return numbers
 
 
 def _first_change(stone: Floats) -> int:

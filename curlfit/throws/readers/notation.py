@@ -20,7 +20,6 @@ _FILLING = {
     "to", "the", "of", "from", "tee", "line", "centre", "center", "a", "turn", "about", "handed",
     "hander", "stone", "player", "thrower",
 }  # fmt: skip
-_SIGNS = {"+": 1.0, "-": -1.0, "\u2212": -1.0}
 WORDS = {
     "left": "left", "l": "left", "right": "right", "r": "right",
     "past": "past", "beyond": "past", "behind": "past", "over": "past",
@@ -65,8 +64,6 @@ def parse_quantity(text: str, quantity: str, unit: str = "", *, per: float = 1.0
         rest = re.sub(r"^([\"'])(.*)\1$", r"\2", rest).lstrip("\"'")
         rest = _FEET.sub(" ft ", _INCHES.sub(" in ", rest))
     rest = re.sub(r"(?i)\bin\s+front\b", "front", rest.strip("\"'").strip())
-    if rest in _SIGNS:
-        return Quantity(_SIGNS[rest], True, frozenset())
     sign, value, signed, units = 1.0, 0.0, False, units_of(quantity)
     given, before = unit, ""
     numbers, bare = 0, False

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.errors import DataError, InputError
-from curlfit.foreign import LARGEST, quoted
+from curlfit.foreign import LARGEST, cut, quoted
 from curlfit.numerics.arrays import Floats
 from curlfit.settings.choices import Reading, given
 from curlfit.throws.events import Event
@@ -130,18 +130,12 @@ class Format(NamedTuple):
 
     def check(self, source: Path | str, reading: Reading) -> None:
         """Raise `InputError` for a choice of something that such files do not hold."""
-        nothing = {
-            "shot": "no shots", "stone_index": "one stone", "handle": "no objects",
-            "keep": "no throws in rows",
-        }  # fmt: skip
-        for name, what in nothing.items():
+        for name, what in _NOTHING.items():
             if given(getattr(reading, name)) and name not in self.selections:
                 flag = name.replace("_", "-")
                 raise InputError(f"--{flag}: {source} is a {self.name} file and holds {what}")
 
-    def selected(
-        self, source: Path | str, contents: Contents, number: int | None, flag: str = ""
-    ) -> ParsedFile:
+    def selected(self, source: Path | str, contents: Contents, number: int | None) -> ParsedFile:
         """The throw of a number, counting from 1, or the usual one.
 
         Raises
@@ -150,17 +144,15 @@ class Format(NamedTuple):
             by itself. InputError : no such throw.
         """
         labels, count = contents.labels, len(contents.labels)
-        flag = flag or f"--{self.selected_by.replace('_', '-')}"
+        flag = f"--{self.selected_by.replace('_', '-')}"
         if list(labels) == [""] and number is not None:
-            flag = flag.rstrip(" =")
             raise InputError(f"{flag}: {source} is a {self.name} file and holds one stone")
-        usual = 0 if count == 1 else self.usual
-        if number is None and usual is None:
+        if number is None and count > 1 and self.usual is None:
             listed = "; ".join(f"{k} {label}" for k, label in enumerate(labels[:_MOST_LISTED], 1))
             more = f"; and {count - _MOST_LISTED} more" if count > _MOST_LISTED else ""
             fault = f"{count} {self.what}s; choose one with `{flag} N`: {listed}{more}"
             raise DataError(fault, file=source)
-        index = choose(self.what, flag, number, labels, usual or 0)
+        index = choose(self.what, flag, number, labels, self.usual or 0)
         parsed = contents.parse(index)
         if parsed.alone is not None:
             raise parsed.alone
@@ -169,7 +161,12 @@ class Format(NamedTuple):
         return parsed
 
 
+_NOTHING = {
+    "shot": "no shots", "stone_index": "one stone", "handle": "no objects",
+    "keep": "no throws in rows",
+}  # fmt: skip
 _MOST_LISTED = 20
+_MOST_NAMES = 400  # characters
 _FRAME_NUMBERS = re.compile(r"frames?|frame[ _](number|no)")
 
 
@@ -216,9 +213,10 @@ def columns_of(
         taken[column.quantity] = name
         columns[index] = column
     if missing := missing_columns(taken):
+        listed = cut(", ".join(map(str, names)), _MOST_NAMES)
         remedy = "; `--units t=30fps`, with the camera's rate, makes frames times"
         raise error(
-            f"no column for {' and '.join(missing)} among {_list_names(names)}; {EXPECTED}"
+            f"no column for {' and '.join(missing)} among {listed}; {EXPECTED}"
             + (remedy if counted and "t" in missing else "")
         )
     return columns, [name for k, name in enumerate(names) if name and k not in columns]
@@ -262,8 +260,3 @@ def choose(what: str, flag: str, number: int | None, options: Sequence[str], def
         listed = "; ".join(f"{index} {name}" for index, name in enumerate(options, 1))
         raise InputError(f"{flag} {number}: there is no such {what}; expected one of {listed}")
     return number - 1
-
-
-def _list_names(names: Sequence[str]) -> str:
-    short = [str(name)[:40] for name in names[:20]]
-    return ", ".join([*short, f"and {len(names) - 20} more"] if len(names) > 20 else short)

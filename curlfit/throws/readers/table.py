@@ -1,17 +1,34 @@
-"""curlfit's own format: a text table with a header, and settings in leading `#` lines."""
+"""Tables: text with a header and settings in leading `#` lines, curlfit's own format; and tables
+in memory, of pandas, polars, xarray, or mappings of arrays.
+
+A table may hold several throws: named by a column, or one after another.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
+from curlfit.errors import InputError
 from curlfit.settings.choices import Reading
-from curlfit.throws.readers.columns import Column, in_unit
+from curlfit.throws.readers.assemble import assemble
+from curlfit.throws.readers.columns import Column, in_unit, parse_header, parse_units, with_unit
 from curlfit.throws.readers.defaults import begun
 from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile, columns_of
-from curlfit.throws.readers.several import contents_of, may_name_throws
-from curlfit.throws.readers.text import TextFile, TextTable
+from curlfit.throws.readers.text import TextFile, TextTable, clock_times
+
+_NAMES = {
+    "stone", "throw", "shot", "track", "trial", "run", "object", "id", "label", "name", "colour",
+    "color", "particle", "delivery", "end",
+}  # fmt: skip
+_WORDS = re.compile(r"[a-z]+")
+_FEWEST = 5  # rows of a throw
+_Variables = tuple[dict[str, Any], dict[str, str]]  # arrays, and stated units, by name
 
 
 def _contents(file: TextFile, reading: Reading) -> Contents:
@@ -33,17 +50,8 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
 TABLE = Format("table", lambda _: True, _contents, "throw", "stone_index", None, ("stone_index",))
 
 
-def read_columns(
-    parsed: ParsedFile,
-    table: TextTable,
-    columns: dict[int, Column],
-    units: Callable[[dict[int, Column]], dict[int, Column]] = lambda columns: columns,
-) -> None:
+def read_columns(parsed: ParsedFile, table: TextTable, columns: dict[int, Column]) -> None:
     """Add columns, by index, to a parsed file; those of clock times become seconds.
-
-    Parameters
-    ----------
-    units : sets units that follow from those of other columns.
 
     Raises
     ------
@@ -55,6 +63,181 @@ def read_columns(
         parsed.notes.append(f"{table.names[k]}: clock times, taken as seconds since {begin}")
     plain = [k for k in columns if k not in clocks]
     values = dict(zip(plain, table.numbers(plain), strict=True))
+    values |= {k: seconds for k, (_, seconds) in clocks.items()}
     parsed.lines = np.asarray(table.rows, np.int64) + 1
-    for k, column in units(columns).items():
-        parsed.add(table.names[k], column, clocks[k][1] if k in clocks else values[k])
+    for k, column in columns.items():
+        parsed.add(table.names[k], column, values[k])
+
+
+def may_name_throws(header: str) -> bool:
+    """Whether a column of this header may name the throw of each row."""
+    parts = set(_WORDS.findall(header.lower()))
+    return bool(parts & _NAMES) and parts <= _NAMES | {"nr", "no", "number", "index"}
+
+
+def contents_of(parsed: ParsedFile, words: Mapping[str, Sequence[Any]]) -> Contents:
+    """The throws in a table.
+
+    A column such as `stone`, `throw_id` or `track` names them. Without one, a new throw begins
+    where the times start again.
+
+    Parameters
+    ----------
+    words : cells, by header, of the columns that are not data of a throw.
+    """
+    header, groups = _by_column(words, len(parsed.series[0].values))
+    if header:
+        parsed = replace(parsed, ignored=[name for name in parsed.ignored if name != header])
+    else:
+        groups = _by_restart(parsed)
+    if len(groups) < 2:
+        return Contents([""], lambda _: parsed)
+    throws = list(groups.items())
+
+    def parse(index: int) -> ParsedFile:
+        name, rows = throws[index]
+        found = parsed.rows(rows)
+        found.notes.append(f"{len(throws)} throws; taken: {index + 1} {name}")
+        return found
+
+    return Contents([f"{name} ({len(rows)} rows)" for name, rows in throws], parse)
+
+
+def _by_column(words: Mapping[str, Sequence[Any]], n: int) -> tuple[str, dict[str, np.ndarray]]:
+    """The column that names several throws, and the rows of each; empty if there is none."""
+    for header, cells in words.items():
+        if not may_name_throws(header):
+            continue
+        names = np.array([str(cell).strip() for cell in cells])
+        listed = [name for name in dict.fromkeys(names.tolist()) if name]
+        if 2 <= len(listed) <= n / _FEWEST:
+            return header, {f"{header} {name}": np.flatnonzero(names == name) for name in listed}
+    return "", {}
+
+
+def _by_restart(parsed: ParsedFile) -> dict[str, np.ndarray]:
+    """Rows of each throw if the times start again; empty if they do not."""
+    times = next((s.values for s in parsed.series if s.column.quantity == "t"), None)
+    if times is None or len(times) < 2 * _FEWEST:
+        return {}
+    breaks = np.flatnonzero(np.diff(times) < 0) + 1
+    pieces = np.split(np.arange(len(times)), breaks)
+    if len(pieces) < 2 or min(map(len, pieces)) < _FEWEST:
+        return {}
+    # Each begins within the first fifth of the previous one, unlike rows merely out of order.
+    for before, after in pairwise(pieces):
+        began, ended = times[before[0]], times[before[-1]]
+        if not times[after[0]] < began + 0.2 * (ended - began):
+            return {}
+    lines = parsed.lines
+    return {
+        f"from row {rows[0] + 1}" if lines is None else f"from line {lines[rows[0]]}": rows
+        for rows in pieces
+    }
+
+
+def values_of(table: Any, reading: Reading, name: str = "table") -> dict[str, Any]:
+    """The values in a table in memory, as arguments of `Throw.from_arrays`.
+
+    Parameters
+    ----------
+    table : as for `Throw.from_frame`. name : name of the throw.
+
+    Raises
+    ------
+    DataError, InputError : not a table, a column that is missing or not numeric.
+    """
+    TABLE.check(name, reading)
+    chosen = parse_units(reading.units)
+    parsed = ParsedFile(name, "table")
+    values, stated = _variables(table, parsed)
+    names = list(values)
+    columns, parsed.ignored = columns_of(names, reading, parsed.error)
+    shapes = sorted({values[names[index]].shape for index in columns})
+    if len(shapes) > 1 or len(shapes[0]) != 1:
+        listed = ", ".join(map(str, shapes))
+        raise parsed.error(f"columns of different lengths, or of several dimensions: {listed}")
+    if shapes == [(0,)]:
+        raise parsed.error("no rows")
+    for index, column in columns.items():
+        header = names[index]
+        if column.base not in chosen:
+            try:
+                column = with_unit(column, stated.get(header))
+            except InputError as error:
+                raise parsed.error(str(error), quantity=header) from None
+        parsed.add(header, column, _numbers(values[header], column, parsed, header))
+    words = {name: values[name].tolist() for k, name in enumerate(names) if k not in columns}
+    return assemble(TABLE.selected(name, contents_of(parsed, words), reading.stone_index), reading)
+
+
+def _variables(table: Any, parsed: ParsedFile) -> _Variables:
+    if hasattr(table, "data_vars") and hasattr(table, "coords"):
+        return _of_dataset(table, parsed)
+    if hasattr(table, "columns") and hasattr(table, "__getitem__"):
+        return _of_frame(table, parsed), {}
+    if isinstance(table, Mapping):
+        return {str(name): _filled(values) for name, values in table.items()}, {}
+    raise InputError(
+        f"{type(table).__name__}: expected a DataFrame, a Dataset or a mapping of names to arrays"
+    )
+
+
+def _filled(values: Any) -> Any:
+    """An array, in which masked entries are gaps."""
+    masked = np.ma.isMaskedArray(values)
+    return np.ma.filled(values.astype(float), np.nan) if masked else np.asarray(values)
+
+
+def _of_dataset(table: Any, parsed: ParsedFile) -> _Variables:
+    every = {str(key): table[key] for key in [*table.coords, *table.data_vars]}
+    flat = {name: variable for name, variable in every.items() if len(variable.dims) == 1}
+    if len(flat) < len(every):
+        others = ", ".join(name for name in every if name not in flat)
+        parsed.notes.append(f"variables ignored, not of one dimension: {others}")
+    used = {name: v.dims[0] for name, v in flat.items() if parse_header(name) is not None}
+    if len(set(used.values())) > 1:
+        listed = ", ".join(f"{name} along {dim}" for name, dim in used.items())
+        raise parsed.error(f"variables along different dimensions ({listed}); merge them to one")
+    units = {name: str(v.attrs["units"]) for name, v in flat.items() if v.attrs.get("units")}
+    return {name: np.asarray(variable.values) for name, variable in flat.items()}, units
+
+
+def _of_frame(table: Any, parsed: ParsedFile) -> dict[str, Any]:
+    """The columns; an index of times or dates is the time where no column is."""
+    values = {str(key): np.asarray(table[key]) for key in table.columns}
+    if len(values) < len(table.columns):
+        raise parsed.error("two columns of the same name")
+    index = getattr(table, "index", None)
+    if index is None or any(map(_is_time, values)) or getattr(index, "nlevels", 1) > 1:
+        return values
+    own, times = str(index.name), np.asarray(index)
+    if _is_time(own):
+        return {own: times, **values}
+    return {"time": times, **values} if times.dtype.kind in "mM" else values
+
+
+def _is_time(name: str) -> bool:
+    column = parse_header(name)
+    return column is not None and column.quantity == "t"
+
+
+def _numbers(values: Any, column: Column, parsed: ParsedFile, header: str) -> np.ndarray:
+    """Numbers in the column's unit; dates and durations as seconds."""
+    is_time = column.quantity.startswith("t")
+    if values.dtype.kind in "mM" and is_time:
+        blank = np.isnat(values)
+        if blank.all():
+            raise parsed.error("every time is missing", quantity=header)
+        origin = values[~blank][0] if values.dtype.kind == "M" else np.timedelta64(0, "ns")
+        numbers = (values - origin) / np.timedelta64(1, "s") / column.factor
+        return np.where(blank, np.nan, numbers)
+    found = [None if type(v).__name__ == "NAType" else v for v in values.tolist()]  # of pandas
+    if is_time and values.dtype.kind in "OU":
+        clock, bad = clock_times([None if v is None else str(v) for v in found])
+        if not bad and np.isfinite(clock).any():
+            return clock / column.factor
+    try:
+        return np.array([np.nan if v is None else v for v in found], dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        raise parsed.error("expected numbers", quantity=header) from None

@@ -1,4 +1,4 @@
-"""Text of a file: lines, cells and numbers."""
+"""Text of a file: lines, cells and numbers; of a spreadsheet, the first sheet with data."""
 
 from __future__ import annotations
 
@@ -7,25 +7,27 @@ import math
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, date, datetime, time, timedelta
 from functools import cached_property
+from io import BytesIO, StringIO
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
+from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 
 from curlfit.errors import DataError
 from curlfit.foreign import quoted
 from curlfit.numerics.arrays import Floats
-from curlfit.throws.readers.spreadsheet import BEGINNINGS, text_of_sheet
 
 GAPS = {"", "nan", "na", "n/a", "null", "none", "-", "--"}
 EXPECTED = "expected a header such as t,x,y,phi (time in s, position in m, angle in rad)"
+_SPREADSHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")  # first bytes; of other archives too
 _MOST_BYTES = 50_000_000
 # Characters of a comment, a header or a setting; of a row; a line of JSON may have any number.
 _MOST_IN_HEAD, _MOST_IN_ROW = 1000, 20_000
 _MOST_LINES = 2_000_000
-_CHUNK = 20_000
+_CHUNK = 20_000  # rows whose cells are in memory together
 # "t (s)" in a table separated by spaces
 _UNIT_APART = re.compile(r"[ \t]+([(\[][^()\[\]]*[)\]])")
 
@@ -44,11 +46,10 @@ def lines_of(path: Path, *, most_bytes: int = _MOST_BYTES, settings: bool = Fals
         raise DataError(f"more than {_MOST_LINES} lines; expected throws", file=path)
     if max(map(len, lines)) <= _MOST_IN_HEAD:
         return lines
-    starts = [line[:_MOST_IN_HEAD].lstrip()[:1] for line in lines]
-    header = next((k for k, start in enumerate(starts) if start not in ("", "#")), -1)
-    json = not settings and starts[header] in ("{", "[")
-    for index, (line, start) in enumerate(zip(lines, starts, strict=True)):
-        comment = start in ("", "#")
+    header = next((k for k, line in enumerate(lines) if not is_aside(line)), -1)
+    json = not settings and lines[header].lstrip()[:1] in ("{", "[")
+    for index, line in enumerate(lines):
+        comment = is_aside(line)
         most = _MOST_IN_HEAD if settings or index == header or comment else _MOST_IN_ROW
         if len(line) > most and (comment or not json):
             fault = f"a line of {len(line)} characters; expected at most {most}"
@@ -69,17 +70,16 @@ def _text_of(path: Path, most_bytes: int, what: str) -> str:
             raw = stream.read(most_bytes + 1)
     except ValueError:
         raise DataError("this is not a file name", file=quoted(str(path))) from None
+    except FileNotFoundError:
+        raise DataError("no such file", file=path) from None
+    except IsADirectoryError:
+        raise DataError("this is a folder, expected a file", file=path) from None
     except OSError as error:
-        faults: dict[type, str] = {
-            FileNotFoundError: "no such file",
-            IsADirectoryError: "this is a folder, expected a file",
-        }
-        fault = faults.get(type(error), f"cannot be read ({error.strerror})")
-        raise DataError(fault, file=path) from None
+        raise DataError(f"cannot be read ({error.strerror})", file=path) from None
     if len(raw) > most_bytes:
         raise DataError(f"larger than {most_bytes // 1000} kB; expected {what}", file=path)
-    if raw.startswith(BEGINNINGS):
-        return text_of_sheet(raw, path, most_bytes)
+    if raw.startswith(_SPREADSHEETS):
+        return _text_of_sheet(raw, path, most_bytes)
     encoding = "utf-16" if raw[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
     try:
         text = raw.decode(encoding)
@@ -89,6 +89,63 @@ def _text_of(path: Path, most_bytes: int, what: str) -> str:
     if "\x00" in text:
         raise DataError(f"this is not a text file; {EXPECTED}", file=path)
     return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _text_of_sheet(raw: bytes, path: Path, most_bytes: int) -> str:
+    """The cells as a table separated by semicolons; row n is line n. Clock times are HH:MM, with
+    seconds if any has some.
+
+    Raises
+    ------
+    DataError : not a spreadsheet, without data, too large, or its reader is not installed.
+    """
+    fault = "this is a spreadsheet or another archive, not a text file; save the sheet as CSV"
+    try:
+        from python_calamine import CalamineError, CalamineWorkbook
+    except ImportError:
+        fault += ", or have it read after pip install 'curlfit[spreadsheet]'"
+        raise DataError(fault, file=path) from None
+    try:
+        if raw.startswith(b"PK"):
+            with ZipFile(BytesIO(raw)) as archive:
+                if sum(part.file_size for part in archive.infolist()) > most_bytes:
+                    raise DataError(f"larger than {most_bytes // 1000} kB unpacked", file=path)
+        book = CalamineWorkbook.from_filelike(BytesIO(raw))
+        sheets = (book.get_sheet_by_name(name) for name in book.sheet_names)
+        tables = (sheet.to_python(skip_empty_area=False) for sheet in sheets)
+        rows = [list(map(_plain, row)) for row in next(filter(None, tables), [])]
+    except (CalamineError, BadZipFile, NotImplementedError):
+        raise DataError(fault, file=path) from None
+    if not rows:
+        raise DataError("a spreadsheet without data", file=path)
+    clocks = [cell for row in rows for cell in row if isinstance(cell, time | datetime)]
+    exact = any(clock.second or clock.microsecond for clock in clocks)
+    lines = StringIO()
+    write = csv.writer(lines, delimiter=";", lineterminator="\n").writerow
+    for row in rows:
+        found = [_shown(cell, "%H:%M:%S.%f" if exact else "%H:%M") for cell in row]
+        if found[0].startswith("#") or not any(found):
+            lines.write(" ".join(filter(None, found)) + "\n")
+        else:
+            write(found)
+    return lines.getvalue()
+
+
+def _plain(cell: Any) -> Any:
+    """A cell of a spreadsheet; a duration, or a time without a date, as a clock time."""
+    if isinstance(cell, timedelta):
+        return (datetime.min + cell % timedelta(days=1)).time()
+    return cell.time() if isinstance(cell, datetime) and cell.year < 1901 else cell
+
+
+def _shown(cell: Any, clock: str) -> str:
+    if isinstance(cell, time | datetime):
+        return cell.strftime(clock if isinstance(cell, time) else f"%Y-%m-%d {clock}")
+    if isinstance(cell, date):
+        return cell.isoformat()
+    if isinstance(cell, float) and cell.is_integer():
+        return str(int(cell))
+    return " ".join(str(cell).split())
 
 
 class TextFile(NamedTuple):
@@ -111,23 +168,20 @@ class TextFile(NamedTuple):
         """
         index = next((k for k, line in enumerate(self.lines) if not is_aside(line)), None)
         if index is None:
-            blank = all(not line or line.isspace() for line in self.lines)
+            blank = not any(map(str.strip, self.lines))
             what = "the file is empty" if blank else "the file holds comments only"
             raise self.error(f"{what}; {expected}")
         return index
 
     def comments(self, until: int | None = None) -> list[tuple[int, str]]:
-        """The comments before the line of an index, with their line numbers."""
-        return [
-            (number, line)
-            for number, line in enumerate(self.lines[:until], 1)
-            if line.lstrip()[:1] == "#"
-        ]
+        """The comments before the line of an index, with their own indices."""
+        lines = enumerate(self.lines[:until])
+        return [(k, line) for k, line in lines if line.lstrip()[:1] == "#"]
 
 
 def is_aside(line: str) -> bool:
     """Whether a line is blank or a comment."""
-    return not line or line.isspace() or line.lstrip()[0] == "#"
+    return line.lstrip()[:1] in ("", "#")
 
 
 def separator_of(line: str) -> str | None:
@@ -169,10 +223,7 @@ def is_number(cell: str) -> bool:
     return parse_number(cell, decimal_comma=True) is not None
 
 
-_CLOCK = re.compile(
-    r"(?:(?P<date>\d{4}-\d\d-\d\d)[T ])?(?:(?P<h>\d{1,2}):)?(?P<m>\d{1,2}):"
-    r"(?P<s>\d{1,2}(?:[.,]\d+)?)(?P<zone>Z|[+-]\d\d:?\d\d)?"
-)
+_CLOCK = re.compile(r"(?:(\d{1,2}):)?(\d{1,2}):(\d{1,2}(?:[.,]\d+)?)")
 
 
 def clock_times(found: Sequence[str | None]) -> tuple[Floats, list[int]]:
@@ -184,35 +235,30 @@ def clock_times(found: Sequence[str | None]) -> tuple[Floats, list[int]]:
     -------
     Seconds, shape (n,), NaN for gaps; and the rows that are not clock times, also NaN.
     """
-    seconds, bad, dated = np.full(len(found), math.nan), [], False
-    for row, cell in enumerate(found):
-        if cell is None or cell.lower() in GAPS:
-            continue
-        match = _CLOCK.fullmatch(cell.strip())
-        seconds[row] = math.nan if match is None else _seconds(match)
-        if math.isnan(seconds[row]):
-            bad.append(row)
-        dated |= match is not None and match["date"] is not None
+    gaps = np.array([cell is None or cell.lower() in GAPS for cell in found], bool)
+    seconds = np.array([math.nan if cell is None else _seconds(cell.strip()) for cell in found])
     known = np.flatnonzero(np.isfinite(seconds))
     if len(known):
         seconds -= seconds[known[0]]
-    if not dated:
+    if not any((cell or "").strip()[4:5] == "-" for cell in found):  # no date
         for row in known[1:][np.diff(seconds[known]) < -43200]:
             seconds[row:] += 86400
-    return np.round(seconds, 9), bad
+    return np.round(seconds, 9), np.flatnonzero(np.isnan(seconds) & ~gaps).tolist()
 
 
-def _seconds(match: re.Match[str]) -> float:
-    """A clock time in s; NaN if its hour, minute, second or date is invalid."""
-    hours, minutes = int(match["h"] or 0), int(match["m"])
-    seconds = float(match["s"].replace(",", "."))
+def _seconds(cell: str) -> float:
+    """A clock time in s, since 1970 if it has a date; NaN if it is not one."""
+    if match := _CLOCK.fullmatch(cell):
+        hours, minutes, seconds = int(match[1] or 0), int(match[2]), match[3].replace(",", ".")
+        valid = hours < 24 and float(seconds) < 60 and (minutes < 60 or not match[1])
+        return 3600 * hours + 60 * minutes + float(seconds) if valid else math.nan
     try:
-        day = datetime.fromisoformat(f"{match['date'] or '1970-01-01'}T00{match['zone'] or 'Z'}")
+        moment = datetime.fromisoformat(cell) if ":" in cell else None
     except ValueError:
+        moment = None
+    if moment is None:
         return math.nan
-    if hours > 23 or seconds >= 60 or (match["h"] and minutes > 59):
-        return math.nan
-    return day.timestamp() + 3600 * hours + 60 * minutes + seconds
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
 @dataclass(frozen=True)
@@ -284,53 +330,41 @@ class TextTable:
             finite number.
         """
         lines, parts = self.file.lines, []
-        decimal_comma = self.separator != "," and any("," in lines[index] for index in self.rows)
+        comma = self.separator != "," and any("," in lines[index] for index in self.rows)
         for start in range(0, len(self.rows), _CHUNK):
-            chunk = self.rows[start : start + _CHUNK]
-            found = self._read_fast([lines[index] for index in chunk], columns, decimal_comma)
-            if found is None:
-                found = self._read_cells(chunk, columns, decimal_comma)
-            parts.append(found)
+            rows = self.rows[start : start + _CHUNK]
+            by_column = list(zip(*(self._cells(index) for index in rows), strict=True))
+            parts.append([self._numbers(rows, by_column[k], k, comma) for k in columns])
         return list(np.concatenate(parts, axis=1))
 
-    def _read_fast(
-        self, rows: list[str], columns: Sequence[int], decimal_comma: bool
-    ) -> Floats | None:
-        """Rows of numbers and empty cells only; None if there is anything else in the columns."""
-        text = "\n".join(rows)
-        if '"' in text or "_" in text or (decimal_comma and "." in text):
-            return None
-        if decimal_comma:
-            rows = text.replace(",", ".").split("\n")
-        split = [row.split(self.separator) for row in rows]
-        if any(len(row) != len(self.names) for row in split):
-            return None
-        by_column = list(zip(*split, strict=True))
-        try:
-            found = np.array([[float(c or "nan") for c in by_column[k]] for k in columns])
-        except ValueError:
-            return None
-        return None if np.isinf(found).any() else found
+    def _cells(self, index: int) -> list[str]:
+        """The cells of a row, as many as the header has."""
+        line, width = self.file.lines[index], len(self.names)
+        row = line.split(self.separator) if '"' not in line else cells(line, self.separator)
+        if len(row) != width and (len(row) < width or any(map(str.strip, row[width:]))):
+            fault = f"{len(row)} cells where the header has {width} columns"
+            if self.separator == "," and width < len(row) <= 2 * width:
+                fault += "; where numbers have decimal commas, separate the columns by semicolons"
+            raise self.file.error(fault, index)
+        return row[:width]
 
-    def _read_cells(
-        self, indices: Sequence[int], columns: Sequence[int], decimal_comma: bool
-    ) -> Floats:
-        """Rows read cell by cell: any notation, and faults with their location."""
-        found, width = np.full((len(columns), len(indices)), math.nan), len(self.names)
-        for row, index in enumerate(indices):
-            line = cells(self.file.lines[index], self.separator)
-            if len(line) < width or any(line[width:]):
-                fault = f"{len(line)} cells where the header has {width} columns"
-                if self.separator == "," and width < len(line) <= 2 * width:
-                    fault += "; where numbers have decimal commas, separate the columns by "
-                    fault += "semicolons"
-                raise self.file.error(fault, index)
-            for slot, column in enumerate(columns):
-                if (cell := line[column]).lower() in GAPS:
-                    continue
-                value = parse_number(cell, decimal_comma=decimal_comma)
-                if value is None or not math.isfinite(value):
-                    fault = f"{quoted(cell)} found, expected a finite number"
-                    raise self.file.error(fault, index, self.names[column])
-                found[slot, row] = value
-        return found
+    def _numbers(self, rows: list[int], found: Sequence[str], place: int, comma: bool) -> Floats:
+        """The numbers in the cells of a column, read at once, or else one by one."""
+        text = "".join(found)
+        if not ("_" in text or "," in text):
+            try:
+                values = np.array([float(cell or "nan") for cell in found])
+                if not np.isinf(values).any():
+                    return values
+            except ValueError:
+                pass
+        values = np.full(len(found), math.nan)
+        for row, cell in enumerate(map(str.strip, found)):
+            if cell.lower() in GAPS:
+                continue
+            value = parse_number(cell, decimal_comma=comma)
+            if value is None or not math.isfinite(value):
+                fault = f"{quoted(cell)} found, expected a finite number"
+                raise self.file.error(fault, rows[row], self.names[place])
+            values[row] = value
+        return values

@@ -2,13 +2,12 @@
 
 A row with the name of the object, such as `mass_A`, precedes the header; several objects are side
 by side. Tracker computes `v`, `ω` and the angles `θ_{r}`, `θ` of a point mass from its positions,
-so these carry no further information on a stone, and none on its rotation: a column that agrees
-with the positions is left out, any other is taken as a measurement.
+so these carry no further information on a stone, and none on its rotation: they are left out. A
+measured angle or spin has another name there, such as `phi`.
 """
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -16,21 +15,12 @@ from typing import NamedTuple
 import numpy as np
 
 from curlfit.errors import InputError
-from curlfit.numerics.arrays import Floats
 from curlfit.settings.choices import Reading
 from curlfit.throws.readers.columns import Column, parse_header
 from curlfit.throws.readers.defaults import begun
-from curlfit.throws.readers.parsed_file import (
-    Contents,
-    Format,
-    ParsedFile,
-    Series,
-    choose,
-    columns_of,
-)
+from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile, choose, columns_of
 from curlfit.throws.readers.table import read_columns
 from curlfit.throws.readers.text import (
-    EXPECTED,
     TextFile,
     TextTable,
     cells,
@@ -39,17 +29,22 @@ from curlfit.throws.readers.text import (
     separator_of,
 )
 
-_FEW_VALUES = 5
-_MOST_DIGITS = 13
-_POLAR = re.compile(r"(θ|theta)_?\{?r\}?(?![a-z])", re.I)
-_Objects = list[tuple[str, list[int]]]  # titles and indices of their columns
+_COMPUTED = re.compile(r"(v|ω|(θ|theta)_?\{?r\}?|θ)\s*([(\[].*)?")
+_AXES = {"x": "x", "y": "y", "u": "x", "v": "y", "speed": "y"}  # "v" alone is read as a speed
+
+
+class _Object(NamedTuple):
+    """An object side by side with others: its name, and the places of its columns."""
+
+    name: str
+    places: list[int]
 
 
 def _recognizes(head: list[str]) -> bool:
     """Whether the first lines are a title and a header, or a header with two objects."""
     first = _header(head[0])
     if _known(first) >= 2:
-        names = [name.lower() for name in first if name]
+        names = [name.lower() for name in first]
         return names.count("x") > 1 and names.count("y") > 1
     return len(head) > 1 and _known(_header(head[1])) >= 2 and not any(map(is_number, first))
 
@@ -64,24 +59,30 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
     """
     first = file.head()
     table, objects = _layout(file, first)
-    labels = [title or f"object {k}" for k, (title, _) in enumerate(objects, 1)]
+    labels = [one.name or f"object {k}" for k, one in enumerate(objects, 1)]
 
     def parse(index: int) -> ParsedFile:
         parsed = begun(file, "tracker", first)
         if len(objects) > 1:
             listed = ", ".join(f"{k} {name}" for k, name in enumerate(labels, 1))
-            other = (
-                "" if reading.handle else "; --handle N, one that marks the handle of this stone"
-            )
+            other = "; --handle N, one that marks the handle of this stone" * (not reading.handle)
             parsed.notes.append(
                 f"{len(objects)} objects: {listed}; taken: {index + 1} {labels[index]} "
                 f"(--stone-index selects another{other})"
             )
-        elif objects[0][0]:
+        elif objects[0].name:
             parsed.notes.append(f"object: {labels[0]}")
-        columns, parsed.ignored = _columns(table, objects[index][1], reading)
-        columns |= _mark(table, objects, labels, reading.handle, index, columns)
-        read_columns(parsed, table, columns, _in_units_of_the_file)
+        columns = _columns(parsed, table, objects[index].places, reading)
+        if reading.handle is not None:
+            flag = f"--handle {reading.handle}"
+            place = choose("object", "--handle", reading.handle, labels, 0)
+            if place == index:
+                raise InputError(f"{flag} is the stone itself; expected another object")
+            mark = _mark(table, objects[place].places, columns)
+            if len(mark) != 2:
+                raise InputError(f"{flag}: {labels[place]} has no columns x and y")
+            columns |= mark
+        read_columns(parsed, table, columns)
         # In some frames an object is not marked.
         own = [s.values for s in parsed.series if not s.column.quantity.endswith("_mark")
                and s.column.quantity != "t"]  # fmt: skip
@@ -89,7 +90,6 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
         if seen.any() and not seen.all():
             parsed.notes.append(f"{int((~seen).sum())} rows without {labels[index]} left out")
             parsed = parsed.rows(seen)
-        _leave_out_derived(parsed)
         return parsed
 
     alone = [k for k in range(len(objects)) if len(objects) == 1 or k + 1 != reading.handle]
@@ -102,68 +102,66 @@ TRACKER = Format(
 
 
 def _columns(
-    table: TextTable, indices: list[int], reading: Reading
-) -> tuple[dict[int, Column], list[str]]:
-    """Columns of one object, by index, and the names of those that are ignored."""
-    names = [table.names[index] for index in indices]
-    if "t" not in _quantities(names):  # one column of times for all
-        shared = [k for k, name in enumerate(table.names) if _quantities([name]) == ["t"]][:1]
-        indices, names = [*shared, *indices], [*(table.names[k] for k in shared), *names]
-    if "phi" not in _quantities(names):
-        names = [_POLAR.sub("θ", name) for name in names]
-    columns, ignored = columns_of(names, reading, table.error)
-    return {indices[k]: column for k, column in columns.items()}, ignored
+    parsed: ParsedFile, table: TextTable, places: list[int], reading: Reading
+) -> dict[int, Column]:
+    """Columns of one object, by place; those that are ignored or left out are noted."""
+    if "t" not in _quantities([table.names[k] for k in places]):  # one column of times for all
+        shared = (k for k, name in enumerate(table.names) if _quantities([name]) == ["t"])
+        places = [*list(shared)[:1], *places]
+    found = _quantities([table.names[k] for k in places])
+    computed = [k for k in places if _COMPUTED.fullmatch(table.names[k])]
+    if not {"x", "y"} <= set(found):  # pixels u, v
+        computed = []
+    if computed:
+        listed = ", ".join(table.names[k] for k in computed)
+        parsed.notes.append(
+            f"left out: {listed}: Tracker computes them from the positions, not from how the stone "
+            "turns; a measurement has another name, such as phi"
+        )
+    places = [k for k in places if k not in computed]
+    columns, parsed.ignored = columns_of([table.names[k] for k in places], reading, table.error)
+    return {places[k]: column for k, column in columns.items()}
 
 
 def _mark(
-    table: TextTable,
-    objects: _Objects,
-    labels: list[str],
-    handle: int | None,
-    stone: int,
-    columns: Mapping[int, Column],
+    table: TextTable, places: Sequence[int], columns: Mapping[int, Column]
 ) -> dict[int, Column]:
-    """Columns of the second mark on the stone, by index; empty if none is requested.
-
-    Its positions are in the same units as those of the stone.
-
-    Raises
-    ------
-    InputError : there is no such object, it is the stone itself, or it has no positions.
-    """
-    if handle is None:
-        return {}
-    place = choose("object", "--handle", handle, labels, 0)
-    if place == stone:
-        raise InputError(f"--handle {place + 1} is the stone itself; expected another object")
-    own = {column.base: column for column in columns.values()}
-    found: dict[int, Column] = {}
-    for index in objects[place][1]:
-        column = parse_header(table.names[index])
-        axis = {"x": "x", "y": "y", "u": "x", "speed": "y"}.get(column.quantity if column else "")
-        stones = own.get(axis or "") or own.get({"x": "u", "y": "v"}.get(axis or "", ""))
-        if stones is not None:
-            found[index] = stones._replace(quantity=f"{axis}_mark")
-    if len(found) != 2:
-        raise InputError(f"--handle {place + 1}: {labels[place]} has no columns x and y")
+    """Columns of the second mark on a stone, by place; in the units of the stone's `columns`."""
+    own = {_AXES[c.quantity]: c for c in columns.values() if c.quantity in ("x", "y", "u", "v")}
+    found = {}
+    for place in places:
+        column = parse_header(table.names[place])
+        axis = _AXES.get(column.quantity) if column is not None else None
+        if axis is not None and axis in own:
+            found[place] = own[axis]._replace(quantity=f"{axis}_mark")
     return found
 
 
-def _layout(file: TextFile, first: int) -> tuple[TextTable, _Objects]:
-    """The table, and its objects."""
-    lines, header = file.lines, first
+def _layout(file: TextFile, first: int) -> tuple[TextTable, list[_Object]]:
+    """The table, and its objects: each begins at its title, or else where a quantity is
+    repeated."""
+    lines, header, titles = file.lines, first, [""]
     if _known(_header(lines[first])) < 2:
         below = range(first + 1, min(first + 5, len(lines)))
         header = next((k for k in below if lines[k].strip()), first)
     table = TextTable.at(file, header)
-    if _known(table.names) < 2:
-        raise table.error(f"no header below the title; {EXPECTED}")
-    titles: list[str] = []
     if header != first:
-        titles = cells(lines[first], table.separator)
-        if table.separator is None and titles:
-            titles = [lines[first].strip()]
-    return table, _objects(table.names, titles)
+        line = lines[first]
+        titles = [line.strip()] if table.separator is None else cells(line, table.separator)
+    starts = [k for k, title in enumerate(titles[: len(table.names)]) if title]
+    if len(starts) < 2:
+        starts, seen = [0], set[str]()
+        for place, name in enumerate(map(str.lower, table.names)):
+            if name and name in seen:
+                starts.append(place)
+                seen.clear()
+            seen.add(name)
+    ends = [*starts[1:], len(table.names)]
+    starts[0] = 0
+    return table, [
+        _Object(next(filter(None, titles[start:end]), ""), list(range(start, end)))
+        for start, end in zip(starts, ends, strict=True)
+    ]
 
 
 def _header(line: str) -> list[str]:
@@ -175,158 +173,5 @@ def _known(names: Sequence[str]) -> int:
 
 
 def _quantities(names: Sequence[str]) -> list[str]:
-    found = [parse_header(name) for name in names]
+    found = map(parse_header, names)
     return [column.quantity for column in found if column is not None]
-
-
-def _objects(names: list[str], titles: list[str]) -> _Objects:
-    """Title and column indices of each object."""
-    starts = [k for k, title in enumerate(titles[: len(names)]) if title]
-    if len(starts) < 2:
-        # a repeated quantity begins the next object
-        starts = [0]
-        seen: set[str] = set()
-        for place, name in enumerate(names):
-            quantity = name.strip().lower()
-            if quantity and quantity in seen:
-                starts.append(place)
-                seen = set()
-            seen.add(quantity)
-    given = [title for title in titles if title]
-    if len(given) != len(starts):
-        given = given[:1] if len(starts) == 1 else []
-    starts[0] = 0
-    ends = [*starts[1:], len(names)]
-    called = [*given, *[""] * (len(starts) - len(given))]
-    return [
-        (title, list(range(start, end)))
-        for title, start, end in zip(called, starts, ends, strict=True)
-    ]
-
-
-def _in_units_of_the_file(columns: Mapping[int, Column]) -> dict[int, Column]:
-    """The columns; `v` and `ω` without a unit take the units of the file's x, phi and t."""
-    found = {column.quantity: column for column in columns.values()}
-    lengths = {found[axis].factor for axis in ("x", "y") if axis in found}
-    result = dict(columns)
-    for place, column in columns.items():
-        base = found.get({"speed": "x", "omega": "phi"}.get(column.quantity, ""))
-        if column.stated or base is None or "t" not in found:
-            continue
-        if column.quantity == "omega" or len(lengths) == 1:
-            unit, factor = f"{base.unit}/{found['t'].unit}", base.factor / found["t"].factor
-            result[place] = Column(column.quantity, unit, factor, base.stated)
-    return result
-
-
-def _leave_out_derived(parsed: ParsedFile) -> None:
-    """Remove columns that Tracker computed from the positions, in any unit.
-
-    Tracker computes from more digits than it prints, so the rounding of positions is allowed for.
-    """
-    found = {s.column.quantity: _Rounded(s.values, _rounding(s)) for s in parsed.series}
-    if not {"t", "x", "y"} <= found.keys() or len(found["t"].values) < 5:
-        return
-    t, x, y = (found[name] for name in ("t", "x", "y"))
-    drop: dict[str, str] = {}
-    with np.errstate(divide="ignore", invalid="ignore"):
-        radius = np.hypot(x.values, y.values)
-        direction = _Rounded(np.arctan2(y.values, x.values), np.hypot(x.half, y.half) / radius)
-        velocity = [_rate(t, axis) for axis in (x, y)]
-        speed = _Rounded(*(np.hypot(*parts) for parts in zip(*velocity, strict=True)))
-        stated = any(s.column.stated for s in parsed.series if s.column.quantity == "phi")
-        units = (1.0,) if stated else (1.0, math.pi / 180)
-        if any(_is_direction(found["phi"], direction, unit) for unit in units if "phi" in found):
-            drop["phi"] = "the direction from the origin to the stone, not how the stone turns"
-        if _proportional(found.get("speed"), speed):
-            drop["speed"] = "computed from the positions"
-        if _proportional(found.get("omega"), _rate(t, direction.unwrapped())):
-            drop["omega"] = "the rate of the direction from the origin to the stone"
-        elif "phi" in found and _proportional(
-            found.get("omega"), _rate(t, found["phi"].unwrapped())
-        ):
-            drop["omega"] = "computed from the angle"
-    for quantity, header in ((s.column.quantity, s.header) for s in parsed.series):
-        if quantity in drop:
-            parsed.notes.append(f"{header} left out: {drop[quantity]}")
-    parsed.series = [s for s in parsed.series if s.column.quantity not in drop]
-
-
-class _Rounded(NamedTuple):
-    """Numbers in SI and their rounding errors, both of shape (n,)."""
-
-    values: Floats
-    half: Floats
-
-    def unwrapped(self) -> _Rounded:
-        """The unwrapped angle."""
-        finite = np.isfinite(self.values)
-        values = self.values.copy()
-        values[finite] = np.unwrap(values[finite])
-        return _Rounded(values, self.half)
-
-
-def _rate(time: _Rounded, of: _Rounded) -> _Rounded:
-    """Central differences, as Tracker takes them; NaN at the ends."""
-    t, step = time.values, np.diff(time.values)
-    even = np.ptp(step) < 1e-6 * np.abs(step).max()  # equal steps are not rounded
-    half = np.zeros_like(t) if even else time.half
-    rate, off = np.full((2, len(t)), np.nan)
-    span = t[2:] - t[:-2]
-    rate[1:-1] = (of.values[2:] - of.values[:-2]) / span
-    off[1:-1] = (of.half[2:] + of.half[:-2] + np.abs(rate[1:-1]) * (half[2:] + half[:-2])) / span
-    return _Rounded(rate, off)
-
-
-def _proportional(given: _Rounded | None, computed: _Rounded) -> bool:
-    """Whether a column agrees with computed values, in some unit."""
-    size = np.abs(computed.values)
-    finite = np.isfinite(size) if given is None else np.isfinite(given.values + size)
-    if given is None or not finite.any():
-        return False
-    scale = float(np.quantile(size[finite], 0.95))
-    large = finite & (size > 0.3 * scale)
-    unit = float(np.median(given.values[large] / computed.values[large])) if large.any() else 0.0
-    limit = unit * (2e-3 * scale + computed.half) + given.half
-    return unit > 0 and _small(given.values - unit * computed.values, limit)
-
-
-def _is_direction(angle: _Rounded, direction: _Rounded, unit: float) -> bool:
-    """Whether an angle is the direction of the position, but for its zero and whole turns."""
-    off = unit * angle.values - direction.values
-    limit = 1e-3 + direction.half + unit * angle.half
-    if not np.isfinite(off + limit).any():
-        return False
-    best = np.nanargmin(np.where(np.isfinite(off), limit, np.nan))
-    off = np.remainder(off - off[best] + np.pi, 2 * np.pi) - np.pi
-    return _small(off, limit + limit[best])
-
-
-def _small(off: Floats, limit: Floats) -> bool:
-    finite = np.isfinite(off) & np.isfinite(limit)
-    return bool(finite.sum() > 2 and np.mean(np.abs(off[finite]) < limit[finite]) > 0.9)
-
-
-def _rounding(series: Series) -> Floats:
-    """Half a unit of the last digit printed of each number, in SI.
-
-    Tracker prints a fixed number of decimals or of significant digits: both are found from the
-    numbers, and the coarser is taken. A column of few distinct numbers does not reveal them.
-    """
-    factor = series.column.factor
-    values = np.nan_to_num(series.values / factor)
-    if len(np.unique(values[values != 0])) < _FEW_VALUES:
-        return np.zeros_like(values)
-    size = 10.0 ** np.floor(np.log10(np.abs(np.where(values == 0, 1.0, values))))
-    return np.asarray(
-        0.5 * factor * np.maximum(_last_place(values), size * _last_place(values / size))
-    )
-
-
-def _last_place(values: Floats) -> float:
-    """The largest power of ten, at most 1, of which all values are multiples."""
-    for digits in range(_MOST_DIGITS):
-        whole = values * 10.0**digits
-        if (np.abs(whole - np.round(whole)) <= 1e-9 * np.maximum(np.abs(whole), 1.0)).all():
-            return 10.0**-digits
-    return 0.0

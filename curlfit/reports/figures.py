@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -9,15 +10,13 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from curlfit import sheet
-from curlfit.inference.corner_figure import corner_figure
+from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.inference.joint.result import JointResult, Variation
 from curlfit.numerics.arrays import Floats
 from curlfit.output import figures as draw
 from curlfit.output.ticks import neat_axis, unit_for
 from curlfit.throws.events import Event
-
-__all__ = ["corner_figure", "fit_figure", "joint_figure"]
 
 _IN_A_ROW = 3  # panels of residuals, at most
 _PANEL, _GAP = 3.32 / 3.15, 0.68  # heights of a panel and of what is below it, inches
@@ -55,8 +54,6 @@ def fit_figure(fit: FitResult) -> draw.Picture:
         _plot_law(axes, fit, "t", channel)
         low, high = np.min(fit.fitted[channel]), np.max(fit.fitted[channel])
         axes.set_ylim(0 if low >= 0 else None, 0 if high <= 0 <= -low else None)
-    if fit.parameters["omega0"].verdict == "not identifiable":
-        spin.set_title("not identifiable", loc="right", color=draw.QUIET)
     draw.letters((path, residuals[0], speed, spin))
     return figure
 
@@ -132,18 +129,18 @@ def joint_figure(result: JointResult) -> draw.Picture:
     if result.table is not None:
         return _season(result)
     count, shown = len(result.throws), result.variation
-    columns = min(count, 3)
-    paths = any(one.rms for one in result.throws)  # timed events have no measured path
-    names_below = 0.17 * -(-count // columns + 1) if paths else 0.2
+    columns, paths = min(count, 3), any(one.rms for one in result.throws)  # events have no path
+    names_below = 0.17 * (-(-count // columns) - 1) if paths else 0.2
     height = (2.9 if paths else 0.2) + 0.8 + 0.2 * count + names_below
     figure = draw.Picture(figsize=(draw.WIDTH, height), layout="constrained")
     ratios = (1.0, 0.35 + 0.065 * count) if paths else (1.0,)
     rows = figure.add_gridspec(len(ratios), 1, height_ratios=ratios)
-    groups = [*dict.fromkeys(_group(result, one) for one in result.throws)]
-    styles = draw.line_styles(count) if paths and not groups[1:] else [
-        {"color": draw.PALETTE[groups.index(_group(result, one)) % len(draw.PALETTE)]}
-        for one in result.throws
-    ]  # fmt: skip
+    of_throws = [_group(result, one) for one in result.throws]
+    groups = {name: draw.PALETTE[row % len(draw.PALETTE)]
+              for row, name in enumerate(dict.fromkeys(of_throws))}  # fmt: skip
+    styles: list[dict[str, Any]] = [{"color": groups[name]} for name in of_throws]
+    if paths and len(groups) == 1:
+        styles = draw.line_styles(count)
     heading = f"{draw.law_and_load(result)}: {count} throws together"
     handles = []
     if paths:
@@ -155,45 +152,56 @@ def joint_figure(result: JointResult) -> draw.Picture:
         figure.suptitle(heading)
     panels: Any = []
     if shown:
-        label = "expected of the throw" if result.means else "mean, with its standard error"
-        handles.append(Patch(color=draw.DATA_COLOR, alpha=0.35, lw=0, label=label))
-        if result.means:
-            handles.append(Line2D([], [], color="k", marker="o", ms=3, label="alone"))
-            handles.append(Line2D([], [], color="k", ls="", label="with all throws", **_POOLED))
-        if groups[1:]:
-            for row, name in enumerate(groups):
-                color = draw.PALETTE[row % len(draw.PALETTE)]
-                handles.append(Patch(color=color, label=name))
-        grid = rows[-1].subgridspec(1, len(shown), wspace=0.05)
-        panels = grid.subplots(sharey=True, squeeze=False)[0]
+        panels = (
+            rows[-1].subgridspec(1, len(shown), wspace=0.05).subplots(sharey=True, squeeze=False)[0]
+        )
         panels[0].set_yticks(
             range(count), [draw.file_name(one.data["file"]) for one in result.throws]
         )
         panels[0].set_ylim(count - 0.4, -0.6)
+        handles += _handles(result, groups)
     figure.legend(handles=handles, loc="outside lower center", ncols=columns + 1)
     for axes, item in zip(panels, shown, strict=True):
         _estimates(axes, result, item, styles)
         differs = "differs" if item.significant else "no significant difference"
         beside = " beside groups" if result.differences else ""
         draw.title(axes, f"{differs}{beside}, {item.p_text}", columns=len(shown), margin=0.25)
-    figure.draw_without_rendering()  # ticks and the note depend on the layout
-    symbols = {name: item.symbol for name, item in result.throws[0].parameters.items()}
-    for axes, item in zip(panels, shown, strict=True):
-        neat_axis(axes.xaxis, draw.in_symbols(item.expression, symbols))
+    _label(figure, panels, result, result.throws[0].parameters)
     if paths:
         draw.note_stretch(path)
     return figure
 
 
+def _handles(result: JointResult, groups: Mapping[str, str]) -> list[Any]:
+    """What the estimates in a joint figure are."""
+    label = "expected of the throw" if result.means else "mean, with its standard error"
+    found: list[Any] = [Patch(color=draw.DATA_COLOR, alpha=0.35, lw=0, label=label)]
+    if result.means:
+        found.append(Line2D([], [], color="k", marker="o", ms=3, label="alone"))
+        found.append(Line2D([], [], color="k", ls="", label="with all throws", **_POOLED))
+    if len(groups) > 1:
+        found += [Patch(color=color, label=name) for name, color in groups.items()]
+    return found
+
+
+def _label(
+    figure: draw.Picture, panels: Any, result: JointResult, named: Mapping[str, Estimate]
+) -> None:
+    """Label the horizontal axes of the panels, one of each coefficient or combination."""
+    figure.draw_without_rendering()  # ticks depend on the layout
+    symbols = {name: item.symbol for name, item in named.items()}
+    for axes, item in zip(panels, result.variation, strict=True):
+        neat_axis(axes.xaxis, draw.in_symbols(item.expression, symbols))
+
+
 def _season(result: JointResult) -> draw.Picture:
     """The means of groups, and how many throws are where."""
-    shown = result.variation
     figure = draw.Picture(figsize=(draw.WIDTH, 2.6), layout="constrained")
     figure.suptitle(f"{draw.law_and_load(result)}: {result.count} throws")
-    panels: Any = figure.subplots(1, len(shown), squeeze=False)[0]
-    symbols = {name: item.symbol for name, item in result.coefficients.items()}
+    panels: Any = figure.subplots(1, len(result.variation), squeeze=False)[0]
     means = [one for one in result.groups if one.by or not result.differences]
-    for axes, item in zip(panels, shown, strict=True):
+    labelled: dict[str, Any] = {}
+    for axes, item in zip(panels, result.variation, strict=True):
         alone = np.array([one[0] for one in item.each if one is not None])
         ends = np.quantile(alone, (0.01, 0.99))
         beyond = 0.2 * np.ptp(ends)
@@ -202,22 +210,16 @@ def _season(result: JointResult) -> draw.Picture:
         top = axes.get_ylim()[1]
         of_item = [one for one in means if one.parameter == item.expression]
         for row, one in enumerate(of_item):
-            label = f"{one.by} {one.group}".strip() or "mean"
-            height = top * (1.06 + 0.1 * row)
             axes.errorbar(
-                one.value, height, xerr=one.stderr, fmt="o", ms=4, capsize=2, label=label,
+                one.value, top * (1.06 + 0.1 * row), xerr=one.stderr, fmt="o", ms=4, capsize=2,
+                label=f"{one.by} {one.group}".strip() or "mean",
                 color=draw.PALETTE[row % len(draw.PALETTE)],
             )  # fmt: skip
-        axes.set_ylim(0, top * (1.12 + 0.1 * len(of_item)))
-        axes.set_yticks([])
-    labelled: dict[str, Any] = {}
-    for axes in panels:  # one of what does not vary has no groups
+        axes.set(ylim=(0, top * (1.12 + 0.1 * len(of_item))), yticks=[])
         handles, labels = axes.get_legend_handles_labels()
-        labelled |= dict(zip(labels, handles, strict=True))
+        labelled |= dict(zip(labels, handles, strict=True))  # what does not vary has no groups
     figure.legend(labelled.values(), labelled.keys(), loc="outside lower center", ncols=4)
-    figure.draw_without_rendering()  # ticks depend on the layout
-    for axes, item in zip(panels, shown, strict=True):
-        neat_axis(axes.xaxis, draw.in_symbols(item.expression, symbols))
+    _label(figure, panels, result, result.coefficients)
     return figure
 
 
@@ -272,11 +274,11 @@ _MOST = 5.0  # sigmas, largest residual shown
 
 @draw.style()
 def event_figure(fit: FitResult) -> draw.Picture:
-    """The path on the sheet, the crossings in time, the speed, and the residuals."""
+    """The path on the sheet, the crossings in time, and the residuals."""
     figure = draw.Picture(figsize=(draw.WIDTH, 5.0), layout="constrained")
     rows = figure.add_gridspec(2, 1, height_ratios=(1.0, 1.9))
     on_sheet = figure.add_subplot(rows[0])
-    panels: Any = rows[1].subgridspec(1, 3, width_ratios=(1.3, 1.1, 0.9)).subplots()
+    panels: Any = rows[1].subgridspec(1, 2, width_ratios=(1.3, 0.9)).subplots()
     events = fit.timed
     t = fit.observed["t"]
     last = int(np.argmax(fit.fitted["speed"] == 0)) or len(t) - 1
@@ -284,8 +286,7 @@ def event_figure(fit: FitResult) -> draw.Picture:
     _sheet(on_sheet, moving, events, f"{draw.literal(fit.law)} law")
     draw.title(on_sheet, draw.heading_of(fit))
     _distance(panels[0], moving, events)
-    _speed(panels[1], moving, events)
-    _event_residuals(panels[2], events)
+    _event_residuals(panels[1], events)
     return figure
 
 
@@ -322,23 +323,6 @@ def _distance(axes: Any, moving: dict[str, Any], events: Events) -> None:
         elif event.quantity == "y":
             axes.errorbar(t[-1], event.value, yerr=event.sigma, **_MEASURED)
     axes.set(xlabel="t (s)", ylabel="along the sheet, y (m)", xlim=(0, None))
-
-
-def _speed(axes: Any, moving: dict[str, Any], events: Events) -> None:
-    """The speed, and the mean speeds between lines from the measured times."""
-    label = "measured mean between lines"
-    for event, _ in events:
-        if event.quantity == "time" and event.at is not None and event.since is not None:
-            begin = float(np.interp(event.since, moving["y"], moving["t"]))
-            mean = (event.at - event.since) / event.value
-            axes.plot(
-                [begin, begin + event.value], [mean, mean], marker="|", color=_MEASURED["color"],
-                lw=1, zorder=5, label=label,
-            )  # fmt: skip
-            label = ""
-    axes.plot(moving["t"], moving["speed"], color=draw.FIT_COLOR)
-    axes.set(xlabel="t (s)", ylabel="speed (m/s)", xlim=(0, None), ylim=(0, None))
-    draw.legend_above(axes)
 
 
 def _event_residuals(axes: Any, events: Events) -> None:

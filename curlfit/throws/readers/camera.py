@@ -14,11 +14,124 @@ import numpy as np
 
 from curlfit.errors import DataError
 from curlfit.numerics.arrays import Floats
+from curlfit.throws.readers.axes import AxisConvention
 from curlfit.throws.readers.columns import parse_header
+from curlfit.throws.readers.parsed_file import ParsedFile
 from curlfit.throws.readers.text import TextFile, TextTable, lines_of
 
 _EXPECTED = "expected a header u,v,x,y (pixels, and metres on the sheet) and four points or more"
-_MOST_STEPS, _STEP_DONE = 50, 1e-10  # of the least squares, in normalised coordinates
+_BLOCK, _MOST_BLOCKS = 10, 50  # rows of a block, at least, and blocks
+
+
+def pixels_to_metres(
+    parsed: ParsedFile,
+    columns: dict[str, Floats],
+    reference: str | None,
+    convention: AxisConvention,
+) -> tuple[Floats | None, tuple[str, ...]]:
+    """Put x and y with their sigma in place of u and v.
+
+    Returns
+    -------
+    the errors of the map (see `Homography`) in curlfit's axes, and the channels whose sigma is for
+    one pixel of noise, because the noise is unknown.
+
+    Raises
+    ------
+    DataError : there are no known points, they determine no map, or a pixel shows no ice.
+    """
+    if reference is None:
+        raise parsed.error(
+            "positions are in pixels; give four or more known points with --reference FILE "
+            "(columns u,v,x,y)"
+        )
+    if {"x", "y"} & columns.keys():
+        raise parsed.error("positions in pixels and in metres; remove one pair")
+    plane = load_homography(Path(reference))
+    u, v = columns.pop("u"), columns.pop("v")
+    x, y = plane(u, v)
+    seen = np.isfinite(u) & np.isfinite(v)
+    lost = seen & ~(np.isfinite(x) & np.isfinite(y) & (np.abs(x) < 1e5) & (np.abs(y) < 1e5))
+    if lost.any():
+        raise parsed.error(
+            "this pixel lies on or beyond the horizon of the plane of the known points",
+            int(np.argmax(lost)),
+            "v",
+        )
+    columns["x"], columns["y"] = x, y
+    if "x_mark" in columns:
+        columns["x_mark"], columns["y_mark"] = plane(columns["x_mark"], columns["y_mark"])
+    sizes = plane.jacobian(*_smooth(columns["t"], u, v))
+    sizes = np.where(np.isfinite(sizes), sizes, plane.jacobian(u, v))
+    unknown = not {"sigma_u", "sigma_v"} <= columns.keys()
+    noise = [columns.pop(f"sigma_{axis}", np.ones_like(u)) for axis in ("u", "v")]
+    across, along = sizes * (1.0 if unknown else np.stack(noise))
+    columns["sigma_x"], columns["sigma_y"] = np.hypot(*across), np.hypot(*along)
+    if seen.any():
+        parsed.notes += _of_pixels(
+            plane, reference, np.stack([x, y])[:, seen], sizes[..., seen], unknown
+        )
+    if "phi" in columns:
+        parsed.notes.append(
+            "angles are taken as angles on the ice, seen from above; an oblique camera distorts "
+            "them"
+        )
+    to_sheet = convention.matrix
+    errors = None if plane.errors is None else to_sheet @ plane.errors @ np.linalg.inv(to_sheet)
+    return errors, ("x", "y") if unknown else ()
+
+
+def _smooth(t: Floats, u: Floats, v: Floats) -> tuple[Floats, Floats]:
+    """The course of the pixels, by medians over blocks of rows. With its own pixel, the weight of a
+    row would depend on its noise: 1 px is 1 % of the weight at the far end."""
+    seen = np.flatnonzero(np.isfinite(u) & np.isfinite(v))
+    count = min(len(seen) // _BLOCK, _MOST_BLOCKS)
+    if count < 2:
+        return u, v
+    series = np.stack([t, u, v])
+    knots = np.stack([np.median(series[:, b], 1) for b in np.array_split(seen, count)], 1)
+    first, last = 2 * knots[:, :1] - knots[:, 1:2], 2 * knots[:, -1:] - knots[:, -2:-1]
+    times, *places = np.concatenate([first, knots, last], 1)
+    return np.interp(t, times, places[0]), np.interp(t, times, places[1])
+
+
+def _of_pixels(
+    plane: Homography, reference: str, places: Floats, sizes: Floats, unknown: bool
+) -> list[str]:
+    """Notes on the map from pixels to metres.
+
+    Parameters
+    ----------
+    places : of the rows with a position, m, shape (2, rows). sizes : of a pixel, (2, 2, rows).
+    unknown : whether the noise of the pixels is unknown.
+    """
+
+    def extent(values: Floats) -> str:
+        return f"{1000 * values.min():.2g} to {1000 * values.max():.2g} mm"
+
+    fitted = f"pixels to metres by {plane.points} points of {reference}: "
+    if plane.errors is None:
+        fitted += (
+            "four points are fitted exactly, so their errors are unknown and missing from the "
+            "systematic errors; use more points"
+        )
+    else:
+        across, along = np.hypot.reduce(displacements(plane.errors, *places), axis=0)
+        fitted += (
+            f"rms residual {plane.rms_px:.2g} px ({2 * plane.points - 8} degrees of freedom), "
+            f"which makes positions along the track uncertain by {extent(across)} in x and "
+            f"{extent(along)} in y"
+        )
+    across, along = np.hypot(sizes[:, 0], sizes[:, 1])
+    return [
+        fitted,
+        f"one pixel is {extent(across)} in x and {extent(along)} in y along the track: the noise "
+        + (
+            "of each row is that of one unknown number of pixels"
+            if unknown
+            else "of each row follows from its sigma_u and sigma_v"
+        ),
+    ]
 
 
 class Homography(NamedTuple):
@@ -144,7 +257,7 @@ def homography(pixels: Floats, metres: Floats, file: Path | str = "reference") -
     if n > 4:
         # covariance s^2 (J^T J)^-1 = root root^T, with s^2 = rss/(2 n - 8)
         scale = np.sqrt((off**2).sum() / (2 * n - 8))
-        root = scale * np.linalg.inv(np.linalg.qr(slope.reshape(-1, 8), mode="r"))
+        root = scale * np.linalg.inv(np.linalg.qr(slope, mode="r"))
         errors = np.linalg.inv(U) @ _generators(root.T) @ U
     return fitted._replace(errors=errors)
 
@@ -162,34 +275,26 @@ def _direct_linear_transform(image: Floats, sheet: Floats) -> tuple[Floats, bool
 
 
 def _least_squares(camera: Floats, image: Floats, sheet: Floats) -> tuple[Floats, Floats, Floats]:
-    """The map from the sheet to the image that minimises the distances in the image, by
-    Gauss-Newton steps from camera to camera (I + S), S having eight elements.
-
-    Parameters
-    ----------
-    camera : initial map, shape (3, 3). image, sheet : normalised points, shape (2, n).
+    """The map from the sheet to the image that minimises the distances in the image: the initial
+    `camera` times I + S, S having eight elements.
 
     Returns
     -------
-    the map; measured - projected points, shape (2, n); derivatives of the projected points by the
-    elements of S, shape (2, n, 8).
+    the map; measured - projected points, shape (2 n,); derivatives of the projected points by the
+    elements of a further S, shape (2 n, 8).
     """
+    from scipy.optimize import least_squares
+
     places = np.stack([*sheet, np.ones(sheet.shape[1])])
-    step, off, slope = np.zeros(8), np.full_like(image, np.inf), np.zeros((*image.shape, 8))
-    for _ in range(_MOST_STEPS):
-        trial = camera @ (np.eye(3) + _generators(step))
-        u, v, w = trial @ places
-        found = image - np.stack([u, v]) / w
-        if not ((w > 0).all() and (found**2).sum() <= (off**2).sum()):
-            step = step / 4
-            continue
-        camera, off = trial, found
-        moved = np.einsum("ci,jn->cnij", camera, places).reshape(3, -1, 9)[..., :8]
-        slope = (moved[:2] - (image - off)[..., None] * moved[2]) / w[:, None]
-        step = np.linalg.lstsq(slope.reshape(-1, 8), off.ravel(), rcond=None)[0]
-        if np.abs(step).max() < _STEP_DONE:
-            break
-    return camera, off, slope
+
+    def off(elements: Floats) -> Floats:
+        u, v, w = camera @ (np.eye(3) + _generators(elements)) @ places
+        return (image - np.stack([u, v]) / w).ravel()
+
+    for _ in range(2):  # the second time about the optimum
+        best = least_squares(off, np.zeros(8), jac="cs", xtol=1e-15, ftol=1e-15, gtol=1e-15)
+        camera = camera @ (np.eye(3) + _generators(best.x))
+    return camera, best.fun, -best.jac
 
 
 def _generators(elements: Floats) -> Floats:

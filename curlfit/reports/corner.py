@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from curlfit.inference.fit.result import Estimate, FitResult, require_fit
+from curlfit.inference.fit.estimates import Estimate
+from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.inference.identifiability import Combination
 from curlfit.inference.mcmc.chain import Chain
 from curlfit.numerics.arrays import Floats
@@ -48,8 +50,7 @@ def corner_figure(fit: FitResult, chain: Chain) -> draw.Picture:
         axes.set_xlim(extents[column])
         if row == column:
             _histogram(axes, fit.parameters[names[row]], samples[row])
-            if names[row] in known:
-                _mark(axes, known[names[row]], *extents[row])
+            _mark(axes.axvline, known.get(names[row]))
             continue
         axes.set_ylim(extents[row])
         if item := ridges.get((row, column)):
@@ -58,9 +59,8 @@ def corner_figure(fit: FitResult, chain: Chain) -> draw.Picture:
             _ridge(axes, said, weights, samples[[column, row]], known.get(item.expression))
             continue
         _density(axes, samples[[column, row]])
-        for line, name in ((axes.axhline, names[row]), (axes.axvline, names[column])):
-            if name in known:
-                line(known[name], color=draw.REFERENCE_COLOR, lw=1)
+        _mark(axes.axhline, known.get(names[row]))
+        _mark(axes.axvline, known.get(names[column]))
     for place, name in enumerate(names):
         _neat_axes(fit.parameters[name], grid[len(names) - 1, place], grid[place, 0], place > 0)
     for axes in figure.axes:
@@ -184,19 +184,10 @@ def _neat_axes(item: Estimate, below: Any, beside: Any, has_row: bool) -> None:
     beside.yaxis.set_label_coords(-0.42 * inch / box.width, 0.5)
 
 
-def _mark(axes: Any, value: float, low: float, high: float) -> None:
-    """Mark a reference value in a histogram, or point to it where it lies outside."""
-    axes.axvline(value, color=draw.REFERENCE_COLOR, lw=1)
-    if low <= value <= high:
-        return
-    right = value > high
-    axes.annotate(
-        f"{value:g}", xy=(1.0 if right else 0.0, 0.88), xytext=(0.7 if right else 0.3, 0.88),
-        xycoords="axes fraction", textcoords="axes fraction", ha="center", va="center",
-        color=draw.REFERENCE_COLOR, fontsize=7,
-        arrowprops={"arrowstyle": "->", "color": draw.REFERENCE_COLOR, "lw": 0.8},
-        bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0, "alpha": 0.8},
-    )  # fmt: skip
+def _mark(line: Callable[..., Any], value: float | None) -> None:
+    """Mark a reference value, if there is one."""
+    if value is not None:
+        line(value, color=draw.REFERENCE_COLOR, lw=1)
 
 
 def _say_in_corner(fit: FitResult, figure: draw.Picture) -> None:
@@ -225,20 +216,12 @@ def _said(fit: FitResult) -> list[tuple[str, list[str]]]:
     for direction in fit.null_directions:
         pair = (draw.symbol_of(fit.parameters[name]) for name in direction)
         lines.append(f"{', '.join(pair)}: not identifiable individually")
-    shades = ["dashed: 68 %; shaded: 68 and 95 % of the posterior"]
-    said = [("black", lines), (draw.QUIET, shades)]
-
-    symbols = {name: item.symbol for name, item in fit.parameters.items()}
-    known = {} if fit.reference is None else fit.reference.values
+    said = [(draw.QUIET, ["dashed: 68 %; shaded: 68 and 95 % of the posterior"])]
+    if lines:
+        said.insert(0, ("black", lines))
     if fit.reference is not None:
-        values = [draw.in_symbols(f"{name} = {value:g}", symbols) for name, value in known.items()]
+        symbols = {name: item.symbol for name, item in fit.parameters.items()}
+        known = fit.reference.values.items()
+        values = [draw.in_symbols(f"{name} = {value:g}", symbols) for name, value in known]
         said.append((draw.REFERENCE_COLOR, [draw.literal(fit.reference.source), *values]))
-    for other in fit.reference_fits[:1]:
-        constants = ", ".join(f"{name} = {value:g} m" for name, value in other["stone"].items())
-        values = [
-            draw.in_symbols(f"{name} = {other['values'][name]:.4f}", symbols)
-            for name in known
-            if name in other["values"]
-        ]
-        said.append((draw.FIT_COLOR, [f"this fit with {constants}", *values]))
-    return [(color, lines) for color, lines in said if lines]
+    return said

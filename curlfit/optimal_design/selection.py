@@ -1,0 +1,119 @@
+"""The best choice of throws, and what they determine together.
+
+Throws are chosen with repetition. D: largest determinant of the information, that is the smallest
+volume of the confidence ellipsoid. A: smallest sum of squared standard errors over typical sizes
+(Atkinson, Donev and Tobias 2007). C: smallest standard error of one linear combination. Where all
+candidates together do not determine all directions, D and A refer to the subspace that they
+determine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from curlfit.inference.identifiability import r_factor, stderr_of, visible
+from curlfit.numerics.arrays import Booleans, Floats
+
+_MAX_ROUNDS = 50
+_SINGULAR = 1e-12  # share of the information of all candidates in an undetermined direction
+
+Criterion = Callable[[Floats], Floats]
+
+
+def combined(factors: Sequence[Floats]) -> Floats:
+    """R factor of the information of several throws together."""
+    return r_factor(np.concatenate(list(factors)))
+
+
+def standard_error(factor: Floats, weights: Floats) -> float | None:
+    """Standard error of a linear combination of coefficients; None where it is undetermined.
+
+    Parameters
+    ----------
+    factor : scaled by typical sizes, shape (free, free).
+    weights : of the free coefficients, times their typical sizes, shape (free,).
+    """
+    _, singular, right = np.linalg.svd(factor)
+    mask = visible(singular)
+    return stderr_of(weights, right[mask], singular[mask])
+
+
+class CandidateSet(NamedTuple):
+    """The information of candidates, whitened by that of all of them together."""
+
+    information: Floats
+    """of each candidate, shape (candidates, rank, rank); their sum is the identity matrix"""
+    basis: Floats
+    """whitened directions in coefficients over their typical sizes, shape (free, rank)"""
+    factors: Sequence[Floats]
+    """R factor of the information of each candidate"""
+
+    @property
+    def rank(self) -> int:
+        """Number of directions that the candidates together determine."""
+        return self.basis.shape[1]
+
+    @classmethod
+    def from_factors(cls, factors: Sequence[Floats]) -> CandidateSet:
+        """The set from the R factors of the information of each candidate."""
+        _, singular, right = np.linalg.svd(combined(factors))
+        mask = visible(singular)
+        basis = right[mask].T / singular[mask]
+        whitened = np.stack([factor @ basis for factor in factors])
+        return cls(np.swapaxes(whitened, 1, 2) @ whitened, basis, factors)
+
+    def together(self, indices: Sequence[int]) -> Floats:
+        """R factor of the information of some candidates together."""
+        return combined([self.factors[index] for index in indices])
+
+
+def d_criterion(information: Floats) -> Floats:
+    """D: minus the logarithm of the determinant, up to a constant."""
+    sign, size = np.linalg.slogdet(information)
+    return np.where(_nonsingular(information) & (sign > 0), -size, np.inf)
+
+
+def error_criterion(candidates: CandidateSet, weights: Floats) -> Criterion:
+    """Sum of the squared standard errors of linear combinations (rows of weights by typical sizes):
+    A for the coefficients themselves, C for one combination."""
+    along = np.atleast_2d(weights) @ candidates.basis
+    return lambda information: _trace(information, along.T @ along)
+
+
+def _nonsingular(information: Floats) -> Booleans:
+    return np.linalg.eigvalsh(information)[..., 0] > _SINGULAR
+
+
+def _trace(information: Floats, of: Floats) -> Floats:
+    nonsingular = _nonsingular(information)
+    safe = np.where(nonsingular[..., None, None], information, np.eye(information.shape[-1]))
+    return np.where(nonsingular, np.trace(np.linalg.solve(safe, of), axis1=-2, axis2=-1), np.inf)
+
+
+def select_design(
+    candidates: CandidateSet, criterion: Criterion, throws: int
+) -> tuple[int, ...] | None:
+    """Indices of the optimal throws, sorted; None if no choice determines all directions.
+
+    Throws are exchanged one at a time (Fedorov 1972), from a greedy start.
+    """
+    # A small multiple of the total information keeps the criterion finite at first.
+    total = 1e-6 * candidates.information.sum(0)
+    indices: list[int] = []
+    for _ in range(throws):
+        indices.append(int(np.argmin(criterion(total + candidates.information))))
+        total = total + candidates.information[indices[-1]]
+    total = candidates.information[indices].sum(0)
+    for _ in range(_MAX_ROUNDS):
+        previous = list(indices)
+        for position, index in enumerate(indices):
+            rest = total - candidates.information[index]
+            indices[position] = int(np.argmin(criterion(rest + candidates.information)))
+            total = rest + candidates.information[indices[position]]
+        if indices == previous:
+            break
+    value = criterion(candidates.information[indices].sum(0))
+    return tuple(sorted(indices)) if np.isfinite(value) else None

@@ -1,0 +1,1 @@
+"""What fits say: documents and figures, made from their records alone."""

@@ -1,0 +1,93 @@
+"""What a path determines and what it does not, in sentences."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from curlfit.output.text import join_words
+
+if TYPE_CHECKING:
+    from curlfit.inference.fit.result import FitResult
+
+_WORDS = {
+    "x": "x", "y": "y", "phi": "the angle", "speed": "the speed", "omega": "the spin",
+}  # fmt: skip
+_NUMBERS = ("No", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight")
+
+
+def identifiability(fit: FitResult) -> str:
+    """What the path determines and what it does not, in sentences."""
+    free = [name for name, item in fit.parameters.items() if item.verdict != "fixed"]
+    held = [name for name in free if name not in fit.covariance["names"]]
+    what, number = "The path", len(fit.events)
+    if not fit.rms:
+        what = f"{_NUMBERS[number]} measured value{'s' * (number != 1)}"
+    if any(item.prior for item in fit.parameters.values()):
+        what += " and the priors determine"
+    else:
+        what += " determine" + "s" * (bool(fit.rms) or number == 1)
+    if not fit.rms and fit.rank == len(free) and len(fit.coefficients) == 1:
+        return (
+            f"{what} one coefficient of friction and the initial state ({', '.join(free[1:])}): a "
+            f"mean friction, as in the {fit.law} law. Use `--law` to fit another law."
+        )
+    but = f" ({', '.join(held)} at a bound not counted)" if held else ""
+    said = [f"{what} {fit.rank} of {len(free) - len(held)} parameters{but}."]
+    unseen, by_prior, weak = (
+        [name for name in free if fit.parameters[name].verdict == verdict]
+        for verdict in ("not identifiable", "prior", "weak")
+    )
+    if unseen:
+        changes = "; or when ".join(map(_change, fit.null_directions))
+        said.append(
+            f"{_with_verb(unseen, 'is', 'are')} not identifiable: the path stays the same when "
+            f"{changes}."
+        )
+        said += _instead(fit, unseen)
+    if by_prior:
+        it = "them" if len(by_prior) > 1 else "it"
+        said.append(
+            f"{_with_verb(by_prior, 'rests', 'rest')} on the priors: the path alone does not "
+            f"determine {it}."
+        )
+    for reason in dict.fromkeys(fit.parameters[name].reason for name in weak):
+        alike = [name for name in weak if fit.parameters[name].reason == reason]
+        why = f": {'for each, ' * (len(alike) > 1)}{reason}" if reason else ""
+        said.append(f"{_with_verb(alike, 'is', 'are')} weakly determined{why}.")
+    if not unseen:
+        said += _instead(fit, weak)
+    return " ".join(said + [_remedy(fit, one) for one in fit.remedies])
+
+
+def _with_verb(names: list[str], one: str, several: str) -> str:
+    return f"{join_words(names)} {several if len(names) > 1 else one}"
+
+
+def _instead(fit: FitResult, names: list[str]) -> list[str]:
+    """The combinations of some parameters that are determined, as a sentence."""
+    what = [item.expression for item in fit.combinations if set(item.weights) & set(names)]
+    return [f"Only {_with_verb(what, 'is', 'are')} determined."] if what else []
+
+
+def _remedy(fit: FitResult, remedy: dict[str, Any]) -> str:
+    """Measurements that would determine some parameters, as a sentence."""
+    names, channels = remedy["parameters"], [_WORDS[name] for name in remedy["measure"]]
+    if channels:
+        also = join_words(channels, "and" if remedy["all"] else "or")
+        return f"Measuring {also} as well would determine {join_words(names)}."
+    text = f"No further measurement along this path would determine {join_words(names)}"
+    own = [name for name in names if name in fit.coefficients]
+    if fit.data["law_file"] or len(own) != 2:
+        return text + "."
+    return text + f"; `curlfit design --separate {own[0]},{own[1]}` searches for throws that would."
+
+
+def _change(direction: dict[str, float]) -> str:
+    """A null direction as a change that leaves the path the same."""
+    largest, parts = max(map(abs, direction.values())), []
+    for name, weight in direction.items():
+        by = "" if abs(weight) == largest else f" {abs(weight):.3g} times as much"
+        parts.append(f"{name} {'grows' if weight > 0 else 'falls'}{by}")
+    if len(parts) == 2 and " times " not in "".join(parts):
+        return f"{parts[0]} and {parts[1]} by the same amount"
+    return join_words(parts)

@@ -1,0 +1,261 @@
+"""A record of one throw by stopwatch and tape: what may be measured, and the events it makes."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from curlfit.errors import DataError, InputError
+from curlfit.foreign import quoted
+from curlfit.sheet import LINES
+from curlfit.throws.events import SIGMA_TIME, Event
+from curlfit.throws.readers.notation import Quantity, parse_quantity
+from curlfit.throws.readers.text import TextFile
+
+SIGMA_REST = 0.05
+"""Standard deviation in m of a position measured with a tape: a judgement."""
+SIGMA_TURNS = 0.1
+"""Standard deviation of the number of turns, counted by eye: a judgement."""
+USUAL_SPIN = 1.2
+"""Spin in rad/s at the near hog line where it was not measured: that of two and a half turns in
+25 s if it decreases linearly, 2 * 2.5 * 2 pi/25; a judgement."""
+EXPECTED = (
+    "expected lines such as hog_to_hog = 14.2, back_to_hog = 3.4, hog_to_tee = 18.1, "
+    "hog_to_rest = 10.3 (s), curl = 4 ft left, rest = 0.6 (m past the far tee), turns = 2.5 cw, "
+    "handle = clockwise, sigma_time = 0.1, sigma_rest = 0.05, sigma_curl = 0.05, sigma_turns = 0.1"
+)
+
+
+class Kind(NamedTuple):
+    """What may be written of a quantity: units, largest size (SI), words; only words if no unit.
+    Sizes that differ by `usual` are not odd. Lines at which, and since which, it is measured; None
+    is rest, or the throw's own axes."""
+
+    unit: str
+    limit: float = 600.0
+    words: frozenset[str] = frozenset()
+    usual: float = 0.0
+    at: str | None = None
+    since: str | None = None
+
+
+# Friction of 0.002, the lowest on any ice, stops a stone from hog line to tee within 54 s.
+_TIME = Kind("t", 60.0)
+TIMES = {
+    "back_to_hog": _TIME._replace(since="back", at="hog"),
+    "hog_to_hog": _TIME._replace(since="hog", at="far-hog"),
+    "hog_to_tee": _TIME._replace(since="hog", at="far-tee"),
+    "hog_to_rest": _TIME._replace(since="far-hog"),
+}
+"""Times between lines."""
+_SENSES = frozenset({"clockwise", "counter-clockwise"})
+MEASURED = TIMES | {
+    "rest": Kind("y", 40.0, frozenset({"past", "short"}), 6.0),
+    "curl": Kind("x", 10.0, frozenset({"left", "right"}), 1.5, since="hog"),
+    "turns": Kind("phi", 2000 * math.pi, _SENSES, 19.0, since="hog"),
+}
+KINDS = MEASURED | {
+    "handle": Kind(""), "sigma_time": Kind("t"), "sigma_rest": Kind("y"), "sigma_curl": Kind("x"),
+    "sigma_turns": Kind("phi"),
+}  # fmt: skip
+_NEGATIVE = {"left", "short", "clockwise"}
+_SIGMAS = {
+    "time": SIGMA_TIME, "rest": SIGMA_REST, "curl": SIGMA_REST, "turns": 2 * math.pi * SIGMA_TURNS,
+}  # fmt: skip
+_WHICH_SIDE = (
+    "to which side? Expected curl = 4 ft left, or curl = 4 ft right, or a line handle = clockwise, "
+    "handle = counter-clockwise, or handle = in-turn right-handed"
+)
+
+
+class Entry(NamedTuple):
+    """A quantity as written: its line, text and the unit in its header."""
+
+    line: int
+    text: str
+    unit: str
+
+
+class Row(NamedTuple):
+    """One record: the line where it begins, its measurements, and what else is said of it."""
+
+    line: int
+    entries: dict[str, Entry]
+    labels: dict[str, str]
+    notes: list[str]
+
+
+class Record:
+    """The parsed measurements of a row; `limited` ones may not be too large for any throw."""
+
+    def __init__(self, file: TextFile, row: Row, *, limited: bool = True) -> None:
+        self.file, self.row, self.limited = file, row, limited
+        self.found = {key: self._read(key) for key in row.entries}
+
+    def _error(self, key: str, message: str) -> DataError:
+        return self.file.error(message, self.row.entries[key].line - 1, key)
+
+    def _read(self, key: str) -> Quantity:
+        _, text, unit = self.row.entries[key]
+        of, limit, words, *_ = KINDS[key]
+        try:
+            found = parse_quantity(text, of or "x", unit, per=2 * math.pi if of == "phi" else 1.0)
+        except InputError as error:
+            raise self._error(key, str(error)) from None
+        if not of:
+            return found
+        value, fault = found.value, ""
+        if math.isnan(value) or found.words - words or len(found.words) > 1:
+            what = f"a number and {' or '.join(sorted(words))}" if words else "a number"
+            fault = f"{quoted(text)} found, expected {what}"
+        elif value <= 0 and (of == "t" or key.startswith("sigma")):
+            fault = f"{value:g} found, expected a number above 0"
+        elif self.limited and abs(value) > limit:
+            fault = f"{value:g} found, expected a number up to {limit:g}"
+        elif found.signed and found.words:
+            fault = f"{quoted(text)} has a sign and a word; expected one of them"
+        if fault:
+            raise self._error(key, fault)
+        return found
+
+    def _value(self, key: str) -> float:
+        """A value with the sign of its word."""
+        value, _, words = self.found[key]
+        return -value if words & _NEGATIVE else value
+
+    def sizes(self) -> dict[str, float]:
+        """Values to compare with those of other rows; of a curl and of turns the size."""
+        return {
+            key: self._value(key) if key == "rest" else abs(self.found[key].value)
+            for key in self.found.keys() & MEASURED.keys()
+        }
+
+    def _has_side(self, key: str) -> bool:
+        """Whether a sign or a word says to which side a quantity is counted."""
+        return key in self.found and bool(self.found[key].signed or self.found[key].words)
+
+    def _sigma(self, name: str) -> float:
+        for key in (f"sigma_{name}", *(["sigma_rest"] if name == "curl" else [])):
+            if key in self.found:
+                return self.found[key].value
+        return _SIGMAS[name]
+
+    def events(self) -> list[Event]:
+        """The measured events."""
+        oriented = {"rest": self._rest, "curl": self._curl, "turns": self._turns}
+        found = []
+        for key, kind in MEASURED.items():
+            if key in self.found:
+                name, quantity = ("time", "time") if key in TIMES else (key, kind.unit)
+                value = self.found[key].value if key in TIMES else oriented[key]()
+                at, since = (LINES[line] if line else None for line in (kind.at, kind.since))
+                found.append(Event(key, quantity, value, self._sigma(name), at, since))
+        return found
+
+    def _rest(self) -> float:
+        """Resting position, y in m."""
+        return LINES["far-tee"] + self._value("rest")
+
+    def _handle(self) -> int:
+        """Sense of the spin from `handle`: 1 counter-clockwise, -1 clockwise, 0 if not given.
+
+        The in-turn of a right-hander turns clockwise, as does the out-turn of a left-hander.
+        """
+        if "handle" not in self.found:
+            return 0
+        words = self.found["handle"].words
+        if words & _SENSES:
+            return -1 if "clockwise" in words else 1
+        turn, hand = words & {"in-turn", "out-turn"}, words & {"left", "right"}
+        if len(turn) == 1 and len(hand) == 1:
+            return -1 if ("in-turn" in turn) == ("right" in hand) else 1
+        sides = [self._has_side(key) for key in ("curl", "turns") if key in self.found]
+        if len(turn) == 1 and not hand and (any(sides) or not sides):
+            return 0  # a label: the sense is given otherwise, or nothing needs it
+        raise self._error(
+            "handle",
+            f"{quoted(self.row.entries['handle'].text)} found; expected clockwise or "
+            "counter-clockwise, or in-turn or out-turn and of which hand, such as right-handed",
+        )
+
+    def _sense(self, *keys: str) -> int:
+        """Sense of the spin by the first quantity that tells it; 0 if none does. A stone curls to
+        the side to which its front turns: to the left if counter-clockwise."""
+        for key in keys:
+            value = self._value(key) if self._has_side(key) else 0.0
+            found = self._handle() if key == "handle" else (value > 0) - (value < 0)
+            if found:
+                return -found if key == "curl" else found
+        return 0
+
+    def _curl(self) -> float:
+        """Curl to the right, m."""
+        value = self._value("curl")
+        if self._has_side("curl") or value == 0:
+            return value
+        if not (sense := self._sense("handle", "turns")):
+            raise self._error("curl", _WHICH_SIDE)
+        return -sense * value
+
+    def _turns(self) -> float:
+        """Angle turned in rad, counter-clockwise."""
+        value = abs(self.found["turns"].value)
+        sense = self._sense("handle", "turns", "curl")
+        if not sense and value:
+            raise self._error(
+                "turns", "in which sense? Expected turns = 2.5 clockwise or 2.5 counter-clockwise"
+            )
+        return sense * value
+
+    def spin(self) -> tuple[float, str]:
+        """Spin in rad/s at which a fit fixes it if it is not determined, and a note on it."""
+        if "turns" in self.found:
+            return 0.0, "turns are counted from the near hog line"
+        by_handle = self._sense("handle")
+        sense = by_handle or self._sense("curl")
+        if not sense:
+            return 0.0, "the spin was not measured and is taken to be zero"
+        word = "counter-clockwise" if sense > 0 else "clockwise"
+        why = "by the handle" if by_handle else "by the side of the curl"
+        return sense * USUAL_SPIN, (
+            f"the spin was not measured: it is held at {USUAL_SPIN} rad/s, {word} {why}, as for "
+            "two and a half turns; a value of `turns` gives the measured number"
+        )
+
+    def fault_alone(self) -> str:
+        """Why the record determines no friction by itself; empty if it does.
+
+        Raises
+        ------
+        DataError : the record is impossible.
+        """
+        times = [key for key in TIMES if key in self.found]
+        if not times:
+            return f"no time; {EXPECTED}"
+        if len(times) == 1 and "rest" not in self.found:
+            keys = [key for key in ("hog_to_hog", "rest", "hog_to_rest") if key not in self.found]
+            more = ", ".join([*keys[:2], "or another time"])
+            return (
+                f"{times[0]} alone gives the mean speed and no friction; expected one more of "
+                + more
+            )
+        hog, to_tee = (
+            self.found[key].value if key in self.found else default
+            for key, default in (("hog_to_hog", 0.0), ("hog_to_tee", math.inf))
+        )
+        if to_tee <= hog:
+            raise self._error(
+                "hog_to_tee",
+                f"{to_tee:g} s found, expected more than hog_to_hog = {hog:g} s: the tee line lies "
+                "behind the far hog line",
+            )
+        lines = ((line, key) for key in times for line in (TIMES[key].at, TIMES[key].since))
+        farthest, by = max((LINES[line], key) for line, key in lines if line)
+        past = farthest - LINES["far-tee"]
+        if "rest" in self.found and self._value("rest") <= past:
+            raise self._error(
+                "rest",
+                f"{self._value('rest'):.3g} m past the far tee lies before a line that the stone "
+                f"has crossed by {by} ({past:.3f} m)",
+            )
+        return ""

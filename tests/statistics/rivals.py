@@ -1,0 +1,119 @@
+"""Whether laws recover themselves, and whether a comparison finds the law that made the data.
+
+    python tests/statistics/rivals.py recovery THROWS
+    python tests/statistics/rivals.py confusion SETS
+
+write the tables of these names of README.md beside this file. Throws are those of `errors.py`; a
+set is one throw, or four of them of one law and one ice, with two senses and two rates of spin.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections import Counter
+
+import numpy as np
+from errors import TIMES, Case, counts
+from tables import LEVELS, head, put, row, share
+
+import curlfit
+from curlfit.comparison.compare import plan
+
+LAWS = [law.name for law, _ in plan(None, "uniform")]
+SPINS = (0.7, -0.7, 1.8, -1.8)
+SEED = 3
+
+
+def recovery(throws: int) -> None:
+    """Coverage of the coefficients of each law, fitted to its own throws."""
+    lines = head(
+        "law", *LEVELS, *(f"{level}, without weak ones" for level in LEVELS), "not converged"
+    )
+    for name in LAWS:
+        began = time.time()
+        cells = []
+        for weak in (True, False):
+            found, failed = counts(Case("", name, name, weak=weak), throws)
+            *inside, of = found["coefficients"]
+            levels = zip(inside, LEVELS.values(), strict=True)
+            cells += [share(count, of, nominal) for count, (nominal, _) in levels]
+        lines.append(row([f"`{name}`", *cells, failed]))
+        print(lines[-1], f"({time.time() - began:.0f} s)", file=sys.stderr, flush=True)
+    put("recovery", f"{throws} throws a row.\n\n" + "\n".join(lines) + "\n")
+
+
+def thrown(name: str, random: np.random.Generator) -> list[curlfit.Throw]:
+    """Four throws under a law whose coefficients are within 10 % of its defaults."""
+    kind = curlfit.find_law(name)
+    law = kind(
+        **{
+            item.name: item.default * (1 if item.optional else random.uniform(0.9, 1.1))
+            for item in kind.coefficients()
+        }
+    )
+    found = []
+    for spin in SPINS:
+        start = curlfit.InitialState(v=random.uniform(1.9, 2.2), omega=spin)
+        path = curlfit.simulate(law, curlfit.Stone(), start, TIMES).to_numpy()
+        noise = random.standard_normal((3, len(TIMES)))
+        found.append(
+            curlfit.Throw.from_arrays(
+                TIMES, path.x + 0.005 * noise[0], path.y + 0.005 * noise[1],
+                path.phi + 0.01 * noise[2], sigma={"x": 0.005, "y": 0.005, "phi": 0.01},
+            )
+        )  # fmt: skip
+    return found
+
+
+def bic(fit: curlfit.FitResult | curlfit.JointResult, throws: int) -> float:
+    """Of a fit with given sigma; the initial state of each throw is estimated too."""
+    fits = getattr(fit, "throws", (fit,))
+    n = sum(one.n_observations for one in fits)
+    return sum(one.chi_squared for one in fits) + (len(fit.coefficients) + 6 * throws) * np.log(n)
+
+
+def confusion(sets: int) -> None:
+    """How often each law has the least BIC, by the law that made the data."""
+    for count in (1, 4):
+        lines = head("truth", "first", "within 6 of the first", "others that came first")
+        for name in LAWS:
+            began, random = time.time(), np.random.default_rng(SEED)
+            first: Counter[str] = Counter()
+            near = 0
+            for _ in range(sets):
+                throws, least = thrown(name, random)[:count], {}
+                for law in LAWS:
+                    try:
+                        fit = (
+                            curlfit.fit(throws[0], law, details=False)
+                            if count == 1
+                            else curlfit.fit_together(throws, law, share="all")
+                        )
+                    except curlfit.CurlfitError:
+                        continue
+                    if fit.converged:
+                        least[law] = bic(fit, count)
+                first[min(least, key=least.__getitem__)] += 1
+                near += least.get(name, np.inf) - min(least.values()) <= 6
+            others = ", ".join(f"`{law}` {n}" for law, n in first.most_common() if law != name)
+            lines.append(row([f"`{name}`", f"{first[name]} of {sets}", near, others]))
+            print(lines[-1], f"({time.time() - began:.0f} s)", file=sys.stderr, flush=True)
+        title = "One throw" if count == 1 else "Four throws, of two senses and two rates of spin"
+        put(f"confusion-{count}", f"{title}, {sets} sets a row.\n\n" + "\n".join(lines) + "\n")
+
+
+def main() -> None:
+    """Make a table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("table", choices=("recovery", "confusion"))
+    parser.add_argument("number", type=int)
+    chosen = parser.parse_args()
+    {"recovery": recovery, "confusion": confusion}[chosen.table](chosen.number)
+
+
+if __name__ == "__main__":
+    main()
