@@ -25,6 +25,7 @@ from curlfit.dynamics.ring_sum import balanced_tilt
 from curlfit.friction import LAWS, Law, LocalLaw, RingPoint, coefficient
 from curlfit.friction.family import family_of
 from curlfit.friction.isotropic import Coulomb, Power, Stribeck
+from curlfit.friction.sums import Sum
 from curlfit.inference.model import Model
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import in_batches
@@ -221,7 +222,7 @@ class SpeedMixture(LocalLaw):
 _LOCAL = [
     law
     for law in LAWS.values()
-    if issubclass(law, LocalLaw) and "Ivanov and Shuvalov" in law.source
+    if issubclass(law, LocalLaw) and "Ivanov" in law.source and not issubclass(law, Sum)
 ]
 """The laws of the ring that the paper has or cites."""
 _FAMILY = family_of([*_LOCAL, SpeedMixture])  # one compiled program serves them all

@@ -121,6 +121,11 @@ class Quantity:
     quantiles: Annotated[dict[str, float], keys(**dict.fromkeys(LEVELS, float))]
     share: float
 
+    @property
+    def sd(self) -> float:
+        """Both errors added in quadrature."""
+        return math.hypot(self.parameter_sd, self.model_sd)
+
 
 @dataclass(frozen=True)
 class HeldOut:

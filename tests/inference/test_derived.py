@@ -50,7 +50,7 @@ def sampled(fit):
     matrix = np.array(fit.covariance["matrix"])
     values[..., free] = random.multivariate_normal(fit.values[free], matrix, (50, 8), tol=1e-6)
     none = np.zeros((50, 8))
-    chain = curlfit.Chain(names, values, none, none[0].astype(int), 0, 4, 0)
+    chain = curlfit.Chain(names, values, none, 0, 4, 0)
     found = fit.with_derived(["v0**2 / (2*g*mu)"], chain)
     return replace(found, quantities=quantities_of(fit, chain)), chain
 

@@ -159,5 +159,5 @@ def test_outliers_are_called_by_name(spoiled):
 
 
 def test_an_unknown_loss_is_refused(clean):
-    with pytest.raises(InputError, match="unknown loss 'l7'"):
+    with pytest.raises(InputError, match="loss = 'l7'; expected one of"):
         curlfit.fit(clean, loss="l7")

@@ -180,7 +180,7 @@ def test_given_sigmas_are_kept():
 def test_what_cannot_be_combined_is_refused():
     throw = thrown(0)
     for choices, words in (
-        ({"noise": "pink"}, "unknown noise 'pink'; expected one of white, ar1, discrepancy"),
+        ({"noise": "pink"}, "noise = 'pink'; expected one of white, ar1, discrepancy"),
         ({"noise": "discrepancy", "loss": "huber"}, "cannot be combined"),
     ):
         with pytest.raises(curlfit.InputError, match=words):

@@ -65,7 +65,7 @@ def test_the_longest_programs_are_prepared_as_they_will_be_called(eq12_fit, monk
         lambda self, *args: prepared.update({self.__name__: (self, self._call(args).key)}),
     )  # fmt: skip
     curlfit.predict(eq12_fit, draws=100)
-    assert set(prepared) == {"_motions", "_slopes_of_channels", "_slope"}
+    assert set(prepared) == {"_motions"}
     assert set(prepared.values()) <= set(compiled._programs)
 
 

@@ -193,14 +193,14 @@ class Covariance:
 
     def ridge_points(self, bounded: Bounded) -> Ridge:
         """Points along what is hardly determined, or not at all: one standard error from the
-        optimum, or a typical size where that is less, whatever the bounds."""
+        optimum, or three typical sizes where that is less, whatever the bounds."""
         sizes = self.typical[self.open]
         _, singular, rows = np.linalg.svd(self.factor[:, :-1][:, self.open] * sizes)
         sigmas = 1 / np.maximum(np.append(singular, np.zeros(len(rows) - len(singular))), 1e-12)
         faint = sigmas > _FAINT
         axes = np.zeros((int(faint.sum()), 2, len(self.typical)))
         axes[..., self.open] = rows[faint, None]
-        steps = np.minimum(sigmas[faint], 1.0)
+        steps = np.minimum(sigmas[faint], _UNKNOWN)
         points = bounded.values + steps[:, None, None] * [[1.0], [-1.0]] * axes * self.typical
         expected = np.repeat((steps / sigmas[faint]) ** 2, 2)
         size = len(self.typical)

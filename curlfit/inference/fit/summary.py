@@ -155,8 +155,9 @@ class _Many(NamedTuple):
 
     def nonquadratic(
         self, found: Sequence[Covariance], reduction: Reduction | None, batch: int
-    ) -> list[dict[str, bool]]:
-        """See `Covariance.nonquadratic`; the others of a throw are quadratic."""
+    ) -> list[dict[str, bool | None]]:
+        """See `Covariance.nonquadratic`, with None for combinations beside a ridge; the others of a
+        throw are quadratic."""
         at = [Bounded(*(part[row] for part in self.bounded)) for row in range(len(found))]
         around = [one.one_sigma_points(there) for one, there in zip(found, at, strict=True)]
         ridges = [one.ridge_points(there) for one, there in zip(found, at, strict=True)]
@@ -178,7 +179,7 @@ class _Many(NamedTuple):
         for row, (one, (_, axes), ridge) in enumerate(zip(found, around, ridges, strict=True)):
             curved = one.beside_a_ridge(ridge, delta[place == len(found) + row])
             mine = one.nonquadratic(axes, delta[place == row])
-            named.append(mine | dict.fromkeys(sorted(curved), True))
+            named.append({**mine, **dict.fromkeys(curved)})
         return named
 
     def systematics(
@@ -209,7 +210,7 @@ def _record(
     path: Floats | None,
     residual: Floats,
     found: Covariance,
-    nonquadratic: dict[str, bool],
+    nonquadratic: dict[str, bool | None],
     systematics: Systematics,
 ) -> FitResult:
     law, throw, known = fit.model.law, fit.prepared.throw, found.identifiability
@@ -221,7 +222,10 @@ def _record(
     series = _by_channel(fit, residual)
     enough = {name: pair for name, pair in series.items() if len(pair[0]) > _FEWEST}
     lag1 = {name: Independence.of(off).lag1 for name, (off, _) in enough.items()}
-    misleading, rival = {name for name, yes in nonquadratic.items() if yes}, _rival(fit)
+    misleading, rival = (
+        {name for name, off in nonquadratic.items() if off is not False},
+        _rival(fit),
+    )
     estimates = _estimates(fit.prepared.parameters, found, misleading, rival)
     unusual = _unusual(fit, estimates["v0"], curves)
     result = FitResult(
@@ -259,7 +263,8 @@ def _record(
             for event, off in zip(throw.events, residual[-1], strict=False)
         ),
     )
-    warnings = warnings_of(fit, result, residual, unusual, rival, nonquadratic)
+    rough = [name for name, off in nonquadratic.items() if off is not None]
+    warnings = warnings_of(fit, result, residual, unusual, rival, rough)
     return replace(result, warnings=warnings)
 
 

@@ -166,10 +166,10 @@ def whitening_matrix(problem: Problem) -> Floats | None:
             f"{_MOST_CORRELATED}: fit fewer rows"
         )
 
-    def whitened(values: Any) -> Any:
-        return problem.whitener.whiten(jax.numpy.zeros(seen.shape).at[seen].set(values))[seen]
+    def white(values: Any) -> Any:
+        return whitened(jax.numpy.zeros(seen.shape).at[seen].set(values), problem.whitener)[seen]
 
-    return np.asarray(jax.jacfwd(whitened)(np.zeros(number)))
+    return np.asarray(jax.jacfwd(white)(np.zeros(number)))
 
 
 def log_likelihoods(residual: Floats, whitening: Floats | None, loss: str) -> Floats:
