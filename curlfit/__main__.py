@@ -56,9 +56,19 @@ def _stop(number: int, frame: FrameType | None) -> None:
     if getattr(getattr(sys.modules.get("jax"), "__spec__", None), "_initializing", False):
         os.write(2, b"curlfit: stopped\n")
         os._exit(128 + number)
-    if number == signal.SIGTERM:
+    if number == signal.SIGTERM and number not in _terminated:
         _terminated.append(number)
+    if _is_callback_of_garbage(frame):  # where Python drops exceptions
+        threading.Timer(0.01, os.kill, (os.getpid(), number)).start()
+        return
     raise KeyboardInterrupt
+
+
+def _is_callback_of_garbage(frame: FrameType | None) -> bool:
+    """Whether JAX is told of a collection of garbage."""
+    while frame is not None and frame.f_code.co_name != "_xla_gc_callback":
+        frame = frame.f_back
+    return frame is not None
 
 
 class _Pipe(FileIO):

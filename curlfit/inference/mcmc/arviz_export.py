@@ -14,6 +14,7 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import with_combinations
 from curlfit.inference.likelihood import predict_channels
 from curlfit.inference.noise.losses import log_density
+from curlfit.inference.noise.whitening import whitened
 from curlfit.inference.problem import ROWS_OF_DATA, Origin, Problem
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.output.frames import optional
