@@ -31,9 +31,6 @@ _CURVED = 0.003  # standard error over typical size below which chi squared is q
 _UNKNOWN = 3.0  # the same, above which nothing is determined in any case
 _MISLEADING = 4.0  # factor by which the rise of chi squared is off if a standard error is by two
 _SMALL = 0.1  # standard error over typical size, below which an estimate is determined even then
-_FAINT = 0.5  # standard error over typical size above which a direction is hardly determined
-_CURVED_RIDGE = 4.0  # rise of chi squared: what fits has left the tangent by two standard errors
-_TAKES_PART = 0.05  # component over the largest, above which a parameter takes part in a direction
 _QUADRATIC = 0.5  # largest departure from one of the rise of chi squared at one standard error
 _KNOWN = 1e-3  # share of estimated variances in a sum below which the sum counts as known
 _MEDIAN_EFFICIENCY = 0.37  # of sigma from the median absolute residual, Gaussian noise (Huber 1981)
@@ -191,38 +188,6 @@ class Covariance:
         inside = ((points >= bounded.lower) & (points <= bounded.upper)).all(-1)
         return points[inside], along[inside]
 
-    def ridge_points(self, bounded: Bounded) -> Ridge:
-        """Points along what is hardly determined, or not at all: one standard error from the
-        optimum, or three typical sizes where that is less, whatever the bounds."""
-        sizes = self.typical[self.open]
-        _, singular, rows = np.linalg.svd(self.factor[:, :-1][:, self.open] * sizes)
-        sigmas = 1 / np.maximum(np.append(singular, np.zeros(len(rows) - len(singular))), 1e-12)
-        faint = sigmas > _FAINT
-        axes = np.zeros((int(faint.sum()), 2, len(self.typical)))
-        axes[..., self.open] = rows[faint, None]
-        steps = np.minimum(sigmas[faint], _UNKNOWN)
-        points = bounded.values + steps[:, None, None] * [[1.0], [-1.0]] * axes * self.typical
-        expected = np.repeat((steps / sigmas[faint]) ** 2, 2)
-        size = len(self.typical)
-        return Ridge(points.reshape(-1, size), axes.reshape(-1, size), expected)
-
-    def beside_a_ridge(self, ridge: Ridge, delta_chi2: Floats) -> set[str]:
-        """Combinations of parameters along a direction that is hardly determined, where chi squared
-        rises more than at first order: the values that fit lie on a curve, and a sum of parameters
-        is constant along its tangent alone.
-
-        `delta_chi2` is the rise of chi squared at the points of the ridge.
-        """
-        curved = delta_chi2 - ridge.expected > _CURVED_RIDGE
-        size = np.abs(ridge.axes)[curved][:, self.open]
-        concerned = (size > _TAKES_PART * size.max(-1, keepdims=True)).any(0)
-        weights = self.identifiability.determined()
-        return {
-            item.expression
-            for item in self.identifiability.combinations
-            if (concerned & (weights[item.expression] != 0)).any()
-        }
-
     def nonquadratic(self, axes: Floats, delta_chi2: Floats) -> dict[str, bool]:
         """Parameters and combinations along which chi squared does not rise by about one at one
         standard error, and whether it is so misleading there that nothing may be determined.
@@ -261,16 +226,6 @@ def satterthwaite(parts: Floats, dof: Floats) -> list[float | None]:
     known = ~(np.where(np.isfinite(dof), size, 0.0).sum(-1) > _KNOWN * size.sum(-1))
     found = parts.sum(-1) ** 2 / np.where(known, 1.0, (parts**2 / dof).sum(-1))
     return [None if exact else n for n, exact in zip(found.tolist(), known, strict=True)]
-
-
-class Ridge(NamedTuple):
-    """Points along directions that are hardly determined, shape (points, parameters)."""
-
-    points: Floats
-    axes: Floats
-    """in typical sizes"""
-    expected: Floats
-    """rise of chi squared at the points, to first order"""
 
 
 class OtherThrows(NamedTuple):

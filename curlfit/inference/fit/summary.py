@@ -155,16 +155,14 @@ class _Many(NamedTuple):
 
     def nonquadratic(
         self, found: Sequence[Covariance], reduction: Reduction | None, batch: int
-    ) -> list[dict[str, bool | None]]:
-        """See `Covariance.nonquadratic`, with None for combinations beside a ridge; the others of a
-        throw are quadratic."""
-        at = [Bounded(*(part[row] for part in self.bounded)) for row in range(len(found))]
-        around = [one.one_sigma_points(there) for one, there in zip(found, at, strict=True)]
-        ridges = [one.ridge_points(there) for one, there in zip(found, at, strict=True)]
-        each = [one for one, _ in around] + [ridge.points for ridge in ridges]
-        points = np.concatenate(each)
-        place = np.repeat(np.arange(len(each)), [len(one) for one in each])
-        owner = place % len(found)
+    ) -> list[dict[str, bool]]:
+        """See `Covariance.nonquadratic`; the others of a throw are quadratic."""
+        around = [
+            one.one_sigma_points(Bounded(*(part[row] for part in self.bounded)))
+            for row, one in enumerate(found)
+        ]
+        points = np.concatenate([one for one, _ in around])
+        owner = np.repeat(np.arange(len(found)), [len(one) for one, _ in around])
         best = self.solutions.values[owner]
         problems = jax.tree.map(itemgetter(owner), self.problems)
         delta = chi_squared_of_many(self.model, points, problems, batch)
@@ -175,12 +173,10 @@ class _Many(NamedTuple):
         rows = self.others if reduction is None else reduction.others
         if rows is not None:
             delta += chi_squared_change(rows[owner], points - best)
-        named = []
-        for row, (one, (_, axes), ridge) in enumerate(zip(found, around, ridges, strict=True)):
-            curved = one.beside_a_ridge(ridge, delta[place == len(found) + row])
-            mine = one.nonquadratic(axes, delta[place == row])
-            named.append({**mine, **dict.fromkeys(curved)})
-        return named
+        return [
+            one.nonquadratic(axes, delta[owner == row])
+            for row, (one, (_, axes)) in enumerate(zip(found, around, strict=True))
+        ]
 
     def systematics(
         self,
@@ -210,7 +206,7 @@ def _record(
     path: Floats | None,
     residual: Floats,
     found: Covariance,
-    nonquadratic: dict[str, bool | None],
+    nonquadratic: dict[str, bool],
     systematics: Systematics,
 ) -> FitResult:
     law, throw, known = fit.model.law, fit.prepared.throw, found.identifiability
@@ -222,10 +218,7 @@ def _record(
     series = _by_channel(fit, residual)
     enough = {name: pair for name, pair in series.items() if len(pair[0]) > _FEWEST}
     lag1 = {name: Independence.of(off).lag1 for name, (off, _) in enough.items()}
-    misleading, rival = (
-        {name for name, off in nonquadratic.items() if off is not False},
-        _rival(fit),
-    )
+    misleading, rival = {name for name, yes in nonquadratic.items() if yes}, _rival(fit)
     estimates = _estimates(fit.prepared.parameters, found, misleading, rival)
     unusual = _unusual(fit, estimates["v0"], curves)
     result = FitResult(
@@ -263,8 +256,7 @@ def _record(
             for event, off in zip(throw.events, residual[-1], strict=False)
         ),
     )
-    rough = [name for name, off in nonquadratic.items() if off is not None]
-    warnings = warnings_of(fit, result, residual, unusual, rival, rough)
+    warnings = warnings_of(fit, result, residual, unusual, rival, nonquadratic)
     return replace(result, warnings=warnings)
 
 
