@@ -273,6 +273,7 @@ def test_the_posterior_is_that_of_quadrature():
     assert sampled(fit, np.array([0.5]), seed=None) is None
 
 
+@pytest.mark.slow
 def test_a_prior_is_of_the_mean_and_changes_nothing_that_it_does_not_know(joint):
     def fitted(**choices):
         return curlfit.fit_together(
