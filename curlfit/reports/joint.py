@@ -175,9 +175,12 @@ def _effects(result: JointResult) -> PlainTable:
         if one.parameter in _DRAWN or not one.by:
             continue
         what = f"{one.by} {one.group}".strip() + (f" - {one.against}" if one.against else "")
-        row = {"": what} | row_of("quantity", one.parameter, one)
-        row["verdict"] = ""
-        rows.append(row | {"p": "" if one.p is None else p_text(one.p)})
+        value, error = format_estimate(one.value, one.stderr)
+        rows.append(
+            {"": what, "quantity": labelled(one.parameter, one.unit), ">estimate": value}
+            | {">std. error": error, "p": "" if one.p is None else p_text(one.p)}
+            | of_posterior(one.quantiles)
+        )
     rows += [
         {"": "between throws", "quantity": item.expression, ">estimate": two_digits(item.spread)}
         | of_posterior(item.quantiles)
