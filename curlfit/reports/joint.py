@@ -17,6 +17,7 @@ from curlfit.output.text import (
     compact,
     format_estimate,
     join_words,
+    labelled,
     lower,
     p_text,
     two_digits,
