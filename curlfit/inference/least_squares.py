@@ -7,7 +7,7 @@ steps are therefore interrupted and grouped anew.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
 from operator import itemgetter
 from typing import Any, NamedTuple
@@ -225,7 +225,6 @@ def prepare_minimize(
 def minimize_many(
     model: Model,
     tasks: Tasks,
-    progress: Callable[[int], None] | None = None,
     *,
     few: bool = False,
     alone: bool = False,
@@ -234,7 +233,6 @@ def minimize_many(
 
     Parameters
     ----------
-    progress : called with the number of problems that are done.
     few : whether they are so few that a program compiled quickly is better than a fast one.
     alone : whether to solve one after another, more precisely.
     """
@@ -255,8 +253,6 @@ def minimize_many(
         tasks.start[now] = found.values
         interrupted[now] = ~found.success & (found.steps >= control.most) & (steps < _MOST_STEPS)
         due = np.setdiff1d(due, now)
-        if progress is not None:
-            progress(count - len(due) - int(interrupted.sum()))
         if not len(due):
             due, control = np.flatnonzero(interrupted), control._replace(most=2 * control.most)
             interrupted[:] = False

@@ -68,15 +68,14 @@ class Output(Choices):
         return terminal(quiet=self.quiet)
 
     @contextmanager
-    def status(self, text: str) -> Iterator[Callable[[str], None]]:
-        """A line on the terminal that says what is done, and a function that changes it."""
+    def status(self, text: str) -> Iterator[None]:
+        """A line on the terminal that says what is done."""
         from rich.console import Console
         from rich.progress import SpinnerColumn
 
         console = Console(stderr=True, quiet=self.quiet)
-        with progress_line(console, SpinnerColumn(), "{task.description}") as show:
-            show(text)
-            yield show
+        with progress_line(console, SpinnerColumn(), text):
+            yield
 
     def finish(
         self,
