@@ -56,11 +56,13 @@ class _Motion(NamedTuple):
     def curl(self, line: str | None = None) -> float:
         """Distance to the right of the line along the initial velocity, m, at a line of the sheet
         or at the last row."""
-        from scipy.interpolate import CubicSpline
-
         s, c = math.sin(self.heading), math.cos(self.heading)
         right = (self.x - self.x[0]) * c - (self.y - self.y[0]) * s
-        return float(CubicSpline(self.t, right)(self.time_at(line)) if line else right[-1])
+        if line is None:
+            return float(right[-1])
+        from scipy.interpolate import CubicSpline
+
+        return float(CubicSpline(self.t, right)(self.time_at(line)))
 
     @property
     def friction(self) -> float:
