@@ -132,6 +132,14 @@ def _of_errors(result: FitResult, nonquadratic: Iterable[str]) -> list[str]:
     return warnings
 
 
+def local_warning(combinations: Sequence[str]) -> str:
+    """That sums of parameters are constant along the tangent of a curve alone."""
+    return (
+        f"combinations hold near this estimate only ({', '.join(combinations)}): the coefficients "
+        "that fit lie on a curve; throws of other speeds and spins determine more"
+    )
+
+
 def outlier_warning(outliers: Sequence[Mapping[str, Any]], t: Floats) -> str:
     """The number of outliers, the farthest, and whether they are the first of the rows at `t`."""
     first = outliers[0]

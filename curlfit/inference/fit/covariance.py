@@ -19,6 +19,7 @@ from curlfit.inference.identifiability import (
     Identifiability,
     analyse,
     classify,
+    visible,
 )
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.noise.losses import precision, root_slope
@@ -31,6 +32,9 @@ _CURVED = 0.003  # standard error over typical size below which chi squared is q
 _UNKNOWN = 3.0  # the same, above which nothing is determined in any case
 _MISLEADING = 4.0  # factor by which the rise of chi squared is off if a standard error is by two
 _SMALL = 0.1  # standard error over typical size, below which an estimate is determined even then
+_FAINT = 0.5  # standard error over typical size above which a direction is hardly determined
+_CURVED_RIDGE = 4.0  # rise of chi squared: what fits has left the tangent by two standard errors
+_TAKES_PART = 0.05  # component over the largest, above which a parameter takes part in a direction
 _QUADRATIC = 0.5  # largest departure from one of the rise of chi squared at one standard error
 _KNOWN = 1e-3  # share of estimated variances in a sum below which the sum counts as known
 _MEDIAN_EFFICIENCY = 0.37  # of sigma from the median absolute residual, Gaussian noise (Huber 1981)
@@ -188,6 +192,44 @@ class Covariance:
         inside = ((points >= bounded.lower) & (points <= bounded.upper)).all(-1)
         return points[inside], along[inside]
 
+    def ridge_points(self, bounded: Bounded, coefficients: int) -> Ridge:
+        """Points along what the coefficients of the law, the first parameters, leave undetermined:
+        one standard error from the optimum, or three typical sizes if that is less, whatever the
+        bounds."""
+        sizes, known = self.typical[self.open], self.identifiability
+        factor = self.factor[:, :-1][:, self.open] * sizes
+        _, singular, rows = np.linalg.svd(factor, full_matrices=False)
+        seen = visible(singular)
+        null = [
+            np.array([one.get(name, 0.0) for name in known.names]) / sizes
+            for one in known.null_directions
+        ]
+        null = [one / np.linalg.norm(one) for one in null]
+        sigmas = np.append(1 / singular[seen], np.full(len(null), np.inf))
+        axes = np.zeros((len(sigmas), len(self.typical)))
+        axes[:, self.open] = [*rows[seen], *null]
+        ours = np.abs(axes[:, coefficients:]).max(1) < _TAKES_PART * np.abs(axes).max(1)
+        axes, sigmas = axes[ours & (sigmas > _FAINT)], sigmas[ours & (sigmas > _FAINT)]
+        steps = np.minimum(sigmas, _UNKNOWN)
+        axes, steps = np.repeat(axes, 2, axis=0), np.repeat(steps, 2)
+        signs = np.tile([1.0, -1.0], len(sigmas))
+        points = bounded.values + (signs * steps)[:, None] * axes * self.typical
+        return Ridge(points, axes, (steps / np.repeat(sigmas, 2)) ** 2)
+
+    def beside_a_ridge(self, ridge: Ridge, delta_chi2: Floats) -> list[str]:
+        """Combinations of parameters along a direction that is hardly determined, where chi squared
+        rises more than at first order: the values that fit lie on a curve, and a sum of parameters
+        is constant along its tangent alone.
+
+        `delta_chi2` is the rise of chi squared at the points of the ridge.
+        """
+        size = np.abs(ridge.axes)[delta_chi2 - ridge.expected > _CURVED_RIDGE][:, self.open]
+        concerned = (size > _TAKES_PART * size.max(-1, keepdims=True)).any(0)
+        weights, sums = self.identifiability.determined(), self.identifiability.combinations
+        return [
+            item.expression for item in sums if (concerned & (weights[item.expression] != 0)).any()
+        ]
+
     def nonquadratic(self, axes: Floats, delta_chi2: Floats) -> dict[str, bool]:
         """Parameters and combinations along which chi squared does not rise by about one at one
         standard error, and whether it is so misleading there that nothing may be determined.
@@ -226,6 +268,16 @@ def satterthwaite(parts: Floats, dof: Floats) -> list[float | None]:
     known = ~(np.where(np.isfinite(dof), size, 0.0).sum(-1) > _KNOWN * size.sum(-1))
     found = parts.sum(-1) ** 2 / np.where(known, 1.0, (parts**2 / dof).sum(-1))
     return [None if exact else n for n, exact in zip(found.tolist(), known, strict=True)]
+
+
+class Ridge(NamedTuple):
+    """Points along directions that are hardly determined, shape (points, parameters)."""
+
+    points: Floats
+    axes: Floats
+    """in typical sizes"""
+    expected: Floats
+    """rise of chi squared at the points, to first order"""
 
 
 class OtherThrows(NamedTuple):

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Self
 import jax
 import numpy as np
 
-from curlfit.inference.fit.caveats import warnings_of
+from curlfit.inference.fit.caveats import local_warning, warnings_of
 from curlfit.inference.fit.covariance import (
     CONVERGED,
     Covariance,
@@ -155,14 +155,17 @@ class _Many(NamedTuple):
 
     def nonquadratic(
         self, found: Sequence[Covariance], reduction: Reduction | None, batch: int
-    ) -> list[dict[str, bool]]:
-        """See `Covariance.nonquadratic`; the others of a throw are quadratic."""
-        around = [
-            one.one_sigma_points(Bounded(*(part[row] for part in self.bounded)))
-            for row, one in enumerate(found)
-        ]
-        points = np.concatenate([one for one, _ in around])
-        owner = np.repeat(np.arange(len(found)), [len(one) for one, _ in around])
+    ) -> list[dict[str, bool | None]]:
+        """See `Covariance.nonquadratic`, with None for combinations beside a ridge; the others of a
+        throw are quadratic."""
+        at = [Bounded(*(part[row] for part in self.bounded)) for row in range(len(found))]
+        around = [one.one_sigma_points(there) for one, there in zip(found, at, strict=True)]
+        count = len(self.model.law.coefficients())
+        ridges = [one.ridge_points(there, count) for one, there in zip(found, at, strict=True)]
+        each = [one for one, _ in around] + [ridge.points for ridge in ridges]
+        points = np.concatenate(each)
+        place = np.repeat(np.arange(len(each)), [len(one) for one in each])
+        owner = place % len(found)
         best = self.solutions.values[owner]
         problems = jax.tree.map(itemgetter(owner), self.problems)
         delta = chi_squared_of_many(self.model, points, problems, batch)
@@ -173,10 +176,11 @@ class _Many(NamedTuple):
         rows = self.others if reduction is None else reduction.others
         if rows is not None:
             delta += chi_squared_change(rows[owner], points - best)
-        return [
-            one.nonquadratic(axes, delta[owner == row])
-            for row, (one, (_, axes)) in enumerate(zip(found, around, strict=True))
-        ]
+        named: list[dict[str, bool | None]] = []
+        for row, (one, (_, axes), ridge) in enumerate(zip(found, around, ridges, strict=True)):
+            curved = one.beside_a_ridge(ridge, delta[place == len(found) + row])
+            named.append({**dict.fromkeys(curved), **one.nonquadratic(axes, delta[place == row])})
+        return named
 
     def systematics(
         self,
@@ -206,7 +210,7 @@ def _record(
     path: Floats | None,
     residual: Floats,
     found: Covariance,
-    nonquadratic: dict[str, bool],
+    nonquadratic: dict[str, bool | None],
     systematics: Systematics,
 ) -> FitResult:
     law, throw, known = fit.model.law, fit.prepared.throw, found.identifiability
@@ -256,7 +260,12 @@ def _record(
             for event, off in zip(throw.events, residual[-1], strict=False)
         ),
     )
-    warnings = warnings_of(fit, result, residual, unusual, rival, nonquadratic)
+    rough = [name for name, off in nonquadratic.items() if off is not None]
+    local = [one.expression for one in result.combinations if one.expression in nonquadratic]
+    local = [name for name in local if nonquadratic[name] is None]
+    warnings = warnings_of(fit, result, residual, unusual, rival, rough)
+    if local:
+        warnings += (local_warning(local),)
     return replace(result, warnings=warnings)
 
 
