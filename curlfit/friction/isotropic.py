@@ -80,7 +80,7 @@ class Angular(LocalLaw):
         return _opposing(self.mu0 * (1 - self.f0 * point.eta), point)
 
 
-class PowerAngular(LocalLaw):
+class PowerAngular(Power):
     """Friction is a power of the sliding speed, lower in front than behind."""
 
     name = "power-angular"
@@ -88,19 +88,14 @@ class PowerAngular(LocalLaw):
     source = "Maeno (2014), as implemented by G. Ogden"
     predicts = "left where f0 > 0"
 
-    c: float = coefficient(0.008, "coefficient of friction at 1 m/s, at the sides", symbol="c")
-    k: float = coefficient(-0.5, "exponent of the sliding speed", lower=-0.7, upper=2.0,
-                           typical=0.5, symbol="k", signed=True)  # fmt: skip
     f0: float = coefficient(
         0.3, "relative drop at the front", lower=-1.0, typical=0.5, symbol="f_0", signed=True
     )
 
-    def steepness(self) -> Any:
-        return abs(self.k)
-
     def traction(self, point: RingPoint) -> tuple[Any, Any]:
-        mu = self.c * power(point.speed**2 + Power.SLOWEST**2, self.k / 2)
-        return _opposing(mu * (1 - self.f0 * point.eta), point)
+        across, along = super().traction(point)
+        factor = 1 - self.f0 * point.eta
+        return factor * across, factor * along
 
 
 class Sutor(LocalLaw):

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from curlfit.errors import InputError
 from curlfit.options.output import COMPILES, Output, Saved
@@ -26,11 +24,8 @@ def fit_table(file: Path, flags: Choices, output: Output, kind: str, *others: Ch
     from curlfit.output.files import prepare_folder
 
     given = flags.given()
-    unused: dict[str, Any] = {
-        name: vars(type(flags)())[name] for name in given if name not in _TAKEN
-    }
-    kept = replace(flags, **unused).words()
-    words = [word for word in flags.words() if word not in kept]
+    taken = type(flags)(**{name: given[name] for name in given if name in _TAKEN}).words()
+    words = [word for word in flags.words() if word not in taken]
     words += [word for other in others for word in other.words() if word != "--no-sample"]
     if words:
         raise InputError(

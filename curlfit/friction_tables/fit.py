@@ -24,13 +24,12 @@ from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.factors import Factors
 from curlfit.inference.fit.summary import weakness
 from curlfit.inference.identifiability import Bounded, r_factor
-from curlfit.inference.least_squares import Control
+from curlfit.inference.least_squares import PRECISE
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.arrow_matrix import Blocks
 from curlfit.numerics.bounded_solver import BoundedDescent, BoundedLeastSquares, GainRatio
 from curlfit.stone import GRAVITY, Stone
 
-_PRECISE = Control(1e-2, 1e-14, 1e-18)
 _CURVE = 80  # speeds at which a fitted law is drawn
 _STARTS = 1.0, 0.4, 2.5  # multiples of the default coefficients
 
@@ -102,8 +101,8 @@ def _fit(law: type[Law], load: Load, stone: Stone, table: FrictionTable) -> Fric
     @jax.jit
     def solved(start: Array) -> Any:
         solver = BoundedLeastSquares(
-            descent=BoundedDescent(lower, upper, typical), search=GainRatio(_PRECISE.damping),
-            control=_PRECISE, blocks=Blocks.of(np.ones(len(items), bool)), penalty=None,
+            descent=BoundedDescent(lower, upper, typical), search=GainRatio(PRECISE.damping),
+            control=PRECISE, blocks=Blocks.of(np.ones(len(items), bool)), penalty=None,
         )  # fmt: skip
         found: Any = optx.least_squares(residual, solver, start, None, max_steps=None, throw=False)
         return found.value, found.state.residual, found.state.jacobian

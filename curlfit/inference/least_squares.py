@@ -62,7 +62,7 @@ class Control(NamedTuple):
     """evaluations"""
 
 
-_PRECISE = Control(1e-2, 1e-14, 1e-18)  # for one throw
+PRECISE = Control(1e-2, 1e-14, 1e-18)  # for one throw
 _QUICK = Control(1e-4, 1e-8, 1e-10)  # for many: within 1e-5 standard errors
 
 
@@ -196,7 +196,7 @@ _solve_often = compiled("model", "loss", optimize=True)(_solve)
 
 
 def solve(
-    model: Model, tasks: Tasks, how: Control = _PRECISE, batch: int = 1, *, once: bool = True
+    model: Model, tasks: Tasks, how: Control = PRECISE, batch: int = 1, *, once: bool = True
 ) -> Solution:
     """The optima of problems, a batch of them side by side.
 
@@ -217,7 +217,7 @@ def prepare_minimize(
     model: Model, parameters: ParameterSet, problem: Problem, *, few: bool = False
 ) -> None:
     """Begin to compile what `minimize` needs, or `minimize_many` for few problems like this one."""
-    batch, control = (_FEW, _QUICK) if few else (1, _PRECISE)
+    batch, control = (_FEW, _QUICK) if few else (1, PRECISE)
     tasks = Tasks.of([(parameters, problem, np.zeros(len(parameters)))] * batch)
     _solve_once.prepare(*tasks.arguments(model, control))
 
@@ -237,7 +237,7 @@ def minimize_many(
     alone : whether to solve one after another, more precisely.
     """
     batch = 1 if alone else _FEW if few else BATCH
-    control = _PRECISE if alone else _QUICK._replace(most=_FIRST_STEPS)
+    control = PRECISE if alone else _QUICK._replace(most=_FIRST_STEPS)
     tasks = tasks._replace(start=np.array(tasks.start))
     count, loss = len(tasks.start), tasks.problems.loss
     due, interrupted = np.arange(count), np.zeros(count, bool)

@@ -30,7 +30,7 @@ _LASTING = 0.1  # memory over time of motion, above which errors are too small (
 
 def warnings_of(
     fit: LeastSquaresFit, result: FitResult, residual: Floats, unusual: Iterable[Finding],
-    rival: Mapping[str, float], nonquadratic: Iterable[str],
+    rival: Mapping[str, float], nonquadratic: Mapping[str, bool | None],
 ) -> tuple[str, ...]:  # fmt: skip
     """The warnings of a result, the gravest first.
 
@@ -39,9 +39,11 @@ def warnings_of(
     residual : measured - fitted, shape (channels, n).
     unusual : findings about the data and the fitted motion.
     rival : parameters at another optimum that fits as well.
-    nonquadratic : parameters and combinations within whose error chi squared is not quadratic.
+    nonquadratic : parameters and combinations within whose error chi squared is not quadratic; None
+        for combinations beside a ridge.
     """
     throw, outliers = fit.prepared.throw, result.outliers
+    rough = [name for name, off in nonquadratic.items() if off is not None]
     warnings = [*map(str, unusual), *_of_rival(rival, throw)]
     fault = fit.model.law.from_vector(fit.solution.values).fault()
     if fault is not None:
@@ -49,13 +51,14 @@ def warnings_of(
     warnings += [
         *of_bounds(result.parameters, result.covariance["names"]),
         *_of_correlation(result),
-        *_of_errors(result, nonquadratic),
+        *_of_errors(result, rough),
     ]
     if outliers and fit.loss == "linear":
         warnings.append(outlier_warning(outliers, throw.t))
     if fit.loss == "linear" and fit.noise.kind == "white":
         warnings += _of_given_sigma(throw, residual, outliers)
-    return (*warnings, *_of_memory(result), *_of_events(result))
+    local = [name for name, off in nonquadratic.items() if off is None]
+    return (*warnings, *_of_memory(result), *_of_events(result), *_of_ridges(local))
 
 
 def _of_rival(rival: Mapping[str, float], throw: Throw) -> list[str]:
@@ -132,12 +135,14 @@ def _of_errors(result: FitResult, nonquadratic: Iterable[str]) -> list[str]:
     return warnings
 
 
-def local_warning(combinations: Sequence[str]) -> str:
-    """That sums of parameters are constant along the tangent of a curve alone."""
-    return (
+def _of_ridges(combinations: Sequence[str]) -> list[str]:
+    """Sums of parameters that are constant along the tangent of a curve alone."""
+    if not combinations:
+        return []
+    return [
         f"combinations hold near this estimate only ({', '.join(combinations)}): the coefficients "
         "that fit lie on a curve; throws of other speeds and spins determine more"
-    )
+    ]
 
 
 def outlier_warning(outliers: Sequence[Mapping[str, Any]], t: Floats) -> str:

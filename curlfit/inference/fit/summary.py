@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Self
 import jax
 import numpy as np
 
-from curlfit.inference.fit.caveats import local_warning, warnings_of
+from curlfit.inference.fit.caveats import warnings_of
 from curlfit.inference.fit.covariance import (
     CONVERGED,
     Covariance,
@@ -260,12 +260,7 @@ def _record(
             for event, off in zip(throw.events, residual[-1], strict=False)
         ),
     )
-    rough = [name for name, off in nonquadratic.items() if off is not None]
-    local = [one.expression for one in result.combinations if one.expression in nonquadratic]
-    local = [name for name in local if nonquadratic[name] is None]
-    warnings = warnings_of(fit, result, residual, unusual, rival, rough)
-    if local:
-        warnings += (local_warning(local),)
+    warnings = warnings_of(fit, result, residual, unusual, rival, nonquadratic)
     return replace(result, warnings=warnings)
 
 
