@@ -22,17 +22,21 @@ from curlfit.stone import Stone
 
 _EDGE = 0.02  # m before the resting position
 _NEAR = 0.001  # m to either side of that point, between which the speed there is taken
+_LATER = 0.01  # s, in which the motion at a line changes in proportion to time
 _STEPS = 6  # of Newton's method, after a first one for uniform deceleration
 _AT_REST = 1000.0  # s, by when every stone is at rest
 _SLOWEST = 1e-4  # m/s, smallest divisor
 
 
 class Passages(NamedTuple):
-    """Times since the start (s), x (m) and angles (rad) at lines, shape (lines,), and at rest."""
+    """Times since the start (s), x (m), angles (rad), speeds (m/s) and spins (rad/s) at lines,
+    shape (lines,), and at rest."""
 
     time: Array
     x: Array
     phi: Array
+    speed: Array
+    omega: Array
     rest: Array
     """time, x, y and phi, shape (4,)"""
 
@@ -75,18 +79,22 @@ def with_passages(
 
     t = jax.lax.fori_loop(0, _STEPS + 1, step, jnp.zeros(len(lines) + 2))
     t = jax.lax.stop_gradient(t)
-    n = len(times)
-    path = motion(jnp.concatenate([times, t, last]))
-    x, y, phi, vx, vy, omega = (
-        getattr(path, name)[n:-1] for name in ("x", "y", "phi", "vx", "vy", "omega")
+    n, crossed = len(times), slice(len(times), len(times) + len(t))
+    path = motion(jnp.concatenate([times, t, t + _LATER, last]))
+    x, y, phi, vx, vy, speed, omega = (
+        getattr(path, name)[crossed] for name in ("x", "y", "phi", "vx", "vy", "speed", "omega")
     )
     # One more step, with its derivatives: those of the implicit function y(t) = line.
     late = (targets(path.y[-1]) - y) / jnp.maximum(vy, _SLOWEST)
     time, x, phi = t + late, x + vx * late, phi + omega * late
+    speed, omega = (
+        now + late * jax.lax.stop_gradient(after[crossed.stop : -1] - now) / _LATER
+        for now, after in ((speed, path.speed), (omega, path.omega))
+    )
     slowness = (time[-1] - time[-2]) / (2 * _NEAR)
     beyond = jnp.maximum(lines - (path.y[-1] - _EDGE), 0.0)
     passages = Passages(
-        time[:-2] + beyond * slowness, x[:-2], phi[:-2],
+        time[:-2] + beyond * slowness, x[:-2], phi[:-2], speed[:-2], omega[:-2],
         jnp.stack([path.rest, path.x[-1], path.y[-1], path.phi[-1]]),
     )  # fmt: skip
     moving = Trajectory(

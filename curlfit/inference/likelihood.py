@@ -72,6 +72,7 @@ def _channels(model: Model, values: Array, problem: Problem) -> Array:
                         _scaled(y_rest, start.y, scale), phi_rest,
                     ]
                 ),
+                passages.speed, passages.omega,
             ]
         )  # fmt: skip
         weights = problem.events.weights

@@ -122,7 +122,7 @@ class ParameterSet:
         What no measurement can determine of the initial state is fixed, at zero or at the value
         that the throw assumes: a coordinate that was not measured, the heading unless both were,
         the angle where it was not measured. Where only timed events were measured, the spin is
-        fixed too unless an angle was measured or the spin was named, and the heading if only the
+        fixed too unless it or an angle was measured or it was named, and the heading if only the
         curl was measured, which is counted from its direction, of a law that can curl, or if there
         are fewer events than parameters.
 
@@ -136,7 +136,7 @@ class ParameterSet:
             unseen.append("heading")
         named = {name for key in ("bounds", "free", "priors") for name in choices.get(key) or ()}
         measured = {event.quantity for event in throw.events}
-        if not throw.has_path and "phi" not in measured | named and "omega0" not in named:
+        if not throw.has_path and not {"phi", "omega"} & measured and "omega0" not in named:
             unseen.append("omega0")
         for name in unseen:
             if name not in parameters.fixed:

@@ -75,7 +75,7 @@ class Origin(NamedTuple):
         if event.since is not None:
             return 0.0
         x, y, phi, *_ = map(float, self.place)
-        return {"time": self.t, "x": x, "y": y, "phi": phi}[event.quantity]
+        return {"time": self.t, "x": x, "y": y, "phi": phi}.get(event.quantity, 0.0)
 
     def offset(self, size: int) -> Floats:
         """Added to a parameter vector of a problem, gives it in the coordinates of the data."""

@@ -168,8 +168,8 @@ def _unseen_shapes(speed: Floats, share: Floats) -> Floats:
 def _response_of_events(fit: FitResult, responses: Responses) -> Floats:
     """Derivatives of the events with respect to accelerations, shape (events, 3 * SHAPES)."""
     since = fit.observed["t"] - fit.observed["t"][0]
-    path = np.array([np.interp(responses.t, since, fit.fitted[name]) for name in CHANNELS[:4]])
-    events, by_amplitude = fit.throw.events, responses.by_channel[:4]
+    path = np.array([np.interp(responses.t, since, fit.fitted[name]) for name in CHANNELS])
+    events, by_amplitude = fit.throw.events, responses.by_channel
     return slopes(
         lambda a: along_path(events, responses.t, *(path + by_amplitude @ a)),
         np.zeros(by_amplitude.shape[-1]), _SMALL,

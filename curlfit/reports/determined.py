@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 _WORDS = {
     "x": "x", "y": "y", "phi": "the angle", "speed": "the speed", "omega": "the spin",
 }  # fmt: skip
-_NUMBERS = ("No", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight")
+_NUMBERS = ("No", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine")
 
 
 def identifiability(fit: FitResult) -> str:

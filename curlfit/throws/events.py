@@ -17,13 +17,15 @@ from curlfit.errors import InputError
 from curlfit.foreign import quoted
 from curlfit.numerics.arrays import Floats
 
-QUANTITIES = {"time": "s", "x": "m", "y": "m", "phi": "rad"}
+QUANTITIES = {"time": "s", "x": "m", "y": "m", "phi": "rad", "speed": "m/s", "omega": "rad/s"}
 """Quantities measured at an event, with their units."""
+RATES = ("speed", "omega")
+"""Those of the motion at a line."""
 SIGMA_TIME = 0.1
 """Standard deviation in s of a hand-timed interval between two events. Each press of the button
 scatters by 0.07 s about a delay common to both, as 4304 reaction times of timekeepers show (Manual
 timing in physics experiments: error and uncertainty, Am. J. Phys. 87 (2019) 110)."""
-MOST_LINES, MOST_EVENTS = 6, 8
+MOST_LINES, MOST_EVENTS = 6, 9
 _TIMES = [*range(MOST_LINES), 3 * MOST_LINES]  # columns of weights, of lines and at rest
 _X, _Y = [*range(MOST_LINES, 2 * MOST_LINES), 3 * MOST_LINES + 1], [3 * MOST_LINES + 2]
 _FARTHEST = 200.0  # m; largest distance to rest in the search for a first motion
@@ -34,12 +36,13 @@ _TYPICAL_TIME, _TYPICAL_LENGTH = 25.0, 28.0  # s and m to rest, where neither wa
 
 @dataclass(frozen=True)
 class Event:
-    """One measured time, position or angle at a line or at rest.
+    """One measured time, position or angle at a line or at rest, or the motion at a line.
 
     Attributes
     ----------
     name : name of the measurement, such as "hog_to_hog".
-    quantity : "time" (s), "x", "y" (m) or "phi" (rad); "y" only at rest.
+    quantity : "time" (s), "x", "y" (m) or "phi" (rad); "y" only at rest; "speed" (m/s) or "omega"
+        (the spin, rad/s), only at a line.
     value, sigma : measured value and standard deviation of its error, SI.
     at : y of the line that the stone's centre crosses, m; None at rest.
     since : y of an earlier line, m, relative to which a time, x or an angle is measured. If None,
@@ -64,6 +67,8 @@ class Event:
             (q != "y" or self.since is None,
              "`since` is given, expected none: y is measured from the hack"),
             (q != "y" or self.at is None, "`at` is given, expected none: y is measured at rest"),
+            (q not in RATES or (self.at is not None and self.since is None),
+             "expected `at` and no `since`: speed and spin are those at a line"),
             (math.isfinite(self.value), f"{self.value} found, expected a finite number"),
             (0 < sigma < math.inf, f"sigma = {sigma:g}, expected a positive number"),
         ):  # fmt: skip
@@ -85,8 +90,8 @@ class EventArrays(NamedTuple):
     lines: Any
     """y of the lines crossed, m, ascending, shape (lines,)"""
     weights: Any
-    """shape (events, 3 lines + 4): weights of the times of crossing, of x and of phi there, then
-    of the time, x, y and phi at rest"""
+    """shape (events, 5 lines + 4): weights of the times of crossing, of x and of phi there, then
+    of the time, x, y and phi at rest, then of the speed and the spin at the lines"""
 
     def with_clock(self, rate: float) -> EventArrays:
         """The same events with all measured times longer by a factor."""
@@ -123,9 +128,10 @@ def event_arrays(events: Sequence[Event], y0: float) -> EventArrays:
             f"{len(events)} events at {len(lines)} lines; expected at most {MOST_EVENTS} at "
             f"{MOST_LINES}"
         )
-    weights = np.zeros((MOST_EVENTS, 3 * MOST_LINES + 4))
+    weights = np.zeros((MOST_EVENTS, 5 * MOST_LINES + 4))
     of_line = {"time": 0, "x": MOST_LINES, "phi": 2 * MOST_LINES}
     at_rest = {name: 3 * MOST_LINES + index for index, name in enumerate(QUANTITIES)}
+    of_line |= {name: at_rest["phi"] + 1 + k * MOST_LINES for k, name in enumerate(RATES)}
     for row, event in enumerate(events):
         q = event.quantity
         weights[row, at_rest[q] if event.at is None else of_line[q] + lines.index(event.at)] += 1
@@ -137,8 +143,9 @@ def event_arrays(events: Sequence[Event], y0: float) -> EventArrays:
 
 
 def along_path(
-    events: Sequence[Event], t: Floats, x: Floats, y: Floats, phi: Floats, speed: Floats
-) -> Floats:
+    events: Sequence[Event], t: Floats, x: Floats, y: Floats, phi: Floats, speed: Floats,
+    omega: Floats,
+) -> Floats:  # fmt: skip
     """Values of events on a path, from its rows up to rest; shape (events,).
 
     Rows are interpolated linearly; the time of rest is extrapolated at constant deceleration from
@@ -147,6 +154,7 @@ def along_path(
     late = int(np.argmax(speed < speed[0] / 10)) or len(t) - 1
     rest = t[late] + 2 * math.hypot(x[-1] - x[late], y[-1] - y[late]) / max(speed[late], 1e-9)
     series = {"time": np.append(t[:-1], rest), "x": x, "y": y, "phi": phi}
+    series |= {"speed": speed, "omega": omega}
 
     def at(line: float | None, quantity: str) -> float:
         if line is None:
@@ -182,11 +190,11 @@ class EvenMotion(NamedTuple):
 
 
 def even_motion(events: Sequence[Event], assumed: Mapping[str, float]) -> EvenMotion:
-    """The constant deceleration that best fits the measured times and the resting position.
+    """The constant deceleration that best fits measured times, speeds and the resting position.
 
     If the stone comes to rest after a distance s in a time T, it crosses a line at a distance d at
     T (1 - sqrt(1 - d/s)): all times are proportional to T, which is found in closed form for each s
-    of a fine grid.
+    of a fine grid. A speed v there says that T is 2 s sqrt(1 - d/s)/v.
     """
     lines = lines_of(events)
     y0 = min(lines, default=assumed.get("y0", 0.0))
@@ -198,13 +206,19 @@ def even_motion(events: Sequence[Event], assumed: Mapping[str, float]) -> EvenMo
 
     rest = [event for event in events if event.quantity == "y"]
     total = sum((((y0 + s - e.value) / e.sigma) ** 2 for e in rest), np.zeros_like(s))
-    times = [event for event in events if event.quantity == "time"]
+    told: list[tuple[Any, Any, Any]] = [
+        (crossing(e.at) - (0.0 if e.since is None else crossing(e.since)), e.value, e.sigma)
+        for e in events
+        if e.quantity == "time"
+    ]
+    for e in events:
+        if e.quantity == "speed":
+            times = 2 * s * (1 - crossing(e.at)) / e.value
+            told.append((np.ones_like(s), times, times * e.sigma / e.value))
     t = np.full_like(s, _TYPICAL_TIME)
-    if times:
-        shares = np.stack(
-            [crossing(e.at) - (0.0 if e.since is None else crossing(e.since)) for e in times]
-        )
-        value, sigma = (np.array([[getattr(e, key)] for e in times]) for key in ("value", "sigma"))
+    if told:
+        parts = zip(*told, strict=True)
+        shares, value, sigma = (np.stack([one + 0 * s for one in part]) for part in parts)
         t = np.maximum((shares * value / sigma**2).sum(0) / (shares**2 / sigma**2).sum(0), 1e-3)
         total = total + (((t * shares - value) / sigma) ** 2).sum(0)
     elif not rest:
@@ -226,5 +240,7 @@ def sketch(
     rest = {event.quantity: event.value for event in events if event.at is None}
     x = rest.get("x", 0.0) * np.minimum(t / motion.time, 1.0) ** 2
     # The spin, too, decreases linearly.
-    phi = rest.get("phi", assumed.get("omega0", 0.0) * motion.time / 2) * share
+    spins = [event.value for event in events if event.quantity == "omega"]
+    spin = spins[0] if spins else assumed.get("omega0", 0.0)
+    phi = rest.get("phi", spin * motion.time / 2) * share
     return t, {"x": x, "y": motion.y(t), "phi": phi}

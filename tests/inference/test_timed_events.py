@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from conftest import Reference, front_back
 from scipy.optimize import least_squares
 
 import curlfit
@@ -32,6 +33,8 @@ EVENTS = (
     Event("rest", "y", TEE + 0.3, 0.05),
     Event("curl", "x", 1.0, 0.05, since=HOG),
     Event("drift", "x", 0.3, 0.05, FAR),
+    Event("speed", "speed", 2.3, 0.02, HOG),
+    Event("spin", "omega", 0.0, 0.05, HOG),
 )
 SIGMA = {event.name: event.sigma for event in EVENTS}
 
@@ -48,7 +51,7 @@ def motion(mu, heading, v, y=HOG):
         "back_to_hog": time(HOG), "hog_to_hog": time(FAR) - time(HOG),
         "hog_to_tee": time(TEE) - time(HOG), "hog_to_rest": rest - time(FAR),
         "rest": y + length * c, "curl": length * np.sin(heading) - (HOG - y) * tangent,
-        "drift": (FAR - y) * tangent,
+        "drift": (FAR - y) * tangent, "speed": np.sqrt(v**2 - 2 * a * (HOG - y) / c), "spin": 0.0,
     }  # fmt: skip
 
 
@@ -99,13 +102,14 @@ def test_a_spinning_stone_crosses_lines_where_its_path_does(problem):
     crossed = np.interp([HOG, FAR, TEE], path.y, t)
     rest = np.argmax((path.vx == 0) & (path.vy == 0))
     x = np.interp([HOG, FAR], path.y, path.x)
+    speed, omega = (np.interp(HOG, path.y, rate) for rate in (path.speed, path.omega))
     found = predicted(problem, vector(0.0095, 0.02, 2.7, 4.0))
     expected = [
         crossed[0], crossed[1] - crossed[0], crossed[2] - crossed[0], t[rest] - crossed[1],
-        path.y[-1], path.x[-1] - x[0], x[1],
+        path.y[-1], path.x[-1] - x[0], x[1], speed, omega,
     ]  # fmt: skip
     # the grid's chords are 1e-5 s from the curve, its last row up to 2 ms from rest
-    assert (np.abs(found - expected) < 1e-5 * np.array([1, 1, 9, 300, 1, 1, 1])).all()
+    assert (np.abs(found - expected) < 1e-5 * np.array([1, 1, 9, 300, 1, 1, 1, 1, 1])).all()
 
 
 def slopes(problem, values):
@@ -182,6 +186,32 @@ def test_three_numbers_determine_one_friction_coefficient(tmp_path):
     assert again.throw.assumed["y0"] == HOG
 
 
+def test_a_table_of_curl_against_spin_gives_the_law(write):
+    truth = {"mu2_xi - mu1_xi": 0.046, "mu1_eta + mu2_eta": 0.018}
+    peer = Reference(front_back(0.004, 0.05, 0.009, 0.009), R=0.065)
+    random = np.random.default_rng(5)
+    rows, states = ["speed_km_h,spin_rpm,curl_cm,rest,turns,sigma_speed"], []
+    for v, omega in zip(np.linspace(1.8, 2.3, 12), np.tile([0.6, -1.0, 2.0, -3.0], 3), strict=True):
+        end = peer.path(InitialState(y=HOG, v=v, omega=omega), np.array([0.0, 100.0]))[:, -1]
+        found = np.array([v, omega, *end]) + random.normal(0, [0.02, 0.05, 0.05, 0.05, 0.6])
+        found = found * [3.6, 30 / np.pi, 100, 1, 0.5 / np.pi] - [0, 0, 0, TEE, 0]
+        rows.append("{:.4f},{:+.4f},{:+.3f},{:.5f},{:+.4f},0.02".format(*found))
+        states.append((v, omega))
+    joint = curlfit.fit_together(curlfit.load_throws(write("\n".join(rows))), share="all")
+    assert joint.converged
+    assert joint.law == "front-back"
+    for name, value in truth.items():
+        found = joint.derive(name)
+        assert found.stderr < 0.1 * value
+        assert abs(found.value - value) < 3 * found.stderr
+    # twelve resting places tell each speed better than its own measurement does
+    off = [(one.parameters[name].value - true) / one.parameters[name].stderr
+           for one, pair in zip(joint.throws, states, strict=True)
+           for name, true in zip(("v0", "omega0"), pair, strict=True)]  # fmt: skip
+    assert 0.6 < np.std(off) < 1.4
+    assert all(one.parameters["omega0"].stderr < 0.051 for one in joint.throws)
+
+
 @pytest.mark.parametrize("loss", ["linear", pytest.param("student", marks=pytest.mark.slow)])
 def test_fitted_values_are_those_of_the_motion_under_every_loss(loss):
     events = record(hog_to_hog=14.2, hog_to_rest=12.5, rest=TEE + 0.6, curl=1.0)
@@ -207,9 +237,9 @@ def test_systematic_errors_of_lengths_and_times(problem):
     # where lengths are measured too long, the stone is faster and is slowed as much more
     values = from_back(mu, 0.0, v)
     longer = from_back(mu * (1 + small), 0.0, v * (1 + small))
-    np.testing.assert_allclose(
-        changes["length_scale"], (longer - values) / small, rtol=1e-3, atol=1e-6
-    )
+    expected = (longer - values) / small
+    expected[7] -= values[7]  # a speed is not measured by these lengths
+    np.testing.assert_allclose(changes["length_scale"], expected, rtol=1e-3, atol=1e-6)
     np.testing.assert_allclose(changes["time_scale"][:4], values[:4], rtol=1e-6)
     np.testing.assert_allclose(changes["time_scale"][4:], 0, atol=1e-6)
 
@@ -217,7 +247,9 @@ def test_systematic_errors_of_lengths_and_times(problem):
 @pytest.mark.parametrize(
     ("event", "words"),
     [
-        (("a", "speed", 1.0, 0.1), "'speed' found, expected one of time, x, y, phi"),
+        (("a", "heat", 1.0, 0.1), "'heat' found, expected one of time, x, y, phi, speed, omega"),
+        (("a", "speed", 1.0, 0.1), "expected `at` and no `since`"),
+        (("a", "omega", 1.0, 0.1, 10.0, 9.0), "expected `at` and no `since`"),
         (("a", "y", 1.0, 0.1, HOG), "y is measured at rest"),
         (("a", "time", np.nan, 0.1), "expected a finite number"),
         (("a", "time", 1.0, 0.0), "expected a positive number"),
@@ -237,7 +269,7 @@ def test_what_a_throw_of_events_alone_is_not_asked_for():
     with pytest.raises(InputError, match="no event is timed at a line"):
         Throw.from_events(record(rest=TEE))
     many = tuple(Event(f"e{k}", "time", 1.0 + k, 0.1, HOG + k) for k in range(MOST_EVENTS + 1))
-    with pytest.raises(InputError, match="9 events at 9 lines; expected at most 8 at 6"):
+    with pytest.raises(InputError, match="10 events at 10 lines; expected at most 9 at 6"):
         curlfit.fit(Throw.from_events(many), "coulomb")
     assert throw.with_sigma({"time": 0.2}).events[0].sigma == 0.2
     t = np.linspace(0.0, 10.0, 30)

@@ -127,6 +127,41 @@ def test_turns(read, text, turns):
     assert values(read(THREE + text))["turns"] == pytest.approx(2 * math.pi * turns)
 
 
+@pytest.mark.parametrize(
+    ("text", "speed", "spin"),
+    [
+        ("speed = 7.2 km/h\nrest = 0.6\nspin = 12 rpm cw", 2.0, -0.4 * math.pi),
+        ("speed: 2.0\nspin: -90 deg/s\nrest: 0.6", 2.0, -math.pi / 2),
+        ("speed = 6,5 ft/s\nspin = 1.4 rad/s\nhandle = ccw\nrest = 1", 6.5 * FOOT, 1.4),
+        ("rest = 1\nvelocity = 2 m/s\nomega = 1.4\ncurl = 1 m right", 2.0, -1.4),
+        ("speed,spin,curl,rest\n2.0,+1.4,1.1 left,0.6", 2.0, 1.4),
+        ("v_km_h;spin_rate_rpm;curl;rest\n7,2;12;1,1 left;0,6", 2.0, 0.4 * math.pi),
+        ("speed (ft/s),spin (rad/s),turns,rest\n6.5,1.4,3 cw,0.6", 6.5 * FOOT, -1.4),
+        ("speed,spin,rest\n2.0,90 \N{DEGREE SIGN}/s ccw,0.6", 2.0, math.pi / 2),
+    ],
+)
+def test_speed_and_spin_at_the_near_hog_line(read, text, speed, spin):
+    found = {event.name: event for event in read(text).events}
+    both = found["speed"], found["spin"]
+    assert [event.value for event in both] == pytest.approx([speed, spin])
+    assert {(event.at, event.since) for event in both} == {(10.059, None)}
+    assert [event.sigma for event in both] == [0.02, 0.05]
+
+
+def test_a_column_of_words_about_the_spin_is_the_handle(read):
+    throw = read("speed,spin,curl,rest,sigma_speed_km_h\n2.0,cw,1.1,0.6,0.36")
+    assert throw.labels == {"handle": "cw"}
+    assert values(throw)["curl"] == pytest.approx(1.1)
+    assert {event.name for event in throw.events} == {"speed", "curl", "rest"}
+    assert throw.events[-1].sigma == pytest.approx(0.1)
+
+
+def test_a_path_with_its_speed_and_spin_is_a_path(read):
+    rows = "\n".join(f"{k / 10},0,{0.2 * k},0,{2.0 - k / 50},1.0" for k in range(20))
+    throw = read(f"t,x,y,rest,speed,spin\n{rows}")
+    assert throw.seen == ("x", "y", "speed", "omega")
+
+
 def test_sigmas_are_set(read):
     throw = read(THREE + "curl = 1 m left\nsigma_time = 0.2\nsigma_rest = 3 cm\nsigma-curl = 0.1\n")
     assert [event.sigma for event in throw.events] == pytest.approx([0.2, 0.03, 0.1])
@@ -152,6 +187,11 @@ def test_sigmas_are_set(read):
         (THREE + "turns = 2.5\n", 3, "in which sense"),
         ("hog_to_hog = 14.2\nrest = -7\n", 2, "-7 m past the far tee lies before a line"),
         ("hog_to_hog = 14.2\nhog_to_tee = 14.1\n", 2, "expected more than hog_to_hog = 14.2 s"),
+        ("speed = 2\nspin = 1 cw\n", None, "speed alone gives speed and no friction"),
+        ("speed = 2\nrest = 1\nspin = 1.2\n", 3, "in which sense. Expected spin = 1.4 rad/s"),
+        ("speed = 2 m\nrest = 1\n", 1, "speed in 'm': unknown unit"),
+        ("speed = 0\nrest = 1\n", 1, "expected a number above 0"),
+        ("speed = 22\nrest = 1\n", 1, "expected a number up to 10"),
         ("hog_to_hog,rest\n", 1, "no rows"),
         ("hog_to_hog,rest\n14.2\n", 2, "1 cells, expected 2"),
     ],

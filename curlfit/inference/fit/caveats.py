@@ -204,7 +204,7 @@ def _of_events(result: FitResult) -> list[str]:
     if not listed:
         return []
     # Two such values determine the speed and one coefficient, and cannot distinguish laws.
-    along = sum(item["quantity"] in ("time", "y") for item in events)
+    along = sum(item["quantity"] in ("time", "y", "speed") for item in events)
     changing = "; --law power lets the friction change with the speed"
     return [
         f"the fit deviates from {', '.join(listed)}: the {result.law} law does not describe the "

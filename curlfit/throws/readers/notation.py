@@ -16,6 +16,8 @@ _NUMBER = re.compile(
 )
 _INCHES = re.compile(r"(?<=\d)\s*(?:[\"\u2033\u201d]|['\u2032\u2019]{2})")
 _FEET = re.compile(r"(?<=\d)\s*['\u2032\u2019]")
+_UNIT = re.compile(r"[^\W\d_]+[.]?|[°'\u2032\"\u2033]")
+_RATE = re.compile(r"(?:[^\W\d_]+|°)(?:\s*/\s*[^\W\d_]+)?[.]?")  # km/h, °/s
 _FILLING = {
     "to", "the", "of", "from", "tee", "line", "centre", "center", "a", "turn", "about", "handed",
     "hander", "stone", "player", "thrower",
@@ -51,7 +53,7 @@ def parse_quantity(text: str, quantity: str, unit: str = "", *, per: float = 1.0
 
     Parameters
     ----------
-    quantity : "t", "x", "y" or "phi"; determines the units understood.
+    quantity : "t", "x", "y", "phi", "speed" or "omega"; determines the units understood.
     unit : unit of numbers written without one; if empty, the SI unit times `per`.
 
     Raises
@@ -74,8 +76,8 @@ def parse_quantity(text: str, quantity: str, unit: str = "", *, per: float = 1.0
         if size is None:
             break
         rest = rest[match.end() :].strip()
-        own = re.match(r"[^\W\d_]+[.]?|[°'\u2032\"\u2033]", rest)
-        said = own[0].rstrip(".").lower() if own else ""
+        own = (_RATE if quantity in ("speed", "omega") else _UNIT).match(rest)
+        said = re.sub(r"[\s/]", "", own[0].rstrip(".").lower()) if own else ""
         bare = said not in units
         if own and not bare:
             rest, given = rest[own.end() :].strip(), said

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 from curlfit.errors import DataError, InputError
@@ -16,12 +18,16 @@ SIGMA_REST = 0.05
 """Standard deviation in m of a position measured with a tape: a judgement."""
 SIGMA_TURNS = 0.1
 """Standard deviation of the number of turns, counted by eye: a judgement."""
+SIGMA_SPEED, SIGMA_SPIN = 0.02, 0.05
+"""Standard deviations of a speed (m/s) by light barriers 2 m apart or a radar, 1 %, and of a spin
+(rad/s) from two pictures of the handle, 0.5 s apart and each within 1 degree: judgements."""
 USUAL_SPIN = 1.2
 """Spin in rad/s at the near hog line where it was not measured: that of two and a half turns in
 25 s if it decreases linearly, 2 * 2.5 * 2 pi/25; a judgement."""
 EXPECTED = (
     "expected lines such as hog_to_hog = 14.2, back_to_hog = 3.4, hog_to_tee = 18.1, "
     "hog_to_rest = 10.3 (s), curl = 4 ft left, rest = 0.6 (m past the far tee), turns = 2.5 cw, "
+    "speed = 2.1 (m/s at the near hog line), spin = 1.4 cw (rad/s there), "
     "handle = clockwise, sigma_time = 0.1, sigma_rest = 0.05, sigma_curl = 0.05, sigma_turns = 0.1"
 )
 
@@ -53,14 +59,19 @@ MEASURED = TIMES | {
     "rest": Kind("y", 40.0, frozenset({"past", "short"}), 6.0),
     "curl": Kind("x", 10.0, frozenset({"left", "right"}), 1.5, since="hog"),
     "turns": Kind("phi", 2000 * math.pi, _SENSES, 19.0, since="hog"),
+    "speed": Kind("speed", 10.0, usual=1.5, at="hog"),
+    "spin": Kind("omega", 50.0, _SENSES, 6.0, at="hog"),
 }
+ALONG = {*TIMES, "speed"}
+"""Measurements of the motion along the sheet; a throw without one determines no friction."""
 KINDS = MEASURED | {
     "handle": Kind(""), "sigma_time": Kind("t"), "sigma_rest": Kind("y"), "sigma_curl": Kind("x"),
-    "sigma_turns": Kind("phi"),
+    "sigma_turns": Kind("phi"), "sigma_speed": Kind("speed"), "sigma_spin": Kind("omega"),
 }  # fmt: skip
 _NEGATIVE = {"left", "short", "clockwise"}
 _SIGMAS = {
     "time": SIGMA_TIME, "rest": SIGMA_REST, "curl": SIGMA_REST, "turns": 2 * math.pi * SIGMA_TURNS,
+    "speed": SIGMA_SPEED, "spin": SIGMA_SPIN,
 }  # fmt: skip
 _WHICH_SIDE = (
     "to which side? Expected curl = 4 ft left, or curl = 4 ft right, or a line handle = clockwise, "
@@ -108,7 +119,7 @@ class Record:
         if math.isnan(value) or found.words - words or len(found.words) > 1:
             what = f"a number and {' or '.join(sorted(words))}" if words else "a number"
             fault = f"{quoted(text)} found, expected {what}"
-        elif value <= 0 and (of == "t" or key.startswith("sigma")):
+        elif value <= 0 and (of in ("t", "speed") or key.startswith("sigma")):
             fault = f"{value:g} found, expected a number above 0"
         elif self.limited and abs(value) > limit:
             fault = f"{value:g} found, expected a number up to {limit:g}"
@@ -142,12 +153,15 @@ class Record:
 
     def events(self) -> list[Event]:
         """The measured events."""
-        oriented = {"rest": self._rest, "curl": self._curl, "turns": self._turns}
+        oriented: dict[str, Callable[[], float]] = {
+            "rest": self._rest, "curl": self._curl, "turns": partial(self._turned, "turns", "2.5"),
+            "spin": partial(self._turned, "spin", "1.4 rad/s"),
+        }  # fmt: skip
         found = []
         for key, kind in MEASURED.items():
             if key in self.found:
                 name, quantity = ("time", "time") if key in TIMES else (key, kind.unit)
-                value = self.found[key].value if key in TIMES else oriented[key]()
+                value = oriented[key]() if key in oriented else self.found[key].value
                 at, since = (LINES[line] if line else None for line in (kind.at, kind.since))
                 found.append(Event(key, quantity, value, self._sigma(name), at, since))
         return found
@@ -169,7 +183,7 @@ class Record:
         turn, hand = words & {"in-turn", "out-turn"}, words & {"left", "right"}
         if len(turn) == 1 and len(hand) == 1:
             return -1 if ("in-turn" in turn) == ("right" in hand) else 1
-        sides = [self._has_side(key) for key in ("curl", "turns") if key in self.found]
+        sides = [self._has_side(key) for key in ("curl", "turns", "spin") if key in self.found]
         if len(turn) == 1 and not hand and (any(sides) or not sides):
             return 0  # a label: the sense is given otherwise, or nothing needs it
         raise self._error(
@@ -193,24 +207,28 @@ class Record:
         value = self._value("curl")
         if self._has_side("curl") or value == 0:
             return value
-        if not (sense := self._sense("handle", "turns")):
+        if not (sense := self._sense("handle", "turns", "spin")):
             raise self._error("curl", _WHICH_SIDE)
         return -sense * value
 
-    def _turns(self) -> float:
-        """Angle turned in rad, counter-clockwise."""
-        value = abs(self.found["turns"].value)
-        sense = self._sense("handle", "turns", "curl")
+    def _turned(self, key: str, such_as: str) -> float:
+        """Angle turned in rad, or spin in rad/s, counter-clockwise."""
+        value = abs(self.found[key].value)
+        sense = self._sense("handle", key, "turns", "spin", "curl")
         if not sense and value:
             raise self._error(
-                "turns", "in which sense? Expected turns = 2.5 clockwise or 2.5 counter-clockwise"
+                key,
+                f"in which sense? Expected {key} = {such_as} clockwise or {such_as} "
+                "counter-clockwise",
             )
         return sense * value
 
     def spin(self) -> tuple[float, str]:
         """Spin in rad/s at which a fit fixes it if it is not determined, and a note on it."""
-        if "turns" in self.found:
-            return 0.0, "turns are counted from the near hog line"
+        told = ["turns are counted from the near hog line"] * ("turns" in self.found)
+        told += ["the spin is that at the near hog line"] * ("spin" in self.found)
+        if told:
+            return 0.0, "; ".join(told)
         by_handle = self._sense("handle")
         sense = by_handle or self._sense("curl")
         if not sense:
@@ -229,15 +247,15 @@ class Record:
         ------
         DataError : the record is impossible.
         """
-        times = [key for key in TIMES if key in self.found]
+        times = [key for key in MEASURED if key in ALONG and key in self.found]
         if not times:
             return f"no time; {EXPECTED}"
         if len(times) == 1 and "rest" not in self.found:
             keys = [key for key in ("hog_to_hog", "rest", "hog_to_rest") if key not in self.found]
             more = ", ".join([*keys[:2], "or another time"])
             return (
-                f"{times[0]} alone gives the mean speed and no friction; expected one more of "
-                + more
+                f"{times[0]} alone gives {'the mean ' * (times[0] in TIMES)}speed and no friction; "
+                f"expected one more of {more}"
             )
         hog, to_tee = (
             self.found[key].value if key in self.found else default
@@ -249,7 +267,7 @@ class Record:
                 f"{to_tee:g} s found, expected more than hog_to_hog = {hog:g} s: the tee line lies "
                 "behind the far hog line",
             )
-        lines = ((line, key) for key in times for line in (TIMES[key].at, TIMES[key].since))
+        lines = ((line, key) for key in times for line in (KINDS[key].at, KINDS[key].since))
         farthest, by = max((LINES[line], key) for line, key in lines if line)
         past = farthest - LINES["far-tee"]
         if "rest" in self.found and self._value("rest") <= past:

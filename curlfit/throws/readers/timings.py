@@ -14,9 +14,11 @@ from curlfit.errors import DataError
 from curlfit.foreign import quoted
 from curlfit.settings.choices import Reading
 from curlfit.sheet import LINES
+from curlfit.throws.events import RATES
+from curlfit.throws.readers.columns import parse_header
 from curlfit.throws.readers.defaults import begun
 from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile
-from curlfit.throws.readers.record import EXPECTED, KINDS, TIMES, Entry, Record, Row
+from curlfit.throws.readers.record import ALONG, EXPECTED, KINDS, TIMES, Entry, Record, Row
 from curlfit.throws.readers.text import (
     GAPS,
     TextFile,
@@ -32,16 +34,16 @@ LABELS = {
 }  # fmt: skip
 """Columns that say of which throw a row is; any other that has words in most rows is kept too."""
 _ALIASES = {
-    "sigma_t": "sigma_time", "spin": "handle", "rotation": "handle", "split": "back_to_hog",
+    "sigma_t": "sigma_time", "rotation": "handle", "split": "back_to_hog",
     "h2h": "hog_to_hog", "hog_hog": "hog_to_hog",
 }  # fmt: skip
-_SI = {"t": "s", "x": "m", "y": "m"}
+_SI = {"t": "s", "x": "m", "y": "m", "speed": "m/s", "omega": "rad/s"}
 _FEWEST = 5  # values of a column among which one may be odd
 # A value is odd if it is farther from the median of its column than 9 median absolute deviations
 # (6 standard deviations of normal values) and 0.7 of this median, as no two weights in play are.
 _MOST_OFF, _MOST_SHARE = 9.0, 0.7
-_LIKE_MEASUREMENTS = {"hog", "tee", "rest", "curl", "turns", "split"}
-_COLUMNS = f"one of {', '.join(TIMES)}, curl, rest, turns, with a unit as in curl_ft"
+_LIKE_MEASUREMENTS = {"hog", "tee", "rest", "curl", "turns", "split", "speed", "spin"}
+_COLUMNS = f"one of {', '.join(TIMES)}, curl, rest, turns, speed, spin, with a unit as in curl_ft"
 _SPLIT = re.compile(r"[\s_\-./()\[\]]+")
 _LINE = re.compile(r"""\s*["']?([^=:;,\t"']*?)["']?\s*[=:;,\t]\s*(\S.*?)\s*[;,]?\s*$""")
 _MOST_ROWS = 100_000
@@ -71,7 +73,7 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
         parsed.events, parsed.labels = record.events(), row.labels
         if fault := record.fault_alone():
             parsed.alone = file.error(fault, row.line - 1 if several else None)
-            if not several or not row.entries.keys() & TIMES:
+            if not several or not row.entries.keys() & ALONG:
                 raise parsed.alone
         spin, of_spin = record.spin()
         parsed.assumed = {"omega0": spin}
@@ -122,7 +124,7 @@ def _left_out(file: TextFile, rows: list[Row], keep: Collection[int]) -> tuple[s
     elif odd:
         flag = ",".join(str(rows[k].line) for k in sorted(odd))
         said = [f"left out of a joint fit as odd: {listed}; --keep {flag} uses them"]
-    empty = [index for index, row in enumerate(rows) if not row.entries.keys() & TIMES]
+    empty = [index for index, row in enumerate(rows) if not row.entries.keys() & ALONG]
     if empty:
         listed = ", ".join(str(rows[index].line) for index in empty)
         said.append(f"left out of a joint fit, since no time was measured: line {listed}")
@@ -136,7 +138,12 @@ def is_table(head: list[str]) -> bool:
 
 def _recognizes(head: list[str]) -> bool:
     if is_table(head):
-        return any(key in TIMES for key, _ in _header(head[0]))
+        keys = {key for key, _ in _header(head[0])}
+        return bool(keys & TIMES.keys()) or (
+            "speed" in keys
+            and bool(keys & {"curl", "rest"})
+            and not any(map(_is_clock, header_cells(head[0], separator_of(head[0]))))
+        )
     found = [pair for pair in map(_pair, head) if pair is not None]
     # The header of a table may begin with such a name too, but has no digits.
     return any(key in TIMES for key, _, _ in found) or (
@@ -155,7 +162,21 @@ def _key(text: str) -> tuple[str, str] | None:
         name = _ALIASES.get(name, name)
         if name in KINDS:
             return name, "".join(words[count:])
+    column = parse_header(text.strip("\"' "))
+    if column is not None and column.base in RATES:
+        name = column.quantity.replace("omega", "spin")
+        return name, column.unit if column.stated else ""
     return None
+
+
+def _is_clock(header: str) -> bool:
+    column = parse_header(header)
+    return column is not None and column.base == "t"
+
+
+def _meant(key: str, text: str) -> str:
+    """The quantity under a heading: words alone under that of the spin are its sense."""
+    return "handle" if key == "spin" and not any(map(str.isdigit, text)) else key
 
 
 def _header(line: str) -> list[tuple[str | None, str]]:
@@ -198,7 +219,7 @@ def _rows(file: TextFile, *, table: bool = False) -> list[Row]:
         Row(
             line,
             {
-                key: Entry(line, cell, unit)
+                _meant(key, cell): Entry(line, cell, unit)
                 for (key, unit), cell in zip(header, values, strict=True)
                 if key is not None and cell
             },
@@ -216,7 +237,7 @@ def _labels(
     kept, unused, notes = {}, [], []
     for place, name in enumerate(names):
         label, key = "_".join(name.lower().split()), header[place][0]
-        if key == "handle":
+        if key is not None and all(_meant(key, row[place]) == "handle" for row in rows):
             kept[place] = "handle"
         if key is not None or not name:
             continue
@@ -255,7 +276,7 @@ def _entries(file: TextFile, body: Sequence[tuple[int, str]]) -> dict[str, Entry
             if not found and re.fullmatch(r"(?i)(name|key|quantity|what)\W.*", text):
                 continue  # a header
             raise file.error(f"{quoted(text)} is not known; {EXPECTED}", index)
-        key, unit, value = pair
+        key, unit, value = _meant(pair[0], pair[2]), *pair[1:]
         if key in found:
             raise file.error(f"{key} is given twice", index)
         found[key] = Entry(index + 1, value, unit)
@@ -271,8 +292,8 @@ def _usual_law(rows: list[Row]) -> str:
     """The law that the measurements determine: the curl needs one that curls and slows the spin as
     stones do, and of a single throw the turns too; times and positions along the sheet determine a
     mean friction."""
-    needed = {"curl"} if len(rows) >= _MANY else {"curl", "turns"}
-    told = sum(needed <= row.entries.keys() for row in rows)
+    needed = [{"curl"}, *([] if len(rows) >= _MANY else [{"turns", "spin"}])]
+    told = sum(all(keys & row.entries.keys() for keys in needed) for row in rows)
     return "front-back" if 2 * told >= len(rows) > 0 else "coulomb"
 
 
