@@ -20,6 +20,7 @@ from cyclopts import Group, Parameter
 
 from curlfit.errors import InputError
 from curlfit.settings.forms import (
+    HEADINGS,
     LIMITS,
     NAMES,
     PERIOD,
@@ -200,6 +201,8 @@ class Reading(Choices):
         its zero lies; `clockwise` or `counter-clockwise` how angles count, seen from above
         (else from +x to +y). [default: x-right,y-along]
     units : Units in place of those of the header: t, x, y, length, angle, speed, spin.
+    columns : Headings of the columns t, x, y, angle, speed, spin ... that are not understood by
+        their names.
     reference : Positions are in pixels: table of four or more known points u,v (pixels), x,y
         (m).
     stone_index : Object of a Tracker export, stone of a shot or throw of a table, from 1.
@@ -217,6 +220,9 @@ class Reading(Choices):
     format: Annotated[str | None, option(TEXT, metavar="NAME")] = None
     axes: Annotated[str | None, option(TEXT, metavar="WORDS")] = None
     units: Annotated[str | None, option(TEXT, metavar="t=ms,x=cm,angle=deg")] = None
+    columns: Annotated[Named, option(HEADINGS, metavar="t=Zeit,x=Quer")] = field(
+        default_factory=dict
+    )
     reference: Annotated[str | None, option(FILE, metavar="POINTS.csv")] = None
     stone_index: Annotated[int | None, option(COUNT, metavar="N")] = None
     shot: Annotated[int | None, option(COUNT, metavar="N")] = None

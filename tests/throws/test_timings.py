@@ -409,3 +409,20 @@ def test_a_spreadsheet_without_its_reader_is_refused_with_what_to_install(tmp_pa
     file.write_bytes(b"PK\x03\x04" + bytes(40))
     with pytest.raises(DataError, match=r"save the sheet as CSV, or .* 'curlfit\[spreadsheet\]'"):
         load_throw(file)
+
+
+def test_a_column_that_is_not_understood_is_never_left_out_in_silence(write):
+    """Neither a measurement with its unit, which would be a label, nor where one time is left."""
+    rows = "1,13.4,12.9,1 m past,3A\n2,13.6,12.5,0.5 m past,4B\n"
+    throw = load_throw(write("draw,hog to hog,hog to rest,Abstand,mark\n" + rows))
+    assert any("column Abstand is not understood; expected one of" in note for note in throw.notes)
+    assert throw.labels["abstand"] == "1 m past"
+    with pytest.raises(DataError) as caught:
+        load_throw(
+            write("draw,hog to hog,hog-tee,Curl (cm) L+,weight\n1,13.4,22.9,1,12\n2,13,22,1,12\n")
+        )
+    assert str(caught.value).endswith(
+        "line 2: hog_to_hog alone gives the mean speed and no friction; expected one more of rest, "
+        "hog_to_rest, or another time; columns hog-tee, Curl (cm) L+ are not understood; columns "
+        "not used: hog-tee, Curl (cm) L+, weight"
+    )

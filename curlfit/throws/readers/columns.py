@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import math
 import re
+import tomllib
 from collections.abc import Mapping
-from functools import lru_cache
+from functools import cache, lru_cache
+from importlib.resources import files
+from itertools import groupby
 from typing import NamedTuple
+from unicodedata import normalize
 
 from curlfit.errors import InputError
 from curlfit.foreign import quoted
@@ -18,7 +22,8 @@ _NAMES = {
     "y": "(pos(ition)?)?y|y(pos(ition)?|coord)",
     "phi": "phi|φ|ϕ|angle|theta|θ|rot(ation)?|orientation",
     "speed": "speed|v|vel(ocity)?",
-    "omega": "omega|ω|spin(rate)?|angular(velocity|speed)|gyroz?|[gw]z|rotationrate",
+    "omega": "omega|ω|spin(rate)?|angular(velocity|speed)|speedangular|gyroz?|[gw]z|"
+    "(angle|rotation)rate",
     "x_mark": "x(handle|mark)|(handle|mark)x",
     "y_mark": "y(handle|mark)|(handle|mark)y",
     "u": "u|x(pixel|image)|(pixel|image)x",
@@ -64,7 +69,7 @@ _UNITS = {
     "pixel": {"px": 1.0, "pixel": 1.0, "pixels": 1.0, "pix": 1.0},
 }  # fmt: skip
 _FRAMES = re.compile(r"(\d+(?:\.\d+)?) ?fps", re.I)  # of a time that counts frames
-_SEPARATORS = re.compile(r"[\s_\-./()\[\]{},:·*]+")
+_SEPARATORS = re.compile(r"[\s_\-./()\[\]{},:·*\uff08\uff09\uff3b\uff3d]+")
 
 
 class Column(NamedTuple):
@@ -88,9 +93,14 @@ class Column(NamedTuple):
 
 
 @lru_cache(1024)
-def parse_header(header: str) -> Column | None:
-    """Meaning of a column header such as `time`, `y_ft`, `x [cm]`, `phi_rev`; None if unknown."""
-    words = [word for word in _SEPARATORS.split(header.strip().lower()) if word]
+def parse_header(header: str, *, other_words: bool = False) -> Column | None:
+    """Meaning of a column header such as `time`, `y_ft`, `x [cm]`, `phi_rev`; None if unknown.
+
+    Parameters
+    ----------
+    other_words : whether it may be in another language, as in `words.toml`.
+    """
+    words = _words(header, other_words)
     if words and words[-1] == "1" and len(words) > 2 and "s^" in words[-2]:
         words = [*words[:-2], words[-2] + "-1"]  # "s^-1" was split at its sign
     for unit_words in (2, 1, 0):
@@ -112,6 +122,49 @@ def parse_header(header: str) -> Column | None:
             if axis:
                 return Column(quantity.removesuffix(base) + axis, "px", 1.0)
     return None
+
+
+def named_column(header: str, quantity: str) -> Column:
+    """The column of a quantity that the user names, in the unit that ends its header, if any."""
+    words, units = _words(header, True), units_of(quantity)
+    for begin in (-2, -1):
+        if "".join(words[begin:]) in units:
+            unit = words[begin:]
+            return Column(quantity, "/".join(unit), units["".join(unit)])
+    return Column(quantity, next(iter(units)), 1.0, stated=False)
+
+
+def resembled(header: str) -> str | None:
+    """The quantity that a header of unknown meaning reminds of; None if none or more than one."""
+    words, hints = _words(header, True), _other_words()["may_mean"]
+    found = {hints.get(word) or _named(word, _NAMES) for word in words} - {None}
+    found |= {name for name in ("omega", "phi") if "".join(words[-2:]) in _UNITS[name]}
+    return found.pop() if len(found) == 1 and found <= _NAMES.keys() else None
+
+
+@cache
+def _other_words() -> dict[str, dict[str, str]]:
+    """By table of `words.toml`, each of its words with its meaning."""
+    tables = tomllib.loads(files(__package__).joinpath("words.toml").read_text("utf-8"))
+    return {
+        name: {word: meaning for meaning, words in table.items() for word in words.split()}
+        for name, table in tables.items()
+    }
+
+
+def has_japanese_words(text: str) -> bool:
+    """Whether a text has a word of headings in Japanese."""
+    return any(word in text for word in _other_words()["means"] if min(word) > "\u3000")
+
+
+def _words(header: str, other_words: bool) -> list[str]:
+    """The words of a header, in English if it may be in another language."""
+    words = [word for word in _SEPARATORS.split(normalize("NFC", header).strip().lower()) if word]
+    if other_words:
+        means = _other_words()["means"]
+        words = " ".join(means.get(word, word) for word in words).split()
+        words = [word for word, _ in groupby(words)]  # the unit may say the quantity again
+    return words
 
 
 def units_of(quantity: str) -> dict[str, float]:
@@ -173,6 +226,11 @@ def with_unit(column: Column, unit: str | None) -> Column:
         return column
     found = in_unit(column.base, unit)
     return found._replace(quantity=column.quantity.replace(column.base, found.quantity, 1))
+
+
+def quantity_of(name: str) -> str | None:
+    """The quantity of a name without a unit: `angle` is phi; None if unknown."""
+    return _quantity(_words(name, False))
 
 
 def _named(name: str, patterns: Mapping[str, str]) -> str | None:

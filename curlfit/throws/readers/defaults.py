@@ -19,7 +19,7 @@ from curlfit.throws.reference import Reference
 
 _SETTINGS = (
     "since", "until", "exclude", "swept", "law", "load", "stone", "sigma", "seed", "reference",
-    "axes", "as_given", "keep",
+    "axes", "as_given", "keep", "columns",
 )  # fmt: skip
 _MOST_SETTINGS = 500
 _FORMS = {**Modelling.forms(), **Reading.forms(), "seed": SEED}
@@ -50,10 +50,10 @@ def begun(
     count = 0
     for index, line in file.comments(until):
         body = line.lstrip().lstrip("#").strip()
-        key = body.split("=", 1)[0].strip().split(".")[0]
+        key, dot, _ = body.split("=", 1)[0].strip().partition(".")
         if "=" not in body or not key.isidentifier():
             continue
-        if key not in _SETTINGS:
+        if key not in _SETTINGS or (key == "columns" and not dot):
             unknown.append(f"{quoted(key)} (line {index + 1})")
             continue
         count += 1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,12 +10,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.errors import DataError, InputError
-from curlfit.foreign import LARGEST, cut, quoted
+from curlfit.foreign import LARGEST
 from curlfit.numerics.arrays import Floats
 from curlfit.settings.choices import Reading, given
 from curlfit.throws.events import Event
-from curlfit.throws.readers.columns import Column, parse_header, parse_units, with_unit
-from curlfit.throws.readers.text import EXPECTED, TextFile
+from curlfit.throws.readers.columns import Column
+from curlfit.throws.readers.text import TextFile
 from curlfit.throws.reference import Reference
 
 
@@ -163,78 +162,9 @@ class Format(NamedTuple):
 
 _NOTHING = {
     "shot": "no shots", "stone_index": "one stone", "handle": "no objects",
-    "keep": "no throws in rows",
+    "keep": "no throws in rows", "columns": "no columns to be named",
 }  # fmt: skip
 _MOST_LISTED = 20
-_MOST_NAMES = 400  # characters
-_FRAME_NUMBERS = re.compile(r"frames?|frame[ _](number|no)")
-
-
-def columns_of(
-    names: Sequence[str],
-    reading: Reading,
-    error: Callable[[str], DataError],
-) -> tuple[dict[int, Column], list[str]]:
-    """Columns to read, by index, and the names of the others.
-
-    With a reference, positions are in pixels: x and y without a unit are then in pixels, and v is
-    not a speed. With a unit of t such as 25fps, a column of frame numbers is the time if there is
-    no other.
-
-    Raises
-    ------
-    DataError : two columns have the same meaning, or a required one is missing.
-    """
-    units, pixels = parse_units(reading.units), reading.reference is not None
-    columns: dict[int, Column] = {}
-    bare = [str(name).strip().lower() for name in names]
-    meant = {column.quantity for name in names if (column := parse_header(name)) is not None}
-    velocities = not pixels and {"x", "y"} <= meant and "u" in bare
-    pixels = pixels or ("u" in bare and "v" in bare and not velocities)
-    counted = "t" not in meant and any(map(_FRAME_NUMBERS.fullmatch, bare))
-    taken: dict[str, str] = {}
-    for index, (name, word) in enumerate(zip(names, bare, strict=True)):
-        column = parse_header(name)
-        if counted and _FRAME_NUMBERS.fullmatch(word) and units.get("t", "").endswith("fps"):
-            column = Column("t", "s", 1.0, stated=False)
-        if pixels and word in ("v", "sigma_v"):
-            column = Column(word, "px", 1.0)
-        if column is None or (velocities and word in ("u", "v")):
-            continue
-        column = with_unit(column, units.get(column.base))
-        if pixels and not column.stated and column.quantity in ("x", "y", "sigma_x", "sigma_y"):
-            axis = "u" if column.base == "x" else "v"
-            column = Column(column.quantity[:-1] + axis, "px", 1.0)
-        if column.quantity in taken:
-            raise error(
-                f"columns {quoted(taken[column.quantity])} and {quoted(name)} both mean "
-                f"{column.quantity}; rename or remove one"
-            )
-        taken[column.quantity] = name
-        columns[index] = column
-    if missing := missing_columns(taken):
-        listed = cut(", ".join(map(str, names)), _MOST_NAMES)
-        remedy = "; `--units t=30fps`, with the camera's rate, makes frames times"
-        raise error(
-            f"no column for {' and '.join(missing)} among {listed}; {EXPECTED}"
-            + (remedy if counted and "t" in missing else "")
-        )
-    return columns, [name for k, name in enumerate(names) if name and k not in columns]
-
-
-def missing_columns(quantities: Any) -> list[str]:
-    """Quantities required for a throw that the columns lack."""
-    found = set(quantities)
-    axes, others = ("u", "v") if {"u", "v"} & found else ("x", "y"), {"phi", "speed", "omega"}
-    missing = [axis for axis in axes if axis not in found]
-    if missing == ["x", "y"] and found & others:
-        missing = []  # a gyroscope or a radar alone
-    need = {*axes, *others} & found
-    if "t" not in found and (
-        not need or any(clock_of(quantity, found) == "t" for quantity in need)
-    ):
-        missing.insert(0, "t")
-    return missing
 
 
 def clock_of(quantity: str, quantities: Any) -> str:

@@ -19,7 +19,8 @@ from curlfit.settings.choices import Reading
 from curlfit.throws.readers.assemble import assemble
 from curlfit.throws.readers.columns import Column, in_unit, parse_header, parse_units, with_unit
 from curlfit.throws.readers.defaults import begun
-from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile, columns_of
+from curlfit.throws.readers.headings import columns_of, unused, with_own_columns
+from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile
 from curlfit.throws.readers.text import TextFile, TextTable, clock_times
 
 _NAMES = {
@@ -41,13 +42,17 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
     parsed = begun(file, "table", file.head())
     table = TextTable.of(file)
     names = table.names
-    columns, parsed.ignored = columns_of(names, reading, table.error)
+    reading = with_own_columns(reading, parsed)
+    columns, parsed.ignored = columns_of(names, reading, table.error, table.is_numeric)
+    parsed.notes[:0] = unused(names, columns, table.is_numeric)
     read_columns(parsed, table, columns)
     others = [k for k in range(len(names)) if k not in columns and may_name_throws(names[k])]
     return contents_of(parsed, {names[k]: table.column(k) for k in others})
 
 
-TABLE = Format("table", lambda _: True, _contents, "throw", "stone_index", None, ("stone_index",))
+TABLE = Format(
+    "table", lambda _: True, _contents, "throw", "stone_index", None, ("stone_index", "columns")
+)
 
 
 def read_columns(parsed: ParsedFile, table: TextTable, columns: dict[int, Column]) -> None:
@@ -152,7 +157,12 @@ def values_of(table: Any, reading: Reading, name: str = "table") -> dict[str, An
     parsed = ParsedFile(name, "table")
     values, stated = _variables(table, parsed)
     names = list(values)
-    columns, parsed.ignored = columns_of(names, reading, parsed.error)
+
+    def numeric(index: int) -> bool:
+        return bool(values[names[index]].dtype.kind in "fiu")
+
+    columns, parsed.ignored = columns_of(names, reading, parsed.error, numeric)
+    parsed.notes[:0] = unused(names, columns, numeric, python=True)
     shapes = sorted({values[names[index]].shape for index in columns})
     if len(shapes) > 1 or len(shapes[0]) != 1:
         listed = ", ".join(map(str, shapes))

@@ -19,6 +19,7 @@ import numpy as np
 from curlfit.errors import DataError
 from curlfit.foreign import quoted
 from curlfit.numerics.arrays import Floats
+from curlfit.throws.readers.columns import has_japanese_words
 
 GAPS = {"", "nan", "na", "n/a", "null", "none", "-", "--"}
 EXPECTED = "expected a header such as t,x,y,phi (time in s, position in m, angle in rad)"
@@ -58,8 +59,8 @@ def lines_of(path: Path, *, most_bytes: int = _MOST_BYTES, settings: bool = Fals
 
 
 def _text_of(path: Path, most_bytes: int, what: str) -> str:
-    """The file's text with "\\n" line ends: UTF-8, UTF-16 with byte order mark, or Windows cp1252;
-    a spreadsheet as text.
+    """The file's text with "\\n" line ends: UTF-8, UTF-16 with byte order mark, Windows cp932 with
+    headings in Japanese, or Windows cp1252; a spreadsheet as text.
 
     Raises
     ------
@@ -85,10 +86,17 @@ def _text_of(path: Path, most_bytes: int, what: str) -> str:
         text = raw.decode(encoding)
     except UnicodeDecodeError:
         marked = encoding == "utf-16" or raw[:3] == b"\xef\xbb\xbf"
-        text = raw.decode(encoding if marked else "cp1252", errors="replace")
+        text = raw.decode(encoding if marked else _old_encoding(raw), errors="replace")
     if "\x00" in text:
         raise DataError(f"this is not a text file; {EXPECTED}", file=path)
     return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _old_encoding(raw: bytes) -> str:
+    """The encoding of a file that is not in Unicode: that of Windows in Japan or in the West."""
+    return (
+        "cp932" if has_japanese_words(raw[:_MOST_IN_ROW].decode("cp932", "replace")) else "cp1252"
+    )
 
 
 def _text_of_sheet(raw: bytes, path: Path, most_bytes: int) -> str:
@@ -301,6 +309,11 @@ class TextTable:
         """The cells of a column."""
         split = (cells(self.file.lines[index], self.separator) for index in self.rows)
         return [row[place] if place < len(row) else "" for row in split]
+
+    def is_numeric(self, place: int) -> bool:
+        """Whether a column has numbers or gaps only, at least one number."""
+        found = [cell for cell in self.column(place) if cell.lower() not in GAPS]
+        return bool(found) and all(map(is_number, found))
 
     def clocks(self, columns: Iterable[int]) -> dict[int, tuple[str, Floats]]:
         """Of those of some columns that hold clock times: the first one, and seconds since then.

@@ -10,13 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
-from curlfit.errors import DataError
+from curlfit.errors import DataError, InputError
 from curlfit.foreign import quoted
 from curlfit.settings.choices import Reading
 from curlfit.sheet import LINES
 from curlfit.throws.events import RATES
 from curlfit.throws.readers.columns import parse_header
 from curlfit.throws.readers.defaults import begun
+from curlfit.throws.readers.notation import parse_quantity
 from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile
 from curlfit.throws.readers.record import ALONG, EXPECTED, KINDS, TIMES, Entry, Record, Row
 from curlfit.throws.readers.text import (
@@ -72,6 +73,7 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
         record = Record(file, row, limited=row.line not in keep)
         parsed.events, parsed.labels = record.events(), row.labels
         if fault := record.fault_alone():
+            fault = "; ".join([fault, *(note.partition("; ")[0] for note in row.notes)])
             parsed.alone = file.error(fault, row.line - 1 if several else None)
             if not several or not row.entries.keys() & ALONG:
                 raise parsed.alone
@@ -133,7 +135,11 @@ def _left_out(file: TextFile, rows: list[Row], keep: Collection[int]) -> tuple[s
 
 def is_table(head: list[str]) -> bool:
     """Whether lines, comments removed, begin with a header of several known quantities."""
-    return bool(head) and sum(key is not None for key, _ in _header(head[0])) > 1
+    known = {key for key, _ in _header(head[0])} - {None} if head else set()
+    if len(known) == 1 and known <= TIMES.keys() and (separator := separator_of(head[0])):
+        others = header_cells(head[0], separator)  # columns that are named otherwise, perhaps
+        return "=" not in head[0] and len(others) > 1 and not any(map(is_number, others))
+    return len(known) > 1
 
 
 def _recognizes(head: list[str]) -> bool:
@@ -234,23 +240,34 @@ def _labels(
     names: Sequence[str], header: Sequence[tuple[str | None, str]], rows: Sequence[Sequence[str]]
 ) -> tuple[dict[int, str], list[str]]:
     """Columns that are labels, by place, and notes on those that are not used."""
-    kept, unused, notes = {}, [], []
+    kept, unused, strange = {}, [], []
     for place, name in enumerate(names):
         label, key = "_".join(name.lower().split()), header[place][0]
         if key is not None and all(_meant(key, row[place]) == "handle" for row in rows):
             kept[place] = "handle"
         if key is not None or not name:
             continue
-        if label not in LABELS and _LIKE_MEASUREMENTS & set(_SPLIT.split(name.lower())):
-            notes.append(f"column {name} is not understood; expected {_COLUMNS}")
+        like = _LIKE_MEASUREMENTS & set(_SPLIT.split(name.lower()))
+        measured = sum(_is_measurement(row[place]) for row in rows)
+        if label not in LABELS and (like or 2 * measured > len(rows)):
+            strange.append(name)
         words = sum(not is_number(row[place] or "0") for row in rows)
         if label in LABELS or 2 * words > len(rows):
             kept[place] = label
         else:
             unused.append(name)
-    if unused:
-        notes.append(f"columns not used: {', '.join(unused)}")
+    notes = [f"columns not used: {', '.join(unused)}"] if unused else []
+    if strange:
+        said = f"s {', '.join(strange)} are" if len(strange) > 1 else f" {strange[0]} is"
+        notes.insert(0, f"column{said} not understood; expected {_COLUMNS}")
     return kept, notes
+
+
+def _is_measurement(cell: str) -> bool:
+    """Whether a cell is a number with its unit, or a word of direction."""
+    with suppress(InputError):
+        return not is_number(cell) and math.isfinite(parse_quantity(cell, "x").value)
+    return False
 
 
 def _without_blank_end(row: list[str], fewest: int = 1) -> list[str]:

@@ -18,7 +18,8 @@ from curlfit.errors import InputError
 from curlfit.settings.choices import Reading
 from curlfit.throws.readers.columns import Column, parse_header
 from curlfit.throws.readers.defaults import begun
-from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile, choose, columns_of
+from curlfit.throws.readers.headings import columns_of, unused, with_own_columns
+from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile, choose
 from curlfit.throws.readers.table import read_columns
 from curlfit.throws.readers.text import (
     TextFile,
@@ -97,7 +98,13 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
 
 
 TRACKER = Format(
-    "tracker", _recognizes, _contents, "object", "stone_index", 0, ("stone_index", "handle")
+    "tracker",
+    _recognizes,
+    _contents,
+    "object",
+    "stone_index",
+    0,
+    ("stone_index", "handle", "columns"),
 )
 
 
@@ -109,7 +116,12 @@ def _columns(
         shared = (k for k, name in enumerate(table.names) if _quantities([name]) == ["t"])
         places = [*list(shared)[:1], *places]
     found = _quantities([table.names[k] for k in places])
-    computed = [k for k in places if _COMPUTED.fullmatch(table.names[k])]
+    reading = with_own_columns(reading, parsed)
+    chosen = {name.strip().lower() for name in reading.columns.values()}
+    computed = [
+        k for k in places
+        if _COMPUTED.fullmatch(table.names[k]) and table.names[k].lower() not in chosen
+    ]  # fmt: skip
     if not {"x", "y"} <= set(found):  # pixels u, v
         computed = []
     if computed:
@@ -119,7 +131,13 @@ def _columns(
             "turns; a measurement has another name, such as phi"
         )
     places = [k for k in places if k not in computed]
-    columns, parsed.ignored = columns_of([table.names[k] for k in places], reading, table.error)
+    names = [table.names[k] for k in places]
+
+    def numeric(index: int) -> bool:
+        return table.is_numeric(places[index])
+
+    columns, parsed.ignored = columns_of(names, reading, table.error, numeric)
+    parsed.notes[:0] = unused(names, columns, numeric)
     return {places[k]: column for k, column in columns.items()}
 
 
