@@ -159,7 +159,7 @@ def pool(
     weights : of the parameters in what varies, by expression, each of shape (parameters,).
     guess : standard deviations between throws.
     """
-    rounds, tasks, solution, common, covariates = throws
+    rounds, tasks, solution, common, _ = throws
     typical, reference = tasks.typical[common], solution.values[0, common]
     bounds = tasks.lower[0, common], tasks.upper[0, common]
     free = bounds[1] > bounds[0]
@@ -167,6 +167,7 @@ def pool(
     directions = np.linalg.pinv(whole * typical * free)
     lower, upper = ends_from(reference, typical, free, *bounds)
     values, distance, centre = np.array(solution.values), np.inf, reference
+    seen = np.diag(1.0 * free)
     for step in range(_MOST):
         if step:
             held = [np.where(common, values, end) for end in (tasks.lower, tasks.upper)]
@@ -176,12 +177,15 @@ def pool(
             solution = minimize_many(rounds.model, own, few=len(values) <= _FEW)
             values = np.array(solution.values)
         solution = rounds.with_own_sigma(solution)
-        reduction = _reduction(throws, solution)
-        each = reduction.rows[..., np.append(common, True)] * np.append(typical * free, 1.0)
-        rows, now = each[..., :-1], (values[:, common] - reference) / typical
-        target = (rows @ now[..., None])[..., 0] - each[..., -1]
-        prior = _prior(throws, centre, free)
-        model = MixedModel.of(rows, target, directions, covariates.values, prior)
+        reduction, now = _reduction(throws, solution), (values[:, common] - reference) / typical
+        each = reduction.rows[..., np.append(common, True)] * np.append(typical, 1.0)
+        each[..., :-1] = each[..., :-1] @ seen
+        if not step:
+            model = _model(throws, each, now, directions, _prior(throws, centre, seen))
+            seen = _seen(model, guess**2, lower, upper) @ seen
+            each[..., :-1] = each[..., :-1] @ seen
+        prior = _prior(throws, centre, seen)
+        model = _model(throws, each, now, directions, prior)
         if distance > _NEAR:  # afterwards variances stay, which might alternate with zero
             variances = model.variances(guess**2)
         fit = MixedFit(model, variances, lower, upper)
@@ -198,8 +202,7 @@ def pool(
     others[..., np.append(common, True)] = told / np.append(typical, 1.0)
     of_data = fit
     if prior is not None:
-        model = MixedModel.of(rows, target, directions, covariates.values)
-        of_data = MixedFit(model, variances, lower, upper)
+        of_data = MixedFit(_model(throws, each, now, directions), variances, lower, upper)
     varying = dict(zip(weights, whole, strict=True))
     ended = np.full(len(values), distance < _SETTLED)
     found = Population(fit, reference, typical, bounds, varying, of_data)
@@ -221,17 +224,37 @@ def _of_throws(throws: Together) -> Penalty | None:
     return penalty and penalty._replace(weight=penalty.weight * ~throws.common)
 
 
-def _prior(throws: Together, centre: Floats, free: Booleans) -> tuple[Floats, Floats] | None:
+def _prior(throws: Together, centre: Floats, seen: Floats) -> tuple[Floats, Floats] | None:
     """Rows of the priors of what throws have in common, in typical sizes from the first optimum,
-    and what they then give."""
+    on what is seen of it, and what they then give."""
     if throws.tasks.penalty is None:
         return None
     common, typical = throws.common, throws.tasks.typical[throws.common]
     off, slope = Penalty(*(one[0, common] for one in throws.tasks.penalty)).residual_and_slope(
         centre
     )
-    slope = slope * typical * free
-    return np.diag(slope), slope * (centre - throws.solution.values[0, common]) / typical - off
+    rows = (slope * typical)[:, None] * seen
+    return rows, rows @ ((centre - throws.solution.values[0, common]) / typical) - off
+
+
+def _model(
+    throws: Together, each: Floats, now: Floats, directions: Floats,
+    prior: tuple[Floats, Floats] | None = None,
+) -> MixedModel:  # fmt: skip
+    """The model of throws, of which `each` has rows with the residual as the last column."""
+    target = (each[..., :-1] @ now[..., None])[..., 0] - each[..., -1]
+    return MixedModel.of(each[..., :-1], target, directions, throws.covariates.values, prior)
+
+
+def _seen(model: MixedModel, variances: Floats, lower: Floats, upper: Floats) -> Floats:
+    """Projection of the mean on what not only its bounds determine, for some variances."""
+    size = len(lower)
+    normal = model.parts(model.marginal(variances)[0].sum(0))[0][:size, :size]
+    squares, axes = np.linalg.eigh(normal)
+    within = Bounded(np.zeros(size), lower, upper)
+    hidden = axes[:, within.confine(axes.T, np.sqrt(squares), np.ones(size))]
+    found: Floats = np.eye(size) - hidden @ hidden.T
+    return found
 
 
 def _reduction(throws: Together, solution: Solution) -> Reduction:
