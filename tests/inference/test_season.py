@@ -75,6 +75,35 @@ def test_a_table_gives_what_all_throws_give_together(season, tmp_path):
     assert said in text.getvalue()
 
 
+def test_what_throws_leave_open_does_not_explain_what_differs_between_them(tmp_path):
+    """Under the consistent load a throw tells the halves of the friction hardly apart. A division
+    far outside the bounds would explain the scatter of the sum."""
+    random, folder = np.random.default_rng(7), tmp_path / "tracks"
+    folder.mkdir()
+    for place in range(6):
+        half = 0.009 * (1 + 0.01 * random.standard_normal())
+        law = law_with("front-back", {"mu1_eta": half, "mu2_eta": half})
+        throw = synthetic_throw(
+            law, STONE, load="consistent", v0=2 + 0.02 * (place % 4), dt=0.2, noise_xy=0.005,
+            omega0=(1.0, 2.0, 4.0)[place % 3] * (-1) ** place, noise_phi=0.01, seed=place,
+        )  # fmt: skip
+        (folder / f"t{place}.csv").write_text(write_table(throw))
+    words = ["--stone", "R=0.065", "--load", "consistent", "--out", "season.csv"]
+    command("batch", "tracks", *words, "--workers", "1", cwd=tmp_path)
+    season = curlfit.fit_season(tmp_path / "season.csv")
+    sums = []
+    for file in sorted(folder.iterdir()):
+        (one,) = curlfit.fit(curlfit.load_throw(file), stone=STONE, load="consistent").combinations
+        assert one.weights["mu2_eta"] == pytest.approx(0.98, abs=0.005)
+        sums.append(one.value)
+    (total,) = season.combinations
+    assert total.value == pytest.approx(np.mean(sums), abs=0.1 * total.stderr)
+    assert total.stderr == pytest.approx(np.std(sums, ddof=1) / 6**0.5, rel=0.1)
+    for name in ("mu1_eta", "mu2_eta"):
+        assert season.coefficients[name].verdict == "not identifiable"
+    assert season.parameters - season.rank == 1
+
+
 def test_columns_that_were_added_to_a_table_are_labels(season, tmp_path):
     folder, _ = season
     rows = list(csv.reader((folder / "season.csv").read_text().splitlines()))

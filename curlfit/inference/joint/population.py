@@ -182,7 +182,7 @@ def pool(
         each[..., :-1] = each[..., :-1] @ seen
         if not step:
             model = _model(throws, each, now, directions, _prior(throws, centre, seen))
-            seen = _seen(model, guess**2, lower, upper) @ seen
+            seen = seen_of(model, guess**2, lower, upper) @ seen
             each[..., :-1] = each[..., :-1] @ seen
         prior = _prior(throws, centre, seen)
         model = _model(throws, each, now, directions, prior)
@@ -246,7 +246,7 @@ def _model(
     return MixedModel.of(each[..., :-1], target, directions, throws.covariates.values, prior)
 
 
-def _seen(model: MixedModel, variances: Floats, lower: Floats, upper: Floats) -> Floats:
+def seen_of(model: MixedModel, variances: Floats, lower: Floats, upper: Floats) -> Floats:
     """Projection of the mean on what not only its bounds determine, for some variances."""
     size = len(lower)
     normal = model.parts(model.marginal(variances)[0].sum(0))[0][:size, :size]

@@ -19,7 +19,7 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import Bounded
 from curlfit.inference.joint.draw import Draw
 from curlfit.inference.joint.effects import Covariates, Labelled
-from curlfit.inference.joint.population import Population, ends_from
+from curlfit.inference.joint.population import Population, ends_from, seen_of
 from curlfit.inference.joint.posterior import sampled
 from curlfit.inference.joint.result import JointResult, SeparateFits, Variation
 from curlfit.inference.joint.summary import about_mean
@@ -83,6 +83,8 @@ class _Quadratics(NamedTuple):
     """the reference where a coefficient is fixed"""
     rows: Floats
     target: Floats
+    own: Floats
+    """optima of the throws"""
 
     @classmethod
     def of(cls, season: Season) -> Self:
@@ -97,7 +99,8 @@ class _Quadratics(NamedTuple):
         free = rows.any((0, 1)) | (np.ptp(season.values, axis=0) > 0)
         bounds = np.where(free, lower, reference), np.where(free, upper, reference)
         target = season.told[..., -1] - rows @ reference
-        return cls(items, reference, typical, free, bounds, rows * typical, target)
+        own = (season.values - reference) / typical
+        return cls(items, reference, typical, free, bounds, rows * typical, target, own)
 
     def population(
         self, weights: Mapping[str, Floats], columns: Floats, spreads: Floats
@@ -105,16 +108,21 @@ class _Quadratics(NamedTuple):
         """The fit where what has these weights varies; `spreads` are first values."""
         whole = np.array([*weights.values()]).reshape(len(weights), len(self.items))
         directions: Any = np.linalg.pinv(whole * self.typical * self.free)
-        model = MixedModel.of(self.rows, self.target, directions, columns)
         ends = ends_from(self.reference, self.typical, self.free, *self.bounds)
+        model = MixedModel.of(self.rows, self.target, directions, columns)
+        seen = seen_of(model, spreads**2, *ends)
+        unseen = self.rows @ (np.eye(len(seen)) - seen) @ self.own[..., None]
+        target = self.target - unseen[..., 0]
+        model = MixedModel.of(self.rows @ seen, target, directions, columns)
         variances = model.variances(spreads**2) if len(spreads) else spreads
         fit = MixedFit(model, variances, *ends)
         return Population(fit, self.reference, self.typical, self.bounds, dict(weights), fit)
 
-    def equal(self) -> tuple[Covariance, dict[str, Estimate]]:
-        """What all throws say if they are equal."""
-        none = np.zeros((len(self.rows), 0))
-        known = self.population({}, none, none[0]).of_mean([item.name for item in self.items])
+    def equal(self, share: float = 1.0) -> tuple[Covariance, dict[str, Estimate]]:
+        """What all throws say if they are equal, or what a share of their information does."""
+        none, root = np.zeros((len(self.rows), 0)), share**0.5
+        some = self._replace(rows=root * self.rows, target=root * self.target)
+        known = some.population({}, none, none[0]).of_mean([item.name for item in self.items])
         found = {}
         for row, item in enumerate(self.items):
             verdict = known.classified(row)[1] if self.free[row] else "fixed"
@@ -156,6 +164,9 @@ def mean_of(
     covariates = Covariates.of(season.labels, by, trend)
     throws = _Quadratics.of(season)
     known, coefficients = throws.equal()
+    if any(item.verdict == "at bound" for item in coefficients.values()):
+        # What one throw leaves open may have gone there to explain what differs between them.
+        known, coefficients = throws.equal(1 / count)
     verdicts = {name: item.verdict for name, item in coefficients.items()}
     wanted = wanted_of(verdicts, known.combinations, tuple(coefficients))
     variation = {one.expression: one for one in throws.variations(wanted, covariates.values)}

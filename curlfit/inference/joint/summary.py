@@ -49,8 +49,11 @@ def about_mean(
     sampled: dict[str, Quantiles] = {}
     if draws is not None:
         sampled = dict(zip(spreads, map(quantiles_of, draws.spreads.T), strict=True))
+    fixed = sum(item.verdict == "fixed" for item in equal.coefficients.values())
+    open_ = found.fit.model.null.shape[1] - fixed
     return replace(
         equal,
+        rank=min(equal.rank, equal.parameters - open_),
         r_hat=None if draws is None else draws.r_hat,
         means=means,
         coefficients={
