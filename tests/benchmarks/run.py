@@ -304,7 +304,7 @@ def _posterior(name: str, throw: Any, *, nuts: bool) -> None:
     ours = effective / taken
 
     law = result.law_class
-    ready = PreparedThrow.of(throw, Modelling.of(law=law))
+    ready = PreparedThrow.of(throw, Modelling.of(throw.settings, law=law))
     local, offset = ready.local_parameters, ready.offset
     problem = build_problem(ready.throw, ready.stone, ready.origin, result.sigma)
     walkers, steps = 64, 8000
