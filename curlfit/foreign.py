@@ -69,6 +69,12 @@ def say(text: str, *, error: bool = False) -> None:
     print("\n".join(map(printable, text.split("\n"))), file=sys.stderr if error else sys.stdout)
 
 
+def file_and_number(name: str) -> tuple[str, str]:
+    """The file of a throw, and its number in it, which is empty if the file has no other."""
+    found = re.fullmatch(r"(.*) (?:row|throw) (\d+)", name, re.S)
+    return (found[1], found[2]) if found is not None else (name, "")
+
+
 def safe_name(text: str) -> str:
     """A name for a folder, of this or any other system; a usual name is left as it is."""
     name = _UNSAFE.sub(lambda match: "_" * len(match[0]), printable(text)) or "_"

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.text import Text
 
+from curlfit.foreign import file_and_number
 from curlfit.inference.derived import scaled, to_its_side
 from curlfit.inference.parameters import START
 from curlfit.output.console import PlainTable
@@ -353,4 +354,4 @@ def with_derived(flags: Sequence[str], result: Any) -> list[str]:
 
 def file_of(fit: FitResult) -> str:
     """The file of a throw, from a name that may include a row of the file."""
-    return str(fit.data["file"]).partition(" row ")[0]
+    return file_and_number(str(fit.data["file"]))[0]

@@ -23,12 +23,14 @@ from curlfit.throws.readers.digitalcurling import DIGITALCURLING
 from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile
 from curlfit.throws.readers.table import TABLE
 from curlfit.throws.readers.text import TextFile, is_aside, lines_of
-from curlfit.throws.readers.timings import TIMINGS, is_table, labels_in, usual_law as law_of_timings
+from curlfit.throws.readers.timings import TIMINGS, labels_in, usual_law as law_of_timings
 from curlfit.throws.readers.tracker import TRACKER
 from curlfit.throws.throw import Throw
 
 _READERS = (DIGITALCURLING, TIMINGS, TRACKER, TABLE)
 """Formats in the order in which they are tried; the last accepts any file."""
+_OF_MANY = (TIMINGS.name, TABLE.name)
+"""Formats of which a joint fit takes every throw."""
 _BY_NAME = {reader.name: reader for reader in reversed(_READERS)}
 FORMATS = tuple(_BY_NAME)
 _SUFFIXES = (".csv", ".tsv", ".txt", ".jsonl", ".json")
@@ -85,8 +87,9 @@ class Part(NamedTuple):
 
 @takes(Reading)
 def load_throws(*files: str | PathLike[str], **choices: Any) -> list[Throw]:
-    """Read the throws of a joint fit: one from each file and, from a table with a throw in each
-    row, all but the odd ones, which are named in the notes of the others.
+    """Read the throws of a joint fit: one from each file, all of a table that holds several and,
+    from a table with a throw in each row, all but the odd ones, which are named in the notes of
+    the others.
 
     Parameters
     ----------
@@ -106,7 +109,7 @@ def load_throws(*files: str | PathLike[str], **choices: Any) -> list[Throw]:
     reading = Reading.of(**choices)
     parts: list[Part] = []
     for file in files:
-        if holds_timed_rows(file, reading.format):
+        if (reading.format or detect_format(_lines_if_any(file))) in _OF_MANY:
             parts += (part for part in parts_of(file, reading) if not part.left_out)
         else:
             parts.append(Part(None, None, throw_of(read(file, reading), reading)))
@@ -114,7 +117,9 @@ def load_throws(*files: str | PathLike[str], **choices: Any) -> list[Throw]:
     for part in parts:
         if isinstance(part.throw, CurlfitError):
             raise part.throw
-        throws.append(part.throw)
+        of_table = part.stone_index is not None and reading.stone_index is None
+        name = part.throw.name + f" throw {part.stone_index}" * of_table
+        throws.append(replace(part.throw, name=name))
     if parts and (fault := parts[0].alone) is not None and all(part.alone for part in parts):
         raise fault
     return throws
@@ -168,13 +173,6 @@ def _lines_if_any(file: str | PathLike[str]) -> list[str]:
         return lines_of(Path(file))
     except DataError:
         return []
-
-
-def holds_timed_rows(file: str | PathLike[str], format: str | None = None) -> bool:
-    """Whether a file is a table of stopwatch times with one throw per row."""
-    lines = _lines_if_any(file) if format in (None, TIMINGS.name) else []
-    first = next((line for line in lines if not is_aside(line)), "")
-    return is_table([first]) and detect_format(lines) == TIMINGS.name
 
 
 def states_sweeping(file: str | PathLike[str]) -> bool:

@@ -14,7 +14,8 @@ from sample_files import PLAIN, TIMINGS
 
 from curlfit import load_joint
 from curlfit.errors import DataError, InputError
-from curlfit.throws.load import holds_timed_rows, load_throw, usual_law
+from curlfit.throws.load import detect_format, load_throw, usual_law
+from curlfit.throws.readers.text import lines_of
 
 FOOT = 0.3048
 INCH = FOOT / 12
@@ -395,7 +396,7 @@ def test_a_spreadsheet_is_read_as_its_text(tmp_path):
         archive.writestr("mimetype", "application/vnd.oasis.opendocument.spreadsheet")
         archive.writestr("content.xml", SHEETS.format(table))
         archive.writestr("META-INF/manifest.xml", "<manifest/>")
-    assert holds_timed_rows(file)
+    assert detect_format(lines_of(file)) == "timings"
     bad, good = parts_in(file)
     assert bad.throw.line == 4
     assert good.throw.labels == {"start": "19:05"}

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from curlfit.errors import InputError
+from curlfit.foreign import file_and_number
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.joint.draw import Draw
 from curlfit.inference.joint.result import JointResult
@@ -47,7 +48,7 @@ def another(
         for name, value in zip(names, values[0], strict=True)
     }
     data = [one.data for one in joint.throws]
-    files = list(dict.fromkeys(one["file"].partition(" row ")[0] for one in data))
+    files = list(dict.fromkeys(file_and_number(one["file"])[0] for one in data))
     own = {
         "file": files[0] if len(files) == 1 else f"{len(files)} files",
         "rows": sum(one["rows"] for one in data),

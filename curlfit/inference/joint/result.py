@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -13,7 +12,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 
 from curlfit.errors import InputError
-from curlfit.foreign import safe_name
+from curlfit.foreign import file_and_number, safe_name
 from curlfit.friction import Law
 from curlfit.inference.derived import Derived, Quantiles, derive
 from curlfit.inference.fit.estimates import Estimate, NamedEstimates, Systematics
@@ -252,8 +251,8 @@ def folder_names(throws: Sequence[str]) -> list[str]:
 
 def folder_name(throw: str) -> str:
     """The folder of a throw beside `joint.json`: `evening-3` for row 3 of `evening.csv`."""
-    row = re.fullmatch(r"(.*) row (\d+)", throw)
-    return safe_name(Path(throw).stem if row is None else f"{Path(row[1]).stem}-{row[2]}")
+    file, number = file_and_number(throw)
+    return safe_name("-".join(filter(None, [Path(file).stem, number])))
 
 
 def warnings_of(throws: Sequence[FitResult]) -> list[str]:

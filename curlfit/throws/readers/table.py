@@ -8,20 +8,29 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from curlfit.errors import InputError
+from curlfit.errors import DataError, InputError
+from curlfit.foreign import quoted
 from curlfit.settings.choices import Reading
 from curlfit.throws.readers.assemble import assemble
 from curlfit.throws.readers.columns import Column, in_unit, parse_header, parse_units, with_unit
 from curlfit.throws.readers.defaults import begun
 from curlfit.throws.readers.headings import columns_of, unused, with_own_columns
 from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile
-from curlfit.throws.readers.text import TextFile, TextTable, clock_times
+from curlfit.throws.readers.text import (
+    TextFile,
+    TextTable,
+    clock_times,
+    header_cells,
+    is_aside,
+    is_number,
+)
 
 _NAMES = {
     "stone", "throw", "shot", "track", "trial", "run", "object", "id", "label", "name", "colour",
@@ -29,6 +38,7 @@ _NAMES = {
 }  # fmt: skip
 _WORDS = re.compile(r"[a-z]+")
 _FEWEST = 5  # rows of a throw
+_MOST_TITLES = 20  # lines above a header
 _Variables = tuple[dict[str, Any], dict[str, str]]  # arrays, and stated units, by name
 
 
@@ -39,9 +49,9 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
     ------
     DataError : with the line and column of the fault, and what was expected.
     """
-    parsed = begun(file, "table", file.head())
-    table = TextTable.of(file)
+    table = _table_of(file, reading)
     names = table.names
+    parsed = begun(file, "table", table.header)
     reading = with_own_columns(reading, parsed)
     columns, parsed.ignored = columns_of(names, reading, table.error, table.is_numeric)
     parsed.notes[:0] = unused(names, columns, table.is_numeric)
@@ -53,6 +63,46 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
 TABLE = Format(
     "table", lambda _: True, _contents, "throw", "stone_index", None, ("stone_index", "columns")
 )
+
+
+def _table_of(file: TextFile, reading: Reading) -> TextTable:
+    """The table of a file: its header may be below titles, and units in the line below it.
+
+    Raises
+    ------
+    DataError : the file is empty, or begins with numbers.
+    """
+    first, table = file.head(), None
+    below = [k for k in range(first, len(file.lines)) if not is_aside(file.lines[k])]
+    for index in below[:_MOST_TITLES]:
+        here = TextTable.at(file, index)
+        with suppress(DataError):
+            own = with_own_columns(reading, begun(file, "table", index))
+            columns_of(here.names, own, here.error, lambda _: True)
+            table = here
+            break
+    if table is None:
+        return TextTable.of(file)
+    if table.header > first:
+        titles = below.index(table.header)
+        said = f"{titles} line{'s' * (titles > 1)} above the header not read: "
+        table.remarks.append(said + quoted(file.lines[first].strip(" ,;\t")))
+    return with_units_below(table)
+
+
+def with_units_below(table: TextTable) -> TextTable:
+    """The table with the units of a second row in its headings, if this has units alone."""
+    row = next((k for k in range(table.header + 1, len(table.file.lines))
+                if not is_aside(table.file.lines[k])), None)  # fmt: skip
+    units = [] if row is None else header_cells(table.file.lines[row], table.separator)
+    if row is None or len(units) != len(table.names) or any(map(is_number, units)):
+        return table
+    bare = [unit.strip("()[] ") for unit in units]
+    pairs = zip(table.names, bare, strict=True)
+    names = [f"{name} ({unit})" if unit else name for name, unit in pairs]
+    columns = [parse_header(name, other_words=True) for name in names]
+    known = any(column is not None and column.stated for column in columns)
+    return replace(table, header=row, names=names) if known else table
 
 
 def read_columns(parsed: ParsedFile, table: TextTable, columns: dict[int, Column]) -> None:
@@ -69,6 +119,13 @@ def read_columns(parsed: ParsedFile, table: TextTable, columns: dict[int, Column
     plain = [k for k in columns if k not in clocks]
     values = dict(zip(plain, table.numbers(plain), strict=True))
     values |= {k: seconds for k, (_, seconds) in clocks.items()}
+    parsed.notes += table.remarks
+    if any("#" in table.file.lines[row] for row in table.rows):
+        faults = [cell for k in plain for cell in table.column(k) if cell[:1] == "#"]
+        said = (
+            f"{len(faults)} cells such as {quoted(faults[0])} are taken as gaps" if faults else ""
+        )
+        parsed.notes += [said] * bool(said)
     parsed.lines = np.asarray(table.rows, np.int64) + 1
     for k, column in columns.items():
         parsed.add(table.names[k], column, values[k])
@@ -84,7 +141,7 @@ def contents_of(parsed: ParsedFile, words: Mapping[str, Sequence[Any]]) -> Conte
     """The throws in a table.
 
     A column such as `stone`, `throw_id` or `track` names them. Without one, a new throw begins
-    where the times start again.
+    where the times start again, or where the stone is back at the start from one row to the next.
 
     Parameters
     ----------
@@ -94,7 +151,7 @@ def contents_of(parsed: ParsedFile, words: Mapping[str, Sequence[Any]]) -> Conte
     if header:
         parsed = replace(parsed, ignored=[name for name in parsed.ignored if name != header])
     else:
-        groups = _by_restart(parsed)
+        groups = _by_restart(parsed) or _by_return(parsed)
     if len(groups) < 2:
         return Contents([""], lambda _: parsed)
     throws = list(groups.items())
@@ -134,6 +191,35 @@ def _by_restart(parsed: ParsedFile) -> dict[str, np.ndarray]:
         began, ended = times[before[0]], times[before[-1]]
         if not times[after[0]] < began + 0.2 * (ended - began):
             return {}
+    return _from_lines(parsed, pieces)
+
+
+def _by_return(parsed: ParsedFile) -> dict[str, np.ndarray]:
+    """Rows of each throw if the clock runs on while the stone is back at the start: from one row
+    to the next it goes back by more than half the length of the path. Empty if it never does."""
+    series = {s.column.quantity: s.values for s in parsed.series}
+    pair = next((pair for pair in (("x", "y"), ("u", "v")) if set(pair) <= series.keys()), None)
+    times = series.get("t")
+    if pair is None or times is None or not (np.diff(times) > 0).all():
+        return {}
+    places = np.stack([series[axis] for axis in pair])
+    rows = np.flatnonzero(np.isfinite(places).all(0))
+    if len(rows) < 2 * _FEWEST:
+        return {}
+    places = places[:, rows]
+    step, length = np.diff(places), float(np.hypot(*np.ptp(places, axis=1)))
+    far = np.hypot(*step) > 0.5 * length
+    ends = np.flatnonzero(far)
+    starts = np.append(0, ends + 1)
+    before = places[:, ends] - places[:, starts[:-1]]
+    if not len(ends) or ((before * step[:, far]).sum(0) >= 0).any():
+        return {}
+    pieces = np.split(np.arange(len(times)), rows[starts[1:]])
+    return _from_lines(parsed, pieces) if min(map(len, pieces)) >= _FEWEST else {}
+
+
+def _from_lines(parsed: ParsedFile, pieces: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
+    """Pieces of the rows, named by their first lines."""
     lines = parsed.lines
     return {
         f"from row {rows[0] + 1}" if lines is None else f"from line {lines[rows[0]]}": rows

@@ -1,4 +1,4 @@
-"""Text of a file: lines, cells and numbers; of a spreadsheet, the first sheet with data."""
+"""Text of a file: lines, cells and numbers."""
 
 from __future__ import annotations
 
@@ -6,13 +6,12 @@ import csv
 import math
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from datetime import UTC, date, datetime, time, timedelta
+from contextlib import suppress
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from functools import cached_property
-from io import BytesIO, StringIO
 from pathlib import Path
-from typing import Any, NamedTuple
-from zipfile import BadZipFile, ZipFile
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,8 +19,14 @@ from curlfit.errors import DataError
 from curlfit.foreign import quoted
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.readers.columns import has_japanese_words
+from curlfit.throws.readers.spreadsheet import text_of_sheet
 
-GAPS = {"", "nan", "na", "n/a", "null", "none", "-", "--"}
+GAPS = {
+    "", "nan", "na", "n/a", "null", "none", "-", "--",
+    "#n/a", "#nv", "#div/0!", "#value!", "#wert!", "#valeur!", "#värdefel!", "#ref!", "#bezug!",
+    "#num!", "#zahl!", "#nombre!", "#ogiltigt!", "#name?", "#null!",
+}  # fmt: skip
+"""Cells without a value, among them the errors of spreadsheets."""
 EXPECTED = "expected a header such as t,x,y,phi (time in s, position in m, angle in rad)"
 _SPREADSHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")  # first bytes; of other archives too
 _MOST_BYTES = 50_000_000
@@ -80,7 +85,7 @@ def _text_of(path: Path, most_bytes: int, what: str) -> str:
     if len(raw) > most_bytes:
         raise DataError(f"larger than {most_bytes // 1000} kB; expected {what}", file=path)
     if raw.startswith(_SPREADSHEETS):
-        return _text_of_sheet(raw, path, most_bytes)
+        return text_of_sheet(raw, path, most_bytes)
     encoding = "utf-16" if raw[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
     try:
         text = raw.decode(encoding)
@@ -97,63 +102,6 @@ def _old_encoding(raw: bytes) -> str:
     return (
         "cp932" if has_japanese_words(raw[:_MOST_IN_ROW].decode("cp932", "replace")) else "cp1252"
     )
-
-
-def _text_of_sheet(raw: bytes, path: Path, most_bytes: int) -> str:
-    """The cells as a table separated by semicolons; row n is line n. Clock times are HH:MM, with
-    seconds if any has some.
-
-    Raises
-    ------
-    DataError : not a spreadsheet, without data, too large, or its reader is not installed.
-    """
-    fault = "this is a spreadsheet or another archive, not a text file; save the sheet as CSV"
-    try:
-        from python_calamine import CalamineError, CalamineWorkbook
-    except ImportError:
-        fault += ", or have it read after pip install 'curlfit[spreadsheet]'"
-        raise DataError(fault, file=path) from None
-    try:
-        if raw.startswith(b"PK"):
-            with ZipFile(BytesIO(raw)) as archive:
-                if sum(part.file_size for part in archive.infolist()) > most_bytes:
-                    raise DataError(f"larger than {most_bytes // 1000} kB unpacked", file=path)
-        book = CalamineWorkbook.from_filelike(BytesIO(raw))
-        sheets = (book.get_sheet_by_name(name) for name in book.sheet_names)
-        tables = (sheet.to_python(skip_empty_area=False) for sheet in sheets)
-        rows = [list(map(_plain, row)) for row in next(filter(None, tables), [])]
-    except (CalamineError, BadZipFile, NotImplementedError):
-        raise DataError(fault, file=path) from None
-    if not rows:
-        raise DataError("a spreadsheet without data", file=path)
-    clocks = [cell for row in rows for cell in row if isinstance(cell, time | datetime)]
-    exact = any(clock.second or clock.microsecond for clock in clocks)
-    lines = StringIO()
-    write = csv.writer(lines, delimiter=";", lineterminator="\n").writerow
-    for row in rows:
-        found = [_shown(cell, "%H:%M:%S.%f" if exact else "%H:%M") for cell in row]
-        if found[0].startswith("#") or not any(found):
-            lines.write(" ".join(filter(None, found)) + "\n")
-        else:
-            write(found)
-    return lines.getvalue()
-
-
-def _plain(cell: Any) -> Any:
-    """A cell of a spreadsheet; a duration, or a time without a date, as a clock time."""
-    if isinstance(cell, timedelta):
-        return (datetime.min + cell % timedelta(days=1)).time()
-    return cell.time() if isinstance(cell, datetime) and cell.year < 1901 else cell
-
-
-def _shown(cell: Any, clock: str) -> str:
-    if isinstance(cell, time | datetime):
-        return cell.strftime(clock if isinstance(cell, time) else f"%Y-%m-%d {clock}")
-    if isinstance(cell, date):
-        return cell.isoformat()
-    if isinstance(cell, float) and cell.is_integer():
-        return str(int(cell))
-    return " ".join(str(cell).split())
 
 
 class TextFile(NamedTuple):
@@ -231,6 +179,22 @@ def is_number(cell: str) -> bool:
     return parse_number(cell, decimal_comma=True) is not None
 
 
+_GROUPED = re.compile(r"[-+]?\d{1,3}(?P<mark>[.,'\u2019\s])\d{3}(?:(?P=mark)\d{3})*(?:[.,]\d+)?")
+
+
+def _grouped(cell: str) -> re.Match[str] | None:
+    """A number with its thousands apart, which cannot be read otherwise."""
+    return None if is_number(cell) else _GROUPED.fullmatch(cell)
+
+
+def _without_groups(cell: str, mark: str) -> str:
+    """A number with a decimal point and without the marks that separate its thousands; none where
+    such a mark is anywhere else."""
+    if mark in cell and not ((found := _GROUPED.fullmatch(cell)) and found["mark"] == mark):
+        return "?"
+    return cell.replace(mark, "").replace(",", ".")
+
+
 _CLOCK = re.compile(r"(?:(\d{1,2}):)?(\d{1,2}):(\d{1,2}(?:[.,]\d+)?)")
 
 
@@ -277,6 +241,8 @@ class TextTable:
     header: int
     separator: str | None
     names: list[str]
+    remarks: list[str] = field(default_factory=list)
+    """on how its numbers were read"""
 
     @classmethod
     def at(cls, file: TextFile, header: int) -> TextTable:
@@ -313,7 +279,7 @@ class TextTable:
     def is_numeric(self, place: int) -> bool:
         """Whether a column has numbers or gaps only, at least one number."""
         found = [cell for cell in self.column(place) if cell.lower() not in GAPS]
-        return bool(found) and all(map(is_number, found))
+        return bool(found) and all(is_number(cell) or _grouped(cell) for cell in found)
 
     def clocks(self, columns: Iterable[int]) -> dict[int, tuple[str, Floats]]:
         """Of those of some columns that hold clock times: the first one, and seconds since then.
@@ -342,11 +308,33 @@ class TextTable:
         DataError : there is no row, a row with a wrong number of cells, or a cell that is not a
             finite number.
         """
+        try:
+            return self._numbers_of(columns, "")
+        except DataError as fault:
+            cells = (cell for place in columns for cell in self.column(place))
+            found = next(filter(None, map(_grouped, cells)), None)
+            if found is None:
+                raise
+            with suppress(DataError):
+                values = self._numbers_of(columns, mark := found["mark"])
+                number = _without_groups(found[0], mark)
+                self.remarks.append(
+                    f"{quoted(mark)} separates thousands: {quoted(found[0])} is {number}"
+                )
+                return values
+            raise fault from None
+
+    def _numbers_of(self, columns: Sequence[int], mark: str) -> list[Floats]:
+        """Numbers whose thousands are separated by a mark, if any."""
         lines, parts = self.file.lines, []
         comma = self.separator != "," and any("," in lines[index] for index in self.rows)
         for start in range(0, len(self.rows), _CHUNK):
             rows = self.rows[start : start + _CHUNK]
             by_column = list(zip(*(self._cells(index) for index in rows), strict=True))
+            if mark:
+                by_column = [
+                    tuple(_without_groups(cell, mark) for cell in cells) for cells in by_column
+                ]
             parts.append([self._numbers(rows, by_column[k], k, comma) for k in columns])
         return list(np.concatenate(parts, axis=1))
 

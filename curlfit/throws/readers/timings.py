@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from curlfit.errors import DataError, InputError
-from curlfit.foreign import quoted
+from curlfit.foreign import file_and_number, quoted
 from curlfit.settings.choices import Reading
 from curlfit.sheet import LINES
 from curlfit.throws.events import RATES
@@ -326,7 +326,7 @@ def labels_in(table: Path, source: str) -> tuple[dict[str, str], str]:
     DataError : as the reader; no such column, or the throw is named twice.
     """
     file = TextFile(table, lines_of(table))
-    head, path = file.head(), Path(source.partition(" row ")[0]).resolve()
+    head, path = file.head(), Path(file_and_number(source)[0]).resolve()
     rows = {}
     for row in _rows(file, table=True):
         name = row.labels.pop("file", None) or row.labels.pop("track", None) or ""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +21,7 @@ from curlfit.throws.readers.columns import Column, parse_header
 from curlfit.throws.readers.defaults import begun
 from curlfit.throws.readers.headings import columns_of, unused, with_own_columns
 from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile, choose
-from curlfit.throws.readers.table import read_columns
+from curlfit.throws.readers.table import read_columns, with_units_below
 from curlfit.throws.readers.text import (
     TextFile,
     TextTable,
@@ -31,6 +32,7 @@ from curlfit.throws.readers.text import (
 )
 
 _COMPUTED = re.compile(r"(v|ω|(θ|theta)_?\{?r\}?|θ)\s*([(\[].*)?")
+_NUMBER = re.compile(r"(?<=[^\W\d])[ ._]?\d+(?=\s*([(\[].*)?$)")  # of an object, in a heading
 _AXES = {"x": "x", "y": "y", "u": "x", "v": "y", "speed": "y"}  # "v" alone is read as a speed
 
 
@@ -45,8 +47,7 @@ def _recognizes(head: list[str]) -> bool:
     """Whether the first lines are a title and a header, or a header with two objects."""
     first = _header(head[0])
     if _known(first) >= 2:
-        names = [name.lower() for name in first]
-        return names.count("x") > 1 and names.count("y") > 1
+        return min(map(_quantities(first).count, "xy")) > 1
     return len(head) > 1 and _known(_header(head[1])) >= 2 and not any(map(is_number, first))
 
 
@@ -162,7 +163,8 @@ def _layout(file: TextFile, first: int) -> tuple[TextTable, list[_Object]]:
     if _known(_header(lines[first])) < 2:
         below = range(first + 1, min(first + 5, len(lines)))
         header = next((k for k in below if lines[k].strip()), first)
-    table = TextTable.at(file, header)
+    table = with_units_below(TextTable.at(file, header))
+    table = replace(table, names=_without_numbers(table.names))
     if header != first:
         line = lines[first]
         titles = [line.strip()] if table.separator is None else cells(line, table.separator)
@@ -183,7 +185,16 @@ def _layout(file: TextFile, first: int) -> tuple[TextTable, list[_Object]]:
 
 
 def _header(line: str) -> list[str]:
-    return header_cells(line, separator_of(line))
+    return _without_numbers(header_cells(line, separator_of(line)))
+
+
+def _without_numbers(names: list[str]) -> list[str]:
+    """Headings of several throws side by side, `x1, y1, x2, y2` or `t, x, y, t.1, x.1, y.1`, as
+    those of each; any others as they are."""
+    plain = [_NUMBER.sub("", name) for name in names]
+    found, lacking = _quantities(plain), "x" not in _quantities(names)
+    whole = found.count("t") > 1 and not any(map(_COMPUTED.fullmatch, plain))
+    return plain if min(map(found.count, "xy")) > 1 and (lacking or whole) else names
 
 
 def _known(names: Sequence[str]) -> int:

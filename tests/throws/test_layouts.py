@@ -1,0 +1,145 @@
+"""Tables as spreadsheets lay them out: titles, units apart, errors, thousands, several throws."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import parts_in
+from sample_files import PHI, N, T, X, Y, table
+
+from curlfit import DataError, load_throw, load_throws
+
+COLUMNS = {"t": T, "x": X, "y": Y, "phi": PHI}
+PLAIN = table(COLUMNS)
+HEADER, *ROWS = PLAIN.splitlines()
+
+
+def is_throw(throw, shift=0.0, atol=1e-9):
+    for name, values in COLUMNS.items():
+        expected = values + (name == "x") * shift
+        np.testing.assert_allclose(getattr(throw, name) - (name == "t") * throw.t[0], expected,
+                                   atol=atol)  # fmt: skip
+
+
+def test_titles_above_the_header(write):
+    for titles in ("Curling club\nSheet 3, ice of January\n\n", "Throw,3,,\n,,,\nDate,12.1.,,\n"):
+        throw = load_throw(write(titles + "# until = 9\n" + PLAIN))
+        is_throw(throw)
+        assert throw.defaults == {"until": 9}
+        assert throw.lines[0] == titles.count("\n") + 3
+        first = titles.split("\n")[0].strip(",")
+        above = titles.count("\n") - titles.count("\n\n")
+        assert throw.notes == (f"{above} lines above the header not read: '{first}'",)
+
+
+def test_units_in_the_second_row(write):
+    body = table({"Time": T, "X": 100 * X, "Y": 100 * Y, "Angle": np.degrees(PHI)})
+    head, *rows = body.splitlines()
+    for units in ("(s),(cm),(cm),(deg)", "s,cm,cm,°", "[s],[cm],[cm],[Grad]", ",cm,cm,deg"):
+        throw = load_throw(write("\n".join([head, units, *rows])))
+        is_throw(throw)
+        assert throw.lines[0] == 3
+    both = load_throw(write("\n".join(["Our throw", head, "(s),(cm),(cm),(deg)", *rows])))
+    is_throw(both)
+    with pytest.raises(DataError, match=r"line 2, column Time: '\(h\)' found, expected a finite"):
+        load_throw(write("\n".join([head, "(h),(au),(au),(gon)", *rows])))
+
+
+def test_errors_of_spreadsheets_are_gaps(write):
+    rows = [row.split(",") for row in ROWS]
+    for k, error in ((3, "#NV"), (5, "#DIV/0!"), (9, "#N/A"), (11, "n/a")):
+        rows[k][2] = error
+    throw = load_throw(write("\n".join([HEADER, *map(",".join, rows)])))
+    assert np.flatnonzero(np.isnan(throw.y)).tolist() == [3, 5, 9, 11]
+    assert throw.notes == ("3 cells such as '#NV' are taken as gaps",)
+
+
+def grouped(value: float, thousands: str, decimal: str) -> str:
+    return f"{value:,.3f}".translate({44: thousands, 46: decimal})
+
+
+@pytest.mark.parametrize(
+    ("thousands", "decimal", "separator"),
+    [(".", ",", ";"), (",", ".", "\t"), (" ", ",", ";"), ("\u202f", ",", ";"), ("'", ".", ";"),
+     (",", ".", ",")],
+)  # fmt: skip
+def test_thousands_may_be_separated(write, thousands, decimal, separator):
+    quote = '"' * (separator == ",")
+    head = separator.join(["t (s)", "x (mm)", "y (mm)", "angle (rad)"])
+    rows = [
+        separator.join(f"{quote}{grouped(value, thousands, decimal)}{quote}" for value in row)
+        for row in zip(T, 1000 * X, 1000 * Y, PHI, strict=True)
+    ]
+    throw = load_throw(write("\n".join([head, *rows])))
+    is_throw(throw, atol=6e-4)
+    assert any(" separates thousands: " in note for note in throw.notes)
+
+
+def test_a_mark_that_cannot_separate_thousands_is_not_removed(write):
+    """What was read with a decimal point or comma still is, and both in one file are refused."""
+    throw = load_throw(write("t;x;y\n0,5;1,234;1.234\n0,6;1,5;1.5\n"))
+    assert (throw.x[0], throw.y[0]) == (1.234, 1.234)
+    with pytest.raises(DataError, match=r"line 2, column y: '1\.064,3' found, expected a finite"):
+        load_throw(write("t;x;y\n0.5;1;1.064,3\n0.6;1;1.065,3\n"))
+
+
+def several(gap: float, shift: float = 0.5) -> str:
+    second = table(COLUMNS | {"t": T + T[-1] + gap, "x": X + shift}).splitlines()[1:]
+    return "\n".join([HEADER, *ROWS, *second]) + "\n"
+
+
+def test_a_stone_that_is_back_at_the_start_is_another_throw(write):
+    file = write(several(30.0))
+    with pytest.raises(DataError) as caught:
+        load_throw(file)
+    assert str(caught.value) == (
+        f"{file}: 2 throws; choose one with `--stone-index N`: 1 from line 2 (60 rows); 2 from "
+        f"line {N + 2} (60 rows)"
+    )
+    first, second = parts_in(file)
+    is_throw(first.throw)
+    is_throw(second.throw, 0.5)
+    jumps = [row.split(",") for row in ROWS]
+    jumps[30][1:3] = "0", "0"  # a row that is off is no throw
+    assert len(load_throw(write("\n".join([HEADER, *map(",".join, jumps)])))) == N
+    gap = load_throw(write("\n".join([HEADER, *ROWS[:6], *ROWS[45:]])))  # nor a stone out of sight
+    assert len(gap) == 21
+
+
+def test_a_joint_fit_takes_every_throw_of_a_table(write):
+    file = write(several(-5.0))  # the clock starts again
+    assert [throw.name for throw in load_throws(write(PLAIN, "one.csv"))] == [
+        str(file.with_name("one.csv"))
+    ]
+    names = write("stone,t,x,y\n" + "".join(
+        f"{name},{t},{x},{y}\n" for name in "ab" for t, x, y in zip(T, X, Y, strict=True)
+    ), "named.csv")  # fmt: skip
+    first, second = load_throws(names)
+    assert (first.name, second.name) == (f"{names} throw 1", f"{names} throw 2")
+    (second,) = load_throws(names, stone_index=2)
+    assert second.name == str(names)
+    assert len(load_throws(names, write(several(30.0)))) == 4
+
+
+@pytest.mark.parametrize(
+    "head",
+    ["t1,x1,y1,phi1,t2,x2,y2,phi2", "t,x,y,phi,t.1,x.1,y.1,phi.1", "t,x,y,phi,t,x,y,phi",
+     "t_1 (s),x_1 (m),y_1 (m),phi_1 (rad),t_2 (s),x_2 (m),y_2 (m),phi_2 (rad)",
+     "Red,,,,Yellow,,,\nt (s),x (m),y (m),phi (rad),t (s),x (m),y (m),phi (rad)"],
+)  # fmt: skip
+def test_throws_side_by_side(write, head):
+    others = table(COLUMNS | {"x": X + 0.5}).splitlines()[1:-5] + [",,,"] * 5
+    rows = [f"{one},{other}" for one, other in zip(ROWS, others, strict=True)]
+    file = write("\n".join([head, *rows]))
+    throw = load_throw(file)
+    is_throw(throw)
+    assert throw.notes[0].startswith("2 objects: 1 ")
+    assert "taken: 1 " in throw.notes[0]
+    np.testing.assert_allclose(load_throw(file, stone_index=2).x, X[:-5] + 0.5)
+
+
+def test_one_clock_for_throws_side_by_side(write):
+    rows = "".join(f"{t},{x},{y},{x + 0.5},{y}\n" for t, x, y in zip(T, X, Y, strict=True))
+    np.testing.assert_allclose(
+        load_throw(write("t,x1,y1,x2,y2\n" + rows), stone_index=2).x, X + 0.5
+    )
