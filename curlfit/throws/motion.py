@@ -25,6 +25,9 @@ MIN_POSITIONS = 4
 _MIN_REST_ROWS, _MIN_REST_TIME = 4, 0.2  # rows and time (s) at rest needed to detect rest
 _CAMERA_DRIFT = 0.001  # m, in addition to the scatter from row to row
 _CONFIDENCE = 3.0  # in standard errors
+_TURNED = 2.5  # rad, from the first angle; the stone is then turning freely
+_HELD, _ONSET = 0.4, 0.4  # s; shortest time in the hand, longest onset of the spin
+_STILL = 0.15  # ratio of the spin in the hand to that after the release
 _END_ROWS, _END_TIME = 6, 1.0  # rows and time (s) from which the final speed is estimated
 
 
@@ -179,6 +182,57 @@ def turning(throw: Throw) -> tuple[float, float]:
             turned = float(np.trapezoid(values, t))
         return turned, turned / float(t[-1] - t[0])
     return math.nan, math.nan
+
+
+def release(throw: Throw) -> float | None:
+    """Time of the first row after the release by a hand that kept the stone from turning; None if
+    the stone turns from the beginning, or too few angles are measured.
+
+    The spin is 0, then grows linearly in an onset of up to `_ONSET`, and is a linear function of
+    time after that. Of the releases that least squares allow, within two standard errors, the last
+    one is taken: what is left out too much is hardly missed.
+    """
+    seen = np.isfinite(throw.phi)
+    if seen.sum() < 4 * FEWEST:
+        return None
+    t, phi = throw.t[seen], throw.phi[seen]
+    turned = np.abs(phi - np.median(phi[:5])) > _TURNED
+    n = int(np.argmax(turned)) + 1
+    held = max(int(np.searchsorted(t, t[0] + _HELD)), FEWEST)
+    t, phi = t[:n], phi[:n]
+    if not turned.any() or held > n - 2 * FEWEST:
+        return None
+    spin = _slope(t[-held:], phi[-held:])
+    if abs(_slope(t[:held], phi[:held])) > _STILL * abs(spin):
+        return None
+    squares = np.array([_misfit(t, phi, start, 0.0) for start in t[:-FEWEST]])
+    best = int(squares.argmin())
+    if best < held or squares[0] < 2 * squares[best]:
+        return None
+    if abs(_slope(t[:best], phi[:best])) > _STILL * abs(spin):
+        return None
+    ends = np.array([
+        (start + onset, _misfit(t, phi, start, onset))
+        for onset in np.linspace(0, _ONSET, 9)
+        for start in t[np.abs(t + onset / 2 - t[best]) < _ONSET]
+    ])  # fmt: skip
+    least = ends[:, 1].min()
+    end = ends[ends[:, 1] <= least * (1 + 4 / n) + 1e-12, 0].max()
+    return float(throw.t[throw.t > end + 1e-9][0])
+
+
+def _misfit(t: Floats, phi: Floats, start: float, onset: float) -> float:
+    """Residual sum of squares of an angle whose spin sets in from a start on."""
+    after = np.maximum(t - start, 0.0)
+    turning = np.where(after < onset, after**2 / (2 * onset or 1.0), after - onset / 2)
+    basis = np.stack([np.ones_like(t), turning, np.maximum(after - onset, 0.0) ** 2], 1)
+    off = phi - basis @ np.linalg.lstsq(basis, phi, rcond=None)[0]
+    return float(off @ off)
+
+
+def _slope(t: Floats, values: Floats) -> float:
+    at = t - t.mean()
+    return float(values @ at / (at @ at))
 
 
 def velocity_jump(throw: Throw, motion: MeasuredMotion) -> tuple[float, float] | None:

@@ -12,6 +12,7 @@ import math
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from curlfit.throws.motion import (
     SURE,
     MeasuredMotion,
     motion_of,
+    release,
     turning,
     velocity_jump,
 )
@@ -224,6 +226,10 @@ def _scale(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
             f"it decelerates at {mu * GRAVITY:.2g} m/s^2, a coefficient of friction of {mu:.2g} "
             f"(on ice {low:g} to {high:g})"
         )
+    elif not growing and mu + 3 * error < USUAL_FRICTION[0]:
+        unusual.append(
+            f"its mean coefficient of friction is {mu:.2g}, and published ones are 0.006 to 0.02"
+        )
     if text := ", and ".join((faults or unusual)[:2]):
         yield Finding("units", text, unit_remedy(throw), bool(faults))
 
@@ -237,43 +243,78 @@ def _curl(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
         yield Finding("units", text, unit_remedy(throw), sure > WIDTH)
 
 
+class _Touch(NamedTuple):
+    """A change of the motion that friction does not cause: its finding, and the time that since or
+    until cuts it off at; neither, if it is not cut off."""
+
+    kind: str
+    says: str
+    remedy: str
+    cut: str = ""
+    time: float = math.nan
+
+
 def _push(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
-    """The touch of a hand before the release, or of another stone: a velocity that jumps, or a
-    speed that grows."""
+    """The hand that holds a stone before the release, or the touch of a hand or another stone."""
+    let_go, touch = release(throw), _touch(throw, motion)
+    early = touch if touch is not None and touch.cut == "since" else None
+    if let_go is not None and (early is None or _clear(throw, let_go) == let_go):
+        kind = "release" if early is None else early.kind
+        says = f"the stone is held by a hand, and begins to turn at t = {let_go:.4g} s"
+        remedy = "leave out what is before the release, where it begins to turn"
+        early = _Touch(kind, early.says if early else says, remedy, "since", let_go)
+    elif early is not None:
+        early = early._replace(time=_clear(throw, early.time))
+    for one in (early, None if touch is not None and touch.cut == "since" else touch):
+        if one is not None:
+            cut = f": {_cut(throw, one.cut, one.time)}" if one.cut else ""
+            yield Finding(one.kind, one.says, one.remedy + cut)
+
+
+def _clear(throw: Throw, time: float) -> float:
+    """The time, from one on, after which no touch is left that is cut off at the beginning."""
+    later = throw.select_rows(since=_rounded("since", time))
+    motion = motion_of(later)
+    touch = None if motion is None else _touch(later, motion)
+    again = touch is not None and touch.cut == "since"
+    return _clear(throw, touch.time) if touch is not None and again else time
+
+
+def _touch(throw: Throw, motion: MeasuredMotion) -> _Touch | None:
+    """A velocity that jumps, or a speed that grows."""
     jump = velocity_jump(throw, motion)
     if jump is not None:
         at, change = jump
         early = at - throw.t[0] < throw.t[-1] - at
-        cut = _cut(throw, "since" if early else "until", at)
-        yield Finding(
-            "collision",
+        says = (
             f"the velocity jumps by {change:.2g} m/s at t = {at:.4g} s, as in a collision or at "
-            "the touch of a hand",
-            f"leave out what is {'before' if early else 'after'}: {cut}",
+            "the touch of a hand"
         )
-        return
+        remedy = "leave out what is " + ("before" if early else "after")
+        if early and "phi" not in throw.seen:
+            remedy += ", and the slide in the hand, which an angle would show"
+        return _Touch("collision", says, remedy, "since" if early else "until", at)
     speed, error = motion.speed, motion.error
     rise = speed - np.minimum.accumulate(speed)
     peak = int(np.argmax(rise))
     trough = int(np.argmin(speed[: peak + 1]))
     if rise[peak] <= max(_GROWTH, SURE * math.hypot(error[peak], error[trough])):
-        return
+        return None
     begin, end, last = motion.t[trough], motion.t[peak], len(speed) - 1
-    if peak == last and trough < 0.2 * len(speed):
-        why = "times may run backwards, or all rows are before the release"
-        remedy = "check the column of the time"
-    elif begin - motion.t[0] < 0.5 * (motion.t[-1] - motion.t[0]) and peak < last - 1:
-        why = "a hand was still on the stone, or something pushed it"
-        after = _cut(throw, "since", float(motion.end[peak]) + 1e-9)
-        remedy = f"leave out what is before the release: {after}"
-    else:
-        why = "something pushed the stone"
-        remedy = f"leave out what follows: {_cut(throw, 'until', float(motion.begin[trough]))}"
-    yield Finding(
-        "growing speed",
+    says = (
         f"the speed grows from {speed[trough]:.2g} to {speed[peak]:.2g} m/s between t = "
-        f"{begin:.3g} and {end:.3g} s, which friction cannot do: {why}",
-        remedy,
+        f"{begin:.3g} and {end:.3g} s, which friction cannot do: "
+    )
+    if peak == last and trough < 0.2 * len(speed):
+        says += "times may run backwards, or all rows are before the release"
+        return _Touch("growing speed", says, "check the column of the time")
+    if begin - motion.t[0] < 0.5 * (motion.t[-1] - motion.t[0]) and peak < last - 1:
+        says += "a hand was still on the stone, or something pushed it"
+        remedy, after = "leave out what is before the release", float(motion.end[peak]) + 1e-9
+        return _Touch("growing speed", says, remedy, "since", after)
+    says += "something pushed the stone"
+    return _Touch(
+        "growing speed", says, "leave out what follows", "until", float(motion.begin[trough])
     )
 
 
@@ -347,8 +388,12 @@ def _rates(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
 
 def _cut(throw: Throw, name: str, time: float) -> str:
     """The option that leaves out what is before, or after, a time; to a hundredth of a second."""
+    return option(throw, name, f"{_rounded(name, time):g}")
+
+
+def _rounded(name: str, time: float) -> float:
     hundredths = math.ceil(100 * time) if name == "since" else math.floor(100 * time - 1e-9)
-    return option(throw, name, f"{hundredths / 100:g}")
+    return hundredths / 100
 
 
 _STAGES = ((_scale,), (_push,), (_curl,), (_axes, _rates))

@@ -16,8 +16,9 @@ USUAL_SPEED = 4.5
 """m/s; 3.5 m/s with a margin for the slowing down before the hog line."""
 USUAL_CURL = 4.0
 """m; ordinary throws curl 0.5 to 2 m."""
+_READ = ("60/30fps", "120/30fps", "240/30fps", "30/60fps")  # filmed and read
 _UNITS = {
-    "t": ("s", "ms", "us", "min", "30fps"), "phi": ("rad", "deg", "mrad"),
+    "t": ("s", "ms", "us", "min", "30fps", *_READ), "phi": ("rad", "deg", "mrad"),
     "omega": ("rad/s", "deg/s", "rpm"), "speed": ("m/s", "km/h", "ft/s", "mph", "cm/s", "mm/s"),
     "x": ("m", "cm", "mm", "ft", "in"),
 }  # fmt: skip
@@ -72,12 +73,15 @@ def unit_remedy(throw: Throw) -> str:
         scaled = {channel: factor * getattr(throw, channel) for channel, factor in changes.items()}
         alone = len(changes) == 1 and "t" not in changes  # rare
         odd = _oddity(replace(throw, sigma={}, **scaled), alone) + name.count(",")
-        odd += alone * (1 + name.endswith(("in", "ft")))
+        odd += alone * (1 + name.endswith(("in", "ft"))) + 2 * name.endswith(_READ)
         if odd < best:
             best, units = odd, name
     if not units:
         return f"set the units of the file, as in {some_units(throw)}"
     flag = option(throw, "units", units)
+    if units.endswith(_READ):
+        filmed, _, read = units.removeprefix("t=").removesuffix("fps").partition("/")
+        return f"if a film of {filmed} frames a second was read at {read}: {flag}"
     if units.endswith("fps"):
         return f"if t counts frames: {flag}, with the frame rate of the camera"
     what = {"t": "the time is", "length": "lengths are"}

@@ -22,7 +22,7 @@ from sample_files import SAMPLES, table
 
 import curlfit
 from curlfit import InputError, Throw, load_throw
-from curlfit.throws.motion import motion_of
+from curlfit.throws.motion import motion_of, release
 from curlfit.throws.plausibility import examine, require_plausible
 
 GOOD = good()
@@ -152,6 +152,61 @@ def test_what_friction_cannot_do_is_refused_and_cut_off(written, made, said, fla
     assert require_plausible(throw.select_rows(**{flag: time})) == ()
 
 
+def filmed(c, onset=0.0, rest=3.0, glide=3.0, spin=0.0):
+    """A full film, whose time 0 is that of the release: rest, the push of a leg, the slide in the
+    hand, in the last `onset` of which the hand turns the stone, then the throw."""
+    dt = 0.04
+    before = np.arange(-rest - glide - 0.5, -1e-9, dt)
+    v0 = np.array([(c[axis][15] - c[axis][0]) / 1.5 for axis in "xy"])
+    w0 = (c["phi"][15] - c["phi"][0]) / 1.5
+    speed = np.clip((before + glide + 0.5) / 0.5, 0, 1)
+    turning = np.clip((before + onset) / max(onset, 1e-9), 0, 1) * w0 + spin
+    noise = 0.003 * np.random.default_rng(5).standard_normal((3, len(before)))
+    back = {"x": speed * v0[0], "y": speed * v0[1], "phi": turning}
+    early = {
+        name: c[name][:4].mean() - 0.15 * (name == "y") * v0[1]
+        - dt * np.cumsum(rate[::-1])[::-1] + noise[k]
+        for k, (name, rate) in enumerate(back.items())
+    }  # fmt: skip
+    return {name: np.concatenate([({"t": before} | early)[name], c[name]]) for name in c}
+
+
+@pytest.mark.parametrize("onset", [0.0, 0.15, 0.3])
+@pytest.mark.parametrize(("rest", "glide"), [(3.0, 3.0), (0.0, 3.0), (2.0, 1.0)])
+def test_the_release_is_where_the_stone_begins_to_turn(written, onset, rest, glide):
+    throw = load_throw(written(filmed(GOOD, onset, rest, glide)))
+    with pytest.raises(InputError, match="what is before the release, where it begins to turn"):
+        require_plausible(throw)
+    time = float(typed_flag(str(examine(throw)[0]), "since"))
+    assert -0.05 <= time <= 0.35, time  # not earlier, by a row at most
+    assert require_plausible(throw.select_rows(since=time)) == ()
+    columns = {name: getattr(throw, name) for name in ("t", "x", "y")}
+    (finding,) = examine(load_throw(written(columns)))
+    assert "the slide in the hand, which an angle would show" in str(finding)
+    (finding,) = examine(throw.select_rows(since=-0.9 * glide))
+    assert (finding.kind, finding.refused) == ("release", True)
+    assert float(typed_flag(str(finding), "since")) == pytest.approx(time, abs=0.15)
+
+
+def test_a_stone_that_turns_from_the_beginning_has_no_release():
+    for throw in (GOOD, filmed(GOOD, spin=1.0, rest=0.0), GOOD | {"phi": 0.1 * GOOD["phi"]}):
+        assert release(Throw.from_arrays(**throw)) is None
+    assert release(Throw.from_arrays(**{k: v for k, v in GOOD.items() if k != "phi"})) is None
+
+
+@pytest.mark.parametrize(("filmed_at", "read_at"), [(60, 30), (120, 30), (240, 30)])
+def test_the_wrong_number_of_frames_a_second_is_suspected(written, filmed_at, read_at):
+    """Times are off by a factor, and friction by its square."""
+    throw = load_throw(written(GOOD | {"t": GOOD["t"] * filmed_at / read_at}))
+    (finding,) = examine(throw)
+    assert f"if a film of {filmed_at} frames a second was read at {read_at}: " in str(finding)
+    assert finding.refused == (filmed_at > 60)
+    flag = typed_flag(str(finding), "units")
+    again = load_throw(written(GOOD | {"t": GOOD["t"] * filmed_at / read_at}), units=flag)
+    is_good(again)
+    assert examine(again) == ()
+
+
 def test_times_that_run_backwards_are_refused():
     reversed_ = {name: v[::-1] if name != "t" else v for name, v in GOOD.items()}
     with pytest.raises(InputError, match="times may run backwards"):
@@ -244,7 +299,8 @@ UNITS, UNUSUAL, AXES = [("units", True)], [("units", False)], [("axes", False)]
     ("throw", "found"),
     [
         (sliding(friction=0.0016, noise=0.001), UNITS),
-        (sliding(friction=0.0027, noise=0.001), []),
+        (sliding(friction=0.0027, noise=0.001), UNUSUAL),
+        (sliding(friction=0.0035, noise=0.001), []),
         (sliding(v=3, friction=0.13, until=2, dt=0.02), UNITS),
         (sliding(v=3, friction=0.08, until=3, dt=0.02), []),
         (sliding(v=7, friction=0.02, until=3), UNITS),

@@ -68,7 +68,8 @@ _UNITS = {
     },
     "pixel": {"px": 1.0, "pixel": 1.0, "pixels": 1.0, "pix": 1.0},
 }  # fmt: skip
-_FRAMES = re.compile(r"(\d+(?:\.\d+)?) ?fps", re.I)  # of a time that counts frames
+# of a time that counts frames, or of a film of 60 frames a second that was read at 30
+_FRAMES = re.compile(r"(\d+(?:\.\d+)?)(?:/(\d+(?:\.\d+)?))? ?fps", re.I)
 _SEPARATORS = re.compile(r"[\s_\-./()\[\]{},:·*\uff08\uff09\uff3b\uff3d]+")
 
 
@@ -180,7 +181,7 @@ def in_unit(quantity: str, unit: str) -> Column:
     units = units_of(quantity)
     frames = _FRAMES.fullmatch(unit.strip())
     if frames is not None and units is _UNITS["t"] and float(frames[1]) > 0:
-        return Column(quantity, unit.strip(), 1 / float(frames[1]))
+        return Column(quantity, unit.strip(), float(frames[2] or 1) / float(frames[1]))
     if text not in units and text in _UNITS["pixel"] and quantity in ("x", "y"):
         return Column("u" if quantity == "x" else "v", "px", 1.0)
     if text not in units:
