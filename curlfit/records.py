@@ -301,8 +301,8 @@ def _converter() -> Any:
     @made.register_structure_hook_factory(partial(is_a, (Union, UnionType)))
     def of_optional(kind: Any) -> Any:
         (other,) = set(get_args(kind)) - {type(None)}
-        usual = made.get_structure_hook(other)
-        return lambda value, _: None if value is None else usual(value, other)
+        # found when it is called, since a record may have another of its kind
+        return lambda value, _: None if value is None else made.structure(value, other)
 
     # cattrs takes whatever can be iterated over, defaults for what is missing, and no annotations.
     inside: list[Any] = []

@@ -113,7 +113,9 @@ def fit(
         raise InputError("--resume continues sampling, and --no-sample skips it; give one of them")
     jobs = s.prepare_all(files, config, reading, flags)
     if len(jobs) > 1:
-        return _fit_jointly(jobs, share, by, trend, sampling.of_several(), output)
+        one, several = data[0].resolve(), Path("joint-fit")
+        usual = s.result_folder(one, "fit", reading) if len(data) == 1 else several
+        return _fit_jointly(jobs, share, by, trend, sampling.of_several(), output, usual)
     for name, value in (("share", share), ("by", by), ("trend", trend)):
         if value:
             raise InputError(f"--{name} needs several throws")
@@ -249,6 +251,7 @@ def _fit_jointly(
     trend: Sequence[str],
     seed: int | None,
     output: Output,
+    usual: Path,
 ) -> Saved:
     """Fit several throws jointly and print the report; write `joint.json`, figures, single fits."""
     from curlfit.friction import find_law
@@ -277,7 +280,7 @@ def _fit_jointly(
         for job in jobs
     ]
     common = {name: value for name, value in chosen if name not in each}
-    folder = prepare_folder(output.out or Path("joint-fit"))
+    folder = prepare_folder(output.out or usual)
     drawn.draw_beside()
 
     shared = "all" if share == ("all",) else share or None

@@ -42,7 +42,7 @@ class Output(Choices):
     Attributes
     ----------
     out : Folder for the results. [default: the name of DATA or FIT, with the numbers given by
-        --shot and --stone-index, and the verb]
+        --shot and --stone-index, and the verb; of several files joint-fit]
     figures : Format of the figures, `png`, `pdf` or `svg`; several separated by commas. [default:
         png]
     no_figures : Draw no figures.

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Group, Parameter
 
 from curlfit.errors import InputError
+from curlfit.foreign import safe_name
 from curlfit.options import settings as s
 from curlfit.options.output import COMPILES, Output, Saved
 from curlfit.settings.choices import COUNT, SEED, Choices, Named, Reading
@@ -59,7 +60,8 @@ class Called(Choices):
     broom : Where the broom is, seen from the thrower, at the far tee: `4 ft left`, `1.2 m right`.
     thrower_sd : Scatter of the thrower, standard deviations of weight and broom: `0.15 s, 4 in`.
         [default: none]
-    turn : `clockwise` or `counter-clockwise`; `in` or `out` of a right-hander.
+    turn : `clockwise` or `counter-clockwise`; `in` or `out` of a right-hander; `both`, whose
+        `--broom` is that of the in-turn.
     sheet : Sheet of ice, of a joint fit by sheets.
     group : Group of a joint fit, by the labels of `--by`: `thrower=Anna`; or the place along a
         trend: `start=21:30`. [default: the mean of the groups; the end of the trend]
@@ -176,7 +178,8 @@ def predict(
     words += [f"--from={line}"] * bool(line) + [f"--check={check}"] * bool(check)
     words += [f"--draws={draws}", f"--seed={seed}"]
     found = replace(found, command=command_line("predict", str(fit), *words))
-    folder = prepare_folder(output.out or Path(f"{s.name_of(fit)}-predict"))
+    name = "-".join([s.name_of(fit), *map(safe_name, found.call.labels.values()), "predict"])
+    folder = prepare_folder(output.out or Path(name))
     table = folder / "predict.csv"
     atomic_write(table, found.table())
     return output.finish(found, folder, drawn, files=[table])

@@ -17,6 +17,7 @@ _UNITS = {"x": (100.0, "cm"), "y": (100.0, "cm"), "phi": (1000.0, "mrad")}
 _REST = ("rest_x", "rest_y")
 _LEVELS = (("2.5", "97.5", 0.3, "95 %"), ("16", "84", 0.6, "68 %"))
 """Percentiles at the ends of the bands, opacity and label."""
+_OTHER: dict[str, Any] = {"color": draw.REFERENCE_COLOR, "lw": 0.9, "ls": "--", "zorder": 4}
 
 
 @draw.style()
@@ -67,6 +68,10 @@ def _sheet_view(prediction: Prediction, axes: Any) -> None:
     axes.plot(series["y"], series["x"], color=draw.FIT_COLOR, lw=1, zorder=4)
     _stone(axes, (series["y"][0], series["x"][0]), hollow=True)
     _stone(axes, (series["y"][-1], series["x"][-1]))
+    if prediction.other is not None:
+        other = prediction.other.series
+        axes.plot(other["y"], other["x"], **_OTHER)
+        _stone(axes, (other["y"][-1], other["x"][-1]))
     axes.set_xlim(min(float(series["y"][0]), 0.0) - 0.5, max(float(series["y"][-1]), length) + 0.5)
     names = {"hog": "hog line", "far-hog": "hog line", "tee": "tee", "far-tee": "tee"}
     draw.sheet_axes(axes, names, max(half, float(np.abs(series["x"]).max()) + 0.3))
@@ -103,6 +108,13 @@ def _resting_place(prediction: Prediction, axes: Any) -> None:
     for first, last, alpha, _ in _LEVELS:
         style = {"fc": draw.PREDICTION_COLOR, "alpha": alpha, "ec": "none", "zorder": 3}
         _ellipse(axes, *_interval(prediction, first, last), rest["both"], **style)
+    if prediction.other is not None:
+        other = prediction.other
+        path, place = other.series, _interval(other, "2.5", "97.5")
+        label = f"{other.call.turn}-turn"
+        axes.plot(path["x"], path["y"] - sheet.TEE, **_OTHER)
+        style = {"fc": "none", "ec": _OTHER["color"], "lw": 0.8, "zorder": 5}
+        _ellipse(axes, *place, other.rest["both"], **style, label=label)
     own = 1.96 * np.array([prediction.quantities[name].parameter_sd for name in _REST])
     _ellipse(
         axes, np.array([x, y]), own, rest["parameter"], fc="none", ec=draw.FIT_COLOR,

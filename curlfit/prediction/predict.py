@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,7 @@ from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Floats
 from curlfit.prediction import diagnostics
 from curlfit.prediction.ensemble import ThrowFamily, prepare_ensemble, weights_of
-from curlfit.prediction.request import ThrowRequest, ThrowStart, start_of
+from curlfit.prediction.request import ThrowRequest, ThrowStart, both_turns, start_of
 from curlfit.prediction.result import CENTRED, Call, Prediction
 from curlfit.prediction.simulation import Simulation
 from curlfit.throws.throw import CHANNELS, Throw
@@ -98,6 +99,16 @@ def predict(
     >>> round(prediction.quantities["time"].value, 1)
     24.3
     """
+    if call.turn == "both":
+        common: dict[str, Any] = {
+            "line": line, "target": target, "weight": weight, "tee_speed": tee_speed,
+            "draws": draws, "seed": seed, "check": check,
+        }  # fmt: skip
+        first, other = (
+            predict(fit, chain, start=own, call=one, **common)
+            for one, own in both_turns(call, start or {})
+        )
+        return replace(first, other=other)
     random, together = np.random.default_rng(seed), isinstance(fit, JointResult)
     drawn = None
     if isinstance(fit, JointResult):

@@ -83,6 +83,7 @@ def document(prediction: Prediction) -> Document:
                 (_quantities(prediction), Said(f"{rest} {curl}"), _outcomes(prediction),
                  _sensitivity(prediction)),
             ),
+            *([] if prediction.other is None else [_other(prediction.other)]),
             Section("weights", "Weights and brooms", (_weights(prediction),)),
             Section(
                 "held-out", "Rows that were not fitted", _check(check) if check else (), brief=False
@@ -104,6 +105,14 @@ def document(prediction: Prediction) -> Document:
         command=prediction.command,
         names=prediction.start,
     )  # fmt: skip
+
+
+def _other(prediction: Prediction) -> Section:
+    """The same throw with the other turn."""
+    rest, curl = describe_rest(prediction)
+    turn = capital(f"{prediction.call.turn}-turn")
+    said = f"{turn}: {lower(_called(prediction))} {rest} {curl} {_outcomes(prediction)}"
+    return Section("other", f"The {turn.lower()}", (_quantities(prediction), Said(said)))
 
 
 def describe_rest(prediction: Prediction) -> tuple[str, str]:

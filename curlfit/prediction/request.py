@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple, Self
 
 from curlfit.dynamics.aim import Aim, aim
@@ -31,6 +32,21 @@ _STARTING_LINES = tuple(LINES)[:-1]
 _FASTEST_SPIN = 100.0  # rad/s
 # The in-turn of a right-hander is clockwise.
 _TURNS = {"clockwise": -1, "cw": -1, "in": -1, "counter-clockwise": 1, "ccw": 1, "out": 1}
+
+
+def both_turns(call: Call, given: Mapping[str, float]) -> list[tuple[Call, dict[str, float]]]:
+    """The in-turn and the out-turn of a call, and what is given of the start of each; broom, place,
+    heading and spin are those of the in-turn, and of the out-turn their mirror images."""
+    found = []
+    for turn, side in (("in", 1), ("out", -1)):
+        start = dict(given) | {
+            name: side * given[name] for name in ("x0", "heading") if name in given
+        }
+        if "omega0" in given:
+            start["omega0"] = _TURNS[turn] * abs(given["omega0"])
+        broom = None if call.broom is None else side * call.broom
+        found.append((replace(call, turn=turn, broom=broom), start))
+    return found
 
 
 class ThrowRequest(NamedTuple):
@@ -65,7 +81,9 @@ class ThrowRequest(NamedTuple):
         called, start_line = {}, line or "hog"
         if call.turn is not None:
             if call.turn not in _TURNS:
-                raise InputError(f"turn {quoted(call.turn)}: expected one of {', '.join(_TURNS)}")
+                raise InputError(
+                    f"turn {quoted(call.turn)}: expected one of {', '.join(_TURNS)}, both"
+                )
             called["omega0"] = _TURNS[call.turn] * abs(fit.parameters["omega0"].value)
         if call.broom is not None:
             slope, y0 = call.broom / TEE, LINES.get(start_line, fit.parameters["y0"].value)

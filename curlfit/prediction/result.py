@@ -35,6 +35,7 @@ QUANTITIES = {
 """Predicted quantities: meaning and unit by name. Curl is the distance of the resting position from
 the line of delivery, the straight line along the initial velocity."""
 OUTCOMES = {
+    "on the button": "rests on the button or touches it",
     "in the house": "rests in the house or touches it",
     "short of the hog line": "does not cross the far hog line and is removed",
     "through the house": "passes the back line and is out of play",
@@ -62,7 +63,8 @@ class Call:
         hack.
     thrower : standard deviations of the time between hog lines in s, and of the aim at the broom
         in m.
-    turn : "clockwise" or "counter-clockwise"; "in" and "out" as of a right-hander.
+    turn : "clockwise" or "counter-clockwise"; "in" and "out" as of a right-hander; "both" for one
+        throw of each.
 
     Examples
     --------
@@ -188,6 +190,7 @@ class Prediction(Record):
     sensitivity : change of the resting position, "right" and "along" (m), when a component of the
         initial state changes by "by"; by name of the component.
     warnings, notes : for the reader.
+    other : the same throw with the other turn, where both were asked for.
     check : None, or the comparison with measured rows.
     measured : t (s since the start) and the measured channels of the fitted rows, on the sheet; for
         a new throw translated and rotated to its initial state.
@@ -229,6 +232,7 @@ class Prediction(Record):
     call: Call = field(default_factory=Call)
     command: str = ""
     weights: tuple[Weight, ...] = ()
+    other: Prediction | None = None
     check: HeldOut | None = None
     measured: dict[str, Floats] = field(default_factory=dict, metadata=SERIES)
     sample: Annotated[Arrays, Names(("t", *PREDICTED, "rest"))] = field(

@@ -15,7 +15,7 @@ from curlfit.numerics.arrays import Floats
 from curlfit.prediction.discrepancy import discrepancy_posterior
 from curlfit.prediction.ensemble import VARIED, ThrowFamily, TrajectoryEnsemble
 from curlfit.prediction.result import CENTRED, PREDICTED, QUANTITIES, Call, Discrepancy, Quantity
-from curlfit.sheet import END, FOOT, HOUSE, LINES, STONE_RADIUS, TEE
+from curlfit.sheet import CIRCLES, END, FOOT, HOUSE, LINES, STONE_RADIUS, TEE
 
 _BAND_POINTS = 121
 _SAMPLED, _SAMPLE_TIMES = 60, 30  # draws kept, and times of each
@@ -147,8 +147,10 @@ class Simulation(NamedTuple):
 
     def _chances(self) -> dict[str, float]:
         x, y, _ = self.full.end.T
+        away = np.hypot(x, y - TEE) - STONE_RADIUS
         events = {
-            "in the house": np.hypot(x, y - TEE) < HOUSE + STONE_RADIUS,
+            "on the button": away < CIRCLES[-1],
+            "in the house": away < HOUSE,
             "short of the hog line": y - STONE_RADIUS < LINES["far-hog"],
             "through the house": y > END,
         }

@@ -2,10 +2,12 @@
 
 import json
 from dataclasses import replace
+from io import StringIO
 
 import numpy as np
 import pytest
 from conftest import command
+from rich.console import Console
 from scipy.optimize import brentq
 from scipy.stats import norm
 
@@ -14,7 +16,7 @@ from curlfit import InputError, sheet
 from curlfit.inference.joint.population import _moves
 from curlfit.inference.joint.posterior import sampled
 from curlfit.numerics.mixed_model import MixedModel
-from curlfit.prediction.result import Call
+from curlfit.prediction.result import Call, Prediction
 from curlfit.throws.events import Event
 
 STONE = curlfit.Stone(R=0.065)
@@ -126,6 +128,28 @@ def test_a_spin_that_is_not_given_turns_the_stone_as_measured(joint):
     assert found.start["omega0"]["origin"] == "call"
     given = curlfit.predict(joint, call=call, start={"omega0": found.start["omega0"]["value"]})
     assert given.quantities["turns"].sd > 3 * turns.sd
+
+
+def test_both_turns_are_mirror_images(joint):
+    call = Call({"sheet": "2"}, hog_to_hog=13.4, broom=-1.0, turn="both")
+    found = curlfit.predict(joint, call=call, draws=400)
+    other = found.other
+    assert (found.call.turn, other.call.turn, other.call.broom) == ("in", "out", 1.0)
+    np.testing.assert_allclose(other.series["x"], -found.series["x"], atol=1e-9)
+    np.testing.assert_allclose(other.series["phi"], -found.series["phi"], atol=1e-9)
+    rest = [one.quantities["rest_x"].quantiles for one in (found, other)]
+    assert rest[1]["16"] == pytest.approx(-rest[0]["84"], abs=0.03)
+    on_it = np.hypot(found.sample["x"][:, -1], found.sample["y"][:, -1] - sheet.TEE)
+    share = np.mean(on_it < sheet.CIRCLES[-1] + sheet.STONE_RADIUS)
+    assert found.chances["on the button"] == pytest.approx(
+        share, abs=4 * (0.25 / len(on_it)) ** 0.5
+    )
+    curlfit.print_prediction(found, Console(file=(text := StringIO()), width=200))
+    assert "Out-turn: sheet 2" in text.getvalue()
+    assert Prediction.from_json(found.to_json()).other.call == other.call
+    (ax_sheet, house, *_) = curlfit.prediction_figure(found).axes
+    assert "out-turn" in house.get_legend_handles_labels()[1]
+    assert len(ax_sheet.patches) > len(curlfit.prediction_figure(other).axes[0].patches)
 
 
 def test_another_throw_takes_its_given_time_and_has_the_spread(joint):
