@@ -13,10 +13,11 @@ import xarray
 from conftest import filmed, shown
 from emcee.moves import DEMove, MHMove, StretchMove
 from scipy import stats
+from scipy.optimize import linprog
 
 import curlfit
 from curlfit import Stone, fit, load_chain, sample
-from curlfit.inference.mcmc.ridge import RidgeProposal, proposed
+from curlfit.inference.mcmc.ridge import RidgeProposal, _extent, proposed
 from curlfit.inference.mcmc.sampler import SideBySide
 from curlfit.inference.mcmc.summary import Diagnosis, steps_to_discard
 
@@ -156,6 +157,20 @@ def test_the_density_of_a_ridge_is_a_density():
 
 
 @pytest.mark.slow
+def test_the_extent_of_one_direction_is_that_of_a_linear_program():
+    random = np.random.default_rng(0)
+    for size in range(1, 8):
+        null = random.standard_normal((1, size))
+        null[:, 1::2] = 0
+        walls = np.concatenate([null.T, -null.T])
+        room = random.uniform(0, 3, 2 * size)
+        ends = [
+            sign * linprog(sign * null[:, 0], A_ub=walls, b_ub=room, bounds=(None, None)).fun
+            for sign in (1, -1)
+        ]
+        assert _extent(null[:, 0], walls, room) == pytest.approx(ends)
+
+
 def test_a_curved_ridge_is_sampled_from_end_to_end():
     """Without an angle, `omega0` is known neither in sign nor size. Turning the other way, with
     front and back exchanged, leads along the same path."""

@@ -160,23 +160,29 @@ def _about(
 
 @dataclass(frozen=True)
 class CurvedRidge:
-    """Proposals about optima along a curved ridge, and their probabilities."""
+    """Proposals about optima along a curved ridge, each for an interval of the parameter that is
+    held there, and their probabilities."""
 
     parts: Sequence[RidgeProposal]
     shares: Floats
+    held: int
+    borders: Floats
 
     def draw(self, n: int, random: Any) -> Floats:
         """n parameter vectors, shape (n, p)."""
         which = random.choice(len(self.parts), n, p=self.shares)
-        return np.concatenate([self.parts[index].draw(1, random) for index in which])
+        found = np.zeros((n, len(self.parts[0].centre)))
+        for index in np.unique(which):
+            found[which == index] = self.parts[index].draw(int((which == index).sum()), random)
+        return found
 
     def log_density(self, values: Floats) -> Floats:
         """Log-density of the proposal up to a constant, shape (n,)."""
-        # The intervals of the held parameter do not overlap: a part is 0 outside its own.
-        pairs = zip(self.parts, self.shares, strict=True)
-        found: Floats = np.logaddexp.reduce(
-            [part.log_density(values) + np.log(share) for part, share in pairs if share > 0]
-        )
+        found = np.full(len(values), -np.inf)
+        which = np.searchsorted(self.borders, values[:, self.held]) - 1
+        for index in np.intersect1d(which, np.flatnonzero(self.shares)):
+            here = which == index
+            found[here] = self.parts[index].log_density(values[here]) + np.log(self.shares[index])
         return found
 
 
@@ -231,7 +237,7 @@ def posterior_proposal(fit: FitResult) -> Proposal:
         dense = np.pad(shares / width, 1)
         dense = np.maximum.reduce([dense[:-2], dense[1:-1], dense[2:]]) * width
         shares = (1 - _ROUGH) * shares / shares.sum() + _ROUGH * dense / dense.sum()
-        proposal = CurvedRidge(parts, shares)
+        proposal = CurvedRidge(parts, shares, int(whole.free[:place].sum()), borders)
         # The next intervals follow the root of the density, which makes them narrow in its tails
         # too, and are narrowest where a parameter reaches its bound.
         turns = [list(one.pushed) != list(other.pushed) for one, other in pairwise(parts)]
@@ -292,7 +298,15 @@ def _pivots(
 
 def _extent(along: Floats, walls: Floats, room: Floats) -> tuple[float, float]:
     """Least and greatest `along @ z` of all z with `walls @ z <= room`."""
-    from scipy.optimize import linprog
+    if len(along) == 1:
+        wall = walls[:, 0]
+        low, high = (
+            sign * (room[some] / np.abs(wall[some])).min()
+            for sign, some in ((-1, wall < 0), (1, wall > 0))
+        )
+        least, greatest = sorted((float(along[0] * low), float(along[0] * high)))
+        return least, greatest
+    from scipy.optimize import linprog  # slow, for one direction
 
     least, greatest = (
         linprog(sign * along, A_ub=walls, b_ub=room, bounds=(None, None)).fun for sign in (1, -1)
