@@ -281,7 +281,7 @@ class Throw(Displayed):
         there, known = np.isfinite(getattr(self, name)), self.relative_sigma.get(name)
         if known is None or not there.any():
             return np.ones(len(self))
-        return np.where(there, known, 1.0) / known[there].min()
+        return np.where(there, known / known[there].min(), 1.0)
 
     @property
     def has_path(self) -> bool:

@@ -50,15 +50,15 @@ def columns_of(
     DataError : two columns have the same meaning, or a required one is missing.
     """
     units, pixels = parse_units(reading.units), reading.reference is not None
-    chosen = _chosen(names, reading.columns, error)
-    columns: dict[int, Column] = {}
     bare = [str(name).strip().lower() for name in names]
     meant = {column.quantity for name in names if (column := parse_header(name)) is not None}
     velocities = not pixels and {"x", "y"} <= meant and "u" in bare
     pixels = pixels or ("u" in bare and "v" in bare and not velocities)
     counted = "t" not in meant and any(map(_FRAME_NUMBERS.fullmatch, bare))
-    taken = {column.quantity: names[index] for index, column in chosen.items()}
     as_set = partial(_as_set, units, pixels)
+    columns = {k: as_set(one) for k, one in _chosen(names, reading.columns, error).items()}
+    chosen = {column.quantity for column in columns.values()}
+    taken: dict[str, str] = {}
     for index, (name, word) in enumerate(zip(names, bare, strict=True)):
         column = parse_header(name)
         if counted and _FRAME_NUMBERS.fullmatch(word) and units.get("t", "").endswith("fps"):
@@ -68,7 +68,7 @@ def columns_of(
         if column is None or (velocities and word in ("u", "v")):
             continue
         column = as_set(column)
-        if index in chosen or column.quantity in {one.quantity for one in chosen.values()}:
+        if index in columns or column.quantity in chosen:
             continue
         if column.quantity in taken:
             raise error(
@@ -77,7 +77,6 @@ def columns_of(
             )
         taken[column.quantity] = name
         columns[index] = column
-    columns |= {index: as_set(column) for index, column in chosen.items()}
     columns |= _in_other_words(names, columns, as_set, numeric)
     if missing := missing_columns(column.quantity for column in columns.values()):
         raise error(_what_is_missing(missing, names, counted))
@@ -105,20 +104,18 @@ def _chosen(
 ) -> dict[int, Column]:
     """The columns that the user names, by index; a heading may be named without its unit."""
     found: dict[int, Column] = {}
+    whole = [str(name).strip().lower() for name in names]
+    bare = [_UNIT.sub("", name) for name in whole]
     for key, header in wanted.items():
-        quantity = quantity_of(key)
+        quantity, sought = quantity_of(key), header.strip().lower()
         if quantity is None:
             raise error(f"columns {quoted(key)}={quoted(header)}: expected one of {_QUANTITIES}")
-        whole = [str(name).strip().lower() for name in names]
-        places: list[int] = []
-        for headings in (whole, [_UNIT.sub("", name) for name in whole]):
-            named = (k for k, name in enumerate(headings) if name == header.strip().lower())
-            places = places or list(named)
+        headings = whole if sought in whole else bare
+        places = [k for k, name in enumerate(headings) if name == sought]
         if len(places) != 1 or places[0] in found:
             many = "no column" if not places else "more than one column, or one named twice,"
-            raise error(
-                f"columns {key}={quoted(header)}: {many} of this name among {_listed(names)}"
-            )
+            said = f"{many} of this name among {_listed(names)}"
+            raise error(f"columns {key}={quoted(header)}: {said}")
         found[places[0]] = named_column(names[places[0]], quantity)
     return found
 
@@ -141,10 +138,8 @@ def _in_other_words(
         if column.quantity in ("t", "x", "y", "u", "v") or numeric(index):
             found.setdefault(column.quantity, []).append((index, column))
     sole = {key: every[0] for key, every in found.items() if len(every) == 1 and key not in taken}
-    for pair, others in (("xy", "uv"), ("uv", "xy")):
-        if not set(pair) <= sole.keys() | taken or set(others) & (
-            taken | (sole.keys() - set("uv"))
-        ):
+    for pair, others in (("xy", taken & {"u", "v"}), ("uv", (taken | sole.keys()) & {"x", "y"})):
+        if others or not set(pair) <= taken | sole.keys():
             sole = {key: one for key, one in sole.items() if key not in pair}
     return {k: column for k, column in sole.values() if not column.quantity.startswith("sigma")}
 

@@ -151,7 +151,7 @@ def contents_of(parsed: ParsedFile, words: Mapping[str, Sequence[Any]]) -> Conte
     if header:
         parsed = replace(parsed, ignored=[name for name in parsed.ignored if name != header])
     else:
-        groups = _by_restart(parsed) or _by_return(parsed)
+        groups = _by_restart(parsed)
     if len(groups) < 2:
         return Contents([""], lambda _: parsed)
     throws = list(groups.items())
@@ -178,53 +178,41 @@ def _by_column(words: Mapping[str, Sequence[Any]], n: int) -> tuple[str, dict[st
 
 
 def _by_restart(parsed: ParsedFile) -> dict[str, np.ndarray]:
-    """Rows of each throw if the times start again; empty if they do not."""
-    times = next((s.values for s in parsed.series if s.column.quantity == "t"), None)
-    if times is None or len(times) < 2 * _FEWEST:
+    """Rows of each throw if the times start again, or if they run on while the stone is back at
+    the start; empty if there is one throw."""
+    series = {s.column.quantity: s.values for s in parsed.series}
+    if "t" not in series or len(times := series["t"]) < 2 * _FEWEST:
         return {}
-    breaks = np.flatnonzero(np.diff(times) < 0) + 1
-    pieces = np.split(np.arange(len(times)), breaks)
+    again = np.flatnonzero(np.diff(times) < 0) + 1
+    pieces = np.split(np.arange(len(times)), again if len(again) else _returns(series))
     if len(pieces) < 2 or min(map(len, pieces)) < _FEWEST:
         return {}
     # Each begins within the first fifth of the previous one, unlike rows merely out of order.
-    for before, after in pairwise(pieces):
+    for before, after in pairwise(pieces) if len(again) else ():
         began, ended = times[before[0]], times[before[-1]]
         if not times[after[0]] < began + 0.2 * (ended - began):
             return {}
-    return _from_lines(parsed, pieces)
-
-
-def _by_return(parsed: ParsedFile) -> dict[str, np.ndarray]:
-    """Rows of each throw if the clock runs on while the stone is back at the start: from one row
-    to the next it goes back by more than half the length of the path. Empty if it never does."""
-    series = {s.column.quantity: s.values for s in parsed.series}
-    pair = next((pair for pair in (("x", "y"), ("u", "v")) if set(pair) <= series.keys()), None)
-    times = series.get("t")
-    if pair is None or times is None or not (np.diff(times) > 0).all():
-        return {}
-    places = np.stack([series[axis] for axis in pair])
-    rows = np.flatnonzero(np.isfinite(places).all(0))
-    if len(rows) < 2 * _FEWEST:
-        return {}
-    places = places[:, rows]
-    step, length = np.diff(places), float(np.hypot(*np.ptp(places, axis=1)))
-    far = np.hypot(*step) > 0.5 * length
-    ends = np.flatnonzero(far)
-    starts = np.append(0, ends + 1)
-    before = places[:, ends] - places[:, starts[:-1]]
-    if not len(ends) or ((before * step[:, far]).sum(0) >= 0).any():
-        return {}
-    pieces = np.split(np.arange(len(times)), rows[starts[1:]])
-    return _from_lines(parsed, pieces) if min(map(len, pieces)) >= _FEWEST else {}
-
-
-def _from_lines(parsed: ParsedFile, pieces: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
-    """Pieces of the rows, named by their first lines."""
     lines = parsed.lines
     return {
         f"from row {rows[0] + 1}" if lines is None else f"from line {lines[rows[0]]}": rows
         for rows in pieces
     }
+
+
+def _returns(series: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Rows in which the stone is back at the start: from the one before it has gone back by more
+    than half the length of the path; none if it is ever as far ahead."""
+    x, y = (series.get(axis, series.get(pixel)) for axis, pixel in ("xu", "yv"))
+    none = np.array([], int)
+    if x is None or y is None or not np.isfinite(x + y).any():
+        return none
+    rows = np.flatnonzero(np.isfinite(x + y))
+    places = np.stack([x[rows], y[rows]])
+    step = np.diff(places)
+    last = np.flatnonzero(np.hypot(*step) > 0.5 * np.hypot(*np.ptp(places, axis=1)))
+    first = np.append(0, last + 1)[:-1]
+    back = ((places[:, last] - places[:, first]) * step[:, last]).sum(0) < 0
+    return rows[last + 1] if back.all() else none
 
 
 def values_of(table: Any, reading: Reading, name: str = "table") -> dict[str, Any]:
