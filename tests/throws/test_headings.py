@@ -38,6 +38,7 @@ def written(headings: str, *columns: np.ndarray) -> str:
         "time;x;y;yaw_deg",
         "t;x;y;Angle (Grad)",
         "t;Stone x;Stone y;angle_deg",
+        "Time (s);Trajectory 1/0/X;Trajectory 1/0/Y;angle_deg",
     ],
 )
 def test_headings_in_other_words(write, headings):

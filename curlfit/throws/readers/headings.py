@@ -145,7 +145,7 @@ def _in_other_words(
 
 
 def _what_is_missing(missing: Sequence[str], names: Sequence[str], counted: bool) -> str:
-    guesses = {key: name for name in names if (key := resembled(str(name))) in missing}
+    guesses = {key: name for name in reversed(names) if (key := resembled(str(name))) in missing}
     example = ", ".join(f"{key}={guesses.get(key, 'HEADING')}" for key in missing)
     remedy = f'; or say which they are, as in `--columns "{example}"`'
     if counted and "t" in missing:
