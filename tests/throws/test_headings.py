@@ -49,6 +49,13 @@ def test_headings_in_other_words(write, headings):
         is_throw(load_throw(write(text.encode("cp1252"))))
 
 
+def test_inches_are_no_filling_word(write):
+    file = write(written("t;Stone x (in);y-läge in m;yaw (rad)", T, X / 0.0254, Y, PHI))
+    is_throw(load_throw(file))
+    file = write(written("t;Off (in);Far in ft;yaw (rad)", T, X / 0.0254, Y / 0.3048, PHI))
+    is_throw(load_throw(file, columns={"x": "Off (in)", "y": "Far in ft"}))
+
+
 @pytest.mark.parametrize("heading", ["turns", "Umdrehungen", "tours", "Winkel (Umdrehungen)"])
 def test_turns_are_angles(write, heading):
     is_throw(load_throw(write(written(f"t;x;y;{heading}", T, X, Y, TURNS))))
@@ -123,6 +130,16 @@ def test_what_is_not_used_is_named_first_with_the_option_that_reads_it(write):
         'not used, and perhaps phi: Degrees; `--columns "phi=Degrees"` reads them so'
     )
     is_throw(load_throw(file, columns={"x": "Lateral", "y": "Distance", "phi": "Degrees"}))
+
+
+def test_a_unit_that_is_not_known_is_never_taken_for_another(write):
+    file = write(written("t;x;y;Twist (gon)", T, X, Y, PHI * 200 / np.pi))
+    throw = load_throw(file)
+    assert throw.notes == ("columns ignored: Twist (gon)",)
+    with pytest.raises(DataError, match=r"line 1: phi in 'gon': unknown unit; .*--units phi=UNIT"):
+        load_throw(file, columns={"phi": "Twist"})
+    angle = load_throw(file, columns={"phi": "Twist"}, units="angle=mrad").phi
+    np.testing.assert_allclose(angle, 0.2 / np.pi * PHI)
 
 
 def test_what_cannot_be_one_of_ours_is_not_proposed(write):

@@ -7,8 +7,8 @@ import re
 import tomllib
 from collections.abc import Mapping
 from functools import cache, lru_cache
-from importlib.resources import files
 from itertools import groupby
+from pathlib import Path
 from typing import NamedTuple
 from unicodedata import normalize
 
@@ -102,8 +102,6 @@ def parse_header(header: str, *, other_words: bool = False) -> Column | None:
     other_words : whether it may be in another language, as in `words.toml`.
     """
     words = _words(header, other_words)
-    if words and words[-1] == "1" and len(words) > 2 and "s^" in words[-2]:
-        words = [*words[:-2], words[-2] + "-1"]  # "s^-1" was split at its sign
     for unit_words in (2, 1, 0):
         if len(words) <= unit_words:
             continue
@@ -126,12 +124,19 @@ def parse_header(header: str, *, other_words: bool = False) -> Column | None:
 
 
 def named_column(header: str, quantity: str) -> Column:
-    """The column of a quantity that the user names, in the unit that ends its header, if any."""
+    """The column of a quantity that the user names, in the unit that ends its header, if any.
+
+    Raises
+    ------
+    InputError : what is in brackets there is no unit of the quantity.
+    """
     words, units = _words(header, True), units_of(quantity)
     for begin in (-2, -1):
         if "".join(words[begin:]) in units:
             unit = words[begin:]
             return Column(quantity, "/".join(unit), units["".join(unit)])
+    if bracket := re.search(r"[(\[]([^()\[\]]+)[)\]]\s*$", header):
+        return in_unit(quantity, bracket[1])
     return Column(quantity, next(iter(units)), 1.0, stated=False)
 
 
@@ -146,7 +151,7 @@ def resembled(header: str) -> str | None:
 @cache
 def _other_words() -> dict[str, dict[str, str]]:
     """By table of `words.toml`, each of its words with its meaning."""
-    tables = tomllib.loads(files(__package__).joinpath("words.toml").read_text("utf-8"))
+    tables = tomllib.loads(Path(__file__).with_name("words.toml").read_text("utf-8"))
     return {
         name: {word: meaning for meaning, words in table.items() for word in words.split()}
         for name, table in tables.items()
@@ -161,8 +166,11 @@ def has_japanese_words(text: str) -> bool:
 def _words(header: str, other_words: bool) -> list[str]:
     """The words of a header, in English if it may be in another language."""
     words = [word for word in _SEPARATORS.split(normalize("NFC", header).strip().lower()) if word]
+    if words and words[-1] == "1" and len(words) > 2 and "s^" in words[-2]:
+        words = [*words[:-2], words[-2] + "-1"]  # "s^-1" was split at its sign
     if other_words:
         means = _other_words()["means"]
+        words = [word for k, word in enumerate(words, 1) if word != "in" or k == len(words)]
         words = " ".join(means.get(word, word) for word in words).split()
         words = [word for word, _ in groupby(words)]  # the unit may say the quantity again
     return words

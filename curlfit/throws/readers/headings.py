@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 
-from curlfit.errors import DataError
+from curlfit.errors import DataError, InputError
 from curlfit.foreign import cut, quoted
 from curlfit.settings.choices import Reading
 from curlfit.throws.channels import CHANNELS
@@ -56,7 +57,8 @@ def columns_of(
     pixels = pixels or ("u" in bare and "v" in bare and not velocities)
     counted = "t" not in meant and any(map(_FRAME_NUMBERS.fullmatch, bare))
     as_set = partial(_as_set, units, pixels)
-    columns = {k: as_set(one) for k, one in _chosen(names, reading.columns, error).items()}
+    named = _chosen(names, reading.columns, units, error)
+    columns = {index: as_set(column) for index, column in named.items()}
     chosen = {column.quantity for column in columns.values()}
     taken: dict[str, str] = {}
     for index, (name, word) in enumerate(zip(names, bare, strict=True)):
@@ -100,7 +102,10 @@ def _as_set(units: Mapping[str, str], pixels: bool, column: Column) -> Column:
 
 
 def _chosen(
-    names: Sequence[str], wanted: Mapping[str, str], error: Callable[[str], DataError]
+    names: Sequence[str],
+    wanted: Mapping[str, str],
+    units: Mapping[str, str],
+    error: Callable[[str], DataError],
 ) -> dict[int, Column]:
     """The columns that the user names, by index; a heading may be named without its unit."""
     found: dict[int, Column] = {}
@@ -116,7 +121,11 @@ def _chosen(
             many = "no column" if not places else "more than one column, or one named twice,"
             said = f"{many} of this name among {_listed(names)}"
             raise error(f"columns {key}={quoted(header)}: {said}")
-        found[places[0]] = named_column(names[places[0]], quantity)
+        heading = bare[places[0]] if quantity in units else whole[places[0]]
+        try:
+            found[places[0]] = named_column(heading, quantity)
+        except InputError as fault:
+            raise error(f"{fault}, or `--units {key}=UNIT`") from None
     return found
 
 
@@ -168,8 +177,9 @@ def unused(
         quantity = None if index in columns else resembled(name)
         if quantity not in CHANNELS or quantity in {*taken, *like} or set(name) & set(',"$`'):
             continue
-        if numeric(index):
-            like[quantity] = name
+        with suppress(InputError):
+            named_column(name, quantity)
+            like |= {quantity: name} if numeric(index) else {}
     if taken & {"u", "v"} or not {"x", "y"} <= {*taken, *like}:
         like = {quantity: name for quantity, name in like.items() if quantity not in "xy"}
     if not like:
