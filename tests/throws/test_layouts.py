@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from conftest import parts_in
-from sample_files import PHI, N, T, X, Y, table
+from sample_files import CELL, PHI, N, T, X, Y, ods, table
 
 from curlfit import DataError, load_throw, load_throws
 
@@ -81,6 +81,29 @@ def test_a_mark_that_cannot_separate_thousands_is_not_removed(write):
     assert (throw.x[0], throw.y[0]) == (1.234, 1.234)
     with pytest.raises(DataError, match=r"line 2, column y: '1\.064,3' found, expected a finite"):
         load_throw(write("t;x;y\n0.5;1;1.064,3\n0.6;1;1.065,3\n"))
+
+
+def test_a_spreadsheet_may_have_titles_units_apart_and_errors(tmp_path):
+    pytest.importorskip("python_calamine")
+    heads = (
+        ["Curling, Bahn 3"],
+        ["Sitzung", "2"],
+        ["Zeit", "x", "y", "Winkel"],
+        ["s", "cm", "cm", "°"],
+    )
+    rows = ["".join(CELL.format("string", "", word) for word in head) for head in heads]
+    for k, row in enumerate(zip(T, 100 * X, 100 * Y, np.degrees(PHI), strict=True)):
+        cells = [
+            CELL.format("float", f'office:value="{value!r}"', value) for value in map(float, row)
+        ]
+        if k == 7:
+            cells[2] = CELL.format("string", "", "#NV")
+        rows.append("".join(cells))
+    throw = load_throw(ods(tmp_path / "throw.ods", rows))
+    assert np.flatnonzero(np.isnan(throw.y)).tolist() == [7]
+    np.testing.assert_allclose(throw.phi, PHI, atol=1e-9)
+    np.testing.assert_allclose(throw.x, X, atol=1e-9)
+    assert any("2 lines above the header not read: 'Curling, Bahn 3'" in n for n in throw.notes)
 
 
 def several(gap: float, shift: float = 0.5) -> str:

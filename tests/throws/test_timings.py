@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 import sys
 from functools import partial
-from zipfile import ZipFile
 
 import numpy as np
 import pytest
 from conftest import invoke, parts_in
-from sample_files import PLAIN, TIMINGS
+from sample_files import CELL, PLAIN, TIMINGS, ods
 
 from curlfit import load_joint
 from curlfit.errors import DataError, InputError
@@ -371,16 +370,6 @@ def test_labels_of_tracks(tmp_path):
             load_throw(tmp_path / "a.csv", throws=notes)
 
 
-CELL = '<table:table-cell office:value-type="{}" {}><text:p>{}</text:p></table:table-cell>'
-SHEETS = (
-    '<office:document-content xmlns:office="urn:oasis:names:tc:opendocument:xmlns:office:1.0" '
-    'xmlns:table="urn:oasis:names:tc:opendocument:xmlns:table:1.0" '
-    'xmlns:text="urn:oasis:names:tc:opendocument:xmlns:text:1.0"><office:body><office:spreadsheet>'
-    '<table:table table:name="empty"/><table:table table:name="evening">{}</table:table>'
-    "</office:spreadsheet></office:body></office:document-content>"
-)
-
-
 def test_a_spreadsheet_is_read_as_its_text(tmp_path):
     pytest.importorskip("python_calamine")
     said = partial(CELL.format, "string", "")
@@ -390,12 +379,7 @@ def test_a_spreadsheet_is_read_as_its_text(tmp_path):
         said('# law = "power"'), "", said("start") + said("hog to hog") + said("curl"),
         clock + number + said("3\'3\" left; or so"), clock + number + said("3\'3\" left"),
     )  # fmt: skip
-    table = "".join(f"<table:table-row>{row}</table:table-row>" for row in rows)
-    file = tmp_path / "evening.ods"
-    with ZipFile(file, "w") as archive:
-        archive.writestr("mimetype", "application/vnd.oasis.opendocument.spreadsheet")
-        archive.writestr("content.xml", SHEETS.format(table))
-        archive.writestr("META-INF/manifest.xml", "<manifest/>")
+    file = ods(tmp_path / "evening.ods", rows)
     assert detect_format(lines_of(file)) == "timings"
     bad, good = parts_in(file)
     assert bad.throw.line == 4
