@@ -45,6 +45,14 @@ def test_units_in_the_second_row(write):
         load_throw(write("\n".join([head, "(h),(au),(au),(gon)", *rows])))
 
 
+def test_a_row_without_values_is_no_row_of_units(write):
+    head = "t (s),x (m),y (m),phi (rad)"
+    for empty in (",,,", "-,-,-,-", "n/a,,,-"):
+        throw = load_throw(write("\n".join([head, empty, *ROWS])))
+        is_throw(throw)
+        assert throw.notes == ("1 empty rows left out",)
+
+
 def test_errors_of_spreadsheets_are_gaps(write):
     rows = [row.split(",") for row in ROWS]
     for k, error in ((3, "#NV"), (5, "#DIV/0!"), (9, "#N/A"), (11, "n/a")):

@@ -24,6 +24,7 @@ from curlfit.throws.readers.defaults import begun
 from curlfit.throws.readers.headings import columns_of, unused, with_own_columns
 from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile
 from curlfit.throws.readers.text import (
+    GAPS,
     TextFile,
     TextTable,
     clock_times,
@@ -92,16 +93,16 @@ def _table_of(file: TextFile, reading: Reading) -> TextTable:
 
 def with_units_below(table: TextTable) -> TextTable:
     """The table with the units of a second row in its headings, if this has units alone."""
-    row = next((k for k in range(table.header + 1, len(table.file.lines))
-                if not is_aside(table.file.lines[k])), None)  # fmt: skip
-    units = [] if row is None else header_cells(table.file.lines[row], table.separator)
-    if row is None or len(units) != len(table.names) or any(map(is_number, units)):
+    lines = table.file.lines
+    row = next((k for k in range(table.header + 1, len(lines)) if not is_aside(lines[k])), -1)
+    cells = header_cells(lines[row], table.separator)
+    units = ["" if cell.lower() in GAPS else cell.strip("()[] ") for cell in cells]
+    if len(units) != len(table.names) or any(map(is_number, cells)):
         return table
-    bare = [unit.strip("()[] ") for unit in units]
-    pairs = zip(table.names, bare, strict=True)
+    pairs = list(zip(table.names, units, strict=True))
     names = [f"{name} ({unit})" if unit else name for name, unit in pairs]
-    columns = [parse_header(name, other_words=True) for name in names]
-    known = any(column is not None and column.stated for column in columns)
+    read = [parse_header(names[k], other_words=True) for k, unit in enumerate(units) if unit]
+    known = any(column is not None and column.stated for column in read)
     return replace(table, header=row, names=names) if known else table
 
 
