@@ -87,6 +87,8 @@ def test_a_mark_that_cannot_separate_thousands_is_not_removed(write):
     """What was read with a decimal point or comma still is, and both in one file are refused."""
     throw = load_throw(write("t;x;y\n0,5;1,234;1.234\n0,6;1,5;1.5\n"))
     assert (throw.x[0], throw.y[0]) == (1.234, 1.234)
+    throw = load_throw(write('t,x,y\n0.5,1,"1,234"\n0.6,1,"1,235"\n'))
+    assert throw.y.tolist() == [1234, 1235]
     with pytest.raises(DataError, match=r"line 2, column y: '1\.064,3' found, expected a finite"):
         load_throw(write("t;x;y\n0.5;1;1.064,3\n0.6;1;1.065,3\n"))
 

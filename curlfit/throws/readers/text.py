@@ -182,11 +182,6 @@ def is_number(cell: str) -> bool:
 _GROUPED = re.compile(r"[-+]?\d{1,3}(?P<mark>[.,'\u2019\s])\d{3}(?:(?P=mark)\d{3})*(?:[.,]\d+)?")
 
 
-def _grouped(cell: str) -> re.Match[str] | None:
-    """A number with its thousands apart, which cannot be read otherwise."""
-    return None if is_number(cell) else _GROUPED.fullmatch(cell)
-
-
 def _without_groups(cell: str, mark: str) -> str:
     """A number with a decimal point and without the marks that separate its thousands; none where
     such a mark is anywhere else."""
@@ -279,7 +274,7 @@ class TextTable:
     def is_numeric(self, place: int) -> bool:
         """Whether a column has numbers or gaps only, at least one number."""
         found = [cell for cell in self.column(place) if cell.lower() not in GAPS]
-        return bool(found) and all(is_number(cell) or _grouped(cell) for cell in found)
+        return bool(found) and all(is_number(cell) or self._grouped(cell) for cell in found)
 
     def clocks(self, columns: Iterable[int]) -> dict[int, tuple[str, Floats]]:
         """Of those of some columns that hold clock times: the first one, and seconds since then.
@@ -311,8 +306,8 @@ class TextTable:
         try:
             return self._numbers_of(columns, "")
         except DataError as fault:
-            cells = (cell for place in columns for cell in self.column(place))
-            found = next(filter(None, map(_grouped, cells)), None)
+            cells = (self._grouped(cell) for place in columns for cell in self.column(place))
+            found = next(filter(None, cells), None)
             if found is None:
                 raise
             with suppress(DataError):
@@ -323,6 +318,11 @@ class TextTable:
                 )
                 return values
             raise fault from None
+
+    def _grouped(self, cell: str) -> re.Match[str] | None:
+        """A number with its thousands apart, which cannot be read otherwise."""
+        number = parse_number(cell, decimal_comma=self.separator != ",")
+        return _GROUPED.fullmatch(cell) if number is None else None
 
     def _numbers_of(self, columns: Sequence[int], mark: str) -> list[Floats]:
         """Numbers whose thousands are separated by a mark, if any."""
