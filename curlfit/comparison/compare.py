@@ -26,6 +26,7 @@ from curlfit.comparison.criteria import (
     number_of_parameters,
     residuals_of,
 )
+from curlfit.comparison.lacking import lacking
 from curlfit.comparison.leave_one_out import leave_one_out, standard_error
 from curlfit.comparison.result import PLACE, Candidate, Comparison
 from curlfit.errors import UnusableFitError
@@ -146,6 +147,15 @@ def compare(
         progress("", len(fits), len(fits))
     failed = [one for one in found if isinstance(one, Candidate)]
     made = ranked([one for one in found if isinstance(one, Fitted)], failed)
+    by_label = {
+        item.label: one
+        for item, one in zip(made.candidates, made.fits, strict=True)
+        if item.rank is not None and one is not None and item.noise == "white"
+    }
+    if by_label:
+        first, *others = by_label.items()
+        lacks = lacking(*first, dict(others), shared["family"])
+        made = replace(made, lacking=lacks)
     return replace(made, data={**made.data, "flags": [*throw.read_with, *chosen.words()]})
 
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from curlfit.comparison.result import Candidate, Comparison
+from curlfit.comparison.result import COMPONENTS, Candidate, Comparison, Lacking
 from curlfit.output import figures as draw
+
+_MOST = 4  # other laws drawn
 
 
 @draw.style()
@@ -21,8 +24,12 @@ def comparison_figure(comparison: Comparison) -> draw.Picture:
     shown = [item for item in comparison.candidates if item.fitted is not None]
     t, x, y = (np.array(comparison.observed[name], float) for name in ("t", "x", "y"))
     some, styles = draw.some_rows(len(t)), draw.line_styles(len(shown))
-    figure = draw.Picture(figsize=(draw.WIDTH, 4.0 + 0.2 * len(shown)), layout="constrained")
-    rows = figure.add_gridspec(2, 1)
+    lacking = comparison.lacking
+    height = 4.0 + 0.2 * len(shown)
+    added = 0.0 if lacking is None else 2.0
+    figure = draw.Picture(figsize=(draw.WIDTH, height + added), layout="constrained")
+    ratios = [height / 2, height / 2, *[added] * (lacking is not None)]
+    rows = figure.add_gridspec(len(ratios), 1, height_ratios=ratios)
     path: Any = rows[0].subgridspec(1, 1).subplots()
     lower: Any = rows[1].subgridspec(1, 2, width_ratios=(1.3, 1.0)).subplots()
     residual, dots = lower
@@ -42,11 +49,35 @@ def comparison_figure(comparison: Comparison) -> draw.Picture:
     residual.axhline(0, **draw.ZERO_LINE)
     residual.set(xlabel="t (s)", ylabel="residual of x (mm)")
     _sizes(dots, shown, "rms" if comparison.loss == "linear" else "bulk")
-    draw.letters((path, residual), 0.45)
+    panels = [path, residual]
+    if lacking is not None:
+        by_label = {item.label: style for item, style in zip(shown, styles, strict=True)}
+        below: Any = rows[2].subgridspec(1, len(COMPONENTS)).subplots()
+        _lacking(below, lacking, by_label)
+        panels.append(below[0])
+    draw.letters(panels, 0.45)
     figure.draw_without_rendering()  # the note depends on the layout
     figure.set_layout_engine("none")
     draw.note_stretch(path)
     return figure
+
+
+def _lacking(panels: Any, lacking: Lacking, styles: Mapping[str, dict[str, Any]]) -> None:
+    """What the path has beyond the first law against speed, and what others would add."""
+    some = sorted(lacking.others, key=lacking.size)[:_MOST]
+    for row, (axes, (name, unit)) in enumerate(zip(panels, COMPONENTS.items(), strict=True)):
+        lacks, error = lacking.lacks[row], lacking.stderr[row]
+        for times, alpha in ((1.96, 0.3), (1.0, 0.5)):
+            band = lacks - times * error, lacks + times * error
+            axes.fill_between(lacking.speed, *band, color="0.6", alpha=alpha, lw=0)
+        axes.plot(lacking.speed, lacks, color="0.25", lw=1)
+        ends = axes.get_ylim()
+        for label in some:
+            axes.plot(lacking.speed, lacking.others[label][row], **styles[label] | {"lw": 0.9})
+        axes.set_ylim(ends)
+        axes.axhline(0, **draw.ZERO_LINE)
+        axes.set(xlabel="speed (m/s)", ylabel=f"{name} ({unit})")
+    draw.title(panels[0], f"What the path has beyond {draw.literal(lacking.law)}", loc="left")
 
 
 def _sizes(axes: Any, shown: list[Candidate], size: str) -> None:

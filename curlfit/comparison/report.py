@@ -7,16 +7,18 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.text import Text
 
-from curlfit.comparison.result import Candidate, Comparison
+from curlfit.comparison.result import COMPONENTS, Candidate, Comparison
 from curlfit.output.console import Items, PlainTable
 from curlfit.output.document import Document, Said, Section, command_line, show
 from curlfit.output.text import STYLE, compact, join_words, rows_text, stone_text
 
 _PROBABLE = 0.01  # weight of a law that is named
 _FIRST = 3  # laws named in a line
+_SEEN = 3.0  # standard errors
 _ELPD = 4.0  # below which differences and their errors are unreliable (Sivula, Magnusson, Matamoros
 # and Vehtari 2020, Uncertainty in Bayesian leave-one-out)
 
@@ -60,6 +62,7 @@ def document(comparison: Comparison) -> Document:
             Section("laws", "The laws", (_ranks(comparison),)),
             Section("coefficients", "Coefficients", (_coefficients(comparison),), brief=False),
             Section("conclusions", "What follows", (Said(first), *others)),
+            Section("lacking", "What the first law lacks", _lacking(comparison), brief=False),
         ),
         warnings=[_about_correlation(comparison)] if comparison.effective else (),
         title=f"{Path(data['file']).name}: which law?",
@@ -70,6 +73,40 @@ def document(comparison: Comparison) -> Document:
         },
         command=command_line("compare", data["file"], *data.get("flags", ())),
     )
+
+
+def _lacking(comparison: Comparison) -> tuple[Any, ...]:
+    """Where the path has most beyond the first law, and which other law would add it."""
+    found = comparison.lacking
+    if found is None:
+        return ()
+    by_error, friction, rows = found.significance(), np.abs(found.of_law[1]), []
+    for row, (name, unit) in enumerate(COMPONENTS.items()):
+        at = int(np.argmax(np.abs(by_error[row])))
+        lacks, error = found.lacks[row, at], found.stderr[row, at]
+        whole = friction[at] if row < 2 else abs(found.of_law[row, at])
+        rows.append(
+            {
+                "lacking": name,
+                ">most": f"{compact(lacks, error)} {unit}",
+                ">std. errors": f"{abs(by_error[row, at]):.1f}",
+                ">at v": f"{found.speed[at]:.2f} m/s", ">spin": f"{found.omega[at]:.2f} rad/s",
+                ">of the law's": f"{100 * abs(lacks) / whole:.2g} %" if whole else "",
+            }
+        )  # fmt: skip
+    table = PlainTable(rows, "Accelerations that the path has beyond the first law")
+    if np.abs(by_error).max() < _SEEN:
+        said = (
+            f"The path shows nothing that {found.law} lacks: all within {_SEEN:g} standard errors."
+        )
+    elif found.nearest:
+        said = (
+            f"{found.nearest} would leave least of what {found.law} lacks: a mean square of "
+            f"{found.size(found.nearest):.3g} of {found.size():.3g}, in standard errors."
+        )
+    else:
+        said = f"No other law has half of what {found.law} lacks."
+    return table, Said(said)
 
 
 def _ranks(comparison: Comparison) -> PlainTable:

@@ -6,10 +6,13 @@ from dataclasses import dataclass, field
 from os import PathLike
 from typing import Annotated, Any, ClassVar
 
+import numpy as np
+
 from curlfit.inference.fit.result import DataOfFit, FitResult, LossName
 from curlfit.inference.identifiability import Verdict
+from curlfit.numerics.arrays import Floats
 from curlfit.output.frames import frame
-from curlfit.records import UNSAVED, Record, keys, require, require_rows
+from curlfit.records import SERIES, UNSAVED, Matrix, Record, keys, require, require_rows
 from curlfit.stone import Stone
 
 PLACE = ("x", "y", "phi")
@@ -124,6 +127,51 @@ class Candidate:
         return self.bulk or self.rms or {}
 
 
+COMPONENTS = {
+    "across the path": "m/s\N{SUPERSCRIPT TWO}",
+    "along the path": "m/s\N{SUPERSCRIPT TWO}",
+    "in the spin": "rad/s\N{SUPERSCRIPT TWO}",
+}
+"""Of accelerations, to the right of the motion, along it, and angular."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lacking:
+    """Accelerations that a path has beyond a law, in the order of time.
+
+    Attributes
+    ----------
+    law : label of the candidate.
+    speed, omega : of the stone, m/s and rad/s, shape (n,).
+    of_law : accelerations by the law there, to the right of the motion, along it, and angular,
+        shape (3, n). lacks, stderr : what the path has beyond them, and its standard error.
+    others : what other laws add to them, by label.
+    """
+
+    law: str
+    speed: Floats = field(metadata=SERIES)
+    omega: Floats = field(metadata=SERIES)
+    of_law: Matrix = field(metadata=SERIES)
+    lacks: Matrix = field(metadata=SERIES)
+    stderr: Matrix = field(metadata=SERIES)
+    others: dict[str, Matrix] = field(default_factory=dict, metadata=SERIES)
+
+    def significance(self, other: str = "") -> Floats:
+        """What is lacking over its standard error, or what another law would leave of it."""
+        left = self.lacks - self.others[other] if other else self.lacks
+        return left / np.maximum(self.stderr, np.finfo(float).tiny)
+
+    def size(self, other: str = "") -> float:
+        """Mean square of it."""
+        return float((self.significance(other) ** 2).mean())
+
+    @property
+    def nearest(self) -> str:
+        """The other law that would leave the least; empty if none leaves less than half."""
+        least = min(self.others, key=self.size, default="")
+        return least if least and self.size(least) < self.size() / 2 else ""
+
+
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Comparison(Record):
     """Candidates, best first: those ranked, then those fitted beyond their bounds, then failures.
@@ -133,6 +181,7 @@ class Comparison(Record):
     phi. `loss` is how much large residuals counted, `noise` the noise models, separated by commas.
     `effective` is the effective sample size by channel where the residuals of the fit of greatest
     likelihood are correlated from row to row; otherwise empty.
+    `lacking` is what the first law lacks, if the path shows it.
     `fits` are the full results in the order of the candidates, and empty when read from a file.
 
     Examples
@@ -154,6 +203,7 @@ class Comparison(Record):
     effective: dict[str, float] = field(default_factory=dict)
     candidates: tuple[Candidate, ...]
     observed: dict[str, list[float]]
+    lacking: Lacking | None = None
     fits: tuple[FitResult | None, ...] = field(default=(), metadata=UNSAVED)
 
     @property
