@@ -23,9 +23,9 @@ from curlfit.throws.readers.digitalcurling import DIGITALCURLING
 from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile
 from curlfit.throws.readers.table import TABLE
 from curlfit.throws.readers.text import TextFile, is_aside, lines_of
-from curlfit.throws.readers.timings import TIMINGS, labels_in, usual_law as law_of_timings
+from curlfit.throws.readers.timings import TIMINGS, said_in, usual_law as law_of_timings
 from curlfit.throws.readers.tracker import TRACKER
-from curlfit.throws.throw import Throw
+from curlfit.throws.throw import Throw, counts_from_hack
 
 _READERS = (DIGITALCURLING, TIMINGS, TRACKER, TABLE)
 """Formats in the order in which they are tried; the last accepts any file."""
@@ -163,8 +163,17 @@ def throw_of(parsed: ParsedFile, reading: Reading) -> Throw:
     throw = replace(make(**assemble(parsed, reading)), read_with=tuple(given.words()))
     if reading.throws is None:
         return throw
-    labels, note = labels_in(Path(reading.throws), throw.name)
-    return replace(throw, labels=throw.labels | labels, notes=(*throw.notes, note))
+    labels, events, note = said_in(Path(reading.throws), throw.name)
+    if events and not counts_from_hack(throw.notes):
+        note += (
+            "; its measurements are not used, as they are at lines of the sheet: `--axes "
+            "from-hack` says that y begins there"
+        )
+        events = []
+    return replace(
+        throw, labels=throw.labels | labels, events=(*throw.events, *events),
+        notes=(*throw.notes, note),
+    )  # fmt: skip
 
 
 def _lines_if_any(file: str | PathLike[str]) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -30,6 +30,14 @@ __all__ = [
 
 MOST_ROWS = 6000
 """Number of rows above which a fit condenses its data."""
+
+
+def counts_from_hack(notes: Iterable[str]) -> bool:
+    """Whether y is measured from the hack, according to the notes of a reader."""
+    return any(
+        note.startswith("y from the hack") or (note.startswith("axes:") and "from-" in note)
+        for note in notes
+    )
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -11,8 +11,10 @@ import pytest
 from conftest import invoke, parts_in
 from sample_files import CELL, PLAIN, TIMINGS, ods
 
+import curlfit
 from curlfit import load_joint
 from curlfit.errors import DataError, InputError
+from curlfit.sheet import LINES
 from curlfit.throws.load import detect_format, load_throw, usual_law
 from curlfit.throws.readers.text import lines_of
 
@@ -356,8 +358,11 @@ def test_labels_of_tracks(tmp_path):
     a, b, c = (load_throw(tmp_path / f"{name}.csv", throws=notes) for name in "abc")
     assert (a.labels, b.labels, c.labels) == ({"sheet": "2"}, {"sheet": "3"}, {})
     assert a.notes[-1] == (
-        f"labels from {notes}, line 2; its measurements are not used; columns not used: humidity"
+        f"labels and measurements from {notes}, line 2; columns not used: humidity; its "
+        "measurements are not used, as they are at lines of the sheet: `--axes from-hack` says "
+        "that y begins there"
     )
+    assert not a.events
     assert c.notes[-1] == f"{notes} says nothing of it"
     assert a == c
     for text, words in (
@@ -368,6 +373,31 @@ def test_labels_of_tracks(tmp_path):
         notes.write_text(text)
         with pytest.raises(DataError, match=words):
             load_throw(tmp_path / "a.csv", throws=notes)
+
+
+def test_measurements_beside_a_track_are_used(tmp_path):
+    law = curlfit.law_with("front-back", {"mu1_xi": 0.004, "mu2_xi": 0.05})
+    times, hog = np.append(np.arange(0, 4, 0.1), [20.0, 60.0]), LINES["hog"]
+    start = curlfit.InitialState(y=hog, v=2.25, omega=1.4)
+    path = curlfit.simulate(law, curlfit.Stone(), start, times).to_numpy()
+    noise = np.random.default_rng(4).standard_normal((3, len(times) - 2))
+    rows = np.array([times, path.x, path.y, path.phi])[:, :-2].T
+    rows[:, 1:] += (0.005 * noise * np.array([[1], [1], [2]])).T
+    clip, notes = tmp_path / "clip.csv", tmp_path / "notes.csv"
+    np.savetxt(clip, rows, delimiter=",", header="t,x,y,phi", comments="")
+    past, turns = path.y[-1] - LINES["far-tee"], path.phi[-1] / (2 * np.pi)
+    notes.write_text(
+        f"file,sheet,rest (m),curl (m),turns\nclip,2,{past:.3f},{path.x[-1]:.3f},{turns:.2f} ccw\n"
+    )
+    known = {"axes": "from-hack", "throws": str(notes)}
+    alone, whole = load_throw(clip, axes="from-hack"), load_throw(clip, **known)
+    assert [event.name for event in whole.events] == ["rest", "curl", "turns"]
+    assert whole.notes[-1].startswith(f"labels and measurements from {notes}")
+    fits = [curlfit.fit(throw, details=False) for throw in (alone, whole)]
+    errors = [fit.combinations[0].stderr for fit in fits]
+    assert errors[1] < errors[0] / 3
+    assert fits[1].combinations[0].value == pytest.approx(0.018, abs=3 * errors[1])
+    assert fits[1]["mu2_xi"].value == pytest.approx(0.05, abs=3 * fits[1]["mu2_xi"].stderr)
 
 
 def test_a_spreadsheet_is_read_as_its_text(tmp_path):

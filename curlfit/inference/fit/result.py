@@ -28,7 +28,7 @@ from curlfit.numerics.arrays import Floats
 from curlfit.records import SERIES, Choice, Names, keys, require, require_rows
 from curlfit.stone import Stone
 from curlfit.throws.events import QUANTITIES, Event
-from curlfit.throws.throw import CHANNELS, Reference, StoneValues, Throw
+from curlfit.throws.throw import CHANNELS, Reference, StoneValues, Throw, counts_from_hack
 
 ChannelName = Annotated[str, Choice(CHANNELS)]
 LoadName = Annotated[str, Choice(("uniform", "consistent"))]
@@ -304,10 +304,7 @@ class FitResult(NamedEstimates):
     @property
     def counts_from_hack(self) -> bool:
         """Whether y of the data is measured from the hack, according to the notes of the reader."""
-        return any(
-            note.startswith("y from the hack") or (note.startswith("axes:") and "from-" in note)
-            for note in self.data["notes"]
-        )
+        return counts_from_hack(self.data["notes"])
 
     @property
     def _estimates(self) -> dict[str, Estimate]:

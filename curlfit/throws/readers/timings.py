@@ -14,7 +14,7 @@ from curlfit.errors import DataError, InputError
 from curlfit.foreign import file_and_number, quoted
 from curlfit.settings.choices import Reading
 from curlfit.sheet import LINES
-from curlfit.throws.events import RATES
+from curlfit.throws.events import RATES, Event
 from curlfit.throws.readers.columns import parse_header
 from curlfit.throws.readers.defaults import begun
 from curlfit.throws.readers.notation import parse_quantity
@@ -314,8 +314,9 @@ def _usual_law(rows: list[Row]) -> str:
     return "front-back" if 2 * told >= len(rows) > 0 else "coulomb"
 
 
-def labels_in(table: Path, source: str) -> tuple[dict[str, str], str]:
-    """What a table with a column `file` or `track` says of a throw, and a note on it.
+def said_in(table: Path, source: str) -> tuple[dict[str, str], list[Event], str]:
+    """What a table with a column `file` or `track` says of a throw: labels, events that were
+    measured beside its path, and a note on it.
 
     Parameters
     ----------
@@ -342,7 +343,8 @@ def labels_in(table: Path, source: str) -> tuple[dict[str, str], str]:
     if len(found) > 1:
         raise file.error(f"{quoted(path.name)} is named again", found[1].line - 1)
     if not found:
-        return {}, f"{table} says nothing of it"
-    unused = ["its measurements are not used"] if found[0].entries else []
-    said = [f"labels from {table}, line {found[0].line}", *unused, *found[0].notes]
-    return found[0].labels, "; ".join(said)
+        return {}, [], f"{table} says nothing of it"
+    events = Record(file, found[0]).events()
+    what = f"labels{' and measurements' * bool(events)}"
+    said = [f"{what} from {table}, line {found[0].line}", *found[0].notes]
+    return found[0].labels, events, "; ".join(said)
