@@ -14,6 +14,7 @@ from curlfit.cli.example import example
 from curlfit.cli.export import export
 from curlfit.cli.fit import fit
 from curlfit.cli.laws import laws
+from curlfit.cli.page import app as page
 from curlfit.cli.saved import plot, report, show, write_page
 from curlfit.cli.throws import check, simulate
 from curlfit.comparison.command import compare
@@ -54,7 +55,7 @@ app = App(
 )
 for _verb in (
     check, fit, compare, batch, predict, profile, design, show, plot, report, export, simulate,
-    laws, reproduce, example,
+    laws, reproduce, example, page,
 ):  # fmt: skip
     app.command(_verb)
 app.command(_version, name="--version")

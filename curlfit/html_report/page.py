@@ -120,12 +120,12 @@ def _versions() -> dict[str, str]:
 
 def render(page: Page) -> str:
     """The text of a page."""
-    script = "".join(_source(name) for name in _SCRIPTS) if page.data else ""
+    script = "".join(source(name) for name in _SCRIPTS) if page.data else ""
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     return _templates().get_template("page.html.j2").render(
         page=page,
         document=page.document,
-        style=Markup(_source("report.css")),
+        style=Markup(source("report.css")),
         script=Markup(script),
         digest=digest,
         data=Markup(_embedded(page.data)),
@@ -155,7 +155,13 @@ def _templates() -> Environment:
     return found
 
 
-def _source(name: str) -> str:
+def rendered(block: Block) -> Markup:
+    """One part of a section as HTML."""
+    return Markup(_templates().get_template(f"{block.template}.html.j2").render(block=block))
+
+
+def source(name: str) -> str:
+    """The text of a template, a style sheet or a program of the page."""
     environment = _templates()
     assert environment.loader is not None
     return environment.loader.get_source(environment, name)[0]

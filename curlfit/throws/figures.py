@@ -1,4 +1,4 @@
-"""Figure of a throw as measured."""
+"""Figures of a throw as measured."""
 
 from __future__ import annotations
 
@@ -18,3 +18,23 @@ def throw_figure(throw: Throw) -> draw.Picture:
     panels[-1, 0].set_xlabel("t (s)")
     draw.title(panels[0, 0], draw.file_name(throw.name))
     return figure
+
+
+@draw.style()
+def motion_figures(throw: Throw) -> dict[str, draw.Picture]:
+    """Path from above, speed and spin, as measured or from slopes of the data: half as wide as
+    others, by what they show."""
+    rows = {"t": throw.t} | {name: getattr(throw, name) for name in throw.seen}
+    needs = {"path": "x", "speed": "x", "spin": "phi"}
+    measured = {"speed": "speed", "spin": "omega"}
+    figures = {}
+    for name, channel in needs.items():
+        if not {channel, measured.get(name)} & rows.keys():
+            continue
+        figures[name], axes = draw.panels(2.1, 1, 1, width=draw.WIDTH / 2)
+        if name == "path":
+            axes.plot(rows["y"], rows["x"], **draw.DATA_STYLE)
+            draw.x_along_y(axes)
+        else:
+            draw.plot_rate(axes, rows, measured[name])
+    return figures

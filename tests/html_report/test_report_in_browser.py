@@ -2,28 +2,17 @@
 
 from __future__ import annotations
 
-import os
 import re
-import shutil
 import time
 
 import numpy as np
 import pytest
 import report_records
+from conftest import wait_for
 
 import curlfit
 
-BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-CHROMIUM = next(filter(None, map(shutil.which, (os.environ.get("CHROMIUM", ""), *BROWSERS))), None)
-DRIVER = shutil.which("chromedriver")
-webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
-
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.skipif(
-        CHROMIUM is None or DRIVER is None, reason="there is no Chromium with its chromedriver"
-    ),
-]
+pytestmark = pytest.mark.browser
 PAGES = ("fit", "prediction")
 
 
@@ -33,19 +22,6 @@ def addresses(tmp_path_factory, eq12):
     curlfit.write_report(found["fit"], folder / "fit.html", chain=found["chain"])
     curlfit.write_report(found["prediction"], folder / "prediction.html")
     return {name: (folder / f"{name}.html").as_uri() for name in PAGES}
-
-
-@pytest.fixture(scope="module")
-def browser():
-    options = webdriver.ChromeOptions()
-    options.binary_location = CHROMIUM
-    for flag in ("--headless=new", "--no-sandbox", "--disable-gpu", "--window-size=1280,900"):
-        options.add_argument(flag)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    service = webdriver.ChromeService(DRIVER)
-    driver = webdriver.Chrome(options=options, service=service)
-    yield driver
-    driver.quit()
 
 
 @pytest.fixture
@@ -76,13 +52,6 @@ def place(browser, id):
     """Where the stone is, m."""
     text = part(browser, id, "stone").get_attribute("transform")
     return np.array([float(found) for found in re.findall(r"-?[\d.]+", text)])
-
-
-def wait_for(condition, seconds=8.0):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.03)
 
 
 @pytest.mark.parametrize("name", PAGES)

@@ -1,0 +1,296 @@
+"""The page of `curlfit app` in Chromium: files are dropped, mended, fitted, compared and saved."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import urllib.error
+import urllib.request
+from contextlib import suppress
+
+import h5py
+import numpy as np
+import psutil
+import pytest
+from conftest import DATA, process, started, wait_for
+
+import curlfit
+
+pytestmark = pytest.mark.browser
+LONG = 300.0  # s, of a first fit on a machine with other work
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory):
+    """The page's process, its address, and the folder in which it was started."""
+    pytest.importorskip("nicegui", reason="NiceGUI is not installed")
+    folder = tmp_path_factory.mktemp("served")
+    # NiceGUI does not tidy up where it finds itself in a test
+    env = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST")}
+    page = started("app", "--no-browser", cwd=folder, stderr=subprocess.STDOUT, env=env)
+    address = re.search(r"http://\S+/", page.stdout.readline())[0]
+    yield page, address, folder
+    page.kill()
+    page.communicate()
+
+
+@pytest.fixture
+def page(browser, served):
+    """The page with nothing on it that a test may have left."""
+    browser.get(served[1])
+    wait_for(lambda: browser.find_elements("css selector", ".drop input[type=file]"))
+    yield browser
+    for button in buttons(browser, "Stop"):
+        with suppress(Exception):
+            button.click()
+    assert browser.get_log("browser") == []
+
+
+def drop(browser, *files, onto=".drop"):
+    area = browser.find_element("css selector", f"{onto} input[type=file]")
+    area.send_keys("\n".join(map(str, files)))
+
+
+def said(browser):
+    return browser.find_element("css selector", "body").text
+
+
+def buttons(browser, label):
+    return [one for one in browser.find_elements("css selector", "button") if one.text == label]
+
+
+def press(browser, label):
+    wait_for(lambda: buttons(browser, label) and buttons(browser, label)[0].is_enabled())
+    (button, *_) = buttons(browser, label)
+    button.click()
+
+
+def put(browser, flag, text):
+    """Write into a field of the form, in a fold that is opened."""
+    script = (
+        "const field = document.querySelector(`[aria-label='${arguments[0]}']`);"
+        "field.closest('details').open = true; field.value = arguments[1];"
+        "if (field.type == 'checkbox') field.checked = true;"
+        "field.dispatchEvent(new Event('change'))"
+    )
+    browser.execute_script(script, flag, text)
+    word = flag if text == "yes" else f"{flag}={text}"
+    wait_for(lambda: word in shown_command(browser))
+
+
+def shown_command(browser):
+    return " ".join(browser.find_element("css selector", "section .command").text.split())
+
+
+def fitted(browser, verb="Fit"):
+    press(browser, verb)
+    wait_for(lambda: browser.find_elements("css selector", ".result"), LONG)
+
+
+def in_report(browser, script):
+    frame = browser.find_element("css selector", "iframe")
+    browser.switch_to.frame(frame)
+    try:
+        return browser.execute_script(script)
+    finally:
+        browser.switch_to.default_content()
+
+
+def save(browser, name):
+    place = browser.find_element("css selector", ".result .repeat input")
+    place.clear()
+    place.send_keys(name)
+    press(browser, "Save")
+
+
+def status(address, *request):
+    try:
+        with urllib.request.urlopen(urllib.request.Request(address, *request)) as answer:
+            return answer.status
+    except urllib.error.HTTPError as error:
+        with error:
+            return error.code
+
+
+def contents(folder):
+    """The files of a folder: JSON and pages as they are, and the samples of chains."""
+    found = {}
+    for file in sorted(folder.rglob("*")):
+        name = str(file.relative_to(folder))
+        if file.suffix == ".json":
+            found[name] = json.loads(file.read_text())
+        elif file.suffix == ".html":
+            found[name] = file.read_text()
+        elif file.suffix == ".h5":
+            with h5py.File(file) as chain:
+                found[name] = float(np.sum(chain["mcmc/chain"]))
+        elif file.is_file():
+            found[name] = file.read_bytes()
+    return found
+
+
+def test_only_who_knows_the_address_sees_the_page(served):
+    process, address, _ = served
+    root = address.rsplit("/", 2)[0]
+    for path in ("/", "/wrong/", "/_nicegui_ws/socket.io/?EIO=4&transport=polling", "/results/"):
+        assert status(root + path) == 404
+    listening = psutil.Process(process.pid).net_connections("inet")
+    assert {one.laddr.ip for one in listening if one.status == "LISTEN"} == {"127.0.0.1"}
+    assert status(address) == 200
+    assert status(address, b"", {"Content-Length": "100000001"}) == 413
+
+
+def test_a_good_file_is_fitted_and_saved_as_the_command_would(page, served, tmp_path):
+    name, folder = DATA.name, served[2]
+    drop(page, DATA)
+    wait_for(lambda: "230 rows in 22.9 s" in said(page))
+    assert len(page.find_elements("css selector", ".seen svg")) == 3
+    put(page, "--effective", "200")
+    words = ["fit", name, "--effective=200", "--report"]
+    assert shown_command(page) == " ".join(["curlfit", *words])
+    fitted(page)
+    wait_for(lambda: in_report(page, "return !!document.querySelector('#replay-0')"))
+    frame, inner = page.find_element("css selector", "iframe").rect["height"], 0
+    wait_for(lambda: in_report(page, "return document.body.offsetHeight") > 3000)
+    inner = in_report(page, "return document.body.offsetHeight")
+    wait_for(lambda: page.find_element("css selector", "iframe").rect["height"] >= inner, 8)
+    assert frame > 0
+    save(page, "mine")
+    wait_for(lambda: f"Written: {folder / 'mine'}" in said(page))
+    save(page, "mine")
+    wait_for(lambda: "exists already; give another name" in said(page))
+
+    (tmp_path / name).write_bytes(DATA.read_bytes())
+    done = process(*words, cwd=tmp_path)
+    assert done.returncode == 0
+    assert contents(folder / "mine") == contents(tmp_path / f"{DATA.stem}-fit")
+    script = "return performance.getEntriesByType('resource').map(one => one.name)"
+    assert {one.split("/")[2] for one in page.execute_script(script) if one.startswith("http")} == {
+        served[1].split("/")[2]
+    }
+
+
+def test_wrong_units_are_refused_in_the_words_of_the_command_and_mended_by_a_button(page, tmp_path):
+    lines = DATA.read_text().splitlines()
+    head = lines.index("t,x,y,phi")
+    rows = [list(map(float, line.split(","))) for line in lines[head + 1 :]]
+    file = tmp_path / "feet.csv"
+    rows = [f"{t},{x / 0.3048:.6f},{y / 0.3048:.6f},{phi}" for t, x, y, phi in rows]
+    file.write_text("\n".join(["# until = 20", lines[head], *rows]))
+    refused = process("fit", file.name, cwd=tmp_path)
+    assert refused.returncode == 2
+    drop(page, file)
+    sentence = refused.stderr.strip().removeprefix("curlfit: ").replace("`", "")
+    wait_for(lambda: sentence in " ".join(said(page).split()))
+    assert not buttons(page, "Fit")[0].is_enabled()
+    press(page, "Apply --units length=ft")
+    wait_for(lambda: "a path of 25 m" in said(page))
+    assert not page.find_elements("css selector", ".bad")
+    put(page, "--no-sample", "yes")
+    put(page, "--stone", "R=0.054")
+    fitted(page)
+    save(page, "mended")
+    wait_for(lambda: "Written: " in said(page))
+    folder = re.search(r"Written: (\S+)", said(page))[1]
+    assert curlfit.load_fit(folder)["mu2_xi"].value == pytest.approx(0.0556, abs=5e-4)
+
+
+def test_pixels_ask_for_the_points_and_take_them(page, tmp_path):
+    # a camera that looks straight down: 40 pixels to the metre, seen from the side
+    t, x, y, phi = np.loadtxt(DATA, delimiter=",", comments=("#", "t")).T
+    pixels = np.column_stack([t, 100 + 40 * y, 300 + 40 * x, phi])
+    np.savetxt(tmp_path / "clip.csv", pixels, delimiter=",", header="t,u,v,phi", comments="")
+    corners = [(0, -2), (25, -2), (25, 2), (0, 2), (12, 0)]
+    points = [(100 + 40 * b, 300 + 40 * a, a, b) for b, a in corners]
+    np.savetxt(tmp_path / "points.csv", points, delimiter=",", header="u,v,x,y", comments="")
+    drop(page, tmp_path / "clip.csv")
+    wait_for(lambda: "positions are in pixels" in said(page))
+    drop(page, tmp_path / "points.csv", onto=".bad .beside-file")
+    wait_for(lambda: "a path of 25 m" in said(page))
+    assert "--reference=points.csv" in shown_command(page)
+    assert "5 points of points.csv" in said(page)
+
+
+def test_a_table_of_stopwatch_times_is_fitted_jointly(page, served):
+    drop(page, DATA.parent / "two_sheets.csv")
+    wait_for(lambda: "throws, which are fitted together" in said(page))
+    rows = page.find_elements("css selector", ".seen tbody tr")
+    assert len(rows) == len(curlfit.load_throws(DATA.parent / "two_sheets.csv"))
+    put(page, "--by", "sheet")
+    put(page, "--no-sample", "yes")
+    fitted(page)
+    save(page, "sheets")
+    wait_for(lambda: "Written: " in said(page))
+    joint = curlfit.load_joint(served[2] / "sheets")
+    assert joint.groups
+    assert len(joint.throws) == len(rows)
+
+
+def test_laws_are_compared_for_a_table_of_friction(page):
+    drop(page, DATA.parent / "sutor_1988_friction.csv")
+    wait_for(lambda: "13 values of friction" in said(page))
+    fitted(page, "Compare laws")
+    wait_for(lambda: "stribeck" in (in_report(page, "return document.body.innerText") or ""))
+
+
+def test_a_bad_file_is_refused_and_a_second_one_replaces_it(page, served, tmp_path):
+    (tmp_path / "bad.csv").write_text("t,x,y\n0,0,0\n1,zero,2\n")
+    refused = process("fit", "bad.csv", cwd=tmp_path).stderr.strip().removeprefix("curlfit: ")
+    drop(page, tmp_path / "bad.csv")
+    wait_for(lambda: refused in " ".join(said(page).split()))
+    assert "Traceback" not in said(page)
+    (kept,) = [one for one in psutil.Process(served[0].pid).cwd().split() if "curlfit-app" in one]
+    assert os.listdir(kept) == ["bad.csv"]
+    drop(page, DATA)
+    wait_for(lambda: "230 rows" in said(page))
+    assert os.listdir(kept) == [DATA.name]
+    assert not page.find_elements("css selector", ".bad")
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_the_page_fits_the_screen(page, width, scheme):
+    features = [{"name": "prefers-color-scheme", "value": scheme}]
+    page.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
+    size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+    page.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    drop(page, DATA)
+    wait_for(lambda: "230 rows" in said(page))
+    page.execute_script("document.querySelectorAll('details').forEach(one => one.open = true)")
+    scrolled = page.execute_script("return document.documentElement.scrollWidth")
+    assert scrolled <= width
+    script = (
+        "return [document.body, document.querySelector('main p')].map((one, k) => "
+        "getComputedStyle(one)[k ? 'color' : 'backgroundColor'].match(/[0-9]+/g).slice(0, 3)"
+        ".reduce((sum, one) => sum + +one, 0) / 3)"
+    )
+    paper, ink = page.execute_script(script)
+    assert (paper > ink + 100) == (scheme == "light")
+    assert abs(paper - ink) > 100
+
+
+def test_work_can_be_stopped_and_ctrl_c_leaves_nothing(page, served):
+    process, address, _ = served
+    own = psutil.Process(process.pid)
+    kept = own.cwd()
+    drop(page, DATA)
+    wait_for(lambda: "230 rows" in said(page))
+    for ending in ("stop", "end"):
+        press(page, "Compare laws")
+        wait_for(lambda: "At work" in said(page) and "Fitting" in said(page), LONG)
+        assert own.children()
+        if ending == "stop":
+            press(page, "Stop")
+            wait_for(lambda: "At work" not in said(page) and not own.children(), 60)
+            assert not page.find_elements("css selector", ".result")
+    below = own.children(recursive=True)
+    page.get("about:blank")
+    process.send_signal(signal.SIGINT)
+    assert process.wait(timeout=30) == 0
+    wait_for(lambda: not any(one.is_running() for one in below), 20)
+    assert not os.path.exists(kept)
+    with pytest.raises(urllib.error.URLError, match="refused"):
+        urllib.request.urlopen(address)
