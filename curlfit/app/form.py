@@ -6,7 +6,7 @@ import re
 import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 from cyclopts import App, Token
 
@@ -14,7 +14,6 @@ from curlfit.settings.choices import FILE, FLAGS
 from curlfit.settings.forms import PATH, SWITCH, Form, Several, Table
 
 _NAMES = {flag: name for name, flag in FLAGS.items()}
-_LEFT_OUT = {"Output", "--resume"}  # group and flag: the page sees to them itself
 _OPTION = re.compile(r"`(--[a-z][^`]*)`")
 
 
@@ -36,8 +35,7 @@ class Field:
     @property
     def usual(self) -> str:
         """The default in a word or two, if its help states one."""
-        found = re.search(r"\[default: ([^\];]+)", self.help)
-        return found[1].strip() if found else ""
+        return "".join(re.findall(r"\[default: ([^\];]+)", self.help))
 
     @property
     def takes_file(self) -> bool:
@@ -55,23 +53,21 @@ class Field:
         """What the command makes of it. Raises `InputError`."""
         if self.form is SWITCH:
             return True
-        tokens = [Token(keyword=self.flag, value=one.split("=", 1)[1]) for one in self.words(text)]
-        return self.form(None, tokens)
+        values = [word.partition("=")[2] for word in self.words(text)]
+        return self.form(None, [Token(keyword=self.flag, value=value) for value in values])
 
 
 def fields_of(cli: App, verb: str) -> dict[str, Field]:
-    """The fields of a command by their flags."""
+    """The fields of a command by their flags, but for those of its output."""
     found = {}
     for one in cli[verb].assemble_argument_collection(parse_docstring=True):
         groups: Any = one.parameter.group
-        group = str(groups[0].name)
-        if not one.name.startswith("--") or {group, one.name} & _LEFT_OUT:
-            continue
-        form = one.parameter.converter
-        found[one.name] = Field(
-            one.name, group, " ".join((one.parameter.help or "").split()),
-            str(one.parameter.metavar or ""), form if isinstance(form, Form) else SWITCH,
-        )  # fmt: skip
+        group, form = str(groups[0].name), one.parameter.converter
+        if one.name.startswith("--") and one.name != "--resume" and group != "Output":
+            found[one.name] = Field(
+                one.name, group, " ".join((one.parameter.help or "").split()),
+                str(one.parameter.metavar or ""), form if isinstance(form, Form) else SWITCH,
+            )  # fmt: skip
     return found
 
 
@@ -85,29 +81,24 @@ def values_of(fields: Mapping[str, Field], written: Mapping[str, str]) -> dict[s
     return {
         _NAMES.get(flag, flag[2:].replace("-", "_")): fields[flag].value(text)
         for flag, text in written.items()
-        if flag in fields
     }
 
 
-class Proposal(NamedTuple):
-    """An option that a sentence proposes; without a value, a file that it asks for."""
-
-    flag: str
-    text: str
-
-
-def proposals(fields: Mapping[str, Field], sentence: str) -> list[Proposal]:
-    """The options between backticks that can be set as they stand, and flags that want a file."""
+def proposals(fields: Mapping[str, Field], sentence: str) -> list[tuple[str, str]]:
+    """The options between backticks that can be set as they stand, as flag and text; flags that
+    the sentence wants a file for have none."""
     found = []
     for code in _OPTION.findall(sentence):
         flag, _, text = code.partition(" ")
-        field = fields.get(flag)
-        if field is None or field.takes_file or text == field.written != "":
-            continue
-        if bool(text) != (field.form is SWITCH):
-            found.append(Proposal(flag, " ".join(shlex.split(text)) or "yes"))
-    files = [Proposal(f, "") for f, one in fields.items() if one.takes_file and f"{f} " in sentence]
-    return list(dict.fromkeys(found + files))
+        if (field := fields.get(flag)) and not field.takes_file:
+            if field.form is SWITCH:
+                found.append((flag, "yes"))
+            elif text not in ("", field.written):
+                found.append((flag, " ".join(shlex.split(text))))
+    found += [
+        (flag, "") for flag, one in fields.items() if one.takes_file and f"{flag} " in sentence
+    ]
+    return list(dict.fromkeys(found))
 
 
 def merged(field: Field, before: str, text: str) -> str:

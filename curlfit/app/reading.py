@@ -1,4 +1,4 @@
-"""What is seen of files before a fit: their motion in a few words and a figure, what is odd."""
+"""What is seen of files before a fit: their motion in a few words and figures, what is odd."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from markupsafe import Markup
 from rich.console import Console
 
 from curlfit.errors import CurlfitError
@@ -18,6 +17,7 @@ from curlfit.html_report.drawings import inline_svg
 from curlfit.html_report.page import rendered
 from curlfit.options.settings import ConfiguredThrow, prepare_all, read_config
 from curlfit.output.console import PlainTable
+from curlfit.output.text import sided
 from curlfit.settings.choices import Fitting, Reading
 
 if TYPE_CHECKING:
@@ -31,7 +31,8 @@ class Seen:
     Attributes
     ----------
     finding : in a line. fault : why it cannot be fitted; empty if it can.
-    oddities, notes : sentences. shown : figure or table, HTML. text : as `curlfit check` prints.
+    oddities, notes : sentences. shown : figures or a table, as HTML.
+    text : as `curlfit check` prints it.
     """
 
     finding: str = ""
@@ -44,49 +45,34 @@ class Seen:
 
 def look(files: Sequence[Path], chosen: Mapping[str, Any]) -> Seen:
     """Read files with choices by name, as `curlfit fit` does."""
-    from curlfit.friction_tables.table import is_friction_table
+    from curlfit.friction_tables.table import is_friction_table, load_friction_table
 
     try:
         if len(files) == 1 and is_friction_table(files[0]):
-            return _friction_table(files[0])
+            speed = load_friction_table(files[0]).speed
+            span = f"{speed.min():.3g} to {speed.max():.3g} m/s"
+            return Seen(f"{len(speed)} values of friction against speed, {span}")
         reading = Reading(**{k: chosen[k] for k in chosen.keys() & Reading.forms().keys()})
         flags = Fitting(**{k: chosen[k] for k in chosen.keys() & Fitting.forms().keys()})
-        jobs = prepare_all(files, chosen.get("config"), reading, flags)
+        jobs = [*prepare_all(files, chosen.get("config"), reading, flags).values()]
         if len(jobs) > 1:
-            return _several([job.throw for job in jobs.values()])
-        return _one(files[0], next(iter(jobs.values())), reading, chosen.get("config"))
+            return _several([job.throw for job in jobs])
+        return _one(files[0], jobs[0], reading, chosen.get("config"))
     except CurlfitError as error:
         return Seen(fault=str(error))
 
 
-def _friction_table(file: Path) -> Seen:
-    from curlfit.friction_tables.table import load_friction_table
-
-    table = load_friction_table(file)
-    rows = PlainTable(
-        {">speed (m/s)": f"{speed:.3g}", ">friction": f"{mu:.4g}"}
-        for speed, mu in zip(table.speed, table.mu, strict=True)
-    )
-    low, high = table.speed.min(), table.speed.max()
-    finding = f"{len(table.mu)} values of friction against speed, {low:.3g} to {high:.3g} m/s"
-    return Seen(finding, shown=_table(rows))
-
-
 def _several(throws: Sequence[Throw]) -> Seen:
-    rows = []
-    for throw in throws:
-        values = (
-            {f">{one.name.replace('_', ' ')} ({one.unit})": f"{one.value:.5g}"
-             for one in throw.events}
-            if throw.events
-            else {"motion": motion_in_words(throw)}
-        )  # fmt: skip
-        rows.append({"throw": throw.name, **throw.labels, **values})
-    notes = dict.fromkeys(note for throw in throws for note in throw.notes)
+    rows = [
+        {"throw": throw.name, **throw.labels, "motion": motion_in_words(throw)}
+        | {f">{e.name.replace('_', ' ')} ({e.unit})": f"{e.value:.5g}" for e in throw.events}
+        for throw in throws
+    ]
     return Seen(
         f"{len(throws)} throws, which are fitted together",
-        notes=tuple(notes), shown=_table(PlainTable(rows)),
-    )  # fmt: skip
+        notes=list(dict.fromkeys(note for throw in throws for note in throw.notes)),
+        shown="".join(map(rendered, blocks_of([PlainTable(rows)]))),
+    )
 
 
 def _one(file: Path, job: ConfiguredThrow[Fitting], reading: Reading, config: Path | None) -> Seen:
@@ -95,14 +81,11 @@ def _one(file: Path, job: ConfiguredThrow[Fitting], reading: Reading, config: Pa
     from curlfit.throws.plausibility import examine, require_motion, require_plausible
     from curlfit.throws.report import print_inspection
 
-    throw = job.throw
-    printed = StringIO()
+    throw, printed, fault = job.throw, StringIO(), ""
+    oddities: list[str] = []
     settings = {**throw.settings, **read_config(config)}
     print_inspection(read(file, reading), throw, settings, Console(file=printed, width=110))
     figures = motion_figures(throw) if throw.has_path else {}
-    drawn = [inline_svg(one, f"seen-{name}-", name) for name, one in figures.items()]
-    oddities: list[str] = []
-    fault = ""
     try:
         require_motion(job.cut)
         oddities = [str(one) for one in examine(job.cut) if not one.refused]
@@ -110,30 +93,28 @@ def _one(file: Path, job: ConfiguredThrow[Fitting], reading: Reading, config: Pa
         _ = job.parameters
     except CurlfitError as error:
         fault = str(error)
-    shown = str(Markup("").join(drawn))
-    return Seen(motion_in_words(throw), fault, oddities, throw.notes, shown, printed.getvalue())
+    return Seen(
+        motion_in_words(throw) or f"{len(throw.events)} times and places",
+        fault, oddities, throw.notes,
+        "".join(inline_svg(one, f"seen-{name}-", name) for name, one in figures.items()),
+        printed.getvalue(),
+    )  # fmt: skip
 
 
 def motion_in_words(throw: Throw) -> str:
-    """How far, how fast and how turning a stone went, before a fit."""
-    from curlfit.output.text import sided
+    """How long, how fast and how turning a path is, before a fit; nothing of events."""
     from curlfit.throws.motion import motion_of, turning
 
     if not throw.has_path:
-        return f"{len(throw.events)} times and places by stopwatch and tape"
+        return ""
     words = [f"{len(throw)} rows in {throw.t[-1] - throw.t[0]:.4g} s"]
     if (motion := motion_of(throw)) is not None:
-        side, _ = sided("to the right", -motion.curl)
         words += [
             f"a path of {motion.length:.3g} m",
             f"{motion.speed[0]:.3g} m/s at the start",
-            f"curls {abs(motion.curl):.1f} m {side}",
+            f"curls {abs(motion.curl):.1f} m {sided('to the right', -motion.curl)[0]}",
         ]
     turned = turning(throw)[0] / (2 * math.pi)
     if math.isfinite(turned):
         words.append(f"turns {abs(turned):.2g} times {sided('counter-clockwise', turned)[0]}")
     return ", ".join(words)
-
-
-def _table(table: PlainTable) -> str:
-    return str(Markup("").join(map(rendered, blocks_of([table]))))

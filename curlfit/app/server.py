@@ -17,7 +17,7 @@ from cyclopts import App
 from curlfit.errors import InputError
 from curlfit.foreign import say
 
-HOST = "127.0.0.1"
+_HOST = "127.0.0.1"
 
 
 def serve(cli: App, port: int, *, browser: bool) -> None:
@@ -32,20 +32,16 @@ def serve(cli: App, port: int, *, browser: bool) -> None:
     except ImportError:
         raise InputError("the page needs NiceGUI: pip install 'curlfit[app]'") from None
     try:
-        listening = socket.create_server((HOST, port))
+        listening = socket.create_server((_HOST, port))
     except OSError as error:
         raise InputError(f"--port {port}: {error.strerror or error}; give another") from None
-    start = Path.cwd()
-    with (
-        listening,
-        TemporaryDirectory(prefix="curlfit-app-", ignore_cleanup_errors=True) as name,
-        chdir(name),
-    ):
+    start, temporary = Path.cwd(), TemporaryDirectory("-curlfit-app", ignore_cleanup_errors=True)
+    with listening, temporary as folder, chdir(folder):
         secret = secrets.token_urlsafe(24)
-        address = f"http://{HOST}:{listening.getsockname()[1]}/{secret}/"
+        address = f"http://{_HOST}:{listening.getsockname()[1]}/{secret}/"
+        run = _server(cli, start, Path(folder), secret)
         say(f"The page is at {address} (Ctrl-C ends it)")
         sys.stdout.flush()
-        run = _server(cli, start, Path(name), secret)
         if browser:
             webbrowser.open(address)
         with suppress(KeyboardInterrupt):
@@ -53,7 +49,7 @@ def serve(cli: App, port: int, *, browser: bool) -> None:
     say("The page is closed.")
 
 
-def _server(cli: App, start: Path, folder: Path, secret: str) -> Callable[..., Any]:
+def _server(cli: App, start: Path, folder: Path, secret: str) -> Callable[..., None]:
     import uvicorn
     from fastapi import FastAPI, Request, Response
     from nicegui import app, ui
@@ -63,25 +59,17 @@ def _server(cli: App, start: Path, folder: Path, secret: str) -> Callable[..., A
     page = Page(cli, start, folder)
     ui.page("/", title="curlfit")(page.build)
     app.add_static_files("/results", folder, max_cache_age=0)
+    app.on_exception(page.fail)
     app.on_shutdown(page.close)
-    outer = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
+    outer = FastAPI(openapi_url=None)
 
-    async def guarded(request: Request, proceed: Callable[..., Any]) -> Any:
+    async def limited(request: Request, proceed: Callable[..., Any]) -> Any:
         unknown = "0" if request.method == "GET" else "inf"
         if float(request.headers.get("content-length", unknown)) > MOST_BYTES:
             return Response(status_code=413)
-        answer = await proceed(request)
-        answer.headers["Referrer-Policy"] = "no-referrer"
-        return answer
+        return await proceed(request)
 
-    outer.middleware("http")(guarded)
-    ui.run_with(
-        outer,
-        mount_path=f"/{secret}",
-        dark=None,
-        tailwind=False,
-        show_welcome_message=False,
-        language="en-US",
-    )
+    outer.middleware("http")(limited)
+    ui.run_with(outer, mount_path=f"/{secret}", dark=None, tailwind=False, language="en-US")
     config = uvicorn.Config(outer, log_level="error", timeout_graceful_shutdown=1)
     return uvicorn.Server(config).run

@@ -208,7 +208,7 @@ def test_pixels_ask_for_the_points_and_take_them(page, tmp_path):
     np.savetxt(tmp_path / "points.csv", points, delimiter=",", header="u,v,x,y", comments="")
     drop(page, tmp_path / "clip.csv")
     wait_for(lambda: "positions are in pixels" in said(page))
-    drop(page, tmp_path / "points.csv", onto=".bad .beside-file")
+    drop(page, tmp_path / "points.csv", onto=".bad .beside")
     wait_for(lambda: "a path of 25 m" in said(page))
     assert "--reference=points.csv" in shown_command(page)
     assert "5 points of points.csv" in said(page)
