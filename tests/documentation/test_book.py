@@ -143,7 +143,8 @@ def test_calls_within_sentences_fit_their_functions():
 @pytest.mark.parametrize("line", sorted(INLINE))
 def test_commands_within_sentences(printed, clone, line):
     if re.fullmatch(r"curlfit [a-z]+", line):  # a verb alone
-        assert line in {" ".join(known.split()[:2]) for known in BASH} | {"curlfit show"}
+        shown = {" ".join(known.split()[:2]) for known in BASH}
+        assert line in shown | {"curlfit show", "curlfit app"}
         return
     folders = [f"jensen_shegelski_2004-{kind}" for kind in ("fit", "compare", "predict")]
     folders.append("jensen_shegelski_2004-profile-mu1_xi")
