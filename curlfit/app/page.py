@@ -183,7 +183,8 @@ class Page:
             for text in self.seen.oddities:
                 self._say(text, "warned")
             if self.seen.shown:
-                ui.html(self.seen.shown, sanitize=False).classes("card seen")
+                paper = "card" if "<svg" in self.seen.shown else ""  # on which figures are drawn
+                ui.html(self.seen.shown, sanitize=False).classes(f"seen {paper}")
             for text in self.seen.notes:
                 self._say(text, "note")
             if self.seen.text:
