@@ -41,7 +41,16 @@ from .inference.joint.result import JointResult as JointResult, load_joint as lo
 from .inference.mcmc.chain import Chain as Chain, load_chain as load_chain
 from .inference.mcmc.sampler import sample as sample
 from .optimal_design.design import design as design
-from .optimal_design.figures import design_figures as design_figures
+from .optimal_design.discriminate import discriminate as discriminate
+from .optimal_design.discrimination import (
+    Discrimination as Discrimination,
+    load_discrimination as load_discrimination,
+    print_discrimination as print_discrimination,
+)
+from .optimal_design.figures import (
+    design_figures as design_figures,
+    discrimination_figure as discrimination_figure,
+)
 from .optimal_design.report import print_design as print_design
 from .optimal_design.result import Design as Design, load_design as load_design
 from .paper.claim import Claim as Claim

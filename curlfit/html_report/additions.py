@@ -121,6 +121,7 @@ _CAPTIONS = {
     "design-map": "What a single throw would tell, over speed and spin",
     "design-errors": "Errors against noise, rate and number of throws",
     "design-separate": "Separation of two coefficients",
+    "discrimination": "How well one throw decides the hardest pair of laws, over speed and spin",
 }
 
 

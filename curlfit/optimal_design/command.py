@@ -7,7 +7,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter
 
@@ -15,8 +15,13 @@ from curlfit.errors import InputError
 from curlfit.foreign import is_size
 from curlfit.options import settings as s
 from curlfit.options.output import COMPILES, Output, Saved
-from curlfit.settings.choices import COUNT, Choices
+from curlfit.settings.choices import COUNT, LAWS, Choices
 from curlfit.settings.forms import NAMES, NUMBER, NUMBERS, PATH, TIME, Form, option
+
+if TYPE_CHECKING:
+    from curlfit.inference.fit.result import FitResult
+    from curlfit.optimal_design.discrimination import Discrimination
+    from curlfit.optimal_design.result import Design
 
 _SIZE = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 
@@ -113,8 +118,9 @@ def design(
     *,
     assumed: Assumed = Assumed(),
     grid: Grid = Grid(),
-    throws: Annotated[int, option(COUNT, "N", group="The throws")] = 3,
+    throws: Annotated[int | None, option(COUNT, "N", group="The throws")] = None,
     record: Record = Record(),
+    between: Annotated[Sequence[Any], option(LAWS, "A,B,...")] = (),
     separate: Annotated[Sequence[str], option(NAMES, "A,B")] = (),
     relative_error: Annotated[float, option(NUMBER, "V")] = 0.2,
     output: Output = Output(),
@@ -126,8 +132,11 @@ def design(
     derivatives of the trajectory), for noise that is independent from row to row. Where only the
     sum of two coefficients is determined, the report gives the precision, the throws or the changes
     of the stone that would separate them.
+    With `--between`, the throws that decide between laws: how many, and which. The first law has
+    the coefficients of `--set` or `--fit`, the others those that fit an ordinary draw of it.
     Writes `design.json`, `design-map.png`, `design-errors.png` and, where two coefficients are
-    separable, `design-separate.png`.
+    separable, `design-separate.png`; with `--between`, `discrimination.json` and
+    `discrimination.png`.
 
     Examples:
 
@@ -139,10 +148,16 @@ def design(
 
     `curlfit design --fit throw-fit --until 12`: for the ice of a fitted throw
 
+    `curlfit design --between front-back,pivot,sideways`: which throws decide between three laws
+
     Parameters
     ----------
     throws
-        Number of throws, chosen among the candidates, with repetition. [default: 3]
+        Number of throws, chosen among the candidates, with repetition. [default: 3; with
+        `--between`, the least that decides at odds of 100 to 1]
+    between
+        Laws to decide between. A mechanism that does not brake, such as `pivot`, stands for its sum
+        with the power law, `power+pivot`. The candidates have both senses of spin.
     separate
         Two coefficients to be separated. [default: two of which only the sum is determined under
         uniform load]
@@ -151,37 +166,53 @@ def design(
     """
     from curlfit.output.document import command_line
     from curlfit.output.files import prepare_folder
-
-    drawn = output.drawn()
-    fit = assumed.fit
-    kind = s.kind_of(fit) if fit is not None else "fit"
-    if kind != "fit":
-        raise InputError(f"{fit}: a result of curlfit {kind}; expected the fit of one throw")
-
-    from curlfit.inference.fit.result import load_fit
     from curlfit.stone import Stone
 
-    known = load_fit(fit).with_law(assumed.law) if fit is not None else None
+    drawn = output.drawn()
+    known = _known(assumed.fit)
+    if between:
+        refused = {"separate": separate, "law": assumed.law, "discrepancy": record.discrepancy}
+        for name in [name for name, given in refused.items() if given]:
+            raise InputError(f"--{name} is not an option with --between")
+    law = between[0] if between else assumed.law
+    if known is not None:
+        known = known.with_law(law)
     drawn.draw_beside()
-    with output.status(f"Computing the information of the throws {COMPILES}"):
-        from curlfit.optimal_design.design import design as compute_design
+    common: dict[str, Any] = {
+        "coefficients": dict(assumed.coefficients), "load": assumed.load,
+        "stone": (known.stone if known else Stone()).with_values(dict(assumed.stone)),
+        "until": record.until, "sigma": record.sigma(), **grid.given(),
+    }  # fmt: skip
+    words = [*assumed.words(), *grid.words(), *record.words()]
+    words += [f"--throws={throws or 3}"] * (not between or throws is not None)
+    result: Design | Discrimination
+    if between:
+        with output.status(f"Fitting each law to the throws of the others {COMPILES}"):
+            from curlfit.optimal_design.discriminate import discriminate
 
-        result = compute_design(
-            known or assumed.law or "front-back",
-            coefficients=dict(assumed.coefficients),
-            load=assumed.load,
-            stone=(known.stone if known else Stone()).with_values(dict(assumed.stone)),
-            until=record.until,
-            sigma=record.sigma(),
-            discrepancy=record.discrepancy,
-            throws=throws,
-            separate=list(separate) or None,
-            relative_error=relative_error,
-            **grid.given(),
-        )
-    words = [*assumed.words(), *grid.words(), *record.words(), f"--throws={throws}"]
-    words += [f"--separate={','.join(separate)}"] * bool(separate)
-    words += [f"--relative-error={relative_error:.10g}"]
+            laws = [known or between[0], *between[1:]]
+            result = discriminate(laws, throws=throws, **common)
+        words += [f"--between={','.join(LAWS.words(between))}"]
+    else:
+        with output.status(f"Computing the information of the throws {COMPILES}"):
+            from curlfit.optimal_design.design import design as compute_design
+
+            result = compute_design(
+                known or law or "front-back", discrepancy=record.discrepancy, throws=throws or 3,
+                separate=list(separate) or None, relative_error=relative_error, **common,
+            )  # fmt: skip
+        words += [f"--separate={','.join(separate)}"] * bool(separate)
+        words += [f"--relative-error={relative_error:.10g}"]
     result = replace(result, command=command_line("design", *words))
     folder = prepare_folder(output.out or Path("design"))
     return output.finish(result, folder, drawn)
+
+
+def _known(folder: Path | None) -> FitResult | None:
+    """The fit of one throw in a folder, if one is given."""
+    kind = s.kind_of(folder) if folder is not None else "fit"
+    if kind != "fit":
+        raise InputError(f"{folder}: a result of curlfit {kind}; expected the fit of one throw")
+    from curlfit.inference.fit.result import load_fit
+
+    return None if folder is None else load_fit(folder)

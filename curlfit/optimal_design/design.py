@@ -110,18 +110,13 @@ def design(
     >>> len(plan.candidates), plan.rank
     (4, 3)
     """
-    law, values, load, stone = _assumed(law, coefficients, load, stone)
+    law, values, load, stone = assumed_values(law, coefficients, load, stone)
     sigma = NOISE if sigma is None else sigma
-    _check(sigma, v0, omega0, rate, until, throws, relative_error)
+    check_plan(sigma, v0, omega0, rate, until, throws, relative_error)
     sigma = {name: float(sigma[name]) for name in CHANNELS if name in sigma}
     assumed = Assumptions(law, load, values, sigma, until, discrepancy)
     pair = None if separate is None else CoefficientPair(assumed, separate)
     planned = [PlannedThrow(float(v), float(w), float(rate), stone) for v, w in product(v0, omega0)]
-    if len(planned) > _MAX_CANDIDATES:
-        raise InputError(
-            f"{len(v0)} speeds and {len(omega0)} spins make {len(planned)} candidates; expected at "
-            f"most {_MAX_CANDIDATES}"
-        )
     if not 0 <= discrepancy < math.inf:
         raise InputError(f"discrepancy = {discrepancy:g}; expected 0 or more, over the friction")
     return _designed(assumed, pair, planned, throws, relative_error)
@@ -229,7 +224,7 @@ def _expected(assumed: Assumptions, indices: tuple[int, ...], factor: Floats) ->
     )  # fmt: skip
 
 
-def _assumed(
+def assumed_values(
     law: str | type[Law] | FitResult, coefficients: Mapping[str, float] | None, load: str | None,
     stone: Stone | None,
 ) -> tuple[type[Law], Floats, Load, Stone]:  # fmt: skip
@@ -244,10 +239,11 @@ def _assumed(
     return type(instance), values, check_load(load or "uniform"), stone or Stone()
 
 
-def _check(
+def check_plan(
     sigma: Mapping[str, float], v0: Sequence[float], omega0: Sequence[float],
-    rate: float, until: float | None, throws: int, relative_error: float,
+    rate: float, until: float | None, throws: int, relative_error: float = 1.0,
 ) -> None:  # fmt: skip
+    """Raise `InputError` for noise, candidates, records or a number of throws that cannot be."""
     if not sigma or (unknown := [name for name in sigma if name not in CHANNELS]):
         what = f"no channel {quoted(unknown[0])}" if sigma else "nothing is measured"
         raise InputError(f"sigma: {what}; expected noise of some of {', '.join(CHANNELS)}")
@@ -261,6 +257,11 @@ def _check(
             raise InputError(f"{name} = {shown}: expected {kind}")
     if not omega0 or not all(map(math.isfinite, omega0)):
         raise InputError("omega0: expected finite numbers")
+    if (count := len(v0) * len(omega0)) > _MAX_CANDIDATES:
+        raise InputError(
+            f"{len(v0)} speeds and {len(omega0)} spins make {count} candidates; expected at "
+            f"most {_MAX_CANDIDATES}"
+        )
     if isinstance(throws, bool) or not isinstance(throws, int) or not 1 <= throws <= _MAX_THROWS:
         raise InputError(f"throws = {throws}: expected a whole number from 1 to {_MAX_THROWS}")
 

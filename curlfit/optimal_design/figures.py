@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from curlfit.optimal_design.discrimination import DECISIVE, ODDS, Discrimination
 from curlfit.optimal_design.report import noise_text
 from curlfit.optimal_design.result import Design, Separation
 from curlfit.output import figures as draw
@@ -42,29 +44,30 @@ def _quantity(design: Design, name: str) -> str:
     return draw.in_symbols(name, design.symbols) + unit.replace("^2", "\N{SUPERSCRIPT TWO}")
 
 
-def _cells(axes: Any, design: Design, name: str) -> None:
-    """A cell for each speed and spin, dark where the error is small; those of the selected throws
+def _cells(
+    axes: Any, values: Mapping[tuple[float, float], float], framed: Iterable[tuple[float, float]],
+    number: Callable[[float], str], unknown: str = "",
+) -> None:  # fmt: skip
+    """A cell for each speed and spin, dark where the value is small; those of the selected throws
     are framed."""
-    speeds = sorted({one.v0 for one in design.candidates})
-    spins = sorted({one.omega0 for one in design.candidates})
-    places = [(speeds.index(one.v0), spins.index(one.omega0)) for one in design.candidates]
+    speeds, spins = (sorted(set(of)) for of in zip(*values, strict=True))
     cells = np.full((len(spins), len(speeds)), np.nan)
-    for (column, row), one in zip(places, design.candidates, strict=True):
-        cells[row, column] = np.nan if (error := one.stderr[name]) is None else error
+    for (v0, omega0), value in values.items():
+        cells[spins.index(omega0), speeds.index(v0)] = value
     axes.set_facecolor("0.9")
     axes.grid(visible=False)
-    known = cells[np.isfinite(cells)]
+    known = cells[cells > 0]
     low, high = (known.min(), known.max()) if len(known) else (1.0, 1.0)
     if not high > 1.01 * low:
         low, high = low / 1.5, high * 1.5
-    norm = LogNorm(low, high)
+    norm = LogNorm(low, high, clip=True)
     shown = axes.imshow(cells, origin="lower", aspect="auto", cmap="viridis", norm=norm)
     if cells.size <= _MAX_LABELLED:
         for (row, column), value in np.ndenumerate(cells):
-            text, color = "not\ndetermined", "black"
+            text, color = unknown, "black"
             if np.isfinite(value):
-                text = _number(value)
-                color = "white" if norm(value) < 0.6 else "black"
+                text = number(value)
+                color = "white" if value <= 0 or norm(value) < 0.6 else "black"
             axes.text(column, row, text, ha="center", va="center", fontsize=6, color=color)
     else:
         axes.figure.colorbar(shown, ax=axes)
@@ -72,8 +75,8 @@ def _cells(axes: Any, design: Design, name: str) -> None:
         some = range(0, len(numbers), -(-len(numbers) // most))
         axis.set_ticks(some, [f"{numbers[index]:g}" for index in some])
     axes.set_xlabel("initial speed (m/s)")
-    for column, row in {places[index] for index in next(iter(design.best.values())).throws}:
-        corner = column - 0.47, row - 0.47
+    for v0, omega0 in set(framed):
+        corner = speeds.index(v0) - 0.47, spins.index(omega0) - 0.47
         axes.add_patch(Rectangle(corner, 0.94, 0.94, fill=False, ec=draw.REFERENCE_COLOR, lw=2.2))
 
 
@@ -87,9 +90,13 @@ def _map(design: Design) -> draw.Picture:
     rows = -(-len(names) // columns)
     tall = 0.8 + 0.28 * len({one.omega0 for one in design.candidates})
     figure, grid = draw.panels(max(tall, 1.9) * rows + 0.5, rows, columns, squeeze=False)
-    panels = grid.flat
+    panels, starts = grid.flat, [(one.v0, one.omega0) for one in design.candidates]
+    framed = [starts[index] for index in next(iter(design.best.values())).throws]
     for axes, name in zip(panels, names, strict=False):
-        _cells(axes, design, name)
+        errors = [one.stderr[name] for one in design.candidates]
+        values = [math.nan if error is None else error for error in errors]
+        each = dict(zip(starts, values, strict=True))
+        _cells(axes, each, framed, _number, "not\ndetermined")
         axes.set_title(_quantity(design, name), loc="center")
     for axes in panels[len(names) :]:
         axes.set_visible(False)
@@ -98,6 +105,28 @@ def _map(design: Design) -> draw.Picture:
     figure.suptitle(
         f"{draw.law_and_load(design)}: standard error from one throw\n"
         f"noise {noise_text(design.sigma)}; framed: in the optimal {design.throws} throws",
+    )
+    return figure
+
+
+@draw.style()
+def discrimination_figure(found: Discrimination) -> Figure:
+    """The expected log odds of the hardest pair over speed and spin.
+
+    Examples
+    --------
+    >>> curlfit.discrimination_figure(found).savefig("discrimination.png")
+    """
+    values = found.by_size
+    framed = [(one.v0, abs(one.omega0)) for one in (found.candidates[k] for k in found.throws)]
+    figure, axes = draw.panels(1.6 + 0.28 * len({spin for _, spin in values}), 1, 1)
+    _cells(axes, values, framed, lambda value: f"{value:.{0 if abs(value) >= 10 else 1}f}")
+    axes.set_ylabel("initial spin, either sense (rad/s)")
+    axes.set_title("log odds for the true law from one throw, hardest pair", loc="center")
+    laws = ", ".join(map(draw.literal, found.laws))
+    figure.suptitle(
+        f"{laws}; odds of {ODDS} to 1: {DECISIVE:.1f}\n"
+        f"noise {noise_text(found.sigma)}; framed: chosen",
     )
     return figure
 

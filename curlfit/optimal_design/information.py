@@ -232,13 +232,12 @@ def record_information(
     InputError : a stone that does not come to rest, or for which there is no motion; a record
         with fewer than two rows or more than `MOST_ROWS`.
     """
-    model, channels, ends = assumed.model, range(assumed.channels), _ends(assumed, throws)
-    clocks = [_clock(assumed, throw, rest) for throw, (rest, _) in zip(throws, ends, strict=True)]
+    model, channels, ends = assumed.model, range(assumed.channels), ends_of(assumed, throws)
+    clocks = [clock_of(assumed, throw, rest) for throw, (rest, _) in zip(throws, ends, strict=True)]
     responses: list[Responses] = []
     if assumed.discrepancy:  # to accelerations of the size of the friction
         even = [np.linspace(0.0, clock[-1], _ROWS) for clock in clocks]
-        paths = predict_many(model, _vectors(assumed, throws), _problems(throws, even, 3), _BATCH)
-        about = zip(even, paths, throws, strict=True)
+        about = zip(even, paths_of(assumed, throws, even), throws, strict=True)
         responses = [Responses.of(times, path, throw.stone) for times, path, throw in about]
     # Long records are split into several columns of a batch.
     columns = [
@@ -277,7 +276,7 @@ def record_information(
     ]  # fmt: skip
 
 
-def _clock(assumed: Assumptions, throw: PlannedThrow, rest: float) -> Floats:
+def clock_of(assumed: Assumptions, throw: PlannedThrow, rest: float) -> Floats:
     """Times of the rows of a record, s."""
     end = rest if assumed.until is None else assumed.until
     rows = math.floor(end * throw.rate + 1e-9) + 1
@@ -286,6 +285,14 @@ def _clock(assumed: Assumptions, throw: PlannedThrow, rest: float) -> Floats:
             f"{end:.4g} s at {throw.rate:g} Hz make {rows} rows; expected 2 to {MOST_ROWS}"
         )
     return np.arange(rows) / throw.rate
+
+
+def paths_of(
+    assumed: Assumptions, throws: Sequence[PlannedThrow], clocks: Sequence[Floats]
+) -> Floats:
+    """Paths at up to `_ROWS` times of each throw, the last repeated, (throws, 5, _ROWS)."""
+    problems = _problems(throws, clocks, 3)
+    return predict_many(assumed.model, _vectors(assumed, throws), problems, _BATCH)
 
 
 def _vectors(assumed: Assumptions, throws: Sequence[PlannedThrow]) -> Floats:
@@ -306,7 +313,7 @@ def _problems(throws: Sequence[PlannedThrow], clocks: Sequence[Floats], channels
     return Problem(times, np.zeros_like(weight), weight, stone, level, np.zeros(len(throws), int))
 
 
-def _ends(assumed: Assumptions, throws: Sequence[PlannedThrow]) -> Floats:
+def ends_of(assumed: Assumptions, throws: Sequence[PlannedThrow]) -> Floats:
     """Time of rest (s), extrapolated beyond `LONGEST`, and distance (m) of throws."""
     ends = np.empty((len(throws), 2))
     for stone in {throw.stone for throw in throws}:

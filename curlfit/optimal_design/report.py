@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 from rich.console import Console
 from rich.text import Text
 
 from curlfit.optimal_design.result import (
-    Candidate,
     Design,
     LoadScenario,
     Proof,
@@ -21,6 +21,7 @@ from curlfit.optimal_design.result import (
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Part, Said, Section, show
 from curlfit.output.text import join_words, judged, labelled, lower, stone_text, two_digits
+from curlfit.stone import Stone
 
 _CRITERIA = {
     "D": "smallest volume of the confidence ellipsoid (D-optimal)",
@@ -51,15 +52,16 @@ def document(design: Design) -> Document:
     best, *others = _summary(design)
     law = f"{design.law} law"
     about = (
-        f", {design.load} load: expected errors of {_throws(design.throws)} selected from "
+        f", {design.load} load: expected errors of {count_text(design.throws)} selected from "
         f"{len(design.candidates)}"
     )
-    measured, scenarios = _measured(design), design.scenarios
+    scenarios = design.scenarios
+    what = measured(design.rate, design.until, design.sigma, design.stone, design.discrepancy)
     return Document(
         finding=lower(best).rstrip("."),
         subject=Text.assemble((law, "bold"), about),
-        about=(measured,),
-        lines=[measured, *others],
+        about=(what,),
+        lines=[what, *others],
         sections=(
             Section(
                 "errors", "Expected errors", (_best(design), Said(best), *map(Said, others))
@@ -108,29 +110,32 @@ def percent(fraction: float) -> str:
     return f"{two_digits(100 * fraction)} %"
 
 
-def throws_text(design: Design, indices: Iterable[int]) -> str:
+def throws_text(candidates: Sequence[Any], indices: Iterable[int]) -> str:
     """Throws as in "2 x (2.2 m/s, 10 rad/s)"."""
     return " and ".join(
-        f"{count} x ({_start(design.candidates[index])})"
-        for index, count in Counter(indices).items()
+        f"{count} x ({_start(candidates[index])})" for index, count in Counter(indices).items()
     )
 
 
-def _start(one: Candidate) -> str:
+def _start(one: Any) -> str:
     return f"{one.v0:g} m/s, {one.omega0:g} rad/s"
 
 
-def _throws(count: int) -> str:
+def count_text(count: int) -> str:
+    """A number of throws."""
     return "1 throw" if count == 1 else f"{count} throws"
 
 
-def _measured(design: Design) -> str:
+def measured(
+    rate: float, until: float | None, sigma: dict[str, float], stone: Stone,
+    discrepancy: float = 0.0,
+) -> str:  # fmt: skip
     """What is measured of each throw, in a line."""
-    end = "until the stone is at rest" if design.until is None else f"for {design.until:g} s"
-    discrepancy = f", a discrepancy of {100 * design.discrepancy:.2g} % of what friction does"
+    end = "until the stone is at rest" if until is None else f"for {until:g} s"
+    lacking = f", a discrepancy of {100 * discrepancy:.2g} % of what friction does"
     return (
-        f"{design.rate:g} Hz {end}, independent noise of {noise_text(design.sigma)}"
-        f"{discrepancy * bool(design.discrepancy)}; stone {stone_text(design.stone, mass=False)}"
+        f"{rate:g} Hz {end}, independent noise of {noise_text(sigma)}"
+        f"{lacking * bool(discrepancy)}; stone {stone_text(stone, mass=False)}"
     )
 
 
@@ -167,7 +172,7 @@ def _best(design: Design) -> PlainTable:
     same = all(item.throws == first.throws for item in others)
     shown = {"": first} if same else {f" by {name}": item for name, item in design.best.items()}
     assumed = {one.expression: one.value for one in first.combinations} | design.coefficients
-    head = f">std. error, best {_throws(design.throws)}"
+    head = f">std. error, best {count_text(design.throws)}"
     rows = [
         {
             "coefficient": labelled(name, design.units.get(name, "1")),
@@ -187,9 +192,9 @@ def _error(stderr: float | None) -> str:
 def _summary(design: Design) -> list[str]:
     throws: dict[str, list[str]] = {}
     for name, item in design.best.items():
-        throws.setdefault(throws_text(design, item.throws), []).append(_CRITERIA[name])
+        throws.setdefault(throws_text(design.candidates, item.throws), []).append(_CRITERIA[name])
     lines = [
-        f"Best {_throws(design.throws)}: {text}, by {' and by '.join(criteria)}."
+        f"Best {count_text(design.throws)}: {text}, by {' and by '.join(criteria)}."
         for text, criteria in throws.items()
     ]
     first = next(iter(design.best.values()))
@@ -290,8 +295,9 @@ def _optimal(design: Design, separation: Separation, scenario: LoadScenario, std
     """The optimal throws for a separation, and what they would need."""
     factor = separation.noise_factor(stderr)
     text = (
-        f"The optimal {_throws(design.throws)}: {throws_text(design, scenario.throws or ())}. "
-        f"Error {stderr:.2g}, that is {percent(stderr / separation.size)}: "
+        f"The optimal {count_text(design.throws)}: "
+        f"{throws_text(design.candidates, scenario.throws or ())}. Error "
+        f"{stderr:.2g}, that is {percent(stderr / separation.size)}: "
     )
     if factor < 1:
         needed = _count(separation.throws_needed(stderr, design.throws))
@@ -318,7 +324,7 @@ def _count(number: float) -> str:
 
 def _changes(design: Design, separation: Separation) -> PlainTable:
     scenario, draw = separation.scenario("consistent"), design.candidates[separation.ordinary]
-    count, alone = _throws(design.throws), scenario.each[separation.ordinary]
+    count, alone = count_text(design.throws), scenario.each[separation.ordinary]
     single = None if alone is None else alone / math.sqrt(design.throws)
     original = StoneChange("", 0.0, scenario.stderr, single, None)
     rows = []

@@ -35,6 +35,7 @@ KINDS = {
     "design": Kind(
         "optimal_design.report", "design", ("design-map", "design-errors", "design-separate")
     ),
+    "discrimination": Kind("optimal_design.discrimination", "discrimination"),
 }
 """By the names of their JSON files."""
 

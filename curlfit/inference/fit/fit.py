@@ -128,13 +128,13 @@ def refit(fit: FitResult, noise: str) -> FitResult:
 
 def _fitted_alone(rounds: Rounds, start: Mapping[str, float] | None) -> LeastSquaresFit:
     """Fit the only throw of some rounds."""
-    (found,) = _fitted(rounds, start)
+    (found,) = fitted(rounds, start)
     if isinstance(found, CurlfitError):
         raise found
     return found
 
 
-def _fitted(
+def fitted(
     rounds: Rounds, start: Mapping[str, float] | None
 ) -> list[LeastSquaresFit | CurlfitError]:
     """Fits of throws side by side; an error takes the place of one that fails."""
@@ -264,9 +264,9 @@ def fit_throws(
         while part := dict(islice(rest, max(BATCH, _ROWS // rows))):
             model = Model(law, common.load, next(iter(part.values())).parameters.conditions)
             rounds = Rounds(model, list(part.values()), loss=loss, noise=noise, batch=BATCH)
-            fitted = dict(zip(part, _fitted(rounds, common.start), strict=True))
-            usable = {k: one for k, one in fitted.items() if isinstance(one, LeastSquaresFit)}
+            each = dict(zip(part, fitted(rounds, common.start), strict=True))
+            usable = {k: one for k, one in each.items() if isinstance(one, LeastSquaresFit)}
             widths = {} if systematics is None else widths_of(model, systematics, rounds.throws)
             results = summarize_many(list(usable.values()), curves=curves, widths=widths)
-            found |= fitted | dict(zip(usable, map(with_curl_warning, results), strict=True))
+            found |= each | dict(zip(usable, map(with_curl_warning, results), strict=True))
     return [found[index] for index in range(len(throws))]

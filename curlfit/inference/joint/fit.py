@@ -104,7 +104,7 @@ def fit_together(
     chosen = [Fitting.of(throw.settings, **choices, law=law, load=load) for throw in throws]
     shared = _shared(law, share or "all", chosen[0], mean=bool(by or trend))
     covariates = Covariates.of([(throw.name, throw.labels) for throw in throws], by, trend)
-    together = _together(throws, chosen, shared, covariates, progress)
+    together = solved_together(throws, chosen, shared, covariates, progress)
     result, weights = _equal(together, chosen[0].systematics)
     usual = share is None and len(throws) >= _VARYING and chosen[0].loss == "linear"
     if weights and (by or trend or usual):
@@ -145,14 +145,19 @@ def _shared(
     return shared
 
 
-def _together(
+def solved_together(
     throws: Sequence[Throw],
     chosen: Sequence[Fitting],
     shared: Sequence[str],
     covariates: Covariates,
     progress: Progress | None,
 ) -> Together:
-    """The throws at their optimum with equal coefficients."""
+    """The throws at their optimum with equal values of the shared coefficients.
+
+    Raises
+    ------
+    InputError, UnusableFitError : as in `fit_together`.
+    """
     any_swept, first = any(one.swept is not None for one in chosen), chosen[0]
     prepared = [
         PreparedThrow.of(throw, one, others_swept=any_swept)

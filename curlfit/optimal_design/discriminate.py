@@ -1,0 +1,293 @@
+"""Throws that decide between laws, before they are made (T-optimal design).
+
+Each law in turn makes the throws, and each other is fitted to them (Atkinson and Fedorov,
+Biometrika 62 (1975) 57, of two laws; 289, of several). The chi squared lambda that is left is how
+far the rival stays behind. Where noise is added, chi squared of the rival minus that of the true
+law has the mean lambda + k_true - k_rival and, to first order, the variance 4 lambda + 2 (k_true +
+k_rival), k being the number of directions of the coefficients that the throws determine. The
+variance is an upper limit: what both laws can follow does not scatter. By BIC (Schwarz 1978) of n
+values, the log odds for the true law are (that difference + (k_rival - k_true) ln n)/2.
+
+Throws are chosen for the worst pair of a true law and a rival; those that are proposed have been
+fitted together.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain, product
+from typing import NamedTuple
+
+import numpy as np
+
+from curlfit.errors import InputError
+from curlfit.friction import TERMS, Law, find_law
+from curlfit.inference.fit.result import FitResult
+from curlfit.numerics.arrays import Floats
+from curlfit.optimal_design.design import NOISE, SPEEDS, SPINS, assumed_values, check_plan
+from curlfit.optimal_design.discrimination import (
+    DECISIVE,
+    MARGIN,
+    PROBABILITY,
+    Discrimination,
+    Pair,
+    PossibleThrow,
+)
+from curlfit.optimal_design.information import Assumptions, PlannedThrow
+from curlfit.optimal_design.rivals import Rival, Truth
+from curlfit.stone import Stone
+from curlfit.throws.throw import CHANNELS
+
+_ORDINARY = 2.0, 1.0  # m/s, rad/s: the draw in which all laws agree
+_MOST = 64  # throws
+_ONE_BY_ONE = 8  # throws that are chosen one by one; more are these repeated
+_ROUNDS = 5  # of exchange
+
+
+class Odds(NamedTuple):
+    """Log odds for the true law: mean and standard deviation."""
+
+    mean: float
+    sd: float
+
+    @classmethod
+    def of(cls, left: float, ranks: tuple[int, int], values: int) -> Odds:
+        """From chi squared, the ranks of the true law and its rival, and the number of values."""
+        true, rival = ranks
+        mean = (left + (rival - true) * (math.log(values) - 1)) / 2
+        return cls(mean, math.sqrt(left + (true + rival) / 2))
+
+    def margin(self, least: float = DECISIVE) -> float:
+        """How far they are above `least`, in standard deviations."""
+        return (self.mean - least) / self.sd
+
+    def probability(self, least: float) -> float:
+        """Probability of more than `least`."""
+        return math.erfc(-self.margin(least) / math.sqrt(2)) / 2
+
+
+@dataclass(frozen=True)
+class Contest:
+    """A rival fitted to the throws of the true law.
+
+    Attributes
+    ----------
+    rows : of each candidate, as `Rival` gives them.
+    ranks : of the coefficients of the true law and of the rival, from all candidates.
+    """
+
+    truth: Truth
+    rival: Rival
+    rows: Floats
+    ranks: tuple[int, int]
+
+    def odds(self, throws: Sequence[int], rows: Floats | None = None) -> tuple[float, Odds]:
+        """Chi squared of candidates together, and the odds; their rows if others are better."""
+        left, _ = self.rival.fit(self.rows[[*throws]] if rows is None else rows)
+        return left, Odds.of(left, self.ranks, self._values(throws))
+
+    def _values(self, throws: Sequence[int]) -> int:
+        return len(self.truth.assumed.sigma) * sum(self.truth.rows[one] for one in throws)
+
+    def verified(self, throws: Sequence[int], times: int) -> Pair:
+        """What candidates promise, each repeated so many times, by a fit of them together."""
+        whole = [*throws] * times
+        left, odds = self.odds(whole)
+        if len(throws) > 1:  # else they are fitted already
+            _, start = self.rival.fit(self.rows[[*throws]])
+            rows, converged = self.rival.together([self.truth.throws[k] for k in throws], start)
+            found = self.odds(whole, np.tile(rows, (times, 1, 1)))
+            if converged or found[0] < left:
+                left, odds = found
+        return Pair(
+            truth=self.truth.law,
+            rival=self.rival.model.law.name,
+            chi_squared=left,
+            relative=math.sqrt(left / self._values(whole)),
+            log_odds=odds.mean,
+            sd=odds.sd,
+            wins=odds.probability(0.0),
+            decides=odds.probability(DECISIVE),
+        )
+
+
+def discriminate(
+    laws: Sequence[str | type[Law] | FitResult],
+    *,
+    coefficients: Mapping[str, float] | None = None,
+    load: str | None = None,
+    stone: Stone | None = None,
+    v0: Sequence[float] = SPEEDS,
+    omega0: Sequence[float] = SPINS,
+    rate: float = 30.0,
+    until: float | None = None,
+    sigma: Mapping[str, float] | None = None,
+    throws: int | None = None,
+    systematics: Mapping[str, float] | None = None,
+) -> Discrimination:
+    """The throws that decide between laws, whichever of them is true.
+
+    Parameters
+    ----------
+    laws : two or more, as names or classes, or a fit as the first, for its law, coefficients, load
+        and stone. A mechanism that does not brake, such as "pivot", stands for its sum in `LAWS`.
+    coefficients : of the first law, in place of its defaults or the fit's values. The others have
+        those that fit an ordinary draw of the first (2 m/s, 1 rad/s).
+    load, stone, rate, until, sigma : as in `design`.
+    v0, omega0 : speeds (m/s) and spins (rad/s): all combinations, with both senses of spin.
+    throws : their number; if not given, the least that decides at odds of 100 to 1 with a
+        probability of 0.9.
+    systematics : uncertainties of the conditions that are common to all throws, as in `fit`.
+
+    Raises
+    ------
+    InputError : as in `design`; fewer than two laws; a law that cannot make or follow these throws.
+
+    Examples
+    --------
+    >>> found = curlfit.discriminate(["front-back", "pivot"], v0=[2.0], omega0=[1.0, 2.0])
+    >>> found.decided, found.laws
+    (True, ('front-back', 'power+pivot'))
+    """
+    if len(laws) < 2:
+        raise InputError("between: expected two or more laws, such as front-back,pivot")
+    law, values, load, stone = assumed_values(_law(laws[0]), coefficients, load, stone)
+    others = [find_law(_law(one)) for one in laws[1:]]  # type: ignore[arg-type]
+    names = [law.name, *(one.name for one in others)]
+    if len({*names}) < len(names):
+        raise InputError(f"between: {', '.join(names)}; expected different laws")
+    sigma = NOISE if sigma is None else sigma
+    check_plan(sigma, v0, omega0, rate, until, 1 if throws is None else throws)
+    if throws is not None and throws > _MOST:
+        raise InputError(f"throws = {throws}: expected at most {_MOST} to decide between laws")
+    sigma = {name: float(sigma[name]) for name in CHANNELS if name in sigma}
+    spins = sorted({sense * float(w) for w in omega0 for sense in (1, -1)}, key=_by_size)
+    planned = [PlannedThrow(float(v), w, float(rate), stone) for v, w in product(v0, spins)]
+    assumed = Assumptions(law, load, values, sigma, until)
+    contests, possible = _contests(assumed, others, planned, systematics)
+    found = _record(contests, [planned[one] for one in possible], *_chosen(contests, throws))
+    left = dict.fromkeys(
+        (one.v0, abs(one.omega0)) for row, one in enumerate(planned) if row not in possible
+    )
+    return replace(found, asked=throws, left_out=tuple(left))
+
+
+def _by_size(spin: float) -> tuple[float, bool]:
+    return abs(spin), spin < 0
+
+
+def _law(law: str | type[Law] | FitResult) -> type[Law] | FitResult:
+    """A law; a mechanism as its sum."""
+    if isinstance(law, FitResult):
+        return law
+    if isinstance(law, str) and law in TERMS:
+        law = f"power+{law}"
+    return find_law(law)
+
+
+def _contests(
+    assumed: Assumptions,
+    others: Sequence[type[Law]],
+    planned: Sequence[PlannedThrow],
+    systematics: Mapping[str, float] | None,
+) -> tuple[list[Contest], list[int]]:
+    """Every law against every other, and which throws are possible under each."""
+    ordinary = planned[0]._replace(v0=_ORDINARY[0], omega0=_ORDINARY[1])
+    draw, truths = Truth.of(assumed, [ordinary]), [Truth.of(assumed, planned)]
+    rivals = [
+        Rival(replace(assumed, law=law), ordinary.stone, systematics)
+        for law in (assumed.law, *others)
+    ]
+    for rival in rivals[1:]:
+        (values,), one = rival.alone(draw.throws)
+        law = rival.model.law
+        if np.isnan(one).any():
+            raise InputError(f"between: {law.name} cannot be fitted to a draw of {draw.law}")
+        truths.append(Truth.of(replace(assumed, law=law, values=values), planned))
+    which = np.flatnonzero(np.all([truth.plausible() for truth in truths], 0))
+    rows: dict[tuple[int, int], Floats] = {}
+    for place, rival in enumerate(rivals if len(which) else ()):
+        against = [true for true in range(len(truths)) if true != place]
+        made = chain(*(truths[true].at(which).throws for true in against))
+        parts = np.split(rival.alone([*made])[1], len(against))
+        rows |= {(true, place): part for true, part in zip(against, parts, strict=True)}
+    followed = np.all([np.isfinite(own).all((1, 2)) for own in rows.values()], 0)
+    if not np.any(followed):
+        raise InputError("between: no such throw stays on the sheet under each of these laws")
+    which = which[followed]
+    rows = {pair: own[followed] for pair, own in sorted(rows.items())}
+    ranks = {place: rivals[place].rank(own) for (_, place), own in rows.items()}
+    return [
+        Contest(truths[true].at(which), rivals[place], own, (ranks[true], ranks[place]))
+        for (true, place), own in rows.items()
+    ], which.tolist()
+
+
+def _margin(contests: Sequence[Contest], throws: Sequence[int]) -> float:
+    """That of the worst pair."""
+    return min(one.odds(throws)[1].margin() for one in contests)
+
+
+def _extended(contests: Sequence[Contest], throws: Sequence[int]) -> list[int]:
+    """The best throws, one more than given: added, then exchanged one at a time (Fedorov 1972)."""
+
+    def with_best(rest: Sequence[int]) -> list[int]:
+        plans = [[*rest, one] for one in range(len(contests[0].rows))]
+        # Throws that are equal but for rounding: the first of them.
+        return max(plans, key=lambda plan: round(_margin(contests, plan), 6))
+
+    found = with_best(throws)
+    for _ in range(_ROUNDS if len(found) > 1 else 0):
+        before = sorted(found)
+        for _ in before:
+            found = with_best(found[1:])
+        if sorted(found) == before:
+            break
+    return sorted(found)
+
+
+def _chosen(contests: Sequence[Contest], count: int | None) -> tuple[list[int], list[Pair]]:
+    """The throws, and what they promise for each pair when fitted together."""
+    found: list[int] = []
+    for size in range(1, 1 + (count or _ONE_BY_ONE)):
+        found = _extended(contests, found)
+        if size == count or (count is None and _margin(contests, found) >= MARGIN):
+            pairs = [one.verified(found, 1) for one in contests]
+            if count or min(one.decides for one in pairs) >= PROBABILITY:
+                return found, pairs
+    for times in range(2, 1 + _MOST // len(found)):
+        if _margin(contests, found * times) >= MARGIN:
+            break
+    return sorted(found * times), [one.verified(found, times) for one in contests]
+
+
+def _record(
+    contests: Sequence[Contest], planned: Sequence[PlannedThrow], throws: Sequence[int],
+    pairs: Sequence[Pair],
+) -> Discrimination:  # fmt: skip
+    truths = {one.truth.law: one.truth for one in contests}
+    first = contests[0].truth
+    return Discrimination(
+        laws={
+            name: dict(zip(one.assumed.parameters.names, one.assumed.values.tolist(), strict=False))
+            for name, one in truths.items()
+        },
+        load=first.assumed.load,
+        stone=planned[0].stone,
+        sigma=dict(first.assumed.sigma),
+        rate=planned[0].rate,
+        until=first.assumed.until,
+        candidates=tuple(
+            PossibleThrow(
+                one.v0, one.omega0, rows, rest, distance,
+                tuple(contest.odds([place])[1].mean for contest in contests),
+            )
+            for place, (one, rows, (rest, distance)) in enumerate(
+                zip(planned, first.rows, first.ends.tolist(), strict=True)
+            )
+        ),
+        throws=tuple(throws),
+        pairs=tuple(pairs),
+    )  # fmt: skip

@@ -1,0 +1,306 @@
+"""The record of throws that decide between laws, and what it says."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from os import PathLike
+from typing import Any, ClassVar
+
+from rich.console import Console
+from rich.text import Text
+
+from curlfit.inference.fit.result import LoadName
+from curlfit.optimal_design.report import count_text, measured, noise_text, throws_text
+from curlfit.output.console import PlainTable
+from curlfit.output.document import Document, Said, Section, show
+from curlfit.output.frames import frame
+from curlfit.output.text import join_words, lower, stone_text
+from curlfit.records import Record, require
+from curlfit.stone import Stone
+
+ODDS = 100
+"""Odds to 1 at which a law is decided, and ..."""
+DECISIVE = math.log(ODDS)
+PROBABILITY = 0.9
+"""... the probability of these odds that is required, and ..."""
+MARGIN = 1.2815515655446004
+"""... its quantile of the normal distribution."""
+
+
+@dataclass(frozen=True)
+class Pair:
+    """What the chosen throws, fitted together, promise where one law is true.
+
+    Attributes
+    ----------
+    truth, rival : names.
+    chi_squared : left by the rival, without noise. relative : the same as rms over the noise.
+    log_odds, sd : expected log odds for the true law by BIC, and their standard deviation.
+    wins, decides : probability that the true law has the better BIC, and that it leads by `ODDS`.
+    """
+
+    truth: str
+    rival: str
+    chi_squared: float
+    relative: float
+    log_odds: float
+    sd: float
+    wins: float
+    decides: float
+
+
+@dataclass(frozen=True)
+class PossibleThrow:
+    """A throw, and what it tells alone.
+
+    Attributes
+    ----------
+    v0, omega0 : initial speed (m/s) and spin (rad/s).
+    rows, rest, distance : number of rows, time of rest (s) and distance (m) under the first law.
+    log_odds : expected log odds for the true law from this throw alone, in the order of the pairs.
+    """
+
+    v0: float
+    omega0: float
+    rows: int
+    rest: float
+    distance: float
+    log_odds: tuple[float, ...]
+
+    @property
+    def least(self) -> float:
+        """The log odds of the hardest pair."""
+        return min(self.log_odds)
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Discrimination(Record):
+    """Throws that decide between laws.
+
+    Attributes
+    ----------
+    laws : assumed coefficients by the name of the law.
+    load, stone : of all throws. sigma : noise by measured channel (SI).
+    rate, until : rows per second, Hz, and end of the records in s; the time of rest if None.
+    candidates : from which the throws are chosen.
+    throws : indices of the chosen candidates, repeated for repeated throws.
+    pairs : of a true law and its rival.
+    asked : number of throws that was asked for; None if it is the least that decides.
+    left_out : speeds and spins of throws that leave the sheet or that a law cannot follow.
+    command : that made it; empty if it was made in Python.
+
+    Examples
+    --------
+    >>> found.decided
+    True
+    >>> found.worst.rival
+    'front-back'
+    """
+
+    kind: ClassVar[str] = "discrimination"
+
+    laws: dict[str, dict[str, float]]
+    load: LoadName
+    stone: Stone
+    sigma: dict[str, float]
+    rate: float
+    until: float | None
+    candidates: tuple[PossibleThrow, ...]
+    throws: tuple[int, ...]
+    pairs: tuple[Pair, ...]
+    asked: int | None = None
+    left_out: tuple[tuple[float, float], ...] = ()
+    command: str = ""
+
+    @property
+    def by_size(self) -> dict[tuple[float, float], float]:
+        """The log odds of the hardest pair by speed and size of the spin, of the worse sense."""
+        found: dict[tuple[float, float], float] = {}
+        for one in self.candidates:
+            key = one.v0, abs(one.omega0)
+            found[key] = min(one.least, found.get(key, math.inf))
+        return found
+
+    @property
+    def worst(self) -> Pair:
+        """The pair that is hardest to decide."""
+        return min(self.pairs, key=lambda one: (one.decides, one.log_odds))
+
+    @property
+    def decided(self) -> bool:
+        """Whether the throws decide with the required probability, whichever law is true."""
+        return self.worst.decides >= PROBABILITY
+
+    def require_consistent(self) -> None:
+        """Raise `ValueError` where what was read contradicts itself."""
+        count = len(self.candidates)
+        require("throws", all(0 <= one < count for one in self.throws), "indices of candidates")
+        each = all(len(one.log_odds) == len(self.pairs) for one in self.candidates)
+        require("candidates", each, "log odds of every pair")
+        named = all({one.truth, one.rival} <= self.laws.keys() for one in self.pairs)
+        require("pairs", bool(self.pairs) and named, "pairs of the laws")
+
+    def to_frame(self) -> Any:
+        """The candidates as a pandas DataFrame, one per row: the throw, and the log odds of each
+        pair from it alone.
+
+        Raises
+        ------
+        InputError : pandas is not installed.
+        """
+        names = ("v0", "omega0", "rows", "rest", "distance")
+        columns = {name: [getattr(one, name) for one in self.candidates] for name in names}
+        for place, pair in enumerate(self.pairs):
+            name = f"{pair.truth} over {pair.rival}"
+            columns[name] = [one.log_odds[place] for one in self.candidates]
+        return frame(columns)
+
+
+def load_discrimination(file: str | PathLike[str]) -> Discrimination:
+    """Read a saved `discrimination.json`, or the one in a folder.
+
+    Raises
+    ------
+    DataError : missing, not a file of curlfit, or of a schema that this version cannot read.
+
+    Examples
+    --------
+    >>> found.save("discrimination.json")
+    >>> curlfit.load_discrimination("discrimination.json").decided
+    True
+    """
+    return Discrimination.read(file)
+
+
+def print_discrimination(found: Discrimination, console: Console | None = None) -> None:
+    """Print the report of throws that decide between laws.
+
+    Examples
+    --------
+    >>> curlfit.print_discrimination(found)
+    front-back and power+pivot, uniform load: throws that decide between laws
+    ...
+    """
+    show(document(found), console)
+
+
+def document(found: Discrimination) -> Document:
+    """How many throws decide, and which."""
+    laws = join_words([*found.laws])
+    finding, *others = _summary(found)
+    what = measured(found.rate, found.until, found.sigma, found.stone)
+    return Document(
+        finding=lower(finding).rstrip("."),
+        subject=Text.assemble(
+            (laws, "bold"), f", {found.load} load: throws that decide between laws"
+        ),
+        about=(what,),
+        lines=[what, *others],
+        sections=(
+            Section(
+                "pairs", "Expected log odds", (Said(finding), *map(Said, others), _pairs(found))
+            ),
+            Section("laws", "The laws", (_laws(found),), titled=True, brief=False),
+            Section("single", "A single throw", (_single(found),), titled=True, brief=False),
+        ),
+        notes=_notes(found),
+        title=f"Throws that decide between {laws}",
+        settings={
+            "Laws, load": f"{laws}, {found.load}",
+            "Stone": stone_text(found.stone),
+            "Noise": noise_text(found.sigma),
+        },
+        command=found.command,
+        names=found.laws,
+    )
+
+
+def _percent(probability: float) -> str:
+    """A probability, rounded so that it does not promise too much."""
+    return f"{math.floor(1000 * min(probability, 0.9999)) / 10:g} %"
+
+
+def _summary(found: Discrimination) -> list[str]:
+    worst, count = found.worst, len(found.throws)
+    which = throws_text(found.candidates, found.throws)
+    odds = f"leads by odds of {ODDS} to 1 with a probability of"
+    if found.decided:
+        alone = sum(value > DECISIVE for value in found.by_size.values())
+        lines = [
+            f"{count_text(count)} decide{'s' * (count == 1)}: {which}. Whichever law is true, it "
+            f"{odds} at least {_percent(worst.decides)}."
+        ]
+        if count == 1 and alone > 1:
+            lines.append(
+                f"So does, in expectation, each of {alone} of the {len(found.by_size)} speeds and "
+                "spins, alone."
+            )
+        return lines
+    if found.asked is None:
+        start = "Cannot be decided by tracks of this precision"
+    else:
+        start = f"{count_text(count)} of this precision do not decide"
+    lines = [
+        f"{start}: if {worst.truth} is true, it {odds} only {_percent(worst.decides)} over "
+        f"{worst.rival}, after {count_text(count)}, {which}."
+    ]
+    if worst.chi_squared < count:
+        lines.append(
+            f"{worst.rival} follows these throws of {worst.truth} to within the noise: with these "
+            "coefficients it contains that law, or their paths agree."
+        )
+    return lines
+
+
+def _pairs(found: Discrimination) -> PlainTable:
+    rows = [
+        {
+            "true law": one.truth,
+            "rival": one.rival,
+            ">left by rival,\nover the noise": f"{one.relative:.2g}",
+            ">log odds": f"{one.log_odds:.1f} +- {one.sd:.1f}",
+            ">true law\nleads": _percent(one.wins),
+            f">by {ODDS}\nto 1": _percent(one.decides),
+        }
+        for one in found.pairs
+    ]
+    return PlainTable(rows, "Expected log odds of these throws, and probabilities", keys=2)
+
+
+def _laws(found: Discrimination) -> PlainTable:
+    rows = [
+        {"law": law, "coefficients": ", ".join(f"{name} = {v:.4g}" for name, v in values.items())}
+        for law, values in found.laws.items()
+    ]
+    return PlainTable(rows, "The laws: the same ordinary draw, 2 m/s and 1 rad/s")
+
+
+def _single(found: Discrimination) -> PlainTable:
+    shown = {(one.v0, abs(one.omega0)): one for one in found.candidates}
+    rows = [
+        {
+            ">v0\n(m/s)": f"{v0:g}", ">omega0\n(rad/s)": f"{spin:g}",
+            ">at rest\n(s)": f"{shown[v0, spin].rest:.1f}",
+            ">after\n(m)": f"{shown[v0, spin].distance:.1f}",
+            ">log odds,\nhardest pair": f"{least:.1f}",
+        }
+        for (v0, spin), least in found.by_size.items()
+    ]  # fmt: skip
+    return PlainTable(rows, "A single throw of either sense of spin", keys=2)
+
+
+def _notes(found: Discrimination) -> tuple[str, ...]:
+    notes = [
+        f"log odds are natural logarithms, by BIC; odds of {ODDS} to 1 are {DECISIVE:.1f}. The "
+        "slope of the ice, the air, the stone and the scales have their usual uncertainties, the "
+        "same in all throws; laws are taken to be exact and noise to be independent from row to "
+        "row. What a rival leaves far below the noise decides only if nothing else is that large"
+    ]
+    if found.left_out:
+        which = ", ".join(f"{v0:g} m/s with {spin:g} rad/s" for v0, spin in found.left_out)
+        notes.append(
+            "left out, since such a stone leaves the sheet or a law cannot be fitted to it: "
+            f"{which}"
+        )
+    return tuple(notes)
