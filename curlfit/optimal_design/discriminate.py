@@ -147,8 +147,8 @@ def discriminate(
 
     Examples
     --------
-    >>> found = curlfit.discriminate(["front-back", "pivot"], v0=[2.0], omega0=[1.0, 2.0])
-    >>> found.decided, found.laws
+    >>> between = curlfit.discriminate(["front-back", "pivot"], v0=[2.0], omega0=[1.0, 2.0])
+    >>> between.decided, between.laws
     (True, ('front-back', 'power+pivot'))
     """
     if len(laws) < 2:

@@ -92,9 +92,9 @@ class Discrimination(Record):
 
     Examples
     --------
-    >>> found.decided
+    >>> between.decided
     True
-    >>> found.worst.rival
+    >>> between.worst.rival
     'front-back'
     """
 
@@ -166,7 +166,7 @@ def load_discrimination(file: str | PathLike[str]) -> Discrimination:
 
     Examples
     --------
-    >>> found.save("discrimination.json")
+    >>> between.save("discrimination.json")
     >>> curlfit.load_discrimination("discrimination.json").decided
     True
     """
@@ -178,7 +178,7 @@ def print_discrimination(found: Discrimination, console: Console | None = None) 
 
     Examples
     --------
-    >>> curlfit.print_discrimination(found)
+    >>> curlfit.print_discrimination(between)
     front-back and power+pivot, uniform load: throws that decide between laws
     ...
     """

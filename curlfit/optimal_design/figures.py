@@ -115,11 +115,12 @@ def discrimination_figure(found: Discrimination) -> Figure:
 
     Examples
     --------
-    >>> curlfit.discrimination_figure(found).savefig("discrimination.png")
+    >>> curlfit.discrimination_figure(between).savefig("discrimination.png")
     """
     values = found.by_size
     framed = [(one.v0, abs(one.omega0)) for one in (found.candidates[k] for k in found.throws)]
-    figure, axes = draw.panels(1.6 + 0.28 * len({spin for _, spin in values}), 1, 1)
+    height = 1.6 + 0.28 * len({spin for _, spin in values})
+    figure, axes = draw.panels(height, 1, 1, 0.72 * draw.WIDTH)
     _cells(axes, values, framed, lambda value: f"{value:.{0 if abs(value) >= 10 else 1}f}")
     axes.set_ylabel("initial spin, either sense (rad/s)")
     axes.set_title("log odds for the true law from one throw, hardest pair", loc="center")

@@ -36,11 +36,11 @@ ROOT = Path(__file__).parents[2]
 WITHOUT = {"LAWS", "__version__"}  # a dictionary and a text have no docstring of their own
 ELSEWHERE = {"reproduce", "Reproduction"}  # tests/paper, which has the computation at hand
 SHOWN = ("throw", "fit", "sampled", "posterior", "chain", "joint", "comparison", "prediction",
-         "plan", "profile", "pair", "flat", "path", "friction")  # fmt: skip
+         "plan", "between", "profile", "pair", "flat", "path", "friction")  # fmt: skip
 
 
-FIRST = ("load_throw", "fit", "sample", "fit_together", "compare", "predict", "design", "profile",
-         "fit_friction")  # fmt: skip
+FIRST = ("load_throw", "fit", "sample", "fit_together", "compare", "predict", "design",
+         "discriminate", "profile", "fit_friction")  # fmt: skip
 """Names whose examples define what those of others use."""
 
 

@@ -35,7 +35,7 @@ class Case(NamedTuple):
 
 CASES = (
     Case(("front-back", "power+pivot"), 0.3, {}),
-    Case(("power+sideways", "power+transverse"), 0.15, {}),
+    Case(("power+sideways", "power+transverse"), 0.1, {}),
     Case(("power+transverse", "power+pivot"), 0.1, SLOPES),
 )
 

@@ -1,0 +1,188 @@
+"""Throws that decide between laws: against fits, brute force and simulated linear models."""
+
+from __future__ import annotations
+
+from itertools import combinations_with_replacement
+
+import numpy as np
+import pytest
+from conftest import command, invoke
+
+import curlfit
+from curlfit.optimal_design.discriminate import Odds, _extended
+from curlfit.optimal_design.discrimination import DECISIVE
+
+COARSE = {"x": 0.2, "y": 0.2, "phi": 0.4}
+PLAN = {"v0": [1.8, 2.2], "omega0": [1.0, 2.0], "rate": 10.0, "until": 15.0, "sigma": COARSE}
+EXACT = {"all": 0.0}
+
+
+@pytest.fixture(scope="module")
+def found():
+    """Whose throws decide together only, on ice that may slope to a side."""
+    return curlfit.discriminate(
+        ["front-back", "pivot"], throws=2, systematics={"all": 0.0, "slope_x": 1e-3}, **PLAN
+    )
+
+
+def throw_of(found, law, v0, omega0):
+    """All rows of a throw of a law as assumed, without noise."""
+    law = curlfit.law_with(law, found.laws[law])
+    t = np.arange(int(found.until * found.rate) + 1) / found.rate
+    start = curlfit.InitialState(v=v0, omega=omega0)
+    path = curlfit.simulate(law, found.stone, start, t).to_numpy()
+    return curlfit.Throw.from_arrays(
+        t, path.x, path.y, path.phi, sigma=found.sigma, defaults={"as_given": True}
+    )
+
+
+def left_by(fit):
+    """Chi squared of a fit with the prior of `slope_x`, of which it is a part."""
+    slope = getattr(fit, "parameters", None)
+    slope = (fit.coefficients if isinstance(slope, int) else slope)["slope_x"].value
+    fits = getattr(fit, "throws", (fit,))
+    return sum(one.chi_squared for one in fits) + (slope / 1e-3) ** 2
+
+
+def test_a_mechanism_stands_for_its_sum_and_describes_the_same_draw(found):
+    assert list(found.laws) == ["front-back", "power+pivot"]
+    draw = throw_of(found, "front-back", 2.0, 1.0)
+    fitted = curlfit.fit(draw, "power+pivot", details=False)
+    values = {name: item.value for name, item in fitted.coefficients.items()}
+    assert found.laws["power+pivot"] == pytest.approx(values, rel=1e-2, abs=1e-3)
+
+
+def test_one_throw_leaves_what_a_fit_of_it_leaves(found):
+    """The slope that the fit takes is linear in the design."""
+    pair, one = found.pairs[0], found.candidates[0]
+    throw = throw_of(found, pair.truth, one.v0, one.omega0)
+    fit = curlfit.fit(throw, pair.rival, details=False, priors={"slope_x": "0+-0.001"})
+    n = fit.n_observations
+    expected = Odds.of(left_by(fit), (3, 3), n).mean
+    assert one.log_odds[0] == pytest.approx(expected, rel=0.03)
+
+
+def test_chosen_throws_leave_what_a_fit_of_them_together_leaves(found):
+    assert {one.truth for one in found.pairs} == {*found.laws}
+    starts = [(found.candidates[k].v0, found.candidates[k].omega0) for k in found.throws]
+    for pair in found.pairs:
+        throws = [throw_of(found, pair.truth, *start) for start in starts]
+        fit = curlfit.fit_together(
+            throws, pair.rival, share="all", priors={"slope_x": "0+-0.001"}, systematics=EXACT
+        )
+        assert fit.converged
+        assert pair.chi_squared == pytest.approx(left_by(fit), rel=0.05)
+        n = sum(one.n_observations for one in fit.throws)
+        assert pair.relative == pytest.approx(np.sqrt(pair.chi_squared / n), rel=0.01)
+
+
+def test_both_senses_of_spin_tell_the_same_alone(found):
+    odds = {(one.v0, one.omega0): one.log_odds for one in found.candidates}
+    assert len(odds) == 8
+    for (v0, omega0), own in odds.items():
+        assert own == pytest.approx(odds[v0, -omega0], rel=1e-2)
+
+
+@pytest.mark.parametrize(("true", "rival"), [(2, 2), (1, 3), (3, 1)])
+def test_log_odds_are_those_of_simulated_linear_models(true, rival):
+    """Two models with two columns in common, where the true one is beside the other."""
+    random, n = np.random.default_rng(1), 200
+    common = random.standard_normal((n, 2))
+    first, second = (np.hstack([common, random.standard_normal((n, k))]) for k in (true, rival))
+    mean = first @ np.append(np.zeros(2), np.full(true, 5.5 / np.sqrt(n * true)))
+    project = [np.linalg.qr(one)[0] for one in (first, second)]
+    y = mean + random.standard_normal((20_000, n))
+
+    def left(values, basis):
+        return (values**2).sum(-1) - ((values @ basis) ** 2).sum(-1)
+
+    bic = [left(y, one) + one.shape[1] * np.log(n) for one in project]
+    odds = (bic[1] - bic[0]) / 2
+    found = Odds.of(left(mean, project[1]), (true, rival), n)
+    assert odds.mean() == pytest.approx(found.mean, abs=0.2)
+    assert odds.std() == pytest.approx(found.sd, rel=0.03)
+    decided, promised = (odds > DECISIVE).mean(), found.probability(DECISIVE)
+    assert promised > 0.85
+    assert promised - 0.01 < decided < promised + 0.05
+
+
+class Additive:
+    """A pair of laws whose chi squared is that of vectors in a plane, at the best angle."""
+
+    def __init__(self, rows):
+        self.rows = rows
+
+    def odds(self, throws):
+        matrix = np.concatenate([self.rows[k] for k in throws])
+        left = np.linalg.svd(matrix, compute_uv=False)[-1] ** 2
+        return left, Odds.of(left, (2, 2), 100)
+
+
+def test_the_exchange_finds_the_best_of_all_choices_for_the_worst_pair():
+    random = np.random.default_rng(4)
+    pairs = [Additive(3 * random.standard_normal((7, 1, 2))) for _ in range(3)]
+    plan = []
+    for size in (1, 2, 3, 4):
+        plan = _extended(pairs, plan)
+
+        def margin(throws):
+            return min(one.odds(throws)[1].margin() for one in pairs)
+
+        best = max(combinations_with_replacement(range(7), size), key=margin)
+        assert margin(plan) == pytest.approx(margin(best)), size
+
+
+def test_a_law_that_contains_the_other_is_not_decided():
+    """With k = 0 a power of the speed is Coulomb's law."""
+    found = curlfit.discriminate(
+        ["power", "coulomb"], coefficients={"k": 0.0}, v0=[2.0], omega0=[1.0], rate=5.0, until=15.0
+    )
+    assert not found.decided
+    assert (found.worst.truth, found.worst.rival) == ("power", "coulomb")
+    assert found.worst.chi_squared < 1e-3
+    text = " ".join(repr(found).split())
+    assert "cannot be decided by tracks of this precision" in text
+    assert "coulomb follows these throws of power to within the noise" in text
+
+
+def test_a_saved_record_is_the_same(found, tmp_path):
+    found.save(tmp_path / "discrimination.json")
+    assert curlfit.load_discrimination(tmp_path).to_json() == found.to_json()
+    assert found.to_frame().shape == (8, 7)
+
+
+def test_the_command(tmp_path):
+    words = ("design", "--between", "front-back,pivot", "--v0", "2", "--omega0", "1,20")
+    run = command(*words, cwd=tmp_path)
+    assert (run.returncode, run.stderr) == (0, "")
+    text = " ".join(run.stdout.split())
+    for part in (
+        "front-back and power+pivot, uniform load", "30 Hz until the stone is at rest", "1 throw decides: 1 x (2 m/s, ",
+        "with a probability of at least 99.9 %", "odds of 100 to 1 are 4.6",
+        "leaves the sheet or a law cannot be fitted to it: 2 m/s with 20 rad/s",
+    ):  # fmt: skip
+        assert part in text, part
+    folder = tmp_path / "design"
+    assert sorted(f.name for f in folder.iterdir()) == ["discrimination.json", "discrimination.png"]
+    assert invoke(["show", str(folder)]).stdout == run.stdout[: run.stdout.index("Written:")]
+    assert invoke(["plot", str(folder), "--format", "svg"]).exit_code == 0
+    saved = curlfit.load_discrimination(folder)
+    assert "--between=front-back,pivot" in saved.command
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--between", "coulomb"], "expected two or more laws"),
+        (["--between", "coulomb,coulomb"], "expected different laws"),
+        (["--between", "coulomb,nothing"], "unknown law"),
+        (["--between", "pivot,power+pivot"], "expected different laws"),
+        (["--between", "coulomb,power", "--law", "power"], "--law is not an option with --between"),
+        (["--between", "coulomb,power", "--throws", "65"], "expected at most 64"),
+        (["--between", "coulomb,power", "--v0", "9", "--until", "3"], "no such throw stays"),
+    ],
+)
+def test_what_cannot_be_decided_is_refused(words, says):
+    run = invoke(["design", *words, "--no-figures", "-q"])
+    assert run.exit_code == 2
+    assert says in str(run.exception)
