@@ -14,11 +14,9 @@ fitted together.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, product
-from typing import NamedTuple
 
 import numpy as np
 
@@ -28,7 +26,6 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.numerics.arrays import Floats
 from curlfit.optimal_design.design import NOISE, SPEEDS, SPINS, assumed_values, check_plan
 from curlfit.optimal_design.discrimination import (
-    DECISIVE,
     MARGIN,
     PROBABILITY,
     Discrimination,
@@ -46,28 +43,6 @@ _ONE_BY_ONE = 8  # throws that are chosen one by one; more are these repeated
 _ROUNDS = 5  # of exchange
 
 
-class Odds(NamedTuple):
-    """Log odds for the true law: mean and standard deviation."""
-
-    mean: float
-    sd: float
-
-    @classmethod
-    def of(cls, left: float, ranks: tuple[int, int], values: int) -> Odds:
-        """From chi squared, the ranks of the true law and its rival, and the number of values."""
-        true, rival = ranks
-        mean = (left + (rival - true) * (math.log(values) - 1)) / 2
-        return cls(mean, math.sqrt(left + (true + rival) / 2))
-
-    def margin(self, least: float = DECISIVE) -> float:
-        """How far they are above `least`, in standard deviations."""
-        return (self.mean - least) / self.sd
-
-    def probability(self, least: float) -> float:
-        """Probability of more than `least`."""
-        return math.erfc(-self.margin(least) / math.sqrt(2)) / 2
-
-
 @dataclass(frozen=True)
 class Contest:
     """A rival fitted to the throws of the true law.
@@ -83,34 +58,22 @@ class Contest:
     rows: Floats
     ranks: tuple[int, int]
 
-    def odds(self, throws: Sequence[int], rows: Floats | None = None) -> tuple[float, Odds]:
-        """Chi squared of candidates together, and the odds; their rows if others are better."""
+    def promise(self, throws: Sequence[int], rows: Floats | None = None) -> Pair:
+        """Of candidates together; of their rows, if others are better."""
         left, _ = self.rival.fit(self.rows[[*throws]] if rows is None else rows)
-        return left, Odds.of(left, self.ranks, self._values(throws))
-
-    def _values(self, throws: Sequence[int]) -> int:
-        return len(self.truth.assumed.sigma) * sum(self.truth.rows[one] for one in throws)
+        values = len(self.truth.assumed.sigma) * sum(self.truth.rows[one] for one in throws)
+        return Pair.of(self.truth.law, self.rival.model.law.name, left, self.ranks, values)
 
     def verified(self, throws: Sequence[int], times: int) -> Pair:
-        """What candidates promise, each repeated so many times, by a fit of them together."""
+        """The same of candidates, each repeated so many times, from a fit of them together."""
         whole = [*throws] * times
-        left, odds = self.odds(whole)
-        if len(throws) > 1:  # else they are fitted already
-            _, start = self.rival.fit(self.rows[[*throws]])
-            rows, converged = self.rival.together([self.truth.throws[k] for k in throws], start)
-            found = self.odds(whole, np.tile(rows, (times, 1, 1)))
-            if converged or found[0] < left:
-                left, odds = found
-        return Pair(
-            truth=self.truth.law,
-            rival=self.rival.model.law.name,
-            chi_squared=left,
-            relative=math.sqrt(left / self._values(whole)),
-            log_odds=odds.mean,
-            sd=odds.sd,
-            wins=odds.probability(0.0),
-            decides=odds.probability(DECISIVE),
-        )
+        linear = self.promise(whole)
+        if len(throws) == 1:  # fitted already
+            return linear
+        _, start = self.rival.fit(self.rows[[*throws]])
+        rows, converged = self.rival.together([self.truth.throws[k] for k in throws], start)
+        found = self.promise(whole, np.tile(rows, (times, 1, 1)))
+        return found if converged or found.chi_squared < linear.chi_squared else linear
 
 
 def discriminate(
@@ -163,7 +126,9 @@ def discriminate(
     if throws is not None and throws > _MOST:
         raise InputError(f"throws = {throws}: expected at most {_MOST} to decide between laws")
     sigma = {name: float(sigma[name]) for name in CHANNELS if name in sigma}
-    spins = sorted({sense * float(w) for w in omega0 for sense in (1, -1)}, key=_by_size)
+    spins = sorted(
+        {sense * float(w) for w in omega0 for sense in (1, -1)}, key=lambda w: (abs(w), w < 0)
+    )
     planned = [PlannedThrow(float(v), w, float(rate), stone) for v, w in product(v0, spins)]
     assumed = Assumptions(law, load, values, sigma, until)
     contests, possible = _contests(assumed, others, planned, systematics)
@@ -172,10 +137,6 @@ def discriminate(
         (one.v0, abs(one.omega0)) for row, one in enumerate(planned) if row not in possible
     )
     return replace(found, asked=throws, left_out=tuple(left))
-
-
-def _by_size(spin: float) -> tuple[float, bool]:
-    return abs(spin), spin < 0
 
 
 def _law(law: str | type[Law] | FitResult) -> type[Law] | FitResult:
@@ -207,15 +168,18 @@ def _contests(
             raise InputError(f"between: {law.name} cannot be fitted to a draw of {draw.law}")
         truths.append(Truth.of(replace(assumed, law=law, values=values), planned))
     which = np.flatnonzero(np.all([truth.plausible() for truth in truths], 0))
+    none = InputError("between: no such throw stays on the sheet under each of these laws")
+    if not len(which):
+        raise none
     rows: dict[tuple[int, int], Floats] = {}
-    for place, rival in enumerate(rivals if len(which) else ()):
+    for place, rival in enumerate(rivals):
         against = [true for true in range(len(truths)) if true != place]
         made = chain(*(truths[true].at(which).throws for true in against))
         parts = np.split(rival.alone([*made])[1], len(against))
         rows |= {(true, place): part for true, part in zip(against, parts, strict=True)}
     followed = np.all([np.isfinite(own).all((1, 2)) for own in rows.values()], 0)
-    if not np.any(followed):
-        raise InputError("between: no such throw stays on the sheet under each of these laws")
+    if not followed.any():
+        raise none
     which = which[followed]
     rows = {pair: own[followed] for pair, own in sorted(rows.items())}
     ranks = {place: rivals[place].rank(own) for (_, place), own in rows.items()}
@@ -227,7 +191,7 @@ def _contests(
 
 def _margin(contests: Sequence[Contest], throws: Sequence[int]) -> float:
     """That of the worst pair."""
-    return min(one.odds(throws)[1].margin() for one in contests)
+    return min(one.promise(throws).margin() for one in contests)
 
 
 def _extended(contests: Sequence[Contest], throws: Sequence[int]) -> list[int]:
@@ -281,11 +245,11 @@ def _record(
         until=first.assumed.until,
         candidates=tuple(
             PossibleThrow(
-                one.v0, one.omega0, rows, rest, distance,
-                tuple(contest.odds([place])[1].mean for contest in contests),
+                one.v0, one.omega0, rest, distance,
+                tuple(contest.promise([place]).log_odds for contest in contests),
             )
-            for place, (one, rows, (rest, distance)) in enumerate(
-                zip(planned, first.rows, first.ends.tolist(), strict=True)
+            for place, (one, (rest, distance)) in enumerate(
+                zip(planned, first.ends.tolist(), strict=True)
             )
         ),
         throws=tuple(throws),

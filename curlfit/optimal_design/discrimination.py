@@ -46,8 +46,29 @@ class Pair:
     relative: float
     log_odds: float
     sd: float
-    wins: float
-    decides: float
+    written: ClassVar[tuple[str, ...]] = ("wins", "decides")
+
+    @classmethod
+    def of(cls, truth: str, rival: str, left: float, ranks: tuple[int, int], values: int) -> Pair:
+        """From the chi squared that is left, the ranks of both, and the number of values."""
+        true, other = ranks
+        mean = (left + (other - true) * (math.log(values) - 1)) / 2
+        sd = math.sqrt(left + (true + other) / 2)
+        return cls(truth, rival, left, math.sqrt(left / values), mean, sd)
+
+    def margin(self, least: float = DECISIVE) -> float:
+        """How far the log odds are above `least`, in standard deviations."""
+        return (self.log_odds - least) / self.sd
+
+    @property
+    def wins(self) -> float:
+        """Probability that the true law has the better BIC."""
+        return math.erfc(-self.margin(0.0) / math.sqrt(2)) / 2
+
+    @property
+    def decides(self) -> float:
+        """Probability that the true law leads by `ODDS`."""
+        return math.erfc(-self.margin() / math.sqrt(2)) / 2
 
 
 @dataclass(frozen=True)
@@ -57,13 +78,12 @@ class PossibleThrow:
     Attributes
     ----------
     v0, omega0 : initial speed (m/s) and spin (rad/s).
-    rows, rest, distance : number of rows, time of rest (s) and distance (m) under the first law.
+    rest, distance : time of rest (s) and distance (m) under the first law.
     log_odds : expected log odds for the true law from this throw alone, in the order of the pairs.
     """
 
     v0: float
     omega0: float
-    rows: int
     rest: float
     distance: float
     log_odds: tuple[float, ...]
@@ -149,7 +169,7 @@ class Discrimination(Record):
         ------
         InputError : pandas is not installed.
         """
-        names = ("v0", "omega0", "rows", "rest", "distance")
+        names = ("v0", "omega0", "rest", "distance")
         columns = {name: [getattr(one, name) for one in self.candidates] for name in names}
         for place, pair in enumerate(self.pairs):
             name = f"{pair.truth} over {pair.rival}"

@@ -208,12 +208,18 @@ class Assumptions:
             names.index(item.name) for item in START if needed.get(item.name, set()) <= {*sigma}
         ]
         wanted = everything[:, self.free if columns is None else columns]
-        left, singular, _ = np.linalg.svd(everything[:, [*state, *lacking]], full_matrices=False)
-        left = left[:, singular > _ROUNDING * singular[0]]
-        for _ in range(2):  # twice, against rounding errors
-            wanted = wanted - left @ (left.T @ wanted)
+        wanted = apart_from(everything[:, [*state, *lacking]], wanted)
         factor = r_factor(wanted)
         return np.pad(factor, ((0, factor.shape[1] - len(factor)), (0, 0)))
+
+
+def apart_from(columns: Floats, wanted: Floats) -> Floats:
+    """Other columns, projected onto the orthogonal complement of some; or those of each of many."""
+    left, singular, _ = np.linalg.svd(columns, full_matrices=False)
+    left = left * (singular > _ROUNDING * singular[..., :1])[..., None, :]
+    for _ in range(2):  # twice, against rounding errors
+        wanted = wanted - left @ (left.mT @ wanted)
+    return wanted
 
 
 def record_information(

@@ -31,6 +31,7 @@ from curlfit.numerics.batches import BATCH, stacked
 from curlfit.optimal_design.information import (
     Assumptions,
     PlannedThrow,
+    apart_from,
     clock_of,
     ends_of,
     paths_of,
@@ -41,8 +42,6 @@ from curlfit.throws.plausibility import require_plausible
 from curlfit.throws.throw import CHANNELS, Throw
 
 _POINTS = 128  # rows of a throw without noise, weighted as all rows of its record
-_ROUNDING = 1e-13  # relative to the largest singular value of the columns of the initial state
-_OWN = len(START)
 
 
 class Truth(NamedTuple):
@@ -165,12 +164,8 @@ class Rival:
         at_zero = solutions.residual - (scaled[..., : self.size] * of_law).sum(-1)
         whole = np.concatenate([scaled, np.stack([*changes.values(), at_zero], -1)], -1)
         whole = r_factor(whole.reshape(len(values), -1, whole.shape[-1]))
-        own = np.arange(self.size, self.size + _OWN)
-        left, singular, _ = np.linalg.svd(whole[..., own], full_matrices=False)
-        left = left * (singular > _ROUNDING * singular[:, :1])[:, None]
-        for _ in range(2):  # twice, against rounding errors
-            whole = whole - left @ (left.mT @ whole)
-        return np.delete(whole, own, -1)
+        own = np.arange(self.size, self.size + len(START))
+        return apart_from(whole[..., own], np.delete(whole, own, -1))
 
     def fit(self, rows: Floats) -> tuple[float, Floats]:
         """Chi squared of throws together, and the coefficients over typical sizes, within bounds;

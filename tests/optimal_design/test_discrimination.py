@@ -9,8 +9,8 @@ import pytest
 from conftest import command, invoke
 
 import curlfit
-from curlfit.optimal_design.discriminate import Odds, _extended
-from curlfit.optimal_design.discrimination import DECISIVE
+from curlfit.optimal_design.discriminate import _extended
+from curlfit.optimal_design.discrimination import DECISIVE, Pair
 
 COARSE = {"x": 0.2, "y": 0.2, "phi": 0.4}
 PLAN = {"v0": [1.8, 2.2], "omega0": [1.0, 2.0], "rate": 10.0, "until": 15.0, "sigma": COARSE}
@@ -58,7 +58,7 @@ def test_one_throw_leaves_what_a_fit_of_it_leaves(found):
     throw = throw_of(found, pair.truth, one.v0, one.omega0)
     fit = curlfit.fit(throw, pair.rival, details=False, priors={"slope_x": "0+-0.001"})
     n = fit.n_observations
-    expected = Odds.of(left_by(fit), (3, 3), n).mean
+    expected = Pair.of("", "", left_by(fit), (3, 3), n).log_odds
     assert one.log_odds[0] == pytest.approx(expected, rel=0.03)
 
 
@@ -98,10 +98,10 @@ def test_log_odds_are_those_of_simulated_linear_models(true, rival):
 
     bic = [left(y, one) + one.shape[1] * np.log(n) for one in project]
     odds = (bic[1] - bic[0]) / 2
-    found = Odds.of(left(mean, project[1]), (true, rival), n)
-    assert odds.mean() == pytest.approx(found.mean, abs=0.2)
+    found = Pair.of("", "", left(mean, project[1]), (true, rival), n)
+    assert odds.mean() == pytest.approx(found.log_odds, abs=0.2)
     assert odds.std() == pytest.approx(found.sd, rel=0.03)
-    decided, promised = (odds > DECISIVE).mean(), found.probability(DECISIVE)
+    decided, promised = (odds > DECISIVE).mean(), found.decides
     assert promised > 0.85
     assert promised - 0.01 < decided < promised + 0.05
 
@@ -112,10 +112,10 @@ class Additive:
     def __init__(self, rows):
         self.rows = rows
 
-    def odds(self, throws):
+    def promise(self, throws):
         matrix = np.concatenate([self.rows[k] for k in throws])
         left = np.linalg.svd(matrix, compute_uv=False)[-1] ** 2
-        return left, Odds.of(left, (2, 2), 100)
+        return Pair.of("", "", left, (2, 2), 100)
 
 
 def test_the_exchange_finds_the_best_of_all_choices_for_the_worst_pair():
@@ -126,7 +126,7 @@ def test_the_exchange_finds_the_best_of_all_choices_for_the_worst_pair():
         plan = _extended(pairs, plan)
 
         def margin(throws):
-            return min(one.odds(throws)[1].margin() for one in pairs)
+            return min(one.promise(throws).margin() for one in pairs)
 
         best = max(combinations_with_replacement(range(7), size), key=margin)
         assert margin(plan) == pytest.approx(margin(best)), size
@@ -148,7 +148,7 @@ def test_a_law_that_contains_the_other_is_not_decided():
 def test_a_saved_record_is_the_same(found, tmp_path):
     found.save(tmp_path / "discrimination.json")
     assert curlfit.load_discrimination(tmp_path).to_json() == found.to_json()
-    assert found.to_frame().shape == (8, 7)
+    assert found.to_frame().shape == (8, 6)
 
 
 def test_the_command(tmp_path):
@@ -157,7 +157,8 @@ def test_the_command(tmp_path):
     assert (run.returncode, run.stderr) == (0, "")
     text = " ".join(run.stdout.split())
     for part in (
-        "front-back and power+pivot, uniform load", "30 Hz until the stone is at rest", "1 throw decides: 1 x (2 m/s, ",
+        "front-back and power+pivot, uniform load", "30 Hz until the stone is at rest",
+        "1 throw decides: 1 x (2 m/s, ",
         "with a probability of at least 99.9 %", "odds of 100 to 1 are 4.6",
         "leaves the sheet or a law cannot be fitted to it: 2 m/s with 20 rad/s",
     ):  # fmt: skip
