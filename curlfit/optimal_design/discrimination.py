@@ -114,8 +114,8 @@ class Discrimination(Record):
     --------
     >>> between.decided
     True
-    >>> between.worst.rival
-    'front-back'
+    >>> len(between.throws), len(between.pairs)
+    (1, 2)
     """
 
     kind: ClassVar[str] = "discrimination"
