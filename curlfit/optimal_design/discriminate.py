@@ -111,8 +111,8 @@ def discriminate(
     Examples
     --------
     >>> between = curlfit.discriminate(["front-back", "pivot"], v0=[2.0], omega0=[1.0, 2.0])
-    >>> between.decided, between.laws
-    (True, ('front-back', 'power+pivot'))
+    >>> between.decided, [*between.laws]
+    (True, ['front-back', 'power+pivot'])
     """
     if len(laws) < 2:
         raise InputError("between: expected two or more laws, such as front-back,pivot")

@@ -253,8 +253,7 @@ def _summary(found: Discrimination) -> list[str]:
         ]
         if count == 1 and alone > 1:
             lines.append(
-                f"So does, in expectation, each of {alone} of the {len(found.by_size)} speeds and "
-                "spins, alone."
+                f"In expectation, {alone} of the {len(found.by_size)} speeds and spins do so alone."
             )
         return lines
     if found.asked is None:
