@@ -215,6 +215,7 @@ def _extended(contests: Sequence[Contest], throws: Sequence[int]) -> list[int]:
 def _chosen(contests: Sequence[Contest], count: int | None) -> tuple[list[int], list[Pair]]:
     """The throws, and what they promise for each pair when fitted together."""
     found: list[int] = []
+    pairs: list[Pair] = []
     for size in range(1, 1 + (count or _ONE_BY_ONE)):
         found = _extended(contests, found)
         if size == count or (count is None and _margin(contests, found) >= MARGIN):
@@ -222,9 +223,11 @@ def _chosen(contests: Sequence[Contest], count: int | None) -> tuple[list[int], 
             if count or min(one.decides for one in pairs) >= PROBABILITY:
                 return found, pairs
     for times in range(2, 1 + _MOST // len(found)):
-        if _margin(contests, found * times) >= MARGIN:
-            break
-    return sorted(found * times), [one.verified(found, times) for one in contests]
+        if _margin(contests, found * times) >= MARGIN or len(found) * (times + 1) > _MOST:
+            pairs = [one.verified(found, times) for one in contests]
+            if min(one.decides for one in pairs) >= PROBABILITY:
+                break
+    return sorted(found * times), pairs
 
 
 def _record(
