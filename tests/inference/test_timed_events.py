@@ -13,12 +13,15 @@ from scipy.optimize import least_squares
 import curlfit
 from curlfit import LAWS, InitialState, Stone, simulate
 from curlfit.errors import InputError
+from curlfit.inference.fit.prepared import PreparedThrow
+from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.systematics import residual_changes
 from curlfit.inference.likelihood import linearize, predict_channels, predict_many
 from curlfit.inference.model import Model
 from curlfit.inference.problem import Origin, build_problem
 from curlfit.numerics.batches import in_batches, stacked
 from curlfit.prediction.report import describe_rest
+from curlfit.settings.choices import Fitting
 from curlfit.throws.events import MOST_EVENTS, Event
 from curlfit.throws.throw import Throw
 
@@ -184,6 +187,15 @@ def test_three_numbers_determine_one_friction_coefficient(tmp_path):
     again = curlfit.load_fit(tmp_path)
     assert (again.events, again.throw.events) == (result.events, result.throw.events)
     assert again.throw.assumed["y0"] == HOG
+
+
+def test_a_rough_path_tells_no_exponent():
+    throw = Throw.from_events(record(speed=2.1, rest=TEE))
+    prepared = PreparedThrow.of(throw, Fitting.of(law="power"))
+    start = Rounds(Model(LAWS["power"], "uniform"), [prepared]).starts()[1][0, 0]
+    assert start[1] == LAWS["power"].coefficients()[1].default
+    # c v^k over the path, in closed form for k = -1/2: v^2.5 = 2.5 c g s
+    assert start[0] == pytest.approx(2.1**2.5 / (2.5 * G * (TEE - HOG)), rel=0.2)
 
 
 def test_a_table_of_curl_against_spin_gives_the_law(write):

@@ -22,7 +22,12 @@ import numpy as np
 
 from curlfit.errors import InputError
 from curlfit.inference.fit.prepared import LeastSquaresFit, PreparedThrow, linearized, local_bounds
-from curlfit.inference.initial_values import SmoothPath, smooth, start_values_of_sides
+from curlfit.inference.initial_values import (
+    SmoothPath,
+    default_guess,
+    smooth,
+    start_values_of_sides,
+)
 from curlfit.inference.least_squares import Indices, Solution, as_slice, residual_sigma
 from curlfit.inference.likelihood import SIGMA_FLOOR, predict_many, whitened_residuals_of_many
 from curlfit.inference.model import Model
@@ -108,8 +113,15 @@ class Rounds:
 
     def starts(self) -> tuple[SmoothPath, Floats]:
         """Smooth paths, and initial values on all sides that may fit equally, with their shapes as
-        of `start_values_of_sides`."""
+        of `start_values_of_sides`. The rough path of a throw that has none tells the size of the
+        friction and of the curl, but no exponent."""
         paths, (_, *ends) = smooth(self.initial_problems), local_bounds(self.throws)
+        rough = np.array([not one.throw.has_path for one in self.throws])
+        for place, item in enumerate(self.model.law.coefficients()):
+            if item.signed:
+                usual = np.clip(default_guess(item), ends[0][:, place], ends[1][:, place])
+                for end in ends:
+                    end[:, place] = np.where(rough, usual, end[:, place])
         return paths, start_values_of_sides(
             self.model, self.initial_problems, paths, *ends, batch=self.batch
         )
