@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import Any
 
+from curlfit.errors import InputError
 from curlfit.options import settings as s
 from curlfit.options.output import Output, Saved, progress_line
 from curlfit.settings.choices import FLAGS, Comparing, Reading
 
 
 def compare(
-    data: Path,
-    /,
-    *,
+    *data: Path,
     flags: Comparing = Comparing(),
     reading: Reading = Reading(),
     config: s.Config = None,
     output: Output = Output(),
 ) -> Saved:
-    """Fit many friction laws to one throw, under one or several noise models, and rank them.
+    """Fit many friction laws to one throw, or to several data sets at once, and rank them.
 
     Each law is fitted within its own bounds; one that fails with a coefficient at zero is fitted
     again with either sign allowed, which is shown and not ranked. Laws are ranked by BIC; with a
@@ -26,6 +28,8 @@ def compare(
     the log evidence (dlnZ) and the expected log predictive density of leave-one-out (delpd, with
     the standard error of the difference) are given too. `--fix`, `--bound` and `--start` hold
     for the laws that have such a parameter.
+    Several files are tracks, tables of throws by stopwatch and tables of friction against speed, of
+    which one set of coefficients of each law must answer all.
     Writes `compare.json` and `compare.png`.
 
     Example: `curlfit compare data/jensen_shegelski_2004.csv --load both`
@@ -33,14 +37,69 @@ def compare(
     Parameters
     ----------
     data
-        Data as for `curlfit fit`.
+        Data as for `curlfit fit`; tables of friction against speed.
     """
     from curlfit.friction_tables.table import is_friction_table
 
-    if is_friction_table(data):
+    if not data:
+        raise InputError("compare: no file given; expected DATA")
+    alone = data[0]
+    if len(data) == 1 and is_friction_table(alone):
         from curlfit.friction_tables.command import fit_table
 
-        return fit_table(data, flags, output, "compare", reading)
+        return fit_table(alone, flags, output, "compare", reading)
+    if len(data) == 1 and not _is_table_of_throws(alone, reading):
+        return _one_throw(alone, flags, reading, config, output)
+    return _several(data, flags, reading, config, output)
+
+
+def _is_table_of_throws(file: Path, reading: Reading) -> bool:
+    """Whether a file has throws by stopwatch in its rows, of which none is selected."""
+    from curlfit.throws.load import parts_of
+
+    parts = parts_of(file, reading) if reading.shot is None else []
+    return len(parts) > 1 and not any(getattr(one.throw, "has_path", True) for one in parts)
+
+
+def _several(
+    data: Sequence[Path], flags: Comparing, reading: Reading, config: Path | None, output: Output
+) -> Saved:
+    """Compare laws on several data sets."""
+    from curlfit.friction_tables.table import is_friction_table, load_friction_table
+    from curlfit.output.files import prepare_folder
+    from curlfit.throws.load import load_throws
+
+    drawn, configured = output.drawn(), s.read_config(config)
+    chosen = Comparing.of(configured, vars(flags))
+    how = vars(Reading.of(configured, vars(reading)))
+    items: list[Any] = []
+    for file in data:
+        items += (
+            [load_friction_table(file)] if is_friction_table(file) else load_throws(file, **how)
+        )
+    single = len(data) == 1
+    usual = s.result_folder(data[0], "compare", reading) if single else Path("joint-compare")
+    folder = prepare_folder(output.out or usual)
+    drawn.draw_beside()
+    with _progress(output) as show:
+        from curlfit.comparison.compare import compare as compare_laws
+
+        found = compare_laws(items, progress=show, **vars(chosen))
+    return output.finish(found, folder, drawn)
+
+
+def _progress(output: Output) -> AbstractContextManager[Callable[..., None]]:
+    from rich.progress import BarColumn, MofNCompleteColumn
+
+    compiles = "(a first run on a machine compiles each law)"
+    columns = "Fitting {task.description}", BarColumn(), MofNCompleteColumn(), compiles
+    return progress_line(output.console(), *columns)
+
+
+def _one_throw(
+    data: Path, flags: Comparing, reading: Reading, config: Path | None, output: Output
+) -> Saved:
+    """Compare laws on one track."""
     from curlfit.friction import LAWS, find_law
     from curlfit.inference.parameters import ParameterSet, options_of, require_known
     from curlfit.output.files import prepare_folder
@@ -60,12 +119,8 @@ def compare(
     require_path(cut)
     folder = prepare_folder(output.out or s.result_folder(data, "compare", reading))
 
-    from rich.progress import BarColumn, MofNCompleteColumn
-
     drawn.draw_beside()
-    compiles = "(a first run on a machine compiles each law)"
-    columns = "Fitting {task.description}", BarColumn(), MofNCompleteColumn(), compiles
-    with progress_line(output.console(), *columns) as show:
+    with _progress(output) as show:
         from curlfit.comparison.compare import compare as compare_laws
 
         found = compare_laws(throw, progress=show, **vars(chosen))

@@ -28,10 +28,13 @@ from curlfit.comparison.criteria import (
 )
 from curlfit.comparison.lacking import lacking
 from curlfit.comparison.leave_one_out import leave_one_out, standard_error
+from curlfit.comparison.plan import plan
 from curlfit.comparison.result import PLACE, Candidate, Comparison
+from curlfit.comparison.several import compare_sets
 from curlfit.errors import UnusableFitError
-from curlfit.friction import LAWS, Law, NetLaw, find_law
+from curlfit.friction import Law, NetLaw
 from curlfit.friction.family import family_of
+from curlfit.friction_tables.table import FrictionTable
 from curlfit.inference.conditions import ALL
 from curlfit.inference.fit.advice import NOISE
 from curlfit.inference.fit.fit import fit
@@ -73,31 +76,19 @@ class Fitted(NamedTuple):
         return self.known.get("bulk") or self.result.rms
 
 
-def plan(laws: Sequence[str | type[Law]] | None, load: str) -> list[tuple[type[Law], str]]:
-    """Laws and loads to be fitted; `load` may be "both".
-
-    Where no law is named, all of curlfit's own except those that approximate another. A law without
-    a ring has no load and is listed once. Raises `InputError` for an unknown name.
-    """
-    wanted = laws or [law for law in LAWS.values() if law.shipped() and not law.approximates]
-    chosen = [find_law(law) for law in ([wanted] if isinstance(wanted, str) else wanted)]
-    loads = ("uniform", "consistent") if load == "both" else (load,)
-    return [
-        (law, one)
-        for law in dict.fromkeys(chosen)
-        for one in (loads[:1] if issubclass(law, NetLaw) else loads)
-    ]
-
-
 @takes(Comparing, "laws")
 def compare(
-    throw: Throw,
+    throw: Throw | Sequence[Throw | FrictionTable],
     laws: Sequence[str | type[Law]] | None = None,
     *,
     progress: Callable[[str, int, int], None] | None = None,
     **choices: Any,
 ) -> Comparison:
-    """Fit each law to a throw, under each noise model, and rank the fits by BIC.
+    """Fit each law to a throw, under each noise model, and rank the fits by BIC; or to several data
+    sets at once.
+
+    Of a list of throws and tables of friction, one set of coefficients of each law must answer all.
+    The timed throws of one file are one data set.
 
     Parameters of a law (`fix`, `bounds`, `free`, `priors`, `start`) hold for the laws that have
     them. With `unbounded`, the fits are ranked even so.
@@ -119,6 +110,8 @@ def compare(
     >>> comparison.best.label
     'front-back, uniform load'
     """
+    if isinstance(throw, Sequence):
+        return compare_sets(throw, Comparing.of(laws=laws, **choices), progress)
     require_throw(throw)
     require_path(throw)
     chosen = Comparing.of(throw.settings, laws=laws, **choices)

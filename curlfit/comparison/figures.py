@@ -11,16 +11,21 @@ from curlfit.comparison.result import COMPONENTS, Candidate, Comparison, Lacking
 from curlfit.output import figures as draw
 
 _MOST = 4  # other laws drawn
+_FOLLOWS = 2.25  # chi squared per degree of freedom at 1.5 times the noise
 
 
 @draw.style()
 def comparison_figure(comparison: Comparison) -> draw.Picture:
     """All fitted paths over the data, their residuals of x, and the size of residuals by channel.
 
+    Of several data sets: chi squared per degree of freedom by law and set.
+
     Examples
     --------
     >>> curlfit.comparison_figure(comparison).savefig("compare.png")
     """
+    if comparison.sets:
+        return _figure_of_sets(comparison)
     shown = [item for item in comparison.candidates if item.fitted is not None]
     t, x, y = (np.array(comparison.observed[name], float) for name in ("t", "x", "y"))
     some, styles = draw.some_rows(len(t)), draw.line_styles(len(shown))
@@ -78,6 +83,35 @@ def _lacking(panels: Any, lacking: Lacking, styles: Mapping[str, dict[str, Any]]
         axes.axhline(0, **draw.ZERO_LINE)
         axes.set(xlabel="speed (m/s)", ylabel=f"{name} ({unit})")
     draw.title(panels[0], f"What the path has beyond {draw.literal(lacking.law)}", loc="left")
+
+
+def _figure_of_sets(comparison: Comparison) -> draw.Picture:
+    """Chi squared per degree of freedom of each law on each data set: filled with the coefficients
+    that all sets have in common, open with those of the set alone."""
+    shown = [item for item in comparison.candidates if item.sets]
+    count, rows = len(comparison.sets), np.arange(len(shown))
+    figure = draw.Picture(figsize=(draw.WIDTH, 1.3 + 0.22 * len(shown)), layout="constrained")
+    panels: Any = figure.subplots(1, count, sharey=True, squeeze=False)[0]
+    for number, (axes, one) in enumerate(zip(panels, comparison.sets, strict=True)):
+        each = [item.sets[number] for item in shown]
+        common = np.array([on.chi_squared / on.dof for on in each])
+        own = np.array([on.own_chi_squared / on.own_dof for on in each])
+        low = min(0.3, *own, *common)
+        axes.axvspan(low / 1.5, _FOLLOWS, color="0.92", lw=0)
+        axes.hlines(rows, own, common, color="0.15", lw=1.0)
+        axes.plot(own, rows, "o", color="0.15", markerfacecolor="white", label="alone")
+        axes.plot(common, rows, "o", color="0.15", label="with common coefficients")
+        high = max(20.0, *own, *common)
+        axes.set(xscale="log", xlim=(low / 1.5, 1.5 * high), ylim=(len(shown) - 0.4, -0.6))
+        axes.set_xlabel("chi squared per\ndegree of freedom")
+        draw.title(axes, draw.file_name(one.name))
+    panels[0].set_yticks(rows, [item.label for item in shown])
+    for tick, item in zip(panels[0].get_yticklabels(), shown, strict=True):
+        tick.set_fontweight("bold" if item.follows else "normal")
+    handles = panels[0].get_legend_handles_labels()
+    figure.legend(*handles, loc="outside lower center", ncols=2,
+                  title="grey: within 1.5 times the noise; bold: follows all")  # fmt: skip
+    return figure
 
 
 def _sizes(axes: Any, shown: list[Candidate], size: str) -> None:

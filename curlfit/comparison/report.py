@@ -11,10 +11,12 @@ import numpy as np
 from rich.console import Console
 from rich.text import Text
 
+from curlfit.comparison.report_of_sets import document_of_sets
 from curlfit.comparison.result import COMPONENTS, Candidate, Comparison
-from curlfit.output.console import Items, PlainTable
+from curlfit.comparison.tables import coefficients_table, difference
+from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Said, Section, command_line, show
-from curlfit.output.text import STYLE, compact, join_words, rows_text, stone_text
+from curlfit.output.text import compact, join_words, rows_text, stone_text
 
 _PROBABLE = 0.01  # weight of a law that is named
 _FIRST = 3  # laws named in a line
@@ -36,9 +38,11 @@ def print_comparison(comparison: Comparison, console: Console | None = None) -> 
 
 def document(comparison: Comparison) -> Document:
     """Ranks, coefficients, and what follows from them."""
+    if comparison.sets:
+        return document_of_sets(comparison)
     data = comparison.data
     ranked = [item for item in comparison.candidates if item.rank is not None]
-    order = ", ".join(f"{item.label} ({_difference(item.delta_bic)})" for item in ranked[:_FIRST])
+    order = ", ".join(f"{item.label} ({difference(item.delta_bic)})" for item in ranked[:_FIRST])
     more = f" and {len(ranked) - _FIRST} more" if len(ranked) > _FIRST else ""
     first, *others = conclusions(comparison)
     count = len(comparison.candidates)
@@ -60,7 +64,7 @@ def document(comparison: Comparison) -> Document:
         lines=[f"dBIC: {order}{more}" if ranked else "", first],
         sections=(
             Section("laws", "The laws", (_ranks(comparison),)),
-            Section("coefficients", "Coefficients", (_coefficients(comparison),), brief=False),
+            Section("coefficients", "Coefficients", (coefficients_table(comparison),), brief=False),
             Section("conclusions", "What follows", (Said(first), *others)),
             Section("lacking", "What the first law lacks", _lacking(comparison), brief=False),
         ),
@@ -147,12 +151,12 @@ def _fitted(item: Candidate, *, evidence: bool) -> dict[str, Any]:
         return {"follows": Text("no fit", style="red")}
     size = item.residual_size
     criterion, other = ("dlnZ", item.delta_evidence) if evidence else ("dAICc", item.delta_aicc)
-    elpd = _difference(item.delta_elpd)
+    elpd = difference(item.delta_elpd)
     if item.delta_elpd_se:
         elpd = compact(item.delta_elpd or 0.0, item.delta_elpd_se)
     return {
         ">k": "" if item.n_parameters is None else f"{item.n_parameters:.3g}",
-        ">dBIC": _difference(item.delta_bic), f">{criterion}": _difference(other), ">delpd": elpd,
+        ">dBIC": difference(item.delta_bic), f">{criterion}": difference(other), ">delpd": elpd,
         **{
             f">{name} ({unit})": f"{1000 * size[name]:.3g}" if name in size else ""
             for name, unit in (("x", "mm"), ("y", "mm"), ("phi", "mrad"))
@@ -167,41 +171,10 @@ _FOLLOWS = {
 }  # fmt: skip
 
 
-def _difference(value: float | None) -> str:
-    return "" if value is None else f"{value:.1f}" if abs(value) < 1000 else f"{value:.0f}"
-
-
 def _share(value: float) -> str:
     """A fraction in %, never rounded up to 100 %."""
     percent = 100 * max(value, 0.0)
     return f"{percent:.0f} %" if percent < 99 else f"{min(percent, 99.99):.2f} %"
-
-
-def _coefficients(comparison: Comparison) -> PlainTable:
-    return PlainTable(
-        ({"law, load": item.label, "~coefficients": _said(item)} for item in comparison.candidates),
-        "Coefficients of each law, with standard errors",
-    )
-
-
-def _said(item: Candidate) -> Text | Items:
-    """The coefficients of a candidate, side by side."""
-    status = Text(item.status, style="red")
-    if item.coefficients is None:
-        return status
-    said = []
-    for name, found in item.coefficients.items():
-        verdict, unit = found["verdict"], found["unit"]
-        if verdict != "not identifiable":
-            shown = compact(found["value"], found["stderr"]) + ("" if unit == "1" else f" {unit}")
-            about = "" if verdict in ("determined", "fixed") else f" {verdict}"
-            said.append(Text.assemble(f"{name} = {shown}", (about, STYLE[verdict])))
-    for one in item.combinations:
-        said.append(Text(f"{one['expression']} = {compact(one['value'], one['stderr'])}"))
-    if item.not_identifiable:
-        hidden = f"{join_words(item.not_identifiable)} not identifiable"
-        said.append(Text(hidden, style=STYLE["not identifiable"]))
-    return Items(said if item.converged else [*said, status])
 
 
 def conclusions(comparison: Comparison) -> list[str]:
@@ -263,7 +236,7 @@ def _about_noise(comparison: Comparison) -> str:
     for name in comparison.noises:
         own = (item for item in comparison.candidates if item.noise == name and item.rank)
         if name != best.noise and (first := next(own, None)):
-            others.append(f"; with {name} noise it is {_difference(first.delta_bic)} higher")
+            others.append(f"; with {name} noise it is {difference(first.delta_bic)} higher")
     return (
         f"The lowest BIC is that of {best.noise} noise ({best.label}){''.join(others)}. The log "
         "evidence is not given, because the parameters of the noise have no prior, nor is "

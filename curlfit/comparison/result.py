@@ -32,6 +32,56 @@ _Noise = Annotated[
 
 
 @dataclass(frozen=True)
+class OnSet:
+    """A law on one of several data sets.
+
+    Attributes
+    ----------
+    chi_squared, dof : with the coefficients that all data sets have in common, and degrees of
+        freedom: values less the parameters spent on them. own_chi_squared, own_dof : with the
+        coefficients that are best for this set alone.
+    follows, own_follows : whether chi squared is no more than expected, or than 1.5 times the noise
+        makes it.
+    rank, determined : number of coefficients, or sums of them, that this set determines beside the
+        others, and their names.
+    largest : the largest residuals by name, (model - data)/sigma.
+    own_delta_bic : BIC for this set alone, minus the smallest of all laws.
+    """
+
+    chi_squared: float
+    dof: float
+    own_chi_squared: float
+    own_dof: float
+    follows: bool
+    own_follows: bool
+    rank: int
+    determined: tuple[str, ...]
+    largest: tuple[tuple[str, float], ...]
+    own_delta_bic: float = 0.0
+
+
+@dataclass(frozen=True)
+class SetOfData:
+    """One of several data sets.
+
+    Attributes
+    ----------
+    name, kind : of its file; "track", "throws" or "friction".
+    throws, values : number of throws, and of measured values.
+    effective : effective number of values, where residuals are correlated from row to row.
+    sigma : estimated standard deviations by channel, SI; noise_of : the law that leaves them.
+    """
+
+    name: str
+    kind: str
+    throws: int
+    values: int
+    effective: float
+    sigma: dict[str, float]
+    noise_of: str
+
+
+@dataclass(frozen=True)
 class Candidate:
     """One law under one load and one noise model, as fitted.
 
@@ -76,6 +126,9 @@ class Candidate:
         as exponents.
     at_bound, not_identifiable : names.
     warnings : of the fit.
+    sets, p_together : on each of several data sets, and the probability of a larger rise of chi
+        squared by common coefficients if the law is right; `follows` then says whether it follows
+        all sets with these.
     """
 
     law: str
@@ -113,6 +166,8 @@ class Candidate:
     fitted: dict[str, list[float]] | None = None
     noise: str = "white"
     noise_model: _Noise = field(default_factory=dict)
+    sets: tuple[OnSet, ...] = ()
+    p_together: float | None = None
 
     @property
     def label(self) -> str:
@@ -183,6 +238,7 @@ class Comparison(Record):
     likelihood are correlated from row to row; otherwise empty.
     `lacking` is what the first law lacks, if the path shows it.
     `fits` are the full results in the order of the candidates, and empty when read from a file.
+    Of several data sets, `sets` describes these, and there is no path.
 
     Examples
     --------
@@ -204,6 +260,7 @@ class Comparison(Record):
     candidates: tuple[Candidate, ...]
     observed: dict[str, list[float]]
     lacking: Lacking | None = None
+    sets: tuple[SetOfData, ...] = ()
     fits: tuple[FitResult | None, ...] = field(default=(), metadata=UNSAVED)
 
     @property
@@ -238,6 +295,8 @@ class Comparison(Record):
         require("observed", {"t", *PLACE} <= self.observed.keys(), "t, x, y and phi")
         require_rows("observed", self.observed, len(self.observed["t"]))
         for one in self.candidates:
+            if one.sets:
+                require("candidates", len(one.sets) == len(self.sets), "all data sets")
             if one.fitted is not None:
                 require("candidates", one.fitted.keys() == set(PLACE), "fitted x, y and phi")
                 require_rows("candidates", one.fitted, len(self.observed["t"]))

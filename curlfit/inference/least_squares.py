@@ -140,8 +140,10 @@ class Tasks(NamedTuple):
             pad = partial(model.family.padded, model.law)
             penalty, typical = jax.tree.map(pad, penalty), pad(typical, 1.0)
         blocks = Blocks.of(np.ones(len(typical), bool))
-        if self.common is not None:
-            blocks = Blocks.of(self.common, self.problems.observed.shape[1])
+        if (common := self.common) is not None:
+            if model.family is not None:
+                common = model.family.padded(model.law, common.astype(float), 1.0) > 0
+            blocks = Blocks.of(common, self.problems.observed.shape[1])
         return (
             model.of_program, self._loss,
             (*map(model.vector, (self.start, self.lower, self.upper)), penalty, self.problems),
@@ -208,8 +210,12 @@ def solve(
     law, loss, stacks, *common = tasks.arguments(model, how)
     found: Solution = in_batches(lambda *some: program(law, loss, some, *common), stacks, batch)
     if model.family is not None:
-        own = model.columns(tasks.start.shape[-1])
-        found = found._replace(values=found.values[:, own], jacobian=found.jacobian[..., own])
+        size = tasks.start.shape[-1]
+        of_throw = size if tasks.common is None else len(tasks.common)
+        found = found._replace(
+            values=found.values[:, model.columns(size)],
+            jacobian=found.jacobian[..., model.columns(of_throw)],
+        )
     return found
 
 

@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from curlfit.dynamics.contact import accelerations
 from curlfit.dynamics.passages import with_passages
 from curlfit.dynamics.trajectory import external_forces, ordered_trajectory, positions
 from curlfit.inference.model import Model
@@ -32,6 +33,7 @@ from curlfit.inference.system import System
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import BATCH, in_batches, unstacked
 from curlfit.numerics.compiled import compiled
+from curlfit.stone import GRAVITY
 
 SIGMA_FLOOR = 1e-7
 """Smallest standard deviation of noise (m and rad): the precision of the computed path."""
@@ -47,7 +49,7 @@ def _forces(model: Model, system: System) -> Array:
 
 def _channels(model: Model, values: Array, problem: Problem) -> Array:
     """x, y, phi, speed and spin at the times of a problem, shape (5, n); with events, a sixth row
-    has one event per column."""
+    has one event per column, or the friction in a state."""
     system = System.of(model, values, problem.stone, problem.environment)
     start, scale = system.start, system.length_scale
     measured = _unpadded_times(problem) / system.time_scale
@@ -56,14 +58,14 @@ def _channels(model: Model, values: Array, problem: Problem) -> Array:
         path = ordered_trajectory(
             system.law, system.stone, forces, start, measured, jnp.zeros(()), load=model.load
         )
-        events: tuple[Array, ...] = ()
+        known = jnp.zeros(len(measured))
     else:
         lines = start.y + (problem.events.lines - start.y) / scale
         path, passages = with_passages(
             system.law, system.stone, forces, start, lines, measured, load=model.load
         )
         time, x_rest, y_rest, phi_rest = passages.rest
-        known = jnp.concatenate(
+        at_lines = jnp.concatenate(
             [
                 passages.time * system.time_scale, _scaled(passages.x, start.x, scale),
                 passages.phi, jnp.stack(
@@ -76,10 +78,16 @@ def _channels(model: Model, values: Array, problem: Problem) -> Array:
             ]
         )  # fmt: skip
         weights = problem.events.weights
-        found = jnp.where(weights != 0, weights * known, 0.0).sum(-1)
-        events = (jnp.zeros(len(measured)).at[: len(found)].set(found),)
+        found = jnp.where(weights != 0, weights * at_lines, 0.0).sum(-1)
+        known = jnp.zeros(len(measured)).at[: len(found)].set(found)
+    if problem.states is not None:  # braking force over the weight
+        speed, omega = problem.states
+        state = jnp.where(speed > 0, speed, 1.0), omega
+        braking = -accelerations(system.law, system.stone, model.load, *state).eta / GRAVITY
+        known = jnp.where(speed > 0, braking, known)
+    more = [] if problem.events is None and problem.states is None else [known]
     x, y = _scaled(path.x, start.x, scale), _scaled(path.y, start.y, scale)
-    return jnp.stack([x, y, path.phi, path.speed, path.omega, *events])
+    return jnp.stack([x, y, path.phi, path.speed, path.omega, *more])
 
 
 def _scaled(position: Array, start: Array, scale: Any) -> Array:

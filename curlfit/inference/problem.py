@@ -52,6 +52,9 @@ class Problem(NamedTuple):
     """definitions of the events in the last row"""
     whitener: Any = None
     """makes correlated noise independent, see `curlfit.inference.noise.whitening`"""
+    states: Any = None
+    """speed and spin at which friction was measured, as the last row of the data, shape (2, n); a
+    speed of 0 where there is another observation"""
 
 
 class Origin(NamedTuple):

@@ -43,6 +43,7 @@ from curlfit.throws.throw import CHANNELS, Throw
 
 _ROBUST_FITS = 4  # each with sigma from the bulk of the last
 _TIGHTER = 0.1  # sigma of a channel over that of the fit before, at least
+_ROUGHLY = 0.25, 4.0  # factors on the usual coefficients, within which a rough path tells them
 _WITH_SIGMA = 2  # the first round once every sigma is known
 
 
@@ -113,15 +114,15 @@ class Rounds:
 
     def starts(self) -> tuple[SmoothPath, Floats]:
         """Smooth paths, and initial values on all sides that may fit equally, with their shapes as
-        of `start_values_of_sides`. The rough path of a throw that has none tells the size of the
-        friction and of the curl, but no exponent."""
+        of `start_values_of_sides`. The rough path of a throw that has none tells the size of
+        coefficients, but no exponent and no sign: without friction a stone would never rest."""
         paths, (_, *ends) = smooth(self.initial_problems), local_bounds(self.throws)
         rough = np.array([not one.throw.has_path for one in self.throws])
         for place, item in enumerate(self.model.law.coefficients()):
-            if item.signed:
-                usual = np.clip(default_guess(item), ends[0][:, place], ends[1][:, place])
-                for end in ends:
-                    end[:, place] = np.where(rough, usual, end[:, place])
+            low, high = (end[:, place].copy() for end in ends)
+            for end, factor in zip(ends, _ROUGHLY, strict=True):
+                usual = default_guess(item) * (1.0 if item.signed else factor)
+                end[:, place] = np.where(rough, np.clip(usual, low, high), end[:, place])
         return paths, start_values_of_sides(
             self.model, self.initial_problems, paths, *ends, batch=self.batch
         )

@@ -209,9 +209,12 @@ def pool(
     return found, solution._replace(success=ended), others
 
 
-def told_by_data(throws: Together, reduction: Reduction, names: Sequence[str]) -> Covariance:
-    """What all throws say of what they have in common, without priors."""
-    _, tasks, solution, common, _ = throws
+def told_by_data(
+    tasks: Tasks, solution: Solution, reduction: Reduction, names: Sequence[str]
+) -> Covariance:
+    """What all throws, or those of which the reduction has rows, say of what they have in common,
+    without priors."""
+    common = reduction.common
     bounded = Bounded(*(part[0, common] for part in (solution.values, tasks.lower, tasks.upper)))
     typical = tasks.typical[common]
     rows = r_factor(reduction.rows[..., np.append(common, True)].reshape(-1, len(typical) + 1))

@@ -1,0 +1,290 @@
+"""One law and several data sets: its coefficients that all have in common, and those of each.
+
+All data sets are one problem (`curlfit.inference.joint.solver`), in which those that are left out
+have no weight, so that one program serves all of them and all laws of a family. A table of friction
+takes the place of a throw whose initial state is fixed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from curlfit.errors import InputError, require_kind
+from curlfit.friction import Law, Load
+from curlfit.friction.family import LawFamily
+from curlfit.friction_tables.table import FrictionTable
+from curlfit.inference.fit.covariance import Covariance
+from curlfit.inference.fit.factors import Reduction
+from curlfit.inference.fit.prepared import PreparedThrow, local_bounds
+from curlfit.inference.fit.rounds import Rounds
+from curlfit.inference.identifiability import Bounded, r_factors, visible
+from curlfit.inference.initial_values import default_guess
+from curlfit.inference.joint.population import told_by_data
+from curlfit.inference.joint.solver import minimize_jointly
+from curlfit.inference.least_squares import Solution, Tasks, residual_sigma
+from curlfit.inference.model import Model
+from curlfit.inference.noise.models import Independence
+from curlfit.inference.parameters import options_of
+from curlfit.inference.problem import ROWS_OF_DATA, Problem, problem_shape
+from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.settings.choices import Comparing, Fitting
+from curlfit.sheet import LINES
+from curlfit.throws.events import Event
+from curlfit.throws.throw import Throw
+
+_STARTS = 1.0, 0.4, 2.5  # multiples of the default coefficients, for a table of friction
+_STILL = 0.05  # m/s, initial speed of a throw that is left out, which soon is at rest
+_FEWEST = 20  # residuals whose correlation is examined
+_LAST = len(ROWS_OF_DATA) - 1  # row of events and of friction
+
+
+class DataSet(NamedTuple):
+    """A track, a table of throws by stopwatch, or a table of friction."""
+
+    name: str
+    throws: tuple[Throw, ...] = ()
+    table: FrictionTable | None = None
+
+    @property
+    def kind(self) -> str:
+        """What it is."""
+        if self.table is not None:
+            return "friction"
+        return "track" if self.throws[0].has_path else "throws"
+
+
+def data_sets(items: Iterable[Throw | FrictionTable]) -> list[DataSet]:
+    """Throws and tables as data sets: timed throws of one file are one.
+
+    Raises
+    ------
+    InputError : anything else than a throw or a table of friction, or none.
+    """
+    found: dict[str, DataSet] = {}
+    for item in items:
+        require_kind(item, (Throw, FrictionTable), "data", "throws and tables of friction")
+        one = DataSet(item.name, table=item) if isinstance(item, FrictionTable) else None
+        one = one or DataSet(item.name, (item,))  # type: ignore[arg-type]
+        if one.kind == "throws":
+            one = one._replace(name=item.name.partition(" row ")[0])
+        name = one.name
+        while name in found and not found[name].kind == one.kind == "throws":
+            name += "'"  # another of the same name
+        earlier = found[name].throws if name in found else ()
+        found[name] = one._replace(name=name, throws=(*earlier, *one.throws))
+    if not found:
+        raise InputError("no data to compare laws with; expected throws or tables of friction")
+    return list(found.values())
+
+
+class Noise(NamedTuple):
+    """Noise of the rows of data sets, by throw or table and channel."""
+
+    sigma: Floats
+    """smallest of a channel"""
+    share: Floats
+    """of independent values, where residuals are correlated from row to row"""
+
+
+class LawOnSets:
+    """One law on several data sets.
+
+    Attributes
+    ----------
+    owner : number of the data set of each throw and, after these, of each table; -1 of a throw that
+        is there since there is no other.
+    unknown : by throw or table and channel, whether its sigma is estimated.
+    """
+
+    def __init__(
+        self, law: type[Law], load: Load, sets: Sequence[DataSet], chosen: Comparing,
+        family: type[LawFamily] | None = None,
+    ) -> None:  # fmt: skip
+        self.law, self.sets = law, sets
+        throws = [throw for one in sets for throw in one.throws]
+        tables = [one.table for one in sets if one.table is not None]
+        self.owner = np.array(
+            [k for k, one in enumerate(sets) for _ in one.throws] or [-1], int
+        )  # fmt: skip
+        self.owner = np.append(self.owner, [k for k, one in enumerate(sets) if one.table]).astype(
+            int
+        )
+        options = options_of(law, {**chosen.by_parameter, "start": chosen.start})
+        options |= {name: getattr(chosen, name) for name in ("stone", "sigma", "unbounded")}
+        options |= chosen.rows
+        prepared = [
+            PreparedThrow.of(one, Fitting.of(one.settings, options, law=law, load=load))
+            for one in throws or [_carrier()]
+        ]
+        parameters = prepared[0].parameters
+        self.common = np.isin(parameters.names, [item.name for item in law.coefficients()])
+        self.names = parameters.names_where(self.common)
+        self.model = Model(law, load).within(family)
+        rows = [problem_shape(one.throw)[1] for one in prepared]
+        rows += [1 << (len(table.mu) - 1).bit_length() for table in tables]
+        self.rounds = Rounds(self.model, prepared, shape=(len(ROWS_OF_DATA), max(rows)))
+        problems = _with_tables(self.rounds.problems, tables)
+        self.throws = len(prepared)
+        start = self.rounds.starts()[1][0]
+        _, *ends = local_bounds(prepared, self.common)
+        every = np.minimum(np.arange(len(self.owner)), self.throws - 1)
+        start, lower, upper = (part[every] for part in (start, *ends))
+        place = list(parameters.names).index("v0")
+        for row in range(self.throws, len(every)):
+            start[row, self.common] = [default_guess(item) for item in law.coefficients()]
+            start[row, place] = _STILL
+            for end in (lower, upper):
+                end[row, ~self.common] = start[row, ~self.common]
+        start = np.clip(start, lower, upper)
+        self.tasks = Tasks(problems, start, lower, upper, parameters.typical)
+        self.speed = place
+        self.unknown = np.zeros(problems.weight.shape[:2], bool)
+        self.unknown[: self.throws] = self.rounds.unknown
+        self.unknown[self.throws :, _LAST] = [table.sigma is None for table in tables]
+
+    def counts(self) -> Floats:
+        """Number of values by throw or table and channel."""
+        return (self.tasks.problems.weight > 0).sum(-1) * (self.owner >= 0)[:, None] * 1.0
+
+    def called(self, row: int, channel: int, place: int) -> str:
+        """A value in words, such as "curl of row 7"."""
+        one = self.sets[self.owner[row]]
+        if one.table is not None:
+            return f"mu at {one.table.speed[place]:.3g} m/s"
+        throw = self.rounds.throws[row].throw
+        if channel < _LAST:
+            return f"{ROWS_OF_DATA[channel]} at {throw.t[place]:.4g} s"
+        _, row_of, number = throw.name.partition(" row ")
+        return throw.events[place].name + f" of{row_of}{number}" * bool(row_of)
+
+    def of_set(self, number: int) -> Booleans:
+        """Which throws and tables are those of a data set."""
+        found: Booleans = self.owner == number
+        return found
+
+    def optimum(self, inside: Booleans, start: Floats, weight: Floats | None = None) -> Solution:
+        """Of some throws and tables from initial values, shape (throws and tables, parameters);
+        the others keep these."""
+        problems, common = self.tasks.problems, self.common
+        weight = problems.weight if weight is None else weight
+        lower, upper, begin = (np.array(part) for part in (*self.tasks[2:4], start))
+        begin[:, common] = begin[inside][:, common].mean(0)
+        begin[~inside, self.speed] = _STILL
+        for end in (lower, upper):
+            end[np.ix_(~inside, ~common)] = begin[np.ix_(~inside, ~common)]
+        some = problems._replace(weight=weight * inside[:, None, None])
+        tasks = self.tasks._replace(problems=some, start=begin, lower=lower, upper=upper)
+        found = minimize_jointly(self.model, tasks, common)
+        kept = np.where(inside[:, None] | common, found.values, start)
+        return found._replace(values=kept)
+
+    def alone(self, number: int) -> tuple[Solution, Noise]:
+        """The optimum of a data set alone, with the noise that its residuals show."""
+        inside, before = self.of_set(number), self.tasks.start
+        starts = [before]
+        if self.sets[number].table is not None:
+            starts = [np.where(self.common, before * factor, before) for factor in _STARTS]
+            starts = [np.clip(one, *self.tasks[2:4]) for one in starts]
+        found = best(self.optimum(inside, one) for one in starts)
+        mine = np.flatnonzero(inside[: self.throws])
+        while len(mine) and len(
+            self.rounds.revise(mine, jax.tree.map(lambda leaf: leaf[mine], found))
+        ):
+            self.tasks.problems.weight[mine] = self.rounds.problems.weight[mine]
+            found = self.optimum(inside, found.values)
+        return found, self._noise(found)
+
+    def _noise(self, found: Solution) -> Noise:
+        problems, seen = self.tasks.problems, self.tasks.problems.weight > 0
+        free = (self.tasks.upper > self.tasks.lower) & ~np.isnan(found.values)
+        sigma, share = residual_sigma(found, problems, free), np.ones(seen.shape[:2])
+        for place in np.argwhere(seen[:, :_LAST].sum(-1) >= _FEWEST):
+            row = found.residual[*place][seen[*place]]
+            if row.any() and (known := Independence.of(row)).doubtful:
+                share[*place] = known.effective / len(row)
+        return Noise(sigma, share)
+
+    def weights(self, noise: Noise) -> Floats:
+        """Weights of the values with some noise, where the sigma is not given."""
+        weight = self.tasks.problems.weight
+        sigma = np.where(noise.sigma > 0, noise.sigma, 1.0)[..., None]
+        largest = np.maximum(weight.max(-1, keepdims=True), np.finfo(float).tiny)
+        own = np.where(self.unknown[..., None], weight / largest / sigma, weight)
+        return np.asarray(own * np.sqrt(noise.share)[..., None])
+
+    def together(self, alone: Sequence[Solution], weight: Floats) -> Solution:
+        """The optimum of all data sets, from those of each."""
+        inside = self.owner >= 0
+        own = np.stack([one.values for one in alone])
+        start = np.where(
+            (np.arange(len(alone))[:, None] == self.owner)[..., None], own, 0.0
+        ).sum(0) + self.tasks.start * ~inside[:, None]  # fmt: skip
+        starts = [np.where(self.common, one[0], start) for one in own]
+        starts.append(np.where(self.common, own[:, 0].mean(0), start))
+        return best(
+            self.optimum(inside, one, weight) for one in starts[: 1 if len(own) == 1 else None]
+        )
+
+    def told(self, found: Solution) -> Told:
+        """What throws and tables at their optimum say of the coefficients."""
+        factors = r_factors(found.jacobian, found.residual)
+        bounded = Bounded(found.values, *self.tasks[2:4])
+        return Told(self, found, Reduction.of(factors, bounded, self.tasks.typical, self.common))
+
+
+class Told(NamedTuple):
+    """What throws and tables at an optimum say of the coefficients."""
+
+    of: LawOnSets
+    solution: Solution
+    reduction: Reduction
+
+    def by(self, inside: Booleans) -> Covariance:
+        """By some of them."""
+        some = replace(self.reduction, rows=self.reduction.rows[inside])
+        return told_by_data(self.of.tasks, self.solution, some, self.of.names)
+
+    def parameters(self) -> Floats:
+        """Number of parameters spent on each, with its share of the coefficients."""
+        common, tasks = self.of.common, self.of.tasks
+        free = (tasks.upper > tasks.lower)[0]
+        rows = self.reduction.rows[..., :-1] * tasks.typical * (common & free)
+        left, singular, _ = np.linalg.svd(rows.reshape(-1, rows.shape[-1]), full_matrices=False)
+        spent = (left[:, visible(singular)] ** 2).sum(-1).reshape(rows.shape[:2]).sum(-1)
+        return np.asarray(spent + self.reduction.rank)
+
+
+def best(solutions: Iterable[Solution]) -> Solution:
+    """The optimum of least chi squared."""
+    each = list(solutions)
+    sizes = [np.nan_to_num(one.chi_squared.sum(), nan=np.inf) for one in each]
+    return each[int(np.argmin(sizes))]
+
+
+def _carrier() -> Throw:
+    """A throw that stands where there are tables of friction alone."""
+    hog, tee = LINES["hog"], LINES["far-tee"]
+    events = Event("speed", "speed", 2.0, 0.02, hog), Event("rest", "y", tee, 0.05)
+    return Throw.from_events(events)
+
+
+def _with_tables(problems: Problem, tables: Sequence[FrictionTable]) -> Problem:
+    """Problems of throws, and after these of tables of friction."""
+    count, rows = problems.times.shape
+    if not problems.weight[:, _LAST].any():
+        problems = problems._replace(events=None)
+    every = np.minimum(np.arange(count + len(tables)), count - 1)
+    found: Problem = jax.tree.map(lambda leaf: np.array(leaf[every]), problems)
+    states = np.zeros((len(every), 2, rows))
+    for row, table in enumerate(tables, count):
+        size = len(table.mu)
+        found.observed[row], found.weight[row] = 0.0, 0.0
+        states[row, :, :size] = table.speed, table.omega
+        found.observed[row, _LAST, :size] = table.mu
+        found.weight[row, _LAST, :size] = 1.0 if table.sigma is None else 1 / table.sigma
+    return found._replace(states=states) if tables else found

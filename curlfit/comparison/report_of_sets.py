@@ -1,0 +1,193 @@
+"""What a comparison of laws on several data sets says. Nothing is computed here."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.text import Text
+
+from curlfit.comparison.result import Candidate, Comparison, SetOfData
+from curlfit.comparison.tables import coefficients_table, difference
+from curlfit.output.console import Items, PlainTable
+from curlfit.output.document import Document, Said, Section, command_line
+from curlfit.output.text import STYLE, join_words, p_text, stone_text
+
+_FIRST = 3  # laws named in a line
+_FAR = 3.0  # sigmas, from which a value speaks against a law
+
+
+def document_of_sets(comparison: Comparison) -> Document:
+    """Ranks, each data set, coefficients, and what speaks against which law."""
+    sets, candidates = comparison.sets, comparison.candidates
+    first, *others = _conclusions(comparison)
+    ranked = [item for item in candidates if item.rank is not None]
+    order = ", ".join(f"{item.label} ({difference(item.delta_bic)})" for item in ranked[:_FIRST])
+    many = len(sets) > 1
+    files = ", ".join(one.name for one in sets)
+    laws = f"{len(candidates)} laws, {len(sets)} data set{'s' * many}"
+    return Document(
+        finding=f"{ranked[0].label} ranks first" if ranked else "no law is ranked",
+        subject=f"{laws}: {files}",
+        headline=Text(f"{laws}: {files}", style="bold"),
+        about=[_about(one) for one in sets],
+        lines=[f"dBIC: {order}{' ...' * (len(ranked) > _FIRST)}" if ranked else "", first],
+        sections=(
+            Section("laws", "The laws", (_ranks(comparison), *[_alone(comparison)] * many)),
+            Section("against", "What speaks against each law", (_against(comparison),)),
+            Section(
+                "coefficients", "Coefficients",
+                (coefficients_table(comparison), *[_determined(comparison)] * many), brief=False,
+            ),
+            Section("conclusions", "What follows", (Said(first), *others)),
+        ),
+        notes=[_noise(one) for one in sets if one.noise_of],
+        title=f"{', '.join(map(short, sets))}: which law?",
+        settings={"Data": files, "Stone": stone_text(comparison.stone)},
+        command=command_line(
+            "compare", *(one.name for one in sets), *comparison.data.get("flags", ())
+        ),
+    )  # fmt: skip
+
+
+def short(one: SetOfData) -> str:
+    """The name of a data set in a heading."""
+    return Path(one.name).stem
+
+
+def _about(one: SetOfData) -> str:
+    count = {"track": "track", "friction": "friction"}.get(one.kind, f"{one.throws} throws")
+    fewer = f", worth {one.effective:.0f} independent ones" * (one.effective < one.values - 0.5)
+    return f"{one.name}: {count}, {one.values} values{fewer}"
+
+
+def _noise(one: SetOfData) -> str:
+    sigma = ", ".join(f"{name} {value:.2g}" for name, value in one.sigma.items())
+    return (
+        f"{short(one)}: sigma is not given and taken for all laws to be that which {one.noise_of} "
+        f"leaves, the best law of this set alone ({sigma}{'; m, rad' * (one.kind == 'track')})"
+    )
+
+
+def _per_value(chi_squared: float, dof: float) -> str:
+    return f"{chi_squared / dof:.3g}"
+
+
+def _ranks(comparison: Comparison) -> PlainTable:
+    rows: list[dict[str, Any]] = []
+    for item in comparison.candidates:
+        row: dict[str, Any] = {
+            ">": "-" if item.rank is None else str(item.rank), "law": item.law, "load": item.load,
+            ">k": "" if item.n_parameters is None else f"{item.n_parameters:.3g}",
+            ">dBIC": difference(item.delta_bic),
+        }  # fmt: skip
+        for one, on in zip(comparison.sets, item.sets, strict=False):
+            said = _per_value(on.chi_squared, on.dof)
+            if len(comparison.sets) > 1:
+                said += f" ({_per_value(on.own_chi_squared, on.own_dof)})"
+            row[f">{short(one)}"] = Text(said, style="green" if on.follows else "yellow")
+        if item.p_together is not None:
+            row["one ice"] = p_text(item.p_together)
+        row["follows"] = Text(item.status, style="red") if not item.sets else _follows(item)
+        rows.append(row)
+    note = (
+        "Under each data set: chi squared per degree of freedom with the coefficients that all "
+        "have in common, and in parentheses with those of the set alone. one ice: the probability "
+        "that common coefficients raise chi squared as much by chance. A law follows if each is "
+        "within what chance or 1.5 times the noise makes it, and p is above 0.001."
+    )
+    return PlainTable(rows, "The laws, best first", keys=3, note=Text(note, style="dim"))
+
+
+def _follows(item: Candidate) -> Text:
+    if item.follows:
+        return Text("yes", style="green")
+    apart = all(on.own_follows for on in item.sets)
+    return Text("each alone" if apart and len(item.sets) > 1 else "no", style="yellow")
+
+
+def _alone(comparison: Comparison) -> PlainTable:
+    rows = [
+        {"law, load": item.label}
+        | {
+            f">{short(one)}": difference(on.own_delta_bic)
+            for one, on in zip(comparison.sets, item.sets, strict=True)
+        }
+        for item in comparison.candidates
+        if item.sets
+    ]
+    return PlainTable(rows, "dBIC of each data set alone, with coefficients of its own")
+
+
+def _against(comparison: Comparison) -> PlainTable:
+    rows = []
+    for item in comparison.candidates:
+        said = []
+        for one, on in zip(comparison.sets, item.sets, strict=False):
+            far = [f"{what} by {abs(off):.2g}" for what, off in on.largest if abs(off) > _FAR]
+            if far and not on.follows:
+                said.append(Text(f"{short(one)}: {join_words(far)} sigma"))
+        if said:
+            rows.append({"law, load": item.label, "~farthest off": Items(said)})
+    return PlainTable(rows, "Largest residuals, with common coefficients")
+
+
+def _determined(comparison: Comparison) -> PlainTable:
+    rows: list[dict[str, Any]] = [
+        {"law, load": item.label}
+        | {
+            f"~{short(one)}": ", ".join(on.determined) or Text("-", style=STYLE["weak"])
+            for one, on in zip(comparison.sets, item.sets, strict=True)
+        }
+        for item in comparison.candidates
+        if item.sets
+    ]
+    return PlainTable(rows, "What each data set determines")
+
+
+def _conclusions(comparison: Comparison) -> list[str]:
+    items = [item for item in comparison.candidates if item.sets]
+    several = len(comparison.sets) > 1
+    what = "all data sets with the same coefficients" if several else "the throws"
+    found = [item.label for item in items if item.follows]
+    apart = [
+        item.label
+        for item in items
+        if several and not item.follows and all(on.own_follows for on in item.sets)
+    ]
+    lines = [
+        f"Laws that follow {what}: {'; '.join(found)}." if found else f"No law follows {what}."
+    ]
+    if apart:
+        lines.append(
+            f"Laws that follow each data set alone, but not all with the same coefficients: "
+            f"{'; '.join(apart)}."
+        )
+    for number, one in enumerate(comparison.sets):
+        if several and not any(item.sets[number].own_follows for item in items):
+            lines.append(f"No law follows {short(one)}, even with coefficients of its own.")
+    lines += _gained(items[:1], comparison.sets) if several else []
+    return lines
+
+
+def _gained(items: Sequence[Candidate], sets: Sequence[SetOfData]) -> list[str]:
+    """What is determined by all data sets, but by none of them."""
+    lines = []
+    for item in items:
+        known = {
+            name for name, one in (item.coefficients or {}).items()
+            if one["verdict"] in ("determined", "weak")
+        } | {one["expression"] for one in item.combinations}  # fmt: skip
+        alone = {name for on in item.sets for name in on.determined}
+        if new := sorted(known - alone):
+            lines.append(
+                f"{item.label}: {join_words(new)} by all data sets together, by none alone."
+            )
+        for one, on in zip(sets, item.sets, strict=True):
+            lines.append(
+                f"{item.label}: {short(one)} determines {join_words(on.determined)}."
+                if on.determined
+                else f"{item.label}: {short(one)} determines nothing."
+            )
+    return lines

@@ -1,0 +1,132 @@
+"""Several data sets under one set of coefficients: throws in a table and measured friction."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from scipy.stats import chi2
+
+import curlfit
+from curlfit import InputError, sheet
+from curlfit.throws.events import Event
+
+G = 9.81
+HOG, TEE = sheet.LINES["hog"], sheet.LINES["far-tee"]
+C, K = 0.008, -0.3
+
+
+def speeds_of_rest(c, k, length):
+    """Initial speed of a stone without spin that rests after a length: dv/ds = -c g v^(k - 1)."""
+    return ((2 - k) * c * G * np.asarray(length)) ** (1 / (2 - k))
+
+
+def throws(c=C, k=K, seed=1):
+    """Six throws of a law of powers in closed form, by speed and resting place."""
+    random, found = np.random.default_rng(seed), []
+    for row, length in enumerate(np.linspace(15.0, 30.0, 6), 1):
+        events = (
+            Event(
+                "speed", "speed", speeds_of_rest(c, k, length) + random.normal(0, 0.01), 0.01, HOG
+            ),
+            Event("spin", "omega", 0.0, 0.001, HOG),
+            Event("rest", "y", HOG + length + random.normal(0, 0.05), 0.05),
+        )
+        found.append(curlfit.Throw.from_events(events, name=f"curls.csv row {row}"))
+    return found
+
+
+def table(c=C, k=K, seed=2, sigma=2e-4):
+    speed = np.array([0.3, 0.5, 0.8, 1.2, 1.8, 2.5])
+    mu = c * speed**k + np.random.default_rng(seed).normal(0, sigma, 6)
+    return curlfit.FrictionTable("mu.csv", speed, mu, np.zeros(6), np.full(6, sigma))
+
+
+def peer(data, measured, start=(0.008, -0.3)):
+    """Residuals of both data sets, written anew; the resting place is that of the fitted speed."""
+    values = np.array([[event.value for event in throw.events] for throw in data])
+
+    def residual(p):
+        c, k, v = p[0], p[1], p[2:]
+        rest = HOG + v ** (2 - k) / ((2 - k) * c * G)
+        return np.concatenate([
+            (v - values[:, 0]) / 0.01, (rest - values[:, 2]) / 0.05,
+            (c * measured.speed**k - measured.mu) / measured.sigma,
+        ])  # fmt: skip
+
+    return least_squares(residual, [*start, *values[:, 0]], x_scale=[0.01, 1, *[2] * 6], xtol=1e-14)
+
+
+@pytest.fixture(scope="module")
+def agreeing():
+    return curlfit.compare([*throws(), table()], ["coulomb", "power"])
+
+
+def test_the_common_optimum_is_that_of_scipy(agreeing):
+    best, expected = agreeing.of("power"), peer(throws(), table())
+    covariance = np.linalg.inv(expected.jac.T @ expected.jac)
+    for place, name in enumerate(("c", "k")):
+        found = best.coefficients[name]
+        assert found["value"] == pytest.approx(expected.x[place], rel=1e-4)
+        assert found["stderr"] == pytest.approx(covariance[place, place] ** 0.5, rel=1e-3)
+    assert sum(on.chi_squared for on in best.sets) == pytest.approx(2 * expected.cost, rel=1e-4)
+    assert sum(on.dof for on in best.sets) == pytest.approx(6 * 3 + 6 - (2 + 2 * 6), rel=1e-6)
+    assert best.bic == pytest.approx(2 * expected.cost + (2 + 12) * np.log(24), rel=1e-4)
+
+
+def test_the_law_of_both_data_sets_is_first(agreeing):
+    first, other = agreeing.candidates
+    assert (first.law, first.follows, first.rank) == ("power", True, 1)
+    assert other.delta_bic > 10
+    assert not other.follows
+    assert not other.sets[1].follows
+    # the friction at low speed speaks most against a constant one
+    assert other.sets[1].largest[0][0] == "mu at 0.3 m/s"
+    assert [one.kind for one in agreeing.sets] == ["throws", "friction"]
+    assert [one.values for one in agreeing.sets] == [18, 6]
+
+
+def test_the_friction_table_alone_is_as_in_its_own_fit(agreeing):
+    alone = curlfit.fit_friction(table(), "power").fits[0]
+    on = agreeing.of("power").sets[1]
+    assert on.own_chi_squared == pytest.approx(alone.chi_squared, rel=1e-6)
+    assert (on.own_dof, on.determined) == (pytest.approx(4.0), ("c", "k"))
+
+
+def test_a_law_of_each_data_set_but_not_of_both():
+    measured = table(c=0.0095, k=0.4)
+    found = curlfit.compare([*throws(), measured], "power").best
+    assert all(on.own_follows for on in found.sets)
+    assert not found.follows
+    rise = sum(on.chi_squared - on.own_chi_squared for on in found.sets)
+    assert found.p_together == pytest.approx(chi2.sf(rise, 2), rel=1e-6)
+    assert found.p_together < 1e-3
+
+
+def test_what_is_said_saved_and_drawn(agreeing, tmp_path):
+    text = str(agreeing)
+    assert "power, uniform load ranks first" in text
+    assert "Laws that follow all data sets with the same coefficients: power" in text
+    agreeing.save(tmp_path / "compare.json")
+    again = curlfit.load_comparison(tmp_path)
+    assert str(again) == text
+    assert again.candidates[0].sets == agreeing.candidates[0].sets
+    curlfit.comparison_figure(again).savefig(tmp_path / "compare.png")
+    apart = curlfit.compare([*throws(), table(c=0.0095, k=0.4)], "power")
+    assert "each data set alone, but not all with the same coefficients: power" in str(
+        apart._document().as_text("Comparison", "")
+    ) + "".join(map(str, apart._document().sections[-1].parts))
+
+
+@pytest.mark.parametrize(
+    ("items", "choices", "words"),
+    [
+        ([], {}, "no data to compare laws with"),
+        (["a.csv"], {}, "expected throws and tables of friction"),
+        ([table()], {"loss": "huber"}, "loss: expected it with one track"),
+        ([table()], {"noise": ["ar1"]}, "noise: expected it with one track"),
+    ],
+)
+def test_what_cannot_be_compared(items, choices, words):
+    with pytest.raises(InputError, match=words):
+        curlfit.compare(items, "power", **choices)
