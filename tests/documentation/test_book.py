@@ -74,8 +74,8 @@ def test_every_block_is_known():
     assert NOT_HERE[0].endswith(f"/{MAIN}")
     assert len(BASH) > 25
     assert all(line.startswith("curlfit ") for line in BASH)
-    # output follows its commands; the others are of the README's first command, and three files
-    assert len(re.findall(r"^```text$", BOOK, re.M)) == len(OUTPUTS) + 4
+    # output follows its commands; the others are of the README's first command, and six files
+    assert len(re.findall(r"^```text$", BOOK, re.M)) == len(OUTPUTS) + 7
     assert len(OUTPUTS) >= 12
 
 
