@@ -38,7 +38,8 @@ from curlfit.throws.events import Event
 from curlfit.throws.throw import Throw
 
 _STARTS = 1.0, 0.4, 2.5  # multiples of the default coefficients, for a table of friction
-_STILL = 0.05  # m/s, initial speed of a throw that is left out, which soon is at rest
+_ASIDE = 1.0  # m/s, initial speed of a throw that is left out, or of a table
+_MOMENT = 1e-3  # of its times, since a path that comes to rest takes long
 _FEWEST = 20  # residuals whose correlation is examined
 _LAST = len(ROWS_OF_DATA) - 1  # row of events and of friction
 
@@ -137,7 +138,7 @@ class LawOnSets:
         place = list(parameters.names).index("v0")
         for row in range(self.throws, len(every)):
             start[row, self.common] = [default_guess(item) for item in law.coefficients()]
-            start[row, place] = _STILL
+            start[row, place] = _ASIDE
             for end in (lower, upper):
                 end[row, ~self.common] = start[row, ~self.common]
         start = np.clip(start, lower, upper)
@@ -174,10 +175,13 @@ class LawOnSets:
         weight = problems.weight if weight is None else weight
         lower, upper, begin = (np.array(part) for part in (*self.tasks[2:4], start))
         begin[:, common] = begin[inside][:, common].mean(0)
-        begin[~inside, self.speed] = _STILL
+        begin[~inside, self.speed] = _ASIDE
         for end in (lower, upper):
             end[np.ix_(~inside, ~common)] = begin[np.ix_(~inside, ~common)]
-        some = problems._replace(weight=weight * inside[:, None, None])
+        some = problems._replace(
+            weight=weight * inside[:, None, None],
+            times=np.where(inside[:, None], problems.times, _MOMENT * problems.times),
+        )
         tasks = self.tasks._replace(problems=some, start=begin, lower=lower, upper=upper)
         found = minimize_jointly(self.model, tasks, common)
         kept = np.where(inside[:, None] | common, found.values, start)
@@ -284,6 +288,7 @@ def _with_tables(problems: Problem, tables: Sequence[FrictionTable]) -> Problem:
     for row, table in enumerate(tables, count):
         size = len(table.mu)
         found.observed[row], found.weight[row] = 0.0, 0.0
+        found.times[row] *= _MOMENT
         states[row, :, :size] = table.speed, table.omega
         found.observed[row, _LAST, :size] = table.mu
         found.weight[row, _LAST, :size] = 1.0 if table.sigma is None else 1 / table.sigma
