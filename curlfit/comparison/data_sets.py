@@ -18,6 +18,7 @@ from curlfit.errors import InputError, require_kind
 from curlfit.friction import Law, Load
 from curlfit.friction.family import LawFamily
 from curlfit.friction_tables.table import FrictionTable
+from curlfit.inference.fit.advice import NOISE
 from curlfit.inference.fit.covariance import Covariance
 from curlfit.inference.fit.factors import Reduction
 from curlfit.inference.fit.prepared import PreparedThrow, local_bounds
@@ -90,6 +91,9 @@ class Noise(NamedTuple):
     """smallest of a channel"""
     share: Floats
     """of independent values, where residuals are correlated from row to row"""
+    assumed: Booleans
+    """whether sigma is that of an ordinary tracker: a correlated residual that is smaller is what
+    the law misses, and tells no noise"""
 
 
 class LawOnSets:
@@ -211,7 +215,9 @@ class LawOnSets:
             row = found.residual[*place][seen[*place]]
             if row.any() and (known := Independence.of(row)).doubtful:
                 share[*place] = known.effective / len(row)
-        return Noise(sigma, share)
+        ordinary = np.array([*NOISE.values(), 0.0])[: sigma.shape[1]]
+        assumed = (share < 1) & (sigma < ordinary)
+        return Noise(np.where(assumed, ordinary, sigma), np.where(assumed, 1.0, share), assumed)
 
     def weights(self, noise: Noise) -> Floats:
         """Weights of the values with some noise, where the sigma is not given."""

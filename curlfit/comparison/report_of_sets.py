@@ -64,9 +64,11 @@ def _about(one: SetOfData) -> str:
 
 def _noise(one: SetOfData) -> str:
     sigma = ", ".join(f"{name} {value:.2g}" for name, value in one.sigma.items())
+    tracker = ", or that of an ordinary tracker where that is correlated and smaller"
     return (
-        f"{short(one)}: sigma is not given and taken for all laws to be that which {one.noise_of} "
-        f"leaves, the best law of this set alone ({sigma}{'; m, rad' * (one.kind == 'track')})"
+        f"{short(one)}: sigma is not given and taken for all laws to be the least that any leaves "
+        f"({one.noise_of}){tracker * (one.kind == 'track')}: {sigma}"
+        f"{' (m, rad)' * (one.kind == 'track')}"
     )
 
 

@@ -69,7 +69,7 @@ class SetOfData:
     name, kind : of its file; "track", "throws" or "friction".
     throws, values : number of throws, and of measured values.
     effective : effective number of values, where residuals are correlated from row to row.
-    sigma : estimated standard deviations by channel, SI; noise_of : the law that leaves them.
+    sigma : estimated standard deviations by channel, SI; noise_of : the laws that leave them.
     """
 
     name: str

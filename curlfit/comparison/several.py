@@ -1,11 +1,12 @@
 """Comparison of laws on several data sets, all of which one set of coefficients must answer.
 
-The noise of a data set without sigma is that which remains under the law that describes this set
-alone with the least BIC, for all laws alike; correlated residuals count as their effective sample
-size. A common optimum is thus one of weighted least squares, and the rise of chi squared from the
-optima of the sets alone tests whether they agree under a law: it has as many degrees of freedom as
-these determine more parameters than the common one (Maltoni and Schwetz 2003, Testing the
-statistical compatibility of independent data sets).
+The noise of a data set without sigma is the least that any law leaves on this set alone, for all
+laws alike. Where that is correlated it counts as its effective sample size; where it is smaller
+than the noise of an ordinary tracker too, it is what the laws miss, and sigma is the latter. A
+common optimum is thus one of weighted least squares, and the rise of chi squared from the optima of
+the sets alone tests whether they agree under a law: it has as many degrees of freedom as these
+determine more parameters than the common one (Maltoni and Schwetz 2003, Testing the statistical
+compatibility of independent data sets).
 """
 
 from __future__ import annotations
@@ -129,26 +130,27 @@ def _deviance(found: Solution, weight: Floats, unknown: Booleans, count: Floats)
 
 
 def _common_noise(found: Sequence[_Alone]) -> tuple[Noise, list[str]]:
-    """The noise of each data set under the law that describes it alone with the least BIC, and
-    these laws."""
-    first = found[0].law
-    sigma, share = np.zeros(first.unknown.shape), np.ones(first.unknown.shape)
+    """The least noise of each throw or table and channel that any law leaves on its data set alone;
+    and these laws, by data set."""
+    first, laws = found[0].law, [one.law.law.name for one in found]
+    owner = np.maximum(first.owner, 0)
+    each = [
+        Noise(
+            *(
+                np.array([one.each[k][1][part][row] for row, k in enumerate(owner)])
+                for part in range(3)
+            )
+        )
+        for one in found
+    ]
+    sizes = np.nan_to_num([one.sigma for one in each], nan=np.inf)
+    least = sizes.argmin(0)[None]
+    best_of = [np.take_along_axis(np.array(part), least, 0)[0] for part in zip(*each, strict=True)]
     names = []
     for number in range(len(first.sets)):
-        inside = first.of_set(number)
-        bics = []
-        for law, each in found:
-            solution, _ = each[number]
-            count = law.counts()
-            deviance = _deviance(solution, law.tasks.problems.weight, law.unknown, count)
-            spent = law.told(solution).parameters()[inside].sum()
-            bic = deviance[inside].sum() + spent * math.log(count[inside].sum())
-            bics.append(bic if np.isfinite(bic) else math.inf)
-        law, each = found[int(np.argmin(bics))]
-        noise = each[number][1]
-        sigma[inside], share[inside] = noise.sigma[inside], noise.share[inside]
-        names.append(law.law.name)
-    return Noise(sigma, share), names
+        some = least[0][first.of_set(number)[:, None] & first.unknown & (first.counts() > 0)]
+        names.append(", ".join(dict.fromkeys(laws[index] for index in some)))
+    return Noise(*best_of), names
 
 
 def _judged(one: _Alone, noise: Noise) -> _Judged:
@@ -167,7 +169,7 @@ def _judged(one: _Alone, noise: Noise) -> _Judged:
         else found
         for inside, found in zip(groups, alone, strict=True)
     ]
-    count = law.counts() * noise.share
+    count, unknown = law.counts() * noise.share, law.unknown & ~noise.assumed
     told = law.told(common)
     known = told.by(every)
     each, own_bic, ranks = [], [], 0
@@ -175,7 +177,7 @@ def _judged(one: _Alone, noise: Noise) -> _Judged:
         own = law.told(found)
         numbers = float(count[inside].sum())
         spent = float(own.parameters()[inside].sum())
-        deviance = _deviance(found, weight, law.unknown, count)[inside].sum()
+        deviance = _deviance(found, weight, unknown, count)[inside].sum()
         own_bic.append(float(deviance) + spent * math.log(numbers))
         ranks += own.by(inside).identifiability.rank
         each.append(_on_set(told, inside, common, (found, numbers, spent), noise))
@@ -183,7 +185,7 @@ def _judged(one: _Alone, noise: Noise) -> _Judged:
     more = ranks - known.identifiability.rank
     p = float(chdtrc(more, max(rise, 0.0))) if more > 0 else None
     rank = float(known.identifiability.rank + told.reduction.rank[every].sum())
-    bic = float(_deviance(common, weight, law.unknown, count)[every].sum())
+    bic = float(_deviance(common, weight, unknown, count)[every].sum())
     converged = bool(known.distance < CONVERGED and np.isfinite(common.residual).all())
     return _Judged(
         _coefficients(law, known) | {
@@ -286,5 +288,5 @@ def _described(law: LawOnSets, number: int, noise: Noise, of_law: str) -> SetOfD
     return SetOfData(
         name=one.name, kind=one.kind, throws=len(one.throws), values=int(count[inside].sum()),
         effective=float((count * noise.share)[inside].sum()), sigma=sigma,
-        noise_of=of_law if sigma else "",
+        noise_of=of_law,
     )  # fmt: skip

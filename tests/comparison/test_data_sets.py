@@ -130,3 +130,15 @@ def test_what_is_said_saved_and_drawn(agreeing, tmp_path):
 def test_what_cannot_be_compared(items, choices, words):
     with pytest.raises(InputError, match=words):
         curlfit.compare(items, "power", **choices)
+
+
+def test_what_the_laws_miss_of_a_path_is_not_its_noise(eq12):
+    """Eq. 12 is a formula: what laws leave is smooth, some mm under the best."""
+    found = curlfit.compare([eq12, table()], ["semi-empirical", "front-back", "coulomb"])
+    assert found.sets[0].sigma == {"x": 0.005, "y": 0.005, "phi": 0.01}
+    assert found.sets[0].effective == found.sets[0].values
+    of_path = {item.law: item.sets[0] for item in found.candidates}
+    assert of_path["semi-empirical"].own_follows
+    assert not of_path["coulomb"].own_follows
+    alone = curlfit.fit(eq12, "coulomb", sigma=found.sets[0].sigma, details=False)
+    assert of_path["coulomb"].own_chi_squared == pytest.approx(alone.chi_squared, rel=1e-4)
