@@ -110,7 +110,7 @@ def compare(
     >>> comparison.best.label
     'front-back, uniform load'
     """
-    if isinstance(throw, Sequence):
+    if isinstance(throw, Sequence) and not isinstance(throw, str):
         return compare_sets(throw, Comparing.of(laws=laws, **choices), progress)
     require_throw(throw)
     require_path(throw)

@@ -122,8 +122,13 @@ class LawOnSets:
         options = options_of(law, {**chosen.by_parameter, "start": chosen.start})
         options |= {name: getattr(chosen, name) for name in ("stone", "sigma", "unbounded")}
         options |= chosen.rows
+        # A heading would take a measured curl from laws that have none.
+        held = options | {"fix": {"heading": 0.0, **options.get("fix", {})}}
         prepared = [
-            PreparedThrow.of(one, Fitting.of(one.settings, options, law=law, load=load))
+            PreparedThrow.of(
+                one,
+                Fitting.of(one.settings, options if one.has_path else held, law=law, load=load),
+            )
             for one in throws or [_carrier()]
         ]
         parameters = prepared[0].parameters

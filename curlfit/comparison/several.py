@@ -81,7 +81,7 @@ def compare_sets(
             made = LawOnSets(law, load, sets, chosen, family)
             return _Alone(made, [made.alone(number) for number in range(len(sets))])
         except UnusableFitError as error:
-            return Candidate(law.name, _load(made), opposes_sliding(law), False, str(error))
+            return Candidate(law.name, _load(law, load), opposes_sliding(law), False, str(error))
 
     found: list[_Alone] = []
     failed: list[Candidate] = []
@@ -115,8 +115,8 @@ def compare_sets(
     )  # fmt: skip
 
 
-def _load(law: LawOnSets) -> str:
-    return "-" if issubclass(law.law, NetLaw) else law.model.load
+def _load(law: Any, load: Any) -> str:
+    return "-" if issubclass(law, NetLaw) else load
 
 
 def _deviance(found: Solution, weight: Floats, unknown: Booleans, count: Floats) -> Floats:
@@ -189,7 +189,8 @@ def _judged(one: _Alone, noise: Noise) -> _Judged:
     converged = bool(known.distance < CONVERGED and np.isfinite(common.residual).all())
     return _Judged(
         _coefficients(law, known) | {
-            "law": law.law.name, "load": _load(law), "isotropic": opposes_sliding(law.law),
+            "law": law.law.name, "load": _load(law.law, law.model.load),
+            "isotropic": opposes_sliding(law.law),
             "signs_free": False, "converged": converged,
             "status": "converged" if converged else "not converged", "n_parameters": rank,
             "sets": tuple(each), "p_together": p,

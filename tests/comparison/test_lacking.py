@@ -20,7 +20,7 @@ COEFFICIENTS = {"mu1_xi": 0.004, "mu2_xi": 0.05, "mu1_eta": 0.009, "mu2_eta": 0.
 class Falling(FrontBack):
     """Front-back friction that falls with the speed of the stone."""
 
-    name = "falling-with-speed"
+    name = ""  # none of curlfit
 
     def traction(self, point):
         xi, eta = super().traction(point)

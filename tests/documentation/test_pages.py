@@ -10,7 +10,10 @@ from transcripts import ROOT, blocks, require_shown, typed, without_gaps
 
 pytestmark = pytest.mark.documentation
 OF_A_FILE = ("stopwatch_evening", "tracked_throws", "two_sheets")
-PAGES = [ROOT / "notebooks" / f"{name}.md" for name in (*OF_A_FILE, "next_stone", "film_to_track", "which_mechanism")]
+PAGES = [
+    ROOT / "notebooks" / f"{name}.md"
+    for name in (*OF_A_FILE, "next_stone", "film_to_track", "which_mechanism")
+]
 QUOTED = re.compile(r"```text\n((?:Time|draw)[^\n]*[;,].*?)```", re.S)
 
 
