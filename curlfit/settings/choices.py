@@ -157,8 +157,8 @@ class Choices:
             for name in forms.keys() & layer.keys():
                 if given(layer[name]):
                     value = forms[name].checked(name, layer[name])
-                    if isinstance(value, dict):
-                        value = {**found.get(name, {}), **value}
+                    if isinstance(value, dict) and isinstance(found.get(name), dict):
+                        value = {**found[name], **value}
                     found[name] = value
         chosen = cls(**found)
         chosen.check()
