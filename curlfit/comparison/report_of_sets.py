@@ -98,6 +98,9 @@ def _ranks(comparison: Comparison) -> PlainTable:
         "have in common, and in parentheses with those of the set alone. one ice: the probability "
         "that common coefficients raise chi squared as much by chance. A law follows if each is "
         "within what chance or 1.5 times the noise makes it, and p is above 0.001."
+        if len(comparison.sets) > 1
+        else "Under the data set: chi squared per degree of freedom. A law follows if it is within "
+        "what chance or 1.5 times the noise makes it."
     )
     return PlainTable(rows, "The laws, best first", keys=3, note=Text(note, style="dim"))
 
