@@ -29,11 +29,11 @@ from curlfit.comparison.criteria import (
 from curlfit.comparison.lacking import lacking
 from curlfit.comparison.leave_one_out import leave_one_out, standard_error
 from curlfit.comparison.plan import plan
-from curlfit.comparison.result import PLACE, Candidate, Comparison
+from curlfit.comparison.result import PLACE, Candidate, Comparison, Lacking
 from curlfit.comparison.several import compare_sets
 from curlfit.errors import UnusableFitError
 from curlfit.friction import Law, NetLaw
-from curlfit.friction.family import family_of
+from curlfit.friction.family import LawFamily, family_of
 from curlfit.friction_tables.table import FrictionTable
 from curlfit.inference.conditions import ALL
 from curlfit.inference.fit.advice import NOISE
@@ -140,16 +140,21 @@ def compare(
         progress("", len(fits), len(fits))
     failed = [one for one in found if isinstance(one, Candidate)]
     made = ranked([one for one in found if isinstance(one, Fitted)], failed)
-    by_label = {
+    made = replace(made, lacking=_lacking(made, shared["family"]))
+    return replace(made, data={**made.data, "flags": [*throw.read_with, *chosen.words()]})
+
+
+def _lacking(made: Comparison, family: type[LawFamily] | None) -> Lacking | None:
+    """What the first law lacks, if it was fitted with independent noise."""
+    fits = {
         item.label: one
         for item, one in zip(made.candidates, made.fits, strict=True)
         if item.rank is not None and one is not None and item.noise == "white"
     }
-    if by_label:
-        first, *others = by_label.items()
-        lacks = lacking(*first, dict(others), shared["family"])
-        made = replace(made, lacking=lacks)
-    return replace(made, data={**made.data, "flags": [*throw.read_with, *chosen.words()]})
+    if not fits:
+        return None
+    first, *others = fits.items()
+    return lacking(*first, dict(others), family)
 
 
 def _with_free_signs(

@@ -47,6 +47,7 @@ CASES = (
     Case("`semi-empirical` fitted by `front-back`", "semi-empirical", "front-back"),
     Case("`debris` fitted by `front-back`", "debris", "front-back"),
     Case("right law, noise correlated by 0.9 from row to row", "front-back", "front-back", 0.9),
+    Case("`power+pivot` fitted by `front-back`", "power+pivot", "front-back"),
 )
 
 
