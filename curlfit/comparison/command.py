@@ -55,9 +55,12 @@ def compare(
 
 def _is_table_of_throws(file: Path, reading: Reading) -> bool:
     """Whether a file has throws by stopwatch in its rows, of which none is selected."""
-    from curlfit.throws.load import parts_of
+    from curlfit.throws.load import format_of, parts_of
+    from curlfit.throws.readers.timings import TIMINGS
 
-    parts = parts_of(file, reading) if reading.shot is None else []
+    if reading.shot is not None or format_of(file, reading) != TIMINGS.name:
+        return False
+    parts = parts_of(file, reading)
     return len(parts) > 1 and not any(getattr(one.throw, "has_path", True) for one in parts)
 
 

@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from curlfit.comparison.result import COMPONENTS, Candidate, Comparison, Lacking
+from curlfit.comparison.result import COMPONENTS, FOLLOWS, Candidate, Comparison, Lacking
 from curlfit.output import figures as draw
 
 _MOST = 4  # other laws drawn
-_FOLLOWS = 2.25  # chi squared per degree of freedom at 1.5 times the noise
 
 
 @draw.style()
@@ -97,7 +96,7 @@ def _figure_of_sets(comparison: Comparison) -> draw.Picture:
         common = np.array([on.chi_squared / on.dof for on in each])
         own = np.array([on.own_chi_squared / on.own_dof for on in each])
         low = min(0.3, *own, *common)
-        axes.axvspan(low / 1.5, _FOLLOWS, color="0.92", lw=0)
+        axes.axvspan(low / 1.5, FOLLOWS, color="0.92", lw=0)
         axes.hlines(rows, own, common, color="0.15", lw=1.0)
         axes.plot(own, rows, "o", color="0.15", markerfacecolor="white", label="alone")
         axes.plot(common, rows, "o", color="0.15", label="with common coefficients")

@@ -9,7 +9,6 @@ that the stone had is subtracted. r is a penalised spline (`curlfit.numerics.pen
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +19,7 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.initial_values import POINTS, accelerations_along
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import stacked
+from curlfit.numerics.differences import slopes
 from curlfit.numerics.penalized_spline import PenalizedSpline
 
 _STEP = 1e-3  # typical sizes, of differences
@@ -78,26 +78,32 @@ def lacking(
 
 def _errors(fit: FitResult, family: type[LawFamily] | None, *state: Floats) -> Floats:
     """Standard errors of these by those of the coefficients, which follow what is left too."""
-    names, matrix = fit.covariance["names"], np.array(fit.covariance["matrix"])
-    slopes = np.zeros((len(names), 3, POINTS))
-    for row, name in enumerate(names):
-        if name in fit.coefficients:
-            step, ends = _STEP * fit.parameters[name].typical, []
-            for sign in (1, -1):
-                item = fit.parameters[name]
-                moved = {name: replace(item, value=item.value + sign * step)}
-                other = replace(fit, parameters={**fit.parameters, **moved})
-                ends.append(_accelerations(other, family, *state))
-            slopes[row] = (ends[0] - ends[1]) / (2 * step)
-    return np.sqrt(np.maximum(np.einsum("aij,ab,bij->ij", slopes, matrix, slopes), 0.0))
+    names = list(fit.coefficients)
+    known = np.isin(fit.covariance["names"], names)
+    free = np.isin(names, fit.covariance["names"])
+    if not free.any():
+        return np.zeros((3, POINTS))
+    by_coefficient = slopes(
+        lambda values: _accelerations(fit, family, *state, values=values),
+        _values(fit), _STEP * np.array([one.typical for one in fit.coefficients.values()]), free,
+    )  # fmt: skip
+    matrix = np.array(fit.covariance["matrix"])[np.ix_(known, known)]
+    variance = ((by_coefficient @ matrix) * by_coefficient).sum(-1)
+    found: Floats = np.sqrt(np.maximum(variance, 0.0))
+    return found
 
 
-def _accelerations(fit: FitResult, family: type[LawFamily] | None, *state: Floats) -> Floats:
-    """To the right of the motion, along it, and angular, of a fitted law; shape (3, POINTS)."""
-    coefficients = np.array([item.value for item in fit.coefficients.values()])
-    model = fit.model.within(family)
-    repeated: Any = np.tile(coefficients, (1, POINTS, 1))
+def _values(fit: FitResult) -> Floats:
+    return np.array([item.value for item in fit.coefficients.values()])
+
+
+def _accelerations(
+    fit: FitResult, family: type[LawFamily] | None, *state: Floats, values: Floats | None = None
+) -> Floats:
+    """To the right of the motion, along it, and angular, of a fitted law or at other values of its
+    coefficients; shape (3, POINTS)."""
+    coefficients: Any = np.tile(_values(fit) if values is None else values, (1, POINTS, 1))
     found = accelerations_along(
-        model, repeated, stacked([fit.stone]), np.array(state)[None], batch=1
+        fit.model.within(family), coefficients, stacked([fit.stone]), np.array(state)[None], batch=1
     )
     return found[0]

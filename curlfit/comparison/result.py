@@ -16,6 +16,8 @@ from curlfit.records import SERIES, UNSAVED, Matrix, Record, keys, require, requ
 from curlfit.stone import Stone
 
 PLACE = ("x", "y", "phi")
+FOLLOWS = 1.5**2
+"""Chi squared per degree of freedom of a law that follows a data set: 1.5 times the noise."""
 
 
 _Coefficient = Annotated[

@@ -22,7 +22,7 @@ from scipy.special import chdtrc, chdtri
 from curlfit.comparison.adequacy import opposes_sliding
 from curlfit.comparison.data_sets import LawOnSets, Noise, Told, best, data_sets
 from curlfit.comparison.plan import plan
-from curlfit.comparison.result import Candidate, Comparison, OnSet, SetOfData
+from curlfit.comparison.result import FOLLOWS, Candidate, Comparison, OnSet, SetOfData
 from curlfit.errors import InputError, UnusableFitError
 from curlfit.friction import NetLaw
 from curlfit.friction.family import family_of
@@ -35,7 +35,6 @@ from curlfit.numerics.threads import in_threads
 from curlfit.settings.choices import Comparing
 from curlfit.throws.throw import Throw
 
-_FOLLOWS = 1.5**2  # chi squared per degree of freedom of a law that follows: 1.5 times the noise
 _CHANCE = 0.01  # probability of a larger chi squared, where few values make larger ones likely
 _AGREE = 0.001  # the same, for the rise of chi squared by common coefficients
 _LARGEST = 3  # residuals that are named
@@ -220,7 +219,7 @@ def _on_set(
 
 
 def _follows(chi_squared: float, dof: float) -> bool:
-    return bool(chi_squared <= max(_FOLLOWS * dof, float(chdtri(dof, _CHANCE))))
+    return bool(chi_squared <= max(FOLLOWS * dof, float(chdtri(dof, _CHANCE))))
 
 
 def _largest(

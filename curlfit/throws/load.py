@@ -109,7 +109,7 @@ def load_throws(*files: str | PathLike[str], **choices: Any) -> list[Throw]:
     reading = Reading.of(**choices)
     parts: list[Part] = []
     for file in files:
-        if (reading.format or detect_format(_lines_if_any(file))) in _OF_MANY:
+        if format_of(file, reading) in _OF_MANY:
             parts += (part for part in parts_of(file, reading) if not part.left_out)
         else:
             parts.append(Part(None, None, throw_of(read(file, reading), reading)))
@@ -227,6 +227,11 @@ def detect_format(lines: list[str]) -> str:
     """The format of a file, from its first lines."""
     head = [line for line in lines[:_MOST_ASIDES] if not is_aside(line)][:_HEAD] or ["t"]
     return next(reader.name for reader in _READERS if reader.recognizes(head))
+
+
+def format_of(file: str | PathLike[str], reading: Reading) -> str:
+    """The format of a file, as given or from its first lines."""
+    return reading.format or detect_format(_lines_if_any(file))
 
 
 def found_files(wanted: Sequence[str], besides: Collection[Path] = ()) -> list[Path]:
