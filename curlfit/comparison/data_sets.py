@@ -135,9 +135,10 @@ class LawOnSets:
         self.common = np.isin(parameters.names, [item.name for item in law.coefficients()])
         self.names = parameters.names_where(self.common)
         self.model = Model(law, load).within(family)
-        rows = [problem_shape(one.throw)[1] for one in prepared]
-        rows += [1 << (len(table.mu) - 1).bit_length() for table in tables]
-        self.rounds = Rounds(self.model, prepared, shape=(len(ROWS_OF_DATA), max(rows)))
+        shapes = [problem_shape(one.throw) for one in prepared]
+        shapes += [(_LAST + 1, 1 << (len(table.mu) - 1).bit_length()) for table in tables]
+        channels, rows = map(max, zip(*shapes, strict=True))
+        self.rounds = Rounds(self.model, prepared, shape=(channels, rows))
         problems = _with_tables(self.rounds.problems, tables)
         self.throws = len(prepared)
         start = self.rounds.starts()[1][0]
@@ -155,7 +156,8 @@ class LawOnSets:
         self.speed = place
         self.unknown = np.zeros(problems.weight.shape[:2], bool)
         self.unknown[: self.throws] = self.rounds.unknown
-        self.unknown[self.throws :, _LAST] = [table.sigma is None for table in tables]
+        for row, table in enumerate(tables, self.throws):
+            self.unknown[row, _LAST] = table.sigma is None
 
     def counts(self) -> Floats:
         """Number of values by throw or table and channel."""
@@ -291,7 +293,7 @@ def _carrier() -> Throw:
 def _with_tables(problems: Problem, tables: Sequence[FrictionTable]) -> Problem:
     """Problems of throws, and after these of tables of friction."""
     count, rows = problems.times.shape
-    if not problems.weight[:, _LAST].any():
+    if not problems.weight[:, _LAST:].any():
         problems = problems._replace(events=None)
     every = np.minimum(np.arange(count + len(tables)), count - 1)
     found: Problem = jax.tree.map(lambda leaf: np.array(leaf[every]), problems)

@@ -142,3 +142,24 @@ def test_what_the_laws_miss_of_a_path_is_not_its_noise(eq12):
     assert not of_path["coulomb"].own_follows
     alone = curlfit.fit(eq12, "coulomb", sigma=found.sets[0].sigma, details=False)
     assert of_path["coulomb"].own_chi_squared == pytest.approx(alone.chi_squared, rel=1e-4)
+
+
+def track(spin):
+    t, random = np.arange(0, 12, 0.5), np.random.default_rng(4)
+    start = curlfit.InitialState(v=2.0, omega=spin)
+    path = curlfit.simulate(curlfit.LAWS["angular"](), curlfit.Stone(), start, t).to_numpy()
+    sigma = {"x": 0.005, "y": 0.005, "phi": 0.01}
+    noisy = {
+        name: getattr(path, name) + random.normal(0, size, len(t)) for name, size in sigma.items()
+    }
+    return curlfit.Throw.from_arrays(t, **noisy, sigma=sigma)
+
+
+def test_tracks_alone_are_one_data_set_each():
+    """Without events and tables."""
+    tracks = [track(1.0), track(-1.5)]
+    best = curlfit.compare(tracks, ["angular", "coulomb"]).best
+    together = curlfit.fit_together(tracks, "angular", share="all")
+    assert (best.law, len(best.sets)) == ("angular", 2)
+    expected = sum(one.chi_squared for one in together.throws)
+    assert sum(on.chi_squared for on in best.sets) == pytest.approx(expected, rel=1e-4)
