@@ -1,14 +1,10 @@
 """Calibration: do error bars have their nominal coverage?
 
-    python tests/statistics/calibration.py [ranks|noise|small|all] [--throws N] [--laws A,B]
-                                           [--workers N] [--seed N] [--out DIR]
-    python tests/statistics/calibration.py --tables FILE.json [--out DIR]
+    python tests/statistics/calibration.py [ranks|noise|small|all] [--throws N] [--workers N]
 
 ranks: posterior and standard errors under every law; noise: noise models, right and wrong laws;
-small: few rows. A run keeps every answer in DIR/calibration.json and writes the tables into
-DIR/README.md as each is done, and at last the figure DIR/ranks.png; DIR is the folder of this file
-unless named, and what it holds of other tables stays. `--tables` makes tables and figure from kept
-answers.
+small: few rows. Each table is written into README.md beside this file as it is done; after all
+ranks come their summary and the figure ranks.png.
 
 A throw is 15 s at 10 Hz with noise of 5 mm on x and y and 10 mrad on phi; its coefficients and its
 start are drawn evenly from a box, its sense of spin by a coin. Each throw has random numbers of its
@@ -18,18 +14,15 @@ own, so that answers do not depend on how many processes shared the work.
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import os
-import shutil
 import sys
-import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -153,12 +146,6 @@ class Outcome(NamedTuple):
     """whether the correlation time of the noise was said to be too long to be estimated well"""
     outliers: int = 0
 
-    @classmethod
-    def from_json(cls, found: Sequence[Any]) -> Outcome:
-        """The record from JSON, which has lists for tuples."""
-        quantities, *rest = found
-        return cls({name: Quantity(*item) for name, item in quantities.items()}, *rest)
-
 
 class Answer(NamedTuple):
     """Of one throw."""
@@ -168,19 +155,13 @@ class Answer(NamedTuple):
     outcomes: dict[str, Outcome]
     """by noise model fitted"""
 
-    @classmethod
-    def from_json(cls, found: Sequence[Any]) -> Answer:
-        """The record from JSON."""
-        sense, outcomes = found
-        return cls(sense, {kind: Outcome.from_json(item) for kind, item in outcomes.items()})
-
 
 # One throw
 
 
-def answer(trial: Trial, number: int, seed: int = 0) -> Answer:
+def answer(trial: Trial, number: int) -> Answer:
     """Draw, throw and fit once."""
-    random = np.random.default_rng([seed, list(TRIALS).index(trial.name), number])
+    random = np.random.default_rng([0, list(TRIALS).index(trial.name), number])
     sense = int(random.choice([1, -1]))
     coefficients = _TRUTHS.get(trial.name, BOXES[trial.truth])
     low, high = (sense * end for end in START["omega0"])
@@ -289,24 +270,16 @@ def _among(draws: np.ndarray, true: float, random: np.random.Generator) -> dict[
 Answers = list[Answer]
 
 
-class Table(NamedTuple):
-    """A table and how many of its cells are marked."""
-
-    text: str
-    cells: int = 0
-    marks: int = 0
-
-
-def table(trial: Trial, answers: Answers) -> Table:
+def table(trial: Trial, answers: Answers) -> str:
     """The table of a trial."""
-    return {"ranks": ranks_table, "noise": noise_table, "small": small_table}[trial.section](
-        trial, answers
-    )
+    made = {"ranks": ranks_table, "noise": noise_table, "small": small_table}[trial.section]
+    return made(trial, answers)
 
 
-def counted(answers: Answers, kind: str = "white") -> list[Outcome]:
-    """Outcomes that are not left out."""
-    return [a.outcomes[kind] for a in answers if not a.outcomes[kind].left]
+def counted(answers: Answers, kind: str = "white", sense: int = 0) -> list[Outcome]:
+    """Outcomes that are not left out, of one sense if it is not 0."""
+    found = [a.outcomes[kind] for a in answers if sense in (0, a.sense)]
+    return [outcome for outcome in found if not outcome.left]
 
 
 def sentence_of_drawn(answers: Answers) -> str:
@@ -328,31 +301,40 @@ def names_of(outcomes: list[Outcome]) -> list[str]:
     return [name for name in often if 2 * often[name] >= len(outcomes)]
 
 
-def without_errors(outcomes: list[Outcome], names: Iterable[str]) -> list[str]:
-    """For each quantity that some give no standard error of, in how many of them and why."""
+def items_of(outcomes: list[Outcome], name: str) -> list[Quantity]:
+    """What outcomes say of a quantity."""
+    return [outcome.quantities[name] for outcome in outcomes if name in outcome.quantities]
+
+
+def coverage(items: Sequence[Quantity], what: str = "held") -> list[str]:
+    """Cells that say how often intervals hold the truth, by level."""
+    return [
+        share(sum(getattr(item, what)[place] for item in items), len(items), nominal)
+        for place, (nominal, _) in enumerate(LEVELS.values())
+    ]
+
+
+def not_given(outcomes: list[Outcome], names: Sequence[str]) -> list[str]:
+    """What has no standard error and why, and whether other combinations were formed."""
     lines = []
     for name in names:
         why = [o.quantities[name].why if name in o.quantities else "not formed" for o in outcomes]
         none = sum(map(bool, why))
         if none:
             lines.append(f"No standard error of {name} in {none} of {len(why)}: {reasons(why)}.")
+    some = sum(bool(set(outcome.quantities) - set(names)) for outcome in outcomes)
+    if some:
+        lines.append(f"Other combinations, formed in {some} of {len(outcomes)}, are not counted.")
     return lines
 
 
-def other_combinations(outcomes: list[Outcome], names: Iterable[str]) -> list[str]:
-    """A sentence on combinations that are too seldom formed to be counted one by one."""
-    some = sum(bool(set(outcome.quantities) - set(names)) for outcome in outcomes)
-    return [f"Other combinations, formed in {some} of {len(outcomes)}, are not counted."] * (
-        some > 0
-    )
-
-
-def evenness(items: Sequence[Quantity]) -> str:
+def evenness(outcomes: list[Outcome], name: str) -> str:
     """A cell that says how probable ranks as uneven as these are, by chi squared."""
-    if not items:
+    ranks = [item.rank for item in items_of(outcomes, name) if item.rank is not None]
+    if not ranks:
         return ""
-    places = [item.rank * BINS // (DRAWS + 1) for item in items if item.rank is not None]
-    p = float(chisquare(np.bincount(places, minlength=BINS)).pvalue)
+    bins = np.bincount([rank * BINS // (DRAWS + 1) for rank in ranks], minlength=BINS)
+    p = float(chisquare(bins).pvalue)
     return marked(f"{p:.2g}", p)
 
 
@@ -361,23 +343,26 @@ def pooled(answers: Answers, sense: int) -> str:
 
     Parameters of a throw are correlated, so that a throw counts once in what chance explains.
     """
-    cells, throws = [], 0
-    for place, (nominal, _) in enumerate(LEVELS.values()):
-        shares = []
-        for outcome in counted([item for item in answers if item.sense == sense]):
-            held = [item.held[place] for name, item in outcome.quantities.items()
-                    if name.isidentifier() and item.held]  # fmt: skip
-            if held:
-                shares.append(np.mean(held))
-        throws = len(shares)
-        if throws < 2:
-            return f"{SENSES[sense]} too few throws"
+    held = [
+        np.mean([q.held for name, q in o.quantities.items() if name.isidentifier() and q.held], 0)
+        for o in counted(answers, sense=sense)
+        if any(q.held and name.isidentifier() for name, q in o.quantities.items())
+    ]
+    if len(held) < 2:
+        return f"{SENSES[sense]} too few throws"
+    cells = []
+    for shares, (nominal, _) in zip(np.array(held).T, LEVELS.values(), strict=True):
         p = float(ttest_1samp(shares, nominal).pvalue) if np.ptp(shares) > 0 else 1.0
         cells.append(marked(f"{100 * np.mean(shares):.1f} %", p))
-    return f"{SENSES[sense]} {' and '.join(cells)} ({throws} throws)"
+    return f"{SENSES[sense]} {' and '.join(cells)} ({len(held)} throws)"
 
 
-def ranks_table(trial: Trial, answers: Answers) -> Table:
+def with_ranks(answers: Answers, sense: int = 0) -> list[Outcome]:
+    """Outcomes whose posterior counts."""
+    return [outcome for outcome in counted(answers, sense=sense) if not outcome.sampler]
+
+
+def ranks_table(trial: Trial, answers: Answers) -> str:
     """Ranks and coverage under a law."""
     outcomes = counted(answers)
     names = names_of(outcomes)
@@ -385,43 +370,25 @@ def ranks_table(trial: Trial, answers: Answers) -> Table:
         "", "n of ranks", "ranks even: p", "counter-clockwise", "clockwise", "posterior 68 %",
         "95 %", "n of standard errors", "68 %", "95 %",
     )  # fmt: skip
-    tested: list[str] = []
     for name in names:
-        ranked = {
-            sense: [
-                item.quantities[name]
-                for item in counted([one for one in answers if one.sense == sense])
-                if name in item.quantities and not item.sampler
-            ]
-            for sense in SENSES
-        }
-        both = [item for items in ranked.values() for item in items]
-        given = [o.quantities[name] for o in outcomes if name in o.quantities]
-        given = [item for item in given if item.held]
-        evens = [evenness(both), *(evenness(items) for items in ranked.values())]
-        shares: dict[str, list[str]] = {"posterior": [], "held": []}
-        for place, (nominal, _) in enumerate(LEVELS.values()):
-            for what, items in (("posterior", both), ("held", given)):
-                inside = sum(getattr(item, what)[place] for item in items)
-                shares[what].append(share(inside, len(items), nominal))
+        ranked = items_of(with_ranks(answers), name)
+        given = [item for item in items_of(outcomes, name) if item.held]
+        evens = [evenness(with_ranks(answers, sense), name) for sense in (0, *SENSES)]
+        errors = [cell or "none given" for cell in coverage(given)]
         lines.append(
-            row([name, len(both), *evens, *shares["posterior"], len(given),
-                 *(cell or "none given" for cell in shares["held"])])
-        )  # fmt: skip
-        tested += [*evens, *shares["posterior"], *shares["held"]]
-    sides = [pooled(answers, sense) for sense in SENSES]
-    lines += ["", f"Standard errors of all parameters, 68 % and 95 %: {'; '.join(sides)}."]
+            row([name, len(ranked), *evens, *coverage(ranked, "posterior"), len(given), *errors])
+        )
+    sides = "; ".join(pooled(answers, sense) for sense in SENSES)
+    said = [f"Standard errors of all parameters, 68 % and 95 %: {sides}."]
     astray = reasons(outcome.sampler for outcome in outcomes)
     if astray:
-        lines.append(f"Not in n of ranks, of {len(outcomes)}: sampler {astray}.")
-    lines += without_errors(outcomes, names) + other_combinations(outcomes, names)
+        said.append(f"Not in n of ranks, of {len(outcomes)}: sampler {astray}.")
     load = f" {trial.load.capitalize()} load." if trial.load != "uniform" else ""
-    text = "\n".join([f"{_drawn_and_counted(answers)}{load}", "", *_listed(lines)])
-    cells = [cell for cell in tested if cell]
-    return Table(text, len(cells), sum("(!)" in cell for cell in cells))
+    said += not_given(outcomes, names)
+    return _page([f"{_drawn_and_counted(answers)}{load}"], lines, said)
 
 
-def noise_table(trial: Trial, answers: Answers) -> Table:
+def noise_table(trial: Trial, answers: Answers) -> str:
     """Coverage, pulls and warnings by noise model."""
     outcomes = {kind: counted(answers, kind) for kind in trial.noises}
     names = names_of(outcomes["white"])
@@ -429,119 +396,98 @@ def noise_table(trial: Trial, answers: Answers) -> Table:
     for name in names:
         cells = []
         for found in outcomes.values():
-            items = [o.quantities[name] for o in found if name in o.quantities]
-            items = [item for item in items if item.held]
-            for place, (nominal, _) in enumerate(LEVELS.values()):
-                cells.append(share(sum(i.held[place] for i in items), len(items), nominal))
+            items = [item for item in items_of(found, name) if item.held]
             pulls = [item.pull for item in items]
-            cells.append(
-                f"{np.mean(pulls):.2f} ± {np.std(pulls, ddof=1):.2f}" if len(pulls) > 1 else ""
-            )
+            pull = f"{np.mean(pulls):.2f} ± {np.std(pulls, ddof=1):.2f}" if len(pulls) > 1 else ""
+            cells += [*coverage(items), pull]
         if any(cells):  # else no fit gives a standard error, as is said below
             lines.append(row([name, *cells]))
     lines += ["", *head("warnings", *trial.noises)]
     titles = {"residuals correlated": "correlated", "correlation time too long": "lasting"}
     for title, what in titles.items():
-        lines.append(
-            row([title, *(f"{sum(getattr(o, what) for o in found)} of {len(found)}"
-                          for found in outcomes.values())])
-        )  # fmt: skip
-    lines.append("")
+        told = (f"{sum(getattr(o, what) for o in f)} of {len(f)}" for f in outcomes.values())
+        lines.append(row([title, *told]))
+    said = []
     for kind, found in outcomes.items():
-        sentences = [sentence_of_counted(answers, kind), *without_errors(found, names)]
-        lines.append(f"- {kind}: {' '.join(sentences + other_combinations(found, names))}")
-    text = [f"### {trial.title}", "", sentence_of_drawn(answers), "", *lines, ""]
-    return Table("\n".join(text))
+        sentences = [sentence_of_counted(answers, kind), *not_given(found, names)]
+        said.append(f"{kind}: {' '.join(sentences)}")
+    return _page([f"### {trial.title}", "", sentence_of_drawn(answers)], lines, said)
 
 
-def small_table(trial: Trial, answers: Answers) -> Table:
+def small_table(trial: Trial, answers: Answers) -> str:
     """Coverage by the Gaussian's and by Student's interval."""
     outcomes = counted(answers)
     names = names_of(outcomes)
     nominal, reach = LEVELS["95 %"]
-    place = list(LEVELS).index("95 %")
     lines = head("", "n", "1.96 standard errors", "`interval(0.95)`")
     for name in names:
-        items = [o.quantities[name] for o in outcomes if name in o.quantities]
-        items = [item for item in items if item.held]
+        items = [item for item in items_of(outcomes, name) if item.held]
         gauss = sum(abs(item.pull or 0.0) <= reach for item in items)
-        student = sum(item.held[place] for item in items)
-        cells = [share(k, len(items), nominal) or "none given" for k in (gauss, student)]
-        lines.append(row([name, len(items), *cells]))
+        cells = [share(gauss, len(items), nominal), coverage(items)[1]]
+        lines.append(row([name, len(items), *(cell or "none given" for cell in cells)]))
     named = sum(outcome.outliers > 0 for outcome in outcomes)
-    lines += ["", f"An outlier was named by chance in {named} of {len(outcomes)}."]
-    lines += without_errors(outcomes, names) + other_combinations(outcomes, names)
-    text = [f"### {trial.title}", "", _drawn_and_counted(answers), "", *_listed(lines)]
-    return Table("\n".join(text))
+    said = [f"An outlier was named by chance in {named} of {len(outcomes)}."]
+    said += not_given(outcomes, names)
+    return _page([f"### {trial.title}", "", _drawn_and_counted(answers)], lines, said)
 
 
 def _drawn_and_counted(answers: Answers) -> str:
     return f"{sentence_of_drawn(answers)} {sentence_of_counted(answers)}"
 
 
-def _listed(lines: list[str]) -> list[str]:
-    """A table as it is, and the sentences after its first empty line as a list."""
-    cut = lines.index("")
-    return [*lines[: cut + 1], *(f"- {line}" for line in lines[cut + 1 :]), ""]
+def _page(first: list[str], lines: list[str], said: list[str]) -> str:
+    return "\n".join([*first, "", *lines, "", *(f"- {one}" for one in said), ""])
 
 
 def summary(parts: Mapping[str, Answers]) -> str:
-    """All laws at a glance."""
+    """All laws at a glance, by their names."""
     lines = head("law", "load", "throws drawn", "counted", "without a posterior",
                  "cells marked")  # fmt: skip
-    cells = marks = 0
-    for name, answers in parts.items():
-        trial = TRIALS[name]
-        if trial.section != "ranks":
-            continue
-        found, outcomes = table(trial, answers), counted(answers)
-        cells, marks = cells + found.cells, marks + found.marks
+    total = np.zeros(2, int)
+    for law, answers in parts.items():
+        trial, outcomes = TRIALS[f"ranks {law}"], counted(answers)
+        rows = [line.split("|") for line in table(trial, answers).splitlines() if "|" in line][2:]
+        cells = [one.strip() for cells in rows for one in (*cells[3:8], *cells[9:11])]
+        tested = [cell for cell in cells if cell not in ("", "none given")]
+        marks = np.array([sum("(!)" in cell for cell in tested), len(tested)])
+        total += marks
+        unsampled = sum(bool(outcome.sampler) for outcome in outcomes)
         lines.append(
-            row([trial.truth, trial.load, len(answers), len(outcomes),
-                 sum(bool(o.sampler) for o in outcomes), f"{found.marks} of {found.cells}"])
+            row([law, trial.load, len(answers), len(outcomes), unsampled,
+                 f"{marks[0]} of {marks[1]}"])
         )  # fmt: skip
-    lines += ["", f"{marks} of {cells} cells are marked; chance marks about {cells / 100:.0f}."]
+    lines += ["", f"{total[0]} of {total[1]} cells are marked; chance marks about "
+              f"{total[1] / 100:.0f}."]  # fmt: skip
     return "\n".join(lines) + "\n"
 
 
-def ranks_figure(parts: Mapping[str, Answers], file: Path) -> None:
+def ranks_figure(laws: Mapping[str, Answers], file: Path) -> None:
     """Share of ranks below each rank, less that of even ranks, for every law and quantity."""
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    laws = {TRIALS[name].truth: a for name, a in parts.items() if TRIALS[name].section == "ranks"}
-    if not laws:
-        return
-    figure, axes = plt.subplots(-(-len(laws) // 5), min(len(laws), 5), figsize=(11, 5.2),
-                                layout="constrained", sharex=True, sharey=True,
-                                squeeze=False)  # fmt: skip
+    figure, axes = plt.subplots(-(-len(laws) // 5), 5, figsize=(11, 5.2), layout="constrained",
+                                sharex=True, sharey=True)  # fmt: skip
     places = np.arange(DRAWS + 1)
     even = (places + 1) / (DRAWS + 1)
     for axis in axes.flat[len(laws) :]:
         axis.set_axis_off()
     for axis, (law, answers) in zip(axes.flat, laws.items(), strict=False):
-        least, most = len(answers), 0
+        mine = {sense: with_ranks(answers, sense) for sense in SENSES}
         for sense, colour in zip(SENSES, ("C0", "C1"), strict=True):
-            mine = [o for o in counted([a for a in answers if a.sense == sense]) if not o.sampler]
-            least, most = min(least, len(mine)), most + len(mine)
-            for name in names_of(mine):
-                ranks = [o.quantities[name].rank for o in mine if name in o.quantities]
-                below = np.searchsorted(np.sort(ranks), places, side="right") / max(len(ranks), 1)
+            for name in names_of(mine[sense]):
+                ranks = np.sort([item.rank for item in items_of(mine[sense], name)])
+                below = np.searchsorted(ranks, places, side="right") / max(len(ranks), 1)
                 axis.plot(even, below - even, color=colour, linewidth=0.8, alpha=0.8)
-        if least:
-            axis.fill_between(even, *_band(least), color="0.88", zorder=0)
-        axis.set_title(f"{law}, {most} throws", fontsize=9)
-        axis.tick_params(labelsize=8)
-    handles = [
-        plt.Line2D([], [], color=colour, label=name)
-        for colour, name in zip(("C0", "C1"), SENSES.values(), strict=True)
-    ]
-    figure.legend(handles=handles, loc="outside upper right", ncols=2, fontsize=9, frameon=False)
-    figure.supxlabel("rank of the true value among draws of the posterior, over their number",
-                     fontsize=10)  # fmt: skip
-    figure.supylabel("share of throws below, less that of even ranks", fontsize=10)
+        low, high = _band(min(map(len, mine.values())))
+        axis.fill_between(even, low, high, color="0.88", zorder=0)
+        axis.set_title(f"{law}, {sum(map(len, mine.values()))} throws", fontsize=9)
+    handles = [plt.Line2D([], [], color=colour) for colour in ("C0", "C1")]
+    figure.legend(handles, SENSES.values(), loc="outside upper right", ncols=2, frameon=False)
+    figure.supxlabel("rank of the true value among draws of the posterior, over their number")
+    figure.supylabel("share of throws below, less that of even ranks")
     figure.savefig(file, dpi=110)
     plt.close(figure)
 
@@ -562,69 +508,29 @@ def _band(throws: int) -> tuple[np.ndarray, np.ndarray]:
 # Runs
 
 
-class Record:
-    """Answers so far, and the files made of them."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder, self.file = folder, folder / "calibration.json"
-        self.parts: dict[str, Answers] = {}
-        folder.mkdir(parents=True, exist_ok=True)
-        if not (folder / "README.md").exists():
-            shutil.copy(HERE / "README.md", folder)
-
-    def load(self, file: Path) -> None:
-        """Take the answers that are kept in a file."""
-        kept = json.loads(file.read_text())["parts"]
-        self.parts |= {
-            name: [Answer.from_json(item) for item in kept[name]] for name in TRIALS if name in kept
-        }
-
-    def add(self, name: str, answers: Answers) -> None:
-        """Keep the answers of a trial that is done, and write its table."""
-        self.parts[name] = answers
-        self.parts = {one: self.parts[one] for one in TRIALS if one in self.parts}
-        text = json.dumps({"curlfit": curlfit.__version__, "parts": self.parts}, allow_nan=False)
-        beside = self.file.with_suffix(".part")
-        beside.write_text(text)
-        beside.replace(self.file)
-        self.write(name)
-
-    def write(self, name: str) -> None:
-        """Write the table of a trial."""
-        put(name, table(TRIALS[name], self.parts[name]).text, self.folder)
-        if TRIALS[name].section == "ranks":
-            put("ranks", summary(self.parts), self.folder)
-
-
-def run(wanted: Mapping[str, int], workers: int, seed: int = 0) -> Iterator[tuple[str, Answers]]:
-    """Answers of each trial, as it is done, from a number of throws of each."""
-    blocks = [
-        (name, range(first, min(first + BLOCK, throws)))
-        for name, throws in wanted.items()
-        for first in range(0, throws, BLOCK)
-    ]
-    # The first block of each trial compiles its programs, for all; then trial by trial.
-    blocks.sort(key=lambda block: block[1].start > 0)
-    left = Counter(name for name, _ in blocks)
-    found: dict[str, dict[int, Answers]] = {name: {} for name in wanted}
-    began = time.time()
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        tasks = {pool.submit(_block, name, list(block), seed): (name, block.start)
-                 for name, block in blocks}  # fmt: skip
-        for done, task in enumerate(as_completed(tasks), 1):
-            name, first = tasks[task]
-            found[name][first] = task.result()
-            left[name] -= 1
-            print(f"\r{done} of {len(tasks)} blocks, {time.time() - began:.0f} s",
-                  end="", file=sys.stderr)  # fmt: skip
-            if not left[name]:
-                print(f": {name}", file=sys.stderr)
-                parts = found.pop(name)
-                yield name, [one for first in sorted(parts) for one in parts[first]]
-
-
-def _block(name: str, numbers: Sequence[int], seed: int) -> Answers:
-    return [answer(TRIALS[name], number, seed) for number in numbers]
+def main() -> None:
+    """Run the trials, and write tables and figure."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("what", nargs="?", choices=("all", *THROWS), default="all")
+    parser.add_argument("--throws", type=int, help="of each table")
+    parser.add_argument("--workers", type=int, default=os.cpu_count())
+    asked = parser.parse_args()
+    found: dict[str, Answers] = {}
+    os.environ.update(_SETTINGS)  # of the processes, which load JAX
+    with ProcessPoolExecutor(asked.workers, mp_context=get_context("spawn")) as pool:
+        for name, trial in TRIALS.items():
+            if asked.what in ("all", trial.section):
+                numbers = range(asked.throws or THROWS[trial.section])
+                made = pool.map(partial(answer, trial), numbers, chunksize=BLOCK)
+                found[name] = list(made)
+                put(name, table(trial, found[name]).text)
+                print(name, file=sys.stderr)
+    ranks = {TRIALS[name].truth: a for name, a in found.items() if name.startswith("ranks")}
+    if ranks:
+        put("ranks", summary(ranks))
+        ranks_figure(ranks, HERE / "ranks.png")
 
 
 _SETTINGS = {
@@ -633,45 +539,6 @@ _SETTINGS = {
     "OPENBLAS_NUM_THREADS": "1",
     "JAX_PLATFORMS": "cpu",
 }
-
-
-def main() -> None:
-    """Run or read, and write tables and figure."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("what", nargs="?", choices=("all", *THROWS), default="all")
-    parser.add_argument("--throws", type=int, help="of each table")
-    parser.add_argument("--laws", help="that throws obey, separated by commas")
-    parser.add_argument("--workers", type=int, default=os.cpu_count())
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=HERE, metavar="DIR")
-    parser.add_argument("--tables", type=Path, metavar="FILE.json")
-    asked = parser.parse_args()
-    laws = asked.laws.split(",") if asked.laws else list(BOXES)
-    unknown = set(laws) - set(BOXES)
-    if unknown:
-        parser.error(f"unknown law {', '.join(sorted(unknown))}; expected {', '.join(BOXES)}")
-    record = Record(asked.out)
-    if asked.tables:
-        record.load(asked.tables)
-        for name in record.parts:
-            record.write(name)
-    else:
-        if record.file.exists():
-            record.load(record.file)
-        wanted = {
-            name: asked.throws or THROWS[trial.section]
-            for name, trial in TRIALS.items()
-            if asked.what in ("all", trial.section) and trial.truth in laws
-        }
-        # Processes that are spawned take these over before they load JAX.
-        os.environ.update(_SETTINGS)
-        with TemporaryDirectory() as folder:
-            os.environ.setdefault("CURLFIT_CACHE", folder)
-            for name, answers in run(wanted, asked.workers, asked.seed):
-                record.add(name, answers)
-    ranks_figure(record.parts, record.folder / "ranks.png")
 
 
 if __name__ == "__main__":

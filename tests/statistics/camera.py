@@ -10,13 +10,11 @@ jitter is independent from row to row.
 
 from __future__ import annotations
 
-import sys
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from tables import asked, correlated, head, put, row
+from tables import Table, asked, correlated
 
 import curlfit
 from curlfit.inference.fit.fit import fit_throws
@@ -101,8 +99,8 @@ def cells(fits: Fits, white: Fits, truth: Sequence[Sequence[float]]) -> list[str
 def main() -> None:
     """Run the cases and write their table."""
     chosen = asked(__doc__)
-    lines = head("", "fitted noise", *(f"pull of {name}" for name in ASKED), "within two errors",
-                 "largest rms over white", "without error", "not converged")  # fmt: skip
+    table = Table("", "fitted noise", *(f"pull of {name}" for name in ASKED), "within two errors",
+                  "largest rms over white", "without error", "not converged")  # fmt: skip
     for seed, case in enumerate(CASES):
         if chosen.only not in case.title:
             continue
@@ -110,13 +108,11 @@ def main() -> None:
         throws, truth = zip(*(filmed(case, random) for _ in range(chosen.throws)), strict=True)
         white: Fits = ()
         for noise in NOISES:
-            began = time.time()
             fits = fit_throws(throws, "front-back", noise=noise)
             white = white or fits
-            lines.append(row([case.title, noise, *cells(fits, white, truth)]))
-            print(lines[-1], f"({time.time() - began:.0f} s)", file=sys.stderr)
+            table.add(case.title, noise, *cells(fits, white, truth))
     if not chosen.only:
-        put("camera", f"{chosen.throws} throws a case.\n\n" + "\n".join(lines) + "\n")
+        table.put("camera", f"{chosen.throws} throws a case.")
 
 
 if __name__ == "__main__":

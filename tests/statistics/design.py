@@ -9,12 +9,11 @@ laws, made SETS times with noise under each law and fitted together with both.
 from __future__ import annotations
 
 import sys
-import time
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import binomtest
-from tables import head, marked, put, row
+from tables import Table, marked
 
 import curlfit
 from curlfit.environment import Environment
@@ -80,15 +79,14 @@ def bic(throws: list[curlfit.Throw], law: str, widths: dict[str, float]) -> floa
     return float(sum(one.chi_squared for one in fits) + priors + fit.rank * np.log(n))
 
 
-def lines_of(case: Case, sets: int) -> list[str]:
+def add_lines(table: Table, case: Case, sets: int) -> None:
     """The promise and what came of it, for each law as the true one."""
     sigma = {"x": case.noise, "y": case.noise, "phi": 2 * case.noise}
     found = curlfit.discriminate(
         case.laws, sigma=sigma, systematics={"all": 0.0, **case.widths}, **GRID
     )
-    lines = []
     for pair in found.pairs:
-        began, random = time.time(), np.random.default_rng(SEED)
+        random = np.random.default_rng(SEED)
         law = curlfit.law_with(pair.truth, found.laws[pair.truth])
         odds = []
         for _ in range(sets):
@@ -103,21 +101,18 @@ def lines_of(case: Case, sets: int) -> list[str]:
             count = sum(one > least for one in odds)
             p = binomtest(count, sets, min(promised, 1 - 1e-12), alternative="less").pvalue
             cells += [f"{100 * promised:.1f} %", marked(f"{count} of {sets}", p)]
-        lines.append(row(cells))
-        print(lines[-1], f"({time.time() - began:.0f} s)", file=sys.stderr, flush=True)
-    return lines
+        table.add(*cells)
 
 
 def main() -> None:
     """Make the table."""
-    sets = int(sys.argv[1])
-    lines = head(
+    table = Table(
         "true law", "rival", "noise", "throws", "log odds promised", "log odds found",
         "true law leads: promised", "found", "by 100 to 1: promised", "found",
     )  # fmt: skip
     for case in CASES:
-        lines += lines_of(case, sets)
-    put("decisions", "\n".join(lines) + "\n")
+        add_lines(table, case, int(sys.argv[1]))
+    table.put("decisions")
 
 
 if __name__ == "__main__":

@@ -11,14 +11,12 @@ Student's t contain the true value.
 from __future__ import annotations
 
 import math
-import sys
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from tables import LEVELS, asked, correlated, head, put, row, share
+from tables import LEVELS, Table, asked, correlated, share
 
 import curlfit
 from curlfit.environment import Environment
@@ -159,22 +157,20 @@ def counts(case: Case, throws: int, seed: int = 0) -> tuple[dict[str, list[int]]
 def main() -> None:
     """Run the cases and write their table."""
     chosen = asked(__doc__)
-    lines = head("", *(f"{group}: {level}" for group in ("coefficients", "initial state")
-                       for level in LEVELS), "not converged")  # fmt: skip
+    table = Table("", *(f"{group}: {level}" for group in ("coefficients", "initial state")
+                        for level in LEVELS), "not converged")  # fmt: skip
     for case in CASES:
         if chosen.only not in case.title:
             continue
-        began = time.time()
         found, failed = counts(case, chosen.throws)
         cells = [
             share(group[place], group[-1], nominal)
             for group in found.values()
             for place, (nominal, _) in enumerate(LEVELS.values())
         ]
-        lines.append(row([case.title, *cells, failed]))
-        print(lines[-1], f"({time.time() - began:.0f} s)", file=sys.stderr)
+        table.add(case.title, *cells, failed)
     if not chosen.only:
-        put("errors", f"{chosen.throws} throws a row.\n\n" + "\n".join(lines) + "\n")
+        table.put("errors", f"{chosen.throws} throws a row.")
 
 
 if __name__ == "__main__":

@@ -9,16 +9,15 @@ ice slows with time. Each evening gives one answer to each question, so that cou
 from __future__ import annotations
 
 import argparse
-import sys
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from tables import put, row, share
+from tables import Table, share
 
 import curlfit
+from curlfit.prediction.result import Call
 from curlfit.sheet import LINES, TEE
 from curlfit.throws.events import Event
 
@@ -121,8 +120,6 @@ def answers(kind: str, evenings: int) -> Iterator[dict[str, Answer]]:
             v = (low + high) / 2
             low, high = (v, high) if hog_to_hog(path_of(law, v, SPIN)) > WEIGHT else (low, v)
         end = path_of(law, v, SPIN)
-        from curlfit.prediction.result import Call
-
         call = Call(labels, hog_to_hog=WEIGHT)
         predicted = curlfit.predict(joint, call=call, start={"omega0": SPIN}, seed=seed)
         for name, truth in (("rest_y", end.y[-1] - TEE), ("rest_x", end.x[-1])):
@@ -139,31 +136,22 @@ def main() -> None:
     parser.add_argument("kind", choices=("stopwatch", "tracks"))
     parser.add_argument("evenings", type=int)
     asked = parser.parse_args()
-    began, found = time.time(), []
-    for one in answers(asked.kind, asked.evenings):
-        found.append(one)
-        print(
-            f"\r{len(found)} of {asked.evenings}, {time.time() - began:.0f} s",
-            end="",
-            file=sys.stderr,
-        )
-    lines = ["| | inside 68 % | inside 95 % | rms pull | median error stated | true scatter |",
-             "|---|---|---|---|---|---|"]  # fmt: skip
+    found = list(answers(asked.kind, asked.evenings))
+    table = Table("", "inside 68 %", "inside 95 %", "rms pull", "median error stated",
+                  "true scatter")  # fmt: skip
     for name in found[0]:
         mine = [one[name] for one in found]
-        off = np.array([one.value - one.truth for one in mine])
-        error = np.array([one.error for one in mine])
-        spans = {level: np.array([one.intervals[level] for one in mine]).T for level in LEVELS}
         true = np.array([one.truth for one in mine])
-        counts = [
-            share(
-                int(((spans[level][0] <= true) & (true <= spans[level][1])).sum()), len(mine), size
-            )
-            for level, size in LEVELS.items()
-        ]
+        off = np.array([one.value for one in mine]) - true
+        error = np.array([one.error for one in mine])
+        counts = []
+        for level, size in LEVELS.items():
+            low, high = np.array([one.intervals[level] for one in mine]).T
+            inside = int(((low <= true) & (true <= high)).sum())
+            counts.append(share(inside, len(mine), size))
         numbers = (np.sqrt(np.mean((off / error) ** 2)), np.median(error), np.sqrt(np.mean(off**2)))
-        lines.append(row([name, *counts, *(f"{number:.2g}" for number in numbers)]))
-    put(f"evenings {asked.kind}", f"{len(found)} evenings.\n\n" + "\n".join(lines) + "\n")
+        table.add(name, *counts, *(f"{number:.2g}" for number in numbers))
+    table.put(f"evenings {asked.kind}", f"{len(found)} evenings.")
 
 
 if __name__ == "__main__":

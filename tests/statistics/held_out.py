@@ -9,15 +9,13 @@ question, so that counts are binomial.
 
 from __future__ import annotations
 
-import argparse
 import sys
-import time
 from collections import Counter
 from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from tables import correlated, put, reasons, row, share
+from tables import Table, correlated, reasons, share
 
 import curlfit
 
@@ -146,63 +144,32 @@ def _time_of_rest(path: curlfit.Trajectory) -> float:
     return float(path.t[k] + left[1] / path.speed[k] * power / (power - 1))
 
 
-def table(case: Case, found: list[Answer], left: Counter[str]) -> str:
-    """Markdown of the coverage of a case, `left` being the throws that are not counted."""
-    n = len(found)
-    counted = f"{n + left.total()} throws drawn, {n} counted"
+def write(number: int, throws: int) -> None:
+    """Run a case and put its table into README.md."""
+    case, left = CASES[number - 1], Counter[str]()
+    found = list(answers(case, throws, left=left))
+    counted = f"{throws + left.total()} throws drawn, {throws} counted"
     if left:
         counted += f"; left out: {reasons(left.elements())}"
-    lines = [
-        f"### {case.title[0].upper()}{case.title[1:]}",
-        "",
-        f"{counted}. The law was taken to miss something in {sum(a.found for a in found)}.",
-        "",
-        "| | 68 %: both errors | parameters alone | 95 %: both errors | parameters alone | median "
-        "error | median half-width at 68 % |",
-        "|---|---|---|---|---|---|---|",
-    ]
+    table = Table("", "68 %: both errors", "parameters alone", "95 %: both errors",
+                  "parameters alone", "median error", "median half-width at 68 %")  # fmt: skip
     for name in ASKED:
         cells = []
         for level, (_, _, nominal, _) in LEVELS.items():
             for kind in ("both", "parameters"):
                 inside = sum(getattr(answer, kind)[level][name] for answer in found)
-                cells.append(share(inside, n, nominal))
+                cells.append(share(inside, throws, nominal))
         cells += [
             f"{np.median([getattr(answer, kind)[name] for answer in found]):.2g}"
             for kind in ("off", "half")
         ]
-        lines.append(row([name.replace("_", " "), *cells]))
-    return "\n".join(lines) + "\n"
-
-
-def write(throws: int, chosen: int | None) -> None:
-    """Run the cases and put their tables into README.md, between their marks."""
-    for number, case in enumerate(CASES, 1):
-        if chosen not in (None, number):
-            continue
-        began, found = time.time(), []
-        left: Counter[str] = Counter()
-        for answer in answers(case, throws, left=left):
-            found.append(answer)
-            print(f"\r{case.title}: {len(found)} of {throws}", end="", file=sys.stderr)
-        print(f", {time.time() - began:.0f} s", file=sys.stderr)
-        put(f"held-out {number}", table(case, found, left))
-
-
-def main() -> None:
-    """Run what is asked for, and write tables."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("throws", type=int, help="counted in each case")
-    numbers = range(1, len(CASES) + 1)
-    titles = "; ".join(f"{number}: {case.title}" for number, case in enumerate(CASES, 1))
-    parser.add_argument("case", type=int, nargs="?", choices=numbers, help=f"one of {titles}")
-    asked = parser.parse_args()
-    if asked.throws < 1:
-        parser.error("expected at least one throw")
-    write(asked.throws, asked.case)
+        table.add(name.replace("_", " "), *cells)
+    missing = f"The law was taken to miss something in {sum(a.found for a in found)}."
+    title = f"{case.title[0].upper()}{case.title[1:]}"
+    table.put(f"held-out {number}", f"### {title}\n\n{counted}. {missing}")
 
 
 if __name__ == "__main__":
-    main()
+    throws, *chosen = map(int, sys.argv[1:])
+    for place in chosen or range(1, len(CASES) + 1):
+        write(place, throws)

@@ -11,14 +11,12 @@ Raftery 1995).
 
 from __future__ import annotations
 
-import argparse
 import sys
-import time
 from itertools import chain
 
 import numpy as np
 from errors import Case, thrown
-from tables import head, put, row
+from tables import Table
 
 import curlfit
 from curlfit.comparison.compare import plan
@@ -46,17 +44,11 @@ def delta_bic(fits: list[curlfit.FitResult]) -> dict[str, float]:
 
 def main() -> None:
     """Run the cases and write their table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("throws", type=int, help="of each correlation time")
-    number = parser.parse_args().throws
-    if number < 1:
-        parser.error("expected at least one throw")
-    lines = head("correlation time", "noise models", f"within {STRONG:g}", "first", "median",
-                 "95 %", "largest dBIC of the true law")  # fmt: skip
+    number = int(sys.argv[1])
+    table = Table("correlation time", "noise models", f"within {STRONG:g}", "first", "median",
+                  "95 %", "largest dBIC of the true law")  # fmt: skip
     for memory in MEMORIES:
-        began, random = time.time(), np.random.default_rng(SEED)
+        random = np.random.default_rng(SEED)
         case = Case("", TRUE, TRUE, memory)
         throws = [thrown(case, random)[0] for _ in range(number)]
         fits = {}
@@ -70,13 +62,12 @@ def main() -> None:
                           if not isinstance(fit, Exception) and fit.converged]  # fmt: skip
                 behind.append(delta_bic(usable)[TRUE])
             size = np.array(behind)
-            lines.append(
-                row([f"{memory:g} s" if memory else "independent", " and ".join(noises),
-                     f"{(size <= STRONG).sum()} of {number}", f"{(size < 0.05).sum()}",
-                     *(f"{one:.1f}" for one in np.quantile(size, [0.5, 0.95, 1.0]))])
+            table.add(
+                f"{memory:g} s" if memory else "independent", " and ".join(noises),
+                f"{(size <= STRONG).sum()} of {number}", f"{(size < 0.05).sum()}",
+                *(f"{one:.1f}" for one in np.quantile(size, [0.5, 0.95, 1.0])),
             )  # fmt: skip
-            print(lines[-1], f"({time.time() - began:.0f} s)", file=sys.stderr)
-    put("laws", "\n".join(lines) + "\n")
+    table.put("laws")
 
 
 if __name__ == "__main__":

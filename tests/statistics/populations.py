@@ -21,7 +21,7 @@ import numpyro
 import numpyro.distributions as dist
 from evenings import GRID, STONE, law_at, path_of, timed
 from numpyro.infer import MCMC, NUTS, init_to_value
-from tables import head, put, row
+from tables import Table
 
 import curlfit
 from curlfit.inference.derived import LEVELS
@@ -112,7 +112,7 @@ def by_nuts(joint: curlfit.JointResult, throws: list[curlfit.Throw]) -> dict[str
 
 def main() -> None:
     """Run both and write the table."""
-    table = head("", "", *(f"{level} %" for level in LEVELS))
+    table = Table("", "", *(f"{level} %" for level in LEVELS))
     for title, throws in SETS.items():
         began = time.time()
         joint = curlfit.fit_together(
@@ -137,13 +137,10 @@ def main() -> None:
                 other = np.quantile(sample, [float(level) / 100 for level in LEVELS])
                 width = other[3] - other[1]
                 ours = np.array([quantiles[level] for level in LEVELS])
-                table.append(row([title, f"{what}, {name}"] + [f"{value:.5g}" for value in other]))
-                table.append(
-                    row(["", "off, 68 % widths"] + [f"{o:+.2f}" for o in (ours - other) / width])
-                )
-                print("\n".join(table[-2:]), file=sys.stderr)
+                table.add(title, f"{what}, {name}", *(f"{value:.5g}" for value in other))
+                table.add("", "off, 68 % widths", *(f"{o:+.2f}" for o in (ours - other) / width))
         print(f"{mine:.0f} s against {time.time() - began - mine:.0f} s", file=sys.stderr)
-    put("populations", "\n".join(table) + "\n")
+    table.put("populations")
 
 
 def one_of(effects: tuple[Any, ...], name: str, by: str) -> Any:

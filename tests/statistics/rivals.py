@@ -9,14 +9,12 @@ set is one throw, or four of them of one law and one ice, with two senses and tw
 
 from __future__ import annotations
 
-import argparse
 import sys
-import time
 from collections import Counter
 
 import numpy as np
 from errors import TIMES, Case, counts
-from tables import LEVELS, head, put, row, share
+from tables import LEVELS, Table, share
 
 import curlfit
 from curlfit.comparison.compare import plan
@@ -28,20 +26,18 @@ SEED = 3
 
 def recovery(throws: int) -> None:
     """Coverage of the coefficients of each law, fitted to its own throws."""
-    lines = head(
+    table = Table(
         "law", *LEVELS, *(f"{level}, without weak ones" for level in LEVELS), "not converged"
     )
     for name in LAWS:
-        began = time.time()
         cells = []
         for weak in (True, False):
             found, failed = counts(Case("", name, name, weak=weak), throws)
             *inside, of = found["coefficients"]
             levels = zip(inside, LEVELS.values(), strict=True)
             cells += [share(count, of, nominal) for count, (nominal, _) in levels]
-        lines.append(row([f"`{name}`", *cells, failed]))
-        print(lines[-1], f"({time.time() - began:.0f} s)", file=sys.stderr, flush=True)
-    put("recovery", f"{throws} throws a row.\n\n" + "\n".join(lines) + "\n")
+        table.add(f"`{name}`", *cells, failed)
+    table.put("recovery", f"{throws} throws a row.")
 
 
 def thrown(name: str, random: np.random.Generator) -> list[curlfit.Throw]:
@@ -77,9 +73,9 @@ def bic(fit: curlfit.FitResult | curlfit.JointResult, throws: int) -> float:
 def confusion(sets: int) -> None:
     """How often each law has the least BIC, by the law that made the data."""
     for count in (1, 4):
-        lines = head("truth", "first", "within 6 of the first", "others that came first")
+        table = Table("truth", "first", "within 6 of the first", "others that came first")
         for name in LAWS:
-            began, random = time.time(), np.random.default_rng(SEED)
+            random = np.random.default_rng(SEED)
             first: Counter[str] = Counter()
             near = 0
             for _ in range(sets):
@@ -98,22 +94,10 @@ def confusion(sets: int) -> None:
                 first[min(least, key=least.__getitem__)] += 1
                 near += least.get(name, np.inf) - min(least.values()) <= 6
             others = ", ".join(f"`{law}` {n}" for law, n in first.most_common() if law != name)
-            lines.append(row([f"`{name}`", f"{first[name]} of {sets}", near, others]))
-            print(lines[-1], f"({time.time() - began:.0f} s)", file=sys.stderr, flush=True)
+            table.add(f"`{name}`", f"{first[name]} of {sets}", near, others)
         title = "One throw" if count == 1 else "Four throws, of two senses and two rates of spin"
-        put(f"confusion-{count}", f"{title}, {sets} sets a row.\n\n" + "\n".join(lines) + "\n")
-
-
-def main() -> None:
-    """Make a table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("table", choices=("recovery", "confusion"))
-    parser.add_argument("number", type=int)
-    chosen = parser.parse_args()
-    {"recovery": recovery, "confusion": confusion}[chosen.table](chosen.number)
+        table.put(f"confusion-{count}", f"{title}, {sets} sets a row.")
 
 
 if __name__ == "__main__":
-    main()
+    {"recovery": recovery, "confusion": confusion}[sys.argv[1]](int(sys.argv[2]))

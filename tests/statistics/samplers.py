@@ -10,8 +10,6 @@ of the law alone: priors and densities of the noise are written here with scipy.
 
 from __future__ import annotations
 
-import sys
-import time
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, norm, truncnorm
-from tables import head, put, row
+from tables import Table
 
 import curlfit
 from curlfit.comparison.criteria import log_evidence, log_likelihood
@@ -47,14 +45,9 @@ class Case:
 CASES = (
     Case("`coulomb`", "coulomb", (0.009,), "coulomb", 3),
     Case("`front-back`, a ridge", "front-back", (0.0018, 0.058, 0.009, 0.009), "front-back", 3),
-    Case(
-        "`front-back`, a ridge and `mu1_xi` at its bound",
-        "front-back",
-        (0.0, 0.058, 0.009, 0.009),
-        "front-back",
-        7,
-    ),
-)
+    Case("`front-back`, a ridge and `mu1_xi` at its bound", "front-back",
+         (0.0, 0.058, 0.009, 0.009), "front-back", 7),
+)  # fmt: skip
 
 
 def fitted(case: Case) -> curlfit.FitResult:
@@ -179,33 +172,28 @@ def closed_form(fit: curlfit.FitResult) -> LeaveOneOut:
 
 def main() -> None:
     """Run the cases and write their tables."""
-    evidence = head("", "curlfit", "dynesty", "difference", "likelihoods",
-                    "importance sampling")  # fmt: skip
-    loo = head("", "elpd_loo", "PSIS", "standard error", "PSIS", "p_loo", "PSIS",
-               "largest Pareto k", "largest difference in a row")  # fmt: skip
+    evidence = Table("", "curlfit", "dynesty", "difference", "likelihoods",
+                     "importance sampling")  # fmt: skip
+    loo = Table("", "elpd_loo", "PSIS", "standard error", "PSIS", "p_loo", "PSIS",
+                "largest Pareto k", "largest difference in a row")  # fmt: skip
     for case in CASES:
-        began = time.time()
         fit = fitted(case)
         own = log_evidence(fit, sum(log_likelihood(fit).values()))
         other, error, calls = nested(fit)
         drawn = ""
         if case.fitted == "front-back":
             drawn = "{:.2f} ± {:.2f}".format(*importance_sampled(fit))
-        evidence.append(
-            row([case.title, f"{own:.2f}", f"{other:.2f} ± {error:.2f}", f"{own - other:+.2f}",
-                 calls, drawn])
-        )  # fmt: skip
-        print(evidence[-1], f"({time.time() - began:.0f} s)", file=sys.stderr)
+        evidence.add(case.title, f"{own:.2f}", f"{other:.2f} ± {error:.2f}", f"{own - other:+.2f}",
+                     calls, drawn)  # fmt: skip
         mine, sampled = closed_form(fit), psis(fit)
         off = np.abs(mine.left_out - np.asarray(sampled.left_out)).max()
-        loo.append(
-            row([case.title, f"{mine.elpd:.2f}", f"{sampled.elpd:.2f}", f"{mine.stderr:.2f}",
-                 f"{sampled.stderr:.2f}", f"{mine.p_loo:.2f}", f"{sampled.p_loo:.2f}",
-                 f"{float(sampled.pareto_k.max()):.2f}", f"{off:.3f}"])
-        )  # fmt: skip
-        print(loo[-1], f"({time.time() - began:.0f} s)", file=sys.stderr)
-    put("evidence", "\n".join(evidence) + "\n")
-    put("leave-one-out", "\n".join(loo) + "\n")
+        pairs = (
+            (getattr(mine, name), getattr(sampled, name)) for name in ("elpd", "stderr", "p_loo")
+        )
+        loo.add(case.title, *(f"{one:.2f}" for pair in pairs for one in pair),
+                f"{float(sampled.pareto_k.max()):.2f}", f"{off:.3f}")  # fmt: skip
+    evidence.put("evidence")
+    loo.put("leave-one-out")
 
 
 if __name__ == "__main__":

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import sys
+import time
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -50,6 +52,24 @@ def row(cells: Iterable[object]) -> str:
 def head(*columns: str) -> list[str]:
     """The first two lines of a table in Markdown."""
     return [row(columns), f"|{'---|' * len(columns)}"]
+
+
+class Table(list[str]):
+    """Lines of a table in Markdown; rows are shown as they are added, with the time they took."""
+
+    def __init__(self, *columns: str) -> None:
+        super().__init__(head(*columns))
+        self.began = time.time()
+
+    def add(self, *cells: object) -> None:
+        """Add a row."""
+        self.append(row(cells))
+        print(self[-1], f"({time.time() - self.began:.0f} s)", file=sys.stderr, flush=True)
+        self.began = time.time()
+
+    def put(self, name: str, before: str = "") -> None:
+        """Replace a table in README.md, with a sentence before it."""
+        put(name, f"{before}\n\n" * bool(before) + "\n".join(self) + "\n")
 
 
 def reasons(found: Iterable[str]) -> str:
