@@ -270,9 +270,9 @@ def ranked(found: list[Fitted], failed: Sequence[Candidate] = ()) -> Comparison:
         bic = round(one.known["bic"], 1)
         return one.known["signs_free"], not one.result.converged, misses(one), bic
 
-    found = sorted(found, key=place)
     if not effective.number and len(noises) == 1:
         _add_predictions(found)
+    found = sorted(found, key=place)
     best = [one for one in found if one.counts and not misses(one)] or found[:1]
     for name, (difference, best_of) in _DIFFERENCES.items():
         if name in best[0].known:
@@ -316,7 +316,8 @@ def _add_predictions(found: Sequence[Fitted]) -> None:
     neighbours is predicted from them whatever the law."""
     for one in found:
         one.known["log_evidence"] = log_evidence(one.result, one.known["log_likelihood"])
-    scored = [(one, score) for one in found if (score := leave_one_out(one.result))]
+    family = family_of(one.result.law_class for one in found)  # whose program fitted them
+    scored = [(one, score) for one in found if (score := leave_one_out(one.result, family))]
     counted = [score for one, score in scored if one.counts]
     best = max(counted, key=lambda score: score.elpd, default=None)
     for one, score in scored:

@@ -29,6 +29,7 @@ import numpy as np
 from scipy.special import gammaln, log_ndtr
 
 from curlfit.comparison.criteria import NULL, NormalFactors, Posterior, Quadratic
+from curlfit.friction.family import LawFamily
 from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import SIGMA_FLOOR, predict_channels
@@ -71,9 +72,10 @@ def standard_error(pointwise: Floats) -> float:
     return float(np.sqrt(n * pointwise.var(ddof=1))) if n > 1 else 0.0
 
 
-def leave_one_out(result: FitResult) -> LeaveOneOut | None:
-    """Cross-validation of a fit; None under a robust loss or correlated noise, where a row alone
-    determines a parameter, and where the law admits no motion near the fit."""
+def leave_one_out(result: FitResult, family: type[LawFamily] | None = None) -> LeaveOneOut | None:
+    """Cross-validation of a fit, by the program of a family of laws; None under a robust loss or
+    correlated noise, where a row alone determines a parameter, and where the law admits no motion
+    near the fit."""
     if result.loss != "linear" or result.noise.kind != "white":
         return None
     known, where = Posterior.of(result), result.parameter_set.free
@@ -83,12 +85,13 @@ def leave_one_out(result: FitResult) -> LeaveOneOut | None:
     there = weight > 0
     offset = origin.offset(len(result.values))
     values, parameters = result.values - offset, result.parameter_set.shifted(-offset)
+    model = result.model.within(family)
     error = np.sqrt(np.diag(np.array(result.information["matrix"])))
     step = _STEP * parameters.typical
     step[where] = _STEP / np.maximum(error, 1 / parameters.typical[where])
 
     def weighted(values: Floats) -> Floats:
-        path = np.asarray(predict_channels(result.model, values, problem))[:channels, :n]
+        path = np.asarray(predict_channels(model, values, problem))[:channels, :n]
         return np.where(there, path * weight, 0.0)
 
     residual = problem.observed[:, :n] * weight - weighted(values)
