@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from os import PathLike
 from typing import Any
 
-from curlfit.batch.settings import INFORMATION, LABELS, QUANTILES, BatchSettings, columns
+from curlfit.batch.settings import DURATION, INFORMATION, LABELS, QUANTILES, BatchSettings, columns
 from curlfit.errors import CurlfitError
 from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.fit.result import FitResult
@@ -69,6 +69,7 @@ def _row(result: FitResult, plan: BatchSettings, sums: Sequence[str]) -> dict[st
             for item in result.combinations
         ),
         "warnings": "; ".join(result.warnings),
+        DURATION: result.data["to"] - result.data["from"],
         LABELS: "; ".join(f"{name} = {label.replace(';', ',')}" for name, label in labels),
         **{f"rms_{name}": result.rms.get(name) for name in ("x", "y", "phi")},
         **{f"{name}_verdict": item.verdict for name, item in result.parameters.items()},

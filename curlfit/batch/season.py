@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from curlfit.batch.settings import INFORMATION, LABELS, BatchSettings, columns
+from curlfit.batch.settings import DURATION, INFORMATION, LABELS, BatchSettings, columns
 from curlfit.batch.table import plan_of, settings_file
 from curlfit.errors import DataError
 from curlfit.foreign import printable
@@ -17,6 +17,7 @@ from curlfit.friction import Law, find_law
 from curlfit.inference.joint.result import JointResult
 from curlfit.inference.joint.season import Season, mean_of
 from curlfit.inference.model import Model
+from curlfit.inference.parameters import START
 from curlfit.stone import Stone
 
 _AGAIN = "repeat the batch with --again"
@@ -74,12 +75,13 @@ def _read(file: Path, law: str | type[Law] | None = None) -> Season:
     if chosen.priors:
         raise DataError("priors of the batch would count once for each throw", file=file)
     known, names = columns(chosen), [item.name for item in kind.coefficients()]
-    labels, values, told, others = [], [], [], 0
+    of_start = [item.name for item in START]
+    labels, numbers, told, others = [], [], [], 0
     try:
         with file.open(encoding="utf-8", newline="") as stream:
             reader = csv.DictReader(stream)
             head = reader.fieldnames or ()
-            for name in (*names, "status", "omega0", INFORMATION, LABELS):
+            for name in (*names, *of_start, "status", DURATION, INFORMATION, LABELS):
                 if name not in head:
                     raise KeyError(f"no column {name}; {_AGAIN}")
             added = [name for name in head if name not in known]
@@ -91,7 +93,7 @@ def _read(file: Path, law: str | type[Law] | None = None) -> Season:
                     continue
                 name = f"{file} row {reader.line_num - 1}"
                 labels.append((name, _labels(row, added)))
-                values.append([float(row[one]) for one in (*names, "omega0")])
+                numbers.append([float(row[one]) for one in (*names, *of_start, DURATION)])
                 told.append([float(cell) for cell in row[INFORMATION].strip("[]").split(",")])
                 if len(told[-1]) != len(names) * (len(names) + 1):
                     raise ValueError("another number of numbers")
@@ -100,14 +102,16 @@ def _read(file: Path, law: str | type[Law] | None = None) -> Season:
     except (AttributeError, TypeError, ValueError, csv.Error) as error:
         fault = f"not a row of `curlfit batch`: {printable(str(error))}"
         raise DataError(fault, file=file, line=reader.line_num) from None
-    found = np.array(values).reshape(len(values), len(names) + 1)
+    found = np.array(numbers).reshape(len(numbers), len(names) + len(of_start) + 1)
+    values, start, durations = np.split(found, [len(names), -1], 1)
     rows = np.array(told).reshape(len(told), len(names), len(names) + 1)
     if not (np.isfinite(found).all() and np.isfinite(rows).all()):
         raise DataError("numbers that are not finite", file=file)
     notes = [f"{others} rows are not ok and are left out"] if others else []
     return Season(
         str(file), Model(kind, chosen.load), Stone().with_values(dict(chosen.stone)), labels,
-        found[:, :-1], found[:, -1], rows, tuple(notes),
+        values, start, durations[:, 0], rows, tuple(notes),
+        tuple({*chosen.parameter_set().conditions} - {"sweep"}),
     )  # fmt: skip
 
 

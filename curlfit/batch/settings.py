@@ -15,8 +15,9 @@ from curlfit.throws.throw import check_sigma
 
 CHUNK = 128
 """Number of throws that are read and fitted together."""
-INFORMATION, LABELS = "information", "labels"
-"""Columns from which a second fit takes what a throw says of its coefficients, and its groups."""
+INFORMATION, LABELS, DURATION = "information", "labels", "duration"
+"""Columns from which a second fit takes what a throw says of its coefficients, its groups, and how
+long it was seen, in s."""
 QUANTILES = ("16", "50", "84")
 """Quantiles of the posterior, in percent."""
 
@@ -66,4 +67,4 @@ def columns(plan: BatchSettings) -> list[str]:
         found += [name, *(f"{name} {what}" for what in ("stderr", *more))]
     for text in plan.derive:
         found += [text, f"{text} stderr"]
-    return [*found, INFORMATION, LABELS, "combinations", "warnings", "reason"]
+    return [*found, DURATION, INFORMATION, LABELS, "combinations", "warnings", "reason"]

@@ -153,9 +153,8 @@ def _estimates(items: Sequence[Any], found: Covariance) -> dict[str, Estimate]:
     estimates = {}
     for place, item in enumerate(items):
         stderr, verdict, dof = (None, "fixed", None) if item.optional else found.classified(place)
-        estimates[item.name] = Estimate(
-            value=float(found.values[place]), stderr=stderr, verdict=verdict, unit=item.unit,
-            symbol=item.symbol, meaning=item.meaning, lower=item.lower, upper=item.upper,
-            typical=item.typical, reason=weakness(verdict, item.typical), dof=dof,
+        estimates[item.name] = Estimate.of(
+            item, float(found.values[place]), verdict, stderr=stderr, dof=dof,
+            reason=weakness(verdict, item.typical),
         )  # fmt: skip
     return estimates

@@ -75,6 +75,28 @@ def test_a_table_gives_what_all_throws_give_together(season, tmp_path):
     assert said in text.getvalue()
 
 
+def test_the_next_throw_of_a_season_is_that_of_the_joint_fit(season, tmp_path):
+    """For the same random numbers; the bands differ by what the means do."""
+    folder, joint = season
+    command("fit", str(folder / "season.csv"), "--by", "sheet", "--trend", "day", cwd=tmp_path)
+    asked = ["--sheet", "2", "--to-tee", "--turn", "in", "--out", "next"]
+    assert command("predict", "season-fit", *asked, cwd=tmp_path).returncode == 0
+    found = curlfit.load_prediction(tmp_path / "next")
+    call = curlfit.Call({"sheet": "2"}, turn="in")
+    other = curlfit.predict(joint, call=call, target=(0.0, 0.0))
+    assert found.quantities.keys() == other.quantities.keys()
+    for name, item in other.quantities.items():
+        mine = found.quantities[name]
+        for level, value in item.quantiles.items():
+            assert mine.quantiles[level] == pytest.approx(value, abs=0.1 * item.sd + 1e-6), name
+    assert (found.warnings, found.notes) == (other.warnings, other.notes)
+    assert found.weights[2].hog_to_hog == pytest.approx(other.weights[2].hog_to_hog, abs=2e-3)
+    mean = curlfit.load_joint(tmp_path / "season-fit")
+    before = replace(mean, table=replace(mean.table, start={}))
+    with pytest.raises(curlfit.InputError, match="does not say how its throws began"):
+        curlfit.predict(before, call=call, target=(0.0, 0.0))
+
+
 def test_what_throws_leave_open_does_not_explain_what_differs_between_them(tmp_path):
     """Under the consistent load a throw tells the halves of the friction hardly apart. A division
     far outside the bounds would explain the scatter of the sum."""

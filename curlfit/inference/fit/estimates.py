@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from importlib import import_module
-from typing import Any
+from typing import Any, Self
 
+from curlfit.friction import Parameter
 from curlfit.inference.conditions import CALIBRATION
 from curlfit.inference.derived import Derived, Quantiles
 from curlfit.inference.identifiability import Combination, Verdict, WithInterval
@@ -46,6 +47,13 @@ class Estimate(WithInterval):
     reason: str = ""
     dof: float | None = None
     prior: str = ""
+
+    @classmethod
+    def of(cls, item: Parameter, value: float, verdict: str, **known: Any) -> Self:
+        """The estimate of a parameter; without a standard error unless it is among what is `known`
+        besides."""
+        told = {one.name: getattr(item, one.name) for one in fields(Parameter)[1:]}
+        return cls(**{"value": value, "stderr": None, "verdict": verdict} | known | told)
 
     def interval(self, level: float = 0.95) -> tuple[float, float] | None:
         """Confidence interval by Student's t, within the bounds; None where there is no standard

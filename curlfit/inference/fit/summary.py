@@ -380,20 +380,10 @@ def _estimates(
             reason = weakness(verdict, item.typical)
         if verdict == "determined" and item.name in rival:
             verdict, reason = "weak", f"{rival[item.name]:.3g} fits as well"
-        estimates[item.name] = Estimate(
-            value=float(found.values[row]),
-            stderr=stderr,
-            dof=dof,
-            verdict=verdict,
-            reason=reason,
-            unit=item.unit,
-            symbol=item.symbol,
-            meaning=item.meaning,
-            lower=item.lower,
-            upper=item.upper,
-            typical=item.typical,
+        estimates[item.name] = Estimate.of(
+            item, float(found.values[row]), verdict, stderr=stderr, dof=dof, reason=reason,
             prior="" if prior is None else str(prior),
-        )
+        )  # fmt: skip
     return estimates
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from curlfit.errors import InputError
 from curlfit.foreign import file_and_number
+from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.joint.draw import Draw
 from curlfit.inference.joint.result import JointResult
@@ -28,12 +30,9 @@ def another(
     ------
     InputError : labels that the fit does not distinguish.
     """
-    if not joint.throws:
-        raise InputError("a fit of a table predicts no throw; fit some of its throws together")
-    alike = [len(one.data["labels"].items() & labels.items()) for one in joint.throws]
-    near = joint.throws[max(range(len(alike)), key=lambda row: (alike[row], row))]
     if joint.means is None:
         raise InputError("the coefficients are equal in all throws; fit without --share")
+    near = _thrown_last(joint.throws, labels) if joint.table is None else _begun_last(joint)
     names = list(near.parameters)
     place = [names.index(name) for name in joint.means.names]
     ends = near.parameter_set.lower[place], near.parameter_set.upper[place]
@@ -47,7 +46,14 @@ def another(
         name: replace(near.parameters[name], value=float(value))
         for name, value in zip(names, values[0], strict=True)
     }
-    data = [one.data for one in joint.throws]
+    return replace(near, parameters=best), values[1:]
+
+
+def _thrown_last(throws: Sequence[FitResult], labels: Mapping[str, str]) -> FitResult:
+    """That with most of the labels, with the extent of the data and the motion of all."""
+    alike = [len(one.data["labels"].items() & labels.items()) for one in throws]
+    near = throws[max(range(len(alike)), key=lambda row: (alike[row], row))]
+    data = [one.data for one in throws]
     files = list(dict.fromkeys(file_and_number(one["file"])[0] for one in data))
     own = {
         "file": files[0] if len(files) == 1 else f"{len(files)} files",
@@ -55,8 +61,30 @@ def another(
         "from": min(one["from"] for one in data), "to": max(one["to"] for one in data),
     }  # fmt: skip
     fitted = {
-        name: np.concatenate([one.fitted[name] for one in joint.throws])
-        for name in ("speed", "omega")
+        name: np.concatenate([one.fitted[name] for one in throws]) for name in ("speed", "omega")
     }
-    fit = replace(near, parameters=best, data=near.data | own, fitted=near.fitted | fitted)
-    return fit, values[1:]
+    return replace(near, data=near.data | own, fitted=near.fitted | fitted)
+
+
+def _begun_last(joint: JointResult) -> FitResult:
+    """The last throw of a table, with the motion of all."""
+    table = joint.table
+    nothing: dict[str, Any] = {"names": [], "matrix": [], "gradient": []}
+    if table is None or not table.start:
+        raise InputError(
+            "the fit of the table does not say how its throws began: repeat the batch, without "
+            "--free, and fit its table"
+        )
+    start = {item.name: Estimate.of(item, table.start[item.name], "determined") for item in START}
+    data = {
+        "file": table.file, "rows": table.throws, "from": 0.0, "to": table.duration, "swept": None,
+        "notes": [], "law_file": None,
+    }  # fmt: skip
+    return FitResult(
+        law=joint.law, load=joint.load, stone=table.stone, data=data, converged=joint.converged,
+        status=joint.status, warnings=(), n_observations=0, rms={}, sigma={}, lag1={},
+        parameters=joint.coefficients | start, combinations=joint.combinations, rank=joint.rank,
+        singular_values=(), null_directions=table.null_directions, covariance=nothing,
+        information=nothing, reference=None, observed={"t": np.array([0.0, table.duration])},
+        fitted={"speed": table.speeds, "omega": table.spins},
+    )  # fmt: skip

@@ -19,7 +19,8 @@ _START = LINES["hog"]
 _LENGTH = TEE - _START
 _USUAL = 2.2  # m/s, from which the speed is found
 _ROUNDS, _FEW_ROUNDS = 12, 5  # from a usual throw, from one on the same ice
-_TIMES = np.linspace(0.0, 37.5, 301)
+TIMES = np.linspace(0.0, 37.5, 301)
+"""s, within which stones come to rest."""
 _DURATION = 25.0  # s, from which the spin is found
 _STRAIGHT = 1e-6  # rad, below which a stone does not turn
 
@@ -96,11 +97,11 @@ class Draw(NamedTuple):
         start = {"x0": 0.0, "y0": _START, "heading": 0.0, "phi0": 0.0, "v0": speed, "omega0": spin}
         own = [np.broadcast_to(start[item.name], speed.shape) for item in START]
         values = np.column_stack([coefficients, *own])
-        state, _ = motions(self.model, values, self.stone, LEVEL_AND_STILL, _TIMES)
+        state, _ = motions(self.model, values, self.stone, LEVEL_AND_STILL, TIMES)
         found: Floats = state[:, :3].swapaxes(0, 1)
         return found
 
 
 def _hog_to_hog(y: Floats) -> Floats:
     """Times in s at which paths from the near hog line cross the far one."""
-    return np.array([np.interp(LINES["far-hog"], own, _TIMES) for own in y])
+    return np.array([np.interp(LINES["far-hog"], own, TIMES) for own in y])

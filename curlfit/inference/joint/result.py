@@ -19,6 +19,7 @@ from curlfit.inference.fit.estimates import Estimate, NamedEstimates, Systematic
 from curlfit.inference.fit.result import FitResult, LoadName, load_fit
 from curlfit.inference.identifiability import Combination
 from curlfit.inference.joint.effects import Effect, Means
+from curlfit.numerics.arrays import Floats
 from curlfit.output.text import join_words, p_text
 from curlfit.records import UNSAVED, keys, plain, require, structured
 from curlfit.stone import Stone
@@ -71,19 +72,28 @@ class Variation:
         return p_text(self.p_value)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SeparateFits:
     """Separate fits of throws that a joint fit is of.
 
     Attributes
     ----------
     file : the table. throws : their number. stone : of most. notes : remarks on what was read.
+    start : how the last one began, by component; empty where conditions were fitted as well.
+    duration : of the longest record, s.
+    speeds, spins : lowest and highest speed (m/s), and spin (rad/s) of either sense.
+    null_directions : of what they have in common.
     """
 
     file: str
     throws: int
     stone: Stone
     notes: tuple[str, ...]
+    start: dict[str, float] = field(default_factory=dict)
+    duration: float = 0.0
+    speeds: Floats = field(default_factory=lambda: np.zeros(0))
+    spins: Floats = field(default_factory=lambda: np.zeros(0))
+    null_directions: tuple[dict[str, float], ...] = ()
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -17,7 +17,7 @@ from curlfit.inference.fit.covariance import Covariance
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import Bounded
-from curlfit.inference.joint.draw import Draw
+from curlfit.inference.joint.draw import TIMES, Draw
 from curlfit.inference.joint.effects import Covariates, Labelled
 from curlfit.inference.joint.population import Population, ends_from, seen_of
 from curlfit.inference.joint.posterior import sampled
@@ -25,6 +25,9 @@ from curlfit.inference.joint.result import JointResult, SeparateFits, Variation
 from curlfit.inference.joint.summary import about_mean
 from curlfit.inference.joint.variation import Alone, told_by_each, variations_of, wanted_of
 from curlfit.inference.model import Model
+from curlfit.inference.parameters import START
+from curlfit.inference.problem import LEVEL_AND_STILL
+from curlfit.inference.system import motions
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.mixed_model import MixedFit, MixedModel
 from curlfit.stone import Stone
@@ -65,11 +68,31 @@ class Season(NamedTuple):
     labels: Labelled
     values: Floats
     """of the coefficients, shape (throws, coefficients)"""
-    spins: Floats
-    """initial, rad/s"""
+    start: Floats
+    """initial states, shape (throws, 6)"""
+    durations: Floats
+    """of the records, s"""
     told: Floats
     """by each, see `told_by`"""
     notes: tuple[str, ...]
+    conditions: tuple[str, ...] = ()
+    """that each throw has for itself"""
+
+    def summary(self, null_directions: tuple[dict[str, float], ...]) -> SeparateFits:
+        """What a prediction of another throw needs besides the mean."""
+        own = np.column_stack([self.values, self.start])
+        state, _ = motions(self.model, own, self.stone, LEVEL_AND_STILL, TIMES)
+        ends = zip(self.durations, state[:, 3:], strict=True)
+        last = [[np.interp(end, TIMES, one) for one in rates] for end, rates in ends]
+        *velocity, spins = np.concatenate([state[:, 3:, 0], last]).T
+        speeds, senses = np.hypot(*velocity), (spins[spins < 0], spins[spins >= 0])
+        start = dict(zip((item.name for item in START), self.start[-1].tolist(), strict=True))
+        return SeparateFits(
+            self.file, len(self.told), self.stone, self.notes, {} if self.conditions else start,
+            float(self.durations.max()), np.array([speeds.min(), speeds.max()]),
+            np.array([end for one in senses if len(one) for end in (one.min(), one.max())]),
+            null_directions,
+        )  # fmt: skip
 
 
 class _Quadratics(NamedTuple):
@@ -126,10 +149,7 @@ class _Quadratics(NamedTuple):
         found = {}
         for row, item in enumerate(self.items):
             verdict = known.classified(row)[1] if self.free[row] else "fixed"
-            found[item.name] = Estimate(
-                float(self.reference[row]), None, verdict, item.unit, item.symbol, item.meaning,
-                item.lower, item.upper, item.typical,
-            )  # fmt: skip
+            found[item.name] = Estimate.of(item, float(self.reference[row]), verdict)
         return known, found
 
     def variations(self, wanted: Mapping[str, Floats], covariates: Floats) -> tuple[Variation, ...]:
@@ -188,12 +208,12 @@ def mean_of(
         rank=known.identifiability.rank,
         parameters=int(throws.free.sum()),
         variation=tuple(variation.values()),
-        table=SeparateFits(season.file, count, season.stone, season.notes),
+        table=season.summary(known.identifiability.null_directions),
     )
     spreads = np.array([variation[name].first_spread for name in weights])
     found = throws.population(weights, covariates.values, spreads)
     some = np.linspace(0, count - 1, min(count, _TURNING)).astype(int)
     return about_mean(
         equal, found, covariates, Draw(season.model, season.stone),
-        (season.values[some], season.spins[some]), sampled(found.fit, spreads, seed),
+        (season.values[some], season.start[some, -1]), sampled(found.fit, spreads, seed),
     )  # fmt: skip
