@@ -10,7 +10,7 @@ from curlfit.errors import InputError
 from curlfit.inference.fit.advice import curl_warnings
 from curlfit.inference.fit.result import FitResult
 from curlfit.numerics.arrays import Floats
-from curlfit.prediction.request import ThrowRequest, ThrowStart
+from curlfit.prediction.request import PlannedThrow
 from curlfit.prediction.result import COMPONENT_LABELS, DETECTION, PREDICTED, Discrepancy, HeldOut
 from curlfit.prediction.simulation import Simulation
 from curlfit.sheet import STONE_RADIUS, TEE, WIDTH
@@ -22,21 +22,20 @@ _EXTRAPOLATION = 1.02  # of the fitted range of speed or spin, beyond which a wa
 _RELEVANT = 1e-3  # m and rad; smaller effects of null directions at rest are negligible
 
 
-def remarks(
-    fit: FitResult, found: Simulation, request: ThrowRequest, anywhere: bool
-) -> tuple[list[str], list[str]]:
+def remarks(throw: PlannedThrow, found: Simulation, anywhere: bool) -> tuple[list[str], list[str]]:
     """Warnings and notes; `anywhere` is where neither user nor data say where the throw starts."""
+    fit, new = throw.fit, throw.new
     null_warnings, null_notes = _null_direction_effects(fit, found)
     law_warnings, law_notes = _discrepancy_remarks(found.discrepancy)
     notes = {
         "the data do not state where on the sheet y = 0 lies; the throw is assumed to start on the "
         "near hog line, which affects the resting position but not the motion":
-            anywhere and request.line == "hog" and not request.new,
+            anywhere and throw.line == "hog" and not new,
         "the variation of the ice from throw to throw cannot be estimated from a single throw":
-            request.new and found.discrepancy is not None,
+            new and found.discrepancy is not None,
     }  # fmt: skip
     return [
-        *_extrapolation(fit, found, request.new), *null_warnings, *law_warnings,
+        *_extrapolation(fit, found, new), *null_warnings, *law_warnings,
         *curl_warnings([fit]), *_off_the_sheet(found),
     ], [*null_notes, *law_notes, *(note for note, holds in notes.items() if holds)]  # fmt: skip
 
@@ -150,10 +149,10 @@ def _off_the_sheet(found: Simulation) -> list[str]:
 
 
 def compare_held_out(
-    throw: Throw, fit: FitResult, begin: ThrowStart, found: Simulation, random: np.random.Generator
+    throw: Throw, begun: PlannedThrow, found: Simulation, random: np.random.Generator
 ) -> HeldOut:
     """Comparison of the prediction with measured rows after the fitted ones."""
-    last = fit.data["to"]
+    fit, last = begun.fit, begun.fit.data["to"]
     _require_same_throw(throw, fit)
     later = np.flatnonzero(throw.t > last)
     if not len(later):
@@ -166,7 +165,7 @@ def compare_held_out(
     predicted = found.full.positions_at(observed["t"]).swapaxes(0, 1)
     best = found.best.positions_at(observed["t"])[0]
     channels = {}
-    for row, (name, shift) in enumerate(zip(PREDICTED, (*begin.shift, 0.0), strict=True)):
+    for row, (name, shift) in enumerate(zip(PREDICTED, (*begun.shift, 0.0), strict=True)):
         values = observed[name] = getattr(throw, name)[later] + shift
         seen = np.isfinite(values)
         if not seen.any():

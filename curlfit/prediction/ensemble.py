@@ -17,7 +17,7 @@ from curlfit.inference.problem import LEVEL_AND_STILL, environment_of
 from curlfit.inference.system import motions, prepare_motions
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import BATCH
-from curlfit.prediction.request import GUARD, ThrowStart, aimed
+from curlfit.prediction.request import GUARD, PlannedThrow, aimed
 from curlfit.prediction.result import CENTRED, Call, Weight
 from curlfit.sheet import HOUSE, LINES, TEE, TEE_TO_HACK
 from curlfit.stone import Stone
@@ -173,15 +173,15 @@ class ThrowFamily:
 
     t: Floats = np.zeros(0)
 
-    def __init__(self, fit: FitResult, start: ThrowStart, new: bool) -> None:
-        self.fit, self.start, self.new = fit, start, new
+    def __init__(self, throw: PlannedThrow) -> None:
+        self.throw, self.fit, fit = throw, throw.fit, throw.fit
         self._first = len(fit.parameters) - len(START)
         fitted_spin = fit.parameters["omega0"].value
-        known = new and abs(fitted_spin) > _MIN_SPIN
-        self.spin_ratio = start.values["omega0"] / fitted_spin if known else 1.0
-        # A new throw is not swept.
-        first = float(fit.observed["t"][0])
-        self.environment = LEVEL_AND_STILL if new else environment_of(fit.data["swept"], first)
+        known = throw.new and abs(fitted_spin) > _MIN_SPIN
+        self.spin_ratio = throw.values["omega0"] / fitted_spin if known else 1.0
+        self.environment = LEVEL_AND_STILL  # a new throw is not swept
+        if not throw.new:
+            self.environment = environment_of(fit.data["swept"], float(fit.observed["t"][0]))
 
     def with_start(self, values: Floats, call: Call = CENTRED, random: Any = None) -> Floats:
         """Parameter vectors with the initial state of this throw.
@@ -190,10 +190,10 @@ class ThrowFamily:
         between hog lines, each has the speed at which it takes that time; with `random`, time and
         broom have the thrower's scatter.
         """
-        own = values.copy()
-        if self.new:
-            own[:, self._first :] = [self.start.values[item.name] for item in START]
-            if self.start.origins["omega0"] != "given":
+        own, throw = values.copy(), self.throw
+        if throw.new:
+            own[:, self._first :] = [throw.values[item.name] for item in START]
+            if throw.origins["omega0"] != "given":
                 own[:, -1] = self.spin_ratio * values[:, -1]
             time, draw = call.hog_to_hog, Draw(self.fit.model, self.fit.stone)
             scatter = call.thrower if random is not None else None
@@ -201,7 +201,7 @@ class ThrowFamily:
                 if time is None:
                     speed = own[:1, self._first + 3]
                     best = self.fit.values[None, : self._first]
-                    time = draw.hog_to_hog(best, self.start.values["omega0"], speed)[0]
+                    time = draw.hog_to_hog(best, throw.values["omega0"], speed)[0]
                 normal = random.standard_normal((2, len(own)))
                 time = time + scatter[0] * normal[0]
                 off = scatter[1] * normal[1] / TEE
@@ -210,7 +210,7 @@ class ThrowFamily:
             if time is not None:
                 own[:, self._first + 3] = draw.speeds(own[:, : self._first], own[:, -1], time)
         else:
-            own[:, self._first : self._first + 2] += self.start.shift
+            own[:, self._first : self._first + 2] += throw.shift
         return own
 
     def probes(self) -> dict[str, Floats]:

@@ -36,7 +36,7 @@ from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Floats
 from curlfit.prediction import diagnostics
 from curlfit.prediction.ensemble import ThrowFamily, prepare_ensemble, weights_of
-from curlfit.prediction.request import ThrowRequest, ThrowStart, both_turns, start_of
+from curlfit.prediction.request import PlannedThrow, both_turns, planned
 from curlfit.prediction.result import CENTRED, Call, Prediction
 from curlfit.prediction.simulation import Simulation
 from curlfit.throws.throw import CHANNELS, Throw
@@ -109,57 +109,52 @@ def predict(
             for one, own in both_turns(call, start or {})
         )
         return replace(first, other=other)
-    random, together = np.random.default_rng(seed), isinstance(fit, JointResult)
-    drawn = None
-    if isinstance(fit, JointResult):
+    random, drawn = np.random.default_rng(seed), None
+    if together := isinstance(fit, JointResult):
         fit, drawn = another(fit, call.labels, draws, random)
     elif call.labels:
         raise InputError(
             f"{', '.join(call.labels)}: the fit of one throw has no groups; leave it out"
         )
     require_fit(fit)
-    request = ThrowRequest.of(fit, call, start or {}, line, target, weight, tee_speed)
-    if together and not request.new:
-        raise InputError(
-            "a joint fit predicts another throw: give its weight as hog to hog time or v0, or "
-            "where it is to rest"
-        )
-    request.require(fit, check)
-    _require_predictable(fit, draws)
+    request = call, start or {}, line, target, weight, tee_speed
+    throw = _predictable(planned(fit, *request), draws, together, check)
     notes = []
     if "discrepancy" in fit.noise.kind:
-        fit, chain = refit(fit, "white"), None
-        _require_predictable(fit, draws)
+        chain, fit = None, refit(fit, "white")
+        throw = _predictable(planned(fit, *request), draws, together, check)
         notes.append(
             "the path is that of the least-squares coefficients; the discrepancy that the fit has "
             "as noise is here in the bands"
         )
     prepare_ensemble(fit)
-    begin = start_of(fit, request)
     values, source = (
         _drawn_values(fit, chain, draws, random) if drawn is None else (drawn, "throws")
     )
-    family = ThrowFamily(fit, begin, request.new)
-    found = Simulation.of(fit, family, values, random, call if together else None)
-    warned, noted = diagnostics.remarks(fit, found, request, line is None)
+    found = Simulation.of(ThrowFamily(throw), values, random, call if together else None)
+    warned, noted = diagnostics.remarks(throw, found, line is None)
     if (used := len(found.plain.t)) < draws:
         warned.append(f"{1 - used / draws:.1%} of the draws do not come to rest and are left out")
     comparison = None
     if check is not None:
-        comparison = diagnostics.compare_held_out(check, fit, begin, found, random)
+        comparison = diagnostics.compare_held_out(check, throw, found, random)
     return Prediction(
         law=fit.law,
         load=fit.load,
         stone=fit.stone,
         fit={key: fit.data[key] for key in ("file", "rows", "from", "to")},
-        start=begin.described(),
-        of="new" if request.new else "fitted",
-        line="" if "y0" in request.start else request.line,
-        goal=request.goal(),
+        start={
+            item.name: {"value": float(throw.values[item.name]), "unit": item.unit}
+            | {"origin": throw.origins[item.name]}
+            for item in START
+        },
+        of="new" if throw.new else "fitted",
+        line="" if throw.origins["y0"] == "given" else throw.line,
+        goal=throw.goal,
         draws={"number": draws, "used": used, "source": source, "seed": seed},
         call=call,
-        weights=weights_of(fit, begin.values["omega0"]) if together else (),
-        measured={} if together else _measured_rows(fit, begin),
+        weights=weights_of(fit, throw.values["omega0"]) if together else (),
+        measured={} if together else _measured_rows(throw),
         warnings=tuple(warned),
         notes=(*notes, *noted),
         check=comparison,
@@ -167,8 +162,21 @@ def predict(
     )  # fmt: skip
 
 
-def _require_predictable(fit: FitResult, draws: int) -> None:
-    """Raise `UnusableFitError` or `InputError` if no throw can be predicted from a fit."""
+def _predictable(
+    throw: PlannedThrow, draws: int, together: bool, check: Throw | None
+) -> PlannedThrow:
+    """The throw. Raises `UnusableFitError` or `InputError` if it cannot be predicted."""
+    fit = throw.fit
+    if together and not throw.new:
+        raise InputError(
+            "a joint fit predicts another throw: give its weight as hog to hog time or v0, or "
+            "where it is to rest"
+        )
+    if check is not None and throw.new:
+        raise InputError(
+            "measured rows are compared with the fitted throw; leave out the start, target or "
+            "weight"
+        )
     if not fit.converged:
         raise UnusableFitError(f"nothing can be predicted from this fit: {fit.status}")
     for name in ("length_scale", "time_scale"):
@@ -179,6 +187,7 @@ def _require_predictable(fit: FitResult, draws: int) -> None:
             )
     if draws < 100:
         raise InputError(f"{draws} draws: expected at least 100")
+    return throw
 
 
 def held_out(
@@ -234,19 +243,19 @@ def _drawn_values(
     return values, "covariance"
 
 
-def _measured_rows(fit: FitResult, begin: ThrowStart) -> dict[str, Floats]:
+def _measured_rows(throw: PlannedThrow) -> dict[str, Floats]:
     """The fitted rows on the sheet, if x and y were measured, translated and rotated to the initial
     position and heading of the throw."""
-    measured = fit.observed
+    fit, begun, measured = throw.fit, throw.values, throw.fit.observed
     if not all(np.isfinite(measured.get(name, np.nan)).any() for name in ("x", "y")):
         return {}
     rows = slice(None, None, len(measured["t"]) // diagnostics.MOST_ROWS + 1)
     fitted = {item.name: fit.parameters[item.name].value for item in START}
     right, along = (measured[name][rows] - fitted[f"{name}0"] for name in ("x", "y"))
-    turn = begin.values["heading"] - fitted["heading"]  # from +y toward +x
+    turn = begun["heading"] - fitted["heading"]  # from +y toward +x
     return {
         "t": measured["t"][rows] - measured["t"][0],
-        "x": begin.values["x0"] + right * math.cos(turn) + along * math.sin(turn),
-        "y": begin.values["y0"] + along * math.cos(turn) - right * math.sin(turn),
+        "x": begun["x0"] + right * math.cos(turn) + along * math.sin(turn),
+        "y": begun["y0"] + along * math.cos(turn) - right * math.sin(turn),
         **{name: measured[name][rows] for name in CHANNELS[2:] if name in measured},
     }

@@ -10,7 +10,6 @@ import numpy as np
 from curlfit.errors import UnusableFitError
 from curlfit.friction import no_motion_because
 from curlfit.inference.derived import LEVELS, quantiles_of
-from curlfit.inference.fit.result import FitResult
 from curlfit.numerics.arrays import Floats
 from curlfit.prediction.discrepancy import discrepancy_posterior
 from curlfit.prediction.ensemble import VARIED, ThrowFamily, TrajectoryEnsemble
@@ -41,7 +40,6 @@ class Simulation(NamedTuple):
     @classmethod
     def of(
         cls,
-        fit: FitResult,
         throws: ThrowFamily,
         values: Floats,
         random: np.random.Generator,
@@ -54,7 +52,7 @@ class Simulation(NamedTuple):
         ------
         UnusableFitError : it, or most of the draws, do not come to rest.
         """
-        plain = throws.simulate(throws.with_start(values, call or CENTRED, random))
+        fit, plain = throws.fit, throws.simulate(throws.with_start(values, call or CENTRED, random))
         best = throws.simulate(throws.with_start(fit.values[None]))
         probed = {name: throws.simulate(some) for name, some in throws.probes().items()}
         if not best.good[0]:

@@ -13,7 +13,7 @@ from curlfit.foreign import file_and_number
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.joint.draw import Draw
-from curlfit.inference.joint.result import JointResult
+from curlfit.inference.joint.result import JointResult, SeparateFits
 from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Floats
 
@@ -32,7 +32,11 @@ def another(
     """
     if joint.means is None:
         raise InputError("the coefficients are equal in all throws; fit without --share")
-    near = _thrown_last(joint.throws, labels) if joint.table is None else _begun_last(joint)
+    near = (
+        _thrown_last(joint.throws, labels)
+        if joint.table is None
+        else _begun_last(joint, joint.table, labels)
+    )
     names = list(near.parameters)
     place = [names.index(name) for name in joint.means.names]
     ends = near.parameter_set.lower[place], near.parameter_set.upper[place]
@@ -51,8 +55,7 @@ def another(
 
 def _thrown_last(throws: Sequence[FitResult], labels: Mapping[str, str]) -> FitResult:
     """That with most of the labels, with the extent of the data and the motion of all."""
-    alike = [len(one.data["labels"].items() & labels.items()) for one in throws]
-    near = throws[max(range(len(alike)), key=lambda row: (alike[row], row))]
+    near = throws[_last([one.data["labels"] for one in throws], labels)]
     data = [one.data for one in throws]
     files = list(dict.fromkeys(file_and_number(one["file"])[0] for one in data))
     own = {
@@ -66,16 +69,22 @@ def _thrown_last(throws: Sequence[FitResult], labels: Mapping[str, str]) -> FitR
     return replace(near, data=near.data | own, fitted=near.fitted | fitted)
 
 
-def _begun_last(joint: JointResult) -> FitResult:
-    """The last throw of a table, with the motion of all."""
-    table = joint.table
+def _last(each: Sequence[Mapping[str, str]], labels: Mapping[str, str]) -> int:
+    """The last place of most of the labels."""
+    alike = [len(one.items() & labels.items()) for one in each]
+    return max(range(len(alike)), key=lambda row: (alike[row], row))
+
+
+def _begun_last(joint: JointResult, table: SeparateFits, labels: Mapping[str, str]) -> FitResult:
+    """The same of a table, of whose throws only the motion is known."""
     nothing: dict[str, Any] = {"names": [], "matrix": [], "gradient": []}
-    if table is None or not table.start:
+    if not table.starts:
         raise InputError(
             "the fit of the table does not say how its throws began: repeat the batch, without "
             "--free, and fit its table"
         )
-    start = {item.name: Estimate.of(item, table.start[item.name], "determined") for item in START}
+    begun = table.starts[_last([one["labels"] for one in table.starts], labels)]["start"]
+    start = {item.name: Estimate.of(item, begun[item.name], "determined") for item in START}
     data = {
         "file": table.file, "rows": table.throws, "from": 0.0, "to": table.duration, "swept": None,
         "notes": [], "law_file": None,

@@ -19,9 +19,10 @@ from curlfit.inference.fit.estimates import Estimate, NamedEstimates, Systematic
 from curlfit.inference.fit.result import FitResult, LoadName, load_fit
 from curlfit.inference.identifiability import Combination
 from curlfit.inference.joint.effects import Effect, Means
+from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Floats
 from curlfit.output.text import join_words, p_text
-from curlfit.records import UNSAVED, keys, plain, require, structured
+from curlfit.records import UNSAVED, Names, keys, plain, require, structured
 from curlfit.stone import Stone
 
 _SIGNIFICANT = 0.01
@@ -72,6 +73,15 @@ class Variation:
         return p_text(self.p_value)
 
 
+_Start = Annotated[
+    dict[str, Any],
+    keys(
+        labels=dict[str, str],
+        start=Annotated[dict[str, float], Names(item.name for item in START)],
+    ),
+]
+
+
 @dataclass(frozen=True, eq=False)
 class SeparateFits:
     """Separate fits of throws that a joint fit is of.
@@ -79,7 +89,8 @@ class SeparateFits:
     Attributes
     ----------
     file : the table. throws : their number. stone : of most. notes : remarks on what was read.
-    start : how the last one began, by component; empty where conditions were fitted as well.
+    starts : how the last one with some "labels" began, "start" by component; none where each throw
+        has conditions of its own.
     duration : of the longest record, s.
     speeds, spins : lowest and highest speed (m/s), and spin (rad/s) of either sense.
     null_directions : of what they have in common.
@@ -89,7 +100,7 @@ class SeparateFits:
     throws: int
     stone: Stone
     notes: tuple[str, ...]
-    start: dict[str, float] = field(default_factory=dict)
+    starts: tuple[_Start, ...] = ()
     duration: float = 0.0
     speeds: Floats = field(default_factory=lambda: np.zeros(0))
     spins: Floats = field(default_factory=lambda: np.zeros(0))
@@ -238,6 +249,8 @@ class JointResult(NamedEstimates):
     def require_consistent(self) -> None:
         """Raise `ValueError` where what was read contradicts itself."""
         require("share", set(self.share) <= self.coefficients.keys(), "names of coefficients")
+        if self.table and self.table.starts:
+            require("table", self.table.speeds.size * self.table.spins.size > 0, "speeds and spins")
         for one in self.variation:
             require("variation", len(one.each) == len(self.variation[0].each), "equal lengths")
 

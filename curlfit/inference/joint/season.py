@@ -6,7 +6,8 @@ of the law, and that is all that a second fit needs of it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from operator import itemgetter
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -78,7 +79,9 @@ class Season(NamedTuple):
     conditions: tuple[str, ...] = ()
     """that each throw has for itself"""
 
-    def summary(self, null_directions: tuple[dict[str, float], ...]) -> SeparateFits:
+    def summary(
+        self, by: Iterable[str], null_directions: tuple[dict[str, float], ...]
+    ) -> SeparateFits:
         """What a prediction of another throw needs besides the mean."""
         own = np.column_stack([self.values, self.start])
         state, _ = motions(self.model, own, self.stone, LEVEL_AND_STILL, TIMES)
@@ -86,9 +89,18 @@ class Season(NamedTuple):
         last = [[np.interp(end, TIMES, one) for one in rates] for end, rates in ends]
         *velocity, spins = np.concatenate([state[:, 3:, 0], last]).T
         speeds, senses = np.hypot(*velocity), (spins[spins < 0], spins[spins >= 0])
-        start = dict(zip((item.name for item in START), self.start[-1].tolist(), strict=True))
+        last_of = {
+            tuple((name, labels[name]) for name in by): row
+            for row, (_, labels) in enumerate(self.labels)
+            if not self.conditions
+        }
+        starts = [
+            {"labels": dict(labels)}
+            | {"start": {item.name: float(self.start[row, k]) for k, item in enumerate(START)}}
+            for labels, row in sorted(last_of.items(), key=itemgetter(1))
+        ]
         return SeparateFits(
-            self.file, len(self.told), self.stone, self.notes, {} if self.conditions else start,
+            self.file, len(self.told), self.stone, self.notes, tuple(starts),
             float(self.durations.max()), np.array([speeds.min(), speeds.max()]),
             np.array([end for one in senses if len(one) for end in (one.min(), one.max())]),
             null_directions,
@@ -208,7 +220,7 @@ def mean_of(
         rank=known.identifiability.rank,
         parameters=int(throws.free.sum()),
         variation=tuple(variation.values()),
-        table=season.summary(known.identifiability.null_directions),
+        table=season.summary(covariates.groups, known.identifiability.null_directions),
     )
     spreads = np.array([variation[name].first_spread for name in weights])
     found = throws.population(weights, covariates.values, spreads)
