@@ -2,72 +2,28 @@
 
 from __future__ import annotations
 
-import math
 import re
-import tomllib
 from collections.abc import Mapping
-from functools import cache, lru_cache
+from functools import lru_cache
 from itertools import groupby
-from pathlib import Path
 from typing import NamedTuple
 from unicodedata import normalize
 
 from curlfit.errors import InputError
 from curlfit.foreign import quoted
-from curlfit.sheet import FOOT
+from curlfit.throws.readers.words import WORDS, by_word
 
-_NAMES = {
-    "t": "t|time|timestamp|seconds|elapsed",
-    "x": "(pos(ition)?)?x|x(pos(ition)?|coord)",
-    "y": "(pos(ition)?)?y|y(pos(ition)?|coord)",
-    "phi": "phi|φ|ϕ|angle|theta|θ|rot(ation)?|orientation",
-    "speed": "speed|v|vel(ocity)?",
-    "omega": "omega|ω|spin(rate)?|angular(velocity|speed)|speedangular|gyroz?|[gw]z|"
-    "(angle|rotation)rate",
-    "x_mark": "x(handle|mark)|(handle|mark)x",
-    "y_mark": "y(handle|mark)|(handle|mark)y",
-    "u": "u|x(pixel|image)|(pixel|image)x",
-    "v": "y(pixel|image)|(pixel|image)y",
+_NAMES: dict[str, str] = WORDS["names"]
+_CLOCKS = {
+    key: "|".join(filter(None, (_NAMES.get(key.removeprefix("t_")), words)))
+    for key, words in WORDS["clocks"].items()
 }
-"""Names of quantities, as patterns."""
 _SIGMA = {"sigma", "sd", "std", "stdev", "err", "error", "unc", "uncertainty"}
-_OF_CLOCKS = {
-    "t_x": _NAMES["x"], "t_y": _NAMES["y"], "t_xy": "xy|pos(ition)?|cam(era)?|video|tracker",
-    "t_phi": _NAMES["phi"] + "|compass|handle", "t_speed": _NAMES["speed"] + "|radar",
-    "t_omega": _NAMES["omega"] + "|imu",
-}  # fmt: skip
-"""What a clock of single channels is named after, beside the word for time."""
-
-_TURN = 2 * math.pi
 _UNITS = {
-    "t": {
-        "s": 1.0, "sec": 1.0, "secs": 1.0, "second": 1.0, "seconds": 1.0,
-        "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "min": 60.0, "minutes": 60.0,
-    },
-    "length": {
-        "m": 1.0, "meter": 1.0, "meters": 1.0, "metre": 1.0, "metres": 1.0, "cm": 1e-2,
-        "mm": 1e-3, "ft": FOOT, "foot": FOOT, "feet": FOOT, "in": FOOT / 12,
-        "inch": FOOT / 12, "inches": FOOT / 12, "yd": 3 * FOOT,
-    },
-    "phi": {
-        "rad": 1.0, "radian": 1.0, "radians": 1.0, "mrad": 1e-3, "deg": math.pi / 180,
-        "degree": math.pi / 180, "degrees": math.pi / 180, "°": math.pi / 180,
-        "º": math.pi / 180, "rev": _TURN, "revs": _TURN, "revolutions": _TURN,
-        "turn": _TURN, "turns": _TURN,
-    },
-    # "m/s" and "m_s" arrive here as "ms"
-    "speed": {
-        "m/s": 1.0, "ms": 1.0, "mps": 1.0, "ms^-1": 1.0, "ms⁻¹": 1.0, "cms": 1e-2, "mms": 1e-3,
-        "fts": FOOT, "fps": FOOT, "kmh": 1 / 3.6, "kph": 1 / 3.6, "mph": 1609.344 / 3600,
-    },
-    "omega": {
-        "rad/s": 1.0, "rads": 1.0, "radps": 1.0, "rads^-1": 1.0, "rads⁻¹": 1.0,
-        "degs": math.pi / 180, "°s": math.pi / 180, "ºs": math.pi / 180, "dps": math.pi / 180,
-        "degps": math.pi / 180, "rpm": math.pi / 30, "revs": _TURN, "rps": _TURN,
-        "revmin": math.pi / 30,
-    },
-    "pixel": {"px": 1.0, "pixel": 1.0, "pixels": 1.0, "pix": 1.0},
-}  # fmt: skip
+    kind: {unit: factor for units, factor in table.items() for unit in units.split()}
+    for kind, table in WORDS["units"].items()
+}
+_MEANS, _MAY_MEAN = by_word(WORDS["means"]), by_word(WORDS["may_mean"])
 # of a time that counts frames, or of a film of 60 frames a second that was read at 30
 _FRAMES = re.compile(r"(\d+(?:\.\d+)?)(?:/(\d+(?:\.\d+)?))? ?fps", re.I)
 _SEPARATORS = re.compile(r"[\s_\-./()\[\]{},:·*\uff08\uff09\uff3b\uff3d]+")
@@ -142,25 +98,15 @@ def named_column(header: str, quantity: str) -> Column:
 
 def resembled(header: str) -> str | None:
     """The quantity that a header of unknown meaning reminds of; None if none or more than one."""
-    words, hints = _words(header, True), _other_words()["may_mean"]
-    found = {hints.get(word) or _named(word, _NAMES) for word in words} - {None}
+    words = _words(header, True)
+    found = {_MAY_MEAN.get(word) or _named(word, _NAMES) for word in words} - {None}
     found |= {name for name in ("omega", "phi") if "".join(words[-2:]) in _UNITS[name]}
     return found.pop() if len(found) == 1 and found <= _NAMES.keys() else None
 
 
-@cache
-def _other_words() -> dict[str, dict[str, str]]:
-    """By table of `words.toml`, each of its words with its meaning."""
-    tables = tomllib.loads(Path(__file__).with_name("words.toml").read_text("utf-8"))
-    return {
-        name: {word: meaning for meaning, words in table.items() for word in words.split()}
-        for name, table in tables.items()
-    }
-
-
 def has_japanese_words(text: str) -> bool:
     """Whether a text has a word of headings in Japanese."""
-    return any(word in text for word in _other_words()["means"] if min(word) > "\u3000")
+    return any(word in text for word in _MEANS if min(word) > "\u3000")
 
 
 def _words(header: str, other_words: bool) -> list[str]:
@@ -169,9 +115,8 @@ def _words(header: str, other_words: bool) -> list[str]:
     if words and words[-1] == "1" and len(words) > 2 and "s^" in words[-2]:
         words = [*words[:-2], words[-2] + "-1"]  # "s^-1" was split at its sign
     if other_words:
-        means = _other_words()["means"]
         words = [word for k, word in enumerate(words, 1) if word != "in" or k == len(words)]
-        words = " ".join(means.get(word, word) for word in words).split()
+        words = " ".join(_MEANS.get(word, word) for word in words).split()
         words = [word for word, _ in groupby(words)]  # the unit may say the quantity again
     return words
 
@@ -254,5 +199,5 @@ def _quantity(words: list[str]) -> str | None:
     if quantity is None and len(words) > 1:
         for clock, other in ((words[0], words[1:]), (words[-1], words[:-1])):
             if clock != "seconds" and re.fullmatch(_NAMES["t"], clock):
-                return _named("".join(other), _OF_CLOCKS)
+                return _named("".join(other), _CLOCKS)
     return quantity

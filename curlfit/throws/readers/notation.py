@@ -10,6 +10,7 @@ from curlfit.errors import InputError
 from curlfit.foreign import quoted
 from curlfit.throws.readers.columns import in_unit, units_of
 from curlfit.throws.readers.text import parse_number
+from curlfit.throws.readers.words import WORDS, by_word
 
 _NUMBER = re.compile(
     r"(?P<sign>[-+\u2212]?)\s*(?P<size>\d[\d.,]*|[.,]\d+)(?P<power>e[-+]?\d+)?", re.I
@@ -18,20 +19,8 @@ _INCHES = re.compile(r"(?<=\d)\s*(?:[\"\u2033\u201d]|['\u2032\u2019]{2})")
 _FEET = re.compile(r"(?<=\d)\s*['\u2032\u2019]")
 _UNIT = re.compile(r"[^\W\d_]+[.]?|[°'\u2032\"\u2033]")
 _RATE = re.compile(r"(?:[^\W\d_]+|°)(?:\s*/\s*[^\W\d_]+)?[.]?")  # km/h, °/s
-_FILLING = {
-    "to", "the", "of", "from", "tee", "line", "centre", "center", "a", "turn", "about", "handed",
-    "hander", "stone", "player", "thrower",
-}  # fmt: skip
-WORDS = {
-    "left": "left", "l": "left", "right": "right", "r": "right",
-    "past": "past", "beyond": "past", "behind": "past", "over": "past",
-    "short": "short", "before": "short", "front": "short",
-    "clockwise": "clockwise", "cw": "clockwise",
-    "counterclockwise": "counter-clockwise", "anticlockwise": "counter-clockwise",
-    "ccw": "counter-clockwise",
-    "in": "in-turn", "inturn": "in-turn", "out": "out-turn", "outturn": "out-turn",
-}  # fmt: skip
-"""Meanings of words of direction."""
+_FILLING = set(WORDS["filling"].split())
+_MEANS = by_word(WORDS["directions"])
 
 
 class Quantity(NamedTuple):
@@ -40,7 +29,7 @@ class Quantity(NamedTuple):
     Attributes
     ----------
     value : in SI; NaN where only words were written. signed : whether it had a sign.
-    words : words of direction, from the values of `WORDS`.
+    words : words of direction, those of `directions` in `words.toml`.
     """
 
     value: float
@@ -81,7 +70,7 @@ def parse_quantity(text: str, quantity: str, unit: str = "", *, per: float = 1.0
         bare = said not in units
         if own and not bare:
             rest, given = rest[own.end() :].strip(), said
-        elif said and said not in WORDS and said not in _FILLING:
+        elif said and said not in _MEANS and said not in _FILLING:
             in_unit(quantity, said)  # raises
         elif before in ("ft", "foot", "feet"):
             given = "in"  # 3 ft 6
@@ -94,11 +83,11 @@ def parse_quantity(text: str, quantity: str, unit: str = "", *, per: float = 1.0
         given, before = unit, given
     words = re.sub(r"(?i)\b(counter|anti)[\s-]+(?=clock)", r"\1", rest)
     said_words = re.findall(r"[^\W\d_]+|\d[\d.,]*", words.lower())
-    unknown = [word for word in said_words if word not in WORDS and word not in _FILLING]
+    unknown = [word for word in said_words if word not in _MEANS and word not in _FILLING]
     if unknown or (not numbers and not said_words):
         raise InputError(f"{quoted(text.strip())} found, expected a number")
     return Quantity(
         sign * value if numbers else math.nan,
         signed,
-        frozenset(WORDS[word] for word in said_words if word in WORDS),
+        frozenset(_MEANS[word] for word in said_words if word in _MEANS),
     )

@@ -21,7 +21,7 @@ from curlfit.settings.choices import Reading
 from curlfit.throws.readers.assemble import assemble
 from curlfit.throws.readers.columns import Column, in_unit, parse_header, parse_units, with_unit
 from curlfit.throws.readers.defaults import begun
-from curlfit.throws.readers.headings import columns_of, unused, with_own_columns
+from curlfit.throws.readers.headings import Headings
 from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile
 from curlfit.throws.readers.text import (
     GAPS,
@@ -32,11 +32,9 @@ from curlfit.throws.readers.text import (
     is_aside,
     is_number,
 )
+from curlfit.throws.readers.words import WORDS
 
-_NAMES = {
-    "stone", "throw", "shot", "track", "trial", "run", "object", "id", "label", "name", "colour",
-    "color", "particle", "delivery", "end",
-}  # fmt: skip
+_NAMES = set(WORDS["throws"].split())
 _WORDS = re.compile(r"[a-z]+")
 _FEWEST = 5  # rows of a throw
 _MOST_TITLES = 20  # lines above a header
@@ -51,14 +49,11 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
     DataError : with the line and column of the fault, and what was expected.
     """
     table = _table_of(file, reading)
-    names = table.names
     parsed = begun(file, "table", table.header)
-    reading = with_own_columns(reading, parsed)
-    columns, parsed.ignored = columns_of(names, reading, table.error, table.is_numeric)
-    parsed.notes[:0] = unused(names, columns, table.is_numeric)
+    columns = Headings(table.names, table.error, table.is_numeric).of_throw(parsed, reading)
     read_columns(parsed, table, columns)
-    others = [k for k in range(len(names)) if k not in columns and may_name_throws(names[k])]
-    return contents_of(parsed, {names[k]: table.column(k) for k in others})
+    others = [k for k, name in enumerate(table.names) if k not in columns and _may_name(name)]
+    return contents_of(parsed, {table.names[k]: table.column(k) for k in others})
 
 
 TABLE = Format(
@@ -78,8 +73,8 @@ def _table_of(file: TextFile, reading: Reading) -> TextTable:
     for index in below[:_MOST_TITLES]:
         here = TextTable.at(file, index)
         with suppress(DataError):
-            own = with_own_columns(reading, begun(file, "table", index))
-            columns_of(here.names, own, here.error, lambda _: True)
+            own = begun(file, "table", index).settings.get("columns", {})
+            Headings(here.names, here.error).columns(reading, own)
             table = here
             break
     if table is None:
@@ -132,7 +127,7 @@ def read_columns(parsed: ParsedFile, table: TextTable, columns: dict[int, Column
         parsed.add(table.names[k], column, values[k])
 
 
-def may_name_throws(header: str) -> bool:
+def _may_name(header: str) -> bool:
     """Whether a column of this header may name the throw of each row."""
     parts = set(_WORDS.findall(header.lower()))
     return bool(parts & _NAMES) and parts <= _NAMES | {"nr", "no", "number", "index"}
@@ -169,7 +164,7 @@ def contents_of(parsed: ParsedFile, words: Mapping[str, Sequence[Any]]) -> Conte
 def _by_column(words: Mapping[str, Sequence[Any]], n: int) -> tuple[str, dict[str, np.ndarray]]:
     """The column that names several throws, and the rows of each; empty if there is none."""
     for header, cells in words.items():
-        if not may_name_throws(header):
+        if not _may_name(header):
             continue
         names = np.array([str(cell).strip() for cell in cells])
         listed = [name for name in dict.fromkeys(names.tolist()) if name]
@@ -236,8 +231,7 @@ def values_of(table: Any, reading: Reading, name: str = "table") -> dict[str, An
     def numeric(index: int) -> bool:
         return bool(values[names[index]].dtype.kind in "fiu")
 
-    columns, parsed.ignored = columns_of(names, reading, parsed.error, numeric)
-    parsed.notes[:0] = unused(names, columns, numeric, python=True)
+    columns = Headings(names, parsed.error, numeric).of_throw(parsed, reading, python=True)
     shapes = sorted({values[names[index]].shape for index in columns})
     if len(shapes) > 1 or len(shapes[0]) != 1:
         listed = ", ".join(map(str, shapes))

@@ -20,12 +20,9 @@ from curlfit.foreign import quoted
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.readers.columns import has_japanese_words
 from curlfit.throws.readers.spreadsheet import text_of_sheet
+from curlfit.throws.readers.words import WORDS
 
-GAPS = {
-    "", "nan", "na", "n/a", "null", "none", "-", "--",
-    "#n/a", "#nv", "#div/0!", "#value!", "#wert!", "#valeur!", "#värdefel!", "#ref!", "#bezug!",
-    "#num!", "#zahl!", "#nombre!", "#ogiltigt!", "#name?", "#null!",
-}  # fmt: skip
+GAPS = {"", *WORDS["gaps"].split()}
 """Cells without a value, among them the errors of spreadsheets."""
 EXPECTED = "expected a header such as t,x,y,phi (time in s, position in m, angle in rad)"
 _SPREADSHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")  # first bytes; of other archives too

@@ -29,10 +29,9 @@ from curlfit.throws.readers.text import (
     lines_of,
     separator_of,
 )
+from curlfit.throws.readers.words import WORDS
 
-LABELS = {
-    "sheet", "stone", "thrower", "start", "draw", "end", "team", "handle", "file", "track",
-}  # fmt: skip
+LABELS = set(WORDS["labels"].split())
 """Columns that say of which throw a row is; any other that has words in most rows is kept too."""
 _ALIASES = {
     "sigma_t": "sigma_time", "rotation": "handle", "split": "back_to_hog",

@@ -19,7 +19,7 @@ from curlfit.errors import InputError
 from curlfit.settings.choices import Reading
 from curlfit.throws.readers.columns import Column, parse_header
 from curlfit.throws.readers.defaults import begun
-from curlfit.throws.readers.headings import columns_of, unused, with_own_columns
+from curlfit.throws.readers.headings import Headings
 from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile, choose
 from curlfit.throws.readers.table import read_columns, with_units_below
 from curlfit.throws.readers.text import (
@@ -117,8 +117,8 @@ def _columns(
         shared = (k for k, name in enumerate(table.names) if _quantities([name]) == ["t"])
         places = [*list(shared)[:1], *places]
     found = _quantities([table.names[k] for k in places])
-    reading = with_own_columns(reading, parsed)
-    chosen = {name.strip().lower() for name in reading.columns.values()}
+    named = {**parsed.settings.get("columns", {}), **reading.columns}
+    chosen = {name.strip().lower() for name in named.values()}
     computed = [
         k for k in places
         if _COMPUTED.fullmatch(table.names[k]) and table.names[k].lower() not in chosen
@@ -133,12 +133,8 @@ def _columns(
         )
     places = [k for k in places if k not in computed]
     names = [table.names[k] for k in places]
-
-    def numeric(index: int) -> bool:
-        return table.is_numeric(places[index])
-
-    columns, parsed.ignored = columns_of(names, reading, table.error, numeric)
-    parsed.notes[:0] = unused(names, columns, numeric)
+    headings = Headings(names, table.error, lambda index: table.is_numeric(places[index]))
+    columns = headings.of_throw(parsed, reading)
     return {places[k]: column for k, column in columns.items()}
 
 
