@@ -77,10 +77,13 @@ def batch(
         )
     files = [str(file) for file in found_files(data, besides=(out, settings_file(out)))]
     # Invalid settings are refused before anything slow is loaded.
+    swept, usual = (
+        any(states_sweeping(file, reading) for file in files),
+        usual_law(files[0], reading),
+    )
     plan = BatchSettings.of(
-        {"law": usual_law(files[0], reading.format)}, vars(flags), vars(reading),
-        posterior=posterior, seed=seed, any_swept=any(map(states_sweeping, files)),
-    )  # fmt: skip
+        {"law": usual}, vars(flags), vars(reading), posterior=posterior, seed=seed, any_swept=swept
+    )
     names = columns(plan)
     console = terminal(quiet=quiet)
     with Table(out, names, dict(plan), files, again=again) as table:

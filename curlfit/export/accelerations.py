@@ -36,13 +36,6 @@ from curlfit.numerics.arrays import Floats
 from curlfit.stone import Stone
 from curlfit.version import __version__
 
-_HEAD = """Curling stone under the $law law, $load load, by curlfit $version.
-$coefficients
-stone: R = $R m, rho = $rho m, h = $h m
-Accelerations by speed v (m/s) and spin omega (rad/s, counter-clockwise): to the right of the
-motion and along it (m/s^2), counter-clockwise (rad/s^2). Errors of the interpolation: at most
-$error_across and $error_along m/s^2, $error_angular rad/s^2; throws come to rest within
-$resting_place m of where the law brings them. x is to the right of y; level ice, still air."""
 SLOWEST, FASTEST = 1e-3, 8.0
 """Range of s, m/s; the accelerations are constant beyond it."""
 REST = 1e-4
@@ -356,10 +349,13 @@ def _filled(template: str, table: AccelerationTable, left: str, right: str) -> s
             for part in table.values.tolist()
         ),
     }  # fmt: skip
-    head = "\n".join(filter(None, [Template(_HEAD).substitute(values), not_included(table)]))
-    head = head.replace("*/", "* /")  # which would end the comment
-    text = (Path(__file__).parent / template).read_text(encoding="utf-8")
-    return Template(text).substitute(values, head=head)
+    head, text = (
+        Template(Path(__file__).with_name(name).read_text(encoding="utf-8"))
+        for name in ("head.in", template)
+    )
+    said = head.substitute(values) + not_included(table)
+    # which would end the comment
+    return text.substitute(values, head=said.rstrip().replace("*/", "* /"))
 
 
 def _wrapped(row: list[float], left: str, right: str) -> str:

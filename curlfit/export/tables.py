@@ -6,6 +6,8 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from pathlib import Path
+from string import Template
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from curlfit.foreign import csv_lines, printable
@@ -30,31 +32,17 @@ _CANDIDATE = (
 )  # fmt: skip
 
 
+_ESTIMATE = (
+    "name", "value", "stderr", "systematic", "low_95", "high_95", "dof", "verdict", "unit", "prior",
+)  # fmt: skip
+
+
 class Row(NamedTuple):
-    """An estimate, a determined combination or a derived quantity, for a table."""
+    """An estimate, a determined combination or a derived quantity, and its cells in a CSV table, by
+    their headings."""
 
-    name: str
-    value: float | None
-    """None where it is not identifiable"""
-    stderr: float | None
-    systematic: float | None
-    low_95: float | None
-    high_95: float | None
-    dof: float | None
-    verdict: str
-    unit: str
-    prior: str
-    symbol: str
-    """LaTeX; empty where it has none of its own"""
-    weights: dict[str, float]
-    """of a combination"""
-    meaning: str
-    """of a quantity of the path"""
-
-    @property
-    def cells(self) -> tuple[Any, ...]:
-        """What of it is in a CSV table: all up to the prior."""
-        return tuple(self)[:10]
+    item: Estimate | Combination | Derived
+    cells: dict[str, Any]
 
 
 def rows_of(result: FitResult | JointResult, *, in_words: bool = False) -> list[Row]:
@@ -64,37 +52,25 @@ def rows_of(result: FitResult | JointResult, *, in_words: bool = False) -> list[
     """
     errors, found = result.systematics.errors, []
     estimates = result.coefficients
-    sums = {item.expression: item for item in result.combinations}
-    derived = {item.expression: item for item in result.derived}
     others = getattr(result, "parameters", {})
     others = others if isinstance(others, dict) else {}
     quoted = getattr(result, "quantities", {})
     if in_words:
         quoted = {name: to_its_side(item) for name, item in quoted.items()}
     everything: dict[str, Estimate | Combination | Derived] = {
-        **estimates, **sums, **{k: v for k, v in others.items() if k not in estimates}, **derived,
-        **quoted,
+        **estimates, **{item.expression: item for item in result.combinations},
+        **{name: item for name, item in others.items() if name not in estimates},
+        **{item.expression: item for item in result.derived}, **quoted,
     }  # fmt: skip
     for name, item in everything.items():
-        low, high = item.interval() or (None, None)
-        verdict = "determined" if isinstance(item, Combination) else item.verdict
-        found.append(
-            Row(
-                name=name,
-                value=None if verdict == "not identifiable" else item.value,
-                stderr=item.stderr,
-                systematic=item.systematic if isinstance(item, Derived) else errors.get(name),
-                low_95=low,
-                high_95=high,
-                dof=item.dof,
-                verdict=verdict,
-                unit="" if isinstance(item, Combination) else item.unit,
-                prior=item.prior if isinstance(item, Estimate) else "",
-                symbol=item.symbol if isinstance(item, Estimate) else "",
-                weights=item.weights if isinstance(item, Combination) else {},
-                meaning=item.meaning if isinstance(item, Derived) else "",
-            )
-        )
+        verdict = getattr(item, "verdict", "determined")
+        value = None if verdict == "not identifiable" else item.value
+        systematic = item.systematic if isinstance(item, Derived) else errors.get(name)
+        cells = (
+            name, value, item.stderr, systematic, *(item.interval() or (None, None)), item.dof,
+            verdict, getattr(item, "unit", ""), getattr(item, "prior", ""),
+        )  # fmt: skip
+        found.append(Row(item, dict(zip(_ESTIMATE, cells, strict=True))))
     return found
 
 
@@ -103,15 +79,15 @@ def parameters_csv(result: FitResult | JointResult) -> str:
     determined. For a joint fit with the parameters of each throw; the first column names the throw.
     """
     throws: Sequence[FitResult] = getattr(result, "throws", ())
-    head, rows = Row._fields[:10], rows_of(result)
+    rows = rows_of(result)
     if not throws:
-        return csv_lines([head, *(row.cells for row in rows)])
-    lines = [("all", *row.cells) for row in rows]
-    shared = {row.name for row in rows}
+        return csv_lines([_ESTIMATE, *([*row.cells.values()] for row in rows)])
+    lines = [("all", *row.cells.values()) for row in rows]
+    shared = {row.cells["name"] for row in rows}
     for one in throws:
-        own = (row for row in rows_of(one) if row.name not in shared)
-        lines += [(one.data["file"], *row.cells) for row in own]
-    return csv_lines([("throw", *head), *lines])
+        own = (row.cells for row in rows_of(one) if row.cells["name"] not in shared)
+        lines += [(one.data["file"], *cells.values()) for cells in own]
+    return csv_lines([("throw", *_ESTIMATE), *lines])
 
 
 def path_csv(fits: Sequence[FitResult]) -> str:
@@ -150,12 +126,16 @@ def estimates_table(result: FitResult | JointResult) -> str:
     `booktabs`: values with standard errors in units of the last digits."""
     rows = rows_of(result, in_words=True)
     posterior = getattr(result, "posterior", None)
-    symbols = {row.name: _symbol(row) for row in rows if row.symbol}
+    symbols = {
+        row.cells["name"]: _symbol(row.item.symbol)
+        for row in rows
+        if isinstance(row.item, Estimate) and row.item.symbol
+    }
     cells = (
         {
             "parameter": _label(row, symbols), "estimate": _estimate(row),
-            "systematic": _rounded(row.systematic, ".2g"),
-            r"68\,\% of posterior": _interval(posterior, row), "unit": _unit(row.unit),
+            "systematic": _rounded(row.cells["systematic"], ".2g"),
+            r"68\,\% of posterior": _interval(posterior, row), "unit": _unit(row.cells["unit"]),
         }
         for row in rows
     )  # fmt: skip
@@ -194,30 +174,14 @@ def escaped(text: str) -> str:
 
 
 def _drawn(table: PlainTable) -> str:
-    """A table whose caption and cells are LaTeX."""
+    """A table whose caption and cells are LaTeX, by the template `table.tex.in`."""
     columns = table.columns
-    lines = [
-        [str(one.header) for one in columns],
-        *zip(*(one.cells for one in columns), strict=True),
-    ]
+    lines = zip(*([str(one.header), *one.cells] for one in columns), strict=True)
     head, *rows = ("    " + " & ".join(map(str, line)) + r" \\" for line in lines)
     sides = " ".join("r" if one.justify == "right" else "l" for one in columns)
-    return "\n".join(
-        [
-            r"% needs \usepackage{booktabs}",
-            r"\begin{table}",
-            r"  \centering",
-            rf"  \caption{{{table.called}}}",
-            rf"  \begin{{tabular}}{{@{{}}{sides}@{{}}}}",
-            r"    \toprule",
-            head,
-            r"    \midrule",
-            *rows,
-            r"    \bottomrule",
-            r"  \end{tabular}",
-            r"\end{table}",
-            "",
-        ]
+    text = Path(__file__).with_name("table.tex.in").read_text(encoding="utf-8")
+    return Template(text).substitute(
+        caption=table.called, sides=sides, head=head, rows="\n".join(rows)
     )
 
 
@@ -252,25 +216,27 @@ def _software() -> str:
     return f"Computed with curlfit {escaped(__version__)}."
 
 
-def _symbol(row: Row) -> str:
+def _symbol(symbol: str) -> str:
     from curlfit.output.figures import math_symbol
 
     # The symbol of a coefficient without one is its name, upright.
-    inner = re.fullmatch(r"\\mathrm\{(\w+)\}", row.symbol)
-    return rf"\mathrm{{{escaped(inner[1])}}}" if inner else math_symbol(row.symbol)
+    inner = re.fullmatch(r"\\mathrm\{(\w+)\}", symbol)
+    return rf"\mathrm{{{escaped(inner[1])}}}" if inner else math_symbol(symbol)
 
 
 def _label(row: Row, symbols: dict[str, str]) -> str:
-    if row.name in symbols:
-        return f"${symbols[row.name]}$"
-    if row.weights:
+    name, item = row.cells["name"], row.item
+    if name in symbols:
+        return f"${symbols[name]}$"
+    if isinstance(item, Combination):
         text = ""
-        for name, weight in row.weights.items():
+        for name, weight in item.weights.items():
             sign = ("-" if weight < 0 else "") if not text else (" - " if weight < 0 else " + ")
             size = "" if abs(weight) == 1 else rf"{abs(weight):.4g}\,"
             text += f"{sign}{size}{symbols.get(name, escaped(name))}"
         return f"${text}$"
-    return escaped(row.meaning) or _expression(row.name, symbols)
+    meaning = item.meaning if isinstance(item, Derived) else ""
+    return escaped(meaning) or _expression(name, symbols)
 
 
 def _expression(text: str, symbols: dict[str, str]) -> str:
@@ -285,11 +251,12 @@ def _expression(text: str, symbols: dict[str, str]) -> str:
 
 
 def _estimate(row: Row) -> str:
-    if row.value is None:
+    verdict = row.cells["verdict"]
+    if row.cells["value"] is None:
         return "not identifiable"
-    text = _number(compact(row.value, row.stderr))
-    note = {"fixed": "fixed", "at bound": "at bound", "weak": "weak", "prior": "with prior"}
-    return text + (f" ({note[row.verdict]})" if row.verdict in note else "")
+    text = _number(compact(row.item.value, row.item.stderr))
+    said = "with prior" if verdict == "prior" else verdict
+    return text if verdict == "determined" else f"{text} ({said})"
 
 
 def _number(text: str) -> str:
@@ -300,7 +267,7 @@ def _number(text: str) -> str:
 
 
 def _interval(posterior: Any, row: Row) -> str:
-    found = posterior and posterior.quantiles.get(row.name)
+    found = posterior and posterior.quantiles.get(row.cells["name"])
     if not found:
         return ""
     low, _, high = from_to(found["16"], found["84"]).partition(" .. ")

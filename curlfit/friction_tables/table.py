@@ -12,7 +12,7 @@ import numpy as np
 from curlfit.errors import DataError
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.readers.columns import parse_header
-from curlfit.throws.readers.text import TextFile, TextTable, lines_of
+from curlfit.throws.readers.text import TextFile, TextTable
 
 _COLUMNS = {
     "mu": "mu|µ|μ|friction|coefficientoffriction|frictioncoefficient",
@@ -62,7 +62,7 @@ def _columns(table: TextTable) -> dict[str, int]:
 def is_friction_table(file: Path) -> bool:
     """Whether a file has columns of speed and friction, and none of time."""
     try:
-        table = TextTable.of(TextFile(file, lines_of(file)))
+        table = TextTable.of(TextFile.read(file))
     except DataError:  # told where it is read as what it should be
         return False
     times = [
@@ -86,7 +86,7 @@ def load_friction_table(file: str | PathLike[str]) -> FrictionTable:
     13
     """
     path = Path(file)
-    table = TextTable.of(TextFile(path, lines_of(path)))
+    table = TextTable.of(TextFile.read(path))
     places = _columns(table)
     if missing := {"speed", "mu"} - places.keys():
         raise DataError(

@@ -96,9 +96,9 @@ def read_config(file: Path | None) -> dict[str, Any]:
     """Choices from a TOML file, by name; none without a file."""
     if file is None:
         return {}
-    from curlfit.throws.readers.text import lines_of
+    from curlfit.throws.readers.text import TextFile
 
-    lines = lines_of(file, most_bytes=_MOST_BYTES, settings=True)
+    lines = TextFile.of_settings(file, _MOST_BYTES).lines
     try:
         found = tomllib.loads("\n".join(lines))
     except RecursionError:
@@ -184,8 +184,8 @@ def apply_settings(
 
 def result_folder(data: Path, kind: str, reading: Reading) -> Path:
     """Default folder for the results of a data file, or of the throw that is chosen from it."""
-    chosen = [str(number) for number in (reading.shot, reading.stone_index) if number is not None]
-    return Path("-".join([safe_name(data.stem), *chosen, kind]))
+    chosen = filter(None, (reading.worksheet, reading.shot, reading.stone_index))
+    return Path("-".join([*(safe_name(str(name)) for name in (data.stem, *chosen)), kind]))
 
 
 def prepare_all(

@@ -205,6 +205,7 @@ class Reading(Choices):
         their names.
     reference : Positions are in pixels: table of four or more known points u,v (pixels), x,y
         (m).
+    worksheet : Worksheet of a workbook (.xlsx, .ods), by its name. [default: the first with data]
     stone_index : Object of a Tracker export, stone of a shot or throw of a table, from 1.
         [default: the first object; the stone thrown; with `batch`, each]
     shot : Shot of a log with several, from 1. [with `batch`: each]
@@ -224,6 +225,7 @@ class Reading(Choices):
         default_factory=dict
     )
     reference: Annotated[str | None, option(FILE, metavar="POINTS.csv")] = None
+    worksheet: Annotated[str | None, option(TEXT, metavar="NAME")] = None
     stone_index: Annotated[int | None, option(COUNT, metavar="N")] = None
     shot: Annotated[int | None, option(COUNT, metavar="N")] = None
     handle: Annotated[int | None, option(COUNT, metavar="N")] = None

@@ -22,7 +22,7 @@ from curlfit.throws.readers.columns import parse_units
 from curlfit.throws.readers.digitalcurling import DIGITALCURLING
 from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile
 from curlfit.throws.readers.table import TABLE
-from curlfit.throws.readers.text import TextFile, is_aside, lines_of
+from curlfit.throws.readers.text import TextFile, is_aside
 from curlfit.throws.readers.timings import TIMINGS, said_in, usual_law as law_of_timings
 from curlfit.throws.readers.tracker import TRACKER
 from curlfit.throws.throw import Throw, counts_from_hack
@@ -176,17 +176,17 @@ def throw_of(parsed: ParsedFile, reading: Reading) -> Throw:
     )  # fmt: skip
 
 
-def _lines_if_any(file: str | PathLike[str]) -> list[str]:
-    """The lines of a file; none if it cannot be read, as is said elsewhere."""
-    try:
-        return lines_of(Path(file))
-    except DataError:
-        return []
+def _text_if_any(file: str | PathLike[str], reading: Reading) -> TextFile:
+    """A file; without lines if it cannot be read, as is said elsewhere."""
+    with suppress(InputError):
+        return TextFile.read(Path(file), reading.worksheet)
+    return TextFile(Path(file), [])
 
 
-def states_sweeping(file: str | PathLike[str]) -> bool:
+def states_sweeping(file: str | PathLike[str], reading: Reading) -> bool:
     """Whether a file states that its stone was swept (`# swept = [A, B]`)."""
-    return any(re.match(r"\s*#+\s*swept\s*=", line) for line in _lines_if_any(file))
+    lines = _text_if_any(file, reading).lines
+    return any(re.match(r"\s*#+\s*swept\s*=", line) for line in lines)
 
 
 def check_reading(reading: Reading) -> None:
@@ -207,19 +207,21 @@ def read(file: str | PathLike[str], reading: Reading) -> ParsedFile:
 
 def _open(file: str | PathLike[str], reading: Reading) -> tuple[Path, Format, Contents]:
     check_reading(reading)
-    path = Path(file)
-    lines = lines_of(path)
-    format = _BY_NAME[reading.format or detect_format(lines)]
-    format.check(path, reading)
-    return path, format, format.contents(TextFile(path, lines), reading)
+    text = TextFile.read(Path(file), reading.worksheet)
+    format = _BY_NAME[reading.format or detect_format(text.lines)]
+    format.check(text.path, replace(reading, worksheet=None))
+    try:
+        return text.path, format, format.contents(text, reading)
+    except DataError as error:
+        error.args = ("; ".join(filter(None, (str(error), text.note))),)
+        raise
 
 
-def usual_law(file: str | PathLike[str], format: str | None = None) -> str:
+def usual_law(file: str | PathLike[str], reading: Reading) -> str:
     """The law if none is given: for a stopwatch record, the one that its values determine."""
-    with suppress(DataError):  # reported where the file is read
-        lines = lines_of(Path(file))
-        if (format or detect_format(lines)) == TIMINGS.name:
-            return law_of_timings(TextFile(Path(file), lines))
+    if format_of(file, reading) == TIMINGS.name:
+        with suppress(DataError):  # reported where the file is read
+            return law_of_timings(_text_if_any(file, reading))
     return "front-back"
 
 
@@ -231,7 +233,7 @@ def detect_format(lines: list[str]) -> str:
 
 def format_of(file: str | PathLike[str], reading: Reading) -> str:
     """The format of a file, as given or from its first lines."""
-    return reading.format or detect_format(_lines_if_any(file))
+    return reading.format or detect_format(_text_if_any(file, reading).lines)
 
 
 def found_files(wanted: Sequence[str], besides: Collection[Path] = ()) -> list[Path]:

@@ -199,7 +199,7 @@ class Throw(Displayed):
         return cls.from_arrays(t, events=tuple(events), assumed=known, **more)
 
     @classmethod
-    @takes(Reading, "format", "shot", "handle", "keep", "throws")
+    @takes(Reading, "format", "worksheet", "shot", "handle", "keep", "throws")
     def from_frame(cls, table: Any, name: str = "table", **choices: Any) -> Throw:
         """A throw from a pandas or polars DataFrame, an xarray Dataset or a mapping of arrays.
 

@@ -14,9 +14,10 @@ from sample_files import CELL, PLAIN, TIMINGS, ods
 import curlfit
 from curlfit import load_joint
 from curlfit.errors import DataError, InputError
+from curlfit.settings.choices import Reading
 from curlfit.sheet import LINES
 from curlfit.throws.load import detect_format, load_throw, usual_law
-from curlfit.throws.readers.text import lines_of
+from curlfit.throws.readers.text import TextFile
 
 FOOT = 0.3048
 INCH = FOOT / 12
@@ -241,7 +242,7 @@ def test_the_law_is_that_of_what_was_measured(tmp_path, rows, law):
     file = tmp_path / "evening.csv"
     file.write_text("hog_to_hog,hog_to_rest,rest,curl,turns\n" + rows + "\n")
     assert {part.throw.defaults["law"] for part in parts_in(file)} == {law}
-    assert usual_law(file) == usual_law(file, "timings") == law
+    assert usual_law(file, Reading()) == usual_law(file, Reading(format="timings")) == law
 
 
 def test_a_table_says_of_which_throw_each_row_is(tmp_path):
@@ -410,7 +411,7 @@ def test_a_spreadsheet_is_read_as_its_text(tmp_path):
         clock + number + said("3\'3\" left; or so"), clock + number + said("3\'3\" left"),
     )  # fmt: skip
     file = ods(tmp_path / "evening.ods", rows)
-    assert detect_format(lines_of(file)) == "timings"
+    assert detect_format(TextFile.read(file).lines) == "timings"
     bad, good = parts_in(file)
     assert bad.throw.line == 4
     assert good.throw.labels == {"start": "19:05"}

@@ -17,7 +17,7 @@ from curlfit.numerics.arrays import Floats
 from curlfit.throws.readers.axes import AxisConvention
 from curlfit.throws.readers.columns import parse_header
 from curlfit.throws.readers.parsed_file import ParsedFile
-from curlfit.throws.readers.text import TextFile, TextTable, lines_of
+from curlfit.throws.readers.text import TextFile, TextTable
 
 _EXPECTED = "expected a header u,v,x,y (pixels, and metres on the sheet) and four points or more"
 _BLOCK, _MOST_BLOCKS = 10, 50  # rows of a block, at least, and blocks
@@ -191,7 +191,7 @@ def load_homography(file: Path) -> Homography:
     DataError : a column is missing, fewer than four points, collinear points, or points that are
         not consistent with an image of a plane.
     """
-    table = TextTable.of(TextFile(file, lines_of(file)), _EXPECTED)
+    table = TextTable.of(TextFile.read(file), _EXPECTED)
     columns: dict[str, int] = {}
     factors: list[float] = []
     for index, name in enumerate(table.names):

@@ -73,7 +73,8 @@ def begun(
                 index,
             ) from None
     more = f" and {len(unknown) - 5} more" if len(unknown) > 5 else ""
-    notes = [f"settings not known and ignored: {', '.join(unknown[:5])}{more}"] if unknown else []
+    notes = [file.note] if file.note else []
+    notes += [f"settings not known and ignored: {', '.join(unknown[:5])}{more}"] * bool(unknown)
     reference = _reference(file, settings.pop("reference", None))
     return ParsedFile(
         source or file.path, format, settings=settings, reference=reference, notes=notes

@@ -161,8 +161,8 @@ class Format(NamedTuple):
 
 
 _NOTHING = {
-    "shot": "no shots", "stone_index": "one stone", "handle": "no objects",
-    "keep": "no throws in rows", "columns": "no columns to be named",
+    "worksheet": "no worksheets", "shot": "no shots", "stone_index": "one stone",
+    "handle": "no objects", "keep": "no throws in rows", "columns": "no columns to be named",
 }  # fmt: skip
 _MOST_LISTED = 20
 

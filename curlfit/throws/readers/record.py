@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from functools import partial
 from typing import NamedTuple
 
 from curlfit.errors import DataError, InputError
@@ -73,10 +71,23 @@ _SIGMAS = {
     "time": SIGMA_TIME, "rest": SIGMA_REST, "curl": SIGMA_REST, "turns": 2 * math.pi * SIGMA_TURNS,
     "speed": SIGMA_SPEED, "spin": SIGMA_SPIN,
 }  # fmt: skip
-_WHICH_SIDE = (
-    "to which side? Expected curl = 4 ft left, or curl = 4 ft right, or a line handle = clockwise, "
-    "handle = counter-clockwise, or handle = in-turn right-handed"
-)
+_TOLD_BY = {
+    "curl": (
+        ("handle", "turns", "spin"),
+        "to which side? Expected curl = 4 ft left, or curl = 4 ft right, or a line handle = "
+        "clockwise, handle = counter-clockwise, or handle = in-turn right-handed",
+    ),
+    "turns": (
+        ("handle", "turns", "spin", "curl"),
+        "in which sense? Expected turns = 2.5 clockwise or 2.5 counter-clockwise",
+    ),
+    "spin": (
+        ("handle", "spin", "turns", "curl"),
+        "in which sense? Expected spin = 1.4 rad/s clockwise or 1.4 rad/s counter-clockwise",
+    ),
+}
+"""What says to which side a stone curls or in which sense it turns; what is expected if nothing
+does."""
 
 
 class Entry(NamedTuple):
@@ -153,22 +164,28 @@ class Record:
 
     def events(self) -> list[Event]:
         """The measured events."""
-        oriented: dict[str, Callable[[], float]] = {
-            "rest": self._rest, "curl": self._curl, "turns": partial(self._turned, "turns", "2.5"),
-            "spin": partial(self._turned, "spin", "1.4 rad/s"),
-        }  # fmt: skip
         found = []
         for key, kind in MEASURED.items():
             if key in self.found:
                 name, quantity = ("time", "time") if key in TIMES else (key, kind.unit)
-                value = oriented[key]() if key in oriented else self.found[key].value
                 at, since = (LINES[line] if line else None for line in (kind.at, kind.since))
-                found.append(Event(key, quantity, value, self._sigma(name), at, since))
+                found.append(
+                    Event(key, quantity, self._oriented(key), self._sigma(name), at, since)
+                )
         return found
 
-    def _rest(self) -> float:
-        """Resting position, y in m."""
-        return LINES["far-tee"] + self._value("rest")
+    def _oriented(self, key: str) -> float:
+        """A value in SI: y from the hack, x to the right, angles counter-clockwise."""
+        value = self._value(key)
+        if key == "rest":
+            return LINES["far-tee"] + value
+        if key not in _TOLD_BY or (key == "curl" and (self._has_side(key) or not value)):
+            return value
+        told_by, expected = _TOLD_BY[key]
+        sense = self._sense(*told_by)
+        if not sense and value:
+            raise self._error(key, expected)
+        return (-sense if key == "curl" else sense) * abs(value)
 
     def _handle(self) -> int:
         """Sense of the spin from `handle`: 1 counter-clockwise, -1 clockwise, 0 if not given.
@@ -201,27 +218,6 @@ class Record:
             if found:
                 return -found if key == "curl" else found
         return 0
-
-    def _curl(self) -> float:
-        """Curl to the right, m."""
-        value = self._value("curl")
-        if self._has_side("curl") or value == 0:
-            return value
-        if not (sense := self._sense("handle", "turns", "spin")):
-            raise self._error("curl", _WHICH_SIDE)
-        return -sense * value
-
-    def _turned(self, key: str, such_as: str) -> float:
-        """Angle turned in rad, or spin in rad/s, counter-clockwise."""
-        value = abs(self.found[key].value)
-        sense = self._sense("handle", key, "turns", "spin", "curl")
-        if not sense and value:
-            raise self._error(
-                key,
-                f"in which sense? Expected {key} = {such_as} clockwise or {such_as} "
-                "counter-clockwise",
-            )
-        return sense * value
 
     def spin(self) -> tuple[float, str]:
         """Spin in rad/s at which a fit fixes it if it is not determined, and a note on it."""

@@ -1,4 +1,4 @@
-"""A spreadsheet as text: its first sheet with data."""
+"""A worksheet of a workbook as text."""
 
 from __future__ import annotations
 
@@ -9,16 +9,21 @@ from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile, ZipFile
 
-from curlfit.errors import DataError
+from curlfit.errors import DataError, InputError
 
 
-def text_of_sheet(raw: bytes, path: Path, most_bytes: int) -> str:
-    """The cells as a table separated by semicolons; row n is line n. Clock times are HH:MM, with
-    seconds if any has some.
+def text_of_sheet(
+    raw: bytes, path: Path, most_bytes: int, wanted: str | None = None
+) -> tuple[str, str]:
+    """The cells as a table separated by semicolons, and a note on other worksheets with data.
+
+    Row n is line n. Clock times are HH:MM, with seconds if any has some. If no worksheet is wanted,
+    the first one with data is read.
 
     Raises
     ------
     DataError : not a spreadsheet, without data, too large, or its reader is not installed.
+    InputError : no such worksheet.
     """
     fault = "this is a spreadsheet or another archive, not a text file; save the sheet as CSV"
     try:
@@ -32,13 +37,19 @@ def text_of_sheet(raw: bytes, path: Path, most_bytes: int) -> str:
                 if sum(part.file_size for part in archive.infolist()) > most_bytes:
                     raise DataError(f"larger than {most_bytes // 1000} kB unpacked", file=path)
         book = CalamineWorkbook.from_filelike(BytesIO(raw))
-        sheets = (book.get_sheet_by_name(name) for name in book.sheet_names)
-        tables = (sheet.to_python(skip_empty_area=False) for sheet in sheets)
-        rows = [list(map(_plain, row)) for row in next(filter(None, tables), [])]
+        sheets = {name: book.get_sheet_by_name(name) for name in book.sheet_names}
+        names = [name for name, sheet in sheets.items() if sheet.height]
+        if not names:
+            raise DataError("a spreadsheet without data", file=path)
+        listed = ", ".join(names)
+        if wanted is not None and wanted not in names:
+            fault = f"--worksheet {wanted}: {path} has no such worksheet with data; expected one of"
+            raise InputError(f"{fault} {listed}")
+        chosen = names[0] if wanted is None else wanted
+        cells = sheets[chosen].to_python(skip_empty_area=False)
+        rows = [list(map(_plain, row)) for row in cells]
     except (CalamineError, BadZipFile, NotImplementedError):
         raise DataError(fault, file=path) from None
-    if not rows:
-        raise DataError("a spreadsheet without data", file=path)
     clocks = [cell for row in rows for cell in row if isinstance(cell, time | datetime)]
     exact = any(clock.second or clock.microsecond for clock in clocks)
     lines = StringIO()
@@ -49,7 +60,8 @@ def text_of_sheet(raw: bytes, path: Path, most_bytes: int) -> str:
             lines.write(" ".join(filter(None, found)) + "\n")
         else:
             write(found)
-    return lines.getvalue()
+    several = f"{len(names)} worksheets: {listed}; taken: {chosen} (--worksheet selects another)"
+    return lines.getvalue(), several if len(names) > 1 else ""
 
 
 def _plain(cell: Any) -> Any:

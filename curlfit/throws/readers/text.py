@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from curlfit.errors import DataError
+from curlfit.errors import DataError, InputError
 from curlfit.foreign import quoted
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.readers.columns import has_japanese_words
@@ -35,62 +35,34 @@ _CHUNK = 20_000  # rows whose cells are in memory together
 _UNIT_APART = re.compile(r"[ \t]+([(\[][^()\[\]]*[)\]])")
 
 
-def lines_of(path: Path, *, most_bytes: int = _MOST_BYTES, settings: bool = False) -> list[str]:
-    """The lines of a file, none of them longer than any throw needs; for a file of `settings`, all
-    are as short as comments.
-
-    Raises
-    ------
-    DataError : as `_text_of`; a line is too long.
-    """
-    text = _text_of(path, most_bytes, "settings" if settings else "throws")
-    lines = text.split("\n")
-    if len(lines) > _MOST_LINES + 1:
-        raise DataError(f"more than {_MOST_LINES} lines; expected throws", file=path)
-    if max(map(len, lines)) <= _MOST_IN_HEAD:
-        return lines
-    header = next((k for k, line in enumerate(lines) if not is_aside(line)), -1)
-    json = not settings and lines[header].lstrip()[:1] in ("{", "[")
-    for index, line in enumerate(lines):
-        comment = is_aside(line)
-        most = _MOST_IN_HEAD if settings or index == header or comment else _MOST_IN_ROW
-        if len(line) > most and (comment or not json):
-            fault = f"a line of {len(line)} characters; expected at most {most}"
-            raise DataError(fault, file=path, line=index + 1)
-    return lines
-
-
-def _text_of(path: Path, most_bytes: int, what: str) -> str:
-    """The file's text with "\\n" line ends: UTF-8, UTF-16 with byte order mark, Windows cp932 with
-    headings in Japanese, or Windows cp1252; a spreadsheet as text.
-
-    Raises
-    ------
-    DataError : no such file, a folder, not readable, too large, or not text.
-    """
+def _bytes_of(path: Path, most: int, what: str) -> bytes:
+    """The content of a file. Raises `DataError` where there is none, or too much."""
     try:
         with path.open("rb") as stream:
-            raw = stream.read(most_bytes + 1)
+            raw = stream.read(most + 1)
     except ValueError:
         raise DataError("this is not a file name", file=quoted(str(path))) from None
-    except FileNotFoundError:
-        raise DataError("no such file", file=path) from None
-    except IsADirectoryError:
-        raise DataError("this is a folder, expected a file", file=path) from None
     except OSError as error:
-        raise DataError(f"cannot be read ({error.strerror})", file=path) from None
-    if len(raw) > most_bytes:
-        raise DataError(f"larger than {most_bytes // 1000} kB; expected {what}", file=path)
-    if raw.startswith(_SPREADSHEETS):
-        return text_of_sheet(raw, path, most_bytes)
+        said = {
+            FileNotFoundError: "no such file",
+            IsADirectoryError: "this is a folder, expected a file",
+        }
+        fault = said.get(type(error), f"cannot be read ({error.strerror})")
+        raise DataError(fault, file=path) from None
+    if len(raw) > most:
+        raise DataError(f"larger than {most // 1000} kB; expected {what}", file=path)
+    return raw
+
+
+def _decoded(raw: bytes) -> str:
+    """Text with "\\n" line ends, in UTF-8, UTF-16 with byte order mark, Windows cp932 with headings
+    in Japanese, or Windows cp1252."""
     encoding = "utf-16" if raw[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
     try:
         text = raw.decode(encoding)
     except UnicodeDecodeError:
         marked = encoding == "utf-16" or raw[:3] == b"\xef\xbb\xbf"
         text = raw.decode(encoding if marked else _old_encoding(raw), errors="replace")
-    if "\x00" in text:
-        raise DataError(f"this is not a text file; {EXPECTED}", file=path)
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
@@ -102,10 +74,59 @@ def _old_encoding(raw: bytes) -> str:
 
 
 class TextFile(NamedTuple):
-    """A file and its lines."""
+    """A file and its lines, none of them longer than any throw needs.
+
+    Attributes
+    ----------
+    note : on what of it was read, if it has more.
+    """
 
     path: Path
     lines: list[str]
+    note: str = ""
+
+    @classmethod
+    def read(cls, path: Path, worksheet: str | None = None) -> TextFile:
+        """A file of data, or a worksheet of a workbook: its first one with data, if none is named.
+
+        Raises
+        ------
+        DataError : no such file, a folder, not readable, too large, not text, or a line is too
+            long. InputError : no such worksheet.
+        """
+        raw, note = _bytes_of(path, _MOST_BYTES, "throws"), ""
+        if raw.startswith(_SPREADSHEETS):
+            text, note = text_of_sheet(raw, path, _MOST_BYTES, worksheet)
+        elif worksheet is not None:
+            raise InputError(f"--worksheet: {path} is no workbook and holds no worksheets")
+        else:
+            text = _decoded(raw)
+        file = cls(path, text.split("\n"), note)
+        if "\x00" in text:
+            raise file.error(f"this is not a text file; {EXPECTED}")
+        if len(file.lines) > _MOST_LINES + 1:
+            raise file.error(f"more than {_MOST_LINES} lines; expected throws")
+        if max(map(len, file.lines)) > _MOST_IN_HEAD:
+            header = next((k for k, line in enumerate(file.lines) if not is_aside(line)), -1)
+            json = file.lines[header].lstrip()[:1] in ("{", "[")
+            for index, line in enumerate(file.lines):
+                comment = is_aside(line)
+                most = _MOST_IN_HEAD if index == header or comment else _MOST_IN_ROW
+                if comment or not json:
+                    file._require_short(index, most)
+        return file
+
+    @classmethod
+    def of_settings(cls, path: Path, most_bytes: int) -> TextFile:
+        """A file of settings, with lines as short as comments. Raises `DataError` as `read`."""
+        file = cls(path, _decoded(_bytes_of(path, most_bytes, "settings")).split("\n"))
+        for index in range(len(file.lines)):
+            file._require_short(index, _MOST_IN_HEAD)
+        return file
+
+    def _require_short(self, index: int, most: int) -> None:
+        if (length := len(self.lines[index])) > most:
+            raise self.error(f"a line of {length} characters; expected at most {most}", index)
 
     def error(self, message: str, index: int | None = None, column: str | None = None) -> DataError:
         """An error at the line of this index."""

@@ -14,6 +14,7 @@ from curlfit.errors import DataError, InputError
 from curlfit.foreign import file_and_number, quoted
 from curlfit.settings.choices import Reading
 from curlfit.sheet import LINES
+from curlfit.throws.channels import UNITS
 from curlfit.throws.events import RATES, Event
 from curlfit.throws.readers.columns import parse_header
 from curlfit.throws.readers.defaults import begun
@@ -26,7 +27,6 @@ from curlfit.throws.readers.text import (
     cells,
     header_cells,
     is_number,
-    lines_of,
     separator_of,
 )
 from curlfit.throws.readers.words import WORDS
@@ -37,7 +37,6 @@ _ALIASES = {
     "sigma_t": "sigma_time", "rotation": "handle", "split": "back_to_hog",
     "h2h": "hog_to_hog", "hog_hog": "hog_to_hog",
 }  # fmt: skip
-_SI = {"t": "s", "x": "m", "y": "m", "speed": "m/s", "omega": "rad/s"}
 _FEWEST = 5  # values of a column among which one may be odd
 # A value is odd if it is farther from the median of its column than 9 median absolute deviations
 # (6 standard deviations of normal values) and 0.7 of this median, as no two weights in play are.
@@ -112,7 +111,7 @@ def _left_out(file: TextFile, rows: list[Row], keep: Collection[int]) -> tuple[s
         off = np.abs(values - middle)
         allowed = max(_MOST_OFF * float(np.median(off)), _MOST_SHARE * abs(middle), kind.usual)
         far = (off > allowed) | (np.abs(values) > kind.limit)
-        factor, unit = (2 * math.pi, "turns") if key == "turns" else (1, _SI[kind.unit])
+        factor, unit = (2 * math.pi, "turns") if key == "turns" else (1, UNITS[kind.unit])
         for index, value in zip(places[far], values[far], strict=True):
             if len(values) >= _FEWEST and rows[index].line not in keep:
                 what = f"{key} {value / factor:.4g} {unit} where others have {middle / factor:.3g}"
@@ -134,21 +133,21 @@ def _left_out(file: TextFile, rows: list[Row], keep: Collection[int]) -> tuple[s
 
 def is_table(head: list[str]) -> bool:
     """Whether lines, comments removed, begin with a header of several known quantities."""
-    known = {key for key, _ in _header(head[0])} - {None} if head else set()
-    if len(known) == 1 and known <= TIMES.keys() and (separator := separator_of(head[0])):
-        others = header_cells(head[0], separator)  # columns that are named otherwise, perhaps
-        return "=" not in head[0] and len(others) > 1 and not any(map(is_number, others))
+    names = _header(head[0]) if head else []
+    known = {key for key, _ in map(_key, names)} - {""}
+    if len(known) == 1 and known <= TIMES.keys() and separator_of(head[0]):
+        # other columns are named otherwise, perhaps
+        return "=" not in head[0] and len(names) > 1 and not any(map(is_number, names))
     return len(known) > 1
 
 
 def _recognizes(head: list[str]) -> bool:
     if is_table(head):
-        keys = {key for key, _ in _header(head[0])}
-        return bool(keys & TIMES.keys()) or (
-            "speed" in keys
-            and bool(keys & {"curl", "rest"})
-            and not any(map(_is_clock, header_cells(head[0], separator_of(head[0]))))
-        )
+        names = _header(head[0])
+        keys = {key for key, _ in map(_key, names)}
+        columns = [column for name in names if (column := parse_header(name))]
+        path = "speed" not in keys or any(column.base == "t" for column in columns)
+        return bool(keys & TIMES.keys()) or (bool(keys & {"curl", "rest"}) and not path)
     found = [pair for pair in map(_pair, head) if pair is not None]
     # The header of a table may begin with such a name too, but has no digits.
     return any(key in TIMES for key, _, _ in found) or (
@@ -159,8 +158,8 @@ def _recognizes(head: list[str]) -> bool:
 TIMINGS = Format("timings", _recognizes, _contents, "row", "shot", 0, ("shot", "keep"))
 
 
-def _key(text: str) -> tuple[str, str] | None:
-    """A known quantity and the unit that follows it, if any, as in `curl_ft`."""
+def _key(text: str) -> tuple[str, str]:
+    """A known quantity and the unit that follows it, if any, as in `curl_ft`; empty if unknown."""
     words = [word for word in _SPLIT.split(text.strip().strip("\"'").lower()) if word]
     for count in range(len(words), max(len(words) - 2, 0), -1):
         name = "_".join(words[:count])
@@ -168,15 +167,9 @@ def _key(text: str) -> tuple[str, str] | None:
         if name in KINDS:
             return name, "".join(words[count:])
     column = parse_header(text.strip("\"' "))
-    if column is not None and column.base in RATES:
-        name = column.quantity.replace("omega", "spin")
-        return name, column.unit if column.stated else ""
-    return None
-
-
-def _is_clock(header: str) -> bool:
-    column = parse_header(header)
-    return column is not None and column.base == "t"
+    if column is None or column.base not in RATES:
+        return "", ""
+    return column.quantity.replace("omega", "spin"), column.unit * column.stated
 
 
 def _meant(key: str, text: str) -> str:
@@ -184,15 +177,15 @@ def _meant(key: str, text: str) -> str:
     return "handle" if key == "spin" and not any(map(str.isdigit, text)) else key
 
 
-def _header(line: str) -> list[tuple[str | None, str]]:
-    return [_key(name) or (None, "") for name in header_cells(line, separator_of(line))]
+def _header(line: str) -> list[str]:
+    return header_cells(line, separator_of(line))
 
 
 def _pair(line: str) -> tuple[str, str, str] | None:
     """Quantity, unit and text of a line; None if it names no known quantity."""
     match = _LINE.match(line)
-    found = _key(match[1]) if match is not None else None
-    return (*found, match[2]) if match is not None and found is not None else None
+    key, unit = ("", "") if match is None else _key(match[1])
+    return (key, unit, match[2]) if match is not None and key else None
 
 
 def _rows(file: TextFile, *, table: bool = False) -> list[Row]:
@@ -207,9 +200,8 @@ def _rows(file: TextFile, *, table: bool = False) -> list[Row]:
     if len(body) > _MOST_ROWS:
         raise file.error(f"more than {_MOST_ROWS} throws", body[_MOST_ROWS][0])
     (first, head), *others = body
-    separator = separator_of(head)
-    names = _without_blank_end(header_cells(head, separator))
-    header = [_key(name) or (None, "") for name in names]
+    separator, names = separator_of(head), _without_blank_end(_header(head))
+    header = [_key(name) for name in names]
     rows: dict[int, list[str]] = {}
     for index, text in others:
         values = _without_blank_end(_cells(text, separator, len(names)), len(names))
@@ -226,7 +218,7 @@ def _rows(file: TextFile, *, table: bool = False) -> list[Row]:
             {
                 _meant(key, cell): Entry(line, cell, unit)
                 for (key, unit), cell in zip(header, values, strict=True)
-                if key is not None and cell
+                if key and cell
             },
             {label: values[place] for place, label in kept.items() if values[place]},
             notes,
@@ -236,15 +228,15 @@ def _rows(file: TextFile, *, table: bool = False) -> list[Row]:
 
 
 def _labels(
-    names: Sequence[str], header: Sequence[tuple[str | None, str]], rows: Sequence[Sequence[str]]
+    names: Sequence[str], header: Sequence[tuple[str, str]], rows: Sequence[Sequence[str]]
 ) -> tuple[dict[int, str], list[str]]:
     """Columns that are labels, by place, and notes on those that are not used."""
     kept, unused, strange = {}, [], []
     for place, name in enumerate(names):
         label, key = "_".join(name.lower().split()), header[place][0]
-        if key is not None and all(_meant(key, row[place]) == "handle" for row in rows):
+        if key and all(_meant(key, row[place]) == "handle" for row in rows):
             kept[place] = "handle"
-        if key is not None or not name:
+        if key or not name:
             continue
         like = _LIKE_MEASUREMENTS & set(_SPLIT.split(name.lower()))
         measured = sum(_is_measurement(row[place]) for row in rows)
@@ -325,25 +317,26 @@ def said_in(table: Path, source: str) -> tuple[dict[str, str], list[Event], str]
     ------
     DataError : as the reader; no such column, or the throw is named twice.
     """
-    file = TextFile(table, lines_of(table))
+    file = TextFile.read(table)
     head, path = file.head(), Path(file_and_number(source)[0]).resolve()
-    rows = {}
+    rows = []
     for row in _rows(file, table=True):
         name = row.labels.pop("file", None) or row.labels.pop("track", None) or ""
-        rows[row.line] = Path(name.replace("\\", "/")).parts, row
-    if not any(parts for parts, _ in rows.values()):
+        rows.append((Path(name.replace("\\", "/")).parts, row))
+    if not any(parts for parts, _ in rows):
         raise file.error("no names of throws; expected a column `file` or `track`", head)
     names = path.parts, path.with_suffix("").parts
-    found = [
-        row
-        for parts, row in rows.values()
-        if parts and any(parts == name[-len(parts) :] for name in names)
-    ]
+    ends = [(row, [name[-len(parts) :] for name in names], parts) for parts, row in rows if parts]
+    found = [row for row, those, parts in ends if parts in those]
     if len(found) > 1:
         raise file.error(f"{quoted(path.name)} is named again", found[1].line - 1)
     if not found:
         return {}, [], f"{table} says nothing of it"
     events = Record(file, found[0]).events()
     what = f"labels{' and measurements' * bool(events)}"
-    said = [f"{what} from {table}, line {found[0].line}", *found[0].notes]
+    said = [
+        f"{what} from {table}, line {found[0].line}",
+        *found[0].notes,
+        *[file.note] * bool(file.note),
+    ]
     return found[0].labels, events, "; ".join(said)

@@ -11,7 +11,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -36,13 +35,6 @@ _NUMBER = re.compile(r"(?<=[^\W\d])[ ._]?\d+(?=\s*([(\[].*)?$)")  # of an object
 _AXES = {"x": "x", "y": "y", "u": "x", "v": "y", "speed": "y"}  # "v" alone is read as a speed
 
 
-class _Object(NamedTuple):
-    """An object side by side with others: its name, and the places of its columns."""
-
-    name: str
-    places: list[int]
-
-
 def _recognizes(head: list[str]) -> bool:
     """Whether the first lines are a title and a header, or a header with two objects."""
     first = _header(head[0])
@@ -60,8 +52,8 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
     InputError : there is no such object as the handle.
     """
     first = file.head()
-    table, objects = _layout(file, first)
-    labels = [one.name or f"object {k}" for k, one in enumerate(objects, 1)]
+    table, titles, objects = _layout(file, first)
+    labels = [title or f"object {k}" for k, title in enumerate(titles, 1)]
 
     def parse(index: int) -> ParsedFile:
         parsed = begun(file, "tracker", first)
@@ -72,15 +64,15 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
                 f"{len(objects)} objects: {listed}; taken: {index + 1} {labels[index]} "
                 f"(--stone-index selects another{other})"
             )
-        elif objects[0].name:
+        elif titles[0]:
             parsed.notes.append(f"object: {labels[0]}")
-        columns = _columns(parsed, table, objects[index].places, reading)
+        columns = _columns(parsed, table, objects[index], reading)
         if reading.handle is not None:
             flag = f"--handle {reading.handle}"
             place = choose("object", "--handle", reading.handle, labels, 0)
             if place == index:
                 raise InputError(f"{flag} is the stone itself; expected another object")
-            mark = _mark(table, objects[place].places, columns)
+            mark = _mark(table, objects[place], columns)
             if len(mark) != 2:
                 raise InputError(f"{flag}: {labels[place]} has no columns x and y")
             columns |= mark
@@ -143,18 +135,14 @@ def _mark(
 ) -> dict[int, Column]:
     """Columns of the second mark on a stone, by place; in the units of the stone's `columns`."""
     own = {_AXES[c.quantity]: c for c in columns.values() if c.quantity in ("x", "y", "u", "v")}
-    found = {}
-    for place in places:
-        column = parse_header(table.names[place])
-        axis = _AXES.get(column.quantity) if column is not None else None
-        if axis is not None and axis in own:
-            found[place] = own[axis]._replace(quantity=f"{axis}_mark")
-    return found
+    meant = {place: _quantities([table.names[place]]) for place in places}
+    axes = {place: _AXES.get(found[0], "") for place, found in meant.items() if found}
+    return {k: own[a]._replace(quantity=f"{a}_mark") for k, a in axes.items() if a in own}
 
 
-def _layout(file: TextFile, first: int) -> tuple[TextTable, list[_Object]]:
-    """The table, and its objects: each begins at its title, or else where a quantity is
-    repeated."""
+def _layout(file: TextFile, first: int) -> tuple[TextTable, list[str], list[list[int]]]:
+    """The table, and the titles and the places of the columns of its objects: each begins at its
+    title, or else where a quantity is repeated."""
     lines, header, titles = file.lines, first, [""]
     if _known(_header(lines[first])) < 2:
         below = range(first + 1, min(first + 5, len(lines)))
@@ -174,10 +162,8 @@ def _layout(file: TextFile, first: int) -> tuple[TextTable, list[_Object]]:
             seen.add(name)
     ends = [*starts[1:], len(table.names)]
     starts[0] = 0
-    return table, [
-        _Object(next(filter(None, titles[start:end]), ""), list(range(start, end)))
-        for start, end in zip(starts, ends, strict=True)
-    ]
+    places = [list(range(start, end)) for start, end in zip(starts, ends, strict=True)]
+    return table, [next(filter(None, titles[one[0] : one[-1] + 1]), "") for one in places], places
 
 
 def _header(line: str) -> list[str]:
