@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from cyclopts import Parameter
+
 from curlfit.foreign import say
 from curlfit.options.output import COMPILES, Saved, progress_line
-from curlfit.settings.choices import COUNT, SEED, Fitting, Reading
+from curlfit.settings.choices import COUNT, SEED, Choices, Fitting, Reading
 from curlfit.settings.forms import PATH, SWITCH, TEXT, option
 
 if TYPE_CHECKING:
@@ -17,17 +20,36 @@ if TYPE_CHECKING:
     from curlfit.batch.table import Table
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Running(Choices):
+    """How the throws of a batch are fitted.
+
+    Attributes
+    ----------
+    posterior : Quantiles of each throw's posterior as well; far slower.
+    seed : Seed of the posterior sampling. [default: 0]
+    workers : Number of processes. [default: one per core]
+    dask : Use the workers of a Dask scheduler, which see the same files. Whoever can connect to it
+        can run code as its owner. Needs `pip install 'curlfit[dask]'`.
+    again : Start again, overwriting the table.
+    quiet : Print nothing but errors.
+    """
+
+    posterior: Annotated[bool, option(SWITCH)] = False
+    seed: Annotated[int, option(SEED, "N")] = 0
+    workers: Annotated[int | None, option(COUNT, "N")] = None
+    dask: Annotated[str | None, option(TEXT, "tcp://...")] = None
+    again: Annotated[bool, option(SWITCH)] = False
+    quiet: Annotated[bool, option(SWITCH, name=["--quiet", "-q"])] = False
+
+
 def batch(
     *data: str,
     out: Annotated[Path, option(PATH, "FILE.csv")] = Path("results.csv"),
     flags: Fitting = Fitting(),
     reading: Reading = Reading(),
-    posterior: Annotated[bool, option(SWITCH)] = False,
-    seed: Annotated[int, option(SEED, "N")] = 0,
-    workers: Annotated[int | None, option(COUNT, "N")] = None,
-    dask: Annotated[str | None, option(TEXT, "tcp://...")] = None,
-    again: Annotated[bool, option(SWITCH)] = False,
-    quiet: Annotated[bool, option(SWITCH, name=["--quiet", "-q"])] = False,
+    running: Running = Running(),
 ) -> Saved:
     """Fit a friction law to many throws, each by itself, into one table.
 
@@ -50,19 +72,6 @@ def batch(
     out
         Table of results, one row per throw; its settings are written beside it, as
         results.settings.json. [default: results.csv]
-    posterior
-        Quantiles of each throw's posterior as well; far slower.
-    seed
-        Seed of the posterior sampling. [default: 0]
-    workers
-        Number of processes. [default: one per core]
-    dask
-        Use the workers of a Dask scheduler, which see the same files. Whoever can connect to it can
-        run code as its owner. Needs `pip install 'curlfit[dask]'`.
-    again
-        Start again, overwriting the table.
-    quiet
-        Print nothing but errors.
     """
     from curlfit.batch.settings import BatchSettings, columns
     from curlfit.batch.table import Table, settings_file
@@ -70,36 +79,37 @@ def batch(
     from curlfit.output.console import terminal
     from curlfit.throws.load import found_files, states_sweeping, usual_law
 
-    if dask is not None and "://" not in dask:
+    if running.dask is not None and "://" not in running.dask:
         raise InputError(
-            f"--dask {dask}: expected the address of a scheduler, tcp://...; for processes on this "
-            "machine use --workers"
+            f"--dask {running.dask}: expected the address of a scheduler, tcp://...; for processes "
+            "on this machine use --workers"
         )
     files = [str(file) for file in found_files(data, besides=(out, settings_file(out)))]
     # Invalid settings are refused before anything slow is loaded.
-    swept, usual = (
-        any(states_sweeping(file, reading) for file in files),
-        usual_law(files[0], reading),
-    )
     plan = BatchSettings.of(
-        {"law": usual}, vars(flags), vars(reading), posterior=posterior, seed=seed, any_swept=swept
-    )
-    names = columns(plan)
-    console = terminal(quiet=quiet)
-    with Table(out, names, dict(plan), files, again=again) as table:
-        _fill(table, plan, len(files), console, workers=workers, dask=dask)
+        {"law": usual_law(files[0], reading)}, vars(flags), vars(reading), vars(running),
+        any_swept=any(states_sweeping(file, reading) for file in files),
+    )  # fmt: skip
+    console = terminal(quiet=running.quiet)
+    with Table(out, columns(plan), dict(plan), files, again=running.again) as table:
+        _fill(table, plan, len(files), console, workers=running.workers, dask=running.dask)
+    return _told(table, console)
+
+
+def _told(table: Table, console: Console) -> Saved:
+    """Say what is in a table."""
     counts = table.counts
     console.print(
         f"{counts['ok']} ok"
         + (f" ({table.warned} with warnings, in the column of that name)" if table.warned else "")
         + f", {counts['not usable']} not usable, {counts['failed']} failed"
-        + f". Written: {out}, {table.settings}",
+        + f". Written: {table.file}, {table.settings}",
         soft_wrap=True,
     )
     read = counts["ok"] + counts["not usable"]
     if not counts["ok"]:
         fault = "no throw is usable" if read else "no throw could be read"
-        say(f"curlfit: {fault}; the column reason of {out} says why", error=True)
+        say(f"curlfit: {fault}; the column reason of {table.file} says why", error=True)
     return Saved(None, status=0 if counts["ok"] else 1 if read else 2)
 
 

@@ -59,12 +59,35 @@ class Sampling(Choices):
         return None if self.no_sample else self.seed or 0
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Together(Choices):
+    """What several throws have in common.
+
+    Attributes
+    ----------
+    share : With several throws: coefficients that are equal in all of them. [default: all; from
+        four throws on they vary about their mean]
+    by : With several throws: labels by which they form groups that differ, such as `sheet`; the
+        columns of the table, or of that of `--throws`.
+    trend : With several throws: labels along which the ice changes, such as `start` (clock times
+        or numbers).
+    """
+
+    share: Annotated[Sequence[str], option(NAMES, "all|NAME,...")] = ()
+    by: Annotated[Sequence[str], option(NAMES, "LABEL,...")] = ()
+    trend: Annotated[Sequence[str], option(NAMES, "LABEL,...")] = ()
+
+    @property
+    def effects(self) -> dict[str, Sequence[str]]:
+        """The labels of groups and trends."""
+        return {"by": self.by, "trend": self.trend}
+
+
 def fit(
     *data: Path,
     flags: Fitting = Fitting(),
-    share: Annotated[Sequence[str], option(NAMES, "all|NAME,...")] = (),
-    by: Annotated[Sequence[str], option(NAMES, "LABEL,...")] = (),
-    trend: Annotated[Sequence[str], option(NAMES, "LABEL,...")] = (),
+    together: Together = Together(),
     reading: Reading = Reading(),
     config: s.Config = None,
     sampling: Sampling = Sampling(),
@@ -84,15 +107,6 @@ def fit(
         Table with a header: t, x, y and if possible phi (s, m, m, rad; other units as y_ft,
         angle_deg ...). Leading lines `# key = value` are its defaults. Several files, or those of
         a folder, are fitted jointly; of a table of `curlfit batch`, the throws that it contains.
-    share
-        With several throws: coefficients that are equal in all of them. [default: all; from four
-        throws on they vary about their mean]
-    by
-        With several throws: labels by which they form groups that differ, such as `sheet`; the
-        columns of the table, or of that of `--throws`.
-    trend
-        With several throws: labels along which the ice changes, such as `start` (clock times or
-        numbers).
     """
     from curlfit.batch.table import is_table
     from curlfit.friction_tables.table import is_friction_table
@@ -108,17 +122,16 @@ def fit(
             raise InputError(
                 f"{words[0]}: the throws of {files[0]} are fitted already; expected it in the batch"
             )
-        return _fit_table(files, flags.law, by, trend, sampling.of_several(), output)
+        return _fit_table(files, flags.law, together, sampling.of_several(), output)
     if sampling.resume and sampling.no_sample:
         raise InputError("--resume continues sampling, and --no-sample skips it; give one of them")
     jobs = s.prepare_all(files, config, reading, flags)
     if len(jobs) > 1:
         one, several = data[0].resolve(), Path("joint-fit")
         usual = s.result_folder(one, "fit", reading) if len(data) == 1 else several
-        return _fit_jointly(jobs, share, by, trend, sampling.of_several(), output, usual)
-    for name, value in (("share", share), ("by", by), ("trend", trend)):
-        if value:
-            raise InputError(f"--{name} needs several throws")
+        return _fit_jointly(jobs, together, sampling.of_several(), output, usual)
+    for name in together.given():
+        raise InputError(f"--{name} needs several throws")
     (job,) = jobs.values()
     return _fit_one(job, s.result_folder(files[0], "fit", reading), sampling, output)
 
@@ -246,9 +259,7 @@ def _sample(
 
 def _fit_jointly(
     named: Mapping[str, s.ConfiguredThrow[Fitting]],
-    share: Sequence[str],
-    by: Sequence[str],
-    trend: Sequence[str],
+    together: Together,
     seed: int | None,
     output: Output,
     usual: Path,
@@ -258,7 +269,7 @@ def _fit_jointly(
     from curlfit.output.files import prepare_folder
     from curlfit.throws.plausibility import require_plausible
 
-    drawn = output.drawn()
+    drawn, share = output.drawn(), together.share
     jobs = list(named.values())
     chosen = jobs[0].chosen
     _require_alike(jobs)
@@ -289,7 +300,7 @@ def _fit_jointly(
         from curlfit.inference.joint.fit import fit_together
 
         result = fit_together(
-            throws, share=shared, by=by, trend=trend, seed=seed, **common,
+            throws, share=shared, **together.effects, seed=seed, **common,
             progress=lambda step, chi_squared: show(f"step {step}, chi squared {chi_squared:.6g}"),
         )  # fmt: skip
     for name, one in zip(named, result.throws, strict=True):
@@ -315,12 +326,7 @@ def _require_alike(jobs: Sequence[s.ConfiguredThrow[Fitting]]) -> None:
 
 
 def _fit_table(
-    data: Sequence[Path],
-    law: str | None,
-    by: Sequence[str],
-    trend: Sequence[str],
-    seed: int | None,
-    output: Output,
+    data: Sequence[Path], law: str | None, together: Together, seed: int | None, output: Output
 ) -> Saved:
     """Fit the mean of throws that `curlfit batch` fitted one by one; write `joint.json` and its
     figure."""
@@ -332,7 +338,7 @@ def _fit_table(
     with output.status(f"Fitting the throws of {data[0]} {COMPILES}"):
         from curlfit.batch.season import fit_season
 
-        result = fit_season(data[0], law, by=by, trend=trend, seed=seed)
+        result = fit_season(data[0], law, **together.effects, seed=seed)
     folder = prepare_folder(output.out or Path(f"{data[0].stem}-fit"))
     drawn.draw_beside()
     return _finish(result, output.finish(result, folder, drawn))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -62,86 +62,96 @@ def positions_along(fit: FitResult, direction: dict[str, float]) -> Floats:
     return steps
 
 
+class _Drawing(NamedTuple):
+    """Where points along two axes are drawn: from their origin, enlarged by their scale."""
+
+    origin: list[float]
+    scale: list[float]
+
+    @classmethod
+    def of(cls, low: Floats, high: Floats, *, from_above: bool) -> _Drawing:
+        """One that shows what lies between two corners; seen `from_above`, thrown to the right,
+        left of the throw is up."""
+        size = np.where(high > low, high - low, 1.0)
+        along, across = (_WIDTH - 2 * _MARGIN) / size[0], (_HEIGHT - 2 * _MARGIN) / size[1]
+        if from_above:
+            return cls([float(low[0]), float(high[1])], [along, -across])
+        return cls(low.tolist(), [along, across])
+
+    def at(self, points: Floats) -> list[tuple[float, float]]:
+        """Points in the drawing, of values along the axes, shape (2, n)."""
+        across = _MARGIN + (points[0] - self.origin[0]) * self.scale[0]
+        down = _HEIGHT - _MARGIN - (points[1] - self.origin[1]) * self.scale[1]
+        found = zip(across.tolist(), down.tolist(), strict=True)
+        return [(u, v) for u, v in found if math.isfinite(u) and math.isfinite(v)]
+
+
 def _direction(
     models: list[CurveModel], direction: dict[str, float], id: str
 ) -> tuple[Block, dict[str, Any]] | None:
-    fit = models[0].fit
-    names = [name for name, weight in direction.items() if weight]
+    fit, names = models[0].fit, [name for name, weight in direction.items() if weight]
     steps = positions_along(fit, {name: direction[name] for name in names})
     if not np.isfinite(steps).all() or not np.ptp(steps) > 0:
         return None
-    places = [list(fit.parameters).index(name) for name in names]
-    weights = np.array([direction[name] for name in names])
-
-    def at(model: CurveModel, step: float, count: int) -> Curves:
-        values = model.fit.values
-        values[places[:count]] += step * weights[:count]
-        # The step to a bound ends on it up to rounding.
-        values = np.clip(values, fit.parameter_set.lower, fit.parameter_set.upper)
-        return model.at(values)
-
-    everywhere, elsewhere = (
-        [[at(model, step, count) for model in models] for step in steps.tolist()]
-        for count in (len(names), 1)
-    )
-    start = int(np.flatnonzero(steps == 0)[0])
-    changes, apart = (
-        [_change(curves, everywhere[start], models) for curves in whole]
-        for whole in (everywhere, elsewhere)
-    )
-    best = everywhere[start][0]
+    moves = np.outer(steps, [direction[name] for name in names])
+    values = np.array([fit.parameters[name].value for name in names]) + moves
+    sizes, start = np.abs(values).max(0), int(np.flatnonzero(steps == 0)[0])
+    whole = [_curves(models, names[:count], moves) for count in (len(names), 1)]
+    best = whole[0][start]
+    changes, apart = ([_change(curves, best, models) for curves in one] for one in whole)
     sides = ("y", "x") if {"x", "y"} <= fit.rms.keys() else ("t", next(iter(fit.rms)))
-    some = some_rows(len(best.t), _INSTANTS)
-    curves, others = (
-        [[(one.t if name == "t" else one.path[name])[some] for name in sides] for one, *_ in whole]
-        for whole in (everywhere, elsewhere)
+    some = some_rows(len(best[0].t), _INSTANTS)
+    paths, alone = (
+        [[(one.t if name == "t" else one.path[name])[some] for name in sides] for one, *_ in each]
+        for each in whole
     )
-    whole = np.array(curves + others)
-    low, high = np.nanmin(whole, axis=(0, 2)), np.nanmax(whole, axis=(0, 2))
-    size = np.where(high > low, high - low, 1.0)
-    scale = [(_WIDTH - 2 * _MARGIN) / size[0], (_HEIGHT - 2 * _MARGIN) / size[1]]
-    origin = low
-    if sides[1] == "x":  # seen from above, thrown to the right: left of the throw is up
-        origin, scale[1] = np.array([low[0], high[1]]), -scale[1]
-    values = np.array([fit.parameters[name].value for name in names]) + np.outer(steps, weights)
-    sizes = np.abs(values).max(0)
-    what = "the path" if sides[0] == "y" else "what was measured"
-    data = {
+    ends = [side(np.array(paths + alone), axis=(0, 2)) for side in (np.nanmin, np.nanmax)]
+    drawing = _Drawing.of(*ends, from_above=sides[1] == "x")
+    data: dict[str, Any] = {
         "kind": "direction",
-        "what": what,
+        "what": "the path" if sides[0] == "y" else "what was measured",
         "names": names,
         "values": [rounded(row, 9) for row in values],
         "sizes": np.where(sizes > 0, sizes, 1.0).tolist(),
-        "origin": origin.tolist(), "scale": scale, "margin": _MARGIN,
-        "paths": [[rounded(values, 8) for values in one] for one in curves],
-        "alone": [[rounded(values, 4) for values in one] for one in others],
+        **drawing._asdict(), "margin": _MARGIN,
+        "paths": [[rounded(values, 8) for values in one] for one in paths],
+        "alone": [[rounded(values, 4) for values in one] for one in alone],
         "changes": changes,
         "apart": apart,
-        "chi_squared": [_number(sum(one.chi_squared for one in curves)) for curves in everywhere],
+        "chi_squared": [_number(sum(one.chi_squared for one in each)) for each in whole[0]],
         "start": start,
-        "t": rounded(best.t[some], 6),
+        "t": rounded(best[0].t[some], 6),
     }  # fmt: skip
-    largest = max((one for one in changes if one), key=lambda one: one["size"])
-    far = [one for one in apart if one]
-    block = Block(
-        "direction",
-        {
-            "id": id, "what": what, "names": names, "start": start, "last": len(steps) - 1,
-            "values": dict(zip(names, data["values"][start], strict=True)),
-            "shares": (100 * np.abs(values[start]) / data["sizes"]).tolist(),
-            "sum": _constant(fit, names),
-            "largest": largest["text"], "joined": join_words(names),
-            "apart": max(far, key=lambda one: one["size"])["text"] if far else "",
-            "width": _WIDTH, "height": _HEIGHT, "margin": _MARGIN,
-            "axes": _axes(fit, sides, low, high, len(models)),
-            "points": _drawn(
-                np.array([fit.observed[name][some_rows(len(fit.observed["t"]), 200)]
-                          for name in sides]), origin, scale
-            ),
-            "path": _drawn(np.array(curves[start]), origin, scale),
-        },
-    )  # fmt: skip
-    return block, data
+    measured = some_rows(len(fit.observed["t"]), 200)
+    shows = {
+        **data, "id": id, "last": len(steps) - 1, "joined": join_words(names),
+        "shares": (100 * np.abs(values[start]) / data["sizes"]).tolist(),
+        "sum": _constant(fit, names), "largest": _largest(changes), "apart": _largest(apart),
+        "width": _WIDTH, "height": _HEIGHT, "axes": _axes(fit, sides, *ends, len(models)),
+        "points": drawing.at(np.array([fit.observed[name][measured] for name in sides])),
+        "path": drawing.at(np.array(paths[start])),
+    }  # fmt: skip
+    return Block("direction", shows), data
+
+
+def _curves(models: list[CurveModel], names: list[str], moves: Floats) -> list[list[Curves]]:
+    """The curves of all models at each of some moves of the parameters of these names."""
+    fit = models[0].fit
+    places = [list(fit.parameters).index(name) for name in names]
+
+    def at(model: CurveModel, move: Floats) -> Curves:
+        values = model.fit.values
+        values[places] += move[: len(places)]
+        # The step to a bound ends on it up to rounding.
+        return model.at(np.clip(values, fit.parameter_set.lower, fit.parameter_set.upper))
+
+    return [[at(model, move) for model in models] for move in moves]
+
+
+def _largest(changes: list[dict[str, Any] | None]) -> str:
+    """The largest of changes in words; empty where no path exists."""
+    found = max(filter(None, changes), key=lambda one: one["size"], default={"text": ""})
+    return str(found["text"])
 
 
 def _constant(fit: FitResult, names: list[str]) -> str:
@@ -196,14 +206,3 @@ def _size(value: float, channel: str) -> str:
 
 def _number(value: float) -> float | None:
     return float(f"{value:.8g}") if math.isfinite(value) else None
-
-
-def _drawn(points: Floats, origin: Floats, scale: list[float]) -> list[tuple[float, float]]:
-    """Positions in the drawing of values along two axes."""
-    across = _MARGIN + (points[0] - origin[0]) * scale[0]
-    down = _HEIGHT - _MARGIN - (points[1] - origin[1]) * scale[1]
-    return [
-        (u, v)
-        for u, v in zip(across.tolist(), down.tolist(), strict=True)
-        if math.isfinite(u) and math.isfinite(v)
-    ]

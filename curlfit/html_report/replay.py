@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -84,7 +84,7 @@ def replay_of_fit(fit: FitResult, id: str, label: str = "") -> tuple[Block, dict
         name: fit.observed[name][some] - fit.predicted[name][some] for name in fit.residuals
     }
     shown = [name for name in _NAMES if name not in assumed]
-    return _replay(id, label, where, t, path, measured, residuals, fit.stone.R, shown)
+    return _Thrown(t, path, measured, residuals, fit.stone.R).replay(id, label, where, shown)
 
 
 def replay_of_prediction(prediction: Prediction, id: str) -> tuple[Block, dict[str, Any]]:
@@ -93,67 +93,77 @@ def replay_of_prediction(prediction: Prediction, id: str) -> tuple[Block, dict[s
     ends = series["t"] <= prediction.quantities["time"].value
     some = np.flatnonzero(ends | (np.cumsum(~ends) == 1))  # and one at rest
     some = some[some_rows(len(some), _MOST)]
-    path = {name: series[name][some] for name in _NAMES}
-    measured = {name: prediction.measured[name] for name in "xy" if name in prediction.measured}
-    where = "The path is that of the best estimate."
-    stone = prediction.stone
-    return _replay(id, "", where, series["t"][some], path, measured, {}, stone.R, list(_NAMES))
+    thrown = _Thrown(
+        series["t"][some], {name: series[name][some] for name in _NAMES},
+        {name: prediction.measured[name] for name in "xy" if name in prediction.measured},
+        {}, prediction.stone.R,
+    )  # fmt: skip
+    return thrown.replay(id, "", "The path is that of the best estimate.", list(_NAMES))
 
 
-def _replay(
-    id: str, label: str, where: str, t: Floats, path: dict[str, Floats],
-    measured: dict[str, Floats], residuals: dict[str, Floats], ring: float,
-    names: list[str],
-) -> tuple[Block, dict[str, Any]]:  # fmt: skip
-    data: dict[str, Any] = {"t": rounded(t, 4)}
-    data |= {name: rounded(values, 5) for name, values in path.items()}
-    points: list[tuple[float, float]] = []
-    if {"x", "y"} <= measured.keys():
-        pairs = zip(measured["x"].tolist(), measured["y"].tolist(), strict=True)
-        points = [(x, y) for x, y in pairs if math.isfinite(x) and math.isfinite(y)]
-    traces, data["residuals"] = [], {}
-    for name, values in residuals.items():
+class _Thrown(NamedTuple):
+    """What is shown of a throw: times, the path, and what was measured, by channel; residuals at
+    these times; the radius of the contact ring."""
+
+    t: Floats
+    path: dict[str, Floats]
+    measured: dict[str, Floats]
+    residuals: dict[str, Floats]
+    ring: float
+
+    def replay(
+        self, id: str, label: str, where: str, names: list[str]
+    ) -> tuple[Block, dict[str, Any]]:
+        """The part of the page, with the channels of these names as numbers."""
+        t, path, residuals, traces = self.t, self.path, dict[str, Any](), []
+        for name, values in self.residuals.items():
+            if np.isfinite(values).any():
+                residuals[name], trace = self._trace(name, values)
+                traces.append(trace)
+        data: dict[str, Any] = {"kind": "replay", "t": rounded(t, 4)}
+        data |= {name: rounded(values, 5) for name, values in path.items()}
+        data["residuals"] = residuals
+        measured = self.measured if {"x", "y"} <= self.measured.keys() else {"x": t[:0], "y": t[:0]}
+        shown = [
+            {
+                "name": name, "meaning": _NAMES[name][0], "unit": _NAMES[name][1],
+                "value": float(path[name][-1]) / _TURN.get(name, 1.0),
+                "residual": _last(residuals.get(name)),
+            }
+            for name in names
+        ]  # fmt: skip
+        block = Block(
+            "replay",
+            {
+                "id": id, "label": label, "explained": id.endswith("-0"), "where": where,
+                "view": sheet_view(path["x"].tolist(), path["y"].tolist()),
+                "points": _points(measured["x"], measured["y"]),
+                "path": list(zip(path["x"].tolist(), path["y"].tolist(), strict=True)),
+                "end": {name: float(path[name][-1]) for name in _NAMES},
+                "from": float(t[0]), "to": float(t[-1]), "step": _step(float(t[-1] - t[0])),
+                "traces": traces, "rows": shown, "radius": STONE_RADIUS, "ring": self.ring,
+            },
+        )  # fmt: skip
+        return block, data
+
+    def _trace(self, name: str, values: Floats) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Residuals as numbers and as points over time, in a unit that suits their size."""
         finite = values[np.isfinite(values)]
-        if not len(finite):
-            continue
         size, unit = unit_for(max(float(np.sqrt(np.mean(finite**2))), 1e-12), name)
         scaled = values / size
         reach = float(np.nanmax(np.abs(scaled))) or 1.0
         places = min(decimals(reach / 10) + 1, 6)
-        data["residuals"][name] = {"unit": unit, "values": rounded(scaled, places)}
-        span = float(t[-1] - t[0])
-        dots = [
-            (float((time - t[0]) / span), float(-value / reach))
-            for time, value in zip(t, scaled, strict=True)
-            if math.isfinite(value)
-        ]
-        traces.append(
-            {
-                "name": name, "unit": unit, "reach": f"{float(f'{reach:.2g}'):g}", "dots": dots,
-                "color": DATA_COLOR,
-            }
-        )  # fmt: skip
-    view = sheet_view(path["x"].tolist(), path["y"].tolist())
-    shown = [
-        {
-            "name": name, "meaning": _NAMES[name][0], "unit": _NAMES[name][1],
-            "value": float(path[name][-1]) / _TURN.get(name, 1.0),
-            "residual": _last(data["residuals"].get(name)),
-        }
-        for name in names
-    ]  # fmt: skip
-    block = Block(
-        "replay",
-        {
-            "id": id, "label": label, "explained": id.endswith("-0"), "where": where,
-            "view": view, "points": points,
-            "path": list(zip(path["x"].tolist(), path["y"].tolist(), strict=True)),
-            "end": {name: float(path[name][-1]) for name in _NAMES},
-            "from": float(t[0]), "to": float(t[-1]), "step": _step(float(t[-1] - t[0])),
-            "traces": traces, "rows": shown, "radius": STONE_RADIUS, "ring": ring,
-        },
-    )  # fmt: skip
-    return block, {"kind": "replay", **data}
+        dots = _points((self.t - self.t[0]) / float(self.t[-1] - self.t[0]), -scaled / reach)
+        return {"unit": unit, "values": rounded(scaled, places)}, {
+            "name": name, "unit": unit, "reach": f"{float(f'{reach:.2g}'):g}", "dots": dots,
+            "color": DATA_COLOR,
+        }  # fmt: skip
+
+
+def _points(x: Floats, y: Floats) -> list[tuple[float, float]]:
+    """Points whose coordinates are both known."""
+    known = np.isfinite(x) & np.isfinite(y)
+    return list(zip(x[known].tolist(), y[known].tolist(), strict=True))
 
 
 def _last(found: dict[str, Any] | None) -> str:

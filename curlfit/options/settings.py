@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from curlfit.inference.problem import Problem
     from curlfit.throws.throw import Throw
 
-_MOST_BYTES = 64_000  # of a configuration file
 _FORMS = {**Fitting.forms(), **Comparing.forms(), **Reading.forms(), "seed": SEED}
 _KEYS = {FLAGS.get(name, name).removeprefix("--"): name for name in _FORMS} | {"swept": "swept"}
 Chosen = TypeVar("Chosen", bound=Estimation)
@@ -98,7 +97,7 @@ def read_config(file: Path | None) -> dict[str, Any]:
         return {}
     from curlfit.throws.readers.text import TextFile
 
-    lines = TextFile.of_settings(file, _MOST_BYTES).lines
+    lines = TextFile.read(file, settings=True).lines
     try:
         found = tomllib.loads("\n".join(lines))
     except RecursionError:
@@ -243,20 +242,9 @@ def checked_parameters(
     return parameters
 
 
-def request_fit(
-    data: Path, config: Path | None, reading: Reading, flags: ModelChoices
-) -> ConfiguredThrow[ModelChoices]:
-    """The throw to be fitted, with everything checked before slow modules are loaded.
-
-    Raises
-    ------
-    InputError : the data, a setting or a value cannot be used.
-    """
-    return checked(prepare(data, config, reading, flags))
-
-
 def checked(job: ConfiguredThrow[ModelChoices]) -> ConfiguredThrow[ModelChoices]:
-    """The same throw. Raises `InputError` if it cannot be fitted."""
+    """The same throw. Raises `InputError` if it cannot be fitted, before slow modules are
+    loaded."""
     from curlfit.throws.plausibility import require_plausible
 
     require_plausible(job.cut)

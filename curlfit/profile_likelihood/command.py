@@ -70,7 +70,7 @@ def profile(
         fit, chain = s.load_fit_and_chain(data, flags.law)
         parameters = fit.parameter_set
     else:
-        request = s.request_fit(data, config, reading, flags)
+        request = s.checked(s.prepare(data, config, reading, flags))
         parameters = request.parameters
     require_usable(parameters, param, points, limits)
     kind = f"profile-{'-'.join(param)}"

@@ -171,26 +171,11 @@ def along_path(
     )
 
 
-class EvenMotion(NamedTuple):
-    """Motion under a constant deceleration from the first line to rest."""
-
-    y0: float
-    length: float
-    """distance to rest, m"""
-    time: float
-    """time to rest, s"""
-
-    def y(self, t: Floats) -> Floats:
-        """y at times since the first line: y0 + s (1 - (1 - t/T)^2)."""
-        return self.y0 + self.length * self.turned(t)
-
-    def turned(self, t: Floats) -> Floats:
-        """Fraction of the distance covered at times since the first line."""
-        return np.asarray(1 - np.clip(1 - t / self.time, 0.0, 1.0) ** 2)
-
-
-def even_motion(events: Sequence[Event], assumed: Mapping[str, float]) -> EvenMotion:
-    """The constant deceleration that best fits measured times, speeds and the resting position.
+def _even_motion(
+    events: Sequence[Event], assumed: Mapping[str, float]
+) -> tuple[float, float, float]:
+    """The constant deceleration from the first line to rest that best fits measured times, speeds
+    and the resting position: y of that line (m), distance (m) and time (s) to rest.
 
     If the stone comes to rest after a distance s in a time T, it crosses a line at a distance d at
     T (1 - sqrt(1 - d/s)): all times are proportional to T, which is found in closed form for each s
@@ -224,7 +209,7 @@ def even_motion(events: Sequence[Event], assumed: Mapping[str, float]) -> EvenMo
     elif not rest:
         total = abs(s - _TYPICAL_LENGTH)
     best = int(np.argmin(total))
-    return EvenMotion(y0, float(s[best]), float(t[best]))
+    return y0, float(s[best]), float(t[best])
 
 
 def sketch(
@@ -234,13 +219,13 @@ def sketch(
 
     `assumed` is as in `Throw`.
     """
-    motion = even_motion(events, assumed)
-    t = np.linspace(0.0, _LONGER * motion.time, _ROWS)
-    share = motion.turned(t)
+    y0, length, time = _even_motion(events, assumed)
+    t = np.linspace(0.0, _LONGER * time, _ROWS)
+    share = 1 - np.clip(1 - t / time, 0.0, 1.0) ** 2
     rest = {event.quantity: event.value for event in events if event.at is None}
-    x = rest.get("x", 0.0) * np.minimum(t / motion.time, 1.0) ** 2
+    x = rest.get("x", 0.0) * np.minimum(t / time, 1.0) ** 2
     # The spin, too, decreases linearly.
     spins = [event.value for event in events if event.quantity == "omega"]
     spin = spins[0] if spins else assumed.get("omega0", 0.0)
-    phi = rest.get("phi", spin * motion.time / 2) * share
-    return t, {"x": x, "y": motion.y(t), "phi": phi}
+    phi = rest.get("phi", spin * time / 2) * share
+    return t, {"x": x, "y": y0 + length * share, "phi": phi}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -111,38 +111,37 @@ def synthetic_throw(
     (5, 0.055)
     """
     conditions = _conditions(environment)
-    state = {"omega0": omega0, "heading": heading, "x0": x0, "y0": y0, "phi0": phi0}
+    state = {"x0": x0, "y0": y0, "heading": heading, "v0": v0, "phi0": phi0, "omega0": omega0}
     _require("positive", math.ulp(0.0), {"until": until, "dt": dt})
     _require("non-negative", 0.0, {"v0": v0, "noise-xy": noise_xy, "noise-phi": noise_phi})
     _require("finite", -math.inf, state | conditions)
-    t = _times(until, dt)
-    checked = check_load(load)
+    t, checked = _times(until, dt), check_load(load)
+    noise = np.random.default_rng(seed).standard_normal((3, len(t)))
+    sizes = np.array([[noise_xy], [noise_xy], [noise_phi]])
+    x, y, phi = _path(law, stone, list(state.values()), t, checked, environment) + sizes * noise
+    values = {item.name: float(getattr(law, item.name)) for item in law.coefficients()}
+    return Throw(
+        t, x, y, phi, name="synthetic throw",
+        reference=Reference(_SOURCE, law.name, values | conditions),
+        defaults={"stone": stone.as_dict(), "load": checked}
+        | ({} if law.origin else {"law": law.name}),
+    )  # fmt: skip
 
+
+def _path(
+    law: Law, stone: Stone, state: Sequence[float], t: Floats, load: Any, environment: Any
+) -> Floats:
+    """x, y and phi under a law from an initial state, shape (3, n)."""
     from curlfit.dynamics.trajectory import InitialState, simulate
 
-    start = InitialState(x=x0, y=y0, heading=heading, v=v0, phi=phi0, omega=omega0)
-    path = simulate(law, stone, start, t, load=checked, environment=environment).to_numpy()
+    start = InitialState(*state)
+    path = simulate(law, stone, start, t, load=load, environment=environment).to_numpy()
     if not np.isfinite(path.x).all():
         raise InputError(
             f"law {law.name} with {load} load admits no motion from this start"
             + no_motion_because(load)
         )
-    random = np.random.default_rng(seed)
-    names = [item.name for item in law.coefficients()]
-    return Throw(
-        t=t,
-        x=np.asarray(path.x) + noise_xy * random.standard_normal(len(t)),
-        y=np.asarray(path.y) + noise_xy * random.standard_normal(len(t)),
-        phi=np.asarray(path.phi) + noise_phi * random.standard_normal(len(t)),
-        name="synthetic throw",
-        reference=Reference(
-            _SOURCE,
-            law.name,
-            {name: float(getattr(law, name)) for name in names} | conditions,
-        ),
-        defaults={"stone": stone.as_dict(), "load": checked}
-        | ({} if law.origin else {"law": law.name}),
-    )
+    return np.stack([path.x, path.y, path.phi])
 
 
 def _times(until: float, dt: float) -> Floats:

@@ -26,7 +26,7 @@ GAPS = {"", *WORDS["gaps"].split()}
 """Cells without a value, among them the errors of spreadsheets."""
 EXPECTED = "expected a header such as t,x,y,phi (time in s, position in m, angle in rad)"
 _SPREADSHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")  # first bytes; of other archives too
-_MOST_BYTES = 50_000_000
+_MOST_BYTES, _MOST_OF_SETTINGS = 50_000_000, 64_000
 # Characters of a comment, a header or a setting; of a row; a line of JSON may have any number.
 _MOST_IN_HEAD, _MOST_IN_ROW = 1000, 20_000
 _MOST_LINES = 2_000_000
@@ -35,7 +35,7 @@ _CHUNK = 20_000  # rows whose cells are in memory together
 _UNIT_APART = re.compile(r"[ \t]+([(\[][^()\[\]]*[)\]])")
 
 
-def _bytes_of(path: Path, most: int, what: str) -> bytes:
+def _bytes_of(path: Path, what: str, most: int) -> bytes:
     """The content of a file. Raises `DataError` where there is none, or too much."""
     try:
         with path.open("rb") as stream:
@@ -86,15 +86,17 @@ class TextFile(NamedTuple):
     note: str = ""
 
     @classmethod
-    def read(cls, path: Path, worksheet: str | None = None) -> TextFile:
-        """A file of data, or a worksheet of a workbook: its first one with data, if none is named.
+    def read(cls, path: Path, worksheet: str | None = None, *, settings: bool = False) -> TextFile:
+        """A file of data, or a worksheet of a workbook: its first one with data, if none is named;
+        or a file of `settings`, in which all lines are as short as comments.
 
         Raises
         ------
         DataError : no such file, a folder, not readable, too large, not text, or a line is too
             long. InputError : no such worksheet.
         """
-        raw, note = _bytes_of(path, _MOST_BYTES, "throws"), ""
+        kind = ("settings", _MOST_OF_SETTINGS) if settings else ("throws", _MOST_BYTES)
+        raw, note = _bytes_of(path, *kind), ""
         if raw.startswith(_SPREADSHEETS):
             text, note = text_of_sheet(raw, path, _MOST_BYTES, worksheet)
         elif worksheet is not None:
@@ -106,27 +108,18 @@ class TextFile(NamedTuple):
             raise file.error(f"this is not a text file; {EXPECTED}")
         if len(file.lines) > _MOST_LINES + 1:
             raise file.error(f"more than {_MOST_LINES} lines; expected throws")
-        if max(map(len, file.lines)) > _MOST_IN_HEAD:
-            header = next((k for k, line in enumerate(file.lines) if not is_aside(line)), -1)
-            json = file.lines[header].lstrip()[:1] in ("{", "[")
-            for index, line in enumerate(file.lines):
-                comment = is_aside(line)
-                most = _MOST_IN_HEAD if index == header or comment else _MOST_IN_ROW
-                if comment or not json:
-                    file._require_short(index, most)
+        if max(map(len, file.lines)) <= _MOST_IN_HEAD:
+            return file
+        header = next((k for k, line in enumerate(file.lines) if not is_aside(line)), -1)
+        json = not settings and file.lines[header].lstrip()[:1] in ("{", "[")
+        for index, line in enumerate(file.lines):
+            comment = is_aside(line)
+            short = settings or comment or index == header
+            most = _MOST_IN_HEAD if short else _MOST_IN_ROW
+            if len(line) > most and (comment or not json):
+                fault = f"a line of {len(line)} characters; expected at most {most}"
+                raise file.error(fault, index)
         return file
-
-    @classmethod
-    def of_settings(cls, path: Path, most_bytes: int) -> TextFile:
-        """A file of settings, with lines as short as comments. Raises `DataError` as `read`."""
-        file = cls(path, _decoded(_bytes_of(path, most_bytes, "settings")).split("\n"))
-        for index in range(len(file.lines)):
-            file._require_short(index, _MOST_IN_HEAD)
-        return file
-
-    def _require_short(self, index: int, most: int) -> None:
-        if (length := len(self.lines[index])) > most:
-            raise self.error(f"a line of {length} characters; expected at most {most}", index)
 
     def error(self, message: str, index: int | None = None, column: str | None = None) -> DataError:
         """An error at the line of this index."""
