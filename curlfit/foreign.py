@@ -49,6 +49,11 @@ def cut(text: str, most: int = _LONGEST_QUOTE) -> str:
     return text if len(text) <= most else f"{text[: most - end - 3]}...{text[-end:]}"
 
 
+def counted(number: int, what: str) -> str:
+    """A number of things, such as "1 row" or "2 rows"."""
+    return f"{number} {what}{'s' * (number != 1)}"
+
+
 def printable(text: str) -> str:
     """Text with what moves the cursor, hides or reverses other text (control characters and such)
     as escapes."""

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from curlfit.errors import CurlfitError
+from curlfit.foreign import counted
 from curlfit.html_report.blocks import blocks_of
 from curlfit.html_report.drawings import inline_svg
 from curlfit.html_report.page import rendered
@@ -107,7 +108,7 @@ def motion_in_words(throw: Throw) -> str:
 
     if not throw.has_path:
         return ""
-    words = [f"{len(throw)} rows in {throw.t[-1] - throw.t[0]:.4g} s"]
+    words = [f"{counted(len(throw), 'row')} in {throw.t[-1] - throw.t[0]:.4g} s"]
     if (motion := motion_of(throw)) is not None:
         words += [
             f"a path of {motion.length:.3g} m",

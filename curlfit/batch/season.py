@@ -12,7 +12,7 @@ import numpy as np
 from curlfit.batch.settings import DURATION, INFORMATION, LABELS, BatchSettings, columns
 from curlfit.batch.table import plan_of, settings_file
 from curlfit.errors import DataError
-from curlfit.foreign import printable
+from curlfit.foreign import counted, printable
 from curlfit.friction import Law, find_law
 from curlfit.inference.joint.result import JointResult
 from curlfit.inference.joint.season import Season, mean_of
@@ -107,7 +107,8 @@ def _read(file: Path, law: str | type[Law] | None = None) -> Season:
     rows = np.array(told).reshape(len(told), len(names), len(names) + 1)
     if not (np.isfinite(found).all() and np.isfinite(rows).all()):
         raise DataError("numbers that are not finite", file=file)
-    notes = [f"{others} rows are not ok and are left out"] if others else []
+    are = "is" if others == 1 else "are"
+    notes = [f"{counted(others, 'row')} {are} not ok and {are} left out"] * bool(others)
     return Season(
         str(file), Model(kind, chosen.load), Stone().with_values(dict(chosen.stone)), labels,
         values, start, durations[:, 0], rows, tuple(notes),

@@ -10,6 +10,7 @@ from rich.text import Text
 
 from curlfit.comparison.result import Candidate, Comparison, SetOfData
 from curlfit.comparison.tables import coefficients_table, difference
+from curlfit.foreign import counted
 from curlfit.output.console import Items, PlainTable
 from curlfit.output.document import Document, Said, Section, command_line
 from curlfit.output.text import STYLE, join_words, p_text, stone_text
@@ -57,9 +58,9 @@ def short(one: SetOfData) -> str:
 
 
 def _about(one: SetOfData) -> str:
-    count = {"track": "track", "friction": "friction"}.get(one.kind, f"{one.throws} throws")
+    count = {"track": "track", "friction": "friction"}.get(one.kind, counted(one.throws, "throw"))
     fewer = f", worth {one.effective:.0f} independent ones" * (one.effective < one.values - 0.5)
-    return f"{one.name}: {count}, {one.values} values{fewer}"
+    return f"{one.name}: {count}, {counted(one.values, 'value')}{fewer}"
 
 
 def _noise(one: SetOfData) -> str:

@@ -18,6 +18,7 @@ from curlfit.dynamics.equations import ExternalForces
 from curlfit.dynamics.integrator import integrate
 from curlfit.environment import Environment
 from curlfit.errors import InputError, require_kind
+from curlfit.foreign import counted
 from curlfit.friction import Law, Load, check_load, find_law
 from curlfit.numerics.compiled import compiled
 from curlfit.output.console import PlainTable
@@ -126,7 +127,8 @@ class Trajectory(Displayed):
         ends = f"from ({x[0]:.4g}, {y[0]:.4g}) m to ({x[-1]:.4g}, {y[-1]:.4g}) m"
         return Document(
             finding=f"at rest at {rest:.5g} s" if math.isfinite(rest) else "does not come to rest",
-            subject=f"motion of a stone at {len(t)} times, t = {t[0]:.5g} .. {t[-1]:.5g} s",
+            subject=f"motion of a stone at {counted(len(t), 'time')}, "
+            f"t = {t[0]:.5g} .. {t[-1]:.5g} s",
             lines=[f"x, y {ends}"],
             sections=[Section("ends", "Ends of the path", [table])],
         )

@@ -10,7 +10,7 @@ from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
-from curlfit.foreign import csv_lines, printable
+from curlfit.foreign import counted, csv_lines, printable
 from curlfit.inference.derived import Derived, to_its_side
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.identifiability import Combination
@@ -194,7 +194,7 @@ def _caption(result: FitResult | JointResult) -> str:
     if result.kind == "joint":
         what = f"{cast('JointResult', result).count} throws together"
     else:
-        what = f"{_file(fits[0].data['file'])} ({fits[0].data['rows']} rows)"
+        what = f"{_file(fits[0].data['file'])} ({counted(fits[0].data['rows'], 'row')})"
     stone = result.stone
     text = (
         f"Estimates of the {escaped(result.law)} law under {escaped(result.load)} load, fitted to "

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from curlfit.errors import DataError
+from curlfit.foreign import counted
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.readers.columns import parse_header
 from curlfit.throws.readers.text import TextFile, TextTable
@@ -108,7 +109,8 @@ def load_friction_table(file: str | PathLike[str]) -> FrictionTable:
                 file=path, line=lines[row] + 1, column=table.names[places[name]],
             )  # fmt: skip
     if len(values["mu"]) < _LEAST_ROWS:
-        raise DataError(f"{len(values['mu'])} rows, expected at least {_LEAST_ROWS}", file=path)
+        fault = f"{counted(len(values['mu']), 'row')}, expected at least {_LEAST_ROWS}"
+        raise DataError(fault, file=path)
     return FrictionTable(
         path.name, values["speed"], values["mu"],
         values.get("omega", np.zeros(len(values["mu"]))), values.get("sigma"),

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from curlfit.errors import DataError, InputError
-from curlfit.foreign import quoted
+from curlfit.foreign import counted, quoted
 from curlfit.friction import Law, Parameter
 from curlfit.friction.curl import can_curl
 from curlfit.inference.conditions import CONDITIONS
@@ -157,7 +157,8 @@ class ParameterSet:
             and not set(throw.seen) <= throw.sigma.keys()
         ):
             raise DataError(
-                f"{rows} rows for {free} parameters; give more rows, or sigmas, or fix parameters",
+                f"{counted(rows, 'row')} for {counted(free, 'parameter')}; give more rows, or "
+                "sigmas, or fix parameters",
                 file=throw.name,
             )
         return parameters

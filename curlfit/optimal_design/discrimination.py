@@ -10,8 +10,9 @@ from typing import Any, ClassVar
 from rich.console import Console
 from rich.text import Text
 
+from curlfit.foreign import counted
 from curlfit.inference.fit.result import LoadName
-from curlfit.optimal_design.report import count_text, measured, noise_text, throws_text
+from curlfit.optimal_design.report import measured, noise_text, throws_text
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Said, Section, show
 from curlfit.output.frames import frame
@@ -248,8 +249,8 @@ def _summary(found: Discrimination) -> list[str]:
     if found.decided:
         alone = sum(value > DECISIVE for value in found.by_size.values())
         lines = [
-            f"{count_text(count)} decide{'s' * (count == 1)}: {which}. Whichever law is true, it "
-            f"{odds} at least {_percent(worst.decides)}."
+            f"{counted(count, 'throw')} decide{'s' * (count == 1)}: {which}. Whichever law is "
+            f"true, it {odds} at least {_percent(worst.decides)}."
         ]
         if count == 1 and alone > 1:
             lines.append(
@@ -259,10 +260,10 @@ def _summary(found: Discrimination) -> list[str]:
     if found.asked is None:
         start = "Cannot be decided by tracks of this precision"
     else:
-        start = f"{count_text(count)} of this precision do not decide"
+        start = f"{counted(count, 'throw')} of this precision do not decide"
     lines = [
         f"{start}: if {worst.truth} is true, it {odds} only {_percent(worst.decides)} over "
-        f"{worst.rival}, after {count_text(count)}, {which}."
+        f"{worst.rival}, after {counted(count, 'throw')}, {which}."
     ]
     if worst.chi_squared < count:
         lines.append(

@@ -11,6 +11,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from curlfit.foreign import counted
 from curlfit.optimal_design.discrimination import DECISIVE, ODDS, Discrimination
 from curlfit.optimal_design.report import noise_text
 from curlfit.optimal_design.result import Design, Separation
@@ -104,7 +105,8 @@ def _map(design: Design) -> draw.Picture:
         axes.set_ylabel("initial spin (rad/s)")
     figure.suptitle(
         f"{draw.law_and_load(design)}: standard error from one throw\n"
-        f"noise {noise_text(design.sigma)}; framed: in the optimal {design.throws} throws",
+        f"noise {noise_text(design.sigma)}; framed: in the optimal "
+        + counted(design.throws, "throw"),
     )
     return figure
 
@@ -157,7 +159,8 @@ def _errors(design: Design) -> draw.Picture:
     lines = panels[0].get_legend_handles_labels()
     figure.legend(*lines, loc="outside lower center", ncols=len(design.quantities))
     figure.suptitle(
-        f"{draw.law_and_load(design)}, optimal {design.throws} throws; dotted: as planned"
+        f"{draw.law_and_load(design)}, optimal {counted(design.throws, 'throw')}; "
+        "dotted: as planned"
     )
     return figure
 
@@ -176,7 +179,7 @@ def _separation(design: Design, separation: Separation) -> draw.Picture:
     ordinary = f"{count} x ({throw.v0:g} m/s, {throw.omega0:g} rad/s)"
     black, blue, green = draw.PALETTE[6], draw.PALETTE[0], draw.PALETTE[2]
     several = None if plain is None else plain / np.sqrt(count)
-    framed = f"the optimal {count} throws"
+    framed = f"the optimal {counted(count, 'throw')}"
     lines = [(several, ordinary, black, "-", 1.6), (scenario.stderr, framed, blue, "-", 2.2)]
     changes = [item for item in separation.changes if item.name == "h"]
     values = sorted(item.value for item in changes)

@@ -10,6 +10,7 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
+from curlfit.foreign import counted
 from curlfit.optimal_design.result import (
     Design,
     LoadScenario,
@@ -52,7 +53,7 @@ def document(design: Design) -> Document:
     best, *others = _summary(design)
     law = f"{design.law} law"
     about = (
-        f", {design.load} load: expected errors of {count_text(design.throws)} selected from "
+        f", {design.load} load: expected errors of {counted(design.throws, 'throw')} selected from "
         f"{len(design.candidates)}"
     )
     scenarios = design.scenarios
@@ -172,7 +173,7 @@ def _best(design: Design) -> PlainTable:
     same = all(item.throws == first.throws for item in others)
     shown = {"": first} if same else {f" by {name}": item for name, item in design.best.items()}
     assumed = {one.expression: one.value for one in first.combinations} | design.coefficients
-    head = f">std. error, best {count_text(design.throws)}"
+    head = f">std. error, best {counted(design.throws, 'throw')}"
     rows = [
         {
             "coefficient": labelled(name, design.units.get(name, "1")),
@@ -194,7 +195,7 @@ def _summary(design: Design) -> list[str]:
     for name, item in design.best.items():
         throws.setdefault(throws_text(design.candidates, item.throws), []).append(_CRITERIA[name])
     lines = [
-        f"Best {count_text(design.throws)}: {text}, by {' and by '.join(criteria)}."
+        f"Best {counted(design.throws, 'throw')}: {text}, by {' and by '.join(criteria)}."
         for text, criteria in throws.items()
     ]
     first = next(iter(design.best.values()))
@@ -295,7 +296,7 @@ def _optimal(design: Design, separation: Separation, scenario: LoadScenario, std
     """The optimal throws for a separation, and what they would need."""
     factor = separation.noise_factor(stderr)
     text = (
-        f"The optimal {count_text(design.throws)}: "
+        f"The optimal {counted(design.throws, 'throw')}: "
         f"{throws_text(design.candidates, scenario.throws or ())}. Error "
         f"{stderr:.2g}, that is {percent(stderr / separation.size)}: "
     )
@@ -324,7 +325,7 @@ def _count(number: float) -> str:
 
 def _changes(design: Design, separation: Separation) -> PlainTable:
     scenario, draw = separation.scenario("consistent"), design.candidates[separation.ordinary]
-    count, alone = count_text(design.throws), scenario.each[separation.ordinary]
+    count, alone = counted(design.throws, "throw"), scenario.each[separation.ordinary]
     single = None if alone is None else alone / math.sqrt(design.throws)
     original = StoneChange("", 0.0, scenario.stderr, single, None)
     rows = []

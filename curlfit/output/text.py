@@ -8,6 +8,7 @@ from typing import Any
 
 from rich.text import Text
 
+from curlfit.foreign import counted
 from curlfit.stone import UNITS, Stone
 
 STYLE = {
@@ -51,7 +52,9 @@ def stone_text(stone: Stone, *, mass: bool = True) -> str:
 
 def rows_text(data: Mapping[str, Any]) -> str:
     """Number of the rows used of a file, and the times that they span; empty without rows."""
-    said = [f"{data['rows']} rows, t = {data['from']:g} .. {data['to']:g} s"] * bool(data["rows"])
+    said = [f"{counted(data['rows'], 'row')}, t = {data['from']:g} .. {data['to']:g} s"] * bool(
+        data["rows"]
+    )
     return ", ".join([*said, *(f"without {a:g} .. {b:g} s" for a, b in data.get("exclude") or ())])
 
 

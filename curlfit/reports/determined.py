@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from curlfit.foreign import counted
 from curlfit.output.text import join_words
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ def identifiability(fit: FitResult) -> str:
             f"mean friction, as in the {fit.law} law. Use `--law` to fit another law."
         )
     but = f" ({', '.join(held)} at a bound not counted)" if held else ""
-    said = [f"{what} {fit.rank} of {len(free) - len(held)} parameters{but}."]
+    said = [f"{what} {fit.rank} of {counted(len(free) - len(held), 'parameter')}{but}."]
     unseen, by_prior, weak = (
         [name for name in free if fit.parameters[name].verdict == verdict]
         for verdict in ("not identifiable", "prior", "weak")

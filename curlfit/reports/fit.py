@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.text import Text
 
-from curlfit.foreign import file_and_number
+from curlfit.foreign import counted, file_and_number
 from curlfit.inference.derived import scaled, to_its_side
 from curlfit.inference.parameters import START
 from curlfit.output.console import PlainTable
@@ -113,7 +113,7 @@ def document(fit: FitResult) -> Document:
 
 def extent(fit: FitResult) -> str:
     """Number of data, and the time that they span."""
-    events = f"{len(fit.events)} events at lines and at rest" * bool(fit.events)
+    events = f"{counted(len(fit.events), 'event')} at lines and at rest" * bool(fit.events)
     return "; ".join(filter(None, (rows_text(fit.data), events)))
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from curlfit.foreign import counted
 from curlfit.inference.derived import Quantiles, quantiles_of
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Section
@@ -25,7 +26,7 @@ def of_posterior(posterior: Posterior) -> Document:
     return Document(
         finding=posterior.status,
         style=style(posterior),
-        subject=f"{len(posterior.ess)} parameters",
+        subject=counted(len(posterior.ess), "parameter"),
         lines=[said],
         sections=[Section("quantiles", "Quantiles", (_table(posterior.quantiles), said))],
     )

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from curlfit.foreign import counted
 from curlfit.numerics.arrays import Floats
 
 CHANNELS = ("x", "y", "phi", "speed", "omega")
@@ -81,13 +82,13 @@ def condensed(throw: Any, most: int) -> dict[str, Any]:
 
     length = block * float(np.median(np.diff(throw.t)))
     note = (
-        f"{n} rows condensed to {len(starts)}: means over {block} rows ({1000 * length:.3g} ms) up "
-        f"to t = {throw.t[min(rest, n - 1)]:.6g} s"
+        f"{n} rows condensed to {len(starts)}: means over {counted(block, 'row')} "
+        f"({1000 * length:.3g} ms) up to t = {throw.t[min(rest, n - 1)]:.6g} s"
     )
     if rest < n:
         note += (
-            f", over {rest_block} rows after that, when the stone was at rest and every row "
-            f"repeats one measurement, which counts as {still}"
+            f", over {counted(rest_block, 'row')} after that, when the stone was at rest and every "
+            f"row repeats one measurement, which counts as {still}"
         )
     # A deceleration a = 0.2 m/s^2, twice the usual, displaces a mean over T by a T^2/24.
     bend = 0.2 * length**2 / 24

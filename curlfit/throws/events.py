@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.errors import InputError
-from curlfit.foreign import quoted
+from curlfit.foreign import counted, quoted
 from curlfit.numerics.arrays import Floats
 
 QUANTITIES = {"time": "s", "x": "m", "y": "m", "phi": "rad", "speed": "m/s", "omega": "rad/s"}
@@ -125,8 +125,8 @@ def event_arrays(events: Sequence[Event], y0: float) -> EventArrays:
     lines = lines_of(events)
     if len(events) > MOST_EVENTS or len(lines) > MOST_LINES:
         raise InputError(
-            f"{len(events)} events at {len(lines)} lines; expected at most {MOST_EVENTS} at "
-            f"{MOST_LINES}"
+            f"{counted(len(events), 'event')} at {counted(len(lines), 'line')}; expected at most "
+            f"{MOST_EVENTS} at {MOST_LINES}"
         )
     weights = np.zeros((MOST_EVENTS, 5 * MOST_LINES + 4))
     of_line = {"time": 0, "x": MOST_LINES, "phi": 2 * MOST_LINES}

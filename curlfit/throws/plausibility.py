@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from curlfit.errors import DataError, InputError
+from curlfit.foreign import counted
 from curlfit.numerics.arrays import Floats
 from curlfit.sheet import LENGTH, WIDTH
 from curlfit.stone import GRAVITY
@@ -139,14 +140,14 @@ def examine_fit(
     t, speed : times (s) and fitted speeds (m/s), shape (n,); may be empty.
     start_speed, start_error : fitted initial speed and its standard error, m/s.
     """
-    said: list[tuple[str, str]] = []
+    said: dict[str, str] = {}
     remedy = f"if units are wrong, set them as in {some_units(throw)}"
     if not set(throw.seen) & {"x", "y", "speed"} and not throw.events:
         remedy = "angles alone hardly determine the speed; measure it as well, or fix v0"
     error = start_error or 0.0
     if start_speed - 3 * error > SPEED:
         speeds = f"the fitted initial speed of {start_speed:.3g} m/s is more than anyone throws "
-        said.append(("fitted speed", f"{speeds}(about 4 m/s)"))
+        said["fitted speed"] = f"{speeds}(about 4 m/s)"
     moving = speed > 1e-3
     if moving.sum() > 2:
         t, speed = t[moving], speed[moving]
@@ -160,9 +161,9 @@ def examine_fit(
             usual = f"on ice it is {low:g} to {high:g}"
             friction = f"the fitted mean coefficient of friction is {mean:.2g}; {usual}"
             speeds_up = "the fitted stone speeds up, which friction cannot cause"
-            said.append(("fitted friction", speeds_up if mean < 0 else friction))
+            said["fitted friction"] = speeds_up if mean < 0 else friction
     refused = not throw.defaults.get("as_given")
-    return tuple(Finding(kind, says, remedy, refused) for kind, says in said)
+    return tuple(Finding(kind, says, remedy, refused) for kind, says in said.items())
 
 
 # Checks of the rows
@@ -178,7 +179,7 @@ def _wrapped(throw: Throw) -> Iterator[Finding]:
             if jumps and float(np.nanmax(np.abs(throw.phi))) < 1.1 * period:
                 yield Finding(
                     "wrapped angle",
-                    f"phi jumps by 360 degrees {jumps} time{'s' * (jumps > 1)}: it is wrapped",
+                    f"phi jumps by 360 degrees {counted(jumps, 'time')}: it is wrapped",
                     f'`Throw.from_arrays(..., units="angle={unit}")` unwraps it',
                 )
                 return
@@ -204,34 +205,35 @@ def _turns(throw: Throw) -> Iterator[Finding]:
 
 def _scale(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
     """Speeds, lengths and decelerations impossible for a stone: wrong units."""
-    faults, unusual = [], []
     fastest, mu, error = motion.fastest, motion.friction, motion.friction_error
+    (low, high), (least, most) = FRICTION, USUAL_FRICTION
+    sure = fastest - 3 * float(motion.error[motion.speed.argmax()])
+    slows = not (mu < 0 and motion.speed[-1] > motion.speed[0])
+    long = motion.length > _LENGTH
+    # A stone of usual speed and friction needs no other unit to slide so far: a simulator may
+    # have no back line.
+    usual = fastest < USUAL_SPEED and least < mu < most
     moves = f"the stone moves at {fastest:.3g} m/s, and"
-    if fastest - 3 * float(motion.error[motion.speed.argmax()]) > SPEED:
-        faults.append(f"{moves} none is thrown at more than about 4 m/s")
-    elif fastest > USUAL_SPEED:
-        unusual.append(f"{moves} few are thrown at more than 4 m/s")
-    if motion.length > _LENGTH:
-        # A stone of usual speed and friction needs no other unit to slide so far: a simulator may
-        # have no back line.
-        usual = fastest < USUAL_SPEED and USUAL_FRICTION[0] < mu < USUAL_FRICTION[1]
-        (unusual if usual else faults).append(
-            f"the path is {motion.length:.3g} m long, and a sheet {LENGTH:.1f} m"
-            + (", unless the ice goes on behind the back line" if usual else "")
-        )
-    low, high = FRICTION
-    growing = mu < 0 and motion.speed[-1] > motion.speed[0]
-    if not growing and (mu + 3 * error < low or mu - 3 * error > high):
-        faults.append(
-            f"it decelerates at {mu * GRAVITY:.2g} m/s^2, a coefficient of friction of {mu:.2g} "
-            f"(on ice {low:g} to {high:g})"
-        )
-    elif not growing and mu + 3 * error < USUAL_FRICTION[0]:
-        unusual.append(
-            f"its mean coefficient of friction is {mu:.2g}, and published ones are 0.006 to 0.02"
-        )
-    if text := ", and ".join((faults or unusual)[:2]):
-        yield Finding("units", text, unit_remedy(throw), bool(faults))
+    path = f"the path is {motion.length:.3g} m long, and a sheet {LENGTH:.1f} m"
+    braking = (
+        f"it decelerates at {mu * GRAVITY:.2g} m/s^2, a coefficient of friction of {mu:.2g} "
+        f"(on ice {low:g} to {high:g})"
+    )
+    mean = f"its mean coefficient of friction is {mu:.2g}, and published ones are 0.006 to 0.02"
+    impossible = (
+        (sure > SPEED, f"{moves} none is thrown at more than about 4 m/s"),
+        (long and not usual, path),
+        (slows and (mu + 3 * error < low or mu - 3 * error > high), braking),
+    )
+    rare = (
+        (fastest > USUAL_SPEED, f"{moves} few are thrown at more than 4 m/s"),
+        (long, f"{path}, unless the ice goes on behind the back line"),
+        (slows and mu + 3 * error < least, mean),
+    )
+    for checks, refused in ((impossible, True), (rare, False)):
+        if said := [says for holds, says in checks if holds]:
+            yield Finding("units", ", and ".join(said[:2]), unit_remedy(throw), refused)
+            return
 
 
 def _curl(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
@@ -257,18 +259,18 @@ class _Touch(NamedTuple):
 def _push(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
     """The hand that holds a stone before the release, or the touch of a hand or another stone."""
     let_go, touch = release(throw), _touch(throw, motion)
-    early = touch if touch is not None and touch.cut == "since" else None
+    early, late = (touch, None) if touch and touch.cut == "since" else (None, touch)
     if let_go is not None and (early is None or _clear(throw, let_go) == let_go):
-        kind = "release" if early is None else early.kind
-        says = f"the stone is held by a hand, and begins to turn at t = {let_go:.4g} s"
+        held = f"the stone is held by a hand, and begins to turn at t = {let_go:.4g} s"
+        kind, says, *_ = early or ("release", held)
         remedy = "leave out what is before the release, where it begins to turn"
-        early = _Touch(kind, early.says if early else says, remedy, "since", let_go)
+        early = _Touch(kind, says, remedy, "since", let_go)
     elif early is not None:
         early = early._replace(time=_clear(throw, early.time))
-    for one in (early, None if touch is not None and touch.cut == "since" else touch):
-        if one is not None:
-            cut = f": {_cut(throw, one.cut, one.time)}" if one.cut else ""
-            yield Finding(one.kind, one.says, one.remedy + cut)
+    for one in filter(None, (early, late)):
+        # to a hundredth of a second
+        cut = option(throw, one.cut, f"{_rounded(one.cut, one.time):g}") if one.cut else ""
+        yield Finding(one.kind, one.says, ": ".join(filter(None, (one.remedy, cut))))
 
 
 def _clear(throw: Throw, time: float) -> float:
@@ -276,8 +278,7 @@ def _clear(throw: Throw, time: float) -> float:
     later = throw.select_rows(since=_rounded("since", time))
     motion = motion_of(later)
     touch = None if motion is None else _touch(later, motion)
-    again = touch is not None and touch.cut == "since"
-    return _clear(throw, touch.time) if touch is not None and again else time
+    return _clear(throw, touch.time) if touch and touch.cut == "since" else time
 
 
 def _touch(throw: Throw, motion: MeasuredMotion) -> _Touch | None:
@@ -301,21 +302,20 @@ def _touch(throw: Throw, motion: MeasuredMotion) -> _Touch | None:
     if rise[peak] <= max(_GROWTH, SURE * math.hypot(error[peak], error[trough])):
         return None
     begin, end, last = motion.t[trough], motion.t[peak], len(speed) - 1
+    cut, time = "until", float(motion.begin[trough])
+    why, remedy = "something pushed the stone", "leave out what follows"
+    if peak == last and trough < 0.2 * len(speed):
+        why = "times may run backwards, or all rows are before the release"
+        cut, remedy = "", "check the column of the time"
+    elif begin - motion.t[0] < 0.5 * (motion.t[-1] - motion.t[0]) and peak < last - 1:
+        why = "a hand was still on the stone, or something pushed it"
+        remedy = "leave out what is before the release"
+        cut, time = "since", float(motion.end[peak]) + 1e-9
     says = (
         f"the speed grows from {speed[trough]:.2g} to {speed[peak]:.2g} m/s between t = "
-        f"{begin:.3g} and {end:.3g} s, which friction cannot do: "
+        f"{begin:.3g} and {end:.3g} s, which friction cannot do: {why}"
     )
-    if peak == last and trough < 0.2 * len(speed):
-        says += "times may run backwards, or all rows are before the release"
-        return _Touch("growing speed", says, "check the column of the time")
-    if begin - motion.t[0] < 0.5 * (motion.t[-1] - motion.t[0]) and peak < last - 1:
-        says += "a hand was still on the stone, or something pushed it"
-        remedy, after = "leave out what is before the release", float(motion.end[peak]) + 1e-9
-        return _Touch("growing speed", says, remedy, "since", after)
-    says += "something pushed the stone"
-    return _Touch(
-        "growing speed", says, "leave out what follows", "until", float(motion.begin[trough])
-    )
+    return _Touch("growing speed", says, remedy, cut, time)
 
 
 def _axes(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
@@ -384,11 +384,6 @@ def _rates(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
             kind = "axes"
             says = "spin and angle count in opposite senses: " * (name == "spin") + says
         yield Finding(kind, says, remedy, bool(unit) or opposite)
-
-
-def _cut(throw: Throw, name: str, time: float) -> str:
-    """The option that leaves out what is before, or after, a time; to a hundredth of a second."""
-    return option(throw, name, f"{_rounded(name, time):g}")
 
 
 def _rounded(name: str, time: float) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 from rich.console import Console
 from rich.text import Text
 
+from curlfit.foreign import counted
 from curlfit.output.console import PlainTable
 from curlfit.output.text import compact
 from curlfit.throws.motion import MIN_POSITIONS, final_speed, first_row_at_rest, path_of
@@ -37,12 +38,13 @@ def print_inspection(
     write = console.print
     if throw.has_path:
         write(
-            f"{parsed.source}: {parsed.format}, {len(throw)} rows, "
+            f"{parsed.source}: {parsed.format}, {counted(len(throw), 'row')}, "
             f"t = {throw.t[0]:.6g} .. {throw.t[-1]:.6g} s"
         )
         write(_columns(parsed))
     else:
-        write(f"{parsed.source}: {parsed.format}, {len(throw.events)} events at lines and at rest")
+        events = counted(len(throw.events), "event")
+        write(f"{parsed.source}: {parsed.format}, {events} at lines and at rest")
         write(_events(throw))
     write()
     for line in facts(throw, settings):

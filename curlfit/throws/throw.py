@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from curlfit.errors import DataError, InputError, require_kind
-from curlfit.foreign import quoted
+from curlfit.foreign import counted, quoted
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.output.console import PlainTable
 from curlfit.output.display import Displayed
@@ -256,7 +256,7 @@ class Throw(Displayed):
         given = ", ".join(name for name in CHANNELS if name in self.sigma)
         said = f"sigma given for {given}" if given else "no sigma given"
         return Document(
-            finding=f"{len(self)} rows",
+            finding=counted(len(self), "row"),
             subject=f"{self.name}, t = {self.t[0]:.6g} .. {self.t[-1]:.6g} s",
             lines=[f"channels {', '.join(self.seen)}; {said}"],
             sections=[Section("channels", "Channels", [PlainTable(rows)])],

@@ -137,7 +137,7 @@ def test_columns_that_were_added_to_a_table_are_labels(season, tmp_path):
         csv.writer(stream).writerows(table)
     (tmp_path / "added.settings.json").write_text((folder / "season.settings.json").read_text())
     ran = command("fit", "added.csv", "--by", "rink", "--out", "out", cwd=tmp_path)
-    assert "1 rows are not ok and are left out" in " ".join(ran.stdout.split())
+    assert "1 row is not ok and is left out" in " ".join(ran.stdout.split())
     found = curlfit.load_joint(tmp_path / "out")
     assert found.count == 9
     assert {one.group for one in found.differences} == {"b"}

@@ -196,7 +196,7 @@ def test_sigmas_are_set(read):
         ("speed = 0\nrest = 1\n", 1, "expected a number above 0"),
         ("speed = 22\nrest = 1\n", 1, "expected a number up to 10"),
         ("hog_to_hog,rest\n", 1, "no rows"),
-        ("hog_to_hog,rest\n14.2\n", 2, "1 cells, expected 2"),
+        ("hog_to_hog,rest\n14.2\n", 2, "1 cell, expected 2"),
     ],
 )  # fmt: skip
 def test_records_that_cannot_be(read, text, line, words):

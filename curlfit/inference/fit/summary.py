@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, Self
 import jax
 import numpy as np
 
+from curlfit.foreign import counted
 from curlfit.inference.fit.caveats import warnings_of
 from curlfit.inference.fit.covariance import (
     CONVERGED,
@@ -336,7 +337,7 @@ def _unusual(
 
 
 def _status(fit: LeastSquaresFit, distance: float, unusual: Sequence[Finding]) -> str:
-    steps = f"{int(fit.solution.steps)} steps"
+    steps = counted(int(fit.solution.steps), "step")
     if fit.tried > 1:
         steps += f", best of {fit.tried} starts"
     refused = [str(one) for one in unusual if one.refused]

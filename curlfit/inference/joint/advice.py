@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from curlfit.foreign import counted
 from curlfit.inference.fit.advice import curl_warnings
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.summary import IMPLAUSIBLE
@@ -22,7 +23,7 @@ def with_throws(
     the search for the optimum of all failed, none of them has converged."""
     implausible = [one for one in throws if one.status.startswith(IMPLAUSIBLE)]
     failed = [one.status for one in throws if not one.converged and one not in implausible]
-    steps = f"{solution.steps[0]} steps"
+    steps = counted(int(solution.steps[0]), "step")
     if not solution.success.all():
         failed.append(f"not converged ({steps})")
     if failed:

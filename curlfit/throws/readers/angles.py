@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from curlfit.foreign import counted
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.channels import scatter
 from curlfit.throws.readers.columns import parse_header
@@ -68,7 +69,7 @@ def unwrap_angle(parsed: ParsedFile, columns: dict[str, Floats]) -> str:
             "phi",
         ) from None
     size = "360" if period > 4 else "180"
-    return f"phi: {jumps} jump{'s' * (jumps > 1)} of {size} degrees removed" if jumps else ""
+    return f"phi: {counted(jumps, 'jump')} of {size} degrees removed" if jumps else ""
 
 
 def add_angle_of_mark(

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from curlfit.errors import InputError
+from curlfit.foreign import counted
 from curlfit.numerics.arrays import Floats
 from curlfit.settings.choices import Reading
 from curlfit.throws.channels import CHANNELS, block_means
@@ -120,11 +121,11 @@ def _on_one_clock(parsed: ParsedFile) -> _Columns:
     timed = {name: np.isfinite(clocks[name]) for name in used}
     empty = int((~np.any([*used.values(), *timed.values()], axis=0)).sum())
     if empty:
-        parsed.notes.append(f"{empty} empty rows left out")
+        parsed.notes.append(f"{counted(empty, 'empty row')} left out")
     if len(used) == 1:  # of several clocks, a row counts only where one of its channels has a value
         used = timed
     else:
-        listed = ", ".join(f"{name} ({int(rows.sum())} rows)" for name, rows in used.items())
+        listed = ", ".join(f"{name} ({counted(int(r.sum()), 'row')})" for name, r in used.items())
         parsed.notes.append(f"clocks {listed} merged")
     origin = np.concatenate([np.flatnonzero(rows) for rows in used.values()])
     of = np.repeat(list(used), [rows.sum() for rows in used.values()])
@@ -143,7 +144,7 @@ def _in_order(parsed: ParsedFile, columns: _Columns) -> _Columns:
         place = np.argsort(order)
         moved = int((np.maximum.accumulate(place) > place).sum())
         if not merged:
-            say = f"{moved} row{'s' * (moved > 1)} out of the order of time, now sorted"
+            say = f"{counted(moved, 'row')} out of the order of time, now sorted"
             parsed.notes.append(say)
     first = np.append(True, np.diff(columns["t"]) > 0)
     if first.all():
@@ -156,7 +157,7 @@ def _in_order(parsed: ParsedFile, columns: _Columns) -> _Columns:
     repeated = int((same & ~first).sum())
     means = int((~first).sum()) - repeated
     if repeated:
-        parsed.notes.append(f"{repeated} repeated row{'s' * (repeated > 1)} left out")
+        parsed.notes.append(f"{counted(repeated, 'repeated row')} left out")
     if means and not merged:
         parsed.notes.append(
             f"{means + len(np.unique(owner[~same]))} rows share their time with others: means over "

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from curlfit.errors import DataError
+from curlfit.foreign import counted
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.readers.axes import AxisConvention
 from curlfit.throws.readers.columns import parse_header
@@ -232,7 +233,7 @@ def homography(pixels: Floats, metres: Floats, file: Path | str = "reference") -
         if not sound:
             raise DataError(fault, file=file)
 
-    require(n >= 4, f"{n} points; a homography needs four or more")
+    require(n >= 4, f"{counted(n, 'point')}; a homography needs four or more")
     for what, points in (("in the image", pixels), ("on the sheet", metres)):
         spread = np.linalg.svd(points - points.mean(axis=1, keepdims=True), compute_uv=False)
         require(bool(spread[1] > 1e-3 * spread[0]), f"the points are collinear {what}; {area}")

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.errors import DataError
-from curlfit.foreign import is_number, quoted
+from curlfit.foreign import counted, is_number, quoted
 from curlfit.numerics.arrays import Floats
 from curlfit.settings.choices import Reading
 from curlfit.throws.readers.columns import Column
@@ -103,7 +103,7 @@ def _read_shot(file: TextFile, chosen: Shot, stone_index: int | None) -> ParsedF
         0,
         f"{chosen.name}: stone {stone + 1} of {len(names)} ({names[stone]}"
         + (", the one thrown)" if stone == thrown else ")")
-        + f", {int(keep.sum())} frames of {period:g} s",
+        + f", {counted(int(keep.sum()), 'frame')} of {period:g} s",
     )
     notes.append("a simulated throw: positions are exact to the 32 bits of the log")
     parsed.lines = np.full(int(keep.sum()), chosen.line, np.int64)

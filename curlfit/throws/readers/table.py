@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from curlfit.errors import DataError, InputError
-from curlfit.foreign import quoted
+from curlfit.foreign import counted, quoted
 from curlfit.settings.choices import Reading
 from curlfit.throws.readers.assemble import assemble
 from curlfit.throws.readers.columns import Column, in_unit, parse_header, parse_units, with_unit
@@ -81,7 +81,7 @@ def _table_of(file: TextFile, reading: Reading) -> TextTable:
         return TextTable.of(file)
     if table.header > first:
         titles = below.index(table.header)
-        said = f"{titles} line{'s' * (titles > 1)} above the header not read: "
+        said = f"{counted(titles, 'line')} above the header not read: "
         table.remarks.append(said + quoted(file.lines[first].strip(" ,;\t")))
     return with_units_below(table)
 

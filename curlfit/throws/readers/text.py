@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from curlfit.errors import DataError, InputError
-from curlfit.foreign import quoted
+from curlfit.foreign import counted, quoted
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.readers.columns import has_japanese_words
 from curlfit.throws.readers.spreadsheet import text_of_sheet
@@ -354,7 +354,7 @@ class TextTable:
         line, width = self.file.lines[index], len(self.names)
         row = line.split(self.separator) if '"' not in line else cells(line, self.separator)
         if len(row) != width and (len(row) < width or any(map(str.strip, row[width:]))):
-            fault = f"{len(row)} cells where the header has {width} columns"
+            fault = f"{counted(len(row), 'cell')} where the header has {counted(width, 'column')}"
             if self.separator == "," and width < len(row) <= 2 * width:
                 fault += "; where numbers have decimal commas, separate the columns by semicolons"
             raise self.file.error(fault, index)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from curlfit.errors import DataError, InputError
-from curlfit.foreign import file_and_number, quoted
+from curlfit.foreign import counted, file_and_number, quoted
 from curlfit.settings.choices import Reading
 from curlfit.sheet import LINES
 from curlfit.throws.channels import UNITS
@@ -206,7 +206,7 @@ def _rows(file: TextFile, *, table: bool = False) -> list[Row]:
     for index, text in others:
         values = _without_blank_end(_cells(text, separator, len(names)), len(names))
         if len(values) != len(names):
-            fault = f"{len(values)} cells, expected {len(names)} as in the header"
+            fault = f"{counted(len(values), 'cell')}, expected {len(names)} as in the header"
             raise file.error(fault, index)
         rows[index + 1] = ["" if cell.lower() in GAPS else cell for cell in values]
     if not rows:

@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from curlfit.errors import InputError
+from curlfit.foreign import counted
 from curlfit.settings.choices import Reading
 from curlfit.throws.readers.columns import Column, parse_header
 from curlfit.throws.readers.defaults import begun
@@ -82,7 +83,8 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
                and s.column.quantity != "t"]  # fmt: skip
         seen = np.asarray(np.isfinite(own).any(axis=0))
         if seen.any() and not seen.all():
-            parsed.notes.append(f"{int((~seen).sum())} rows without {labels[index]} left out")
+            rows = counted(int((~seen).sum()), "row")
+            parsed.notes.append(f"{rows} without {labels[index]} left out")
             parsed = parsed.rows(seen)
         return parsed
 
