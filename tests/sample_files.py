@@ -147,16 +147,21 @@ SHEETS = (
     '<office:document-content xmlns:office="urn:oasis:names:tc:opendocument:xmlns:office:1.0" '
     'xmlns:table="urn:oasis:names:tc:opendocument:xmlns:table:1.0" '
     'xmlns:text="urn:oasis:names:tc:opendocument:xmlns:text:1.0"><office:body><office:spreadsheet>'
-    '<table:table table:name="empty"/><table:table table:name="evening">{}</table:table>'
+    '<table:table table:name="empty"/>{}'
     "</office:spreadsheet></office:body></office:document-content>"
 )
 
 
-def ods(file: Path, rows: Iterable[str]) -> Path:
-    """A spreadsheet whose second sheet has these rows, each the text of its cells."""
-    table = "".join(f"<table:table-row>{row}</table:table-row>" for row in rows)
+def ods(file: Path, rows: Iterable[str], **others: Iterable[str]) -> Path:
+    """A workbook: an empty worksheet, one named `evening` with these rows, each the text of its
+    cells, and others."""
+    tables = {
+        name: "".join(f"<table:table-row>{row}</table:table-row>" for row in each)
+        for name, each in {"evening": rows, **others}.items()
+    }
+    sheets = (f'<table:table table:name="{k}">{v}</table:table>' for k, v in tables.items())
     with ZipFile(file, "w") as archive:
         archive.writestr("mimetype", "application/vnd.oasis.opendocument.spreadsheet")
-        archive.writestr("content.xml", SHEETS.format(table))
+        archive.writestr("content.xml", SHEETS.format("".join(sheets)))
         archive.writestr("META-INF/manifest.xml", "<manifest/>")
     return file

@@ -7,7 +7,7 @@ import pytest
 from conftest import parts_in
 from sample_files import CELL, PHI, N, T, X, Y, ods, table
 
-from curlfit import DataError, load_throw, load_throws
+from curlfit import DataError, InputError, Throw, load_throw, load_throws
 
 COLUMNS = {"t": T, "x": X, "y": Y, "phi": PHI}
 PLAIN = table(COLUMNS)
@@ -50,7 +50,7 @@ def test_a_row_without_values_is_no_row_of_units(write):
     for empty in (",,,", "-,-,-,-", "n/a,,,-"):
         throw = load_throw(write("\n".join([head, empty, *ROWS])))
         is_throw(throw)
-        assert throw.notes == ("1 empty rows left out",)
+        assert throw.notes == ("1 empty row left out",)
 
 
 def test_errors_of_spreadsheets_are_gaps(write):
@@ -176,3 +176,33 @@ def test_one_clock_for_throws_side_by_side(write):
     np.testing.assert_allclose(
         load_throw(write("t,x1,y1,x2,y2\n" + rows), stone_index=2).x, X + 0.5
     )
+
+
+def test_a_worksheet_is_chosen_by_its_name_and_the_others_are_named(tmp_path, write):
+    pytest.importorskip("python_calamine")
+
+    def cells(shift: float) -> list[str]:
+        head = "".join(CELL.format("string", "", name) for name in COLUMNS)
+        columns = (COLUMNS | {"x": X + shift}).values()
+        return [head] + [
+            "".join(CELL.format("float", f'office:value="{v!r}"', v) for v in map(float, row))
+            for row in zip(*columns, strict=True)
+        ]
+
+    legend = [CELL.format("string", "", "red")]
+    file = ods(tmp_path / "throws.ods", cells(0.0), second=cells(0.5), Legend=legend)
+    first, second = load_throw(file), load_throw(file, worksheet="second")
+    np.testing.assert_allclose(second.x, first.x + 0.5, atol=1e-12)
+    those = "3 worksheets: evening, second, Legend; taken: {} (--worksheet selects another)"
+    assert first.notes[0] == those.format("evening")
+    assert second.notes[0] == those.format("second")
+    assert second.read_with == ("--worksheet=second",)
+    with pytest.raises(InputError, match="worksheet with data; expected one of evening, second, L"):
+        load_throw(file, worksheet="empty")
+    with pytest.raises(DataError) as caught:
+        load_throw(file, worksheet="Legend")
+    assert str(caught.value).endswith(f"; {those.format('Legend')}")
+    with pytest.raises(InputError, match="is no workbook and holds no worksheets"):
+        load_throw(write(PLAIN), worksheet="second")
+    with pytest.raises(InputError, match="holds no worksheets"):
+        Throw.from_frame(COLUMNS, worksheet="second")
