@@ -79,7 +79,7 @@ class Together(Choices):
     trend: Annotated[Sequence[str], option(NAMES, "LABEL,...")] = ()
 
     @property
-    def effects(self) -> dict[str, Sequence[str]]:
+    def effects(self) -> dict[str, Any]:
         """The labels of groups and trends."""
         return {"by": self.by, "trend": self.trend}
 

@@ -105,8 +105,8 @@ def _direction(
         [[(one.t if name == "t" else one.path[name])[some] for name in sides] for one, *_ in each]
         for each in whole
     )
-    ends = [side(np.array(paths + alone), axis=(0, 2)) for side in (np.nanmin, np.nanmax)]
-    drawing = _Drawing.of(*ends, from_above=sides[1] == "x")
+    low, high = (side(np.array(paths + alone), axis=(0, 2)) for side in (np.nanmin, np.nanmax))
+    drawing = _Drawing.of(low, high, from_above=sides[1] == "x")
     data: dict[str, Any] = {
         "kind": "direction",
         "what": "the path" if sides[0] == "y" else "what was measured",
@@ -127,7 +127,7 @@ def _direction(
         **data, "id": id, "last": len(steps) - 1, "joined": join_words(names),
         "shares": (100 * np.abs(values[start]) / data["sizes"]).tolist(),
         "sum": _constant(fit, names), "largest": _largest(changes), "apart": _largest(apart),
-        "width": _WIDTH, "height": _HEIGHT, "axes": _axes(fit, sides, *ends, len(models)),
+        "width": _WIDTH, "height": _HEIGHT, "axes": _axes(fit, sides, low, high, len(models)),
         "points": drawing.at(np.array([fit.observed[name][measured] for name in sides])),
         "path": drawing.at(np.array(paths[start])),
     }  # fmt: skip
