@@ -57,10 +57,9 @@ def check(
     require_motion(job.cut)
     if out is not None and not job.throw.has_path:
         raise InputError(f"--out: {data} has timed events only, and no path to draw")
-    shown = {**job.throw.defaults, **configured, **rows.given()}
-    shown = {key: value for key, value in shown.items() if key not in Reading.forms()}
     console = terminal(highlight=False)
-    print_inspection(parsed, job.throw, shown, console)
+    settings = {**job.throw.defaults, **configured, **rows.given()}
+    print_inspection(parsed, job.throw, settings, console)
     print_findings(examine(job.cut), console)
     try:
         _ = job.parameters
@@ -139,6 +138,27 @@ class Simulated(s.LawValues):
     unbounded: Annotated[bool, option(SWITCH)] = False
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Measured(Choices):
+    """How a simulated throw is measured.
+
+    Attributes
+    ----------
+    until : Last time, s. [default: 20; of a fit, as long as its record]
+    dt : Time between rows, s. [default: 0.1]
+    noise_xy : Standard deviation on x and y, m. [default: 0]
+    noise_phi : Standard deviation on phi, rad. [default: 0]
+    seed : Seed of the noise. [default: 0]
+    """
+
+    until: Annotated[float | None, option(TIME, "S")] = None
+    dt: Annotated[float | None, option(NUMBER, "S")] = None
+    noise_xy: Annotated[float | None, option(NUMBER, "V")] = None
+    noise_phi: Annotated[float | None, option(NUMBER, "V")] = None
+    seed: Annotated[int | None, option(SEED, "N")] = None
+
+
 def simulate(
     *,
     fit: Annotated[Path | None, option(PATH, "FIT")] = None,
@@ -146,11 +166,7 @@ def simulate(
     start: s.Start = s.Start(),
     line: Annotated[str | None, option(_LINE, "NAME", group="Start")] = None,
     conditions: Conditions = Conditions(),
-    until: Annotated[float | None, option(TIME, "S")] = None,
-    dt: Annotated[float, option(NUMBER, "S")] = 0.1,
-    noise_xy: Annotated[float, option(NUMBER, "V")] = 0.0,
-    noise_phi: Annotated[float, option(NUMBER, "V")] = 0.0,
-    seed: Annotated[int, option(SEED, "N")] = 0,
+    measured: Measured = Measured(),
     out: Annotated[Path | None, option(PATH, "FILE.csv")] = None,
 ) -> None:
     """Simulate a throw under a friction law, in the format that `curlfit fit` reads.
@@ -170,16 +186,6 @@ def simulate(
     line
         Start on a line of the sheet: `hack`, `back`, `tee`, `hog` (the near ones), `centre` or
         `far-hog`; y is then measured from the hack.
-    until
-        Last time, s. [default: 20; of a fit, as long as its record]
-    dt
-        Time between rows, s. [default: 0.1]
-    noise_xy
-        Standard deviation on x and y, m. [default: 0]
-    noise_phi
-        Standard deviation on phi, rad. [default: 0]
-    seed
-        Seed of the noise. [default: 0]
     out
         File to write. [default: print]
     """
@@ -192,10 +198,10 @@ def simulate(
             raise InputError("--line and --y0: expected one of them")
         state["y0"] = LINES[line]
     model = _given_model(given) if fit is None else _fitted_model(fit, given)
-    model |= {"dt": dt, "noise_xy": noise_xy, "noise_phi": noise_phi, "seed": seed} | state
+    model |= state | measured.given()
     environment = replace(model["environment"], **conditions.environment())
     model["environment"] = None if environment == Environment() else environment
-    throw = synthetic_throw(**model | ({} if until is None else {"until": until}))
+    throw = synthetic_throw(**model)
     _write(throw if line is None else throw.with_defaults(axes="from-hack"), out)
 
 

@@ -12,6 +12,7 @@ from rich.text import Text
 from curlfit.foreign import counted
 from curlfit.output.console import PlainTable
 from curlfit.output.text import compact
+from curlfit.settings.choices import Reading
 from curlfit.throws.motion import MIN_POSITIONS, final_speed, first_row_at_rest, path_of
 from curlfit.throws.throw import CHANNELS, UNITS, scatter
 
@@ -33,7 +34,7 @@ def print_inspection(
 ) -> None:
     """Print the columns of a file, the findings on its throw, the reader's notes and curves.
 
-    `settings` are those that a fit of the file would use.
+    `settings` are those that a fit of the file would use; those of how it is read are left out.
     """
     write = console.print
     if throw.has_path:
@@ -105,8 +106,9 @@ def facts(throw: Throw, settings: Mapping[str, Any]) -> Iterator[str]:
         if throw.sigma:
             yield "sigma      given for " + ", ".join(c for c in CHANNELS if c in throw.sigma)
         yield "rest       " + _rest(throw)
-    if settings:
-        listed = (f"{key} = {value}" for key, value in settings.items() if value)
+    others = {key: value for key, value in settings.items() if key not in Reading.forms()}
+    if others:
+        listed = (f"{key} = {value}" for key, value in others.items() if value)
         yield "settings   " + ", ".join(listed)
 
 
