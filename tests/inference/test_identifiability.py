@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import curlfit
 from curlfit.inference.identifiability import Bounded, analyse, expression
 
 
@@ -85,3 +86,30 @@ def test_a_direction_that_only_the_bounds_limit_is_not_determined():
     assert (total.expression, total.stderr) == ("a + b", pytest.approx(0.1 * np.sqrt(2)))
     wider = analyse(rotated, *about, bounded=Bounded(values, values - 5, values + 5))
     assert wider.rank == 2  # a room of 0.28 standard errors
+
+
+def noisy(law, omega=1.2, rows=101):
+    t, random = np.linspace(0.0, 20.0, rows), np.random.default_rng(2)
+    path = curlfit.simulate(law, curlfit.Stone(), curlfit.InitialState(v=2.0, omega=omega), t)
+    path, sigma = path.to_numpy(), {"x": 0.005, "y": 0.005, "phi": 0.01}
+    measured = {name: getattr(path, name) + random.normal(0, s, rows) for name, s in sigma.items()}
+    return curlfit.Throw.from_arrays(t, **measured, sigma=sigma)
+
+
+def test_an_error_contains_the_values_where_another_coefficient_is_usual():
+    """The drop of sutor's friction dies with spin, at a scale that one throw does not tell."""
+    throw = noisy(curlfit.LAWS["sutor"](alpha=0.16), omega=0.7)
+    fit = curlfit.fit(throw, "sutor", details=False)
+    held = curlfit.fit(throw, "sutor", fix={"u0": 0.065}, details=False)
+    assert fit["u0"].value > 5
+    assert held.chi_squared < fit.chi_squared + 4
+    assert fit["alpha"].verdict == "weak"
+    assert fit["alpha"].stderr > abs(held["alpha"].value - fit["alpha"].value) > 0.05
+    assert fit.warnings[0].startswith("other values fit as well: alpha = ")
+
+
+def test_no_sum_is_determined_where_what_fits_lies_on_a_curve():
+    fit = curlfit.fit(noisy(curlfit.find_law("front-back+sideways")()), details=False,
+                      law="front-back+sideways")  # fmt: skip
+    (warning,) = [one for one in fit.warnings if "lie on a curve" in one]
+    assert not any(item.expression in warning for item in fit.combinations)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,9 +29,24 @@ _NOT_LINEAR = 10.0  # typical sizes, beyond which a shift is not of first order
 _LASTING = 0.1  # memory over time of motion, above which errors are too small (`tests/statistics`)
 
 
+class Rival(NamedTuple):
+    """Another optimum that fits as well; empty without one."""
+
+    values: Mapping[str, float]
+    """of the parameters that differ"""
+    between: Mapping[str, float]
+    """from the estimates to it, of all parameters, where one of those that differ is not determined
+    here: what lies between fits too"""
+
+    def widened(self, stderr: float | None, weights: Mapping[str, float]) -> float | None:
+        """The standard error of a weighted sum of parameters, with the distance to this optimum."""
+        apart = sum(weight * self.between.get(name, 0.0) for name, weight in weights.items())
+        return None if stderr is None else math.hypot(stderr, apart)
+
+
 def warnings_of(
     fit: LeastSquaresFit, result: FitResult, residual: Floats, unusual: Iterable[Finding],
-    rival: Mapping[str, float], nonquadratic: Mapping[str, bool | None],
+    rival: Rival, nonquadratic: Mapping[str, bool | None],
 ) -> tuple[str, ...]:  # fmt: skip
     """The warnings of a result, the gravest first.
 
@@ -38,7 +54,7 @@ def warnings_of(
     ----------
     residual : measured - fitted, shape (channels, n).
     unusual : findings about the data and the fitted motion.
-    rival : parameters at another optimum that fits as well.
+    rival : another optimum that fits as well.
     nonquadratic : parameters and combinations within whose error chi squared is not quadratic; None
         for combinations beside a ridge.
     """
@@ -61,10 +77,12 @@ def warnings_of(
     return (*warnings, *_of_memory(result), *_of_events(result), *_of_ridges(local))
 
 
-def _of_rival(rival: Mapping[str, float], throw: Throw) -> list[str]:
-    if not rival:
+def _of_rival(rival: Rival, throw: Throw) -> list[str]:
+    if not rival.values:
         return []
-    listed = ", ".join(f"{name} = {value:.3g}" for name, value in rival.items())
+    listed = ", ".join(f"{name} = {value:.3g}" for name, value in rival.values.items())
+    if rival.between:
+        return [f"other values fit as well: {listed}; standard errors include how far they are"]
     unmeasured = [
         said
         for said, channels in (("x", {"x"}), ("the angle", {"phi", "omega"}))
@@ -139,9 +157,10 @@ def _of_ridges(combinations: Sequence[str]) -> list[str]:
     """Sums of parameters that are constant along the tangent of a curve alone."""
     if not combinations:
         return []
+    change = "changes" if len(combinations) == 1 else "change"
     return [
-        f"combinations hold near this estimate only ({', '.join(combinations)}): the coefficients "
-        "that fit lie on a curve; throws of other speeds and spins determine more"
+        f"the coefficients that fit lie on a curve, along which {', '.join(combinations)} {change} "
+        "and so are not determined; throws of other speeds and spins determine more"
     ]
 
 

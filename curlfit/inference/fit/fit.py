@@ -21,6 +21,7 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.summary import summarize, summarize_many
 from curlfit.inference.fit.systematics import widths_of
+from curlfit.inference.initial_values import default_guess
 from curlfit.inference.least_squares import (
     Solution,
     Tasks,
@@ -34,12 +35,14 @@ from curlfit.inference.least_squares import (
 from curlfit.inference.likelihood import prepare_channels
 from curlfit.inference.model import Model
 from curlfit.inference.problem import Origin, problem_shape
+from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import BATCH, stacked, unstacked
 from curlfit.settings.choices import Fitting, takes
 from curlfit.throws.throw import Reference, Throw, require_throw
 
 _OPEN = ("not identifiable", "weak")  # verdicts that another measurement might change
 _ROWS = 2 * BATCH * 256  # of throws that are fitted together, to limit memory
+_ASTRAY = 20.0  # typical sizes from its default, where a coefficient hardly acts any more
 
 
 @takes(Fitting, "law")
@@ -181,10 +184,35 @@ def fitted(
                 one if np.isfinite(one.chi_squared) else old
                 for one, old in zip(new, found, strict=False)
             ]
+    _add_usual(model, tasks, followed, alone=alone)
     return [
         rounds.failures.get(row) or _outcome(rounds, row, found, len(tried[row]))
         for row, found in enumerate(followed)
     ]
+
+
+def _add_usual(
+    model: Model, tasks: Tasks, followed: Sequence[list[Solution]], *, alone: bool
+) -> None:
+    """Where coefficients went astray, add the optimum with their defaults, which may fit equally:
+    about the first, where they hardly act, the others seem better determined than they are."""
+    items = model.law.coefficients()
+    usual, own = np.array([default_guess(item) for item in items]), slice(len(items))
+    lower, upper = np.array(tasks.lower), np.array(tasks.upper)
+    starts: list[list[Floats]] = [[] for _ in followed]
+    for found, start, low, high in zip(followed, starts, lower, upper, strict=True):
+        if not found:
+            continue
+        values = np.array(found[0].values)
+        astray = np.abs(values[own] - usual) > _ASTRAY * tasks.typical[own]
+        astray &= high[own] > low[own]
+        if astray.any():
+            for part in (values, low, high):
+                part[own][astray] = usual[astray]
+            start.append(values)
+    held = tasks._replace(lower=lower, upper=upper)
+    for found, more in zip(followed, optima(model, held, starts, alone=alone), strict=True):
+        found += more
 
 
 def _outcome(

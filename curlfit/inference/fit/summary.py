@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from curlfit.foreign import counted
-from curlfit.inference.fit.caveats import warnings_of
+from curlfit.inference.fit.caveats import Rival, warnings_of
 from curlfit.inference.fit.covariance import (
     CONVERGED,
     Covariance,
@@ -180,7 +180,7 @@ class _Many(NamedTuple):
         named: list[dict[str, bool | None]] = []
         for row, (one, (_, axes), ridge) in enumerate(zip(found, around, ridges, strict=True)):
             curved = one.beside_a_ridge(ridge, delta[place == len(found) + row])
-            named.append({**dict.fromkeys(curved), **one.nonquadratic(axes, delta[place == row])})
+            named.append({**one.nonquadratic(axes, delta[place == row]), **dict.fromkeys(curved)})
         return named
 
     def systematics(
@@ -223,8 +223,9 @@ def _record(
     series = _by_channel(fit, residual)
     enough = {name: pair for name, pair in series.items() if len(pair[0]) > _FEWEST}
     lag1 = {name: Independence.of(off).lag1 for name, (off, _) in enough.items()}
-    misleading, rival = {name for name, yes in nonquadratic.items() if yes}, _rival(fit)
+    misleading, rival = {name for name, yes in nonquadratic.items() if yes}, _rival(fit, found)
     estimates = _estimates(fit.prepared.parameters, found, misleading, rival)
+    beside = {name for name, yes in nonquadratic.items() if yes is None}
     unusual = _unusual(fit, estimates["v0"], curves)
     result = FitResult(
         law=law.name,
@@ -242,7 +243,11 @@ def _record(
         systematics=systematics,
         chi_squared=float(fit.solution.chi_squared),
         prior_chi_squared=float(fit.solution.penalty),
-        combinations=tuple(one for one in found.combinations if one.expression not in misleading),
+        combinations=tuple(
+            replace(one, stderr=rival.widened(one.stderr, one.weights))
+            for one in found.combinations
+            if one.expression not in misleading | beside
+        ),
         rank=known.rank,
         singular_values=tuple(map(float, known.singular_values)),
         null_directions=known.null_directions,
@@ -353,18 +358,23 @@ def _status(fit: LeastSquaresFit, distance: float, unusual: Sequence[Finding]) -
     return f"converged ({steps})"
 
 
-def _rival(fit: LeastSquaresFit) -> dict[str, float]:
-    """Parameters that differ at another optimum that fits as well, with their values there."""
+def _rival(fit: LeastSquaresFit, found: Covariance) -> Rival:
+    """What is known of another optimum that fits as well."""
     if fit.rival is None:
-        return {}
-    parameters = fit.prepared.parameters
-    far = np.abs(fit.rival - fit.solution.values) > _DIFFERENT * parameters.typical
+        return Rival({}, {})
+    parameters, apart = fit.prepared.parameters, fit.rival - fit.solution.values
+    far = np.abs(apart) > _DIFFERENT * parameters.typical
     values = parameters.values_of(fit.rival + fit.prepared.offset)
-    return {name: values[name] for name in parameters.names_where(far)}
+    valley = any(
+        found.classified(row)[1] in ("at bound", "not identifiable")
+        for row in np.flatnonzero(far).tolist()
+    )
+    between = dict(zip(parameters.names, apart.tolist(), strict=True)) if valley else {}
+    return Rival({name: values[name] for name in parameters.names_where(far)}, between)
 
 
 def _estimates(
-    parameters: ParameterSet, found: Covariance, misleading: set[str], rival: dict[str, float]
+    parameters: ParameterSet, found: Covariance, misleading: set[str], rival: Rival
 ) -> dict[str, Estimate]:
     """Estimates by name; see `Estimate` for the verdicts."""
     estimates = {}
@@ -379,10 +389,11 @@ def _estimates(
             verdict, reason = "weak", "chi squared is far from quadratic within its standard error"
         else:
             reason = weakness(verdict, item.typical)
-        if verdict == "determined" and item.name in rival:
-            verdict, reason = "weak", f"{rival[item.name]:.3g} fits as well"
+        if verdict == "determined" and item.name in rival.values:
+            verdict, reason = "weak", f"{rival.values[item.name]:.3g} fits as well"
         estimates[item.name] = Estimate.of(
-            item, float(found.values[row]), verdict, stderr=stderr, dof=dof, reason=reason,
+            item, float(found.values[row]), verdict, reason=reason, dof=dof,
+            stderr=rival.widened(stderr, {item.name: 1.0}),
             prior="" if prior is None else str(prior),
         )  # fmt: skip
     return estimates
