@@ -35,8 +35,8 @@ class Rival(NamedTuple):
     values: Mapping[str, float]
     """of the parameters that differ"""
     between: Mapping[str, float]
-    """from the estimates to it, of all parameters, where one of those that differ is not determined
-    here: what lies between fits too"""
+    """from the estimates to it, of all parameters, where a coefficient went astray: what lies
+    between fits too"""
 
     def widened(self, stderr: float | None, weights: Mapping[str, float]) -> float | None:
         """The standard error of a weighted sum of parameters, with the distance to this optimum."""

@@ -21,7 +21,7 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.summary import summarize, summarize_many
 from curlfit.inference.fit.systematics import widths_of
-from curlfit.inference.initial_values import default_guess
+from curlfit.inference.initial_values import usual_where_astray
 from curlfit.inference.least_squares import (
     Solution,
     Tasks,
@@ -42,7 +42,6 @@ from curlfit.throws.throw import Reference, Throw, require_throw
 
 _OPEN = ("not identifiable", "weak")  # verdicts that another measurement might change
 _ROWS = 2 * BATCH * 256  # of throws that are fitted together, to limit memory
-_ASTRAY = 20.0  # typical sizes from its default, where a coefficient hardly acts any more
 
 
 @takes(Fitting, "law")
@@ -196,20 +195,14 @@ def _add_usual(
 ) -> None:
     """Where coefficients went astray, add the optimum with their defaults, which may fit equally:
     about the first, where they hardly act, the others seem better determined than they are."""
-    items = model.law.coefficients()
-    usual, own = np.array([default_guess(item) for item in items]), slice(len(items))
     lower, upper = np.array(tasks.lower), np.array(tasks.upper)
     starts: list[list[Floats]] = [[] for _ in followed]
     for found, start, low, high in zip(followed, starts, lower, upper, strict=True):
-        if not found:
-            continue
-        values = np.array(found[0].values)
-        astray = np.abs(values[own] - usual) > _ASTRAY * tasks.typical[own]
-        astray &= high[own] > low[own]
-        if astray.any():
-            for part in (values, low, high):
-                part[own][astray] = usual[astray]
-            start.append(values)
+        if found:
+            usual = usual_where_astray(model.law, found[0].values, tasks.typical)
+            if (astray := np.isfinite(usual) & (high > low)).any():
+                start.append(np.where(astray, usual, found[0].values))
+                low[astray] = high[astray] = usual[astray]
     held = tasks._replace(lower=lower, upper=upper)
     for found, more in zip(followed, optima(model, held, starts, alone=alone), strict=True):
         found += more

@@ -32,6 +32,7 @@ from curlfit.inference.fit.residuals import outliers_of, residuals_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.systematics import residual_changes
 from curlfit.inference.identifiability import Bounded, r_factors
+from curlfit.inference.initial_values import usual_where_astray
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.likelihood import chi_squared_of_many, predict_many
 from curlfit.inference.model import Model
@@ -223,7 +224,7 @@ def _record(
     series = _by_channel(fit, residual)
     enough = {name: pair for name, pair in series.items() if len(pair[0]) > _FEWEST}
     lag1 = {name: Independence.of(off).lag1 for name, (off, _) in enough.items()}
-    misleading, rival = {name for name, yes in nonquadratic.items() if yes}, _rival(fit, found)
+    misleading, rival = {name for name, yes in nonquadratic.items() if yes}, _rival(fit)
     estimates = _estimates(fit.prepared.parameters, found, misleading, rival)
     beside = {name for name, yes in nonquadratic.items() if yes is None}
     unusual = _unusual(fit, estimates["v0"], curves)
@@ -358,17 +359,16 @@ def _status(fit: LeastSquaresFit, distance: float, unusual: Sequence[Finding]) -
     return f"converged ({steps})"
 
 
-def _rival(fit: LeastSquaresFit, found: Covariance) -> Rival:
+def _rival(fit: LeastSquaresFit) -> Rival:
     """What is known of another optimum that fits as well."""
     if fit.rival is None:
         return Rival({}, {})
     parameters, apart = fit.prepared.parameters, fit.rival - fit.solution.values
     far = np.abs(apart) > _DIFFERENT * parameters.typical
     values = parameters.values_of(fit.rival + fit.prepared.offset)
-    valley = any(
-        found.classified(row)[1] in ("at bound", "not identifiable")
-        for row in np.flatnonzero(far).tolist()
-    )
+    valley = np.isfinite(
+        usual_where_astray(fit.model.law, fit.solution.values, parameters.typical)[far]
+    ).any()
     between = dict(zip(parameters.names, apart.tolist(), strict=True)) if valley else {}
     return Rival({name: values[name] for name in parameters.names_where(far)}, between)
 
