@@ -14,6 +14,7 @@ from curlfit.throws.events import Event
 G = 9.81
 HOG, TEE = sheet.LINES["hog"], sheet.LINES["far-tee"]
 C, K = 0.008, -0.3
+LAWS = ["coulomb", "power"]  # which have one program
 
 
 def speeds_of_rest(c, k, length):
@@ -59,7 +60,7 @@ def peer(data, measured, start=(0.008, -0.3)):
 
 @pytest.fixture(scope="module")
 def agreeing():
-    return curlfit.compare([*throws(), table()], ["coulomb", "power"])
+    return curlfit.compare([*throws(), table()], LAWS)
 
 
 def test_the_common_optimum_is_that_of_scipy(agreeing):
@@ -95,7 +96,7 @@ def test_the_friction_table_alone_is_as_in_its_own_fit(agreeing):
 
 def test_a_law_of_each_data_set_but_not_of_both():
     measured = table(c=0.0095, k=0.4)
-    found = curlfit.compare([*throws(), measured], "power").best
+    found = curlfit.compare([*throws(), measured], LAWS).of("power")
     assert all(on.own_follows for on in found.sets)
     assert not found.follows
     rise = sum(on.chi_squared - on.own_chi_squared for on in found.sets)
@@ -112,7 +113,7 @@ def test_what_is_said_saved_and_drawn(agreeing, tmp_path):
     assert str(again) == text
     assert again.candidates[0].sets == agreeing.candidates[0].sets
     curlfit.comparison_figure(again).savefig(tmp_path / "compare.png")
-    apart = curlfit.compare([*throws(), table(c=0.0095, k=0.4)], "power")
+    apart = curlfit.compare([*throws(), table(c=0.0095, k=0.4)], LAWS)
     assert "each data set alone, but not all with the same coefficients: power" in str(
         apart._document().as_text("Comparison", "")
     ) + "".join(map(str, apart._document().sections[-1].parts))
@@ -147,7 +148,7 @@ def test_what_the_laws_miss_of_a_path_is_not_its_noise(eq12):
 def track(spin):
     t, random = np.arange(0, 12, 0.5), np.random.default_rng(4)
     start = curlfit.InitialState(v=2.0, omega=spin)
-    path = curlfit.simulate(curlfit.LAWS["angular"](), curlfit.Stone(), start, t).to_numpy()
+    path = curlfit.simulate(curlfit.LAWS["front-back"](), curlfit.Stone(), start, t).to_numpy()
     sigma = {"x": 0.005, "y": 0.005, "phi": 0.01}
     noisy = {
         name: getattr(path, name) + random.normal(0, size, len(t)) for name, size in sigma.items()
@@ -158,8 +159,8 @@ def track(spin):
 def test_tracks_alone_are_one_data_set_each():
     """Without events and tables."""
     tracks = [track(1.0), track(-1.5)]
-    best = curlfit.compare(tracks, ["angular", "coulomb"]).best
-    together = curlfit.fit_together(tracks, "angular", share="all")
-    assert (best.law, len(best.sets)) == ("angular", 2)
+    best = curlfit.compare(tracks, "front-back").best
+    together = curlfit.fit_together(tracks, "front-back", share="all")
+    assert (best.law, len(best.sets)) == ("front-back", 2)
     expected = sum(one.chi_squared for one in together.throws)
     assert sum(on.chi_squared for on in best.sets) == pytest.approx(expected, rel=1e-4)

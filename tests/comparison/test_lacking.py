@@ -85,5 +85,5 @@ def test_a_law_that_lacks_nothing_is_told_so():
     assert again.others.keys() == {"coulomb, uniform load"}
     figure = curlfit.comparison_figure(comparison)
     assert any("in the spin" in axes.get_ylabel() for axes in figure.axes)
-    with_slope = curlfit.fit(throw, stone=STONE, free=["slope_x"], details=False)
-    assert lacking("front-back", with_slope, {}, None) is None
+    with_slope = curlfit.fit(throw, "coulomb", stone=STONE, free=["slope_x"], details=False)
+    assert lacking("coulomb", with_slope, {}, None) is None
