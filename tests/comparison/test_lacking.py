@@ -66,7 +66,9 @@ def test_the_bands_have_what_the_law_lacks():
 
 def test_what_is_lacking_is_what_the_right_law_adds():
     throw = thrown(curlfit.law_with("front-back", COEFFICIENTS), 3)
-    alone, right = (curlfit.fit(throw, law, stone=STONE) for law in ("coulomb", "front-back"))
+    alone, right = (
+        curlfit.fit(throw, law, stone=STONE, details=False) for law in ("coulomb", "front-back")
+    )
     found = lacking("coulomb", alone, {"front-back": right}, None)
     assert found.nearest == "front-back"
     assert found.size() > 20
