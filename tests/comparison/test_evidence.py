@@ -68,7 +68,7 @@ def few(eq12):
     path = curlfit.simulate(law, curlfit.Stone(), start, t).to_numpy()
     noisy = [series + random.normal(0, 0.3, len(t)) for series in (path.x, path.y, path.phi)]
     throw = curlfit.Throw.from_arrays(t, *noisy, sigma=dict.fromkeys(("x", "y", "phi"), 0.3))
-    return curlfit.fit(throw, fix=FIXED, systematics={"all": 0.0})
+    return curlfit.fit(throw, fix=FIXED, details=False)
 
 
 def test_the_number_of_parameters_does_not_jump(few):
@@ -98,7 +98,7 @@ def test_the_number_of_parameters_does_not_jump(few):
 def test_the_prior_of_one_coefficient_against_quadrature(few, prior, density, sigma, by_data):
     throw = few.throw.with_sigma(dict.fromkeys(("x", "y", "phi"), sigma))
     fix = {**FIXED, "mu2_eta": 0.009, "v0": 2.0}
-    one = curlfit.fit(throw, fix=fix, priors={"mu1_eta": prior}, systematics={"all": 0.0})
+    one = curlfit.fit(throw, fix=fix, priors={"mu1_eta": prior}, details=False)
     problem, origin = problem_of(one)
     value, stderr = one["mu1_eta"].value, one["mu1_eta"].stderr
     low = max(value - 8 * stderr, density.ppf(1e-7), 0.0)

@@ -100,7 +100,7 @@ def test_laws_with_a_closed_form(load):
         pytest.param("pressure", "uniform", marks=pytest.mark.slow),
         pytest.param("stribeck", "consistent", marks=pytest.mark.slow),
         ("debris", "consistent"),
-        ("front-back+sideways", "consistent"),
+        pytest.param("front-back+sideways", "consistent", marks=pytest.mark.slow),
     ],
 )
 def test_closed_form_and_quadrature_agree_with_all_derivatives(name, load):
