@@ -49,10 +49,12 @@ def look(files: Sequence[Path], chosen: Mapping[str, Any]) -> Seen:
     from curlfit.friction_tables.table import is_friction_table, load_friction_table
 
     try:
-        if len(files) == 1 and is_friction_table(files[0]):
-            speed = load_friction_table(files[0]).speed
-            span = f"{speed.min():.3g} to {speed.max():.3g} m/s"
-            return Seen(f"{len(speed)} values of friction against speed, {span}")
+        worksheet = chosen.get("worksheet")
+        if len(files) == 1 and is_friction_table(files[0], worksheet):
+            table = load_friction_table(files[0], worksheet)
+            span = f"{table.speed.min():.3g} to {table.speed.max():.3g} m/s"
+            said = f"{len(table.speed)} values of friction against speed, {span}"
+            return Seen(said, notes=[table.note] * bool(table.note))
         reading = Reading(**{k: chosen[k] for k in chosen.keys() & Reading.forms().keys()})
         flags = Fitting(**{k: chosen[k] for k in chosen.keys() & Fitting.forms().keys()})
         jobs = [*prepare_all(files, chosen.get("config"), reading, flags).values()]

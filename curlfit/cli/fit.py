@@ -112,7 +112,7 @@ def fit(
     from curlfit.friction_tables.table import is_friction_table
 
     files = _files_of(data, reading)
-    if is_friction_table(files[0]) and len(files) == 1:
+    if len(files) == 1 and is_friction_table(files[0], reading.worksheet):
         from curlfit.friction_tables.command import fit_table
 
         return fit_table(files[0], flags, output, "fit", reading, sampling)

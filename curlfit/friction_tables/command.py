@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from curlfit.errors import InputError
@@ -13,7 +14,9 @@ from curlfit.stone import Stone
 _TAKEN = ("law", "laws", "load", "stone")
 
 
-def fit_table(file: Path, flags: Choices, output: Output, kind: str, *others: Choices) -> Saved:
+def fit_table(
+    file: Path, flags: Choices, output: Output, kind: str, reading: Reading, *others: Choices
+) -> Saved:
     """Fit the laws that are named to the table in a file; `kind` ends the name of the folder.
 
     Raises
@@ -26,13 +29,14 @@ def fit_table(file: Path, flags: Choices, output: Output, kind: str, *others: Ch
     given = flags.given()
     taken = type(flags)(**{name: given[name] for name in given if name in _TAKEN}).words()
     words = [word for word in flags.words() if word not in taken]
+    others = (replace(reading, worksheet=None), *others)
     words += [word for other in others for word in other.words() if word != "--no-sample"]
     if words:
         raise InputError(
             f"{words[0]}: {file} is a table of friction against speed; expected it with a throw"
         )
-    table, drawn = load_friction_table(file), output.drawn()
-    folder = prepare_folder(output.out or result_folder(file, kind, Reading()))
+    table, drawn = load_friction_table(file, reading.worksheet), output.drawn()
+    folder = prepare_folder(output.out or result_folder(file, kind, reading))
     laws = given.get("laws") or given.get("law") or (None if kind == "compare" else "front-back")
     with output.status(f"Fitting {COMPILES}"):
         from curlfit.friction_tables.fit import fit_friction
@@ -41,5 +45,5 @@ def fit_table(file: Path, flags: Choices, output: Output, kind: str, *others: Ch
             table, laws, load=given.get("load", "uniform"),
             stone=Stone().with_values(dict(given.get("stone", {}))),
         )  # fmt: skip
-    done = output.finish(found, folder, drawn)
+    done = output.finish(found, folder, drawn, remarks=[table.note] * bool(table.note))
     return done if found.fits[0].converged else done._replace(status=1)

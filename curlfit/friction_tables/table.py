@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from curlfit.errors import DataError
+from curlfit.errors import DataError, InputError
 from curlfit.foreign import counted
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.readers.columns import parse_header
@@ -33,6 +33,7 @@ class FrictionTable:
     name : of the file.
     speed : m/s, of the centre of the stone. mu : braking force over the weight.
     omega : spin, rad/s; 0 where the table has none. sigma : standard errors of mu, if given.
+    note : on what of the file was read, if it has more.
 
     Examples
     --------
@@ -45,6 +46,7 @@ class FrictionTable:
     mu: Floats
     omega: Floats
     sigma: Floats | None = None
+    note: str = ""
 
 
 def _quantity(header: str) -> str:
@@ -60,11 +62,11 @@ def _columns(table: TextTable) -> dict[str, int]:
     return {_quantity(header): place for place, header in enumerate(table.names)}
 
 
-def is_friction_table(file: Path) -> bool:
+def is_friction_table(file: Path, worksheet: str | None = None) -> bool:
     """Whether a file has columns of speed and friction, and none of time."""
     try:
-        table = TextTable.of(TextFile.read(file))
-    except DataError:  # told where it is read as what it should be
+        table = TextTable.of(TextFile.read(file, worksheet))
+    except InputError:  # told where it is read as what it should be
         return False
     times = [
         header for header in table.names if (found := parse_header(header)) and found.base == "t"
@@ -72,8 +74,12 @@ def is_friction_table(file: Path) -> bool:
     return {"speed", "mu"} <= _columns(table).keys() and not times
 
 
-def load_friction_table(file: str | PathLike[str]) -> FrictionTable:
+def load_friction_table(file: str | PathLike[str], worksheet: str | None = None) -> FrictionTable:
     """Read a table with the columns speed and mu, and if possible sigma_mu and omega.
+
+    Parameters
+    ----------
+    worksheet : of a workbook, by its name; the first one with data by default.
 
     Raises
     ------
@@ -87,7 +93,8 @@ def load_friction_table(file: str | PathLike[str]) -> FrictionTable:
     13
     """
     path = Path(file)
-    table = TextTable.of(TextFile.read(path))
+    text = TextFile.read(path, worksheet)
+    table = TextTable.of(text)
     places = _columns(table)
     if missing := {"speed", "mu"} - places.keys():
         raise DataError(
@@ -113,5 +120,5 @@ def load_friction_table(file: str | PathLike[str]) -> FrictionTable:
         raise DataError(fault, file=path)
     return FrictionTable(
         path.name, values["speed"], values["mu"],
-        values.get("omega", np.zeros(len(values["mu"]))), values.get("sigma"),
+        values.get("omega", np.zeros(len(values["mu"]))), values.get("sigma"), text.note,
     )  # fmt: skip

@@ -29,8 +29,6 @@ from curlfit.throws.throw import Throw, counts_from_hack
 
 _READERS = (DIGITALCURLING, TIMINGS, TRACKER, TABLE)
 """Formats in the order in which they are tried; the last accepts any file."""
-_OF_MANY = (TIMINGS.name, TABLE.name)
-"""Formats of which a joint fit takes every throw."""
 _BY_NAME = {reader.name: reader for reader in reversed(_READERS)}
 FORMATS = tuple(_BY_NAME)
 _SUFFIXES = (".csv", ".tsv", ".txt", ".jsonl", ".json")
@@ -107,12 +105,8 @@ def load_throws(*files: str | PathLike[str], **choices: Any) -> list[Throw]:
     (15, '1')
     """
     reading = Reading.of(**choices)
-    parts: list[Part] = []
-    for file in files:
-        if format_of(file, reading) in _OF_MANY:
-            parts += (part for part in parts_of(file, reading) if not part.left_out)
-        else:
-            parts.append(Part(None, None, throw_of(read(file, reading), reading)))
+    every = (part for file in files for part in parts_of(file, reading, jointly=True))
+    parts = [part for part in every if not part.left_out]
     throws = []
     for part in parts:
         if isinstance(part.throw, CurlfitError):
@@ -125,9 +119,9 @@ def load_throws(*files: str | PathLike[str], **choices: Any) -> list[Throw]:
     return throws
 
 
-def parts_of(file: str | PathLike[str], reading: Reading) -> list[Part]:
+def parts_of(file: str | PathLike[str], reading: Reading, *, jointly: bool = False) -> list[Part]:
     """Every throw in a file: shots of a log, objects of a Tracker export, throws of a table;
-    `shot` or `stone_index` selects a single one.
+    `shot` or `stone_index` selects a single one. For a joint fit every one of a table alone.
 
     Raises
     ------
@@ -138,7 +132,8 @@ def parts_of(file: str | PathLike[str], reading: Reading) -> list[Part]:
     number = getattr(reading, key)
     whole = partial(format.selected, path, contents, number)
     parses: list[tuple[int | None, Callable[[], ParsedFile]]] = [(number, whole)]
-    if number is None and len(contents.labels) > 1:
+    every = format in (TIMINGS, TABLE) if jointly else True
+    if every and number is None and len(contents.labels) > 1:
         among = range(len(contents.labels)) if contents.among is None else contents.among
         parses = [(k + 1, partial(contents.parse, k)) for k in among]
     own: dict[str, int | None] = {"shot": reading.shot, "stone_index": reading.stone_index}

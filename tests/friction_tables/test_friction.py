@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import DATA, invoke
+from sample_files import CELL, ods
 from scipy.optimize import curve_fit
 
 import curlfit
@@ -136,3 +137,23 @@ def test_the_commands(tmp_path, monkeypatch):
     assert done.exit_code == 2
     assert "--fix=r=2" in str(done.exception)
     assert not (tmp_path / "sutor_1988_friction-fit").exists()
+
+
+def test_a_worksheet_of_a_workbook_is_chosen_by_its_name(tmp_path):
+    pytest.importorskip("python_calamine")
+
+    def cells(mu: float) -> list[str]:
+        head = CELL.format("string", "", "speed") + CELL.format("string", "", "mu")
+        values = [(v, mu) for v in (0.5, 1.0, 2.0)]
+        return [head] + [
+            "".join(CELL.format("float", f'office:value="{one}"', one) for one in row)
+            for row in values
+        ]
+
+    file = ods(tmp_path / "friction.ods", cells(0.01), warm=cells(0.02))
+    assert curlfit.load_friction_table(file).mu.tolist() == [0.01] * 3
+    warm = curlfit.load_friction_table(file, "warm")
+    assert warm.mu.tolist() == [0.02] * 3
+    assert warm.note == ("2 worksheets: evening, warm; taken: warm (--worksheet selects another)")
+    assert is_friction_table(file, "warm")
+    assert not is_friction_table(file, "cold")

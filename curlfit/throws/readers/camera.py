@@ -125,7 +125,7 @@ def _of_pixels(
         )
     across, along = np.hypot(sizes[:, 0], sizes[:, 1])
     return [
-        fitted,
+        "; ".join(filter(None, (fitted, plane.note))),
         f"one pixel is {extent(across)} in x and {extent(along)} in y along the track: the noise "
         + (
             "of each row is that of one unknown number of pixels"
@@ -152,6 +152,8 @@ class Homography(NamedTuple):
     points: int
     rms_px: float
     errors: Floats | None = None
+    note: str = ""
+    """on what of the file of the points was read"""
 
     def __call__(self, u: Floats, v: Floats) -> tuple[Floats, Floats]:
         """Positions in m, shape (n,); NaN beyond the horizon."""
@@ -192,7 +194,8 @@ def load_homography(file: Path) -> Homography:
     DataError : a column is missing, fewer than four points, collinear points, or points that are
         not consistent with an image of a plane.
     """
-    table = TextTable.of(TextFile.read(file), _EXPECTED)
+    text = TextFile.read(file)
+    table = TextTable.of(text, _EXPECTED)
     columns: dict[str, int] = {}
     factors: list[float] = []
     for index, name in enumerate(table.names):
@@ -211,7 +214,7 @@ def load_homography(file: Path) -> Homography:
     if bad.any():
         fault = "each point needs four finite numbers u, v, x, y"
         raise table.file.error(fault, table.rows[np.argmax(bad)])
-    return homography(stacked[:2], stacked[2:], file)
+    return homography(stacked[:2], stacked[2:], file)._replace(note=text.note)
 
 
 def homography(pixels: Floats, metres: Floats, file: Path | str = "reference") -> Homography:

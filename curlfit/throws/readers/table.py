@@ -108,7 +108,8 @@ def read_columns(parsed: ParsedFile, table: TextTable, columns: dict[int, Column
     ------
     DataError : with the line and column of the fault.
     """
-    clocks = table.clocks(k for k, column in columns.items() if column.base == "t")
+    times = [k for k, column in columns.items() if column.base == "t"]
+    clocks = {k: found for k in times if (found := table.clock(k))}
     for k, (begin, _) in clocks.items():
         columns[k] = in_unit(columns[k].quantity, "s")
         parsed.notes.append(f"{table.names[k]}: clock times, taken as seconds since {begin}")
@@ -118,10 +119,10 @@ def read_columns(parsed: ParsedFile, table: TextTable, columns: dict[int, Column
     parsed.notes += table.remarks
     if any("#" in table.file.lines[row] for row in table.rows):
         faults = [cell for k in plain for cell in table.column(k) if cell[:1] == "#"]
-        said = (
-            f"{len(faults)} cells such as {quoted(faults[0])} are taken as gaps" if faults else ""
-        )
-        parsed.notes += [said] * bool(said)
+        if faults:
+            said = "is taken as a gap" if len(faults) == 1 else "are taken as gaps"
+            many = counted(len(faults), "cell")
+            parsed.notes.append(f"{many} such as {quoted(faults[0])} {said}")
     parsed.lines = np.asarray(table.rows, np.int64) + 1
     for k, column in columns.items():
         parsed.add(table.names[k], column, values[k])

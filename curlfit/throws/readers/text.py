@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -30,7 +30,6 @@ _MOST_BYTES, _MOST_OF_SETTINGS = 50_000_000, 64_000
 # Characters of a comment, a header or a setting; of a row; a line of JSON may have any number.
 _MOST_IN_HEAD, _MOST_IN_ROW = 1000, 20_000
 _MOST_LINES = 2_000_000
-_CHUNK = 20_000  # rows whose cells are in memory together
 # "t (s)" in a table separated by spaces
 _UNIT_APART = re.compile(r"[ \t]+([(\[][^()\[\]]*[)\]])")
 
@@ -287,24 +286,22 @@ class TextTable:
         found = [cell for cell in self.column(place) if cell.lower() not in GAPS]
         return bool(found) and all(is_number(cell) or self._grouped(cell) for cell in found)
 
-    def clocks(self, columns: Iterable[int]) -> dict[int, tuple[str, Floats]]:
-        """Of those of some columns that hold clock times: the first one, and seconds since then.
+    def clock(self, place: int) -> tuple[str, Floats] | None:
+        """Of a column of clock times the first one, and seconds since then; None of another.
 
         Raises
         ------
         DataError : a cell of such a column is not a clock time.
         """
-        clocks = {}
-        for place in columns if ":" in self.file.lines[self.rows[0]] else ():
-            found = self.column(place)
-            seconds, bad = clock_times(found)
-            known = np.flatnonzero(np.isfinite(seconds))
-            if len(known) and bad:
-                fault = f"{quoted(found[bad[0]])} found, expected a clock time as in other rows"
-                raise self.file.error(fault, self.rows[bad[0]], self.names[place])
-            if len(known):
-                clocks[place] = found[known[0]], seconds
-        return clocks
+        if ":" not in self.file.lines[self.rows[0]]:
+            return None
+        found = self.column(place)
+        seconds, bad = clock_times(found)
+        known = np.flatnonzero(np.isfinite(seconds))
+        if len(known) and bad:
+            fault = f"{quoted(found[bad[0]])} found, expected a clock time as in other rows"
+            raise self.file.error(fault, self.rows[bad[0]], self.names[place])
+        return (found[known[0]], seconds) if len(known) else None
 
     def numbers(self, columns: Sequence[int]) -> list[Floats]:
         """Numbers in the columns of these indices, as written; gaps are NaN.
@@ -314,54 +311,41 @@ class TextTable:
         DataError : there is no row, a row with a wrong number of cells, or a cell that is not a
             finite number.
         """
+        width = len(self.names)
+        for index in self.rows:
+            row = cells(self.file.lines[index], self.separator)
+            if len(row) < width or any(row[width:]):
+                fault = f"{counted(len(row), 'cell')} where the header has "
+                fault += counted(width, "column")
+                if self.separator == "," and width < len(row) <= 2 * width:
+                    fault += "; where numbers have decimal commas, separate the columns by "
+                    fault += "semicolons"
+                raise self.file.error(fault, index)
         try:
-            return self._numbers_of(columns, "")
-        except DataError as fault:
-            cells = (self._grouped(cell) for place in columns for cell in self.column(place))
-            found = next(filter(None, cells), None)
-            if found is None:
+            return [self._numbers(place) for place in columns]
+        except DataError:
+            every = (self._grouped(cell) for place in columns for cell in self.column(place))
+            if (found := next(filter(None, every), None)) is None:
                 raise
             with suppress(DataError):
-                values = self._numbers_of(columns, mark := found["mark"])
-                number = _without_groups(found[0], mark)
-                self.remarks.append(
-                    f"{quoted(mark)} separates thousands: {quoted(found[0])} is {number}"
-                )
+                values = [self._numbers(place, found["mark"]) for place in columns]
+                number = _without_groups(found[0], found["mark"])
+                said = f"{quoted(found['mark'])} separates thousands: {quoted(found[0])} is"
+                self.remarks.append(f"{said} {number}")
                 return values
-            raise fault from None
+            raise
 
     def _grouped(self, cell: str) -> re.Match[str] | None:
         """A number with its thousands apart, which cannot be read otherwise."""
         number = parse_number(cell, decimal_comma=self.separator != ",")
         return _GROUPED.fullmatch(cell) if number is None else None
 
-    def _numbers_of(self, columns: Sequence[int], mark: str) -> list[Floats]:
-        """Numbers whose thousands are separated by a mark, if any."""
-        lines, parts = self.file.lines, []
-        comma = self.separator != "," and any("," in lines[index] for index in self.rows)
-        for start in range(0, len(self.rows), _CHUNK):
-            rows = self.rows[start : start + _CHUNK]
-            by_column = list(zip(*(self._cells(index) for index in rows), strict=True))
-            if mark:
-                by_column = [
-                    tuple(_without_groups(cell, mark) for cell in cells) for cells in by_column
-                ]
-            parts.append([self._numbers(rows, by_column[k], k, comma) for k in columns])
-        return list(np.concatenate(parts, axis=1))
-
-    def _cells(self, index: int) -> list[str]:
-        """The cells of a row, as many as the header has."""
-        line, width = self.file.lines[index], len(self.names)
-        row = line.split(self.separator) if '"' not in line else cells(line, self.separator)
-        if len(row) != width and (len(row) < width or any(map(str.strip, row[width:]))):
-            fault = f"{counted(len(row), 'cell')} where the header has {counted(width, 'column')}"
-            if self.separator == "," and width < len(row) <= 2 * width:
-                fault += "; where numbers have decimal commas, separate the columns by semicolons"
-            raise self.file.error(fault, index)
-        return row[:width]
-
-    def _numbers(self, rows: list[int], found: Sequence[str], place: int, comma: bool) -> Floats:
-        """The numbers in the cells of a column, read at once, or else one by one."""
+    def _numbers(self, place: int, mark: str = "") -> Floats:
+        """The numbers in a column, read at once, or else one by one; a mark, if any, separates
+        their thousands."""
+        found = self.column(place)
+        if mark:
+            found = [_without_groups(cell, mark) for cell in found]
         text = "".join(found)
         if not ("_" in text or "," in text):
             try:
@@ -371,12 +355,12 @@ class TextTable:
             except ValueError:
                 pass
         values = np.full(len(found), math.nan)
-        for row, cell in enumerate(map(str.strip, found)):
+        for row, cell in enumerate(found):
             if cell.lower() in GAPS:
                 continue
-            value = parse_number(cell, decimal_comma=comma)
+            value = parse_number(cell, decimal_comma=self.separator != ",")
             if value is None or not math.isfinite(value):
                 fault = f"{quoted(cell)} found, expected a finite number"
-                raise self.file.error(fault, rows[row], self.names[place])
+                raise self.file.error(fault, self.rows[row], self.names[place])
             values[row] = value
         return values
