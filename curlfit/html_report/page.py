@@ -6,8 +6,7 @@ import base64
 import hashlib
 import json
 import platform
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from os import PathLike
@@ -22,7 +21,6 @@ from curlfit.errors import InputError
 from curlfit.html_report.additions import additions_of
 from curlfit.html_report.blocks import Block, blocks_of, bullets, marked, rows, sentence
 from curlfit.output.display import document_of, kind_of
-from curlfit.output.document import Document
 from curlfit.output.files import atomic_write, prepare_folder, require_replaceable
 from curlfit.records import plain
 from curlfit.version import __version__
@@ -39,16 +37,6 @@ _LATER = {
     "figures": "Figures",
 }
 """Sections that follow those of the document, by id."""
-
-
-@dataclass(frozen=True)
-class Page:
-    """A result as a page: its document, sections of blocks by id and heading, and the data of the
-    interactive parts, by id."""
-
-    document: Document
-    sections: Mapping[tuple[str, str], Sequence[Block]]
-    data: dict[str, Any]
 
 
 def write_report(result: Any, path: str | PathLike[str], *, chain: Chain | None = None) -> None:
@@ -70,17 +58,16 @@ def write_report(result: Any, path: str | PathLike[str], *, chain: Chain | None 
     --------
     >>> curlfit.write_report(sampled, "report.html", chain=chain)
     """
-    page = page_of(result, chain)
-    file = Path(path)
+    page, file = page_of(result, chain), Path(path)
     require_replaceable(file, "an HTML file", _MARK)
     if file.suffix not in (".html", ".htm"):
         raise InputError(f"{file}: expected a name that ends in .html")
     prepare_folder(file.parent)
-    atomic_write(file, render(page))
+    atomic_write(file, page)
 
 
-def page_of(result: Any, chain: Chain | None = None) -> Page:
-    """A result as a page, not yet rendered. Raises `InputError` for other objects."""
+def page_of(result: Any, chain: Chain | None = None) -> str:
+    """The text of the page of a result. Raises `InputError` for other objects."""
     if not kind_of(result):
         raise InputError(
             f"a {type(result).__name__} has no report; expected a fit, a comparison, a profile, a "
@@ -88,7 +75,7 @@ def page_of(result: Any, chain: Chain | None = None) -> Page:
         )
     document = document_of(result)
     added = additions_of(result, chain)
-    sections = {
+    sections: dict[tuple[str, str], Sequence[Block]] = {
         (one.id, one.heading): [*blocks_of(one), *added.blocks.get(one.id, ())]
         for one in document.sections
     }
@@ -105,7 +92,17 @@ def page_of(result: Any, chain: Chain | None = None) -> Page:
         Block("commands", commands), rows("Settings", document.settings),
         rows("Versions that wrote this page", _versions()),
     ]  # fmt: skip
-    return Page(document, sections, added.data)
+    script = "".join(map(source, _SCRIPTS)) if added.data else ""
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    return _templates().get_template("page.html.j2").render(
+        document=document,
+        sections=sections,
+        style=Markup(source("report.css")),
+        script=Markup(script),
+        digest=digest,
+        data=Markup(_embedded(added.data)) if added.data else "",
+        version=__version__,
+    )  # fmt: skip
 
 
 def _versions() -> dict[str, str]:
@@ -116,21 +113,6 @@ def _versions() -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return found
-
-
-def render(page: Page) -> str:
-    """The text of a page."""
-    script = "".join(source(name) for name in _SCRIPTS) if page.data else ""
-    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    return _templates().get_template("page.html.j2").render(
-        page=page,
-        document=page.document,
-        style=Markup(source("report.css")),
-        script=Markup(script),
-        digest=digest,
-        data=Markup(_embedded(page.data)),
-        version=__version__,
-    )  # fmt: skip
 
 
 def _embedded(data: dict[str, Any]) -> str:

@@ -19,7 +19,7 @@ from conftest import Reference, front_back
 
 import curlfit
 from curlfit.cli import app
-from curlfit.html_report.page import page_of, render
+from curlfit.html_report.page import page_of
 from curlfit.html_report.replay import replay_of_fit
 from curlfit.reports.fit import command_of
 from curlfit.settings.choices import Fitting
@@ -91,7 +91,7 @@ def records(eq12):
 @pytest.fixture(scope="module")
 def pages(records):
     chains = {"fit": records["chain"]}
-    return {kind: Page(render(page_of(records[kind], chains.get(kind)))) for kind in KINDS}
+    return {kind: Page(page_of(records[kind], chains.get(kind))) for kind in KINDS}
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -235,7 +235,7 @@ def test_draws_come_to_rest_where_the_prediction_has_them(pages, records):
 
 
 def test_a_prediction_without_draws_has_no_animation_of_them(records):
-    page = Page(render(page_of(replace(records["prediction"], sample={}))))
+    page = Page(page_of(replace(records["prediction"], sample={})))
     assert page.data.keys() == {"replay-0"}
     assert "without draws of the posterior" in page.source
 
@@ -247,7 +247,7 @@ def test_hostile_names_stay_text(records):
         fit, data=fit.data | {"file": HOSTILE, "notes": [HOSTILE]}, warnings=(HOSTILE,),
         observed=fit.observed | gap,
     )  # fmt: skip
-    page = Page(render(page_of(named)))
+    page = Page(page_of(named))
     assert not page.of("img")
     assert len(page.of("script")) == 2
     assert HOSTILE in "".join(page.texts["td"])
@@ -258,7 +258,7 @@ def test_hostile_names_stay_text(records):
     assert "null" in embedded
     assert "NaN" not in embedded
     alike = replace(named, null_directions=())
-    page = Page(render(page_of(replace(records["joint"], throws=(alike, alike)))))
+    page = Page(page_of(replace(records["joint"], throws=(alike, alike))))
     assert not page.of("img")
     assert HOSTILE.rpartition("/")[2] in "".join(page.texts["h3"])
 
@@ -311,7 +311,7 @@ def test_the_command_writes_the_page_beside_the_result(folder, typed, monkeypatc
     assert said == "Written: comparison/report.html\n"
     assert opened == [(folder / "comparison" / "report.html").as_uri()]
     text = (folder / "comparison" / "report.html").read_text(encoding="utf-8")
-    assert text == render(page_of(curlfit.load_comparison(folder / "comparison")))
+    assert text == page_of(curlfit.load_comparison(folder / "comparison"))
     assert typed("report", "profile/profile.json", "--out", "new/a.html") == "Written: new/a.html\n"
     assert (folder / "new" / "a.html").read_text().startswith("<!doctype html>")
 
@@ -338,7 +338,7 @@ def test_the_command_on_the_page_makes_the_fit_again(eq12, folder, typed):
         fix={"heading": -0.001}, bounds={"mu": (0, 0.5)}, systematics={"drag": 0.4},
     )  # fmt: skip
     line = command_of(fit)
-    assert line.replace(" ", "</span> <span>") in html.unescape(render(page_of(fit)))
+    assert line.replace(" ", "</span> <span>") in html.unescape(page_of(fit))
     typed(*shlex.split(line)[1:], "--no-figures", "--quiet", "--out", "again")
     again = curlfit.load_fit(folder / "again")
     assert again.parameters == fit.parameters

@@ -312,14 +312,13 @@ class TextTable:
             finite number.
         """
         width = len(self.names)
+        remedy = "; where numbers have decimal commas, separate the columns by semicolons"
         for index in self.rows:
             row = cells(self.file.lines[index], self.separator)
             if len(row) < width or any(row[width:]):
-                fault = f"{counted(len(row), 'cell')} where the header has "
-                fault += counted(width, "column")
-                if self.separator == "," and width < len(row) <= 2 * width:
-                    fault += "; where numbers have decimal commas, separate the columns by "
-                    fault += "semicolons"
+                many, head = counted(len(row), "cell"), counted(width, "column")
+                commas = self.separator == "," and width < len(row) <= 2 * width
+                fault = f"{many} where the header has {head}" + remedy * commas
                 raise self.file.error(fault, index)
         try:
             return [self._numbers(place) for place in columns]
