@@ -157,14 +157,10 @@ def arguments(chance: random.Random, folder: Path) -> list[str]:
 
 
 class Outcome(NamedTuple):
-    """How a process ended: exit status (minus the signal, if one ended it), and its needs.
-
-    `seconds` are those of the processor, which do not depend on what else runs.
-    """
+    """How a process ended: exit status (minus the signal, if one ended it), and its needs."""
 
     status: int
     megabytes: float
-    seconds: float
     errors: str
 
     def fault(self) -> str | None:
@@ -203,35 +199,21 @@ def forked(words: list[str], errors: Path) -> Outcome:
             sys.stderr.flush()
             os._exit(status)
     _, wait, usage = os.wait4(child, 0)
-    return Outcome(
-        os.waitstatus_to_exitcode(wait),
-        usage.ru_maxrss / 1024,
-        usage.ru_utime + usage.ru_stime,
-        errors.read_text(errors="replace"),
-    )
+    said = errors.read_text(errors="replace")
+    return Outcome(os.waitstatus_to_exitcode(wait), usage.ru_maxrss / 1024, said)
 
 
 @dataclass
 class Tally:
-    """What became of many files: how many ended with each status, the most that one needed.
+    """What became of many files: how many ended with each status, and what was wrong."""
 
-    `plain_mb` is what the refusal of a file that is not there needs.
-    """
-
-    files: int = 0
     statuses: dict[str, int] = field(default_factory=dict)
-    plain_mb: float = 0.0
-    most_mb: dict[str, float] = field(default_factory=dict)
-    most_seconds: dict[str, float] = field(default_factory=dict)
     faults: list[str] = field(default_factory=list)
 
-    def add(self, verb: str, outcome: Outcome, what: str) -> None:
+    def add(self, outcome: Outcome, what: str) -> None:
         """Count one more."""
-        self.files += 1
         status = str(outcome.status)
         self.statuses[status] = self.statuses.get(status, 0) + 1
-        self.most_mb[verb] = max(self.most_mb.get(verb, 0.0), outcome.megabytes)
-        self.most_seconds[verb] = max(self.most_seconds.get(verb, 0.0), outcome.seconds)
         fault = outcome.fault()
         if fault is not None:
             self.faults.append(f"{what}: {fault}: {outcome.errors[-2000:]}")
@@ -240,11 +222,9 @@ class Tally:
 def tally(folder: Path, seed: int, count: int) -> Tally:
     """What becomes of `count` files of a seed."""
     chance, errors, found = random.Random(seed), folder / "errors", Tally()
-    found.plain_mb = forked(["check", str(folder / "nothing")], errors).megabytes
     for k in range(count):
         words = arguments(chance, folder)
-        verb = words[0] if len(words) == 1 or "--out" not in words[-1] else f"{words[0]} --out"
-        found.add(verb, forked(words, errors), f"seed {seed}, file {k}, {words}")
+        found.add(forked(words, errors), f"seed {seed}, file {k}, {words}")
     return found
 
 

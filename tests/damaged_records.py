@@ -154,9 +154,8 @@ def tally(samples: Path, seed: int, count: int) -> Tally:
         if verb == "export" and kind not in ("fit", "joint", "compare"):
             words = ["show", f"{work}"]
         before = len(found.faults)
-        found.add(
-            verb, forked(words, work.with_suffix(".errors")), f"seed {seed}, record {k}, {words}"
-        )
+        outcome = forked(words, work.with_suffix(".errors"))
+        found.add(outcome, f"seed {seed}, record {k}, {words}")
         if len(found.faults) > before:
             shutil.copytree(work, work.with_name(f"fault-{seed}-{k}"), dirs_exist_ok=True)
     shutil.rmtree(work)

@@ -17,7 +17,6 @@ from curlfit.comparison.compare import compare
 from curlfit.comparison.report import conclusions, document, print_comparison
 from curlfit.comparison.result import load_comparison
 
-COMPARED = [name for name, law in LAWS.items() if law.shipped() and not law.approximates]
 ISOTROPIC = {
     "coulomb", "power", "power-angular", "pressure", "angular", "stribeck", "sutor", "debris",
 }  # fmt: skip

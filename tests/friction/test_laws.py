@@ -411,40 +411,6 @@ def test_only_laws_that_see_the_load_repeat_its_solution(name):
     assert ("while" in program) == (name == "pressure")
 
 
-@pytest.mark.parametrize(
-    ("name", "values", "load", "omega", "right", "forward"),
-    [
-        ("coulomb", (0.01,), "consistent", 1, 2.9e-6, -1.0e-2),
-        ("coulomb", (0.01,), "consistent", 10, 2.7e-5, -9.7e-3),
-        ("coulomb", (0.01,), "consistent", 40, 3.4e-5, -4.2e-3),
-        ("coulomb", (0.01,), "consistent", 200, 6.8e-6, -7.7e-4),
-        ("power", (0.008, -0.5), "consistent", 1, 9.1e-7, -5.7e-3),
-        ("power", (0.008, -0.5), "consistent", 10, 8.8e-6, -5.5e-3),
-        ("power", (0.008, -0.5), "consistent", 40, 4.9e-6, -1.2e-3),
-        ("stribeck", (0.01, 0.002), "consistent", 1, 4.0e-6, "negative"),
-        ("stribeck", (0.01, 0.002), "consistent", 40, 6.6e-5, "negative"),
-        ("stribeck", (0.01, 0.002), "consistent", 100, 4.8e-5, "negative"),
-        ("stribeck", (0.02, -0.004), "consistent", 1, 6.8e-6, "negative"),
-        ("stribeck", (0.02, -0.004), "consistent", 40, 7.3e-6, "negative"),
-        ("stribeck", (0.02, -0.004), "consistent", 100, -8.5e-5, 4.9e-3),
-        ("stribeck", (-0.01, 0.01), "consistent", 1, -2.9e-6, "negative"),
-        ("stribeck", (-0.01, 0.01), "consistent", 40, -1.3e-4, "negative"),
-        ("stribeck", (-0.01, 0.01), "consistent", 100, -1.6e-4, "negative"),
-        ("pressure", (0.01, 0.5), "uniform", 1, 0.0, -1.0e-2),
-        ("pressure", (0.01, 0.5), "consistent", 1, 1.4e-6, -1.0e-2),
-        ("pressure", (0.01, 1.5), "consistent", 1, -1.4e-6, -1.0e-2),
-        ("angular", (0.01, 0.5), "uniform", 1, -8.1e-5, -1.0e-2),
-    ],
-)
-def test_propositions_2_to_4_as_checked(name, values, load, omega, right, forward):
-    force = over_weight(name, values, load, 2.0, omega)
-    assert force[0] == pytest.approx(right, rel=0.03, abs=1e-15)
-    if forward == "negative":
-        assert force[1] < 0
-    else:
-        assert force[1] == pytest.approx(forward, rel=0.03)
-
-
 MU = (0.006, 0.012, 0.007, 0.013)
 
 

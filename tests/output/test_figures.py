@@ -8,7 +8,6 @@ import pytest
 from matplotlib.text import Text
 
 import curlfit
-from curlfit.comparison.result import Candidate, Comparison
 from curlfit.inference.joint.result import JointResult, Variation
 from curlfit.inference.mcmc.chain import Chain
 from curlfit.options.figures import FigureFiles, write_figures
@@ -329,27 +328,6 @@ def test_figures_of_an_earlier_result_do_not_stay(tmp_path):
 )  # fmt: skip
 def test_units_go_by_size(size, channel, unit):
     assert unit_for(size, channel) == unit
-
-
-# --- a comparison --------------------------------------------------------------------------------
-
-
-def a_comparison(eq12, paths):
-    """Candidates with the given sideways paths over eq. 12."""
-    found = tuple(
-        Candidate(
-            law=law, load=load, isotropic=False, signs_free=signs_free, status="converged",
-            converged=True, rank=None if signs_free else place + 1,
-            rms={"x": 0.01, "y": 0.02, "phi": 0.03},
-            fitted={"x": list(x), "y": list(eq12.y), "phi": list(eq12.phi)},
-        )
-        for place, (law, load, signs_free, x) in enumerate(paths)
-    )  # fmt: skip
-    observed = {name: list(getattr(eq12, name)) for name in ("t", "x", "y", "phi")}
-    return Comparison(
-        data={"file": "a.csv"}, stone=curlfit.Stone(), curl=0.1, side="left", candidates=found,
-        observed=observed,
-    )  # fmt: skip
 
 
 # --- several throws ------------------------------------------------------------------------------
