@@ -22,6 +22,7 @@ import jax
 import numpy as np
 
 from curlfit.errors import InputError
+from curlfit.foreign import counted
 from curlfit.friction import Law, Load, no_motion_because
 from curlfit.inference.fit.systematics import residual_changes
 from curlfit.inference.identifiability import Bounded, confined, r_factor
@@ -288,7 +289,8 @@ def clock_of(assumed: Assumptions, throw: PlannedThrow, rest: float) -> Floats:
     rows = math.floor(end * throw.rate + 1e-9) + 1
     if not 2 <= rows <= MOST_ROWS:
         raise InputError(
-            f"{end:.4g} s at {throw.rate:g} Hz make {rows} rows; expected 2 to {MOST_ROWS}"
+            f"{end:.4g} s at {throw.rate:g} Hz make {counted(rows, 'row')}; expected 2 to "
+            f"{MOST_ROWS}"
         )
     return np.arange(rows) / throw.rate
 

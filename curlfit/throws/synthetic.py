@@ -11,7 +11,7 @@ import numpy as np
 
 from curlfit.environment import Environment
 from curlfit.errors import InputError
-from curlfit.foreign import quoted
+from curlfit.foreign import counted, quoted
 from curlfit.friction import Law, check_load, find_law, no_motion_because
 from curlfit.numerics.arrays import Floats
 from curlfit.stone import Stone
@@ -147,7 +147,7 @@ def _path(
 def _times(until: float, dt: float) -> Floats:
     rows = math.floor(until / dt + 1e-9) + 1
     if not 2 <= rows <= _MOST_ROWS:
-        raise InputError(f"until = {until:g} s in steps of {dt:g} s makes {rows} rows")
+        raise InputError(f"until = {until:g} s in steps of {dt:g} s makes {counted(rows, 'row')}")
     return np.arange(rows, dtype=np.float64) * dt
 
 
