@@ -65,7 +65,7 @@ def unwrap_angle(parsed: ParsedFile, columns: dict[str, Floats]) -> str:
         raise parsed.error(
             "the angle is wrapped and the stone turns so far from row to row that the sense is "
             "ambiguous; expected rows closer in time, an unwrapped angle, or a column of the spin",
-            error.row,
+            error.args[0],
             "phi",
         ) from None
     size = "360" if period > 4 else "180"
@@ -125,11 +125,7 @@ def add_angle_of_mark(
 
 
 class AmbiguousTurnError(Exception):
-    """About half a period between two rows, of ambiguous sense. `row` is the later one."""
-
-    def __init__(self, row: int) -> None:
-        super().__init__(row)
-        self.row = row
+    """About half a period between two rows, of ambiguous sense; its argument is the later row."""
 
 
 def unwrap(t: Floats, phi: Floats, omega: Floats | None = None) -> tuple[Floats, int, float]:
