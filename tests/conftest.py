@@ -99,13 +99,23 @@ class Ran(NamedTuple):
     stderr: str
 
 
+def python(
+    *words: object, cwd: Path | None = None, **settings: str
+) -> subprocess.CompletedProcess[str]:
+    """Python as a process of its own, in a folder, with further settings of the environment."""
+    return subprocess.run(
+        [sys.executable, *map(str, words)], cwd=cwd, capture_output=True, text=True, timeout=1500,
+        # not that of the C library, to which readline adds the width of a terminal
+        check=False, env=os.environ | settings,
+    )  # fmt: skip
+
+
 def process(*words: object, cwd: Path) -> subprocess.CompletedProcess[str]:
     """`curlfit` as a process of its own, in a folder."""
-    return subprocess.run(
-        [sys.executable, "-m", "curlfit", *map(str, words)],
-        cwd=cwd, capture_output=True, text=True, timeout=300, check=False,
-        env=os.environ,  # not that of the C library, to which readline adds the width of a terminal
-    )  # fmt: skip
+    return python("-m", "curlfit", *words, cwd=cwd)
+
+
+STRICT = ("-W", "error")  # warnings are errors, as in the tests
 
 
 LAUNCH = """

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shlex
-import subprocess
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -16,14 +13,6 @@ from conftest import command
 ROOT = Path(__file__).parents[1]
 NUMBER = r"-?\d+\.\d+"
 _FLAT = r"(\w+)(?:\s+-)+\s+not identifiable\s+([\d.]+) \.\. ([\d.]+)"
-
-
-def run(words: Sequence[str], folder: Path) -> subprocess.CompletedProcess[str]:
-    """Python with some words, in a folder."""
-    return subprocess.run(
-        [sys.executable, *words], cwd=folder, capture_output=True, text=True, check=False,
-        timeout=1500, env=os.environ,
-    )  # fmt: skip
 
 
 def typed(line: str, folder: Path) -> str:

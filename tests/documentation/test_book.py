@@ -15,7 +15,8 @@ import shutil
 from pathlib import Path
 
 import pytest
-from transcripts import ROOT, blocks, require_shown, run, typed, without_gaps
+from conftest import STRICT, python
+from transcripts import ROOT, blocks, require_shown, typed, without_gaps
 
 import curlfit
 from curlfit.cli import app
@@ -173,7 +174,7 @@ def test_python(tmp_path):
         "for block in json.loads(pathlib.Path('blocks.json').read_text()):\n"
         "    exec(compile(block, block, 'exec'), {'__name__': 'block'})\n"
     )
-    done = run(["-W", "error", "all.py"], tmp_path)
+    done = python(*STRICT, "all.py", cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
     assert (tmp_path / "chain.h5").exists()
 

@@ -14,7 +14,7 @@ from dataclasses import replace
 import damaged_records
 import h5py
 import pytest
-from conftest import invoke
+from conftest import STRICT, invoke, python
 from matplotlib.figure import Figure
 
 import curlfit
@@ -93,11 +93,7 @@ def test_what_cannot_be_written_is_said_and_what_was_there_stays(
 
 
 def test_a_full_disk_leaves_no_half_of_a_compiled_program(tmp_path):
-    run = subprocess.run(
-        [sys.executable, "-W", "error", "-c", COMPILE],
-        capture_output=True, text=True, check=False,
-        env=os.environ | {"CURLFIT_CACHE": str(tmp_path / "cache")},
-    )  # fmt: skip
+    run = python(*STRICT, "-c", COMPILE, CURLFIT_CACHE=str(tmp_path / "cache"))
     assert (run.returncode, run.stderr) == (0, "")
     assert run.stdout == "0 1\n"
 
@@ -277,11 +273,7 @@ def test_damaged_records_are_read_or_refused(eq12_posterior, compared, tmp_path)
         (tmp_path / result.kind).mkdir()
         result.save(tmp_path / result.kind / f"{result.kind}.json")
     chain.save(tmp_path / "fit" / "chain.h5")
-    run = subprocess.run(
-        [sys.executable, "-W", "error", damaged_records.__file__, tmp_path, "1", "40"],
-        capture_output=True, text=True, check=False,
-        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
-    )  # fmt: skip
+    run = python(*STRICT, damaged_records.__file__, tmp_path, 1, 40, OPENBLAS_NUM_THREADS="1")
     assert run.returncode == 0, run.stderr
     found = json.loads(run.stdout)
     assert found["faults"] == []

@@ -5,12 +5,11 @@ from __future__ import annotations
 import json
 import os
 import stat
-import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from conftest import STRICT, python
 
 from curlfit.errors import warn_once
 from curlfit.numerics import compiled, program_cache as cache
@@ -57,11 +56,7 @@ def traced(tmp_path, monkeypatch, capsys):
 def test_a_second_process_traces_nothing(traced, tmp_path):
     assert traced() == 3
     for count in (3, 0):  # and in processes of their own
-        place = os.environ | {"CURLFIT_CACHE": str(tmp_path / "other")}
-        done = subprocess.run(
-            [sys.executable, "-W", "error", "-c", CODE], env=place, capture_output=True, text=True,
-            check=False,
-        )  # fmt: skip
+        done = python(*STRICT, "-c", CODE, CURLFIT_CACHE=str(tmp_path / "other"))
         assert (done.returncode, done.stdout, done.stderr) == (0, f"{count}\n", "")
     assert len(list(traced.folder.iterdir())) == 3  # each word and shape has its own
     assert traced() == 0
@@ -91,10 +86,7 @@ def test_a_cache_of_jax_named_by_the_user_is_left_to_jax(tmp_path):
         "JAX_COMPILATION_CACHE_DIR": str(tmp_path / "jax"),
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
     }
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", CODE], env=os.environ | place, capture_output=True,
-        text=True, check=False,
-    )  # fmt: skip
+    done = python(*STRICT, "-c", CODE, **place)
     assert (done.returncode, done.stdout, done.stderr) == (0, "3\n", "")
     assert list((tmp_path / "cache" / "programs").iterdir()) == []
     assert list((tmp_path / "jax").iterdir()) != []
@@ -120,11 +112,9 @@ print(int(force(Law, np.ones(3))[0]))
 def test_a_law_of_the_user_is_compiled_again_only_if_it_does_something_else(tmp_path):
     folder = tmp_path / "cache" / "programs"
     for factor, files in ((2, 1), (2, 1), (3, 2)):
-        done = subprocess.run(
-            [sys.executable, "-W", "error", "-c", OWN_LAW.format(factor=factor)], check=True,
-            env=os.environ | {"CURLFIT_CACHE": str(tmp_path / "cache")}, capture_output=True,
-        )  # fmt: skip
-        assert int(done.stdout) == factor
+        code = OWN_LAW.format(factor=factor)
+        done = python(*STRICT, "-c", code, CURLFIT_CACHE=str(tmp_path / "cache"))
+        assert (done.stdout, done.stderr) == (f"{factor}\n", "")
         assert len(list(folder.iterdir())) == files
 
 
@@ -150,10 +140,9 @@ def keeping(tmp_path):
 
     def run(code, limit=cache.LIMIT, place=tmp_path / "cache", **settings):
         text = HOUSEKEEPING.format(limit=limit, code=code)
-        return subprocess.run(
-            [sys.executable, "-W", "error", "-c", text], check=True, capture_output=True, text=True,
-            env=os.environ | {"CURLFIT_CACHE": str(place)} | settings,
-        )  # fmt: skip
+        done = python(*STRICT, "-c", text, CURLFIT_CACHE=str(place), **settings)
+        assert done.returncode == 0, done.stderr
+        return done
 
     return run
 
@@ -295,14 +284,12 @@ SLOPES = "[jax.grad(lambda v: y(v)[place])(2.0).item() for place in (1, 2)]", [1
     ("imports", "wide", "use", "expected"),
     [("import curlfit, jax", None, *SLOPES), ("import jax, curlfit", "0", *PATHS)],
 )
-def test_the_first_use_may_be_traced(imports, wide, use, expected, shared):
-    env = os.environ | {"CURLFIT_CACHE": str(shared)}
-    env.pop("JAX_ENABLE_X64", None)
-    run = subprocess.run(
-        [sys.executable, "-W", "error", "-c", FIRST_USE.format(imports=imports, use=use)],
-        env=env | ({} if wide is None else {"JAX_ENABLE_X64": wide}),
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+def test_the_first_use_may_be_traced(imports, wide, use, expected, shared, monkeypatch):
+    monkeypatch.delenv("JAX_ENABLE_X64", raising=False)
+    if wide is not None:
+        monkeypatch.setenv("JAX_ENABLE_X64", wide)
+    code = FIRST_USE.format(imports=imports, use=use)
+    run = python(*STRICT, "-c", code, CURLFIT_CACHE=str(shared))
     assert run.returncode == 0, run.stderr
     first, second = map(json.loads, run.stdout.splitlines())
     assert first == pytest.approx(expected, abs=1e-7)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 import time
 
 import pytest
+from conftest import STRICT, python
 
 from curlfit.numerics.threads import cores, in_threads
 
@@ -37,10 +35,8 @@ def run(tmp_path):
     """Run code in a new process whose cache lies in a folder of the test; what it prints."""
 
     def run(code, **settings):
-        done = subprocess.run(
-            [sys.executable, "-W", "error", "-c", CODE + code], capture_output=True, text=True,
-            env=os.environ | {"CURLFIT_CACHE": str(tmp_path / "cache")} | settings, check=False,
-        )  # fmt: skip
+        place = {"CURLFIT_CACHE": str(tmp_path / "cache")}
+        done = python(*STRICT, "-c", CODE + code, **(place | settings))
         assert (done.returncode, done.stderr) == (0, "")
         return int(done.stdout)
 

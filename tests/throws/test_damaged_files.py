@@ -3,24 +3,17 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import damaged_files
 import pytest
+from conftest import STRICT, python
 from damaged_files import Outcome
 
 
 def worker(folder: Path, seed: int, count: int) -> dict:
     """The tally of many files, forked from a process without the tests' own imports."""
-    run = subprocess.run(
-        [sys.executable, "-W", "error", damaged_files.__file__, folder,
-         str(seed), str(count)],
-        capture_output=True, text=True, check=False,
-        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
-    )  # fmt: skip
+    run = python(*STRICT, damaged_files.__file__, folder, seed, count, OPENBLAS_NUM_THREADS="1")
     assert run.returncode == 0, run.stderr
     return json.loads(run.stdout)
 
