@@ -142,9 +142,8 @@ def discrepancy_posterior(fit: FitResult) -> DiscrepancyPosterior:
             if enough and name in fit.sigma
         },
         excess=by_component(excess) if data.enough.any() else {},
-        ceilings=by_component(responses.size),
-        friction=responses.friction,
-    )
+        ceilings=by_component(responses.size), friction=responses.friction,
+    )  # fmt: skip
     unseen = _unseen_shapes(fit.fitted["speed"], responses.size / responses.largest)
     return DiscrepancyPosterior(summary, fit, data, found, unseen)
 

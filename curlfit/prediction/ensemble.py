@@ -263,7 +263,9 @@ def weights_of(fit: FitResult, spin: float) -> tuple[Weight, ...]:
     spin, start, found = abs(spin), LINES["hog"], []
     for name, y in _PLACES.items():
         try:
-            throws = [aimed(fit, (0.0, TEE + y), omega) for omega in (-spin, spin)]
+            throws = [
+                aimed(fit, (0.0, TEE + y), omega, start=(0.0, start)) for omega in (-spin, spin)
+            ]
         except InputError:
             continue
         right, left = (math.tan(one.heading) * (TEE - start) for one in throws)

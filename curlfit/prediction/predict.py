@@ -109,28 +109,18 @@ def predict(
             for one, own in both_turns(call, start or {})
         )
         return replace(first, other=other)
-    random, drawn = np.random.default_rng(seed), None
+    random = np.random.default_rng(seed)
+    notes: list[str] = []
     if together := isinstance(fit, JointResult):
-        fit, drawn = another(fit, call.labels, draws, random)
-    elif call.labels:
-        raise InputError(
-            f"{', '.join(call.labels)}: the fit of one throw has no groups; leave it out"
-        )
-    require_fit(fit)
-    request = call, start or {}, line, target, weight, tee_speed
-    throw = _predictable(planned(fit, *request), draws, together, check)
-    notes = []
-    if "discrepancy" in fit.noise.kind:
-        chain, fit = None, refit(fit, "white")
-        throw = _predictable(planned(fit, *request), draws, together, check)
-        notes.append(
-            "the path is that of the least-squares coefficients; the discrepancy that the fit has "
-            "as noise is here in the bands"
-        )
+        fit, values = another(fit, call.labels, draws, random)
+        source = "throws"
+    else:
+        fit, chain, notes = _with_white_noise(fit, chain, call, draws)
+        values, source = _drawn_values(fit, chain, draws, random)
+    _require_predictable(fit, draws)
+    throw = planned(fit, call, start or {}, line, target, weight, tee_speed)
+    _require_alike(throw, together, check)
     prepare_ensemble(fit)
-    values, source = (
-        _drawn_values(fit, chain, draws, random) if drawn is None else (drawn, "throws")
-    )
     found = Simulation.of(ThrowFamily(throw), values, random, call if together else None)
     warned, noted = diagnostics.remarks(throw, found, line is None)
     if (used := len(found.plain.t)) < draws:
@@ -139,9 +129,7 @@ def predict(
     if check is not None:
         comparison = diagnostics.compare_held_out(check, throw, found, random)
     return Prediction(
-        law=fit.law,
-        load=fit.load,
-        stone=fit.stone,
+        law=fit.law, load=fit.load, stone=fit.stone,
         fit={key: fit.data[key] for key in ("file", "rows", "from", "to")},
         start={
             item.name: {"value": float(throw.values[item.name]), "unit": item.unit}
@@ -149,24 +137,40 @@ def predict(
             for item in START
         },
         of="new" if throw.new else "fitted",
-        line="" if throw.origins["y0"] == "given" else throw.line,
-        goal=throw.goal,
-        draws={"number": draws, "used": used, "source": source, "seed": seed},
-        call=call,
+        line="" if throw.origins["y0"] == "given" else throw.line, goal=throw.goal,
+        draws={"number": draws, "used": used, "source": source, "seed": seed}, call=call,
         weights=weights_of(fit, throw.values["omega0"]) if together else (),
-        measured={} if together else _measured_rows(throw),
-        warnings=tuple(warned),
-        notes=(*notes, *noted),
-        check=comparison,
-        **found.summary(),
+        measured={} if together else _measured_rows(throw), warnings=tuple(warned),
+        notes=(*notes, *noted), check=comparison, **found.summary(),
     )  # fmt: skip
 
 
-def _predictable(
-    throw: PlannedThrow, draws: int, together: bool, check: Throw | None
-) -> PlannedThrow:
-    """The throw. Raises `UnusableFitError` or `InputError` if it cannot be predicted."""
-    fit = throw.fit
+def _with_white_noise(
+    fit: FitResult, chain: Chain | None, call: Call, draws: int
+) -> tuple[FitResult, Chain | None, list[str]]:
+    """The fit of one throw and its chain, and a note if the law was fitted again.
+
+    Raises
+    ------
+    InputError, UnusableFitError : it is no such fit, or cannot be used; groups, which it lacks.
+    """
+    require_fit(fit)
+    if call.labels:
+        raise InputError(
+            f"{', '.join(call.labels)}: the fit of one throw has no groups; leave it out"
+        )
+    _require_predictable(fit, draws)
+    if "discrepancy" not in fit.noise.kind:
+        return fit, chain, []
+    note = (
+        "the path is that of the least-squares coefficients; the discrepancy that the fit has as "
+        "noise is here in the bands"
+    )
+    return refit(fit, "white"), None, [note]
+
+
+def _require_alike(throw: PlannedThrow, together: bool, check: Throw | None) -> None:
+    """Raise `InputError` for the throw itself of a joint fit, or for another to be checked."""
     if together and not throw.new:
         raise InputError(
             "a joint fit predicts another throw: give its weight as hog to hog time or v0, or "
@@ -177,6 +181,10 @@ def _predictable(
             "measured rows are compared with the fitted throw; leave out the start, target or "
             "weight"
         )
+
+
+def _require_predictable(fit: FitResult, draws: int) -> None:
+    """Raise `UnusableFitError` or `InputError` if no throw can be predicted from a fit."""
     if not fit.converged:
         raise UnusableFitError(f"nothing can be predicted from this fit: {fit.status}")
     for name in ("length_scale", "time_scale"):
@@ -187,7 +195,6 @@ def _predictable(
             )
     if draws < 100:
         raise InputError(f"{draws} draws: expected at least 100")
-    return throw
 
 
 def held_out(

@@ -166,18 +166,11 @@ def _require(
             raise InputError(why)
 
 
-def aimed(
-    fit: FitResult,
-    target: tuple[float, float],
-    omega0: float,
-    *,
-    start: tuple[float, float] = (0.0, LINES["hog"]),
-    heading: float | None = None,
-    speed: float = 0.0,
-) -> Aim:
-    """Speed and heading of a throw on the ice of a fit that rests at a target, or passes it."""
+def aimed(fit: FitResult, target: tuple[float, float], omega0: float, **how: Any) -> Aim:
+    """Speed and heading of a throw on the ice of a fit that rests at a target, or passes it; `how`
+    as `curlfit.aim` takes it."""
     system = System.of(fit.model, fit.values, fit.stone, Environment())
     return aim(
-        system.law, system.stone, target, omega0=omega0, start=start, heading=heading, speed=speed,
-        load=fit.load, environment=system.environment if fit.model.conditions else None,
+        system.law, system.stone, target, omega0=omega0, load=fit.load,
+        environment=system.environment if fit.model.conditions else None, **how,
     )  # fmt: skip

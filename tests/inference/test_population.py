@@ -266,15 +266,17 @@ def test_a_throw_that_is_told_some_coefficients_exactly_moves_in_the_others():
     assert held == pytest.approx(np.array([step, -step]) / 2, rel=1e-6)
 
 
-def test_the_posterior_is_that_of_quadrature():
-    """Of eight throws that measure one coefficient, whose spread is the only other unknown."""
+@pytest.mark.parametrize("lower", [-np.inf, 0.8])
+def test_the_posterior_is_that_of_quadrature(lower):
+    """Of eight throws that measure one coefficient, whose spread is the only other unknown; a bound
+    takes a share of the draws."""
     random, number = np.random.default_rng(2), 8
     error = random.uniform(0.2, 0.6, number)
     seen = 1 + 0.5 * random.standard_normal(number) + error * random.standard_normal(number)
     model = MixedModel.of(
         (1 / error)[:, None, None], (seen / error)[:, None], np.eye(1), np.zeros((number, 0))
     )
-    fit = model.fitted(np.array([0.25]), np.array([-np.inf]), np.array([np.inf]))
+    fit = model.fitted(np.array([0.25]), np.array([lower]), np.array([np.inf]))
     found = sampled(fit, np.array([0.5]), seed=1)
     assert found.r_hat < 1.02
     spreads = np.linspace(1e-4, 20.0, 20001)
@@ -282,7 +284,8 @@ def test_the_posterior_is_that_of_quadrature():
     mean = (weight * seen[:, None]).sum(0) / weight.sum(0)
     square = (weight * (seen[:, None] - mean) ** 2).sum(0)
     log = np.log(weight).sum(0) / 2 - np.log(weight.sum(0)) / 2 - square / 2
-    density = np.exp(log - log.max())
+    above = norm.sf(lower, mean, weight.sum(0) ** -0.5)
+    density = np.exp(log - log.max()) * above
     density /= density.sum()
     for level in (0.025, 0.16, 0.5, 0.84, 0.975):
         # the probability below each quantile, within three Monte Carlo errors of 1,000 draws
@@ -291,7 +294,8 @@ def test_the_posterior_is_that_of_quadrature():
             np.quantile(draws[:, 0], level) for draws in (found.spreads, found.estimate)
         )
         assert density[spreads < spread].sum() == pytest.approx(level, abs=reach)
-        below = density @ norm.cdf(middle, mean, weight.sum(0) ** -0.5)
+        beyond = norm.sf(middle, mean, weight.sum(0) ** -0.5)
+        below = density @ (1 - beyond / above)
         assert below == pytest.approx(level, abs=reach)
     assert sampled(fit, np.array([0.5]), seed=None) is None
 

@@ -233,19 +233,13 @@ def _equal(
     named = {*shared, *(item.expression for item in combinations)}
     shifts = {name: by for name, by in first.systematics.shifts.items() if name in named}
     result = JointResult(
-        law=first.law,
-        load=first.load,
-        share=shared,
-        converged=False,
-        status="",
-        warnings=(),
+        law=first.law, load=first.load, share=shared, converged=False, status="", warnings=(),
         coefficients={name: _among(item, among, name) for name, item in coefficients.items()},
         combinations=tuple(_among(item, among, item.expression) for item in combinations),
         rank=int(first.rank + reduction.rank[1:].sum()),
-        parameters=int(open_[0, common].sum() + open_[:, ~common].sum()),
-        variation=variation,
+        parameters=int(open_[0, common].sum() + open_[:, ~common].sum()), variation=variation,
         systematics=replace(first.systematics, shifts=shifts),
-    )
+    )  # fmt: skip
     told = {one.expression for one in variation if sum(map(bool, one.each)) >= _FEWEST}
     of_law = np.isin(parameters.names, [item.name for item in rounds.model.law.coefficients()])
     return with_throws(result, throws, solution), told_by_each(

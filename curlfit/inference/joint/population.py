@@ -100,18 +100,13 @@ class Population(NamedTuple):
         """The record of the mean; a draw to the tee turns by `angle`."""
         effects = np.zeros(len(self.scale) - len(self.reference))
         return Means(
-            names=names,
-            groups=covariates.groups,
-            trends=covariates.trends,
-            centre=covariates.mean,
+            names=names, groups=covariates.groups, trends=covariates.trends, centre=covariates.mean,
             last=covariates.values[-1],
             estimate=np.append(self.reference, effects) + self.scale * self.fit.estimate,
             covariance=self.scale[:, None] * self.fit.covariance * self.scale,
-            directions=self.typical[:, None] * self.fit.model.directions,
-            spreads=self.spreads,
-            dof=self.dof,
-            angle=angle,
-        )
+            directions=self.typical[:, None] * self.fit.model.directions, spreads=self.spreads,
+            dof=self.dof, angle=angle,
+        )  # fmt: skip
 
 
 def _covariance(

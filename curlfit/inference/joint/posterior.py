@@ -1,9 +1,10 @@
 """The posterior of the mean of throws that vary, of its effects and of the spreads.
 
 The throws' own parameters are integrated out by Laplace's approximation, and the mean and the
-effects, whose prior is flat, in closed form: what is left is the restricted likelihood of the
-spreads times their prior, which is flat (Gelman 2006, Bayesian Analysis 1, 515). emcee samples it;
-the mean and the effects are normal where the spreads are given.
+effects, whose prior is flat within the bounds, in closed form: what is left is the restricted
+likelihood of the spreads times their prior, which is flat (Gelman 2006, Bayesian Analysis 1, 515).
+emcee samples it. The mean and the effects are normal where the spreads are given; draws with means
+out of bounds are left out.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from curlfit.numerics.mixed_model import MixedFit
 _WALKERS, _STEPS, _ROUNDS = 40, 250, 20
 _R_HAT, _ENOUGH = 1.02, 1000  # effective sample size
 _MOST = 60  # throws; more know their spreads so well that Student's t says the same
-_KEPT = 4000
+_KEPT, _FEWEST = 4000, 400
+_NO_PART = 1e-6  # of a parameter in what nothing determines, where its bounds say nothing
 _SIZE = 50_000  # throws times draws at a time
 
 
@@ -35,7 +37,8 @@ class Draws(NamedTuple):
 
 
 def sampled(fit: MixedFit, spreads: Floats, seed: int | None) -> Draws | None:
-    """Draws from the posterior; none without a seed, where a bound holds a mean, or of many throws.
+    """Draws from the posterior; none without a seed, where a bound holds a mean or bounds leave few
+    draws, or of many throws.
 
     Parameters
     ----------
@@ -71,4 +74,8 @@ def sampled(fit: MixedFit, spreads: Floats, seed: int | None) -> Draws | None:
         mean: Any = np.linalg.solve(normal, right[..., None])
         noise = random.standard_normal(mean.shape)
         estimates.append((mean + np.linalg.solve(root.mT, noise))[..., 0])
-    return Draws(np.concatenate(estimates), found, worst)
+    estimate = np.concatenate(estimates)
+    means = fit.at(np.unique(model.covariates, axis=0)) @ estimate.T
+    beyond = (means < fit.lower[:, None]) | (means > fit.upper[:, None])
+    inside = ~beyond[:, (np.abs(model.null) < _NO_PART).all(1)].any((0, 1))
+    return Draws(estimate[inside], found[inside], worst) if inside.sum() > _FEWEST else None

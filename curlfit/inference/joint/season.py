@@ -209,19 +209,13 @@ def mean_of(
     if not weights:
         raise InputError(f"{season.file}: a throw determines no coefficient by itself")
     equal = JointResult(
-        law=season.model.law.name,
-        load=season.model.load,
-        share=tuple(coefficients),
-        converged=True,
-        status=f"converged ({count} throws that were fitted one by one)",
-        warnings=(),
-        coefficients=coefficients,
-        combinations=known.combinations,
-        rank=known.identifiability.rank,
-        parameters=int(throws.free.sum()),
+        law=season.model.law.name, load=season.model.load, share=tuple(coefficients),
+        converged=True, status=f"converged ({count} throws that were fitted one by one)",
+        warnings=(), coefficients=coefficients, combinations=known.combinations,
+        rank=known.identifiability.rank, parameters=int(throws.free.sum()),
         variation=tuple(variation.values()),
         table=season.summary(covariates.groups, known.identifiability.null_directions),
-    )
+    )  # fmt: skip
     spreads = np.array([variation[name].first_spread for name in weights])
     found = throws.population(weights, covariates.values, spreads)
     some = np.linspace(0, count - 1, min(count, _TURNING)).astype(int)

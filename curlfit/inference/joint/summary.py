@@ -45,6 +45,7 @@ def about_mean(
     means = found.means(names, covariates, angle)
     units = {name: item.unit for name, item in equal.coefficients.items()}
     told = _Quantities.of(means, found, draw, units, draws)
+    groups, differences, trend = map(tuple, told.effects())
     spreads = dict(zip(found.weights, map(float, found.spreads), strict=True))
     sampled: dict[str, Quantiles] = {}
     if draws is not None:
@@ -70,9 +71,9 @@ def about_mean(
             )
             for one in equal.variation
         ),
-        groups=tuple(told.of_groups()),
-        differences=tuple(told.of_differences()),
-        trend=tuple(told.of_trends()),
+        groups=groups,
+        differences=differences,
+        trend=trend,
     )
 
 
@@ -123,40 +124,28 @@ class _Quantities(NamedTuple):
             found.scale * (draws.estimate - found.fit.estimate) if draws else np.zeros((0, size)),
         )  # fmt: skip
 
-    def of_groups(self) -> list[Effect]:
-        """Of all throws, and of the groups."""
-        nothing = self.means.of_groups({})
-        found = self._effects(self.means.at(nothing), self._values(nothing[None])[0])
-        for by, members in self.means.groups.items():
-            for group, (to, values) in zip(members, self._at_groups(by), strict=True):
-                found += self._effects(to, values, by=by, group=group)
-        return found
-
-    def of_differences(self) -> list[Effect]:
-        """Of the groups from the first one of the same label."""
-        found = []
-        for by, (first, *others) in self.means.groups.items():
-            (to, values), *others_at = self._at_groups(by)
-            for group, (to_other, of_other) in zip(others, others_at, strict=True):
-                found += self._effects(
-                    to_other - to, of_other - values, tested=True, by=by, group=group, against=first
-                )
-        return found
-
-    def of_trends(self) -> list[Effect]:
-        """Of one unit along the trends."""
-        found = []
-        for along, unit in self.means.trends.items():
-            columns = self.means.along_trend(along)
-            to = self.means.at(columns) - self.means.at(0 * columns)
-            change = self.slopes @ to @ self.means.estimate
-            found += self._effects(to, change, tested=True, by=along, per=unit)
-        return found
-
-    def _at_groups(self, by: str) -> list[tuple[Floats, Floats]]:
-        """By group, the matrix from the estimate to its parameters, and the quantities."""
-        columns = np.array([self.means.of_groups({by: one}) for one in self.means.groups[by]])
-        return list(zip(self.means.at(columns), self._values(columns), strict=True))
+    def effects(self) -> tuple[list[Effect], list[Effect], list[Effect]]:
+        """Of all throws and of the groups; differences of these from the first one of the same
+        label; and one unit along the trends."""
+        means, nothing = self.means, self.means.of_groups({})
+        groups = self._effects(means.at(nothing), self._values(nothing[None])[0])
+        differences: list[Effect] = []
+        trend: list[Effect] = []
+        for by, members in means.groups.items():
+            columns = np.array([means.of_groups({by: one}) for one in members])
+            each = list(zip(members, means.at(columns), self._values(columns), strict=True))
+            first, to, values = each[0]
+            for group, own, of_group in each:
+                groups += self._effects(own, of_group, by=by, group=group)
+                if group != first:
+                    differences += self._effects(
+                        own - to, of_group - values, tested=True, by=by, group=group, against=first
+                    )
+        for along, unit in means.trends.items():
+            to = means.at(means.along_trend(along)) - means.at(0 * nothing)
+            change = self.slopes @ to @ means.estimate
+            trend += self._effects(to, change, tested=True, by=along, per=unit)
+        return groups, differences, trend
 
     def _values(self, columns: Floats) -> Floats:
         """The quantities where covariates have some values, shape (points, quantities)."""

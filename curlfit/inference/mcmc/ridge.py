@@ -8,7 +8,7 @@ along the determined directions, and uniform over the prior along the null direc
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -312,24 +312,3 @@ def _extent(along: Floats, walls: Floats, room: Floats) -> tuple[float, float]:
         linprog(sign * along, A_ub=walls, b_ub=room, bounds=(None, None)).fun for sign in (1, -1)
     )
     return float(least), -float(greatest)
-
-
-def first_walkers(
-    proposal: Proposal,
-    log_prob: Callable[[Floats], Floats],
-    walkers: int,
-    lower: Floats,
-    upper: Floats,
-    random: Any,
-) -> Floats:
-    """Initial positions of walkers drawn from the proposal, with finite posterior."""
-    found: list[Floats] = []
-    for _ in range(50):
-        coords = proposal.draw(walkers, random)
-        # Near a bound a proposal falls outside half the time; reflect it back.
-        folded = np.where(coords < lower, 2 * lower - coords, coords)
-        folded = np.where(folded > upper, 2 * upper - folded, folded)
-        found.extend(folded[np.isfinite(log_prob(folded))])
-        if len(found) >= walkers:
-            return np.array(found[:walkers])
-    raise UnusableFitError("no point of finite posterior was found near the fit")

@@ -14,13 +14,13 @@ import emcee
 import numpy as np
 from emcee.moves import DEMove, MHMove, RedBlueMove, StretchMove
 
-from curlfit.errors import DataError, InputError
+from curlfit.errors import DataError, InputError, UnusableFitError
 from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.inference.likelihood import log_posterior
 from curlfit.inference.mcmc.chain import Chain, load_chain, require_same, subject_of
-from curlfit.inference.mcmc.ridge import first_walkers, posterior_proposal, proposed
+from curlfit.inference.mcmc.ridge import posterior_proposal, proposed
 from curlfit.inference.mcmc.summary import (
     Diagnosis,
     is_test_due,
@@ -123,10 +123,23 @@ class _Run:
             self._last = self._steps[-1]
             return
         random = np.random.RandomState(self.seed)  # emcee accepts no other
-        ends = self._parameters.lower[self.free], self._parameters.upper[self.free]
-        coords = first_walkers(self._proposal, self._log_prob, self._walkers, *ends, random)
+        coords = self._first_walkers(random)
         log_prob, state = self._log_prob(coords), random.get_state()
         self._last = emcee.State(coords, log_prob=log_prob, random_state=state)
+
+    def _first_walkers(self, random: Any) -> Floats:
+        """Initial positions drawn from the proposal, with finite posterior."""
+        lower, upper = self._parameters.lower[self.free], self._parameters.upper[self.free]
+        found: list[Floats] = []
+        for _ in range(50):
+            coords = self._proposal.draw(self._walkers, random)
+            # Near a bound a proposal falls outside half the time; reflect it back.
+            folded = np.where(coords < lower, 2 * lower - coords, coords)
+            folded = np.where(folded > upper, 2 * upper - folded, folded)
+            found.extend(folded[np.isfinite(self._log_prob(folded))])
+            if len(found) >= self._walkers:
+                return np.array(found[: self._walkers])
+        raise UnusableFitError("no point of finite posterior was found near the fit")
 
     def start_over(self) -> None:
         """Discard the steps so far as burn-in, and rely on the ensemble moves."""
@@ -144,16 +157,12 @@ class _Run:
         """The chain of the steps so far."""
         values = self._whole(np.stack([state.coords for state in self._steps]))
         return Chain(
-            names=self._parameters.names,
-            values=values,
+            names=self._parameters.names, values=values,
             log_posterior=np.stack([state.log_prob for state in self._steps]),
-            discarded=steps_to_discard(len(values)),
-            ensembles=ENSEMBLES,
-            seed=self.seed,
-            subject=self.subject,
-            random_state=self._steps[-1].random_state,
+            discarded=steps_to_discard(len(values)), ensembles=ENSEMBLES, seed=self.seed,
+            subject=self.subject, random_state=self._steps[-1].random_state,
             mostly_ridge=self.mostly_ridge,
-        )
+        )  # fmt: skip
 
     def write_if_due(self, file: Path | None) -> None:
         """Write a checkpoint if one is due."""

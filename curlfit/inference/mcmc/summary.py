@@ -196,21 +196,14 @@ def summarised(
             "ensemble moves"
         )
     posterior = Posterior(
-        samples=len(chain.flat),
-        steps=steps,
-        discarded=chain.discarded,
-        walkers=walkers,
-        ensembles=chain.ensembles,
-        seed=chain.seed,
-        acceptance=chain.acceptance,
-        ess=by_name(diagnosis.bulk),
-        ess_tail=by_name(diagnosis.tail),
+        samples=len(chain.flat), steps=steps, discarded=chain.discarded, walkers=walkers,
+        ensembles=chain.ensembles, seed=chain.seed, acceptance=chain.acceptance,
+        ess=by_name(diagnosis.bulk), ess_tail=by_name(diagnosis.tail),
         r_hat=by_name(diagnosis.r_hat),
         quantiles={name: quantiles_of(values) for name, values in quantities.items()},
         mean={name: float(values.mean()) for name, values in quantities.items()},
         sd={name: float(values.std()) for name, values in quantities.items()},
         correlation=dict(zip(names, map(by_name, correlation), strict=True)),
-        converged=effective is not None and diagnosis.good(effective),
-        status=status,
-    )
+        converged=effective is not None and diagnosis.good(effective), status=status,
+    )  # fmt: skip
     return replace(fit, posterior=posterior, sampling="ended")
