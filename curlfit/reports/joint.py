@@ -211,7 +211,15 @@ def _notes(result: JointResult) -> list[str]:
     """Remarks of the reader on all throws."""
     if result.table is not None:
         return [*result.table.notes, _FIRST_ORDER]
-    return _of_all([one.data["notes"] for one in result.throws])
+    off = ", of ".join(
+        f"{name} about {abs(shift):.1f} {'higher' if shift > 0 else 'lower'}"
+        for name, shift in result.posterior_shifts.items()
+    )
+    said = (
+        "the posterior takes the likelihood of each throw as quadratic; without that its mean is, in "
+        f"standard deviations, of {off}"
+    )
+    return [*_of_all([one.data["notes"] for one in result.throws]), *[said] * bool(off)]
 
 
 def _of_all(lists: Sequence[Sequence[str]]) -> list[str]:

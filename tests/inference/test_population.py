@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 from conftest import DATA, command
 from rich.console import Console
+from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 from scipy.stats import norm
 
 import curlfit
 from curlfit import InputError, sheet
+from curlfit.inference.joint import posterior
 from curlfit.inference.joint.population import _moves
 from curlfit.inference.joint.posterior import sampled
 from curlfit.numerics.mixed_model import MixedModel
@@ -298,6 +300,37 @@ def test_the_posterior_is_that_of_quadrature(lower):
         below = density @ (1 - beyond / above)
         assert below == pytest.approx(level, abs=reach)
     assert sampled(fit, np.array([0.5]), seed=None) is None
+
+
+def test_a_likelihood_that_is_not_quadratic_is_said(monkeypatch):
+    """Five throws of poor precision, against quadrature over their mean and spread."""
+    monkeypatch.setattr(posterior, "_TRIED", 250)
+    timed = [(13.2, 0.4), (13.9, -1.0), (12.9, 1.5), (13.5, -0.6), (14.1, 0.8)]
+    throws = [
+        curlfit.Throw.from_events([
+            Event("hog_to_hog", "time", hog, 1.2, FAR, HOG),
+            Event("rest", "y", sheet.TEE + rest, 0.5),
+        ])
+        for hog, rest in timed
+    ]  # fmt: skip
+    joint = curlfit.fit_together(throws, "coulomb", seed=1)
+    grid, mu = np.linspace(0.004, 0.022, 13), np.linspace(0.004, 0.022, 361)
+    spreads, density = np.linspace(2e-5, 0.02, 300), 1.0
+    for one in throws:
+        rise = [
+            curlfit.fit(one, "coulomb", fix={"mu": value}, details=False).chi_squared
+            for value in grid
+        ]
+        kernel = norm.pdf(mu[:, None], mu, spreads[:, None, None])
+        density = density * (kernel @ np.exp(-0.5 * CubicSpline(grid, rise)(mu)))
+    exact = density.sum(0) @ mu / density.sum()
+    (mean,) = (one.quantiles for one in joint.groups if one.parameter == "mu")
+    sd = (mean["84"] - mean["16"]) / 2
+    shift = joint.posterior_shifts["mu"]
+    assert shift == pytest.approx((exact - mean["50"]) / sd, abs=0.12)
+    assert shift > 0.15
+    curlfit.print_joint(joint, Console(file=(text := StringIO()), width=200))
+    assert f"its mean is, in standard deviations, of mu about {shift:.1f} higher" in text.getvalue()
 
 
 @pytest.mark.slow

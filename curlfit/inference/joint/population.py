@@ -172,7 +172,7 @@ def pool(
             solution = minimize_many(rounds.model, own, few=len(values) <= _FEW)
             values = np.array(solution.values)
         solution = rounds.with_own_sigma(solution)
-        reduction, now = _reduction(throws, solution), (values[:, common] - reference) / typical
+        reduction, now = reduced(throws, solution), (values[:, common] - reference) / typical
         each = reduction.rows[..., np.append(common, True)] * np.append(typical, 1.0)
         each[..., :-1] = each[..., :-1] @ seen
         if not step:
@@ -255,7 +255,7 @@ def seen_of(model: MixedModel, variances: Floats, lower: Floats, upper: Floats) 
     return found
 
 
-def _reduction(throws: Together, solution: Solution) -> Reduction:
+def reduced(throws: Together, solution: Solution) -> Reduction:
     """What throws say of what they have in common, near their optima."""
     tasks, factors = throws.tasks, r_factors(solution.jacobian, solution.residual)
     within = Bounded(np.array(solution.values), tasks.lower, tasks.upper)

@@ -131,6 +131,8 @@ class JointResult(NamedEstimates):
         errors and its information are those of the joint fit, so that predictions from it use all
         throws.
     r_hat : largest of the spreads, if the posterior was sampled.
+    posterior_shifts : by what varies, the change of the posterior's mean, over its standard
+        deviation, if the likelihood of throws with given sigmas is not taken as quadratic.
     table : of separate fits, in place of the throws.
     systematics : errors of what is shared due to the conditions that the fit holds fixed.
     derived : quantities requested by `--derive` and `with_derived`.
@@ -168,6 +170,7 @@ class JointResult(NamedEstimates):
     trend: tuple[Effect, ...] = ()
     throws: tuple[FitResult, ...] = field(default=(), metadata=UNSAVED)
     r_hat: float | None = None
+    posterior_shifts: dict[str, float] = field(default_factory=dict)
     table: SeparateFits | None = None
     systematics: Systematics = field(default_factory=Systematics)
     derived: tuple[Derived, ...] = ()
