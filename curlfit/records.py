@@ -46,6 +46,8 @@ AGAIN = "fit again"
 
 UNSAVED = {"saved": False}
 """Metadata of a field that is not in the file."""
+ADDED = {"needed": False}
+"""Metadata of a field that files of earlier versions lack."""
 SERIES = {"series": True}
 """Metadata of a field that a summary leaves out."""
 
@@ -355,8 +357,9 @@ def _of_object(made: Any, kind: Any) -> Any:
     }
     make: Any = make_dict_structure_fn
     if is_dataclass(kind):
-        required = [item.name for item in saved_fields(kind)]
-        known = {item.name: item.name in required for item in fields(kind)}
+        saved = saved_fields(kind)
+        required = [item.name for item in saved if item.metadata.get("needed", True)]
+        known = {item.name: item in saved for item in fields(kind)}
     else:
         make, required, known = of_keys, sorted(kind.__required_keys__), dict.fromkeys(hints, True)
     overrides = {

@@ -216,8 +216,8 @@ def _notes(result: JointResult) -> list[str]:
         for name, shift in result.posterior_shifts.items()
     )
     said = (
-        "the posterior takes the likelihood of each throw as quadratic; without that its mean is, in "
-        f"standard deviations, of {off}"
+        "the posterior takes the likelihood of each throw as quadratic; without that its mean is, "
+        f"in standard deviations, of {off}"
     )
     return [*_of_all([one.data["notes"] for one in result.throws]), *[said] * bool(off)]
 

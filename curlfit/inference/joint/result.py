@@ -22,7 +22,7 @@ from curlfit.inference.joint.effects import Effect, Means
 from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Floats
 from curlfit.output.text import join_words, p_text
-from curlfit.records import UNSAVED, Names, keys, plain, require, structured
+from curlfit.records import ADDED, UNSAVED, Names, keys, plain, require, structured
 from curlfit.stone import Stone
 
 _SIGNIFICANT = 0.01
@@ -100,11 +100,11 @@ class SeparateFits:
     throws: int
     stone: Stone
     notes: tuple[str, ...]
-    starts: tuple[_Start, ...] = ()
-    duration: float = 0.0
-    speeds: Floats = field(default_factory=lambda: np.zeros(0))
-    spins: Floats = field(default_factory=lambda: np.zeros(0))
-    null_directions: tuple[dict[str, float], ...] = ()
+    starts: tuple[_Start, ...] = field(default=(), metadata=ADDED)
+    duration: float = field(default=0.0, metadata=ADDED)
+    speeds: Floats = field(default_factory=lambda: np.zeros(0), metadata=ADDED)
+    spins: Floats = field(default_factory=lambda: np.zeros(0), metadata=ADDED)
+    null_directions: tuple[dict[str, float], ...] = field(default=(), metadata=ADDED)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -170,7 +170,7 @@ class JointResult(NamedEstimates):
     trend: tuple[Effect, ...] = ()
     throws: tuple[FitResult, ...] = field(default=(), metadata=UNSAVED)
     r_hat: float | None = None
-    posterior_shifts: dict[str, float] = field(default_factory=dict)
+    posterior_shifts: dict[str, float] = field(default_factory=dict, metadata=ADDED)
     table: SeparateFits | None = None
     systematics: Systematics = field(default_factory=Systematics)
     derived: tuple[Derived, ...] = ()
