@@ -135,7 +135,7 @@ def predict(
     Parameters
     ----------
     fit
-        A saved fit, also of several throws: its folder, or the file in it.
+        A saved fit, also of several throws or of a season: its folder, or the file in it.
     line
         Line on which the throw starts: `hack`, `back`, `tee`, `hog` (the near ones), `centre` or
         `far-hog`; or `data`: at the start of the data, with y from the hack. [default: hog; data

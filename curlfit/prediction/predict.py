@@ -67,7 +67,8 @@ def predict(
     Parameters
     ----------
     fit, chain : a converged fit and, if there is one, its posterior sample. A joint fit of throws
-        that vary predicts another one of them: the bands contain the spread between throws.
+        that vary, or that of a season, predicts another one of them: the bands contain the spread
+        between throws.
     call : the throw in curlers' terms, and its group in a joint fit.
     start : any of x0, y0 (m on the sheet), heading (rad), v0 (m/s), phi0 (rad), omega0 (rad/s);
         taken as exact.

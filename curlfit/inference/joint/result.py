@@ -13,7 +13,7 @@ import numpy as np
 
 from curlfit.errors import InputError
 from curlfit.foreign import file_and_number, safe_name
-from curlfit.friction import Law
+from curlfit.friction import Law, find_law
 from curlfit.inference.derived import Derived, Quantiles, derive
 from curlfit.inference.fit.estimates import Estimate, NamedEstimates, Systematics
 from curlfit.inference.fit.result import FitResult, LoadName, load_fit
@@ -259,6 +259,8 @@ class JointResult(NamedEstimates):
 
     def with_law(self, law: str | type[Law] | None) -> JointResult:
         """The result, whose law is that of a user's file; see `FitResult.with_law`."""
+        if law is not None and self.table is not None:
+            find_law(law)  # known from now on
         return replace(self, throws=tuple(one.with_law(law) for one in self.throws))
 
 
