@@ -28,10 +28,6 @@ from .friction_tables.figures import friction_figure as friction_figure
 from .friction_tables.fit import fit_friction as fit_friction
 from .friction_tables.report import print_friction as print_friction
 from .friction_tables.result import FrictionFits as FrictionFits, load_friction as load_friction
-from .friction_tables.table import (
-    FrictionTable as FrictionTable,
-    load_friction_table as load_friction_table,
-)
 from .html_report.page import write_report as write_report
 from .inference.fit.estimates import Posterior as Posterior
 from .inference.fit.fit import fit as fit
@@ -76,6 +72,10 @@ from .reports.figures import fit_figure as fit_figure, joint_figure as joint_fig
 from .reports.fit import print_fit as print_fit
 from .reports.joint import print_joint as print_joint
 from .stone import Stone as Stone
+from .throws.friction_table import (
+    FrictionTable as FrictionTable,
+    load_friction_table as load_friction_table,
+)
 from .throws.load import load_throw as load_throw, load_throws as load_throws
 from .throws.synthetic import law_with as law_with, synthetic_throw as synthetic_throw
 from .throws.throw import Throw as Throw

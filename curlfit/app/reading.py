@@ -46,7 +46,7 @@ class Seen:
 
 def look(files: Sequence[Path], chosen: Mapping[str, Any]) -> Seen:
     """Read files with choices by name, as `curlfit fit` does."""
-    from curlfit.friction_tables.table import is_friction_table, load_friction_table
+    from curlfit.throws.friction_table import is_friction_table, load_friction_table
 
     try:
         worksheet = chosen.get("worksheet")

@@ -109,7 +109,7 @@ def fit(
         a folder, are fitted jointly; of a table of `curlfit batch`, the throws that it contains.
     """
     from curlfit.batch.table import is_table
-    from curlfit.friction_tables.table import is_friction_table
+    from curlfit.throws.friction_table import is_friction_table
 
     files = _files_of(data, reading)
     if len(files) == 1 and is_friction_table(files[0], reading.worksheet):

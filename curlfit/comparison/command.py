@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from curlfit.errors import InputError
 from curlfit.options import settings as s
+from curlfit.options.figures import FigureFiles
 from curlfit.options.output import Output, Saved, progress_line
 from curlfit.settings.choices import FLAGS, Comparing, Reading
 
@@ -39,7 +39,7 @@ def compare(
     data
         Data as for `curlfit fit`; tables of friction against speed.
     """
-    from curlfit.friction_tables.table import is_friction_table
+    from curlfit.throws.friction_table import is_friction_table
 
     if not data:
         raise InputError("compare: no file given; expected DATA")
@@ -68,8 +68,8 @@ def _several(
     data: Sequence[Path], flags: Comparing, reading: Reading, config: Path | None, output: Output
 ) -> Saved:
     """Compare laws on several data sets."""
-    from curlfit.friction_tables.table import is_friction_table, load_friction_table
     from curlfit.output.files import prepare_folder
+    from curlfit.throws.friction_table import is_friction_table, load_friction_table
     from curlfit.throws.load import load_throws
 
     drawn, configured = output.drawn(), s.read_config(config)
@@ -82,21 +82,7 @@ def _several(
         )
     single = len(data) == 1
     usual = s.result_folder(data[0], "compare", reading) if single else Path("joint-compare")
-    folder = prepare_folder(output.out or usual)
-    drawn.draw_beside()
-    with _progress(output) as show:
-        from curlfit.comparison.compare import compare as compare_laws
-
-        found = compare_laws(items, progress=show, **vars(chosen))
-    return output.finish(found, folder, drawn)
-
-
-def _progress(output: Output) -> AbstractContextManager[Callable[..., None]]:
-    from rich.progress import BarColumn, MofNCompleteColumn
-
-    compiles = "(a first run on a machine compiles each law)"
-    columns = "Fitting {task.description}", BarColumn(), MofNCompleteColumn(), compiles
-    return progress_line(output.console(), *columns)
+    return _compared(items, chosen, (prepare_folder(output.out or usual), drawn), output)
 
 
 def _one_throw(
@@ -121,10 +107,22 @@ def _one_throw(
         ParameterSet.for_throw(law, cut, swept=chosen.swept is not None, **own)
     require_path(cut)
     folder = prepare_folder(output.out or s.result_folder(data, "compare", reading))
+    return _compared(throw, chosen, (folder, drawn), output, unusual)
 
+
+def _compared(
+    data: Any, chosen: Comparing, saved: tuple[Path, FigureFiles], output: Output,
+    remarks: Sequence[object] = (),
+) -> Saved:  # fmt: skip
+    """Compare laws on a throw, or on data sets, and write what was found."""
+    from rich.progress import BarColumn, MofNCompleteColumn
+
+    folder, drawn = saved
     drawn.draw_beside()
-    with _progress(output) as show:
+    compiles = "(a first run on a machine compiles each law)"
+    columns = "Fitting {task.description}", BarColumn(), MofNCompleteColumn(), compiles
+    with progress_line(output.console(), *columns) as show:
         from curlfit.comparison.compare import compare as compare_laws
 
-        found = compare_laws(throw, progress=show, **vars(chosen))
-    return output.finish(found, folder, drawn, remarks=unusual)
+        found = compare_laws(data, progress=show, **vars(chosen))
+    return output.finish(found, folder, drawn, remarks=remarks)

@@ -11,13 +11,15 @@ and the test of whether a law follows the path in `adequacy`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from curlfit.comparison.adequacy import Adequacy, adequacy, opposes_sliding, sides_of_curl
+from curlfit.comparison.adequacy import Adequacy, adequacy, sides_of_curl
+from curlfit.comparison.candidates import Progress, about, each, parted, ranked, told
 from curlfit.comparison.criteria import (
     criteria,
     effective_values,
@@ -28,28 +30,23 @@ from curlfit.comparison.criteria import (
 )
 from curlfit.comparison.lacking import lacking
 from curlfit.comparison.leave_one_out import leave_one_out, standard_error
-from curlfit.comparison.plan import plan
 from curlfit.comparison.result import PLACE, Candidate, Comparison, Lacking
 from curlfit.comparison.several import compare_sets
 from curlfit.errors import UnusableFitError
-from curlfit.friction import Law, NetLaw
+from curlfit.friction import Law
 from curlfit.friction.family import LawFamily, family_of
-from curlfit.friction_tables.table import FrictionTable
+from curlfit.friction.registry import laws_under
 from curlfit.inference.conditions import ALL
 from curlfit.inference.fit.advice import NOISE
 from curlfit.inference.fit.fit import fit
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.noise.losses import robust_sigma
 from curlfit.inference.parameters import options_of, require_known
-from curlfit.numerics.threads import in_threads
 from curlfit.records import plain
 from curlfit.settings.choices import Comparing, takes
+from curlfit.throws.friction_table import FrictionTable
 from curlfit.throws.throw import Throw, require_path, require_throw
 
-_DIFFERENCES: dict[str, tuple[str, Callable[[list[float]], float]]] = {
-    "aicc": ("delta_aicc", min), "bic": ("delta_bic", min), "log_evidence": ("delta_evidence", max),
-}  # fmt: skip
-"""The difference from the best by each criterion, and which value is the best."""
 _FAR = 5.0
 """Times the residuals of another law, or the noise of an ordinary tracker, beyond which a law does
 not follow a path: 4.1 for the front-back law on the path of eq. 12, 7.7 where friction depends on
@@ -81,7 +78,7 @@ def compare(
     throw: Throw | Sequence[Throw | FrictionTable],
     laws: Sequence[str | type[Law]] | None = None,
     *,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
     **choices: Any,
 ) -> Comparison:
     """Fit each law to a throw, under each noise model, and rank the fits by BIC; or to several data
@@ -115,7 +112,7 @@ def compare(
     require_throw(throw)
     require_path(throw)
     chosen = Comparing.of(throw.settings, laws=laws, **choices)
-    todo = plan(chosen.laws, chosen.load)
+    todo = laws_under(chosen.laws, chosen.load)
     fits = [(law, load, noise) for noise in chosen.noise for law, load in todo]
     options = {**chosen.by_parameter, "start": chosen.start}
     require_known([law for law, _ in todo], options)
@@ -130,16 +127,11 @@ def compare(
         own = options_of(law, options) | {"load": load, "noise": noise}
         return _with_free_signs(throw, law, shared | own)
 
-    found: list[Fitted | Candidate] = []
-    with in_threads(fitted, fits) as results:
-        for done, (law, *_) in enumerate(fits):
-            if progress is not None:
-                progress(law.name, done, len(fits))
-            found += next(results)
+    names = [law.name for law, *_ in fits]
+    found = each(fitted, fits, names, 0, len(fits), progress)
     if progress is not None:
         progress("", len(fits), len(fits))
-    failed = [one for one in found if isinstance(one, Candidate)]
-    made = ranked([one for one in found if isinstance(one, Fitted)], failed)
+    made = _compared(*parted(chain(*found)))
     made = replace(made, lacking=_lacking(made, shared["family"]))
     return replace(made, data={**made.data, "flags": [*throw.read_with, *chosen.words()]})
 
@@ -178,30 +170,14 @@ def _with_free_signs(
 def _fitted(
     throw: Throw, law: type[Law], choices: dict[str, Any], *, signs_free: bool
 ) -> Fitted | Candidate:
-    known: dict[str, Any] = {
-        "law": law.name,
-        "load": "-" if issubclass(law, NetLaw) else choices["load"],
-        "isotropic": opposes_sliding(law),
-        "signs_free": signs_free,
-        "noise": choices["noise"],
-    }
+    known = about(law, choices["load"]) | {"signs_free": signs_free, "noise": choices["noise"]}
     try:
         result = fit(throw, law, **choices)
     except UnusableFitError as error:
         return Candidate(**known, status=str(error))
-    coefficients, likelihood = result.coefficients, log_likelihood(result)
-    adequate = adequacy(result)
+    likelihood, adequate = log_likelihood(result), adequacy(result)
     known |= {name: getattr(result, name) for name in ("status", "converged", "rms", "warnings")}
-    known |= {
-        "coefficients": {
-            name: {key: getattr(item, key) for key in ("value", "stderr", "verdict", "unit")}
-            for name, item in coefficients.items()
-        },
-        "combinations": tuple(
-            {key: getattr(item, key) for key in ("expression", "value", "stderr")}
-            for item in result.combinations
-            if item.weights.keys() & coefficients.keys()
-        ),
+    known |= told(result.coefficients, result.combinations) | {
         "noise_model": plain(result.noise),
         "n_parameters": number_of_parameters(result),
         "curl_explained": adequate.explained,
@@ -211,9 +187,6 @@ def _fitted(
         "negative": _needed_negative(result),
         "fitted": {name: result.fitted[name].tolist() for name in PLACE},
     }
-    for name in ("at bound", "not identifiable"):
-        some = [key for key, item in coefficients.items() if item.verdict == name]
-        known[name.replace(" ", "_")] = tuple(some)
     if result.loss != "linear":
         known["bulk"] = {name: robust_sigma(r) for name, r in residuals_of(result).items()}
     return Fitted(known, result, likelihood, adequate)
@@ -241,15 +214,8 @@ def _needed_negative(result: FitResult) -> tuple[str, ...]:
     return tuple(name for name, low in zip(names, value < -1e-6 * typical, strict=True) if low)
 
 
-def ranked(found: list[Fitted], failed: Sequence[Candidate] = ()) -> Comparison:
-    """The comparison of fits to one throw, given in the order of the request.
-
-    Raises
-    ------
-    UnusableFitError : there is no fit at all.
-    """
-    if not found:
-        raise UnusableFitError("; ".join(one.status for one in failed))
+def _compared(found: list[Fitted], failed: Sequence[Candidate]) -> Comparison:
+    """The comparison of fits to one throw, given in the order of the request."""
     first, path = found[0].result, found[0].adequacy
     noises = list(dict.fromkeys(one.result.noise.kind for one in found))
     countable = [one for one in found if one.counts] or found
@@ -258,32 +224,9 @@ def ranked(found: list[Fitted], failed: Sequence[Candidate] = ()) -> Comparison:
     for one in found:
         one.known.update(criteria(one.result, one.likelihood, effective))
     _follow(found)
-    followed = any(one.counts and one.known["follows"] for one in found)
-
-    def misses(one: Fitted) -> bool:
-        """Whether a law does not follow a path that another follows: with a flexible noise model
-        its likelihood may be greater all the same."""
-        return followed and one.known["follows"] is False
-
-    def place(one: Fitted) -> tuple[bool, bool, bool, float]:
-        # Differences below a tenth are meaningless: the order of the request is kept.
-        bic = round(one.known["bic"], 1)
-        return one.known["signs_free"], not one.result.converged, misses(one), bic
-
     if not effective.number and len(noises) == 1:
         _add_predictions(found)
-    found = sorted(found, key=place)
-    best = [one for one in found if one.counts and not misses(one)] or found[:1]
-    for name, (difference, best_of) in _DIFFERENCES.items():
-        if name in best[0].known:
-            least = best_of([one.known[name] for one in best])
-            for one in found:
-                one.known[difference] = one.known[name] - least
-    total = sum(math.exp(one.known.get("delta_evidence", 0.0)) for one in found if one.counts)
-    for rank, one in enumerate([one for one in found if one.counts], 1):
-        one.known["rank"] = rank
-        if "delta_evidence" in one.known:
-            one.known["weight"] = math.exp(one.known["delta_evidence"]) / total
+    found = [found[row] for row in ranked([one.known for one in found])]
     return Comparison(
         data=first.data,
         stone=first.stone,

@@ -12,27 +12,25 @@ compatibility of independent data sets).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import chdtrc, chdtri
 
-from curlfit.comparison.adequacy import opposes_sliding
-from curlfit.comparison.data_sets import LawOnSets, Noise, Told, best, data_sets
-from curlfit.comparison.plan import plan
+from curlfit.comparison.candidates import Progress, about, each, parted, ranked, told
 from curlfit.comparison.result import FOLLOWS, Candidate, Comparison, OnSet, SetOfData
 from curlfit.errors import InputError, UnusableFitError
-from curlfit.friction import NetLaw
 from curlfit.friction.family import family_of
-from curlfit.friction_tables.table import FrictionTable
-from curlfit.inference.fit.covariance import CONVERGED, Covariance
+from curlfit.friction.registry import laws_under
+from curlfit.inference.fit.covariance import CONVERGED
+from curlfit.inference.joint.data_sets import LawOnSets, Noise, Told, best, data_sets
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.problem import ROWS_OF_DATA
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.numerics.threads import in_threads
 from curlfit.settings.choices import Comparing
+from curlfit.throws.friction_table import FrictionTable
 from curlfit.throws.throw import Throw
 
 _CHANCE = 0.01  # probability of a larger chi squared, where few values make larger ones likely
@@ -47,18 +45,10 @@ class _Alone(NamedTuple):
     each: list[tuple[Solution, Noise]]
 
 
-class _Judged(NamedTuple):
-    """A law on all data sets, and what is known of its candidate."""
-
-    known: dict[str, Any]
-    bic: float
-    own_bic: list[float]
-
-
 def compare_sets(
     items: Sequence[Throw | FrictionTable],
     chosen: Comparing,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Comparison:
     """The comparison of laws on several data sets, or on a table of throws.
 
@@ -71,36 +61,28 @@ def compare_sets(
         value = getattr(chosen, name)
         if (tuple(value) if isinstance(value, list) else value) != usual:
             raise InputError(f"{name}: expected it with one track; several data sets have none")
-    todo = plan(chosen.laws, chosen.load)
+    todo = laws_under(chosen.laws, chosen.load)
     family = family_of(law for law, _ in todo)
-    told = progress or (lambda *_: None)
 
     def alone(law: Any, load: Any) -> _Alone | Candidate:
         try:
             made = LawOnSets(law, load, sets, chosen, family)
             return _Alone(made, [made.alone(number) for number in range(len(sets))])
         except UnusableFitError as error:
-            return Candidate(law.name, _load(law, load), opposes_sliding(law), False, str(error))
+            return Candidate(**about(law, load), status=str(error))
 
-    found: list[_Alone] = []
-    failed: list[Candidate] = []
-    with in_threads(alone, todo) as results:
-        for done, (law, _) in enumerate(todo):
-            told(law.name, done, 2 * len(todo))
-            one = next(results)
-            if isinstance(one, _Alone):
-                found.append(one)
-            else:
-                failed.append(one)
-    if not found:
-        raise UnusableFitError("; ".join(one.status for one in failed))
+    total, names = 2 * len(todo), [law.name for law, _ in todo]
+    found, failed = parted(each(alone, todo, names, 0, total, progress))
     noise, of_laws = _common_noise(found)
-    made = []
-    with in_threads(_judged, [(one, noise) for one in found]) as judged:
-        for done, one in enumerate(found):
-            told(one.law.law.name, len(todo) + done, 2 * len(todo))
-            made.append(next(judged))
-    candidates = (*_ranked(made), *failed)
+    names, fits = [one.law.law.name for one in found], [(one, noise) for one in found]
+    made = each(_judged, fits, names, len(todo), total, progress)
+    least = np.min([[item.own_delta_bic for item in one["sets"]] for one in made], axis=0)
+    for one in made:
+        one["sets"] = tuple(
+            replace(item, own_delta_bic=float(item.own_delta_bic - low))
+            for item, low in zip(one["sets"], least, strict=True)
+        )
+    candidates = (*(Candidate(**made[row]) for row in ranked(made)), *failed)
     first = found[0].law
     return Comparison(
         data={
@@ -112,10 +94,6 @@ def compare_sets(
         observed={name: [] for name in ("t", "x", "y", "phi")},
         sets=tuple(_described(first, k, noise, of_laws[k]) for k in range(len(sets))),
     )  # fmt: skip
-
-
-def _load(law: Any, load: Any) -> str:
-    return "-" if issubclass(law, NetLaw) else load
 
 
 def _deviance(found: Solution, weight: Floats, unknown: Booleans, count: Floats) -> Floats:
@@ -152,8 +130,9 @@ def _common_noise(found: Sequence[_Alone]) -> tuple[Noise, list[str]]:
     return Noise(*best_of), names
 
 
-def _judged(one: _Alone, noise: Noise) -> _Judged:
-    """A law with the common noise: at its common optimum, and beside it at those of each set."""
+def _judged(one: _Alone, noise: Noise) -> dict[str, Any]:
+    """What is known of a law with the common noise: at its common optimum, and beside it at those
+    of each set, whose BIC stands in place of its difference from the least."""
     law = one.law
     weight, every = law.weights(noise), law.owner >= 0
     groups = [law.of_set(number) for number in range(len(law.sets))]
@@ -169,52 +148,46 @@ def _judged(one: _Alone, noise: Noise) -> _Judged:
         for inside, found in zip(groups, alone, strict=True)
     ]
     count, unknown = law.counts() * noise.share, law.unknown & ~noise.assumed
-    told = law.told(common)
-    known = told.by(every)
-    each, own_bic, ranks = [], [], 0
+    joint = law.told(common)
+    known, made, ranks = joint.by(every), [], 0
     for inside, found in zip(groups, alone, strict=True):
         own = law.told(found)
         numbers = float(count[inside].sum())
         spent = float(own.parameters()[inside].sum())
-        deviance = _deviance(found, weight, unknown, count)[inside].sum()
-        own_bic.append(float(deviance) + spent * math.log(numbers))
+        deviance = float(_deviance(found, weight, unknown, count)[inside].sum())
         ranks += own.by(inside).identifiability.rank
-        each.append(_on_set(told, inside, common, (found, numbers, spent), noise))
-    rise = sum(item.chi_squared - item.own_chi_squared for item in each)
+        on = _on_set(joint, inside, common, (found, numbers, spent), noise)
+        made.append(replace(on, own_delta_bic=deviance + spent * math.log(numbers)))
+    rise = sum(item.chi_squared - item.own_chi_squared for item in made)
     more = ranks - known.identifiability.rank
     p = float(chdtrc(more, max(rise, 0.0))) if more > 0 else None
-    rank = float(known.identifiability.rank + told.reduction.rank[every].sum())
+    rank = float(known.identifiability.rank + joint.reduction.rank[every].sum())
     bic = float(_deviance(common, weight, unknown, count)[every].sum())
     converged = bool(known.distance < CONVERGED and np.isfinite(common.residual).all())
-    return _Judged(
-        _coefficients(law, known) | {
-            "law": law.law.name, "load": _load(law.law, law.model.load),
-            "isotropic": opposes_sliding(law.law),
-            "signs_free": False, "converged": converged,
-            "status": "converged" if converged else "not converged", "n_parameters": rank,
-            "sets": tuple(each), "p_together": p,
-            "follows": all(item.follows for item in each) and (p is None or p >= _AGREE),
-        },
-        bic + rank * math.log(count[every].sum()), own_bic,
-    )  # fmt: skip
+    return about(law.law, law.model.load) | told(*joint.estimates(known)) | {
+        "converged": converged, "status": "converged" if converged else "not converged",
+        "n_parameters": rank, "sets": tuple(made), "p_together": p,
+        "follows": all(item.follows for item in made) and (p is None or p >= _AGREE),
+        "bic": bic + rank * math.log(count[every].sum()),
+    }  # fmt: skip
 
 
 def _on_set(
-    told: Told, inside: Booleans, common: Solution, alone: tuple[Solution, float, float],
+    joint: Told, inside: Booleans, common: Solution, alone: tuple[Solution, float, float],
     noise: Noise,
 ) -> OnSet:  # fmt: skip
     """A law on a data set, with its common coefficients and with its own."""
     found, count, spent = alone
-    dof = max(count - float(told.parameters()[inside].sum()), 1.0)
+    dof = max(count - float(joint.parameters()[inside].sum()), 1.0)
     own_dof = max(count - spent, 1.0)
     chi, own = (float(one.chi_squared[inside].sum()) for one in (common, found))
-    known = told.by(inside)
+    known = joint.by(inside)
     return OnSet(
         chi_squared=chi, dof=dof, own_chi_squared=own, own_dof=own_dof,
         follows=_follows(chi, dof), own_follows=_follows(own, own_dof),
         rank=known.identifiability.rank,
         determined=tuple(known.identifiability.determined()),
-        largest=_largest(told.of, inside, common, noise),
+        largest=_largest(joint.of, inside, common, noise),
     )  # fmt: skip
 
 
@@ -230,52 +203,6 @@ def _largest(
     order = np.argsort(-np.abs(off), axis=None)[:_LARGEST]
     places = zip(*np.unravel_index(order, off.shape), strict=True)
     return tuple((law.called(*place), float(off[place])) for place in places)
-
-
-def _coefficients(law: LawOnSets, known: Covariance) -> dict[str, Any]:
-    """The coefficients of the common optimum, and the combinations that it determines."""
-    found: dict[str, Any] = {}
-    for place, item in enumerate(law.law.coefficients()):
-        stderr, verdict = None, "fixed"
-        if known.free[place]:
-            stderr, verdict, _ = known.classified(place)
-        value = float(known.values[place])
-        found[item.name] = {"value": value, "stderr": stderr, "verdict": verdict, "unit": item.unit}
-    of = {
-        verdict: tuple(name for name, one in found.items() if one["verdict"] == verdict)
-        for verdict in ("at bound", "not identifiable")
-    }
-    sums = tuple(
-        {"expression": item.expression, "value": item.value, "stderr": item.stderr}
-        for item in known.combinations
-    )
-    return {
-        "coefficients": found, "combinations": sums, "at_bound": of["at bound"],
-        "not_identifiable": of["not identifiable"],
-    }  # fmt: skip
-
-
-def _ranked(made: Sequence[_Judged]) -> list[Candidate]:
-    """The candidates, best first: laws that follow all data sets before others, by BIC."""
-    least = np.min([one.own_bic for one in made], axis=0)
-    order = sorted(
-        made,
-        key=lambda one: (not one.known["converged"], not one.known["follows"], round(one.bic, 1)),
-    )
-    found, rank = [], 0
-    for one in order:
-        rank += one.known["converged"]
-        sets = tuple(
-            replace(item, own_delta_bic=float(bic - low))
-            for item, bic, low in zip(one.known["sets"], one.own_bic, least, strict=True)
-        )
-        found.append(
-            Candidate(
-                **one.known | {"sets": sets}, bic=one.bic, delta_bic=one.bic - order[0].bic,
-                rank=rank if one.known["converged"] else None,
-            )
-        )  # fmt: skip
-    return found
 
 
 def _described(law: LawOnSets, number: int, noise: Noise, of_law: str) -> SetOfData:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
@@ -53,6 +54,24 @@ def find_law(name: str | type[Law], *, from_files: bool = True) -> type[Law]:
         f"unknown law {quoted(name)}; the laws are {', '.join(sorted(LAWS))} (see `curlfit laws`)"
         + ("; a law of your own is FILE.py:CLASS" if from_files else "")
     )
+
+
+def laws_under(
+    laws: str | type[Law] | Sequence[str | type[Law]] | None, load: str
+) -> list[tuple[type[Law], str]]:
+    """Laws and loads to be fitted; `load` may be "both".
+
+    Where no law is named, all of curlfit's own except those that approximate another. A law without
+    a ring has no load and is listed once. Raises `InputError` for an unknown name.
+    """
+    wanted = laws or [law for law in LAWS.values() if law.shipped() and not law.approximates]
+    chosen = [find_law(law) for law in ([wanted] if isinstance(wanted, str | type) else wanted)]
+    loads = ("uniform", "consistent") if load == "both" else (load,)
+    return [
+        (law, one)
+        for law in dict.fromkeys(chosen)
+        for one in (loads[:1] if issubclass(law, NetLaw) else loads)
+    ]
 
 
 def law_from_file(file: str, kind: str = "") -> type[Law]:

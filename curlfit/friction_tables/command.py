@@ -23,8 +23,8 @@ def fit_table(
     ------
     InputError : a choice that has no meaning for such a table; otherwise as `fit_friction`.
     """
-    from curlfit.friction_tables.table import load_friction_table
     from curlfit.output.files import prepare_folder
+    from curlfit.throws.friction_table import load_friction_table
 
     given = flags.given()
     taken = type(flags)(**{name: given[name] for name in given if name in _TAKEN}).words()

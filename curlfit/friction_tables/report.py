@@ -10,7 +10,8 @@ from rich.text import Text
 from curlfit.friction_tables.result import FrictionFit, FrictionFits
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Section, command_line, show
-from curlfit.output.text import compact, format_estimate, join_words, judged, labelled, lower
+from curlfit.output.text import compact, join_words, lower
+from curlfit.reports.estimates import reported, row_of, style_of
 
 _NEAR = 6.0  # of BIC: a difference beyond is strong evidence (Kass and Raftery 1995)
 
@@ -34,7 +35,7 @@ def document(result: FrictionFits) -> Document:
         finding = "converged" if first.converged else "not converged"
     return Document(
         finding=finding,
-        style="green" if first.converged else "bold red",
+        style=style_of(first),
         subject=f"friction at {len(speed)} speeds, {speed.min():g} .. {speed.max():g} m/s",
         headline=Text.assemble(
             ("friction against speed", "bold"),
@@ -69,12 +70,7 @@ def _said(one: FrictionFit) -> str:
     """What of a law the table determines."""
     hidden = [name for name, item in one.coefficients.items() if item.verdict == "not identifiable"]
     known = [
-        f"{name} = {compact(item.value, item.stderr)}"
-        for name, item in one.coefficients.items()
-        if name not in hidden
-    ]
-    known += [
-        f"{item.expression} = {compact(item.value, item.stderr)}" for item in one.combinations
+        f"{name} = {compact(*found)}" for name, found in reported(one).items() if name not in hidden
     ]
     text = f"{one.law}: {', '.join(known)}"
     return (
@@ -100,18 +96,6 @@ def _laws(result: FrictionFits) -> PlainTable:
 
 
 def _coefficients(one: FrictionFit) -> PlainTable:
-    rows: list[dict[str, Any]] = []
-    for name, item in one.coefficients.items():
-        hidden = item.verdict == "not identifiable"
-        value, error = ("-", "-") if hidden else format_estimate(item.value, item.stderr)
-        rows.append(
-            {one.law: labelled(name, item.unit), ">estimate": value, ">std. error": error,
-             "verdict": judged(item.verdict)}
-        )  # fmt: skip
-    for known in one.combinations:
-        value, error = format_estimate(known.value, known.stderr)
-        rows.append(
-            {one.law: known.expression, ">estimate": value, ">std. error": error,
-             "verdict": judged("determined")}
-        )  # fmt: skip
+    items: dict[str, Any] = {item.expression: item for item in one.combinations}
+    rows = (row_of(one.law, *item) for item in (one.coefficients | items).items())
     return PlainTable(rows, f"Coefficients of {one.law}")

@@ -7,7 +7,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from cyclopts import Group, Parameter
 
@@ -17,11 +17,6 @@ from curlfit.options import settings as s
 from curlfit.options.output import COMPILES, Output, Saved
 from curlfit.settings.choices import COUNT, LAWS, Choices
 from curlfit.settings.forms import NAMES, NUMBER, NUMBERS, PATH, TIME, Form, option
-
-if TYPE_CHECKING:
-    from curlfit.inference.fit.result import FitResult
-    from curlfit.optimal_design.discrimination import Discrimination
-    from curlfit.optimal_design.result import Design
 
 _SIZE = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 
@@ -114,6 +109,23 @@ class Record(Choices):
         }
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Separated(Choices):
+    """Two coefficients to be separated.
+
+    Attributes
+    ----------
+    separate : Two coefficients to be separated. [default: two of which only the sum is determined
+        under uniform load]
+    relative_error : Required, of their difference, or of their mean where they are equal. [default:
+        0.2]
+    """
+
+    separate: Annotated[Sequence[str], option(NAMES, "A,B")] = ()
+    relative_error: Annotated[float, option(NUMBER, "V")] = 0.2
+
+
 def design(
     *,
     assumed: Assumed = Assumed(),
@@ -121,8 +133,7 @@ def design(
     throws: Annotated[int | None, option(COUNT, "N", group="The throws")] = None,
     record: Record = Record(),
     between: Annotated[Sequence[Any], option(LAWS, "A,B,...")] = (),
-    separate: Annotated[Sequence[str], option(NAMES, "A,B")] = (),
-    relative_error: Annotated[float, option(NUMBER, "V")] = 0.2,
+    pair: Separated = Separated(),
     output: Output = Output(),
 ) -> Saved:
     """Optimal design: the expected errors of a law's coefficients, and the best choice of throws.
@@ -158,61 +169,57 @@ def design(
     between
         Laws to decide between. A mechanism that does not brake, such as `pivot`, stands for its sum
         with the power law, `power+pivot`. The candidates have both senses of spin.
-    separate
-        Two coefficients to be separated. [default: two of which only the sum is determined under
-        uniform load]
-    relative_error
-        Required, of their difference, or of their mean where they are equal. [default: 0.2]
     """
     from curlfit.output.document import command_line
     from curlfit.output.files import prepare_folder
+
+    drawn, words = output.drawn(), [*assumed.words(), *grid.words(), *record.words()]
+    if between:
+        _refuse(separate=pair.separate, law=assumed.law, discrepancy=record.discrepancy)
+    first, chosen = _assumed(assumed, between[0] if between else assumed.law)
+    drawn.draw_beside()
+    throws = throws if between else throws or 3
+    chosen |= {"until": record.until, "sigma": record.sigma(), "throws": throws, **grid.given()}
+    words += [f"--throws={throws}"] * (throws is not None)
+    words += [f"--between={','.join(LAWS.words(between))}"] if between else pair.words()
+    if not between:
+        chosen |= {"discrepancy": record.discrepancy, **pair.given()}
+    found = _computed(first, between, chosen, output)
+    found = replace(found, command=command_line("design", *words))
+    return output.finish(found, prepare_folder(output.out or Path("design")), drawn)
+
+
+def _refuse(**others: Any) -> None:
+    for name in [name for name, given in others.items() if given]:
+        raise InputError(f"--{name} is not an option with --between")
+
+
+def _assumed(assumed: Assumed, law: Any) -> tuple[Any, dict[str, Any]]:
+    """The law, or the saved fit that is given; coefficients, load and stone."""
+    from curlfit.inference.fit.result import load_fit
     from curlfit.stone import Stone
 
-    drawn = output.drawn()
-    known = _known(assumed.fit)
-    if between:
-        refused = {"separate": separate, "law": assumed.law, "discrepancy": record.discrepancy}
-        for name in [name for name, given in refused.items() if given]:
-            raise InputError(f"--{name} is not an option with --between")
-    law = between[0] if between else assumed.law
-    if known is not None:
-        known = known.with_law(law)
-    drawn.draw_beside()
-    common: dict[str, Any] = {
+    stone = Stone()
+    if assumed.fit is not None:
+        if (kind := s.kind_of(assumed.fit)) != "fit":
+            raise InputError(
+                f"{assumed.fit}: a result of curlfit {kind}; expected the fit of one throw"
+            )
+        law = load_fit(assumed.fit).with_law(law)
+        stone = law.stone
+    return law, {
         "coefficients": dict(assumed.coefficients), "load": assumed.load,
-        "stone": (known.stone if known else Stone()).with_values(dict(assumed.stone)),
-        "until": record.until, "sigma": record.sigma(), **grid.given(),
+        "stone": stone.with_values(dict(assumed.stone)),
     }  # fmt: skip
-    words = [*assumed.words(), *grid.words(), *record.words()]
-    words += [f"--throws={throws or 3}"] * (not between or throws is not None)
-    result: Design | Discrimination
+
+
+def _computed(first: Any, between: Sequence[Any], chosen: dict[str, Any], output: Output) -> Any:
     if between:
         with output.status(f"Fitting each law to the throws of the others {COMPILES}"):
             from curlfit.optimal_design.discriminate import discriminate
 
-            laws = [known or between[0], *between[1:]]
-            result = discriminate(laws, throws=throws, **common)
-        words += [f"--between={','.join(LAWS.words(between))}"]
-    else:
-        with output.status(f"Computing the information of the throws {COMPILES}"):
-            from curlfit.optimal_design.design import design as compute_design
+            return discriminate([first, *between[1:]], **chosen)
+    with output.status(f"Computing the information of the throws {COMPILES}"):
+        from curlfit.optimal_design.design import design as compute_design
 
-            result = compute_design(
-                known or law or "front-back", discrepancy=record.discrepancy, throws=throws or 3,
-                separate=list(separate) or None, relative_error=relative_error, **common,
-            )  # fmt: skip
-        words += [f"--separate={','.join(separate)}"] * bool(separate)
-        words += [f"--relative-error={relative_error:.10g}"]
-    result = replace(result, command=command_line("design", *words))
-    folder = prepare_folder(output.out or Path("design"))
-    return output.finish(result, folder, drawn)
-
-
-def _known(folder: Path | None) -> FitResult | None:
-    """The fit of one throw in a folder, if one is given."""
-    kind = s.kind_of(folder) if folder is not None else "fit"
-    if kind != "fit":
-        raise InputError(f"{folder}: a result of curlfit {kind}; expected the fit of one throw")
-    from curlfit.inference.fit.result import load_fit
-
-    return None if folder is None else load_fit(folder)
+        return compute_design(first or "front-back", **chosen)

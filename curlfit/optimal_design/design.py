@@ -15,13 +15,15 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 
 from curlfit.errors import InputError
 from curlfit.foreign import quoted
-from curlfit.friction import Law, Load, check_load
+from curlfit.friction import Law, check_load
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.systematics import shifts, widths_of
 from curlfit.inference.identifiability import Identifiability, analyse, classify, r_factor
@@ -110,15 +112,14 @@ def design(
     >>> len(plan.candidates), plan.rank
     (4, 3)
     """
-    law, values, load, stone = assumed_values(law, coefficients, load, stone)
-    sigma = NOISE if sigma is None else sigma
-    check_plan(sigma, v0, omega0, rate, until, throws, relative_error)
-    sigma = {name: float(sigma[name]) for name in CHANNELS if name in sigma}
-    assumed = Assumptions(law, load, values, sigma, until, discrepancy)
+    assumed, planned = planned_throws(
+        (law, coefficients, load, stone), (v0, omega0, rate), sigma, until, throws
+    )
+    require_positive(**{"relative error": relative_error})
     pair = None if separate is None else CoefficientPair(assumed, separate)
-    planned = [PlannedThrow(float(v), float(w), float(rate), stone) for v, w in product(v0, omega0)]
     if not 0 <= discrepancy < math.inf:
         raise InputError(f"discrepancy = {discrepancy:g}; expected 0 or more, over the friction")
+    assumed = replace(assumed, discrepancy=discrepancy)
     return _designed(assumed, pair, planned, throws, relative_error)
 
 
@@ -224,37 +225,35 @@ def _expected(assumed: Assumptions, indices: tuple[int, ...], factor: Floats) ->
     )  # fmt: skip
 
 
-def assumed_values(
-    law: str | type[Law] | FitResult, coefficients: Mapping[str, float] | None, load: str | None,
-    stone: Stone | None,
-) -> tuple[type[Law], Floats, Load, Stone]:  # fmt: skip
-    """Assumed law, values of its coefficients, load and stone."""
-    fitted = {}
+def planned_throws(
+    assumed: tuple[Any, Mapping[str, float] | None, str | None, Stone | None],
+    grid: tuple[Sequence[float], Sequence[float], float],
+    sigma: Mapping[str, float] | None, until: float | None, throws: int,
+    *, either: bool = False,
+) -> tuple[Assumptions, list[PlannedThrow]]:  # fmt: skip
+    """What is assumed, and the candidates, with `either` sense of spin.
+
+    Parameters
+    ----------
+    assumed : law or fit, coefficients, load and stone, as in `design`.
+    grid : speeds, spins and rate.
+
+    Raises
+    ------
+    InputError : noise, candidates, records or a number of throws that cannot be.
+    """
+    (law, coefficients, load, stone), (v0, omega0, rate) = assumed, grid
+    fitted, sigma = {}, NOISE if sigma is None else sigma
     if isinstance(law, FitResult):
         fitted = {name: item.value for name, item in law.coefficients.items()}
-        load, stone = load or law.load, stone or law.stone
-        law = law.law_class
-    instance = law_with(law, coefficients or {}, others=fitted)
-    values = np.array([float(getattr(instance, item.name)) for item in instance.coefficients()])
-    return type(instance), values, check_load(load or "uniform"), stone or Stone()
-
-
-def check_plan(
-    sigma: Mapping[str, float], v0: Sequence[float], omega0: Sequence[float],
-    rate: float, until: float | None, throws: int, relative_error: float = 1.0,
-) -> None:  # fmt: skip
-    """Raise `InputError` for noise, candidates, records or a number of throws that cannot be."""
+        load, stone, law = load or law.load, stone or law.stone, law.law_class
+    exact = law_with(law, coefficients or {}, others=fitted)
     if not sigma or (unknown := [name for name in sigma if name not in CHANNELS]):
         what = f"no channel {quoted(unknown[0])}" if sigma else "nothing is measured"
         raise InputError(f"sigma: {what}; expected noise of some of {', '.join(CHANNELS)}")
-    single = {"rate": rate, "until": 1.0 if until is None else until}
-    single |= {"relative error": relative_error}
-    single |= {f"sigma of {name}": value for name, value in sigma.items()}
-    for name, values in {"v0": v0, **{name: (value,) for name, value in single.items()}}.items():
-        if not values or not all(0 < value < math.inf for value in values):
-            shown = ",".join(f"{value:g}" for value in values)
-            kind = "a positive number" if name in single else "positive numbers"
-            raise InputError(f"{name} = {shown}: expected {kind}")
+    ends = {} if until is None else {"until": until}
+    noise = {f"sigma of {name}": value for name, value in sigma.items()}
+    require_positive(v0=v0, rate=rate, **ends, **noise)
     if not omega0 or not all(map(math.isfinite, omega0)):
         raise InputError("omega0: expected finite numbers")
     if (count := len(v0) * len(omega0)) > _MAX_CANDIDATES:
@@ -264,6 +263,24 @@ def check_plan(
         )
     if isinstance(throws, bool) or not isinstance(throws, int) or not 1 <= throws <= _MAX_THROWS:
         raise InputError(f"throws = {throws}: expected a whole number from 1 to {_MAX_THROWS}")
+    values = np.array([float(getattr(exact, item.name)) for item in exact.coefficients()])
+    measured = {name: float(sigma[name]) for name in CHANNELS if name in sigma}
+    spins = [float(w) for w in omega0]
+    if either:
+        spins = sorted({*spins, *(-w for w in spins)}, key=lambda w: (abs(w), w < 0))
+    return Assumptions(type(exact), check_load(load or "uniform"), values, measured, until), [
+        PlannedThrow(float(v), w, float(rate), stone or Stone()) for v, w in product(v0, spins)
+    ]
+
+
+def require_positive(**given: float | Sequence[float]) -> None:
+    """Raise `InputError` for a number, or numbers, that are not positive."""
+    for name, value in given.items():
+        values = np.atleast_1d(np.array(value, float))
+        if not len(values) or not ((values > 0) & (values < math.inf)).all():
+            shown = ",".join(f"{one:g}" for one in values)
+            kind = "positive numbers" if np.ndim(value) else "a positive number"
+            raise InputError(f"{name} = {shown}: expected {kind}")
 
 
 def _undetermined_pair(found: Identifiability) -> tuple[str, str] | None:

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, product
+from itertools import chain
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from curlfit.errors import InputError
 from curlfit.friction import TERMS, Law, find_law
 from curlfit.inference.fit.result import FitResult
 from curlfit.numerics.arrays import Floats
-from curlfit.optimal_design.design import NOISE, SPEEDS, SPINS, assumed_values, check_plan
+from curlfit.optimal_design.design import SPEEDS, SPINS, planned_throws
 from curlfit.optimal_design.discrimination import (
     MARGIN,
     PROBABILITY,
@@ -34,13 +34,12 @@ from curlfit.optimal_design.discrimination import (
 )
 from curlfit.optimal_design.information import Assumptions, PlannedThrow
 from curlfit.optimal_design.rivals import Rival, Truth
+from curlfit.optimal_design.selection import exchanged
 from curlfit.stone import Stone
-from curlfit.throws.throw import CHANNELS
 
 _ORDINARY = 2.0, 1.0  # m/s, rad/s: the draw in which all laws agree
 _MOST = 64  # throws
 _ONE_BY_ONE = 8  # throws that are chosen one by one; more are these repeated
-_ROUNDS = 5  # of exchange
 
 
 @dataclass(frozen=True)
@@ -116,21 +115,16 @@ def discriminate(
     """
     if len(laws) < 2:
         raise InputError("between: expected two or more laws, such as front-back,pivot")
-    law, values, load, stone = assumed_values(_law(laws[0]), coefficients, load, stone)
-    others = [find_law(_law(one)) for one in laws[1:]]  # type: ignore[arg-type]
-    names = [law.name, *(one.name for one in others)]
-    if len({*names}) < len(names):
-        raise InputError(f"between: {', '.join(names)}; expected different laws")
-    sigma = NOISE if sigma is None else sigma
-    check_plan(sigma, v0, omega0, rate, until, 1 if throws is None else throws)
     if throws is not None and throws > _MOST:
         raise InputError(f"throws = {throws}: expected at most {_MOST} to decide between laws")
-    sigma = {name: float(sigma[name]) for name in CHANNELS if name in sigma}
-    spins = sorted(
-        {sense * float(w) for w in omega0 for sense in (1, -1)}, key=lambda w: (abs(w), w < 0)
-    )
-    planned = [PlannedThrow(float(v), w, float(rate), stone) for v, w in product(v0, spins)]
-    assumed = Assumptions(law, load, values, sigma, until)
+    assumed, planned = planned_throws(
+        (_law(laws[0]), coefficients, load, stone), (v0, omega0, rate), sigma, until,
+        1 if throws is None else throws, either=True,
+    )  # fmt: skip
+    others = [find_law(_law(one)) for one in laws[1:]]  # type: ignore[arg-type]
+    names = [assumed.law.name, *(one.name for one in others)]
+    if len({*names}) < len(names):
+        raise InputError(f"between: {', '.join(names)}; expected different laws")
     contests, possible = _contests(assumed, others, planned, systematics)
     found = _record(contests, [planned[one] for one in possible], *_chosen(contests, throws))
     left = dict.fromkeys(
@@ -195,21 +189,14 @@ def _margin(contests: Sequence[Contest], throws: Sequence[int]) -> float:
 
 
 def _extended(contests: Sequence[Contest], throws: Sequence[int]) -> list[int]:
-    """The best throws, one more than given: added, then exchanged one at a time (Fedorov 1972)."""
+    """The best throws, one more than given: added, then exchanged."""
 
-    def with_best(rest: Sequence[int]) -> list[int]:
-        plans = [[*rest, one] for one in range(len(contests[0].rows))]
+    def best(others: Sequence[int]) -> int:
+        every = range(len(contests[0].rows))
         # Throws that are equal but for rounding: the first of them.
-        return max(plans, key=lambda plan: round(_margin(contests, plan), 6))
+        return max(every, key=lambda one: round(_margin(contests, [*others, one]), 6))
 
-    found = with_best(throws)
-    for _ in range(_ROUNDS if len(found) > 1 else 0):
-        before = sorted(found)
-        for _ in before:
-            found = with_best(found[1:])
-        if sorted(found) == before:
-            break
-    return sorted(found)
+    return exchanged([*throws, best(throws)], best)
 
 
 def _chosen(contests: Sequence[Contest], count: int | None) -> tuple[list[int], list[Pair]]:

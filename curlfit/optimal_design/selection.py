@@ -93,27 +93,34 @@ def _trace(information: Floats, of: Floats) -> Floats:
     return np.where(nonsingular, np.trace(np.linalg.solve(safe, of), axis1=-2, axis2=-1), np.inf)
 
 
+def exchanged(throws: Sequence[int], best: Callable[[list[int]], int]) -> list[int]:
+    """Throws, one at a time exchanged for the best beside the others, until that changes none
+    (Fedorov 1972); sorted."""
+    found = [*throws]
+    for _ in range(_MAX_ROUNDS if len(found) > 1 else 0):
+        before = sorted(found)
+        for _ in before:
+            found = [*found[1:], best(found[1:])]
+        if sorted(found) == before:
+            break
+    return sorted(found)
+
+
 def select_design(
     candidates: CandidateSet, criterion: Criterion, throws: int
 ) -> tuple[int, ...] | None:
     """Indices of the optimal throws, sorted; None if no choice determines all directions.
 
-    Throws are exchanged one at a time (Fedorov 1972), from a greedy start.
+    They are exchanged from a greedy start.
     """
-    # A small multiple of the total information keeps the criterion finite at first.
-    total = 1e-6 * candidates.information.sum(0)
-    indices: list[int] = []
+    every, chosen = candidates.information, list[int]()
+
+    def best(others: list[int], more: float = 0.0) -> int:
+        rest = every[others].sum(0) + more * every.sum(0)
+        return int(np.argmin(criterion(rest + every)))
+
     for _ in range(throws):
-        indices.append(int(np.argmin(criterion(total + candidates.information))))
-        total = total + candidates.information[indices[-1]]
-    total = candidates.information[indices].sum(0)
-    for _ in range(_MAX_ROUNDS):
-        previous = list(indices)
-        for position, index in enumerate(indices):
-            rest = total - candidates.information[index]
-            indices[position] = int(np.argmin(criterion(rest + candidates.information)))
-            total = rest + candidates.information[indices[position]]
-        if indices == previous:
-            break
-    value = criterion(candidates.information[indices].sum(0))
-    return tuple(sorted(indices)) if np.isfinite(value) else None
+        # A small multiple of the total information keeps the criterion finite at first.
+        chosen.append(best(chosen, 1e-6))
+    chosen = exchanged(chosen, best)
+    return tuple(chosen) if np.isfinite(criterion(every[chosen].sum(0))) else None

@@ -9,16 +9,16 @@ import pytest
 
 import curlfit
 from curlfit import LAWS, InitialState, Stone, simulate
-from curlfit.comparison.compare import plan
 from curlfit.dynamics.contact import accelerations
 from curlfit.friction import LocalLaw
 from curlfit.friction.family import family_of
+from curlfit.friction.registry import laws_under
 from curlfit.inference.initial_values import POINTS, accelerations_and_slopes
 from curlfit.inference.model import Model
 from curlfit.numerics.batches import stacked
 
 STONE = Stone(R=0.065, rho=0.1, h=0.057)
-FAMILY = family_of([law for law, _ in plan(None, "uniform")])
+FAMILY = family_of([law for law, _ in laws_under(None, "uniform")])
 TIMES = np.linspace(0, 25, 61)  # as many as in test_laws.py
 
 
@@ -39,7 +39,7 @@ _slopes = jax.jit(jax.jacfwd(_state, argnums=(1, 2, 3)), static_argnums=0, stati
 
 def test_all_laws_of_the_ring_are_in_one():
     assert set(FAMILY.members) == {
-        law for law, _ in plan(None, "uniform") if issubclass(law, LocalLaw)
+        law for law, _ in laws_under(None, "uniform") if issubclass(law, LocalLaw)
     }
 
 

@@ -12,7 +12,7 @@ from sample_files import CELL, ods
 from scipy.optimize import curve_fit
 
 import curlfit
-from curlfit.friction_tables.table import is_friction_table
+from curlfit.throws.friction_table import is_friction_table
 
 SUTOR = DATA.parent / "sutor_1988_friction.csv"
 

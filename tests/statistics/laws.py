@@ -19,8 +19,8 @@ from errors import Case, thrown
 from tables import Table
 
 import curlfit
-from curlfit.comparison.compare import plan
 from curlfit.comparison.criteria import criteria, effective_values, log_likelihood
+from curlfit.friction.registry import laws_under
 from curlfit.inference.fit.fit import fit_throws
 
 TRUE = "coulomb"
@@ -52,8 +52,9 @@ def main() -> None:
         case = Case("", TRUE, TRUE, memory)
         throws = [thrown(case, random)[0] for _ in range(number)]
         fits = {}
+        every = laws_under(None, "uniform")
         for noise in NOISES:
-            by_law = [fit_throws(throws, law, noise=noise) for law, _ in plan(None, "uniform")]
+            by_law = [fit_throws(throws, law, noise=noise) for law, _ in every]
             fits[noise] = list(zip(*by_law, strict=True))
         for noises in (("white",), ("ar1",), NOISES):
             behind = []

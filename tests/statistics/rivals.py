@@ -17,9 +17,9 @@ from errors import TIMES, Case, counts
 from tables import LEVELS, Table, share
 
 import curlfit
-from curlfit.comparison.compare import plan
+from curlfit.friction.registry import laws_under
 
-LAWS = [law.name for law, _ in plan(None, "uniform")]
+LAWS = [law.name for law, _ in laws_under(None, "uniform")]
 SPINS = (0.7, -0.7, 1.8, -1.8)
 SEED = 3
 

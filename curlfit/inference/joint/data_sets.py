@@ -17,13 +17,14 @@ import numpy as np
 from curlfit.errors import InputError, require_kind
 from curlfit.friction import Law, Load
 from curlfit.friction.family import LawFamily
-from curlfit.friction_tables.table import FrictionTable
 from curlfit.inference.fit.advice import NOISE
 from curlfit.inference.fit.covariance import Covariance
+from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.factors import Reduction
 from curlfit.inference.fit.prepared import PreparedThrow, local_bounds
 from curlfit.inference.fit.rounds import Rounds
-from curlfit.inference.identifiability import Bounded, r_factors, visible
+from curlfit.inference.fit.summary import weakness
+from curlfit.inference.identifiability import Bounded, Combination, r_factors, visible
 from curlfit.inference.initial_values import default_guess
 from curlfit.inference.joint.population import told_by_data
 from curlfit.inference.joint.solver import minimize_jointly
@@ -36,6 +37,7 @@ from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.settings.choices import Comparing, Fitting
 from curlfit.sheet import LINES
 from curlfit.throws.events import Event
+from curlfit.throws.friction_table import FrictionTable
 from curlfit.throws.throw import Throw
 
 _STARTS = 1.0, 0.4, 2.5  # multiples of the default coefficients, for a table of friction
@@ -265,6 +267,23 @@ class Told(NamedTuple):
         """By some of them."""
         some = replace(self.reduction, rows=self.reduction.rows[inside])
         return told_by_data(self.of.tasks, self.solution, some, self.of.names)
+
+    def estimates(
+        self, known: Covariance, dof: float | None = None
+    ) -> tuple[dict[str, Estimate], tuple[Combination, ...]]:
+        """Of the coefficients and of determined sums of them, by some of the data sets; `dof` are
+        the degrees of freedom of their errors."""
+        found = {}
+        for place, item in enumerate(self.of.law.coefficients()):
+            free = known.free[place]
+            stderr, verdict, _ = known.classified(place) if free else (None, "fixed", None)
+            found[item.name] = Estimate(
+                value=float(known.values[place]), stderr=stderr, verdict=verdict, unit=item.unit,
+                symbol=item.symbol, meaning=item.meaning, lower=item.lower, upper=item.upper,
+                typical=item.typical, reason=weakness(verdict, item.typical),
+                dof=None if stderr is None else dof,
+            )  # fmt: skip
+        return found, tuple(replace(one, dof=dof) for one in known.combinations)
 
     def parameters(self) -> Floats:
         """Number of parameters spent on each, with its share of the coefficients."""
