@@ -32,7 +32,9 @@ def about(law: type[Law], load: str) -> dict[str, Any]:
     }
 
 
-def told(estimates: Mapping[str, Estimate], combinations: Iterable[Combination]) -> dict[str, Any]:
+def described(
+    estimates: Mapping[str, Estimate], combinations: Iterable[Combination]
+) -> dict[str, Any]:
     """Its coefficients, and the sums of them that are determined."""
 
     def of(verdict: str) -> tuple[str, ...]:
@@ -53,7 +55,7 @@ def told(estimates: Mapping[str, Estimate], combinations: Iterable[Combination])
     }
 
 
-def each(
+def computed(
     function: Callable[..., Any], fits: Sequence[Any], names: Iterable[str], done: int, total: int,
     progress: Progress | None,
 ) -> list[Any]:  # fmt: skip

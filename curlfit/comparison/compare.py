@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.comparison.adequacy import Adequacy, adequacy, sides_of_curl
-from curlfit.comparison.candidates import Progress, about, each, parted, ranked, told
+from curlfit.comparison.candidates import Progress, about, computed, described, parted, ranked
 from curlfit.comparison.criteria import (
     criteria,
     effective_values,
@@ -128,7 +128,7 @@ def compare(
         return _with_free_signs(throw, law, shared | own)
 
     names = [law.name for law, *_ in fits]
-    found = each(fitted, fits, names, 0, len(fits), progress)
+    found = computed(fitted, fits, names, 0, len(fits), progress)
     if progress is not None:
         progress("", len(fits), len(fits))
     made = _compared(*parted(chain(*found)))
@@ -177,7 +177,7 @@ def _fitted(
         return Candidate(**known, status=str(error))
     likelihood, adequate = log_likelihood(result), adequacy(result)
     known |= {name: getattr(result, name) for name in ("status", "converged", "rms", "warnings")}
-    known |= told(result.coefficients, result.combinations) | {
+    known |= described(result.coefficients, result.combinations) | {
         "noise_model": plain(result.noise),
         "n_parameters": number_of_parameters(result),
         "curl_explained": adequate.explained,

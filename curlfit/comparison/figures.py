@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -101,12 +101,10 @@ def _figure_of_sets(comparison: Comparison) -> draw.Picture:
         axes.plot(own, rows, "o", color="0.15", markerfacecolor="white", label="alone")
         axes.plot(common, rows, "o", color="0.15", label="with common coefficients")
         high = max(20.0, *own, *common)
-        axes.set(xscale="log", xlim=(low / 1.5, 1.5 * high), ylim=(len(shown) - 0.4, -0.6))
+        axes.set(xscale="log", xlim=(low / 1.5, 1.5 * high))
         axes.set_xlabel("chi squared per\ndegree of freedom")
         draw.title(axes, draw.file_name(one.name))
-    panels[0].set_yticks(rows, [item.label for item in shown])
-    for tick, item in zip(panels[0].get_yticklabels(), shown, strict=True):
-        tick.set_fontweight("bold" if item.follows else "normal")
+    _name_rows(panels[0], shown)
     handles = panels[0].get_legend_handles_labels()
     figure.legend(*handles, loc="outside lower center", ncols=2,
                   title="grey: within 1.5 times the noise; bold: follows all")  # fmt: skip
@@ -122,9 +120,15 @@ def _sizes(axes: Any, shown: list[Candidate], size: str) -> None:
             values, range(len(shown)), marker, color="0.15", markerfacecolor=filling,
             markersize=4.5, markeredgewidth=0.9, label=f"${draw.CHANNEL_LABEL[name]}$ ({unit})",
         )  # fmt: skip
-    axes.set_yticks(range(len(shown)), [item.label for item in shown])
-    for tick, item in zip(axes.get_yticklabels(), shown, strict=True):
-        tick.set_fontweight("bold" if item.follows else "normal")
-    axes.set(xscale="log", ylim=(len(shown) - 0.4, -0.6))
+    _name_rows(axes, shown)
+    axes.set_xscale("log")
     axes.set_xlabel(f"{size} of the residuals\nbold: follows the path")
     axes.legend(ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
+
+
+def _name_rows(axes: Any, shown: Sequence[Candidate]) -> None:
+    """A row for each candidate, from above; those that follow are bold."""
+    axes.set_yticks(range(len(shown)), [item.label for item in shown])
+    axes.set_ylim(len(shown) - 0.4, -0.6)
+    for tick, item in zip(axes.get_yticklabels(), shown, strict=True):
+        tick.set_fontweight("bold" if item.follows else "normal")

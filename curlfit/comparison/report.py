@@ -13,13 +13,12 @@ from rich.text import Text
 
 from curlfit.comparison.report_of_sets import document_of_sets
 from curlfit.comparison.result import COMPONENTS, Candidate, Comparison
-from curlfit.comparison.tables import coefficients_table, difference
+from curlfit.comparison.tables import coefficients_table, difference, ranked_row, summary
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Said, Section, command_line, show
 from curlfit.output.text import compact, join_words, rows_text, stone_text
 
 _PROBABLE = 0.01  # weight of a law that is named
-_FIRST = 3  # laws named in a line
 _SEEN = 3.0  # standard errors
 _ELPD = 4.0  # below which differences and their errors are unreliable (Sivula, Magnusson, Matamoros
 # and Vehtari 2020, Uncertainty in Bayesian leave-one-out)
@@ -41,9 +40,6 @@ def document(comparison: Comparison) -> Document:
     if comparison.sets:
         return document_of_sets(comparison)
     data = comparison.data
-    ranked = [item for item in comparison.candidates if item.rank is not None]
-    order = ", ".join(f"{item.label} ({difference(item.delta_bic)})" for item in ranked[:_FIRST])
-    more = f" and {len(ranked) - _FIRST} more" if len(ranked) > _FIRST else ""
     first, *others = conclusions(comparison)
     count = len(comparison.candidates)
     loss = "" if comparison.loss == "linear" else f", {comparison.loss} loss"
@@ -52,16 +48,13 @@ def document(comparison: Comparison) -> Document:
     curl = f"curls {bend}: {comparison.curl:.3g} m (rms) off a straight line"
     fits = f"{count} fit{'s' * (count != 1)} to {data['file']}{loss}{noise}"
     return Document(
-        finding=f"{ranked[0].label} ranks first{', not reliably' * bool(comparison.effective)}"
-        if ranked
-        else "no law is ranked",
+        **summary(comparison, first, " and {} more"),
         subject=f"{fits}; the path {curl}",
         headline=Text(fits, style="bold"),
         about=(
             f"{rows_text(data)}; stone {stone_text(comparison.stone, mass=False)}",
             f"The path {curl}",
         ),
-        lines=[f"dBIC: {order}{more}" if ranked else "", first],
         sections=(
             Section("laws", "The laws", (_ranks(comparison),)),
             Section("coefficients", "Coefficients", (coefficients_table(comparison),), brief=False),
@@ -117,13 +110,9 @@ def _ranks(comparison: Comparison) -> PlainTable:
     several, candidates = len(comparison.noises) > 1, comparison.candidates
     evidence = any(item.log_evidence is not None for item in candidates)
     rows = [
-        {
-            ">": "-" if item.rank is None else str(item.rank),
-            "law": Text.assemble(item.law, (" any sign" * item.signs_free, "dim")),
-            "load": item.load, "noise": item.noise * several, **_fitted(item, evidence=evidence),
-        }
+        ranked_row(item, item.noise * several) | _fitted(item, evidence=evidence)
         for item in candidates
-    ]  # fmt: skip
+    ]
     measure, by = "rms", ""
     if comparison.loss != "linear":
         measure = "robust scale"
@@ -155,8 +144,7 @@ def _fitted(item: Candidate, *, evidence: bool) -> dict[str, Any]:
     if item.delta_elpd_se:
         elpd = compact(item.delta_elpd or 0.0, item.delta_elpd_se)
     return {
-        ">k": "" if item.n_parameters is None else f"{item.n_parameters:.3g}",
-        ">dBIC": difference(item.delta_bic), f">{criterion}": difference(other), ">delpd": elpd,
+        f">{criterion}": difference(other), ">delpd": elpd,
         **{
             f">{name} ({unit})": f"{1000 * size[name]:.3g}" if name in size else ""
             for name, unit in (("x", "mm"), ("y", "mm"), ("phi", "mrad"))

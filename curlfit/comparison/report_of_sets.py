@@ -9,13 +9,12 @@ from typing import Any
 from rich.text import Text
 
 from curlfit.comparison.result import Candidate, Comparison, SetOfData
-from curlfit.comparison.tables import coefficients_table, difference
+from curlfit.comparison.tables import coefficients_table, difference, ranked_row, summary
 from curlfit.foreign import counted
 from curlfit.output.console import Items, PlainTable
 from curlfit.output.document import Document, Said, Section, command_line
 from curlfit.output.text import STYLE, join_words, p_text, stone_text
 
-_FIRST = 3  # laws named in a line
 _FAR = 3.0  # sigmas, from which a value speaks against a law
 
 
@@ -23,17 +22,14 @@ def document_of_sets(comparison: Comparison) -> Document:
     """Ranks, each data set, coefficients, and what speaks against which law."""
     sets, candidates = comparison.sets, comparison.candidates
     first, *others = _conclusions(comparison)
-    ranked = [item for item in candidates if item.rank is not None]
-    order = ", ".join(f"{item.label} ({difference(item.delta_bic)})" for item in ranked[:_FIRST])
     many = len(sets) > 1
     files = ", ".join(one.name for one in sets)
     laws = f"{len(candidates)} laws, {len(sets)} data set{'s' * many}"
     return Document(
-        finding=f"{ranked[0].label} ranks first" if ranked else "no law is ranked",
+        **summary(comparison, first, " ..."),
         subject=f"{laws}: {files}",
         headline=Text(f"{laws}: {files}", style="bold"),
         about=[_about(one) for one in sets],
-        lines=[f"dBIC: {order}{' ...' * (len(ranked) > _FIRST)}" if ranked else "", first],
         sections=(
             Section("laws", "The laws", (_ranks(comparison), *[_alone(comparison)] * many)),
             Section("against", "What speaks against each law", (_against(comparison),)),
@@ -80,11 +76,7 @@ def _per_value(chi_squared: float, dof: float) -> str:
 def _ranks(comparison: Comparison) -> PlainTable:
     rows: list[dict[str, Any]] = []
     for item in comparison.candidates:
-        row: dict[str, Any] = {
-            ">": "-" if item.rank is None else str(item.rank), "law": item.law, "load": item.load,
-            ">k": "" if item.n_parameters is None else f"{item.n_parameters:.3g}",
-            ">dBIC": difference(item.delta_bic),
-        }  # fmt: skip
+        row = ranked_row(item)
         for one, on in zip(comparison.sets, item.sets, strict=False):
             said = _per_value(on.chi_squared, on.dof)
             if len(comparison.sets) > 1:

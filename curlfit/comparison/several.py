@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import chdtrc, chdtri
 
-from curlfit.comparison.candidates import Progress, about, each, parted, ranked, told
+from curlfit.comparison.candidates import Progress, about, computed, described, parted, ranked
 from curlfit.comparison.result import FOLLOWS, Candidate, Comparison, OnSet, SetOfData
 from curlfit.errors import InputError, UnusableFitError
 from curlfit.friction.family import family_of
@@ -72,10 +72,10 @@ def compare_sets(
             return Candidate(**about(law, load), status=str(error))
 
     total, names = 2 * len(todo), [law.name for law, _ in todo]
-    found, failed = parted(each(alone, todo, names, 0, total, progress))
+    found, failed = parted(computed(alone, todo, names, 0, total, progress))
     noise, of_laws = _common_noise(found)
     names, fits = [one.law.law.name for one in found], [(one, noise) for one in found]
-    made = each(_judged, fits, names, len(todo), total, progress)
+    made = computed(_judged, fits, names, len(todo), total, progress)
     least = np.min([[item.own_delta_bic for item in one["sets"]] for one in made], axis=0)
     for one in made:
         one["sets"] = tuple(
@@ -110,16 +110,9 @@ def _common_noise(found: Sequence[_Alone]) -> tuple[Noise, list[str]]:
     """The least noise of each throw or table and channel that any law leaves on its data set alone;
     and these laws, by data set."""
     first, laws = found[0].law, [one.law.law.name for one in found]
-    owner = np.maximum(first.owner, 0)
-    each = [
-        Noise(
-            *(
-                np.array([one.each[k][1][part][row] for row, k in enumerate(owner)])
-                for part in range(3)
-            )
-        )
-        for one in found
-    ]
+    own = first.owner, np.arange(len(first.owner))
+    noises = ([noise for _, noise in one.each] for one in found)
+    each = [Noise(*(np.stack(part)[own] for part in zip(*one, strict=True))) for one in noises]
     sizes = np.nan_to_num([one.sigma for one in each], nan=np.inf)
     least = sizes.argmin(0)[None]
     best_of = [np.take_along_axis(np.array(part), least, 0)[0] for part in zip(*each, strict=True)]
@@ -164,7 +157,7 @@ def _judged(one: _Alone, noise: Noise) -> dict[str, Any]:
     rank = float(known.identifiability.rank + joint.reduction.rank[every].sum())
     bic = float(_deviance(common, weight, unknown, count)[every].sum())
     converged = bool(known.distance < CONVERGED and np.isfinite(common.residual).all())
-    return about(law.law, law.model.load) | told(*joint.estimates(known)) | {
+    return about(law.law, law.model.load) | described(*joint.estimates(known)) | {
         "converged": converged, "status": "converged" if converged else "not converged",
         "n_parameters": rank, "sets": tuple(made), "p_together": p,
         "follows": all(item.follows for item in made) and (p is None or p >= _AGREE),

@@ -173,24 +173,23 @@ def design(
     from curlfit.output.document import command_line
     from curlfit.output.files import prepare_folder
 
-    drawn, words = output.drawn(), [*assumed.words(), *grid.words(), *record.words()]
-    if between:
-        _refuse(separate=pair.separate, law=assumed.law, discrepancy=record.discrepancy)
+    drawn, throws = output.drawn(), throws if between else throws or 3
+    others = {"separate": pair.separate, "law": assumed.law, "discrepancy": record.discrepancy}
+    _require_only(between, others)
     first, chosen = _assumed(assumed, between[0] if between else assumed.law)
     drawn.draw_beside()
-    throws = throws if between else throws or 3
     chosen |= {"until": record.until, "sigma": record.sigma(), "throws": throws, **grid.given()}
+    words = [*assumed.words(), *grid.words(), *record.words()]
     words += [f"--throws={throws}"] * (throws is not None)
     words += [f"--between={','.join(LAWS.words(between))}"] if between else pair.words()
-    if not between:
-        chosen |= {"discrepancy": record.discrepancy, **pair.given()}
+    chosen |= {} if between else {"discrepancy": record.discrepancy, **pair.given()}
     found = _computed(first, between, chosen, output)
-    found = replace(found, command=command_line("design", *words))
-    return output.finish(found, prepare_folder(output.out or Path("design")), drawn)
+    made = replace(found, command=command_line("design", *words))
+    return output.finish(made, prepare_folder(output.out or Path("design")), drawn)
 
 
-def _refuse(**others: Any) -> None:
-    for name in [name for name, given in others.items() if given]:
+def _require_only(between: Sequence[Any], others: dict[str, Any]) -> None:
+    for name in [name for name, given in others.items() if given and between]:
         raise InputError(f"--{name} is not an option with --between")
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from curlfit.errors import InputError
 from curlfit.options import settings as s
@@ -60,38 +60,44 @@ def profile(
     drawn = output.drawn()
     if len(ranges) > len(param):
         raise InputError(f"--range is given {len(ranges)} times; expected one of each --param")
-    limits = dict(zip(param, ranges, strict=False))
-    saved, request = data.is_dir() or data.name == "fit.json", None
-    if saved:
-        own = *replace(flags, law=None).words(), *reading.words(), *["--config"] * bool(config)
-        if own:
-            option_of = own[0].partition("=")[0]
-            raise InputError(f"{option_of}: a saved fit has its own; give the data to fit again")
-        fit, chain = s.load_fit_and_chain(data, flags.law)
-        parameters = fit.parameter_set
-    else:
-        request = s.checked(s.prepare(data, config, reading, flags))
-        parameters = request.parameters
+    limits, kind = dict(zip(param, ranges, strict=False)), f"profile-{'-'.join(param)}"
+    fitted, parameters, chosen, usual = _known(data, kind, flags, reading, config)
     require_usable(parameters, param, points, limits)
-    kind = f"profile-{'-'.join(param)}"
     drawn.draw_beside()
-
     with output.status(f"Fitting {COMPILES}"):
-        if request is not None:
-            from curlfit.inference.least_squares import prepare_minimize
-
-            prepare_minimize(*request.problem(), few=True)
-            fit, chain = request.fit(), None
+        fit, chain = fitted()
         require_usable(parameters, param, points, limits, parameters.values_of(fit.values))
-        usual = Path(f"{s.name_of(data)}-{kind}") if saved else s.result_folder(data, kind, reading)
         folder = prepare_folder(output.out or usual)
-
         from curlfit.profile_likelihood.profile import profile as compute_profile
 
         found = compute_profile(fit, param, chain=chain, points=points, ranges=limits)
     words = [f"--param={name}" for name in param]
     words += [f"--range={low:.10g},{high:.10g}" for low, high in ranges]
-    words += [f"--points={points}"] * bool(points) + [*reading.words()]
-    words += (request.chosen if request else flags).words()
+    words += [f"--points={points}"] * bool(points) + [*reading.words(), *chosen.words()]
     found = replace(found, command=command_line("profile", str(data), *words))
     return output.finish(found, folder, drawn)
+
+
+def _known(
+    data: Path, kind: str, flags: Modelling, reading: Reading, config: Path | None
+) -> tuple[Callable[[], Any], Any, Modelling, Path]:
+    """What gives the fit and its chain, if it is saved or when it is made; its parameters and
+    choices, and the usual folder."""
+    if data.is_dir() or data.name == "fit.json":
+        own = *replace(flags, law=None).words(), *reading.words(), *["--config"] * bool(config)
+        if own:
+            option_of = own[0].partition("=")[0]
+            raise InputError(f"{option_of}: a saved fit has its own; give the data to fit again")
+        saved = s.load_fit_and_chain(data, flags.law)
+        folder = Path(f"{s.name_of(data)}-{kind}")
+        return lambda: saved, saved[0].parameter_set, flags, folder
+    request = s.checked(s.prepare(data, config, reading, flags))
+
+    def fitted() -> Any:
+        from curlfit.inference.least_squares import prepare_minimize
+
+        prepare_minimize(*request.problem(), few=True)
+        return request.fit(), None
+
+    folder = s.result_folder(data, kind, reading)
+    return fitted, request.parameters, request.chosen, folder

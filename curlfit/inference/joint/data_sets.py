@@ -115,12 +115,8 @@ class LawOnSets:
         self.law, self.sets = law, sets
         throws = [throw for one in sets for throw in one.throws]
         tables = [one.table for one in sets if one.table is not None]
-        self.owner = np.array(
-            [k for k, one in enumerate(sets) for _ in one.throws] or [-1], int
-        )  # fmt: skip
-        self.owner = np.append(self.owner, [k for k, one in enumerate(sets) if one.table]).astype(
-            int
-        )
+        owner = [k for k, one in enumerate(sets) for _ in one.throws] or [-1]
+        self.owner = np.array([*owner, *(k for k, one in enumerate(sets) if one.table)])
         options = options_of(law, {**chosen.by_parameter, "start": chosen.start})
         options |= {name: getattr(chosen, name) for name in ("stone", "sigma", "unbounded")}
         options |= chosen.rows
@@ -143,19 +139,16 @@ class LawOnSets:
         self.rounds = Rounds(self.model, prepared, shape=(channels, rows))
         problems = _with_tables(self.rounds.problems, tables)
         self.throws = len(prepared)
-        start = self.rounds.starts()[1][0]
-        _, *ends = local_bounds(prepared, self.common)
         every = np.minimum(np.arange(len(self.owner)), self.throws - 1)
-        start, lower, upper = (part[every] for part in (start, *ends))
-        place = list(parameters.names).index("v0")
-        for row in range(self.throws, len(every)):
-            start[row, self.common] = [default_guess(item) for item in law.coefficients()]
-            start[row, place] = _ASIDE
-            for end in (lower, upper):
-                end[row, ~self.common] = start[row, ~self.common]
+        start = self.rounds.starts()[1][0][every]
+        lower, upper = (end[every] for end in local_bounds(prepared, self.common)[1:])
+        self.speed = list(parameters.names).index("v0")
+        start[self.throws :, self.common] = [default_guess(item) for item in law.coefficients()]
+        start[self.throws :, self.speed] = _ASIDE
+        for end in (lower, upper):
+            end[self.throws :, ~self.common] = start[self.throws :, ~self.common]
         start = np.clip(start, lower, upper)
         self.tasks = Tasks(problems, start, lower, upper, parameters.typical)
-        self.speed = place
         self.unknown = np.zeros(problems.weight.shape[:2], bool)
         self.unknown[: self.throws] = self.rounds.unknown
         for row, table in enumerate(tables, self.throws):
@@ -238,11 +231,8 @@ class LawOnSets:
 
     def together(self, alone: Sequence[Solution], weight: Floats) -> Solution:
         """The optimum of all data sets, from those of each."""
-        inside = self.owner >= 0
-        own = np.stack([one.values for one in alone])
-        start = np.where(
-            (np.arange(len(alone))[:, None] == self.owner)[..., None], own, 0.0
-        ).sum(0) + self.tasks.start * ~inside[:, None]  # fmt: skip
+        inside, own = self.owner >= 0, np.stack([one.values for one in alone])
+        start = np.where(inside[:, None], own[self.owner, np.arange(len(inside))], self.tasks.start)
         starts = [np.where(self.common, one[0], start) for one in own]
         starts.append(np.where(self.common, own[:, 0].mean(0), start))
         return best(
