@@ -127,7 +127,7 @@ def _judged(one: _Alone, noise: Noise) -> dict[str, Any]:
     """What is known of a law with the common noise: at its common optimum, and beside it at those
     of each set, whose BIC stands in place of its difference from the least."""
     law = one.law
-    weight, every = law.weights(noise), law.owner >= 0
+    weight = law.weights(noise)
     groups = [law.of_set(number) for number in range(len(law.sets))]
     alone = [
         law.optimum(inside, found.values, weight)
@@ -142,7 +142,7 @@ def _judged(one: _Alone, noise: Noise) -> dict[str, Any]:
     ]
     count, unknown = law.counts() * noise.share, law.unknown & ~noise.assumed
     joint = law.told(common)
-    known, made, ranks = joint.by(every), [], 0
+    known, made, ranks = joint.by(), [], 0
     for inside, found in zip(groups, alone, strict=True):
         own = law.told(found)
         numbers = float(count[inside].sum())
@@ -154,14 +154,14 @@ def _judged(one: _Alone, noise: Noise) -> dict[str, Any]:
     rise = sum(item.chi_squared - item.own_chi_squared for item in made)
     more = ranks - known.identifiability.rank
     p = float(chdtrc(more, max(rise, 0.0))) if more > 0 else None
-    rank = float(known.identifiability.rank + joint.reduction.rank[every].sum())
-    bic = float(_deviance(common, weight, unknown, count)[every].sum())
+    rank = float(known.identifiability.rank + joint.reduction.rank.sum())
+    bic = float(_deviance(common, weight, unknown, count).sum())
     converged = bool(known.distance < CONVERGED and np.isfinite(common.residual).all())
     return about(law.law, law.model.load) | described(*joint.estimates(known)) | {
         "converged": converged, "status": "converged" if converged else "not converged",
         "n_parameters": rank, "sets": tuple(made), "p_together": p,
         "follows": all(item.follows for item in made) and (p is None or p >= _AGREE),
-        "bic": bic + rank * math.log(count[every].sum()),
+        "bic": bic + rank * math.log(count.sum()),
     }  # fmt: skip
 
 

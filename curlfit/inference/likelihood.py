@@ -51,6 +51,8 @@ def _channels(model: Model, values: Array, problem: Problem) -> Array:
     """x, y, phi, speed and spin at the times of a problem, shape (5, n); with events, a sixth row
     has one event per column, or the friction in a state."""
     system = System.of(model, values, problem.stone, problem.environment)
+    if problem.times is None:  # friction alone
+        return jnp.pad(_braking(model, system, problem.states)[None], ((5, 0), (0, 0)))
     start, scale = system.start, system.length_scale
     measured = _unpadded_times(problem) / system.time_scale
     forces = _forces(model, system)
@@ -80,14 +82,19 @@ def _channels(model: Model, values: Array, problem: Problem) -> Array:
         weights = problem.events.weights
         found = jnp.where(weights != 0, weights * at_lines, 0.0).sum(-1)
         known = jnp.zeros(len(measured)).at[: len(found)].set(found)
-    if problem.states is not None:  # braking force over the weight
-        speed, omega = problem.states
-        state = jnp.where(speed > 0, speed, 1.0), omega
-        braking = -accelerations(system.law, system.stone, model.load, *state).eta / GRAVITY
-        known = jnp.where(speed > 0, braking, known)
+    if problem.states is not None:
+        known = jnp.where(problem.states[0] > 0, _braking(model, system, problem.states), known)
     more = [] if problem.events is None and problem.states is None else [known]
     x, y = _scaled(path.x, start.x, scale), _scaled(path.y, start.y, scale)
     return jnp.stack([x, y, path.phi, path.speed, path.omega, *more])
+
+
+def _braking(model: Model, system: System, states: Array) -> Array:
+    """Braking force over the weight at speeds and spins, of any size where a speed is 0."""
+    speed, omega = states
+    state = jnp.where(speed > 0, speed, 1.0), omega
+    found = accelerations(system.law, system.stone, model.load, *state)
+    return -found.eta / GRAVITY
 
 
 def _scaled(position: Array, start: Array, scale: Any) -> Array:

@@ -37,7 +37,7 @@ class Problem(NamedTuple):
     """
 
     times: Any
-    """s since the first row, shape (n,)"""
+    """s since the first row, shape (n,); None where friction was measured and no path"""
     observed: Any
     """x, y, phi relative to the origin, zero where not observed, shape (3, n); with speed and
     omega, where these were measured, (5, n); with events, (6, n), the last row with one event per

@@ -103,8 +103,7 @@ class LawOnSets:
 
     Attributes
     ----------
-    owner : number of the data set of each throw and, after these, of each table; -1 of a throw that
-        is there since there is no other.
+    owner : number of the data set of each throw and, after these, of each table.
     unknown : by throw or table and channel, whether its sigma is estimated.
     """
 
@@ -115,8 +114,9 @@ class LawOnSets:
         self.law, self.sets = law, sets
         throws = [throw for one in sets for throw in one.throws]
         tables = [one.table for one in sets if one.table is not None]
-        owner = [k for k, one in enumerate(sets) for _ in one.throws] or [-1]
+        owner = [k for k, one in enumerate(sets) for _ in one.throws]
         self.owner = np.array([*owner, *(k for k, one in enumerate(sets) if one.table)])
+        self.throws = len(throws)
         options = options_of(law, {**chosen.by_parameter, "start": chosen.start})
         options |= {name: getattr(chosen, name) for name in ("stone", "sigma", "unbounded")}
         options |= chosen.rows
@@ -137,10 +137,12 @@ class LawOnSets:
         shapes += [(_LAST + 1, 1 << (len(table.mu) - 1).bit_length()) for table in tables]
         channels, rows = map(max, zip(*shapes, strict=True))
         self.rounds = Rounds(self.model, prepared, shape=(channels, rows))
-        problems = _with_tables(self.rounds.problems, tables)
-        self.throws = len(prepared)
-        every = np.minimum(np.arange(len(self.owner)), self.throws - 1)
-        start = self.rounds.starts()[1][0][every]
+        every = np.minimum(np.arange(len(self.owner)), len(prepared) - 1)
+        problems = _with_tables(
+            jax.tree.map(lambda leaf: np.array(leaf[every]), self.rounds.problems), throws, tables
+        )
+        start = self.rounds.starts()[1][0] if throws else np.zeros((1, len(parameters.names)))
+        start = start[every]
         lower, upper = (end[every] for end in local_bounds(prepared, self.common)[1:])
         self.speed = list(parameters.names).index("v0")
         start[self.throws :, self.common] = [default_guess(item) for item in law.coefficients()]
@@ -150,13 +152,13 @@ class LawOnSets:
         start = np.clip(start, lower, upper)
         self.tasks = Tasks(problems, start, lower, upper, parameters.typical)
         self.unknown = np.zeros(problems.weight.shape[:2], bool)
-        self.unknown[: self.throws] = self.rounds.unknown
+        self.unknown[: self.throws] = self.rounds.unknown[: self.throws]
         for row, table in enumerate(tables, self.throws):
             self.unknown[row, _LAST] = table.sigma is None
 
     def counts(self) -> Floats:
         """Number of values by throw or table and channel."""
-        return (self.tasks.problems.weight > 0).sum(-1) * (self.owner >= 0)[:, None] * 1.0
+        return (self.tasks.problems.weight > 0).sum(-1) * 1.0
 
     def called(self, row: int, channel: int, place: int) -> str:
         """A value in words, such as "curl of row 7"."""
@@ -184,10 +186,10 @@ class LawOnSets:
         begin[~inside, self.speed] = _ASIDE
         for end in (lower, upper):
             end[np.ix_(~inside, ~common)] = begin[np.ix_(~inside, ~common)]
-        some = problems._replace(
-            weight=weight * inside[:, None, None],
-            times=np.where(inside[:, None], problems.times, _MOMENT * problems.times),
-        )
+        some = problems._replace(weight=weight * inside[:, None, None])
+        if self.throws:
+            moment = np.where(inside, 1.0, _MOMENT)[:, None]
+            some = some._replace(times=moment * problems.times)
         tasks = self.tasks._replace(problems=some, start=begin, lower=lower, upper=upper)
         found = minimize_jointly(self.model, tasks, common)
         kept = np.where(inside[:, None] | common, found.values, start)
@@ -231,12 +233,12 @@ class LawOnSets:
 
     def together(self, alone: Sequence[Solution], weight: Floats) -> Solution:
         """The optimum of all data sets, from those of each."""
-        inside, own = self.owner >= 0, np.stack([one.values for one in alone])
-        start = np.where(inside[:, None], own[self.owner, np.arange(len(inside))], self.tasks.start)
+        own, every = np.stack([one.values for one in alone]), np.ones(len(self.owner), bool)
+        start = own[self.owner, np.arange(len(every))]
         starts = [np.where(self.common, one[0], start) for one in own]
         starts.append(np.where(self.common, own[:, 0].mean(0), start))
         return best(
-            self.optimum(inside, one, weight) for one in starts[: 1 if len(own) == 1 else None]
+            self.optimum(every, one, weight) for one in starts[: 1 if len(own) == 1 else None]
         )
 
     def told(self, found: Solution) -> Told:
@@ -253,8 +255,8 @@ class Told(NamedTuple):
     solution: Solution
     reduction: Reduction
 
-    def by(self, inside: Booleans) -> Covariance:
-        """By some of them."""
+    def by(self, inside: Booleans | slice = slice(None)) -> Covariance:
+        """By some of them, or all."""
         some = replace(self.reduction, rows=self.reduction.rows[inside])
         return told_by_data(self.of.tasks, self.solution, some, self.of.names)
 
@@ -293,25 +295,27 @@ def best(solutions: Iterable[Solution]) -> Solution:
 
 
 def _carrier() -> Throw:
-    """A throw that stands where there are tables of friction alone."""
+    """A throw that has the parameters where there are tables of friction alone."""
     hog, tee = LINES["hog"], LINES["far-tee"]
     events = Event("speed", "speed", 2.0, 0.02, hog), Event("rest", "y", tee, 0.05)
     return Throw.from_events(events)
 
 
-def _with_tables(problems: Problem, tables: Sequence[FrictionTable]) -> Problem:
-    """Problems of throws, and after these of tables of friction."""
-    count, rows = problems.times.shape
-    if not problems.weight[:, _LAST:].any():
+def _with_tables(
+    problems: Problem, throws: Sequence[Throw], tables: Sequence[FrictionTable]
+) -> Problem:
+    """Problems of throws, and of tables of friction in place of those after these."""
+    count, (every, _, rows) = len(throws), problems.weight.shape
+    if not problems.weight[:count, _LAST:].any():
         problems = problems._replace(events=None)
-    every = np.minimum(np.arange(count + len(tables)), count - 1)
-    found: Problem = jax.tree.map(lambda leaf: np.array(leaf[every]), problems)
-    states = np.zeros((len(every), 2, rows))
+    states = np.zeros((every, 2, rows))
     for row, table in enumerate(tables, count):
         size = len(table.mu)
-        found.observed[row], found.weight[row] = 0.0, 0.0
-        found.times[row] *= _MOMENT
+        problems.observed[row], problems.weight[row] = 0.0, 0.0
+        problems.times[row] *= _MOMENT
         states[row, :, :size] = table.speed, table.omega
-        found.observed[row, _LAST, :size] = table.mu
-        found.weight[row, _LAST, :size] = 1.0 if table.sigma is None else 1 / table.sigma
-    return found._replace(states=states) if tables else found
+        problems.observed[row, _LAST, :size] = table.mu
+        problems.weight[row, _LAST, :size] = 1.0 if table.sigma is None else 1 / table.sigma
+    if not throws:
+        problems = problems._replace(times=None)
+    return problems._replace(states=states) if tables else problems
