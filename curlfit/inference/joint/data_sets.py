@@ -269,11 +269,9 @@ class Told(NamedTuple):
         for place, item in enumerate(self.of.law.coefficients()):
             free = known.free[place]
             stderr, verdict, _ = known.classified(place) if free else (None, "fixed", None)
-            found[item.name] = Estimate(
-                value=float(known.values[place]), stderr=stderr, verdict=verdict, unit=item.unit,
-                symbol=item.symbol, meaning=item.meaning, lower=item.lower, upper=item.upper,
-                typical=item.typical, reason=weakness(verdict, item.typical),
-                dof=None if stderr is None else dof,
+            found[item.name] = Estimate.of(
+                item, float(known.values[place]), verdict, stderr=stderr,
+                dof=None if stderr is None else dof, reason=weakness(verdict, item.typical),
             )  # fmt: skip
         return found, tuple(replace(one, dof=dof) for one in known.combinations)
 
