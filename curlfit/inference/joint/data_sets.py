@@ -27,8 +27,8 @@ from curlfit.inference.fit.summary import weakness
 from curlfit.inference.identifiability import Bounded, Combination, r_factors, visible
 from curlfit.inference.initial_values import default_guess
 from curlfit.inference.joint.population import told_by_data
-from curlfit.inference.joint.solver import minimize_jointly
-from curlfit.inference.least_squares import Solution, Tasks, residual_sigma
+from curlfit.inference.joint.solver import JOINT, minimize_jointly
+from curlfit.inference.least_squares import PRECISE, Solution, Tasks, residual_sigma
 from curlfit.inference.model import Model
 from curlfit.inference.noise.models import Independence
 from curlfit.inference.parameters import options_of
@@ -191,7 +191,8 @@ class LawOnSets:
             moment = np.where(inside, 1.0, _MOMENT)[:, None]
             some = some._replace(times=moment * problems.times)
         tasks = self.tasks._replace(problems=some, start=begin, lower=lower, upper=upper)
-        found = minimize_jointly(self.model, tasks, common)
+        how = JOINT if self.throws else PRECISE
+        found = minimize_jointly(self.model, tasks, common, how=how)
         kept = np.where(inside[:, None] | common, found.values, start)
         return found._replace(values=kept)
 

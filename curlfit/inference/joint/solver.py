@@ -21,12 +21,13 @@ from curlfit.numerics.batches import stacked
 Progress = Callable[[int, float], None]
 
 _TOGETHER = 4  # throws are computed in multiples of this many, so that few shapes are compiled
-_CONTROL = Control(1e-3, 1e-12, 1e-16)
+JOINT = Control(1e-3, 1e-12, 1e-16)
 
 
 def minimize_jointly(
-    model: Model, throws: Tasks, common: Booleans, progress: Progress | None = None
-) -> Solution:
+    model: Model, throws: Tasks, common: Booleans, progress: Progress | None = None,
+    how: Control = JOINT,
+) -> Solution:  # fmt: skip
     """The optimum of throws together, each along the first axis of the fields.
 
     Parameters
@@ -55,7 +56,7 @@ def minimize_jointly(
     start, lower, upper = map(joined, (padded.start, padded.lower, padded.upper))
     whole = stacked([Tasks(padded.problems, start, lower, upper, typical, penalty)])
     whole = whole._replace(typical=typical, common=common)
-    found: Solution = jax.tree.map(lambda leaf: leaf[0], solve(model, whole, _CONTROL, once=False))
+    found: Solution = jax.tree.map(lambda leaf: leaf[0], solve(model, whole, how, once=False))
     values = found.values[Blocks.of(common, count).index]
     if progress is not None:
         progress(int(found.steps), float(found.chi_squared.sum() + found.penalty))
