@@ -125,6 +125,11 @@ class Separated(Choices):
     separate: Annotated[Sequence[str], option(NAMES, "A,B")] = ()
     relative_error: Annotated[float, option(NUMBER, "V")] = 0.2
 
+    def words(self) -> list[str]:
+        """The flags that give these choices."""
+        names = [f"--separate={','.join(self.separate)}"] * bool(self.separate)
+        return [*names, f"--relative-error={self.relative_error:.10g}"]
+
 
 def design(
     *,
