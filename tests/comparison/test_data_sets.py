@@ -94,7 +94,7 @@ def test_the_friction_table_alone_is_as_scipy_fits_it(agreeing):
         x_scale=[0.01, 1], xtol=1e-14,
     )  # fmt: skip
     on = agreeing.of("power").sets[1]
-    assert on.own_chi_squared == pytest.approx(2 * alone.cost, rel=1e-6)
+    assert on.own_chi_squared == pytest.approx(2 * alone.cost, rel=1e-4)
     assert (on.own_dof, on.determined) == (pytest.approx(4.0), ("c", "k"))
 
 
