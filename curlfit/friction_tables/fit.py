@@ -69,7 +69,7 @@ def fit_friction(
         lambda law: _fitted(LawOnSets(law, check_load(load), sets, chosen, family), table),
         [(law,) for law in usable],
     ) as each:
-        fits = sorted(each, key=lambda one: (not one.converged, one.bic))
+        fits = sorted(each, key=lambda one: (not one.converged, round(one.bic, 6)))
     observed = {"speed": table.speed, "omega": table.omega, "mu": table.mu}
     return FrictionFits(
         {"file": table.name, "sigma": "estimated" if table.sigma is None else "given"},

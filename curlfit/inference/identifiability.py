@@ -158,9 +158,9 @@ class Bounded(NamedTuple):
         room within the bounds, compared with their standard error 1/`singular`, that only the
         bounds limit them."""
         step = right * typical / np.maximum(singular, 1e-300)[..., None]
-        free = self.upper > self.lower
-        below = np.where(free, self.values - self.lower, np.inf)[..., None, :]
-        above = np.where(free, self.upper - self.values, np.inf)[..., None, :]
+        moved = (self.upper > self.lower)[..., None, :] & (np.abs(right) > _ROUNDING)
+        below = np.where(moved, (self.values - self.lower)[..., None, :], np.inf)
+        above = np.where(moved, (self.upper - self.values)[..., None, :], np.inf)
         size = np.maximum(np.abs(step), 1e-300)
         forward = np.where(step > 0, above, below) / size
         backward = np.where(step > 0, below, above) / size

@@ -96,6 +96,13 @@ def noisy(law, omega=1.2, rows=101):
     return curlfit.Throw.from_arrays(t, **measured, sigma=sigma)
 
 
+def test_a_parameter_at_its_bound_confines_no_direction_in_which_it_has_no_part():
+    """But for rounding: two such parameters left no room to either side."""
+    bounded = Bounded(np.array([3.9, 0.0, 0.01]), np.array([0.05, 0.0, 0.01]), np.full(3, 20.0))
+    (found,) = bounded.confine(np.array([[1.0, 1e-17, -1e-17]]), np.array([0.95]), np.ones(3))
+    assert not found
+
+
 def test_an_error_contains_the_values_where_another_coefficient_is_usual():
     """The drop of sutor's friction dies with spin, at a scale that one throw does not tell."""
     throw = noisy(curlfit.LAWS["sutor"](alpha=0.16), omega=0.7)
