@@ -216,7 +216,7 @@ def browser():
     driver.quit()
 
 
-def wait_for(condition: Callable[[], Any], seconds: float = 8.0) -> None:
+def wait_for(condition: Callable[[], Any], seconds: float = 30.0) -> None:
     """Wait until something is so."""
     end = time.monotonic() + seconds
     while not condition():

@@ -159,7 +159,7 @@ def test_a_good_file_is_fitted_and_saved_as_the_command_would(page, served, tmp_
     frame, inner = page.find_element("css selector", "iframe").rect["height"], 0
     wait_for(lambda: in_report(page, "return document.body.offsetHeight") > 3000)
     inner = in_report(page, "return document.body.offsetHeight")
-    wait_for(lambda: page.find_element("css selector", "iframe").rect["height"] >= inner, 8)
+    wait_for(lambda: page.find_element("css selector", "iframe").rect["height"] >= inner)
     assert frame > 0
     save(page, "mine")
     wait_for(lambda: f"Written: {folder / 'mine'}" in said(page))
