@@ -9,13 +9,14 @@ from typing import Any
 from curlfit.friction.base import LocalLaw, RingPoint, arctan, coefficient, power
 from curlfit.stone import GRAVITY
 
-_SLOWEST = 1e-3
-"""Speed in m/s below which powers of the speed, and the side, change gradually"""
-_SLOWEST_PIVOT = 1e-2
-"""The same of a pivot, whose torque ends the spin of a moving stone"""
+_SLOWEST = 1e-2
+"""Speed in m/s below which a force ceases, lest a stone turn ever faster as it comes to rest, and
+R omega below which the torque of a pivot does, which ends the spin of a moving stone"""
+_SIDE = 1e-3
+"""R omega in m/s below which the side of a force changes gradually"""
 
 
-def _to_the_slow_side(u: Any, exponent: float, slowest: float = _SLOWEST) -> Any:
+def _to_the_slow_side(u: Any, exponent: float, slowest: float = _SIDE) -> Any:
     """-sgn(u) |u|^exponent, smooth where u changes its sign."""
     return -u * power(u**2 + slowest**2, (exponent - 1) / 2)
 
@@ -41,7 +42,7 @@ class Sideways(LocalLaw):
                            symbol="n", signed=True)  # fmt: skip
 
     def traction(self, point: RingPoint) -> tuple[Any, Any]:
-        size = self.a / GRAVITY * power(point.v**2 + _SLOWEST**2, self.n / 2)
+        size = self.a / GRAVITY * point.v * power(point.v**2 + _SLOWEST**2, (self.n - 1) / 2)
         return size * _to_the_slow_side(point.u, 0.0), 0.0
 
 
@@ -61,8 +62,9 @@ class Transverse(LocalLaw):
                            symbol="b")  # fmt: skip
 
     def traction(self, point: RingPoint) -> tuple[Any, Any]:
-        angle = 2 * arctan(point.u / power(point.v**2 + _SLOWEST**2, 0.5))
-        return -self.b / GRAVITY * angle, 0.0
+        speed = power(point.v**2 + _SLOWEST**2, 0.5)
+        angle = 2 * arctan(point.u / speed)
+        return -self.b / GRAVITY * angle * point.v / speed, 0.0
 
 
 class Pivot(LocalLaw):
@@ -81,5 +83,5 @@ class Pivot(LocalLaw):
                            symbol="q")  # fmt: skip
 
     def traction(self, point: RingPoint) -> tuple[Any, Any]:
-        push = self.q * _to_the_slow_side(point.u, -0.5, _SLOWEST_PIVOT)
+        push = self.q * _to_the_slow_side(point.u, -0.5, _SLOWEST)
         return push * (1 - point.eta), push * point.xi  # the torque along the ring

@@ -100,7 +100,7 @@ def power(c, k):
 
 
 def sideways(law, a, n):
-    return pushed(law, lambda v, u: a / G * (v**2 + 1e-6) ** (n / 2) * slow_side(u))
+    return pushed(law, lambda v, u: a / G * v * np.hypot(v, 1e-2) ** (n - 1) * slow_side(u))
 
 
 FORMULAS = {
@@ -112,7 +112,8 @@ FORMULAS = {
     "sutor": sutor,
     "power+sideways": lambda c, k, a, n: sideways(power(c, k), a, n),
     "power+transverse": lambda c, k, b: pushed(
-        power(c, k), lambda v, u: -2 * b / G * np.arctan(u / np.hypot(v, 1e-3))
+        power(c, k),
+        lambda v, u: -2 * b / G * np.arctan(u / np.hypot(v, 1e-2)) * v / np.hypot(v, 1e-2),
     ),
     "power+pivot": lambda c, k, q: pushed(
         power(c, k), lambda v, u: q * slow_side(u, -0.5, 1e-2), torque=1.0
