@@ -120,3 +120,16 @@ def test_no_sum_is_determined_where_what_fits_lies_on_a_curve():
                       law="front-back+sideways")  # fmt: skip
     (warning,) = [one for one in fit.warnings if "lie on a curve" in one]
     assert not any(item.expression in warning for item in fit.combinations)
+
+
+def test_a_sum_holds_that_hardly_changes_along_a_curve(eq12):
+    """As friction goes from behind the centre to before it, under consistent load."""
+    fit = curlfit.fit(eq12, load="consistent", details=False)
+    (one,) = fit.combinations
+    ends = [
+        curlfit.fit(eq12, load="consistent", fix=held, sigma=fit.sigma, details=False)
+        for held in ({"mu1_eta": 0.0}, {"mu2_eta": 0.0})
+    ]
+    assert ends[1].chi_squared < ends[0].chi_squared + 1
+    sums = [sum(w * end[name].value for name, w in one.weights.items()) for end in ends]
+    assert sums == pytest.approx([one.value] * 2, abs=one.stderr)

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from curlfit.inference.fit.covariance import Curvature
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.prepared import LeastSquaresFit
 from curlfit.inference.fit.result import FitResult
@@ -46,7 +47,7 @@ class Rival(NamedTuple):
 
 def warnings_of(
     fit: LeastSquaresFit, result: FitResult, residual: Floats, unusual: Iterable[Finding],
-    rival: Rival, nonquadratic: Mapping[str, bool | None],
+    rival: Rival, curvature: Curvature,
 ) -> tuple[str, ...]:  # fmt: skip
     """The warnings of a result, the gravest first.
 
@@ -55,11 +56,10 @@ def warnings_of(
     residual : measured - fitted, shape (channels, n).
     unusual : findings about the data and the fitted motion.
     rival : another optimum that fits as well.
-    nonquadratic : parameters and combinations within whose error chi squared is not quadratic; None
-        for combinations beside a ridge.
+    curvature : what first order does not describe.
     """
     throw, outliers = fit.prepared.throw, result.outliers
-    rough = [name for name, off in nonquadratic.items() if off is not None]
+    rough = [name for name in curvature.rough if name not in curvature.beside]
     warnings = [*map(str, unusual), *_of_rival(rival, throw)]
     fault = fit.model.law.from_vector(fit.solution.values).fault()
     if fault is not None:
@@ -73,8 +73,8 @@ def warnings_of(
         warnings.append(outlier_warning(outliers, throw.t))
     if fit.loss == "linear" and fit.noise.kind == "white":
         warnings += _of_given_sigma(throw, residual, outliers)
-    local = [name for name, off in nonquadratic.items() if off is None]
-    return (*warnings, *_of_memory(result), *_of_events(result), *_of_ridges(local))
+    ridges = _of_ridges(curvature.beside)
+    return (*warnings, *_of_memory(result), *_of_events(result), *ridges)
 
 
 def _of_rival(rival: Rival, throw: Throw) -> list[str]:
@@ -153,14 +153,17 @@ def _of_errors(result: FitResult, nonquadratic: Iterable[str]) -> list[str]:
     return warnings
 
 
-def _of_ridges(combinations: Sequence[str]) -> list[str]:
+def _of_ridges(beside: Mapping[str, bool]) -> list[str]:
     """Sums of parameters that are constant along the tangent of a curve alone."""
-    if not combinations:
+    near = [name for name, lost in beside.items() if not lost]
+    gone = [name for name, lost in beside.items() if lost]
+    parts = [f"combinations hold near this estimate only ({', '.join(near)})"] * bool(near)
+    parts += [f"combinations are not given that change along it ({', '.join(gone)})"] * bool(gone)
+    if not parts:
         return []
-    change = "changes" if len(combinations) == 1 else "change"
     return [
-        f"the coefficients that fit lie on a curve, along which {', '.join(combinations)} {change} "
-        "and so are not determined; throws of other speeds and spins determine more"
+        f"the coefficients that fit lie on a curve: {', and '.join(parts)}; throws of other speeds "
+        "and spins determine more"
     ]
 
 

@@ -34,6 +34,10 @@ _MISLEADING = 4.0  # factor by which the rise of chi squared is off if a standar
 _SMALL = 0.1  # standard error over typical size, below which an estimate is determined even then
 _FAINT = 0.5  # standard error over typical size above which a direction is hardly determined
 _CURVED_RIDGE = 4.0  # rise of chi squared: what fits has left the tangent by two standard errors
+_NARROW = 0.02
+"""Such an error over typical sizes, above which a sum is not determined: 0.008 for eq. 12 under
+consistent load, where the sum hardly changes; 0.03 and more for `front-back+sideways`, where the
+truth is up to 36 standard errors off."""
 _TAKES_PART = 0.05  # component over the largest, above which a parameter takes part in a direction
 _QUADRATIC = 0.5  # largest departure from one of the rise of chi squared at one standard error
 _KNOWN = 1e-3  # share of estimated variances in a sum below which the sum counts as known
@@ -216,19 +220,26 @@ class Covariance:
         points = bounded.values + (signs * steps)[:, None] * axes * self.typical
         return Ridge(points, axes, (steps / np.repeat(sigmas, 2)) ** 2)
 
-    def beside_a_ridge(self, ridge: Ridge, delta_chi2: Floats) -> list[str]:
+    def beside_a_ridge(self, ridge: Ridge, delta_chi2: Floats) -> dict[str, bool]:
         """Combinations of parameters along a direction that is hardly determined, where chi squared
         rises more than at first order: the values that fit lie on a curve, and a sum of parameters
-        is constant along its tangent alone.
+        is constant along its tangent alone. And whether it may change by so much, with an error for
+        which chi squared would rise like this, that little is known of it.
 
         `delta_chi2` is the rise of chi squared at the points of the ridge.
         """
-        size = np.abs(ridge.axes)[delta_chi2 - ridge.expected > _CURVED_RIDGE][:, self.open]
-        concerned = (size > _TAKES_PART * size.max(-1, keepdims=True)).any(0)
-        weights, sums = self.identifiability.determined(), self.identifiability.combinations
-        return [
-            item.expression for item in sums if (concerned & (weights[item.expression] != 0)).any()
-        ]
+        rise = np.nan_to_num(delta_chi2 - ridge.expected, nan=np.inf)
+        size = np.abs(ridge.axes)[:, self.open]
+        concerned = (size > _TAKES_PART * size.max(-1, keepdims=True)) * rise[:, None]
+        most, found = concerned.max(0, initial=0.0), {}
+        weights = self.identifiability.determined()
+        for item in self.identifiability.combinations:
+            row = weights[item.expression]
+            worst = most[row != 0].max()
+            if item.stderr is not None and worst > _CURVED_RIDGE:
+                narrow = _NARROW * np.abs(row * self.typical[self.open]).max()
+                found[item.expression] = bool(item.stderr * np.sqrt(1 + worst) > narrow)
+        return found
 
     def nonquadratic(self, axes: Floats, delta_chi2: Floats) -> dict[str, bool]:
         """Parameters and combinations along which chi squared does not rise by about one at one
@@ -268,6 +279,19 @@ def satterthwaite(parts: Floats, dof: Floats) -> list[float | None]:
     known = ~(np.where(np.isfinite(dof), size, 0.0).sum(-1) > _KNOWN * size.sum(-1))
     found = parts.sum(-1) ** 2 / np.where(known, 1.0, (parts**2 / dof).sum(-1))
     return [None if exact else n for n, exact in zip(found.tolist(), known, strict=True)]
+
+
+class Curvature(NamedTuple):
+    """What first order does not describe."""
+
+    rough: dict[str, bool]
+    """see `Covariance.nonquadratic`"""
+    beside: dict[str, bool]
+    """see `Covariance.beside_a_ridge`"""
+
+    def lost(self) -> set[str]:
+        """Parameters and combinations that are not determined after all."""
+        return {name for name, lost in (self.rough | self.beside).items() if lost}
 
 
 class Ridge(NamedTuple):

@@ -15,6 +15,7 @@ from curlfit.inference.fit.caveats import Rival, warnings_of
 from curlfit.inference.fit.covariance import (
     CONVERGED,
     Covariance,
+    Curvature,
     Sigmas,
     robust_jacobians,
     with_others,
@@ -88,12 +89,12 @@ def summarize_many(
     )
     residuals = residuals_of(many.problems, many.solutions, paths)
     found, reduction = many.covariances(residuals)
-    nonquadratic = many.nonquadratic(found, reduction, batch)
+    curvatures = many.curvatures(found, reduction, batch)
     systematics = [Systematics()] * len(fits)
     if paths is not None and widths:
         systematics = many.systematics(found, reduction, paths, widths, batch)
     each = [None] * len(fits) if paths is None else paths
-    return list(map(_record, fits, each, residuals, found, nonquadratic, systematics))
+    return list(map(_record, fits, each, residuals, found, curvatures, systematics))
 
 
 class _Many(NamedTuple):
@@ -155,11 +156,10 @@ class _Many(NamedTuple):
             found = with_others(found, estimator.reduction)
         return found, factors.reduction
 
-    def nonquadratic(
+    def curvatures(
         self, found: Sequence[Covariance], reduction: Reduction | None, batch: int
-    ) -> list[dict[str, bool | None]]:
-        """See `Covariance.nonquadratic`, with None for combinations beside a ridge; the others of a
-        throw are quadratic."""
+    ) -> list[Curvature]:
+        """What first order does not describe in each throw."""
         at = [Bounded(*(part[row] for part in self.bounded)) for row in range(len(found))]
         around = [one.one_sigma_points(there) for one, there in zip(found, at, strict=True)]
         count = len(self.model.law.coefficients())
@@ -178,10 +178,10 @@ class _Many(NamedTuple):
         rows = self.others if reduction is None else reduction.others
         if rows is not None:
             delta += chi_squared_change(rows[owner], points - best)
-        named: list[dict[str, bool | None]] = []
+        named = []
         for row, (one, (_, axes), ridge) in enumerate(zip(found, around, ridges, strict=True)):
             curved = one.beside_a_ridge(ridge, delta[place == len(found) + row])
-            named.append({**one.nonquadratic(axes, delta[place == row]), **dict.fromkeys(curved)})
+            named.append(Curvature(one.nonquadratic(axes, delta[place == row]), curved))
         return named
 
     def systematics(
@@ -212,7 +212,7 @@ def _record(
     path: Floats | None,
     residual: Floats,
     found: Covariance,
-    nonquadratic: dict[str, bool | None],
+    curvature: Curvature,
     systematics: Systematics,
 ) -> FitResult:
     law, throw, known = fit.model.law, fit.prepared.throw, found.identifiability
@@ -224,9 +224,8 @@ def _record(
     series = _by_channel(fit, residual)
     enough = {name: pair for name, pair in series.items() if len(pair[0]) > _FEWEST}
     lag1 = {name: Independence.of(off).lag1 for name, (off, _) in enough.items()}
-    misleading, rival = {name for name, yes in nonquadratic.items() if yes}, _rival(fit)
+    misleading, rival = curvature.lost(), _rival(fit)
     estimates = _estimates(fit.prepared.parameters, found, misleading, rival)
-    beside = {name for name, yes in nonquadratic.items() if yes is None}
     unusual = _unusual(fit, estimates["v0"], curves)
     result = FitResult(
         law=law.name,
@@ -247,7 +246,7 @@ def _record(
         combinations=tuple(
             replace(one, stderr=rival.widened(one.stderr, one.weights))
             for one in found.combinations
-            if one.expression not in misleading | beside
+            if one.expression not in misleading
         ),
         rank=known.rank,
         singular_values=tuple(map(float, known.singular_values)),
@@ -267,7 +266,7 @@ def _record(
             for event, off in zip(throw.events, residual[-1], strict=False)
         ),
     )
-    warnings = warnings_of(fit, result, residual, unusual, rival, nonquadratic)
+    warnings = warnings_of(fit, result, residual, unusual, rival, curvature)
     return replace(result, warnings=warnings)
 
 
