@@ -230,8 +230,9 @@ class Covariance:
         """
         rise = np.nan_to_num(delta_chi2 - ridge.expected, nan=np.inf)
         size = np.abs(ridge.axes)[:, self.open]
-        concerned = (size > _TAKES_PART * size.max(-1, keepdims=True)) * rise[:, None]
-        most, found = concerned.max(0, initial=0.0), {}
+        concerned = size > _TAKES_PART * size.max(-1, keepdims=True)
+        most = np.where(concerned, rise[:, None], 0.0).max(0, initial=0.0)
+        found = {}
         weights = self.identifiability.determined()
         for item in self.identifiability.combinations:
             row = weights[item.expression]
