@@ -63,15 +63,8 @@ def thrown(name: str, random: np.random.Generator) -> list[curlfit.Throw]:
     return found
 
 
-def bic(fit: curlfit.FitResult | curlfit.JointResult, throws: int) -> float:
-    """Of a fit with given sigma; the initial state of each throw is estimated too."""
-    fits = getattr(fit, "throws", (fit,))
-    n = sum(one.n_observations for one in fits)
-    return sum(one.chi_squared for one in fits) + (len(fit.coefficients) + 6 * throws) * np.log(n)
-
-
 def confusion(sets: int) -> None:
-    """How often each law has the least BIC, by the law that made the data."""
+    """How often `compare` puts each law first, by the law that made the data."""
     for count in (1, 4):
         table = Table("truth", "first", "within 6 of the first", "others that came first")
         for name in LAWS:
@@ -79,20 +72,12 @@ def confusion(sets: int) -> None:
             first: Counter[str] = Counter()
             near = 0
             for _ in range(sets):
-                throws, least = thrown(name, random)[:count], {}
-                for law in LAWS:
-                    try:
-                        fit = (
-                            curlfit.fit(throws[0], law, details=False)
-                            if count == 1
-                            else curlfit.fit_together(throws, law, share="all")
-                        )
-                    except curlfit.CurlfitError:
-                        continue
-                    if fit.converged:
-                        least[law] = bic(fit, count)
-                first[min(least, key=least.__getitem__)] += 1
-                near += least.get(name, np.inf) - min(least.values()) <= 6
+                throws = thrown(name, random)[:count]
+                found = curlfit.compare(throws[0] if count == 1 else throws)
+                first[found.best.law] += 1
+                near += any(
+                    one.law == name and one.rank and one.delta_bic <= 6 for one in found.candidates
+                )
             others = ", ".join(f"`{law}` {n}" for law, n in first.most_common() if law != name)
             table.add(f"`{name}`", f"{first[name]} of {sets}", near, others)
         title = "One throw" if count == 1 else "Four throws, of two senses and two rates of spin"
