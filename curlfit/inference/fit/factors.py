@@ -179,6 +179,12 @@ class Reduction:
         follow = follow * typical[:, None] / typical
         return cls(rest, follow, seen.sum(-1), common)
 
+    def in_common(self, typical: Floats | float = 1.0) -> Floats:
+        """The rows, on the parameters in common alone, in units of `typical` sizes."""
+        found = self.rows[..., np.append(self.common, True)]
+        found[..., :-1] *= typical
+        return found
+
     @cached_property
     def others(self) -> Floats:
         """R factor of the rows of all throws but each, to be added to those of that throw; from

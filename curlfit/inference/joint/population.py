@@ -173,7 +173,7 @@ def pool(
             values = np.array(solution.values)
         solution = rounds.with_own_sigma(solution)
         reduction, now = reduced(throws, solution), (values[:, common] - reference) / typical
-        each = reduction.rows[..., np.append(common, True)] * np.append(typical, 1.0)
+        each = reduction.in_common(typical)
         each[..., :-1] = each[..., :-1] @ seen
         if not step:
             model = _model(throws, each, now, directions, _prior(throws, centre, seen))
@@ -212,7 +212,7 @@ def told_by_data(
     common = reduction.common
     bounded = Bounded(*(part[0, common] for part in (solution.values, tasks.lower, tasks.upper)))
     typical = tasks.typical[common]
-    rows = r_factor(reduction.rows[..., np.append(common, True)].reshape(-1, len(typical) + 1))
+    rows = r_factor(reduction.in_common().reshape(-1, len(typical) + 1))
     return _covariance(names, Factors.of(rows, bounded, typical, None), bounded, typical)
 
 

@@ -103,7 +103,7 @@ def shifts_of_means(
     random = np.random.default_rng(seed)
     some = random.choice(len(draws.spreads), _TRIED)
     reduction, values = reduced(throws, solution), np.array(solution.values)
-    rows = reduction.rows[..., np.append(common, True)] * np.append(found.typical, 1.0)
+    rows = reduction.in_common(found.typical)
     now = (values[:, None, common] - found.reference) / found.typical
     mean = (found.fit.at(model.covariates) @ draws.estimate[some].T).mT
     mean -= (mean - now) @ model.null @ model.null.T
