@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from curlfit.inference.fit.covariance import Curvature
+from curlfit.inference.fit.covariance import Curvature, Rival
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.prepared import LeastSquaresFit
 from curlfit.inference.fit.result import FitResult
@@ -28,21 +27,6 @@ _MISSED = 4.0  # sigmas beyond which an event counts as missed; by chance one in
 _FEWEST = 20  # values of a channel, above which their independence is judged
 _NOT_LINEAR = 10.0  # typical sizes, beyond which a shift is not of first order
 _LASTING = 0.1  # memory over time of motion, above which errors are too small (`tests/statistics`)
-
-
-class Rival(NamedTuple):
-    """Another optimum that fits as well; empty without one."""
-
-    values: Mapping[str, float]
-    """of the parameters that differ"""
-    between: Mapping[str, float]
-    """from the estimates to it, of all parameters, where a coefficient went astray: what lies
-    between fits too"""
-
-    def widened(self, stderr: float | None, weights: Mapping[str, float]) -> float | None:
-        """The standard error of a weighted sum of parameters, with the distance to this optimum."""
-        apart = sum(weight * self.between.get(name, 0.0) for name, weight in weights.items())
-        return None if stderr is None else math.hypot(stderr, apart)
 
 
 def warnings_of(

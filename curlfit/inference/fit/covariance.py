@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -293,6 +294,21 @@ class Curvature(NamedTuple):
     def lost(self) -> set[str]:
         """Parameters and combinations that are not determined after all."""
         return {name for name, lost in (self.rough | self.beside).items() if lost}
+
+
+class Rival(NamedTuple):
+    """Another optimum that fits as well; empty without one."""
+
+    values: Mapping[str, float]
+    """of the parameters that differ"""
+    between: Mapping[str, float]
+    """from the estimates to it, of all parameters, where a coefficient went astray: what lies
+    between fits too"""
+
+    def widened(self, stderr: float | None, weights: Mapping[str, float]) -> float | None:
+        """The standard error of a weighted sum of parameters, with the distance to this optimum."""
+        apart = sum(weight * self.between.get(name, 0.0) for name, weight in weights.items())
+        return None if stderr is None else math.hypot(stderr, apart)
 
 
 class Ridge(NamedTuple):

@@ -11,11 +11,12 @@ import jax
 import numpy as np
 
 from curlfit.foreign import counted
-from curlfit.inference.fit.caveats import Rival, warnings_of
+from curlfit.inference.fit.caveats import warnings_of
 from curlfit.inference.fit.covariance import (
     CONVERGED,
     Covariance,
     Curvature,
+    Rival,
     Sigmas,
     robust_jacobians,
     with_others,
