@@ -131,7 +131,7 @@ def compare(
     found = computed(fitted, fits, names, 0, len(fits), progress)
     if progress is not None:
         progress("", len(fits), len(fits))
-    made = _compared(*parted(chain(*found)))
+    made = _compared(*parted(chain(*found)), shared["family"])
     made = replace(made, lacking=_lacking(made, shared["family"]))
     return replace(made, data={**made.data, "flags": [*throw.read_with, *chosen.words()]})
 
@@ -214,7 +214,9 @@ def _needed_negative(result: FitResult) -> tuple[str, ...]:
     return tuple(name for name, low in zip(names, value < -1e-6 * typical, strict=True) if low)
 
 
-def _compared(found: list[Fitted], failed: Sequence[Candidate]) -> Comparison:
+def _compared(
+    found: list[Fitted], failed: Sequence[Candidate], family: type[LawFamily] | None
+) -> Comparison:
     """The comparison of fits to one throw, given in the order of the request."""
     first, path = found[0].result, found[0].adequacy
     noises = list(dict.fromkeys(one.result.noise.kind for one in found))
@@ -225,7 +227,7 @@ def _compared(found: list[Fitted], failed: Sequence[Candidate]) -> Comparison:
         one.known.update(criteria(one.result, one.likelihood, effective))
     _follow(found)
     if not effective.number and len(noises) == 1:
-        _add_predictions(found)
+        _add_predictions(found, family)
     found = [found[row] for row in ranked([one.known for one in found])]
     return Comparison(
         data=first.data,
@@ -253,13 +255,12 @@ def _follow(found: Sequence[Fitted]) -> None:
                 one.known["follows"] = False
 
 
-def _add_predictions(found: Sequence[Fitted]) -> None:
+def _add_predictions(found: Sequence[Fitted], family: type[LawFamily] | None) -> None:
     """Evidence and leave-one-out, which are valid for independent residuals only: a small effective
     sample size does not determine the shape of a likelihood, and a row that is correlated with its
     neighbours is predicted from them whatever the law."""
     for one in found:
         one.known["log_evidence"] = log_evidence(one.result, one.known["log_likelihood"])
-    family = family_of(one.result.law_class for one in found)  # whose program fitted them
     scored = [(one, score) for one in found if (score := leave_one_out(one.result, family))]
     counted = [score for one, score in scored if one.counts]
     best = max(counted, key=lambda score: score.elpd, default=None)
