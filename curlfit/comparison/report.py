@@ -14,6 +14,7 @@ from rich.text import Text
 from curlfit.comparison.report_of_sets import document_of_sets
 from curlfit.comparison.result import COMPONENTS, Candidate, Comparison
 from curlfit.comparison.tables import coefficients_table, difference, ranked_row, summary
+from curlfit.foreign import counted
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Said, Section, command_line, show
 from curlfit.output.text import compact, join_words, rows_text, stone_text
@@ -46,7 +47,7 @@ def document(comparison: Comparison) -> Document:
     noise = "" if comparison.noise == "white" else f", {join_words(comparison.noises)} noise"
     bend = f"to the {comparison.side}" if comparison.side else "no more than its scatter"
     curl = f"curls {bend}: {comparison.curl:.3g} m (rms) off a straight line"
-    fits = f"{count} fit{'s' * (count != 1)} to {data['file']}{loss}{noise}"
+    fits = f"{counted(count, 'fit')} to {data['file']}{loss}{noise}"
     return Document(
         **summary(comparison, first, " and {} more"),
         subject=f"{fits}; the path {curl}",

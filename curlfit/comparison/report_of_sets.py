@@ -24,7 +24,7 @@ def document_of_sets(comparison: Comparison) -> Document:
     first, *others = _conclusions(comparison)
     many = len(sets) > 1
     files = ", ".join(one.name for one in sets)
-    laws = f"{len(candidates)} laws, {len(sets)} data set{'s' * many}"
+    laws = f"{counted(len(candidates), 'law')}, {counted(len(sets), 'data set')}"
     return Document(
         **summary(comparison, first, " ..."),
         subject=f"{laws}: {files}",

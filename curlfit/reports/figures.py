@@ -10,6 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from curlfit import sheet
+from curlfit.foreign import counted
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.inference.joint.result import JointResult, Variation
@@ -112,7 +113,7 @@ def _mark_outliers(axes: Any, fit: FitResult, channel: str, left: Floats, size: 
     axes.set_ylim(-edge, edge)
     axes.plot(
         times, np.clip(off / size, -0.97 * edge, 0.97 * edge), "x", color="black", markersize=4.5,
-        mew=0.9, clip_on=False, label=f"{len(mine)} outlier{'s' * (len(mine) > 1)}",
+        mew=0.9, clip_on=False, label=counted(len(mine), "outlier"),
     )  # fmt: skip
     axes.legend(loc="upper left", handletextpad=0.1, borderpad=0.1, frameon=True, framealpha=0.8,
                 edgecolor="none")  # fmt: skip
