@@ -47,8 +47,12 @@ def page(browser, served):
 
 
 def drop(browser, *files, onto=".drop"):
+    """Drop files, and wait until nothing is shown that was there before them."""
+    before = "document.querySelectorAll('main section').forEach(one => one.classList.add('before'))"
+    browser.execute_script(before)
     area = browser.find_element("css selector", f"{onto} input[type=file]")
     area.send_keys("\n".join(map(str, files)))
+    wait_for(lambda: not browser.find_elements("css selector", ".before"))
 
 
 def said(browser):
