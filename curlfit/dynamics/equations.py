@@ -41,7 +41,7 @@ _MAX_TURN = 1.5  # rad in a step
 _MAX_APPROACH = 0.6  # fraction of the time to the kink, by singularity distance
 _REST = 1e-10  # remaining motion (m and rad together) of a stone at rest
 _KINK = 2e-5  # singularity distance to which the kink at |epsilon| = 1 is resolved, 1 m remaining
-_MAX_TURNING = 5000.0  # rad of turning of the velocity in one time scale of the motion
+_CIRCLE = 1e-9  # radius in m of the smallest circles of a stone that are followed
 _ANGLE_TOLERANCE = 1e-9  # rad, for reaching an angle of the law's `corners`
 _SWITCH = 1e-9  # s, delay of the beginning and end of sweeping, so that steps can end there
 _MIN_SPIN = 1e-8  # rad/s, down to which the end of the spin is resolved
@@ -131,7 +131,6 @@ def rates(
     stone: Stone,
     forces: Array | None,
     load: Load,
-    turning_limit: Array,
     frame: HeadingFrame,
     clustering: NodeClustering,
     state: State,
@@ -142,12 +141,16 @@ def rates(
     `forces` are the fields of `ExternalForces`, shape (11, batch); None for a law alone.
 
     A stone that spins almost in place, under a transverse force, moves on circles of radius
-    v^2/a_xi. Where its velocity turns faster than `turning_limit` (rad/s), it is held at their
-    centre.
+    v^2/a_xi. It is held where they are negligibly small.
     """
     a = accelerations(law, stone, load, state.v, state.omega, state.phi, time, clustering)
     moving = state.v > 0
     _, s, c = frame.rotated_to(state.heading)
+
+    def followed(across: Array) -> Array:
+        """The part of the motion on circles that is followed, for a transverse acceleration."""
+        return state.v**4 / jnp.where(moving, state.v**4 + (_CIRCLE * across) ** 2, 1.0)
+
     if forces is not None:
         outer = ExternalForces(*forces)
         swept = (time > outer.swept_from + _SWITCH) & (time <= outer.swept_to + _SWITCH)
@@ -156,19 +159,13 @@ def rates(
         for knot, bend in zip(WEAR_KNOTS, bends, strict=True):
             worn = worn + bend * jnp.maximum(state.y - knot, 0.0) ** 3
         factor = jnp.where(swept, outer.sweep, 1.0) * worn
-        pull = jnp.where(moving, s * outer.g_x + c * outer.g_y, 0.0) - outer.drag * state.v**2
-        across = c * outer.g_x - s * outer.g_y
-        a = Accelerations(factor * a.xi + across, factor * a.eta + pull, factor * a.angular)
-    turning = jnp.where(moving, a.xi / jnp.where(moving, state.v, 1.0), 0.0)
-    stationary = jnp.abs(turning) > turning_limit
-    along, turning = (jnp.where(stationary, 0.0, value) for value in (state.v, turning))
+        across = factor * a.xi + c * outer.g_x - s * outer.g_y
+        pull = followed(across) * (s * outer.g_x + c * outer.g_y) - outer.drag * state.v**2
+        a = Accelerations(across, factor * a.eta + pull, factor * a.angular)
+    part = followed(a.xi)
+    turning = part * a.xi / jnp.where(moving, state.v, 1.0)
+    along = part * state.v
     return State(along * s, along * c, state.omega, turning, a.eta, a.angular)
-
-
-def turning_limit(law: Law, stone: Stone, span: Array, state: State, rate: State) -> Array:
-    """Turning rate (rad/s) of the velocity above which the position is held: circles completed
-    thousands of times within one time scale of the motion are smaller than 1e-7 m."""
-    return _MAX_TURNING * (1 / span + _decay_rate(law, stone, state, rate))
 
 
 def _remaining_motion(law: Law, state: State, decay_rate: Array) -> tuple[Array, Array]:

@@ -41,7 +41,6 @@ from curlfit.dynamics.equations import (
     rates,
     second_derivatives,
     step_size,
-    turning_limit,
 )
 from curlfit.dynamics.quadrature import node_clustering
 from curlfit.friction import Law, Load, NetLaw
@@ -157,15 +156,13 @@ def _integrate_batch(
 
     def advance(step: _Dual) -> _Dual:
         t, dt, frame, begin, rate, _ = _fields(step)
-        state_before, rate_before = State(*begin.value), State(*rate.value)
+        state_before = State(*begin.value)
         clustering = node_clustering(state_before.v, stone.R * state_before.omega)
-        limit = turning_limit(law, stone, span, state_before, rate_before)
-        limit = jnp.where(dt.value > 0, limit, jnp.inf)
 
         def derivative(parameters: Any, state: Array, time: Array) -> State:
             outer = forces(parameters)
             return rates(
-                *system(parameters), outer, load, limit, frame.value, clustering, State(*state),
+                *system(parameters), outer, load, frame.value, clustering, State(*state),
                 time,
             )  # fmt: skip
 

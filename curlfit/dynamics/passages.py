@@ -23,7 +23,8 @@ from curlfit.stone import Stone
 _EDGE = 0.02  # m before the resting position
 _NEAR = 0.001  # m to either side of that point, between which the speed there is taken
 _LATER = 0.01  # s, in which the motion at a line changes in proportion to time
-_STEPS = 6  # of Newton's method, after a first one for uniform deceleration
+_POINTS = 64  # of the motion, between which crossings are sought
+_STEPS = 5  # of Newton's method for a crossing between two of them
 _AT_REST = 1000.0  # s, by when every stone is at rest
 _SLOWEST = 1e-4  # m/s, smallest divisor
 
@@ -48,6 +49,7 @@ def with_passages(
     start: InitialState,
     lines: Array,
     times: Array,
+    asked: Array,
     *,
     load: Load,
 ) -> tuple[Trajectory, Passages]:
@@ -56,11 +58,12 @@ def with_passages(
     Parameters
     ----------
     lines : y in m, shape (lines,), increasing.
+    asked : whether the passages are needed; the motion is not followed to rest otherwise.
     """
     motion = partial(trajectory, law, stone, forces, start, load=load)
     held = jax.lax.stop_gradient((law, stone, forces, start))
     fixed: Callable[[Array], Trajectory] = partial(trajectory, *held, load=load)
-    last = jnp.full(1, _AT_REST)
+    last = jnp.full(1, jnp.where(asked, _AT_REST, 0.0))
 
     def targets(y_rest: Array) -> Array:
         edge = y_rest - _EDGE
@@ -68,17 +71,18 @@ def with_passages(
 
     def step(count: Array, t: Array) -> Array:
         path = fixed(jnp.concatenate([t, last]))
-        y_rest = path.y[-1]
-        # From t = 0 Newton's method approaches from below, as y(t) is concave under deceleration.
-        found = t + (targets(y_rest) - path.y[:-1]) / jnp.maximum(path.vy[:-1], _SLOWEST)
-        # The first step goes to the time for uniform deceleration.
-        left = (y_rest - targets(y_rest)) / jnp.maximum(y_rest - path.y[0], _EDGE)
-        even = path.rest * (1 - jnp.sqrt(jnp.clip(left, 0.0, 1.0)))
-        found = jnp.where((count == 0) & jnp.isfinite(even), even, found)
-        return jnp.maximum(found, 0.0)
+        aims = targets(path.y[-1])
+        ends = slice(None, len(aims))
+        duration = jnp.minimum(path.rest, last)
+        points = duration * (1 - jnp.linspace(1.0, 0.0, _POINTS) ** 2)
+        between = t.at[ends].set(_reached(aims, path))
+        later = t[ends] + (aims - path.y[ends]) / jnp.maximum(path.vy[ends], _SLOWEST)
+        newton = t.at[ends].set(jnp.maximum(later, 0.0))
+        return jnp.where(count == 0, points, jnp.where(count == 1, between, newton))
 
-    t = jax.lax.fori_loop(0, _STEPS + 1, step, jnp.zeros(len(lines) + 2))
-    t = jax.lax.stop_gradient(t)
+    # One integration in a loop, rather than three, keeps the compiled program small.
+    t = jax.lax.fori_loop(0, 3, step, jnp.zeros(_POINTS))[: len(lines) + 2]
+    t = jax.lax.stop_gradient(jnp.where(asked, t, 0.0))
     n, crossed = len(times), slice(len(times), len(times) + len(t))
     path = motion(jnp.concatenate([times, t, t + _LATER, last]))
     x, y, phi, vx, vy, speed, omega = (
@@ -102,3 +106,19 @@ def with_passages(
         rest=path.rest,
     )
     return moving, passages
+
+
+def _reached(targets: Array, path: Trajectory) -> Array:
+    """Times at which y first has these values, by cubic polynomials between points of the path."""
+    after = jnp.argmax(path.y[1:] >= targets[:, None], 1) + 1
+    (t0, y0, v0), (t1, y1, v1) = ((path.t[k], path.y[k], path.vy[k]) for k in (after - 1, after))
+    h = t1 - t0
+    h = jnp.where(h > 0, h, 1.0)
+    rise = y1 - y0
+    square, cube = 3 * rise - h * (2 * v0 + v1), h * (v0 + v1) - 2 * rise
+    s = jnp.clip((targets - y0) / jnp.where(rise > 0, rise, 1.0), 0.0, 1.0)
+    for _ in range(_STEPS):
+        excess = y0 + s * (h * v0 + s * (square + s * cube)) - targets
+        slope = h * v0 + s * (2 * square + s * 3 * cube)
+        s = jnp.clip(s - excess / jnp.maximum(slope, _SLOWEST * h), 0.0, 1.0)
+    return t0 + s * h

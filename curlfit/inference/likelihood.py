@@ -63,9 +63,11 @@ def _channels(model: Model, values: Array, problem: Problem) -> Array:
         known = jnp.zeros(len(measured))
     else:
         lines = start.y + (problem.events.lines - start.y) / scale
+        weights = problem.events.weights
         path, passages = with_passages(
-            system.law, system.stone, forces, start, lines, measured, load=model.load
-        )
+            system.law, system.stone, forces, start, lines, measured, (weights != 0).any(),
+            load=model.load,
+        )  # fmt: skip
         time, x_rest, y_rest, phi_rest = passages.rest
         at_lines = jnp.concatenate(
             [
@@ -79,7 +81,6 @@ def _channels(model: Model, values: Array, problem: Problem) -> Array:
                 passages.speed, passages.omega,
             ]
         )  # fmt: skip
-        weights = problem.events.weights
         found = jnp.where(weights != 0, weights * at_lines, 0.0).sum(-1)
         known = jnp.zeros(len(measured)).at[: len(found)].set(found)
     if problem.states is not None:
