@@ -29,7 +29,7 @@ from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.arrow_matrix import Blocks
-from curlfit.numerics.batches import BATCH, in_batches, stacked, unstacked
+from curlfit.numerics.batches import BATCH, FEW, in_batches, stacked, unstacked
 from curlfit.numerics.compiled import compiled
 
 Indices = NDArray[np.intp]
@@ -39,7 +39,6 @@ Stacks = tuple[Any, Any, Any, Penalty | None, Problem]
 _MOST_STEPS = 200
 _FIRST_STEPS = 12  # of many problems, until those that are not done are grouped anew
 _MIXED = "mixed"  # in place of the name of a loss
-_FEW = 16  # problems in a batch
 _NOTHING = 1e-7  # length of a column, over the longest, below which it is rounding error
 _ROUNDING = 1e-12  # eigenvalue, with columns of length 1, that may be rounding error
 _SAME_START = 1e-3  # typical sizes within which initial values are the same
@@ -208,7 +207,9 @@ def solve(
     """
     program = _solve_once if once else _solve_often
     law, loss, stacks, *common = tasks.arguments(model, how)
-    found: Solution = in_batches(lambda *some: program(law, loss, some, *common), stacks, batch)
+    found: Solution = in_batches(
+        lambda *some: program(law, loss, some, *common), stacks, batch, always=True
+    )
     if model.family is not None:
         size = tasks.start.shape[-1]
         of_throw = size if tasks.common is None else len(tasks.common)
@@ -223,7 +224,7 @@ def prepare_minimize(
     model: Model, parameters: ParameterSet, problem: Problem, *, few: bool = False
 ) -> None:
     """Begin to compile what `minimize` needs, or `minimize_many` for few problems like this one."""
-    batch, control = (_FEW, _QUICK) if few else (1, PRECISE)
+    batch, control = (FEW, _QUICK) if few else (1, PRECISE)
     tasks = Tasks.of([(parameters, problem, np.zeros(len(parameters)))] * batch)
     _solve_once.prepare(*tasks.arguments(model, control))
 
@@ -239,13 +240,14 @@ def minimize_many(
 
     Parameters
     ----------
-    few : whether they are so few that a program compiled quickly is better than a fast one.
+    few : whether a program compiled quickly is better than a fast one, as it is for the fewest.
     alone : whether to solve one after another, more precisely.
     """
-    batch = 1 if alone else _FEW if few else BATCH
+    count, loss = len(tasks.start), tasks.problems.loss
+    few = few or count <= FEW
+    batch = 1 if alone else FEW if few else BATCH
     control = PRECISE if alone else _QUICK._replace(most=_FIRST_STEPS)
     tasks = tasks._replace(start=np.array(tasks.start))
-    count, loss = len(tasks.start), tasks.problems.loss
     due, interrupted = np.arange(count), np.zeros(count, bool)
     whole: Any = None
     while len(due):

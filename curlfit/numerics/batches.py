@@ -11,6 +11,8 @@ import numpy as np
 BATCH = 64
 """Throws or vectors in one call of a program: few enough for a processor's cache, enough to
 amortize the cost of a pass."""
+FEW = 16
+"""Records of one call where there are no more."""
 
 Record = TypeVar("Record")
 
@@ -27,9 +29,20 @@ def unstacked(stack: Any) -> list[Any]:
     return [jax.tree.unflatten(tree, parts) for parts in zip(*leaves, strict=True)]
 
 
-def in_batches(program: Callable[..., Any], stacks: tuple[Any, ...], batch: int = BATCH) -> Any:
-    """Apply a program for `batch` records to the arrays of any number of records."""
+def in_batches(
+    program: Callable[..., Any],
+    stacks: tuple[Any, ...],
+    batch: int = BATCH,
+    *,
+    always: bool = False,
+) -> Any:
+    """Apply a program for `batch` records to the arrays of any number of records.
+
+    Of no more than `FEW` records it is called with this number, unless `always` with `batch`.
+    """
     count = len(jax.tree.leaves(stacks)[0])
+    if count <= FEW < batch and not always:
+        batch = FEW
     rows = np.minimum(np.arange(-(-count // batch) * batch), count - 1)
     parts = [
         program(*jax.tree.map(lambda leaf, rows=rows[k : k + batch]: leaf[rows], stacks))

@@ -34,7 +34,7 @@ from curlfit.inference.parameters import START, ParameterSet
 from curlfit.inference.problem import LEVEL_AND_STILL, Problem
 from curlfit.inference.system import motions
 from curlfit.numerics.arrays import Floats
-from curlfit.numerics.batches import in_batches, stacked
+from curlfit.numerics.batches import FEW, in_batches, stacked
 from curlfit.optimal_design.selection import standard_error
 from curlfit.stone import Stone
 from curlfit.throws.throw import CHANNELS
@@ -45,7 +45,7 @@ MOST_ROWS = 50_000
 """Maximum number of rows of one throw."""
 
 _ROWS = 256  # in a column of a batch
-_BATCH = 16  # columns; few, so that one or two throws do not leave most of them empty
+
 _ROUNDING = 1e-13  # relative to the largest singular value of the columns of the initial state
 
 
@@ -260,8 +260,8 @@ def record_information(
         problems = _problems(own, [columns[place][1] for place in some], len(channels))
         jacobian = np.asarray(linearize(model, values, problems)[1]) * assumed.parameters.typical
         if widths:
-            paths = predict_many(model, values, problems, _BATCH)
-            changes = residual_changes(model, problems, values, paths, widths, _BATCH)
+            paths = predict_many(model, values, problems, FEW)
+            changes = residual_changes(model, problems, values, paths, widths, FEW)
             jacobian = np.concatenate([jacobian, np.stack(list(changes.values()), -1)], -1)
         if (lost := ~np.isfinite(jacobian).all((1, 2, 3))).any():
             raise _no_motion(assumed, own[int(np.argmax(lost))])
@@ -272,7 +272,7 @@ def record_information(
             jacobian = np.concatenate([jacobian, scale * lacking], -1)
         return r_factor(jacobian)
 
-    factors = in_batches(factors_of, (np.arange(len(columns)),), _BATCH)
+    factors = in_batches(factors_of, (np.arange(len(columns)),), FEW)
     shapes = responses[0].by_channel.shape[-1] if responses else 0
     return [
         RecordInformation(
@@ -300,7 +300,7 @@ def paths_of(
 ) -> Floats:
     """Paths at up to `_ROWS` times of each throw, the last repeated, (throws, 5, _ROWS)."""
     problems = _problems(throws, clocks, 3)
-    return predict_many(assumed.model, _vectors(assumed, throws), problems, _BATCH)
+    return predict_many(assumed.model, _vectors(assumed, throws), problems, FEW)
 
 
 def _vectors(assumed: Assumptions, throws: Sequence[PlannedThrow]) -> Floats:

@@ -110,7 +110,12 @@ class Choices:
                 flag: Parameter = hints[name].__metadata__[0]
                 called = FLAGS.get(name) or flag.name or None
                 helpful = Parameter(help=" ".join(text.split()), name=called)
-                own[name] = Annotated[hints[name].__origin__, Parameter.combine(flag, helpful)]
+                kind = hints[name].__origin__
+                if (
+                    getattr(cls, name) is UNSET
+                ):  # where Pydantic is loaded, cyclopts checks defaults
+                    kind = kind | None
+                own[name] = Annotated[kind, Parameter.combine(flag, helpful)]
 
     @classmethod
     @cache

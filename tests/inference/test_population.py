@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from conftest import DATA, command
 from rich.console import Console
-from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 from scipy.stats import norm
 
@@ -314,15 +313,15 @@ def test_a_likelihood_that_is_not_quadratic_is_said(monkeypatch):
         for hog, rest in timed
     ]  # fmt: skip
     joint = curlfit.fit_together(throws, "coulomb", seed=1)
-    grid, mu = np.linspace(0.004, 0.022, 13), np.linspace(0.004, 0.022, 361)
-    spreads, density = np.linspace(2e-5, 0.02, 300), 1.0
-    for one in throws:
-        rise = [
-            curlfit.fit(one, "coulomb", fix={"mu": value}, details=False).chi_squared
-            for value in grid
-        ]
-        kernel = norm.pdf(mu[:, None], mu, spreads[:, None, None])
-        density = density * (kernel @ np.exp(-0.5 * CubicSpline(grid, rise)(mu)))
+    mu, spreads, density = np.linspace(0.004, 0.022, 181), np.linspace(5e-5, 0.02, 150), 1.0
+    kernel = norm.pdf(mu[:, None], mu, spreads[:, None, None])
+    deceleration = 9.81 * mu[:, None]
+    v = np.sqrt(2 * deceleration * (FAR - HOG)) + np.geomspace(1e-4, 4.0, 2000)
+    time = (v - np.sqrt(v**2 - 2 * deceleration * (FAR - HOG))) / deceleration
+    for hog, rest in timed:
+        y = HOG + v**2 / (2 * deceleration)
+        rise = ((time - hog) / 1.2) ** 2 + ((y - sheet.TEE - rest) / 0.5) ** 2
+        density = density * (kernel @ np.exp(-0.5 * rise.min(1)))
     exact = density.sum(0) @ mu / density.sum()
     (mean,) = (one.quantiles for one in joint.groups if one.parameter == "mu")
     sd = (mean["84"] - mean["16"]) / 2
