@@ -111,9 +111,7 @@ class Choices:
                 called = FLAGS.get(name) or flag.name or None
                 helpful = Parameter(help=" ".join(text.split()), name=called)
                 kind = hints[name].__origin__
-                if (
-                    getattr(cls, name) is UNSET
-                ):  # where Pydantic is loaded, cyclopts checks defaults
+                if getattr(cls, name) is UNSET:  # cyclopts checks it if Pydantic is loaded
                     kind = kind | None
                 own[name] = Annotated[kind, Parameter.combine(flag, helpful)]
 

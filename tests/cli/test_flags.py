@@ -4,6 +4,8 @@ in a configuration, and in the file of the data."""
 from __future__ import annotations
 
 import json
+from types import NoneType
+from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
@@ -20,6 +22,7 @@ from curlfit import (
 )
 from curlfit.environment import Environment
 from curlfit.inference.conditions import CONDITIONS
+from curlfit.settings.choices import Comparing, Fitting, Reading
 from curlfit.throws.synthetic import write_table
 
 COULOMB = ("--law", "coulomb")
@@ -138,3 +141,12 @@ def test_the_conditions_are_listed_with_their_widths(typed):
     for item in CONDITIONS:
         assert f"{item.name} {item.meaning}; standard uncertainty {item.width:g}" in out
         assert item.basis in out
+
+
+@pytest.mark.parametrize("kind", [Comparing, Fitting, Reading])
+def test_a_choice_that_is_not_given_is_of_its_declared_type(kind):
+    """cyclopts checks defaults in a process that has loaded Pydantic, as the file of a law may."""
+    hints = get_type_hints(kind)
+    unset = [name for name in kind.forms() if getattr(kind, name, ()) is None]
+    assert unset
+    assert [name for name in unset if NoneType not in get_args(hints[name])] == []
