@@ -41,7 +41,7 @@ _MAX_TURN = 1.5  # rad in a step
 _MAX_APPROACH = 0.6  # fraction of the time to the kink, by singularity distance
 _REST = 1e-10  # remaining motion (m and rad together) of a stone at rest
 _KINK = 2e-5  # singularity distance to which the kink at |epsilon| = 1 is resolved, 1 m remaining
-_CIRCLE = 1e-9  # radius in m of the smallest circles of a stone that are followed
+_CIRCLE = 1e-10  # radius in m of the smallest circles of a stone that are followed
 _ANGLE_TOLERANCE = 1e-9  # rad, for reaching an angle of the law's `corners`
 _SWITCH = 1e-9  # s, delay of the beginning and end of sweeping, so that steps can end there
 _MIN_SPIN = 1e-8  # rad/s, down to which the end of the spin is resolved

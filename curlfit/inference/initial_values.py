@@ -333,7 +333,8 @@ def accelerations_along(
     batch : number of throws computed together.
     """
     program = partial(_accelerations, model.of_program.law, model.load)
-    found: Any = in_batches(program, (model.vector(coefficients), stones, paths), batch)
+    stacks = model.vector(coefficients), stones, paths
+    found: Any = in_batches(program, stacks, batch, fewer=True)
     return np.asarray(found)
 
 

@@ -207,9 +207,7 @@ def solve(
     """
     program = _solve_once if once else _solve_often
     law, loss, stacks, *common = tasks.arguments(model, how)
-    found: Solution = in_batches(
-        lambda *some: program(law, loss, some, *common), stacks, batch, always=True
-    )
+    found: Solution = in_batches(lambda *some: program(law, loss, some, *common), stacks, batch)
     if model.family is not None:
         size = tasks.start.shape[-1]
         of_throw = size if tasks.common is None else len(tasks.common)

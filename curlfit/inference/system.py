@@ -74,7 +74,7 @@ def motions(
     """Motions of many parameter vectors at times since the start: x, y, phi, vx, vy and omega, of
     shape (vectors, 6, times), and times of rest. One program serves any number of vectors."""
     found: tuple[Floats, Floats] = in_batches(
-        lambda some: _motions(model, some, stone, environment, times), (values,), always=True
+        lambda some: _motions(model, some, stone, environment, times), (values,)
     )
     return found
 

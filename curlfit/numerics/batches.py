@@ -30,19 +30,15 @@ def unstacked(stack: Any) -> list[Any]:
 
 
 def in_batches(
-    program: Callable[..., Any],
-    stacks: tuple[Any, ...],
-    batch: int = BATCH,
-    *,
-    always: bool = False,
+    program: Callable[..., Any], stacks: tuple[Any, ...], batch: int = BATCH, *, fewer: bool = False
 ) -> Any:
     """Apply a program for `batch` records to the arrays of any number of records.
 
-    Of no more than `FEW` records it is called with this number, unless `always` with `batch`.
+    fewer : whether to call it with `FEW` records where there are no more.
     """
     count = len(jax.tree.leaves(stacks)[0])
-    if count <= FEW < batch and not always:
-        batch = FEW
+    if fewer and count <= FEW:
+        batch = min(FEW, batch)
     rows = np.minimum(np.arange(-(-count // batch) * batch), count - 1)
     parts = [
         program(*jax.tree.map(lambda leaf, rows=rows[k : k + batch]: leaf[rows], stacks))
