@@ -16,7 +16,7 @@ from curlfit.inference.model import Model
 from curlfit.inference.priors import Penalty
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.arrow_matrix import Blocks
-from curlfit.numerics.batches import stacked
+from curlfit.numerics.batches import FEW, stacked
 
 Progress = Callable[[int, float], None]
 
@@ -56,7 +56,9 @@ def minimize_jointly(
     start, lower, upper = map(joined, (padded.start, padded.lower, padded.upper))
     whole = stacked([Tasks(padded.problems, start, lower, upper, typical, penalty)])
     whole = whole._replace(typical=typical, common=common)
-    found: Solution = jax.tree.map(lambda leaf: leaf[0], solve(model, whole, how, once=False))
+    found: Solution = jax.tree.map(
+        lambda leaf: leaf[0], solve(model, whole, how, once=count <= FEW)
+    )
     values = found.values[Blocks.of(common, count).index]
     if progress is not None:
         progress(int(found.steps), float(found.chi_squared.sum() + found.penalty))
