@@ -333,8 +333,7 @@ def accelerations_along(
     batch : number of throws computed together.
     """
     program = partial(_accelerations, model.of_program.law, model.load)
-    stacks = model.vector(coefficients), stones, paths
-    found: Any = in_batches(program, stacks, batch, fewer=True)
+    found: Any = in_batches(program, (model.vector(coefficients), stones, paths), batch)
     return np.asarray(found)
 
 

@@ -29,7 +29,7 @@ from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.arrow_matrix import Blocks
-from curlfit.numerics.batches import BATCH, FEW, in_batches, stacked, unstacked
+from curlfit.numerics.batches import BATCH, in_batches, stacked, unstacked
 from curlfit.numerics.compiled import compiled
 
 Indices = NDArray[np.intp]
@@ -219,38 +219,29 @@ def solve(
 
 
 def prepare_minimize(
-    model: Model, parameters: ParameterSet, problem: Problem, *, few: bool = False
+    model: Model, parameters: ParameterSet, problem: Problem, batch: int = 1
 ) -> None:
-    """Begin to compile what `minimize` needs, or `minimize_many` for few problems like this one."""
-    batch, control = (FEW, _QUICK) if few else (1, PRECISE)
+    """Begin to compile what `minimize_many` needs for problems like this one, alone or few."""
+    control = PRECISE if batch == 1 else _QUICK
     tasks = Tasks.of([(parameters, problem, np.zeros(len(parameters)))] * batch)
     _solve_once.prepare(*tasks.arguments(model, control))
 
 
-def minimize_many(
-    model: Model,
-    tasks: Tasks,
-    *,
-    few: bool = False,
-    alone: bool = False,
-) -> Solution:
+def minimize_many(model: Model, tasks: Tasks, batch: int = BATCH) -> Solution:
     """The optima of many problems.
 
     Parameters
     ----------
-    few : whether a program compiled quickly is better than a fast one, as it is for the fewest.
-    alone : whether to solve one after another, more precisely.
+    batch : `BATCH`, `FEW`, or 1 to solve one after another, more precisely.
     """
     count, loss = len(tasks.start), tasks.problems.loss
-    few = few or count <= FEW
-    batch = 1 if alone else FEW if few else BATCH
-    control = PRECISE if alone else _QUICK._replace(most=_FIRST_STEPS)
+    control = PRECISE if batch == 1 else _QUICK._replace(most=_FIRST_STEPS)
     tasks = tasks._replace(start=np.array(tasks.start))
     due, interrupted = np.arange(count), np.zeros(count, bool)
     whole: Any = None
     while len(due):
         now = due[loss[due] == loss[due[0]]][:batch]
-        found = solve(model, tasks.at(now), control, batch, once=few or alone)
+        found = solve(model, tasks.at(now), control, batch, once=batch < BATCH)
         if whole is None:
             whole = jax.tree.map(lambda leaf: np.zeros((count, *leaf.shape[1:]), leaf.dtype), found)
         steps = whole.steps[now] + found.steps
@@ -267,14 +258,14 @@ def minimize_many(
 
 
 def optima(
-    model: Model, tasks: Tasks, starts: Sequence[Sequence[Floats]], *, alone: bool
+    model: Model, tasks: Tasks, starts: Sequence[Sequence[Floats]], batch: int
 ) -> list[list[Solution]]:
     """Of each problem, what is reached from each of its initial values."""
     owner = np.repeat(np.arange(len(starts)), [*map(len, starts)])
     found: list[list[Solution]] = [[] for _ in starts]
     if len(owner):
         some = tasks.at(owner)._replace(start=np.concatenate([one for one in starts if one]))
-        each = unstacked(minimize_many(model, some, alone=alone))
+        each = unstacked(minimize_many(model, some, batch))
         for place, one in zip(owner, each, strict=True):
             found[place].append(one)
     return found

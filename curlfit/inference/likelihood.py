@@ -139,7 +139,7 @@ def predict_many(model: Model, values: Floats, problems: Problem, batch: int = B
         pairs = zip(values, unstacked(problems), strict=True)
         return np.array([predict_channels(model, *pair) for pair in pairs])
     program = partial(_batch_of_channels, model)
-    return np.asarray(in_batches(program, (values, _without_data(problems)), batch, fewer=True))
+    return np.asarray(in_batches(program, (values, _without_data(problems)), batch))
 
 
 @compiled("model")
@@ -235,7 +235,7 @@ def chi_squared_of_many(
         return np.zeros(0)
     if batch > 1:
         program = partial(_chi_squared, model)
-        return np.asarray(in_batches(program, (values, problems), batch, fewer=True))
+        return np.asarray(in_batches(program, (values, problems), batch))
     found = whitened_residuals_of_many(model, values, problems, batch)
     roots = [signed_root(*pair) for pair in zip(found, problems.loss, strict=True)]
     return (np.array(roots) ** 2).sum((1, 2))

@@ -12,7 +12,7 @@ BATCH = 64
 """Throws or vectors in one call of a program: few enough for a processor's cache, enough to
 amortize the cost of a pass."""
 FEW = 16
-"""Records of one call where there are no more."""
+"""The same where there are few, and a program compiled quickly is better than a fast one."""
 
 Record = TypeVar("Record")
 
@@ -29,16 +29,9 @@ def unstacked(stack: Any) -> list[Any]:
     return [jax.tree.unflatten(tree, parts) for parts in zip(*leaves, strict=True)]
 
 
-def in_batches(
-    program: Callable[..., Any], stacks: tuple[Any, ...], batch: int = BATCH, *, fewer: bool = False
-) -> Any:
-    """Apply a program for `batch` records to the arrays of any number of records.
-
-    fewer : whether to call it with `FEW` records where there are no more.
-    """
+def in_batches(program: Callable[..., Any], stacks: tuple[Any, ...], batch: int = BATCH) -> Any:
+    """Apply a program for `batch` records to the arrays of any number of records."""
     count = len(jax.tree.leaves(stacks)[0])
-    if fewer and count <= FEW:
-        batch = min(FEW, batch)
     rows = np.minimum(np.arange(-(-count // batch) * batch), count - 1)
     parts = [
         program(*jax.tree.map(lambda leaf, rows=rows[k : k + batch]: leaf[rows], stacks))

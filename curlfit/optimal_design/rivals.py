@@ -157,7 +157,7 @@ class Rival:
         widths, and the residual where all of these are zero.
         """
         parameters, values = rounds.throws[0].parameters, solutions.values
-        paths = predict_many(self.model, values, rounds.problems)
+        paths = predict_many(self.model, values, rounds.problems, rounds.batch)
         changes = residual_changes(self.model, rounds.problems, values, paths, self._widths, BATCH)
         scaled = solutions.jacobian * (parameters.typical * parameters.free)
         of_law = (values / parameters.typical)[:, None, None, : self.size]

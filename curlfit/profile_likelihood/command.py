@@ -95,8 +95,9 @@ def _known(
 
     def fitted() -> Any:
         from curlfit.inference.least_squares import prepare_minimize
+        from curlfit.numerics.batches import FEW
 
-        prepare_minimize(*request.problem(), few=True)
+        prepare_minimize(*request.problem(), FEW)
         return request.fit(), None
 
     folder = s.result_folder(data, kind, reading)

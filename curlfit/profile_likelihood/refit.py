@@ -20,7 +20,7 @@ from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.least_squares import Solution, Tasks, minimize_many
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.numerics.batches import stacked, unstacked
+from curlfit.numerics.batches import FEW, stacked, unstacked
 from curlfit.profile_likelihood.result import levels_for
 
 Point = tuple[float, ...]
@@ -72,7 +72,7 @@ class Refit:
         start, typical = np.array(starts) - offset, self.parameters.typical
 
         tasks = Tasks(problems, start, lower, upper, typical, penalty)
-        found = unstacked(minimize_many(self.model, tasks, few=True))
+        found = unstacked(minimize_many(self.model, tasks, FEW))
         return [one if np.isfinite(one.residual).all() else None for one in found]
 
     def optima(

@@ -36,7 +36,7 @@ from curlfit.inference.likelihood import prepare_channels
 from curlfit.inference.model import Model
 from curlfit.inference.problem import Origin, problem_shape
 from curlfit.numerics.arrays import Floats
-from curlfit.numerics.batches import BATCH, stacked, unstacked
+from curlfit.numerics.batches import BATCH, FEW, stacked, unstacked
 from curlfit.settings.choices import Fitting, takes
 from curlfit.throws.throw import Reference, Throw, require_throw
 
@@ -140,8 +140,8 @@ def fitted(
     rounds: Rounds, start: Mapping[str, float] | None
 ) -> list[LeastSquaresFit | CurlfitError]:
     """Fits of throws side by side; an error takes the place of one that fails."""
-    model, throws, alone = rounds.model, rounds.throws, rounds.batch == 1
-    if alone:
+    model, throws, batch = rounds.model, rounds.throws, rounds.batch
+    if batch == 1:
         (problem,) = unstacked(rounds.problems)
         prepare_minimize(model, throws[0].local_parameters, problem)
         prepare_channels(model, len(throws[0].parameters), problem)
@@ -161,12 +161,12 @@ def fitted(
                 ([given], first + others) if len(first) == 1 else ([given, *first], others)
             )
         plans.append((first, others))
-    tried = optima(model, tasks, [first for first, _ in plans], alone=alone)
+    tried = optima(model, tasks, [first for first, _ in plans], batch)
     best = stacked([(best_first(found) or found)[0] for found in tried])
     poor = needs_restart(best, paths, rounds.problems)
     # If the first optimum is poor, all are tried: a later one may be local and look good.
     again = [others if bad else [] for (_, others), bad in zip(plans, poor, strict=True)]
-    for found, more in zip(tried, optima(model, tasks, again, alone=alone), strict=True):
+    for found, more in zip(tried, optima(model, tasks, again, batch), strict=True):
         found += more
     followed = [best_first(found) for found in tried]
     for found in followed:
@@ -178,21 +178,19 @@ def fitted(
             [one.values for one in found] if row in due else []
             for row, found in enumerate(followed)
         ]
-        for found, new in zip(followed, optima(model, tasks, last, alone=alone), strict=True):
+        for found, new in zip(followed, optima(model, tasks, last, batch), strict=True):
             found[: len(new)] = [
                 one if np.isfinite(one.chi_squared) else old
                 for one, old in zip(new, found, strict=False)
             ]
-    _add_usual(model, tasks, followed, alone=alone)
+    _add_usual(model, tasks, followed, batch)
     return [
         rounds.failures.get(row) or _outcome(rounds, row, found, len(tried[row]))
         for row, found in enumerate(followed)
     ]
 
 
-def _add_usual(
-    model: Model, tasks: Tasks, followed: Sequence[list[Solution]], *, alone: bool
-) -> None:
+def _add_usual(model: Model, tasks: Tasks, followed: Sequence[list[Solution]], batch: int) -> None:
     """Where coefficients went astray, add the optimum with their defaults, which may fit equally:
     about the first, where they hardly act, the others seem better determined than they are."""
     lower, upper = np.array(tasks.lower), np.array(tasks.upper)
@@ -204,7 +202,7 @@ def _add_usual(
                 start.append(np.where(astray, usual, found[0].values))
                 low[astray] = high[astray] = usual[astray]
     held = tasks._replace(lower=lower, upper=upper)
-    for found, more in zip(followed, optima(model, held, starts, alone=alone), strict=True):
+    for found, more in zip(followed, optima(model, held, starts, batch), strict=True):
         found += more
 
 
@@ -281,13 +279,15 @@ def fit_throws(
             key = (*problem_shape(prepared.throw), prepared.parameters.names)
             groups.setdefault(key, {})[index] = prepared
     for (_, rows, _), alike in groups.items():
-        rest = iter(alike.items())
+        rest, few = iter(alike.items()), len(alike) <= FEW
         while part := dict(islice(rest, max(BATCH, _ROWS // rows))):
             model = Model(law, common.load, next(iter(part.values())).parameters.conditions)
-            rounds = Rounds(model, list(part.values()), loss=loss, noise=noise, batch=BATCH)
+            batch = FEW if few else BATCH
+            rounds = Rounds(model, list(part.values()), loss=loss, noise=noise, batch=batch)
             each = dict(zip(part, fitted(rounds, common.start), strict=True))
             usable = {k: one for k, one in each.items() if isinstance(one, LeastSquaresFit)}
             widths = {} if systematics is None else widths_of(model, systematics, rounds.throws)
-            results = summarize_many(list(usable.values()), curves=curves, widths=widths)
+            batch = FEW if few else 4 * BATCH
+            results = summarize_many(list(usable.values()), batch, curves=curves, widths=widths)
             found |= each | dict(zip(usable, map(with_curl_warning, results), strict=True))
     return [found[index] for index in range(len(throws))]

@@ -44,7 +44,7 @@ from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import ROWS_OF_DATA, Problem
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.numerics.batches import BATCH, stacked
+from curlfit.numerics.batches import stacked
 from curlfit.throws.plausibility import Finding, examine_fit
 from curlfit.throws.throw import CHANNELS
 
@@ -56,13 +56,13 @@ _DIFFERENT = 0.1  # typical sizes by which solutions that fit equally differ in 
 
 def summarize(fit: LeastSquaresFit, widths: Mapping[str, float] | None = None) -> FitResult:
     """The record of a fit from its optimum."""
-    (result,) = summarize_many([fit], batch=1, widths=widths)
+    (result,) = summarize_many([fit], 1, widths=widths)
     return result
 
 
 def summarize_many(
     fits: Sequence[LeastSquaresFit],
-    batch: int = 4 * BATCH,
+    batch: int,
     *,
     curves: bool = True,
     widths: Mapping[str, float] | None = None,

@@ -15,12 +15,12 @@ from curlfit.friction import Law, find_law, no_motion_because
 from curlfit.inference.derived import check_derived
 from curlfit.inference.fit.factors import Reduction
 from curlfit.inference.fit.prepared import (
-    LeastSquaresFit,
     PreparedThrow,
     local_bounds,
     penalties,
 )
 from curlfit.inference.fit.quantities import quantities_of
+from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.summary import summarize_many
 from curlfit.inference.fit.systematics import widths_of
@@ -38,7 +38,7 @@ from curlfit.inference.least_squares import Solution, Tasks
 from curlfit.inference.model import Model
 from curlfit.inference.problem import problem_shape
 from curlfit.numerics.arrays import Floats
-from curlfit.numerics.batches import unstacked
+from curlfit.numerics.batches import BATCH, FEW, unstacked
 from curlfit.settings.choices import Fitting, takes
 from curlfit.throws.throw import Throw, require_throw
 
@@ -193,8 +193,9 @@ def solved_together(
     return Together(rounds, tasks, solution, common, covariates)
 
 
-def _records(together: Together, solution: Solution) -> list[LeastSquaresFit]:
-    return [together.rounds.record(row, one) for row, one in enumerate(unstacked(solution))]
+def _summarized(together: Together, solution: Solution, **known: Any) -> list[FitResult]:
+    records = [together.rounds.record(row, one) for row, one in enumerate(unstacked(solution))]
+    return summarize_many(records, FEW if len(records) <= BATCH else 4 * BATCH, **known)
 
 
 def _equal(
@@ -204,7 +205,7 @@ def _equal(
     due to the `given` conditions, and the weights of the parameters in what may vary."""
     rounds, tasks, solution, common, covariates = together
     widths = widths_of(rounds.model, given, rounds.throws, jointly=True)
-    throws = summarize_many(_records(together, solution), widths=widths, common=common)
+    throws = _summarized(together, solution, widths=widths, common=common)
     first, parameters = throws[0], rounds.throws[0].parameters
     shared = tuple(parameters.names_where(common))
     coefficients = {name: first.parameters[name] for name in shared}
@@ -267,7 +268,7 @@ def _varying(
     throws = [
         replace(one, systematics=before.systematics)
         for one, before in zip(
-            summarize_many(_records(together, solution), others=others), equal.throws, strict=True
+            _summarized(together, solution, others=others), equal.throws, strict=True
         )
     ]
     spins = np.array([one.parameters["omega0"].value for one in throws])

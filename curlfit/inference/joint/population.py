@@ -22,12 +22,12 @@ from curlfit.inference.joint.effects import Covariates, Means
 from curlfit.inference.least_squares import Solution, Tasks, minimize_many
 from curlfit.inference.priors import Penalty
 from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.numerics.batches import BATCH, FEW
 from curlfit.numerics.mixed_model import MixedFit, MixedModel, bounded
 
 _MOST = 12  # linearizations
 _SETTLED = 2e-3  # standard errors that a throw's coefficients still move by
 _NEAR = 0.1  # the same, below which variances are not estimated again
-_FEW = 64  # throws for which a program compiled quickly is better than a fast one
 _AT = 1e-9  # typical sizes from a bound
 _EXACT = 1e-16  # typical sizes squared: a variance below which a direction is exact
 
@@ -169,7 +169,7 @@ def pool(
             own = tasks._replace(
                 start=values, lower=held[0], upper=held[1], penalty=_of_throws(throws)
             )
-            solution = minimize_many(rounds.model, own, few=len(values) <= _FEW)
+            solution = minimize_many(rounds.model, own, FEW if len(values) <= BATCH else BATCH)
             values = np.array(solution.values)
         solution = rounds.with_own_sigma(solution)
         reduction, now = reduced(throws, solution), (values[:, common] - reference) / typical

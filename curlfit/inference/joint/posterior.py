@@ -17,6 +17,7 @@ from curlfit.inference.joint.population import Population, Together, reduced
 from curlfit.inference.least_squares import Solution, minimize_many
 from curlfit.inference.mcmc.summary import effective_size, normal_scores, r_hat
 from curlfit.numerics.arrays import Floats
+from curlfit.numerics.batches import FEW
 from curlfit.numerics.mixed_model import MixedFit
 
 _WALKERS, _STEPS, _ROUNDS = 40, 250, 20
@@ -125,7 +126,7 @@ def shifts_of_means(
         start=start, lower=np.where(common, start, held.lower),
         upper=np.where(common, start, held.upper), penalty=None,
     )  # fmt: skip
-    true = minimize_many(throws.rounds.model, held, few=True).chi_squared
+    true = minimize_many(throws.rounds.model, held, FEW).chi_squared
     weight = (quadratic - np.reshape(true, quadratic.shape)).sum(0) / 2
     size = len(found.typical)
     means = draws.estimate[:, :size] * found.typical @ np.array([*found.weights.values()]).T

@@ -25,7 +25,7 @@ from curlfit.inference.identifiability import directions
 from curlfit.inference.least_squares import Solution, Tasks, minimize_many
 from curlfit.inference.parameters import ParameterSet
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.numerics.batches import unstacked
+from curlfit.numerics.batches import FEW, unstacked
 from curlfit.output.text import join_words
 
 Indices = NDArray[np.int64]
@@ -225,7 +225,7 @@ def posterior_proposal(fit: FitResult) -> Proposal:
             (local.with_fixed(name, value), problem, start)
             for value, start in zip(held, starts, strict=True)
         ]
-        optima = minimize_many(fit.model, Tasks.of(tasks), few=True)
+        optima = minimize_many(fit.model, Tasks.of(tasks), FEW)
         parts = [
             _about_solution(whole, offset, one, (place, low, high))
             for one, (low, high) in zip(unstacked(optima), pairwise(borders), strict=True)
