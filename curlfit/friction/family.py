@@ -59,11 +59,15 @@ class LawFamily(Law):
 
     def _of_member(self, value: Callable[[Law], Any], members: list[type[LocalLaw]]) -> Any:
         """A value of the selected member if it is one of `members`; else 0."""
-        index, *coefficients = self._values()
-        return sum(
-            (index == self.members.index(member)) * value(member.from_vector(coefficients))
-            for member in members
-        )
+        index, *values = self._values()
+        found: Any = 0.0
+        for member in members:
+            selected = index == self.members.index(member)
+            pairs = zip(values, member.coefficients(), strict=False)
+            # Other members have their defaults, since they may be undefined at these coefficients.
+            own = [selected * one + (1 - selected) * item.default for one, item in pairs]
+            found = found + selected * value(member.from_vector(own))
+        return found
 
     @classmethod
     def columns(cls, member: type[Law], size: int) -> list[int]:

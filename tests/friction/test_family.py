@@ -43,6 +43,18 @@ def test_all_laws_of_the_ring_are_in_one():
     }
 
 
+@pytest.mark.parametrize("end", ["lower", "upper"])
+def test_coefficients_at_bounds_are_no_matter_of_other_members(end):
+    def of_steps(vector):
+        law = FAMILY.from_vector(vector)
+        return jnp.stack([law.steepness(), law.quickness(1.0)])
+
+    slopes = jax.jit(jax.jacfwd(of_steps))
+    for law in FAMILY.members:
+        values = np.array([getattr(item, end) for item in law.coefficients()])
+        assert np.isfinite(slopes(FAMILY.vector(law, values))).all(), law.name
+
+
 SMALL = family_of([LAWS[name] for name in ("debris", "power", "tensor")])
 """A law of each kind: with an edge, summed over the ring, in closed form."""
 

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from curlfit.errors import InputError, require_kind
-from curlfit.friction import Law, Load
+from curlfit.errors import InputError, UnusableFitError, require_kind
+from curlfit.friction import Law, Load, no_motion_because
 from curlfit.friction.family import LawFamily
 from curlfit.inference.fit.advice import NOISE
 from curlfit.inference.fit.covariance import Covariance
@@ -204,6 +204,11 @@ class LawOnSets:
             starts = [np.where(self.common, before * factor, before) for factor in _STARTS]
             starts = [np.clip(one, *self.tasks[2:4]) for one in starts]
         found = best(self.optimum(inside, one) for one in starts)
+        if not np.isfinite(found.chi_squared).all():
+            raise UnusableFitError(
+                f"law {self.law.name} with {self.model.load} load gives no finite path for "
+                f"{self.sets[number].name}{no_motion_because(self.model.load)}"
+            )
         mine = np.flatnonzero(inside[: self.throws])
         while len(mine) and len(
             self.rounds.revise(mine, jax.tree.map(lambda leaf: leaf[mine], found))
