@@ -46,6 +46,7 @@ from curlfit.dynamics.ring_polynomials import (
     traction,
 )
 from curlfit.friction import Load, LocalLaw
+from curlfit.friction.sums import Sum
 
 _BALANCE_TOLERANCE = 1e-9  # change of the tilt by the last Newton step
 _MAX_NEWTON_STEPS = 30
@@ -89,6 +90,7 @@ class Ring(NamedTuple):
         clustering: NodeClustering,
     ) -> Ring:  # fmt: skip
         """The front half suffices if the back half mirrors it for all laws that are summed."""
+        laws = [part for law in laws for part in _parts(law, load)]
         summed = [law for law in laws if not has_closed_form(law, load)]
         plain = [law for law in summed if not has_edges(law)]
         means, ring = None, []
@@ -127,6 +129,12 @@ class Ring(NamedTuple):
         return [panel._replace(points=panel.points._replace(**there)) for panel in self.panels]
 
 
+def _parts(law: type[LocalLaw], load: Load) -> tuple[type[LocalLaw], ...]:
+    """The parts of a sum, each of which is summed over the ring in its own way; or the law."""
+    apart = issubclass(law, Sum) and load == "uniform" and not has_closed_form(law, load)
+    return law.parts if apart else (law,)  # type: ignore[attr-defined]
+
+
 def forces_of(
     law: LocalLaw, load: Load, motion: RingMotion, ring: Ring, lever: Array
 ) -> RingForces:
@@ -136,9 +144,9 @@ def forces_of(
         if load == "uniform":
             return (total(1.0),)
         return total(1.0), total(XI, constant=False), total(ETA, constant=False)
-    ring_panels = ring.panels_of(law, motion)
     if load == "uniform":
-        return (_by_quadrature(law, load, ring_panels, None),)
+        return (force_under(law, load, motion, ring, None),)
+    ring_panels = ring.panels_of(law, motion)
     if depends_on_load(law, ring_panels[0].points):
         return _about_balance(law, ring_panels, lever)
     across, along = (
@@ -153,6 +161,9 @@ def force_under(law: LocalLaw, load: Load, motion: RingMotion, ring: Ring, tilt:
     if has_closed_form(type(law), load):
         tilted = 1.0 if tilt is None else 1 + tilt[0] * XI + tilt[1] * ETA
         return _total(_parts_in_closed_form(law, load, motion, ring), motion, tilted)
+    if isinstance(law, Sum) and load == "uniform":
+        each = [force_under(term, load, motion, ring, tilt) for term in law.terms]
+        return tuple(sum(row, start=jnp.zeros_like(motion.v)) for row in zip(*each, strict=True))
     return _by_quadrature(law, load, ring.panels_of(law, motion), tilt)
 
 

@@ -24,28 +24,29 @@ class Sum(LocalLaw):
         """A sum is found by the names of its parts."""
 
     @property
-    def _parts(self) -> list[LocalLaw]:
+    def terms(self) -> list[LocalLaw]:
+        """The parts with their coefficients."""
         return [
             part(**{item.name: getattr(self, item.name) for item in part.coefficients()})
             for part in self.parts
         ]
 
     def traction(self, point: RingPoint) -> tuple[Any, Any]:
-        across, along = zip(*(part.traction(point) for part in self._parts), strict=True)
+        across, along = zip(*(part.traction(point) for part in self.terms), strict=True)
         return sum(across), sum(along)
 
     def edges(self, turned: Any) -> Edges:
-        front, back = zip(*(part.edges(turned) for part in self._parts), strict=True)
+        front, back = zip(*(part.edges(turned) for part in self.terms), strict=True)
         return Edges(sum(front, ()), sum(back, ()))
 
     def quickness(self, time: Any) -> Any:
-        return sum(part.quickness(time) for part in self._parts)
+        return sum(part.quickness(time) for part in self.terms)
 
     def steepness(self) -> Any:
-        return sum(part.steepness() for part in self._parts)
+        return sum(part.steepness() for part in self.terms)
 
     def fault(self) -> str | None:
-        return next(filter(None, (part.fault() for part in self._parts)), None)
+        return next(filter(None, (part.fault() for part in self.terms)), None)
 
 
 @cache
