@@ -141,7 +141,8 @@ def rates(
     `forces` are the fields of `ExternalForces`, shape (11, batch); None for a law alone.
 
     A stone that spins almost in place, under a transverse force, moves on circles of radius
-    v^2/a_xi. It is held where they are negligibly small.
+    v^2/a_xi. The smaller they are than `_CIRCLE`, the less they are followed; smoothly, for the
+    sake of derivatives.
     """
     a = accelerations(law, stone, load, state.v, state.omega, state.phi, time, clustering)
     moving = state.v > 0

@@ -82,7 +82,7 @@ def with_passages(
 
     # One integration in a loop, rather than three, keeps the compiled program small.
     t = jax.lax.fori_loop(0, 3, step, jnp.zeros(_POINTS))[: len(lines) + 2]
-    t = jax.lax.stop_gradient(jnp.where(asked, t, 0.0))
+    t = jax.lax.stop_gradient(t)
     n, crossed = len(times), slice(len(times), len(times) + len(t))
     path = motion(jnp.concatenate([times, t, t + _LATER, last]))
     x, y, phi, vx, vy, speed, omega = (

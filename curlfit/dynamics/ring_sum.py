@@ -90,7 +90,7 @@ class Ring(NamedTuple):
         clustering: NodeClustering,
     ) -> Ring:  # fmt: skip
         """The front half suffices if the back half mirrors it for all laws that are summed."""
-        laws = [part for law in laws for part in _parts(law, load)]
+        laws = [term for law in laws for term in _terms(law, load)]
         summed = [law for law in laws if not has_closed_form(law, load)]
         plain = [law for law in summed if not has_edges(law)]
         means, ring = None, []
@@ -129,8 +129,8 @@ class Ring(NamedTuple):
         return [panel._replace(points=panel.points._replace(**there)) for panel in self.panels]
 
 
-def _parts(law: type[LocalLaw], load: Load) -> tuple[type[LocalLaw], ...]:
-    """The parts of a sum, each of which is summed over the ring in its own way; or the law."""
+def _terms(law: type[LocalLaw], load: Load) -> tuple[type[LocalLaw], ...]:
+    """The laws that are summed over the ring each in its own way: those of a sum, or this one."""
     apart = issubclass(law, Sum) and load == "uniform" and not has_closed_form(law, load)
     return law.parts if apart else (law,)  # type: ignore[attr-defined]
 

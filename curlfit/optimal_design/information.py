@@ -45,7 +45,6 @@ MOST_ROWS = 50_000
 """Maximum number of rows of one throw."""
 
 _ROWS = 256  # in a column of a batch
-
 _ROUNDING = 1e-13  # relative to the largest singular value of the columns of the initial state
 
 

@@ -158,7 +158,9 @@ class Rival:
         """
         parameters, values = rounds.throws[0].parameters, solutions.values
         paths = predict_many(self.model, values, rounds.problems, rounds.batch)
-        changes = residual_changes(self.model, rounds.problems, values, paths, self._widths, BATCH)
+        changes = residual_changes(
+            self.model, rounds.problems, values, paths, self._widths, rounds.batch
+        )
         scaled = solutions.jacobian * (parameters.typical * parameters.free)
         of_law = (values / parameters.typical)[:, None, None, : self.size]
         at_zero = solutions.residual - (scaled[..., : self.size] * of_law).sum(-1)

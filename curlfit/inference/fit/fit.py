@@ -279,15 +279,14 @@ def fit_throws(
             key = (*problem_shape(prepared.throw), prepared.parameters.names)
             groups.setdefault(key, {})[index] = prepared
     for (_, rows, _), alike in groups.items():
-        rest, few = iter(alike.items()), len(alike) <= FEW
+        rest = iter(alike.items())
+        batch, paths = (FEW, FEW) if len(alike) <= FEW else (BATCH, 4 * BATCH)
         while part := dict(islice(rest, max(BATCH, _ROWS // rows))):
             model = Model(law, common.load, next(iter(part.values())).parameters.conditions)
-            batch = FEW if few else BATCH
             rounds = Rounds(model, list(part.values()), loss=loss, noise=noise, batch=batch)
             each = dict(zip(part, fitted(rounds, common.start), strict=True))
             usable = {k: one for k, one in each.items() if isinstance(one, LeastSquaresFit)}
             widths = {} if systematics is None else widths_of(model, systematics, rounds.throws)
-            batch = FEW if few else 4 * BATCH
-            results = summarize_many(list(usable.values()), batch, curves=curves, widths=widths)
+            results = summarize_many(list(usable.values()), paths, curves=curves, widths=widths)
             found |= each | dict(zip(usable, map(with_curl_warning, results), strict=True))
     return [found[index] for index in range(len(throws))]
