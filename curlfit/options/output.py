@@ -94,10 +94,12 @@ class Output(Choices):
         files : written already. remarks : warnings to be printed beneath the result.
         more : end of the last line.
         """
-        written = [folder / f"{result.kind}.json", *files]
+        written, kind = [folder / f"{result.kind}.json", *files], KINDS[result.kind]
         result.save(written[0])
-        names = KINDS[result.kind].figures or (result.kind,)
-        drawn.replace(folder, names, partial(figures_of, result))
+        if kind.with_corner:
+            written += saved_chain(folder, result.chain)
+        names = kind.figures or (result.kind,)
+        drawn.replace(folder, [*names, *["corner"] * kind.with_corner], partial(figures_of, result))
         console = self.console()
         console.print(document_of(result))
         for remark in remarks:
@@ -112,6 +114,15 @@ class Output(Choices):
         if not self.report:
             (folder / "report.html").unlink(missing_ok=True)
         return Saved(folder if self.report else None, self.quiet)
+
+
+def saved_chain(folder: Path, chain: Any) -> list[Path]:
+    """The file of a chain that was saved in a folder; without one, that of an earlier result is
+    removed."""
+    file = folder / "chain.h5"
+    if chain is None:
+        file.unlink(missing_ok=True)
+    return [file] * (chain is not None)
 
 
 @contextmanager

@@ -18,17 +18,19 @@ class Kind(NamedTuple):
     noun : of the public names of what loads, prints and draws it, such as `load_fit`, `print_fit`
         and `fit_figure`.
     figures : names of all its figures, where it has several.
+    with_corner : whether it holds its draws, for one more.
     """
 
     report: str
     noun: str
     figures: tuple[str, ...] = ()
+    with_corner: bool = False
 
 
 KINDS = {
     "fit": Kind("reports.fit", "fit"),
     "compare": Kind("comparison.report", "comparison"),
-    "joint": Kind("reports.joint", "joint"),
+    "joint": Kind("reports.joint", "joint", with_corner=True),
     "predict": Kind("prediction.report", "prediction"),
     "friction": Kind("friction_tables.report", "friction"),
     "profile": Kind("profile_likelihood.report", "profile"),
@@ -56,9 +58,11 @@ def document_of(result: object) -> Document:
 def figures_of(result: object) -> dict[str, Any]:
     """The figures of a saved result, by name."""
     kind = kind_of(result)
-    noun, several = KINDS[kind].noun, KINDS[kind].figures
+    _, noun, several, with_corner = KINDS[kind]
     draw = getattr(import_module("curlfit"), f"{noun}_figure{'s' * bool(several)}")
-    return draw(result) if several else {kind: draw(result)}
+    found: dict[str, Any] = draw(result) if several else {kind: draw(result)}
+    chain = getattr(result, "chain", None) if with_corner else None
+    return found if chain is None else found | corner_of(result, chain)
 
 
 def corner_of(result: object, chain: object) -> dict[str, Any]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.inference.identifiability import Combination
+from curlfit.inference.joint.result import JointResult
 from curlfit.inference.mcmc.chain import Chain
 from curlfit.numerics.arrays import Floats
 from curlfit.output import figures as draw
@@ -22,51 +22,101 @@ _SMALLEST = 0.95  # side of a panel
 _BINS = 30
 _SMOOTH = 1.0  # bins, standard deviation
 _LEVELS = (0.95, 0.68)
+_LEGEND = "dashed: 68 %; shaded: 68 and 95 % of the posterior"
 _SHADES = ("#ecd2e0", draw.POSTERIOR_COLOR)
 _MOST = 40_000  # samples used for the densities
 _DOTS = 2000  # points drawn along a ridge, about
+_ROOM = 8  # panels side by side, beyond which groups and trends are left to the report
+
+
+class _Shown(NamedTuple):
+    """One of what is drawn: its label, unit and verdict."""
+
+    label: str
+    unit: str
+    verdict: str = "determined"
 
 
 @draw.style()
-def corner_figure(fit: FitResult, chain: Chain) -> draw.Picture:
+def corner_figure(fit: FitResult | JointResult, chain: Chain) -> draw.Picture:
     """Corner plot of the posterior of the law's coefficients and the estimated conditions: regions
-    that contain 68 and 95 % of the samples, with reference values marked.
+    that contain 68 and 95 % of the samples, with reference values marked. Of a joint fit, that of
+    the mean of the throws, of what groups and trends change, and of the spreads between throws.
 
     Examples
     --------
     >>> curlfit.corner_figure(sampled, chain).savefig("corner.png")
     """
-    require_fit(fit)
-    names = _names(fit)
+    if isinstance(fit, JointResult):
+        shown, ridges, known, heading, said = _of_joint(fit, chain)
+    else:
+        shown, ridges, known, heading, said = _of_fit(fit)
+    names = list(shown)
     samples = np.stack([chain.of({name: 1.0}) for name in names])
     samples = samples[:, draw.some_rows(samples.shape[1], _MOST)]
-    known = {} if fit.reference is None else fit.reference.values
     extents = [_extent(*pair) for pair in zip(samples, map(known.get, names), strict=True)]
     figure, grid = _panels(len(names))
-    ridges = _ridges(fit, names)
     for (row, column), axes in grid.items():
         axes.grid(visible=False)
         axes.spines[:].set_visible(True)
         axes.set_xlim(extents[column])
         if row == column:
-            _histogram(axes, fit.parameters[names[row]], samples[row])
+            _histogram(axes, shown[names[row]].verdict, samples[row])
             _mark(axes.axvline, known.get(names[row]))
             continue
         axes.set_ylim(extents[row])
         if item := ridges.get((row, column)):
-            weights = [item.weights[names[place]] for place in (column, row)]
-            said = draw.weighted_sum(item.weights, fit.parameters)
-            _ridge(axes, said, weights, samples[[column, row]], known.get(item.expression))
+            combination, words = item
+            weights = [combination.weights[names[place]] for place in (column, row)]
+            of_it = known.get(combination.expression)
+            _ridge(axes, words, weights, samples[[column, row]], of_it)
             continue
         _density(axes, samples[[column, row]])
         _mark(axes.axhline, known.get(names[row]))
         _mark(axes.axvline, known.get(names[column]))
     for place, name in enumerate(names):
-        _neat_axes(fit.parameters[name], grid[len(names) - 1, place], grid[place, 0], place > 0)
+        _neat_axes(shown[name], grid[len(names) - 1, place], grid[place, 0], place > 0)
     for axes in figure.axes:
         axes.label_outer()
-    _say_in_corner(fit, figure)
+    _say_in_corner(figure, heading, said)
     return figure
+
+
+def _of_fit(fit: FitResult) -> tuple[Any, ...]:
+    """What is drawn by name, ridges by row and column, reference values, heading and words."""
+    require_fit(fit)
+    names = _names(fit)
+    items = {name: fit.parameters[name] for name in names}
+    return (
+        {name: _Shown(draw.symbol_of(one), one.unit, one.verdict) for name, one in items.items()},
+        _ridges(fit, names), {} if fit.reference is None else fit.reference.values,
+        draw.heading_of(fit), _said(fit),
+    )  # fmt: skip
+
+
+def _of_joint(result: JointResult, chain: Chain) -> tuple[Any, ...]:
+    """The same of throws that vary."""
+    items = result.coefficients
+    symbols = {name: draw.symbol_of(one) for name, one in items.items()}
+    symbols |= {
+        one.expression: f"${draw.weighted_sum(one.weights, items)}$" for one in result.combinations
+    }
+    units = {name: one.unit for name, one in items.items()}
+    shown = {}
+    for name in chain.names:
+        change, _, varies = name.rpartition(": ")
+        spread = name.removeprefix("spread of ")
+        if len(chain.names) > _ROOM and change:
+            continue
+        label = symbols.get(varies, varies)
+        if change:
+            label = f"{draw.literal(change)}:\n{label}"
+        if spread != name:
+            label, varies = f"spread of\n{symbols.get(spread, spread)}", spread
+        verdict = "weak" if spread != name else "determined"  # its density leans to one side
+        shown[name] = _Shown(label, units.get(varies, "1"), verdict)
+    heading = f"{draw.law_and_load(result)}: {result.count} throws together"
+    return shown, {}, {}, heading, [(draw.QUIET, [_LEGEND])]
 
 
 def _panels(number: int) -> tuple[draw.Picture, dict[tuple[int, int], Any]]:
@@ -109,7 +159,7 @@ def _extent(values: Floats, mark: float | None) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def _histogram(axes: Any, item: Estimate, values: Floats) -> None:
+def _histogram(axes: Any, verdict: str, values: Floats) -> None:
     """Histogram of one parameter with its median and 68 % interval."""
     counts, *_ = axes.hist(
         values, _BINS, range=axes.get_xlim(), histtype="stepfilled", fc=_SHADES[0],
@@ -122,9 +172,9 @@ def _histogram(axes: Any, item: Estimate, values: Floats) -> None:
     )  # fmt: skip
     axes.set(ylim=(0, 1.1 * counts.max()), yticks=[])
     said = f"{low:.3g} .. {high:.3g}"
-    if item.verdict == "not identifiable":
-        said = item.verdict
-    elif item.verdict in ("determined", "prior"):
+    if verdict == "not identifiable":
+        said = verdict
+    elif verdict in ("determined", "prior"):
         said = " \N{PLUS-MINUS SIGN} ".join(format_estimate(middle, (high - low) / 2))
     text = axes.set_title(said.replace("-", "\N{MINUS SIGN}"), fontsize=7, pad=3, loc="center")
     draw.shrink(text, axes.get_window_extent().width)
@@ -145,13 +195,14 @@ def _density(axes: Any, samples: Floats) -> None:
     axes.contour(*middles, density.T, levels=levels[:2], colors="0.3", linewidths=0.5)
 
 
-def _ridges(fit: FitResult, names: list[str]) -> dict[tuple[int, int], Combination]:
-    """By row and column, the combination of pairs of which only that is determined."""
+def _ridges(fit: FitResult, names: list[str]) -> dict[tuple[int, int], tuple[Combination, str]]:
+    """By row and column, the combination of pairs of which only that is determined, and its
+    symbols."""
     found = {}
     for item in fit.combinations:
         if len(item.weights) == 2 and item.weights.keys() <= set(names):
             column, row = sorted(map(names.index, item.weights))
-            found[row, column] = item
+            found[row, column] = item, draw.weighted_sum(item.weights, fit.parameters)
     return found
 
 
@@ -173,9 +224,9 @@ def _ridge(
         axes.plot(across, up, color=draw.REFERENCE_COLOR, lw=1)
 
 
-def _neat_axes(item: Estimate, below: Any, beside: Any, has_row: bool) -> None:
+def _neat_axes(shown: _Shown, below: Any, beside: Any, has_row: bool) -> None:
     """Set the same few ticks in all panels of a parameter, and label the outermost."""
-    label = draw.symbol_of(item), item.unit
+    label = shown.label, shown.unit
     neat_axis(below.xaxis, *label, neighbours=True)
     if has_row:
         neat_axis(beside.yaxis, *label, neighbours=True)
@@ -190,15 +241,14 @@ def _mark(line: Callable[..., Any], value: float | None) -> None:
         line(value, color=draw.REFERENCE_COLOR, lw=1)
 
 
-def _say_in_corner(fit: FitResult, figure: draw.Picture) -> None:
+def _say_in_corner(figure: draw.Picture, heading: str, said: list[tuple[str, list[str]]]) -> None:
     """Write what was fitted, combinations and references into the corner free of panels."""
     width, height = figure.get_size_inches()
-    heading = draw.heading_of(fit)
     text = figure.text(_LEFT / width, 1 - 0.06 / height, heading, va="top")
     draw.shrink(text, (width - _LEFT - _RIGHT) * figure.dpi)
     end, top = 1 - _RIGHT / width, 1 - _TOP / height
     room = end * figure.bbox.width - figure.axes[0].get_window_extent().x1
-    for color, lines in _said(fit):
+    for color, lines in said:
         text = figure.text(
             end, top, "\n".join(lines), color=color, ha="right", va="top", linespacing=1.5
         )
@@ -216,7 +266,7 @@ def _said(fit: FitResult) -> list[tuple[str, list[str]]]:
     for direction in fit.null_directions:
         pair = (draw.symbol_of(fit.parameters[name]) for name in direction)
         lines.append(f"{', '.join(pair)}: not identifiable individually")
-    said = [(draw.QUIET, ["dashed: 68 %; shaded: 68 and 95 % of the posterior"])]
+    said = [(draw.QUIET, [_LEGEND])]
     if lines:
         said.insert(0, ("black", lines))
     if fit.reference is not None:

@@ -44,6 +44,7 @@ _WORDS = {
 }
 _DRAWN = {"friction": ("friction",), **_WORDS}
 _CHANCE = 0.05  # probability above which an effect is within the errors
+_EFFICIENCY = 0.05  # of importance weights, below which a few draws weigh all
 _R_HAT = 1.05  # of a sample that ended without the 1.02 that it aims at
 _FIRST_ORDER = (
     "each throw counts as the quadratic about its own optimum; errors due to conditions, which all "
@@ -75,6 +76,11 @@ def document(result: JointResult) -> Document:
     unconverged = []
     if result.r_hat is not None and result.r_hat >= _R_HAT:
         unconverged = [f"the posterior of the spreads has not converged (R-hat {result.r_hat:.3f})"]
+    if result.importance is not None and result.importance < _EFFICIENCY:
+        unconverged += [
+            f"the posterior rests on {result.importance:.1%} of its draws, since the likelihood of "
+            "throws is far from quadratic: its quantiles are rough"
+        ]
     return Document(
         finding=lower(result.status),
         style=style_of(result),
@@ -211,15 +217,7 @@ def _notes(result: JointResult) -> list[str]:
     """Remarks of the reader on all throws."""
     if result.table is not None:
         return [*result.table.notes, _FIRST_ORDER]
-    off = ", of ".join(
-        f"{name} about {abs(shift):.1f} {'higher' if shift > 0 else 'lower'}"
-        for name, shift in result.posterior_shifts.items()
-    )
-    said = (
-        "the posterior takes the likelihood of each throw as quadratic; without that its mean is, "
-        f"in standard deviations, of {off}"
-    )
-    return [*_of_all([one.data["notes"] for one in result.throws]), *[said] * bool(off)]
+    return _of_all([one.data["notes"] for one in result.throws])
 
 
 def _of_all(lists: Sequence[Sequence[str]]) -> list[str]:

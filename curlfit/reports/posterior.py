@@ -43,8 +43,8 @@ def of_chain(chain: Chain) -> Document:
     shown = ", ".join(f"{name} {_middle(known[name])}" for name in list(known)[:_SHOWN])
     return Document(
         finding=f"{len(chain.flat)} samples",
-        subject=f"{chain.ensembles} ensembles, {walkers} walkers, {steps} steps, of which the "
-        f"first {chain.discarded} are left out",
+        subject=f"{counted(chain.ensembles, 'ensemble')}, {counted(walkers, 'walker')}, "
+        f"{counted(steps, 'step')}, of which the first {chain.discarded} are left out",
         lines=[f"68 %: {shown}{' ...' * (len(known) > _SHOWN)}"],
         sections=[Section("quantiles", "Quantiles", [_table(known)])],
     )

@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 from io import StringIO
 
+import emcee
 import numpy as np
 import pytest
 from conftest import DATA, command
@@ -13,9 +14,9 @@ from scipy.stats import norm
 
 import curlfit
 from curlfit import InputError, sheet
-from curlfit.inference.joint import posterior
 from curlfit.inference.joint.population import _moves
 from curlfit.inference.joint.posterior import sampled
+from curlfit.inference.joint.result import folder_names
 from curlfit.numerics.mixed_model import MixedModel
 from curlfit.prediction.result import Call, Prediction
 from curlfit.throws.events import Event
@@ -301,9 +302,8 @@ def test_the_posterior_is_that_of_quadrature(lower):
     assert sampled(fit, np.array([0.5]), seed=None) is None
 
 
-def test_a_likelihood_that_is_not_quadratic_is_said(monkeypatch):
+def test_the_posterior_holds_where_a_likelihood_is_not_quadratic():
     """Five throws of poor precision, against quadrature over their mean and spread."""
-    monkeypatch.setattr(posterior, "_TRIED", 250)
     timed = [(13.2, 0.4), (13.9, -1.0), (12.9, 1.5), (13.5, -0.6), (14.1, 0.8)]
     throws = [
         curlfit.Throw.from_events([
@@ -313,23 +313,66 @@ def test_a_likelihood_that_is_not_quadratic_is_said(monkeypatch):
         for hog, rest in timed
     ]  # fmt: skip
     joint = curlfit.fit_together(throws, "coulomb", seed=1)
-    mu, spreads, density = np.linspace(0.004, 0.022, 181), np.linspace(5e-5, 0.02, 150), 1.0
+    mu, spreads, density = np.linspace(0.004, 0.022, 361), np.linspace(5e-5, 0.02, 300), 1.0
     kernel = norm.pdf(mu[:, None], mu, spreads[:, None, None])
     deceleration = 9.81 * mu[:, None]
-    v = np.sqrt(2 * deceleration * (FAR - HOG)) + np.geomspace(1e-4, 4.0, 2000)
+    v = np.sqrt(2 * deceleration * (FAR - HOG)) + np.geomspace(1e-4, 4.0, 10_000)
     time = (v - np.sqrt(v**2 - 2 * deceleration * (FAR - HOG))) / deceleration
     for hog, rest in timed:
         y = HOG + v**2 / (2 * deceleration)
         rise = ((time - hog) / 1.2) ** 2 + ((y - sheet.TEE - rest) / 0.5) ** 2
         density = density * (kernel @ np.exp(-0.5 * rise.min(1)))
-    exact = density.sum(0) @ mu / density.sum()
-    (mean,) = (one.quantiles for one in joint.groups if one.parameter == "mu")
-    sd = (mean["84"] - mean["16"]) / 2
-    shift = joint.posterior_shifts["mu"]
-    assert shift == pytest.approx((exact - mean["50"]) / sd, abs=0.12)
-    assert shift > 0.15
-    curlfit.print_joint(joint, Console(file=(text := StringIO()), width=200))
-    assert f"its mean is, in standard deviations, of mu about {shift:.1f} higher" in text.getvalue()
+    (found,) = (one.quantiles for one in joint.groups if one.parameter == "mu")
+    below = np.interp(list(found.values()), mu, density.sum(0).cumsum() / density.sum())
+    levels = np.array([float(level) for level in found]) / 100
+    # within three Monte Carlo errors of 1,000 draws; with the quadratic likelihood 0.07 off
+    assert below == pytest.approx(levels, abs=3 * np.sqrt(0.25 / 1000))
+    assert abs(below - levels)[1:-1].max() < 0.05
+    assert 0.5 < joint.importance < 1.0
+
+
+def test_draws_are_saved_with_the_fit_and_drawn(tmp_path):
+    joint = curlfit.fit_together(evening(), "front-back", stone=STONE, by="sheet", seed=3)
+    assert joint.importance is not None
+    joint.save(tmp_path / "joint.json")
+    (name,) = set(folder_names([one.data["file"] for one in joint.throws]))
+    (tmp_path / name).mkdir()
+    joint.throws[0].save(tmp_path / name / "fit.json")
+    again = curlfit.load_joint(tmp_path)
+    np.testing.assert_array_equal(again.chain.values, joint.chain.values)
+    told = {"mu1_eta + mu2_eta": joint.groups, "sheet 2 - 1: mu1_eta + mu2_eta": joint.differences}
+    for name, effects in told.items():
+        middle = np.median(again.chain.of({name: 1.0}))
+        expected = one_of(effects, "mu1_eta + mu2_eta", group="2" if ":" in name else "")
+        assert middle == pytest.approx(expected.quantiles["50"], rel=1e-6)
+    spread = again.chain.of({"spread of mu1_eta + mu2_eta": 1.0})
+    (said,) = (one for one in joint.variation if one.expression == "mu1_eta + mu2_eta")
+    assert np.quantile(spread, 0.84) == pytest.approx(said.quantiles["84"])
+    backend = emcee.backends.HDFBackend(tmp_path / "chain.h5", read_only=True)
+    assert backend.get_chain().shape == again.chain.values.shape
+    figure = curlfit.corner_figure(again, again.chain)
+    number = len(again.chain.names)
+    assert len(figure.axes) == number * (number + 1) // 2
+    # that of another fit is not taken for its own
+    other = replace(joint.chain, subject={"means": "#"})
+    other.save(tmp_path / "chain.h5")
+    assert curlfit.load_joint(tmp_path).chain is None
+
+
+def test_too_few_throws_have_no_posterior():
+    """With a flat prior the density of the spread falls as a power of one less than the degrees of
+    freedom, and has no integral for one."""
+    random = np.random.default_rng(1)
+    columns = random.standard_normal((4, 2))
+    model = MixedModel.of(
+        np.ones((4, 1, 1)), random.standard_normal((4, 1)), np.eye(1), columns - columns.mean(0)
+    )
+    ends = np.array([-np.inf]), np.array([np.inf])
+    assert sampled(model.fitted(np.ones(1), *ends), np.ones(1), seed=1) is None
+    fewer = MixedModel.of(
+        np.ones((4, 1, 1)), random.standard_normal((4, 1)), np.eye(1), columns[:, :1]
+    )
+    assert sampled(fewer.fitted(np.ones(1), *ends), np.ones(1), seed=1).r_hat < 1.02
 
 
 @pytest.mark.slow

@@ -131,7 +131,7 @@ def test_the_change_of_moves_is_resumed_too(eq12_fit, tmp_path, monkeypatch, ste
     assert "most proposals were ensemble moves" in result.posterior.status
     file = tmp_path / "chain.h5"
     done = []
-    real = sampling._Run.write_if_due
+    real = sampling.Run.write_if_due
 
     def crash(run, file):
         run._next_write = 0
@@ -141,7 +141,7 @@ def test_the_change_of_moves_is_resumed_too(eq12_fit, tmp_path, monkeypatch, ste
             raise MemoryError
 
     with monkeypatch.context() as patch:
-        patch.setattr(sampling._Run, "write_if_due", crash)
+        patch.setattr(sampling.Run, "write_if_due", crash)
         with pytest.raises(MemoryError):
             sample(eq12_fit, **RUN, checkpoint=file)
     assert load_chain(file).mostly_ridge == (steps < 20)

@@ -29,7 +29,7 @@ from curlfit.inference.joint.advice import with_throws
 from curlfit.inference.joint.draw import Draw
 from curlfit.inference.joint.effects import Covariates
 from curlfit.inference.joint.population import Together, pool, told_by_data
-from curlfit.inference.joint.posterior import sampled, shifts_of_means
+from curlfit.inference.joint.posterior import corrected, sampled
 from curlfit.inference.joint.result import JointResult, Variation
 from curlfit.inference.joint.solver import Progress, minimize_jointly
 from curlfit.inference.joint.summary import about_mean
@@ -265,6 +265,8 @@ def _varying(
     guess = np.array([variation[name].first_spread for name in weights])
     found, solution, others = pool(together, weights, guess)
     draws = sampled(found.fit, guess, seed)
+    if draws is not None and seed is not None and not together.rounds.unknown.any():
+        draws = corrected(together, found, solution, draws, seed)
     throws = [
         replace(one, systematics=before.systematics)
         for one, before in zip(
@@ -277,7 +279,4 @@ def _varying(
         Draw(together.rounds.model, together.rounds.throws[0].stone),
         (solution.values[:, together.common], spins), draws,
     )  # fmt: skip
-    if draws is not None and seed is not None and not together.rounds.unknown.any():
-        shifts = shifts_of_means(together, found, solution, draws, seed)
-        result = replace(result, posterior_shifts=shifts)
     return with_throws(result, throws, solution)

@@ -4,7 +4,7 @@ The throws' own parameters are integrated out by Laplace's approximation, and th
 effects, whose prior is flat within the bounds, in closed form: what is left is the restricted
 likelihood of the spreads times their prior, which is flat (Gelman 2006, Bayesian Analysis 1, 515).
 emcee samples it. The mean and the effects are normal where the spreads are given; draws with means
-out of bounds are left out.
+out of bounds are left out. Importance weights then correct for Laplace's approximation.
 """
 
 from __future__ import annotations
@@ -15,16 +15,22 @@ import numpy as np
 
 from curlfit.inference.joint.population import Population, Together, reduced
 from curlfit.inference.least_squares import Solution, minimize_many
-from curlfit.inference.mcmc.summary import effective_size, normal_scores, r_hat
+from curlfit.inference.mcmc.ridge import RidgeProposal
+from curlfit.inference.mcmc.sampler import ENSEMBLES, Run
 from curlfit.numerics.arrays import Floats
-from curlfit.numerics.batches import FEW
-from curlfit.numerics.mixed_model import MixedFit
+from curlfit.numerics.batches import BATCH, FEW
+from curlfit.numerics.differences import slopes
+from curlfit.numerics.mixed_model import MixedFit, MixedModel
 
-_WALKERS, _STEPS, _ROUNDS = 40, 250, 20
-_R_HAT, _ENOUGH = 1.02, 1000  # effective sample size
-_MOST = 60  # throws; more know their spreads so well that Student's t says the same
-_KEPT, _FEWEST, _TRIED = 4000, 400, 64
-_SMALL = 0.1  # standard deviations by which a mean may be off
+_WALKERS, _EFFECTIVE, _STEPS = 16 * ENSEMBLES, 1000, 2000
+_MOST = 1000  # throws; more know their spreads so well that Student's t says the same
+_PROPER = 3  # throws beyond the covariates
+_KEPT, _FEWEST = 4000, 400
+_FEW_THROWS, _TRIED = 100, (16, 48)  # draws for which throws are evaluated
+_QUADRATIC = 1e-3  # variance of logarithms of weights that change nothing
+_RIDGE = 1e-4  # over the mean square of the kernel
+_WIDER, _WIDEST = 1.5, 1.0  # proposals: over the normal density at the optimum, and in logarithms
+_STEP, _FAR = 0.05, 12.0  # of differences, and the largest, in logarithms
 _EXACT = 1e-9  # typical sizes
 _NO_PART = 1e-6  # of a parameter in what nothing determines, where its bounds say nothing
 _SIZE = 50_000  # throws times draws at a time
@@ -39,100 +45,169 @@ class Draws(NamedTuple):
     """shape (draws, directions)"""
     r_hat: float
     """largest of the spreads"""
+    efficiency: float | None = None
+    """of importance weights; None without them"""
+    seed: int = 0
 
 
-def sampled(fit: MixedFit, spreads: Floats, seed: int | None) -> Draws | None:
+class _OfSpreads(Run):
+    """A chain of the spreads about their optimum, in the inverse hyperbolic sine of these over
+    their size: with few throws their density has long tails."""
+
+    def __init__(self, model: MixedModel, optimum: Floats, size: Floats, seed: int) -> None:
+        self._model, number = model, len(optimum)
+        self._size = np.maximum(optimum, size)
+        self.names, self.free = tuple(map(str, range(number))), np.ones(number, bool)
+        self.lower, self.upper, self.subject = np.zeros(number), np.full(number, _FAR), {}
+        centre = np.arcsinh(optimum / self._size)
+
+        def slope(at: Floats) -> Floats:  # the density is even, and smooth where a spread is zero
+            return slopes(lambda where: self._even(where[None])[0], at, _STEP)
+
+        curved = -slopes(slope, centre, _STEP)
+        squares, axes = np.linalg.eigh((curved + curved.T) / 2)
+        spread = _WIDER / np.sqrt(np.maximum(squares, _WIDEST**-2))
+        none, nowhere = np.zeros(0), np.zeros(0, int)
+        self.proposal = RidgeProposal(
+            centre, np.ones(number), axes.T, spread, nowhere, none, none, nowhere, none
+        )
+        super().__init__(seed, _WALKERS)
+
+    def whole(self, free_values: Floats) -> Floats:
+        """The spreads."""
+        found: Floats = self._size * np.sinh(free_values)
+        return found
+
+    def log_prob(self, free_values: Floats) -> Floats:
+        """That of the restricted likelihood, where the prior of spreads is flat."""
+        within = np.clip(free_values, self.lower, self.upper)
+        count = max(1, len(within) * len(self._model.products) // _SIZE)
+        found = np.concatenate([self._even(some) for some in np.array_split(within, count)])
+        return np.where((within == free_values).all(1), found, -np.inf)
+
+    def _even(self, free_values: Floats) -> Floats:
+        volume: Floats = np.log(np.cosh(free_values)).sum(-1)
+        return volume - self._model.criterion(self.whole(free_values) ** 2) / 2
+
+
+def sampled(fit: MixedFit, size: Floats, seed: int | None) -> Draws | None:
     """Draws from the posterior; none without a seed, where a bound holds a mean or bounds leave few
-    draws, or of many throws.
+    draws, of many throws, or of so few that it is improper (Gelman 2006, sect. 3.2).
 
     Parameters
     ----------
-    spreads : standard deviations above zero, from which the search begins.
+    size : of spreads that may be zero.
     """
-    if seed is None or fit.at_bound or len(fit.model.products) > _MOST:
+    model, random = fit.model, np.random.default_rng(seed)
+    throws, covariates = model.covariates.shape
+    if seed is None or fit.at_bound or not covariates + _PROPER <= throws <= _MOST:
         return None
-    import emcee
-
-    model = fit.model
-    random, size = np.random.default_rng(seed), len(spreads)
-
-    def log_posterior(spreads: Floats) -> Floats:  # even, and smooth where one is zero
-        return -model.criterion(spreads**2) / 2
-
-    moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.DESnookerMove(), 0.2)]
-    sampler = emcee.EnsembleSampler(_WALKERS, size, log_posterior, moves=moves, vectorize=True)
-    sampler.random_state = np.random.RandomState(seed).get_state()
-    state = spreads * np.exp(0.5 * random.standard_normal((_WALKERS, size)))
-    for _ in range(_ROUNDS):
-        state = sampler.run_mcmc(state, _STEPS)
-        chain = sampler.get_chain(discard=sampler.iteration // 2)
-        scores = [normal_scores(np.abs(series)) for series in chain.T]
-        worst = max(map(r_hat, scores))
-        if worst < _R_HAT and min(map(effective_size, scores)) > _ENOUGH:
-            break
-    flat = np.abs(chain.reshape(-1, size))
+    run = _OfSpreads(model, np.sqrt(fit.variances), size, seed)
+    _, diagnosis = run.until(_EFFECTIVE, _STEPS)
+    flat = run.chain().flat
     found = flat[np.linspace(0, len(flat) - 1, _KEPT).astype(int)]
     estimates = []
     for some in np.array_split(found, max(1, len(found) * len(model.products) // _SIZE)):
-        normal, right, _ = model.parts(model.marginal(some**2)[0].sum(-3))
-        root: Any = np.linalg.cholesky(normal)
-        mean: Any = np.linalg.solve(normal, right[..., None])
-        noise = random.standard_normal(mean.shape)
-        estimates.append((mean + np.linalg.solve(root.mT, noise))[..., 0])
+        mean, root = _given(model, some)
+        noise = random.standard_normal((*mean.shape, 1))
+        estimates.append(mean + np.linalg.solve(root.mT, noise)[..., 0])
     estimate = np.concatenate(estimates)
     means = fit.at(np.unique(model.covariates, axis=0)) @ estimate.T
     beyond = (means < fit.lower[:, None]) | (means > fit.upper[:, None])
     inside = ~beyond[:, (np.abs(model.null) < _NO_PART).all(1)].any((0, 1))
-    return Draws(estimate[inside], found[inside], worst) if inside.sum() > _FEWEST else None
+    worst = diagnosis.worst_r_hat if diagnosis else np.inf
+    return (
+        Draws(estimate[inside], found[inside], worst, None, seed)
+        if inside.sum() > _FEWEST
+        else None
+    )
 
 
-def shifts_of_means(
+def _given(model: MixedModel, spreads: Floats) -> tuple[Floats, Floats]:
+    """The mean and the effects for some spreads, and Cholesky roots of their information."""
+    normal, right, _ = model.parts(model.marginal(spreads**2)[0].sum(-3))
+    root: Any = np.linalg.cholesky(normal)
+    mean: Any = np.linalg.solve(normal, right[..., None])
+    return mean[..., 0], root
+
+
+def corrected(
     throws: Together, found: Population, solution: Solution, draws: Draws, seed: int
-) -> dict[str, float]:
-    """Changes of the means of what varies if no throw's likelihood is taken as quadratic, over
-    their standard deviations; none where these are small, or no larger than by chance.
+) -> Draws:
+    """Draws weighted by the likelihood of the throws over the quadratic one, and drawn again; the
+    same where the throws are many.
 
-    To first order they are the covariances of the means with the logarithms of importance weights,
-    the true likelihood of the throws over the quadratic one, each with its initial state at the
-    optimum for coefficients that are drawn for it.
+    Given the population, the weight is a product over throws. Of each, with its initial state at
+    the optimum for its coefficients, the factor is computed for some draws of these; for all others
+    it follows by kernel regression.
 
     Parameters
     ----------
     solution : the throws at their own coefficients.
     """
-    tasks, common, model = throws.tasks, throws.common, found.fit.model
+    tasks, common = throws.tasks, throws.common
+    count, number = len(tasks.start), len(draws.spreads)
+    if count > _FEW_THROWS:
+        return draws
     random = np.random.default_rng(seed)
-    some = random.choice(len(draws.spreads), _TRIED)
     reduction, values = reduced(throws, solution), np.array(solution.values)
-    rows = reduction.in_common(found.typical)
-    now = (values[:, None, common] - found.reference) / found.typical
-    mean = (found.fit.at(model.covariates) @ draws.estimate[some].T).mT
-    mean -= (mean - now) @ model.null @ model.null.T
-    by = rows[..., :-1] @ model.directions
-    off = (mean - now) @ rows[..., :-1].mT + rows[:, None, :, -1]
-    spread = np.maximum(draws.spreads[some], _EXACT)
-    precision = (by.mT @ by)[:, None] + spread[:, None, :] ** -2 * np.eye(spread.shape[1])
-    root: Any = np.linalg.cholesky(precision)
-    noise = random.standard_normal((*off.shape[:2], spread.shape[1], 1))
-    own: Any = np.linalg.solve(root.mT, noise) - np.linalg.solve(precision, (off @ by)[..., None])
-    ends = found.fit.lower, found.fit.upper
-    each = np.clip(mean + own[..., 0] @ model.directions.T, *ends) - now
-    quadratic = ((each @ rows[..., :-1].mT + rows[:, None, :, -1]) ** 2).sum(-1)
-    start = values[:, None] + (each * found.typical) @ reduction.follow[:, :, common].mT
-    start = np.clip(start, tasks.lower[:, None], tasks.upper[:, None])
-    held = tasks.at(np.repeat(np.arange(len(values)), _TRIED))
-    start = start.reshape(held.start.shape)
-    held = held._replace(
-        start=start, lower=np.where(common, start, held.lower),
-        upper=np.where(common, start, held.upper), penalty=None,
+    now = (values[:, common] - found.reference) / found.typical
+    own = zip(reduction.in_common(found.typical), now, found.fit.model.covariates, strict=True)
+    each = np.stack([_of_throw(found.fit, *one, draws, random) for one in own])
+    for tried in _TRIED:
+        some = np.linspace(0, number - 1, tried).astype(int)
+        start = (
+            values[:, None] + (each[:, some] * found.typical) @ reduction.follow[:, :, common].mT
+        )
+        held = tasks.at(np.repeat(np.arange(count), tried))
+        start = np.clip(start.reshape(held.start.shape), held.lower, held.upper)
+        held = held._replace(
+            start=start, lower=np.where(common, start, held.lower),
+            upper=np.where(common, start, held.upper), penalty=None,
+        )  # fmt: skip
+        true = minimize_many(throws.rounds.model, held, FEW if count <= BATCH else BATCH)
+        rows = reduction.in_common(found.typical)
+        left = each[:, some] @ rows[..., :-1].mT + rows[:, None, :, -1]
+        factors = ((left**2).sum(-1) - true.chi_squared.reshape(count, tried)) / 2
+        if factors.var(1).sum() < _QUADRATIC:
+            return draws._replace(efficiency=1.0)
+    pairs = zip(each, factors, strict=True)
+    logs = sum(_regression(at, some, own) for at, own in pairs)
+    weights = np.exp(logs - np.max(logs))
+    weights /= weights.sum()
+    again = random.choice(number, _KEPT, p=weights)
+    return draws._replace(
+        estimate=draws.estimate[again], spreads=draws.spreads[again],
+        efficiency=float(1 / (number * (weights**2).sum())),
     )  # fmt: skip
-    true = minimize_many(throws.rounds.model, held, FEW).chi_squared
-    weight = (quadratic - np.reshape(true, quadratic.shape)).sum(0) / 2
-    size = len(found.typical)
-    means = draws.estimate[:, :size] * found.typical @ np.array([*found.weights.values()]).T
-    z = (means[some] - means.mean(0)) / means.std(0)
-    shifts = dict(
-        zip(found.weights, map(float, (weight - weight.mean()) @ z / _TRIED), strict=True)
-    )
-    least = max(_SMALL, 2 * weight.std() / _TRIED**0.5)
-    return {name: shift for name, shift in shifts.items() if abs(shift) > least}
+
+
+def _of_throw(
+    fit: MixedFit, rows: Floats, now: Floats, covariates: Floats, draws: Draws, random: Any
+) -> Floats:
+    """Draws of the coefficients of a throw less those it has now, from what its rows say and each
+    draw of the population; shape (draws, coefficients)."""
+    model, ends = fit.model, (fit.lower - now, fit.upper - now)
+    mean = draws.estimate @ fit.at(covariates).T - now
+    mean = mean - mean @ model.null @ model.null.T
+    by = rows[:, :-1] @ model.directions
+    spread = np.maximum(draws.spreads, _EXACT)
+    precision = by.T @ by + spread[:, None, :] ** -2 * np.eye(spread.shape[1])
+    root: Any = np.linalg.cholesky(precision)
+    pull = (mean @ rows[:, :-1].T + rows[:, -1]) @ by
+    own: Any = np.linalg.solve(root.mT, random.standard_normal((*spread.shape, 1)))
+    own = own - np.linalg.solve(precision, pull[..., None])
+    found: Floats = np.clip(mean + own[..., 0] @ model.directions.T, *ends)
+    return found
+
+
+def _regression(at: Floats, some: Any, values: Floats) -> Floats:
+    """What is known at some points at all of them, shape (points, dimensions), by kernel ridge
+    regression on polynomials of fourth degree; within the range of what is known."""
+    centre = values.mean()
+    scale = np.sqrt((at[some] ** 2).sum(1).mean())
+    inner = at @ at[some].T / scale**2
+    kernel = sum(inner**power for power in range(5))
+    system = kernel[some] + _RIDGE * np.trace(kernel[some]) / len(values) * np.eye(len(values))
+    found: Floats = centre + kernel @ np.linalg.solve(system, values - centre)
+    return np.clip(found, values.min(), values.max())

@@ -19,6 +19,7 @@ from curlfit.inference.fit.estimates import Estimate, NamedEstimates, Systematic
 from curlfit.inference.fit.result import FitResult, LoadName, load_fit
 from curlfit.inference.identifiability import Combination
 from curlfit.inference.joint.effects import Effect, Means
+from curlfit.inference.mcmc.chain import Chain, digest, load_chain
 from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Floats
 from curlfit.output.text import join_words, p_text
@@ -131,8 +132,10 @@ class JointResult(NamedEstimates):
         errors and its information are those of the joint fit, so that predictions from it use all
         throws.
     r_hat : largest of the spreads, if the posterior was sampled.
-    posterior_shifts : by what varies, the change of the posterior's mean, over its standard
-        deviation, if the likelihood of throws with given sigmas is not taken as quadratic.
+    importance : efficiency of the importance weights by which the likelihood of throws with given
+        sigmas is not taken as quadratic: one if they are equal; None without them.
+    chain : draws of the posterior, of what varies, of its groups, trends and spreads; saved as
+        `chain.h5` beside the record.
     table : of separate fits, in place of the throws.
     systematics : errors of what is shared due to the conditions that the fit holds fixed.
     derived : quantities requested by `--derive` and `with_derived`.
@@ -170,7 +173,8 @@ class JointResult(NamedEstimates):
     trend: tuple[Effect, ...] = ()
     throws: tuple[FitResult, ...] = field(default=(), metadata=UNSAVED)
     r_hat: float | None = None
-    posterior_shifts: dict[str, float] = field(default_factory=dict, metadata=ADDED)
+    importance: float | None = field(default=None, metadata=ADDED)
+    chain: Chain | None = field(default=None, metadata=UNSAVED)
     table: SeparateFits | None = None
     systematics: Systematics = field(default_factory=Systematics)
     derived: tuple[Derived, ...] = ()
@@ -247,7 +251,23 @@ class JointResult(NamedEstimates):
         files = structured(entries, _Throws)["throws"]
         names = folder_names([one["file"] for one in files])
         throws = tuple(load_fit(folder / name) for name in names)
-        return replace(found, throws=throws)
+        file = folder / "chain.h5"
+        chain = load_chain(file) if found.r_hat is not None and file.is_file() else None
+        if chain is not None and chain.subject != found.subject:  # of an earlier fit
+            chain = None
+        return replace(found, throws=throws, chain=chain)
+
+    def save(self, file: str | PathLike[str]) -> None:
+        """Write the record as JSON, and the draws beside it, each whole or not at all."""
+        super().save(file)
+        if self.chain is not None:
+            self.chain.save(Path(file).with_name("chain.h5"))
+
+    @property
+    def subject(self) -> dict[str, str]:
+        """What identifies its draws."""
+        means = self.means
+        return {} if means is None else {"means": digest(means.estimate, means.covariance)}
 
     def require_consistent(self) -> None:
         """Raise `ValueError` where what was read contradicts itself."""

@@ -18,6 +18,7 @@ from curlfit.inference.joint.effects import Covariates, Effect, Means
 from curlfit.inference.joint.population import Population
 from curlfit.inference.joint.posterior import Draws
 from curlfit.inference.joint.result import JointResult
+from curlfit.inference.mcmc.chain import Chain
 from curlfit.numerics.arrays import Floats
 
 _STEP = 1e-3  # typical sizes, of differences
@@ -52,10 +53,11 @@ def about_mean(
         sampled = dict(zip(spreads, map(quantiles_of, draws.spreads.T), strict=True))
     fixed = sum(item.verdict == "fixed" for item in equal.coefficients.values())
     open_ = found.fit.model.null.shape[1] - fixed
-    return replace(
+    result = replace(
         equal,
         rank=min(equal.rank, equal.parameters - open_),
         r_hat=None if draws is None else draws.r_hat,
+        importance=None if draws is None else draws.efficiency,
         means=means,
         coefficients={
             name: one if one.verdict == "fixed" else _of_mean(one, known, row, found.dof)
@@ -75,6 +77,29 @@ def about_mean(
         differences=differences,
         trend=trend,
     )
+    if draws is None:
+        return result
+    return replace(result, chain=_chain(found, means, draws, result.subject))
+
+
+def _chain(found: Population, means: Means, draws: Draws, subject: dict[str, str]) -> Chain:
+    """The draws of what varies."""
+    size = len(found.typical)
+    weights = np.array([*found.weights.values()])
+    of_mean = (found.reference + found.typical * draws.estimate[:, :size]) @ weights.T
+    values = np.concatenate([of_mean, draws.estimate[:, size:], draws.spreads], 1)[:, None]
+    changes = [
+        f"{by} {one} - {members[0]}" for by, members in means.groups.items() for one in members[1:]
+    ] + [f"{along} per {unit}" for along, unit in means.trends.items()]
+    varies = list(found.weights)
+    return Chain(
+        names=(
+            *varies, *(f"{change}: {name}" for change in changes for name in varies),
+            *(f"spread of {name}" for name in varies),
+        ),
+        values=values, log_posterior=np.full(values.shape[:2], np.nan), discarded=0, ensembles=1,
+        seed=draws.seed, subject=subject,
+    )  # fmt: skip
 
 
 def _of_mean(item: Estimate, known: Covariance, row: int, dof: float) -> Estimate:

@@ -41,8 +41,10 @@ class Chain(Displayed):
 
     Attributes
     ----------
-    names : of the parameters, fixed ones included.
-    values : shape (steps, walkers, parameters). log_posterior : shape (steps, walkers).
+    names : of the parameters, fixed ones included; of throws that vary, of what does: the mean,
+        what groups and trends change, and the spread between throws.
+    values : shape (steps, walkers, parameters). log_posterior : shape (steps, walkers); NaN where
+        unknown.
     discarded : number of initial steps left out.
     ensembles : number of ensembles of equally many walkers. seed : of the run.
     subject : what was sampled, see `subject_of`.
@@ -281,7 +283,7 @@ def subject_of_fit(
     sigma = [values for _, values in sorted(throw.sigma.items())]
     text = ",".join(sorted(throw.sigma)) + "".join(map(repr, throw.events))
     return {
-        "data": _digest(throw.t, throw.observed, *sigma, text=text),
+        "data": digest(throw.t, throw.observed, *sigma, text=text),
         **({"law": law} if isinstance(law, str) else _law(law)),
         "load": load,
         "loss": loss,
@@ -308,7 +310,7 @@ def subject_of(fit: FitResult, seed: int) -> dict[str, str]:
     noise += [one[name] for one in (fit.noise.memory, fit.noise.sizes) for name in sorted(one)]
     information = [np.array(fit.information[name]) for name in ("matrix", "gradient")]
     return own | {
-        "least-squares result": _digest(fit.values, np.array(noise), *information),
+        "least-squares result": digest(fit.values, np.array(noise), *information),
         "seed": str(seed),
         "version of curlfit": __version__,
         "version of emcee": version_of("emcee"),
@@ -334,10 +336,11 @@ def _change(stored: Mapping[str, str], now: Mapping[str, str]) -> str:
 def _law(law: type[Law]) -> dict[str, str]:
     """A law by its name and, where it is a user's own, its source text."""
     source = Path(law.origin.rpartition(":")[0]).read_text() if law.origin else ""
-    return {"law": law.name, "law's file": _digest(text=source)}
+    return {"law": law.name, "law's file": digest(text=source)}
 
 
-def _digest(*arrays: Floats, text: str = "") -> str:
+def digest(*arrays: Floats, text: str = "") -> str:
+    """A short text that differs for other numbers or another text."""
     found = hashlib.sha256(text.encode())
     for array in arrays:
         array = np.asarray(array, float)

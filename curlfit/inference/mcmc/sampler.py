@@ -20,7 +20,7 @@ from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.inference.likelihood import log_posterior
 from curlfit.inference.mcmc.chain import Chain, load_chain, require_same, subject_of
-from curlfit.inference.mcmc.ridge import posterior_proposal, proposed
+from curlfit.inference.mcmc.ridge import Proposal, posterior_proposal, proposed
 from curlfit.inference.mcmc.summary import (
     Diagnosis,
     is_test_due,
@@ -30,7 +30,7 @@ from curlfit.inference.mcmc.summary import (
 from curlfit.inference.model import Model
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.problem import Problem
-from curlfit.numerics.arrays import Floats
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import in_batches
 
 Progress = Callable[[float, int, float], None]
@@ -63,44 +63,57 @@ class SideBySide(RedBlueMove):
 def prepare_sampling(model: Model, parameters: ParameterSet, problem: Problem) -> None:
     """Start to compile what sampling of a problem needs."""
     log_posterior.prepare(
-        model, np.zeros((_walkers(parameters) // 2, len(parameters))), parameters.lower,
+        model, np.zeros((_walkers(parameters.free) // 2, len(parameters))), parameters.lower,
         parameters.upper, problem, parameters.penalty,
     )  # fmt: skip
 
 
-def _walkers(parameters: ParameterSet) -> int:
-    return ENSEMBLES * max(32, 4 * ((2 * int(parameters.free.sum()) + 3) // 4))
+def _walkers(free: Booleans) -> int:
+    return ENSEMBLES * max(32, 4 * ((2 * int(free.sum()) + 3) // 4))
 
 
-class _Run:
-    """An unfinished chain. It may be interrupted at any point: completed steps are kept."""
+class Run:
+    """An unfinished chain. It may be interrupted at any point: completed steps are kept.
 
-    def __init__(self, fit: FitResult, seed: int) -> None:
-        self.seed, self.subject = seed, subject_of(fit, seed)
-        parameters = self._parameters = fit.parameter_set
-        self._values, self._model, self.free = fit.values, fit.model, parameters.free
-        problem, origin = problem_of(fit)
-        self._offset = origin.offset(len(parameters))
-        local = parameters.shifted(-self._offset)
-        self._posterior = local.lower, local.upper, problem, local.penalty
-        self._proposal = posterior_proposal(fit)
-        self._walkers = _walkers(parameters)
+    Attributes
+    ----------
+    names, free : of the parameters, and which of them are sampled; those have the bounds `lower`
+        and `upper`. subject : what is sampled. proposal : from which walkers begin.
+    """
+
+    names: tuple[str, ...]
+    free: Booleans
+    lower: Floats
+    upper: Floats
+    subject: dict[str, str]
+    proposal: Proposal
+
+    def __init__(self, seed: int, walkers: int) -> None:
+        self.seed, self._walkers = seed, walkers
         self._steps: list[Any] = []
         self._next_write = -np.inf
         self.choose_moves(mostly_ridge=True)
 
+    def log_prob(self, free_values: Floats) -> Floats:
+        """Log-posterior of walkers, shape (walkers,)."""
+        raise NotImplementedError
+
+    def whole(self, free_values: Floats) -> Floats:
+        """The values of all parameters."""
+        return free_values
+
     def choose_moves(self, *, mostly_ridge: bool) -> None:
         """Rely on proposals along the ridge, or on the ensemble moves."""
         self.mostly_ridge = mostly_ridge
-        ridge = MHMove(partial(proposed, self._proposal))
+        ridge = MHMove(partial(proposed, self.proposal))
         others = SideBySide(StretchMove()), SideBySide(DEMove(sigma=_JITTER))
         shares = _MOSTLY_RIDGE if mostly_ridge else _MOSTLY_ENSEMBLE
         moves = list(zip((ridge, *others), shares, strict=True))
         self._sampler = emcee.EnsembleSampler(
-            self._walkers, int(self.free.sum()), self._log_prob, vectorize=True, moves=moves
+            self._walkers, int(self.free.sum()), self.log_prob, vectorize=True, moves=moves
         )
         # Without emcee's wrapper, which prints a message of its own at Ctrl-C.
-        self._sampler.log_prob_fn = self._log_prob
+        self._sampler.log_prob_fn = self.log_prob
 
     @property
     def steps(self) -> int:
@@ -124,19 +137,19 @@ class _Run:
             return
         random = np.random.RandomState(self.seed)  # emcee accepts no other
         coords = self._first_walkers(random)
-        log_prob, state = self._log_prob(coords), random.get_state()
+        log_prob, state = self.log_prob(coords), random.get_state()
         self._last = emcee.State(coords, log_prob=log_prob, random_state=state)
 
     def _first_walkers(self, random: Any) -> Floats:
         """Initial positions drawn from the proposal, with finite posterior."""
-        lower, upper = self._parameters.lower[self.free], self._parameters.upper[self.free]
+        lower, upper = self.lower, self.upper
         found: list[Floats] = []
         for _ in range(50):
-            coords = self._proposal.draw(self._walkers, random)
+            coords = self.proposal.draw(self._walkers, random)
             # Near a bound a proposal falls outside half the time; reflect it back.
             folded = np.where(coords < lower, 2 * lower - coords, coords)
             folded = np.where(folded > upper, 2 * upper - folded, folded)
-            found.extend(folded[np.isfinite(self._log_prob(folded))])
+            found.extend(folded[np.isfinite(self.log_prob(folded))])
             if len(found) >= self._walkers:
                 return np.array(found[: self._walkers])
         raise UnusableFitError("no point of finite posterior was found near the fit")
@@ -155,9 +168,9 @@ class _Run:
 
     def chain(self) -> Chain:
         """The chain of the steps so far."""
-        values = self._whole(np.stack([state.coords for state in self._steps]))
+        values = self.whole(np.stack([state.coords for state in self._steps]))
         return Chain(
-            names=self._parameters.names, values=values,
+            names=self.names, values=values,
             log_posterior=np.stack([state.log_prob for state in self._steps]),
             discarded=steps_to_discard(len(values)), ensembles=ENSEMBLES, seed=self.seed,
             subject=self.subject, random_state=self._steps[-1].random_state,
@@ -173,22 +186,10 @@ class _Run:
         after = monotonic()
         self._next_write = after + max(_EVERY, _SHARE * (after - now))
 
-    def _whole(self, free_values: Floats) -> Floats:
-        values = np.tile(self._values, (*free_values.shape[:-1], 1))
-        values[..., self.free] = free_values
-        return values
-
-    def _log_prob(self, free_values: Floats) -> Floats:
-        def of(values: Floats) -> Any:
-            return log_posterior(self._model, values, *self._posterior)
-
-        # Half of the walkers at a time, as ensemble moves need them.
-        values = self._whole(free_values) - self._offset
-        return np.asarray(in_batches(of, (values,), self._walkers // 2))
-
     def until(
-        self, effective: float, most_steps: int, progress: Progress | None, file: Path | None
-    ) -> tuple[str, Diagnosis | None]:
+        self, effective: float, most_steps: int, progress: Progress | None = None,
+        file: Path | None = None,
+    ) -> tuple[str, Diagnosis | None]:  # fmt: skip
         """Sample until convergence, `most_steps` or Ctrl-C; how it ended, and the diagnosis of the
         chain, if it is known."""
         try:
@@ -212,6 +213,42 @@ class _Run:
             if self.steps < _FEWEST:
                 raise
             return "stopped by the user", None
+
+
+class _OfFit(Run):
+    """A chain about the optimum of a fit."""
+
+    def __init__(self, fit: FitResult, seed: int) -> None:
+        parameters = fit.parameter_set
+        self.names, self.free, self.subject = (
+            parameters.names,
+            parameters.free,
+            subject_of(fit, seed),
+        )
+        self.lower, self.upper = parameters.lower[self.free], parameters.upper[self.free]
+        self.proposal = posterior_proposal(fit)
+        self._values, self._model = fit.values, fit.model
+        problem, origin = problem_of(fit)
+        self._offset = origin.offset(len(parameters))
+        local = parameters.shifted(-self._offset)
+        self._posterior = local.lower, local.upper, problem, local.penalty
+        super().__init__(seed, _walkers(self.free))
+
+    def whole(self, free_values: Floats) -> Floats:
+        """The same with those that are held."""
+        values = np.tile(self._values, (*free_values.shape[:-1], 1))
+        values[..., self.free] = free_values
+        return values
+
+    def log_prob(self, free_values: Floats) -> Floats:
+        """That of the path's data."""
+
+        def of(values: Floats) -> Any:
+            return log_posterior(self._model, values, *self._posterior)
+
+        # Half of the walkers at a time, as ensemble moves need them.
+        values = self.whole(free_values) - self._offset
+        return np.asarray(in_batches(of, (values,), self._walkers // 2))
 
 
 def sample(
@@ -260,7 +297,7 @@ def sample(
     True
     """
     require_fit(fit)
-    run = _Run(fit, seed)
+    run = _OfFit(fit, seed)
     file = None if checkpoint is None else Path(checkpoint)
     if resume:
         if file is None:
