@@ -7,6 +7,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from jax import Array
 
 from curlfit.dynamics.contact import contact_of
 from curlfit.dynamics.quadrature import panels
@@ -23,6 +24,7 @@ from curlfit.inference.model import Model
 from curlfit.inference.problem import LEVEL_AND_STILL, Problem
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import stacked
+from curlfit.numerics.compiled import compiled
 from curlfit.paper.claim import Judged, judged
 from curlfit.paper.isotropic import TIMES, Motion, motion
 from curlfit.paper.printed import (
@@ -117,15 +119,22 @@ def radial_at(mu: Floats, epsilon: float, angle: Floats) -> Floats:
     return -np.stack([right, forward]) / np.sqrt(1 + 2 * epsilon * cos + epsilon**2)
 
 
+@compiled()
+def _at_nodes(mu: Array, epsilon: Array) -> list[tuple[Array, tuple[Array, Array]]]:
+    """Angles of the nodes of the ring's quadrature, and friction there by the radial law."""
+    law = Radial.from_vector(mu)
+    contact = contact_of(law, _STONE, "uniform", _SPEED, _SPEED * epsilon / RADIUS)
+    rows = panels(law, *contact.motion, contact.clustering)
+    return [(points.angle, law.traction(points)) for points, _ in rows]
+
+
 def eq_22(_found: Any) -> Judged:
     """The radial law at the nodes of the ring's quadrature."""
     mu, gaps = np.array([0.006, 0.008, 0.009, 0.018]), []
-    law = Radial(*mu)
     for epsilon in (0.1, 0.9, 3.0):
-        contact = contact_of(law, _STONE, "uniform", _SPEED, _SPEED * epsilon / RADIUS)
-        for points, _ in panels(law, *contact.motion, contact.clustering):
-            by_hand = radial_at(mu, epsilon, np.asarray(points.angle))
-            gaps.append(np.abs(np.stack(law.traction(points)) - by_hand).max() / mu.max())
+        for angle, friction in _at_nodes(mu, epsilon):
+            by_hand = radial_at(mu, epsilon, np.asarray(angle))
+            gaps.append(np.abs(np.stack(friction) - by_hand).max() / mu.max())
     return judged(max(gaps) < 1e-12, gap=max(gaps))
 
 

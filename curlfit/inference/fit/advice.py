@@ -199,7 +199,7 @@ def _slopes_of_all_channels(fit: LeastSquaresFit, free: Indices) -> Floats:
     parameters, rows = fit.prepared.local_parameters, len(fit.prepared.throw)
     fixed = parameters.lower >= parameters.upper  # for lack of a channel that depends on them
     return slopes(
-        lambda moved: predict_channels(fit.model, moved, fit.problem)[:, :rows],
+        lambda moved: np.asarray(predict_channels(fit.model, moved, fit.problem))[:, :rows],
         fit.solution.values, _STEP * parameters.typical, free,
         lower=np.where(fixed, -np.inf, parameters.lower),
         upper=np.where(fixed, np.inf, parameters.upper),

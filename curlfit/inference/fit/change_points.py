@@ -77,10 +77,11 @@ class _Fitted:
         model, values, problem = self.fit.model, self.fit.solution.values, self.fit.problem
         rows, n = self.weight.shape
 
-        def swept(since: float, sweep: Floats) -> Any:
+        def swept(since: float, sweep: Floats) -> Floats:
             swept = replace(problem.environment, sweep=sweep[0],
                             swept_from=np.asarray(since), swept_to=np.asarray(np.inf))  # fmt: skip
-            return predict_channels(model, values, problem._replace(environment=swept))[:rows, :n]
+            path = predict_channels(model, values, problem._replace(environment=swept))
+            return np.asarray(path)[:rows, :n]
 
         found = [
             slopes(partial(swept, since), np.ones(1), _STEP, value=self.path[:rows])[..., 0]
