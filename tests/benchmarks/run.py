@@ -177,6 +177,29 @@ def forward() -> None:
     row(f"diffrax, vmap of {lanes}, front-back", f"{taken * 1e6:.1f} us a path", taken / script)
 
 
+def devices() -> None:
+    """One path of 201 times under vmap of more and more, on the processor and on a GPU."""
+    import jax
+
+    from curlfit import LAWS, InitialState, Stone, simulate
+
+    t, random, law = np.linspace(0, 20, 201), np.random.default_rng(0), LAWS["front-back"]()
+
+    def places(v: Any, omega: Any) -> Any:
+        path = simulate(law, Stone(R=0.054), InitialState(v=v, omega=omega), t)
+        return path.x, path.y, path.phi
+
+    function = jax.jit(jax.vmap(places))
+    for lanes in (256, 4096, 65536):
+        v, omega = random.uniform(2.05, 2.2, lanes), random.uniform(0.5, 3, lanes)
+        first = 0.0
+        for device in dict.fromkeys((jax.devices("cpu")[0], jax.devices()[0])):
+            with jax.default_device(device):
+                taken = best(lambda v=v, omega=omega: function(v, omega)) / lanes  # type: ignore[misc]
+            first = first or taken
+            row(f"{lanes}, {device.device_kind}", f"{taken * 1e6:.3g} us a path", taken / first)
+
+
 def _by_diffrax(v: Any, omega: Any, t: Any) -> float:
     """s for the same paths by diffrax, whose steps adapt to errors of 1e-8."""
     import diffrax
@@ -444,7 +467,8 @@ def roof() -> None:
 
 
 ALL = {
-    f.__name__: f for f in (answering, verbs, stopwatch, forward, roof, batch, together, posterior)
+    f.__name__: f
+    for f in (answering, verbs, stopwatch, forward, devices, roof, batch, together, posterior)
 }
 
 
