@@ -96,8 +96,9 @@ def fit(
     """Fit a friction law to a throw, or to several jointly, and show what the path determines.
 
     Writes `fit.json`, `fit.png` and, unless `--no-sample`, `chain.h5` and `corner.png`; for
-    several throws `joint.json`, `joint.png` and a folder for each.
-    Ctrl-C during sampling keeps the chain so far; `--resume` continues it.
+    several throws `joint.json`, `joint.png` and a folder for each, and where they vary `chain.h5`
+    and `corner.png` of their mean and spreads.
+    Ctrl-C during sampling keeps the chain so far; `--resume` continues it (of one throw).
 
     Example: `curlfit fit data/jensen_shegelski_2004.csv --stone rho=0.1025`
 

@@ -227,15 +227,18 @@ def prepare_minimize(
     _solve_once.prepare(*tasks.arguments(model, control))
 
 
-def minimize_many(model: Model, tasks: Tasks, batch: int = BATCH) -> Solution:
+def minimize_many(
+    model: Model, tasks: Tasks, batch: int = BATCH, most: int = _MOST_STEPS
+) -> Solution:
     """The optima of many problems.
 
     Parameters
     ----------
     batch : `BATCH`, `FEW`, or 1 to solve one after another, more precisely.
+    most : steps after which a solve ends.
     """
     count, loss = len(tasks.start), tasks.problems.loss
-    control = PRECISE if batch == 1 else _QUICK._replace(most=_FIRST_STEPS)
+    control = PRECISE if batch == 1 else _QUICK._replace(most=min(_FIRST_STEPS, most))
     tasks = tasks._replace(start=np.array(tasks.start))
     due, interrupted = np.arange(count), np.zeros(count, bool)
     whole: Any = None
@@ -248,7 +251,7 @@ def minimize_many(model: Model, tasks: Tasks, batch: int = BATCH) -> Solution:
         for leaf, new in zip(whole, found._replace(steps=steps), strict=True):
             leaf[as_slice(now)] = new
         tasks.start[now] = found.values
-        interrupted[now] = ~found.success & (found.steps >= control.most) & (steps < _MOST_STEPS)
+        interrupted[now] = ~found.success & (found.steps >= control.most) & (steps < most)
         due = np.setdiff1d(due, now)
         if not len(due):
             due, control = np.flatnonzero(interrupted), control._replace(most=2 * control.most)

@@ -32,6 +32,8 @@ from curlfit.inference.problem import LEVEL_AND_STILL, Problem
 from curlfit.output import html
 from curlfit.stone import Stone
 
+pytestmark = pytest.mark.documentation
+
 ROOT = Path(__file__).parents[2]
 WITHOUT = {"LAWS", "__version__"}  # a dictionary and a text have no docstring of their own
 ELSEWHERE = {"reproduce", "Reproduction"}  # tests/paper, which has the computation at hand

@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 from scipy.stats import norm
 
 import curlfit
-from curlfit import InputError, sheet
+from curlfit import InputError, UnusableFitError, sheet
 from curlfit.inference.joint.population import _moves
 from curlfit.inference.joint.posterior import sampled
 from curlfit.inference.joint.result import folder_names
@@ -357,6 +357,18 @@ def test_draws_are_saved_with_the_fit_and_drawn(tmp_path):
     other = replace(joint.chain, subject={"means": "#"})
     other.save(tmp_path / "chain.h5")
     assert curlfit.load_joint(tmp_path).chain is None
+
+
+def test_a_variation_without_an_optimum_is_refused(monkeypatch):
+    """As where coefficients run along a valley until their normal equations overflow."""
+
+    def singular(*_):
+        raise np.linalg.LinAlgError("Matrix is not positive definite")
+
+    throws = evening(count=4)
+    monkeypatch.setattr(MixedModel, "variances", singular)
+    with pytest.raises(UnusableFitError, match=r"cannot be estimated.*--share all"):
+        curlfit.fit_together(throws, "front-back", stone=STONE)
 
 
 def test_too_few_throws_have_no_posterior():

@@ -263,8 +263,15 @@ def _varying(
     """The result where what the throws determine varies about its mean."""
     variation = {one.expression: one for one in equal.variation}
     guess = np.array([variation[name].first_spread for name in weights])
-    found, solution, others = pool(together, weights, guess)
-    draws = sampled(found.fit, guess, seed)
+    try:
+        found, solution, others = pool(together, weights, guess)
+    except np.linalg.LinAlgError:
+        raise UnusableFitError(
+            "how these throws vary cannot be estimated: their coefficients become unbounded; fix "
+            "some of them, or fit with share='all' (--share all)"
+        ) from None
+    ended = bool(np.all(solution.success))
+    draws = sampled(found.fit, guess, seed) if ended else None
     if draws is not None and seed is not None and not together.rounds.unknown.any():
         draws = corrected(together, found, solution, draws, seed)
     throws = [

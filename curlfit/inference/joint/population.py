@@ -25,7 +25,9 @@ from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import BATCH, FEW
 from curlfit.numerics.mixed_model import MixedFit, MixedModel, bounded
 
-_MOST = 12  # linearizations
+_MOST, _USUAL = 24, 8  # linearizations, and those with whole steps; then they alternate
+_STEPS = 30  # to the optimum of a throw at its coefficients
+_LARGE = 1.0  # typical sizes that a step may be long
 _SETTLED = 2e-3  # standard errors that a throw's coefficients still move by
 _NEAR = 0.1  # the same, below which variances are not estimated again
 _AT = 1e-9  # typical sizes from a bound
@@ -169,7 +171,8 @@ def pool(
             own = tasks._replace(
                 start=values, lower=held[0], upper=held[1], penalty=_of_throws(throws)
             )
-            solution = minimize_many(rounds.model, own, FEW if len(values) <= BATCH else BATCH)
+            batch = FEW if len(values) <= BATCH else BATCH
+            solution = minimize_many(rounds.model, own, batch, _STEPS)
             values = np.array(solution.values)
         solution = rounds.with_own_sigma(solution)
         reduction, now = reduced(throws, solution), (values[:, common] - reference) / typical
@@ -191,6 +194,7 @@ def pool(
         distance = float(np.linalg.norm(every[..., :-1] @ move, axis=1).max())
         if distance < _SETTLED:
             break
+        move = move * min(1.0 if step < _USUAL else 0.5, _LARGE / np.abs(move).max())
         steps = reduction.follow[:, :, common] @ (typical[:, None] * move)
         values = _inside(values + steps[..., 0], tasks.typical, tasks.lower, tasks.upper)
     others = np.zeros((*told.shape[:2], len(tasks.typical) + 1))

@@ -27,6 +27,7 @@ _MOST = 1000  # throws; more know their spreads so well that Student's t says th
 _PROPER = 3  # throws beyond the covariates
 _KEPT, _FEWEST = 4000, 400
 _FEW_THROWS, _TRIED = 100, (16, 48)  # draws for which throws are evaluated
+_STEPS_NEAR = 8  # to the optimum of an initial state from a first-order one
 _QUADRATIC = 1e-3  # variance of logarithms of weights that change nothing
 _RIDGE = 1e-4  # over the mean square of the kernel
 _WIDER, _WIDEST = 1.5, 1.0  # proposals: over the normal density at the optimum, and in logarithms
@@ -165,10 +166,12 @@ def corrected(
             start=start, lower=np.where(common, start, held.lower),
             upper=np.where(common, start, held.upper), penalty=None,
         )  # fmt: skip
-        true = minimize_many(throws.rounds.model, held, FEW if count <= BATCH else BATCH)
+        batch = FEW if count <= BATCH else BATCH
+        true = minimize_many(throws.rounds.model, held, batch, _STEPS_NEAR)
         rows = reduction.in_common(found.typical)
         left = each[:, some] @ rows[..., :-1].mT + rows[:, None, :, -1]
         factors = ((left**2).sum(-1) - true.chi_squared.reshape(count, tried)) / 2
+        factors = np.nan_to_num(factors, nan=-_FAR, neginf=-_FAR)  # without a path
         if factors.var(1).sum() < _QUADRATIC:
             return draws._replace(efficiency=1.0)
     pairs = zip(each, factors, strict=True)
