@@ -167,12 +167,7 @@ def pool(
     seen = np.diag(1.0 * free)
     for step in range(_MOST):
         if step:
-            held = [np.where(common, values, end) for end in (tasks.lower, tasks.upper)]
-            own = tasks._replace(
-                start=values, lower=held[0], upper=held[1], penalty=_of_throws(throws)
-            )
-            batch = FEW if len(values) <= BATCH else BATCH
-            solution = minimize_many(rounds.model, own, batch, _STEPS)
+            solution = _at_coefficients(throws, values)
             values = np.array(solution.values)
         solution = rounds.with_own_sigma(solution)
         reduction, now = reduced(throws, solution), (values[:, common] - reference) / typical
@@ -206,6 +201,16 @@ def pool(
     ended = np.full(len(values), distance < _SETTLED)
     found = Population(fit, reference, typical, bounds, varying, of_data)
     return found, solution._replace(success=ended), others
+
+
+def _at_coefficients(throws: Together, values: Floats) -> Solution:
+    """The optima of throws at the coefficients that they have."""
+    lower, upper = (
+        np.where(throws.common, values, end) for end in (throws.tasks.lower, throws.tasks.upper)
+    )
+    own = throws.tasks._replace(start=values, lower=lower, upper=upper, penalty=_of_throws(throws))
+    batch = FEW if len(values) <= BATCH else BATCH
+    return minimize_many(throws.rounds.model, own, batch, _STEPS)
 
 
 def told_by_data(
