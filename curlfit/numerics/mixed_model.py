@@ -73,17 +73,28 @@ class MixedModel(NamedTuple):
         """The products of each block with the deviations integrated out, without their columns, and
         the logarithm of the determinant of the covariance of its observations; for variances of
         shape (..., deviations), with the blocks after these axes."""
+        k = variances.shape[-1]
+        cross, solved, determinants = self._integrated(variances)
+        return self.products[:, k:, k:] - cross.mT @ solved, determinants
+
+    def marginal_sum(self, variances: Floats) -> tuple[Floats, Floats]:
+        """The sums of these over the blocks, without those of each."""
+        k = variances.shape[-1]
+        cross, solved, determinants = self._integrated(variances)
+        left, right = (one.reshape(*one.shape[:-3], -1, one.shape[-1]) for one in (cross, solved))
+        return self.products[:, k:, k:].sum(0) - left.mT @ right, determinants.sum(-1)
+
+    def _integrated(self, variances: Floats) -> tuple[Floats, Floats, Floats]:
         k, root = variances.shape[-1], np.sqrt(variances)[..., None, :, None]
         inner = np.eye(k) + root * self.products[:, :k, :k] * root.mT
         cross = root * self.products[:, :k, k:]
-        rest = self.products[:, k:, k:] - cross.mT @ np.linalg.solve(inner, cross)
-        return rest, np.linalg.slogdet(inner)[1]
+        return cross, np.linalg.solve(inner, cross), np.linalg.slogdet(inner)[1]
 
     def criterion(self, variances: Floats) -> Floats:
         """-2 times the logarithm of the restricted likelihood, up to a constant."""
-        each, determinants = self.marginal(variances)
-        normal, right, square = self.parts(each.sum(-3))
-        value = determinants.sum(-1) + np.linalg.slogdet(normal)[1] + square
+        products, determinants = self.marginal_sum(variances)
+        normal, right, square = self.parts(products)
+        value = determinants + np.linalg.slogdet(normal)[1] + square
         found: Floats = value - (right * np.linalg.solve(normal, right[..., None])[..., 0]).sum(-1)
         return found
 

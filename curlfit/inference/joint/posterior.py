@@ -126,7 +126,7 @@ def sampled(fit: MixedFit, size: Floats, seed: int | None) -> Draws | None:
 
 def _given(model: MixedModel, spreads: Floats) -> tuple[Floats, Floats]:
     """The mean and the effects for some spreads, and Cholesky roots of their information."""
-    normal, right, _ = model.parts(model.marginal(spreads**2)[0].sum(-3))
+    normal, right, _ = model.parts(model.marginal_sum(spreads**2)[0])
     root: Any = np.linalg.cholesky(normal)
     mean: Any = np.linalg.solve(normal, right[..., None])
     return mean[..., 0], root
