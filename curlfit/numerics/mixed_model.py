@@ -88,7 +88,8 @@ class MixedModel(NamedTuple):
         k, root = variances.shape[-1], np.sqrt(variances)[..., None, :, None]
         inner = np.eye(k) + root * self.products[:, :k, :k] * root.mT
         cross = root * self.products[:, :k, k:]
-        return cross, np.linalg.solve(inner, cross), np.linalg.slogdet(inner)[1]
+        solved: Any = np.linalg.solve(inner, cross)
+        return cross, solved, np.linalg.slogdet(inner)[1]
 
     def criterion(self, variances: Floats) -> Floats:
         """-2 times the logarithm of the restricted likelihood, up to a constant."""

@@ -59,7 +59,6 @@ class _OfSpreads(Run):
         self._model, number = model, len(optimum)
         self._size = np.maximum(optimum, size)
         self.names, self.free = tuple(map(str, range(number))), np.ones(number, bool)
-        self.lower, self.upper, self.subject = np.zeros(number), np.full(number, _FAR), {}
         centre = np.arcsinh(optimum / self._size)
 
         def slope(at: Floats) -> Floats:  # the density is even, and smooth where a spread is zero
@@ -67,16 +66,21 @@ class _OfSpreads(Run):
 
         curved = -slopes(slope, centre, _STEP)
         squares, axes = np.linalg.eigh((curved + curved.T) / 2)
-        spread = _WIDER / np.sqrt(np.maximum(squares, _WIDEST**-2))
+        covariance = axes / np.maximum(squares, _WIDEST**-2) @ axes.T
+        # where zero is near, the density is sampled on both of its sides
+        even = centre < 2 * np.sqrt(np.diagonal(covariance))
+        self.lower, self.upper, self.subject = np.where(even, -_FAR, 0.0), np.full(number, _FAR), {}
+        squares, axes = np.linalg.eigh(covariance + np.diag(even * centre**2))
         none, nowhere = np.zeros(0), np.zeros(0, int)
         self.proposal = RidgeProposal(
-            centre, np.ones(number), axes.T, spread, nowhere, none, none, nowhere, none
-        )
+            np.where(even, 0.0, centre), np.ones(number), axes.T, _WIDER * np.sqrt(squares),
+            nowhere, none, none, nowhere, none,
+        )  # fmt: skip
         super().__init__(seed, _WALKERS)
 
     def whole(self, free_values: Floats) -> Floats:
         """The spreads."""
-        found: Floats = self._size * np.sinh(free_values)
+        found: Floats = np.abs(self._size * np.sinh(free_values))
         return found
 
     def log_prob(self, free_values: Floats) -> Floats:
