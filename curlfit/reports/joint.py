@@ -45,7 +45,7 @@ _WORDS = {
 _DRAWN = {"friction": ("friction",), **_WORDS}
 _CHANCE = 0.05  # probability above which an effect is within the errors
 _EFFICIENCY = 0.05  # of importance weights, below which a few draws weigh all
-_R_HAT = 1.05  # of a sample that ended without the 1.02 that it aims at
+_R_HAT = 1.05  # of a sample that ended without the 1.01 that it aims at
 _FIRST_ORDER = (
     "each throw counts as the quadratic about its own optimum; errors due to conditions, which all "
     "throws have in common, are not contained: see the fit of a throw"

@@ -205,12 +205,15 @@ def pool(
 
 def _at_coefficients(throws: Together, values: Floats) -> Solution:
     """The optima of throws at the coefficients that they have."""
-    lower, upper = (
-        np.where(throws.common, values, end) for end in (throws.tasks.lower, throws.tasks.upper)
-    )
-    own = throws.tasks._replace(start=values, lower=lower, upper=upper, penalty=_of_throws(throws))
+    own = held(throws.tasks, throws.common, values)._replace(penalty=_of_throws(throws))
     batch = FEW if len(values) <= BATCH else BATCH
     return minimize_many(throws.rounds.model, own, batch, _STEPS)
+
+
+def held(tasks: Tasks, common: Booleans, start: Floats) -> Tasks:
+    """Tasks that begin somewhere and keep what they have in common as it is there; no priors."""
+    lower, upper = (np.where(common, start, end) for end in (tasks.lower, tasks.upper))
+    return tasks._replace(start=start, lower=lower, upper=upper, penalty=None)
 
 
 def told_by_data(

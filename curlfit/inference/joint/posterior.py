@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from curlfit.inference.joint.population import Population, Together, reduced
+from curlfit.inference.joint.population import Population, Together, held, reduced
 from curlfit.inference.least_squares import Solution, minimize_many
 from curlfit.inference.mcmc.ridge import RidgeProposal
 from curlfit.inference.mcmc.sampler import ENSEMBLES, Run
@@ -121,11 +121,9 @@ def sampled(fit: MixedFit, size: Floats, seed: int | None) -> Draws | None:
     beyond = (means < fit.lower[:, None]) | (means > fit.upper[:, None])
     inside = ~beyond[:, (np.abs(model.null) < _NO_PART).all(1)].any((0, 1))
     worst = diagnosis.worst_r_hat if diagnosis else np.inf
-    return (
-        Draws(estimate[inside], found[inside], worst, None, seed)
-        if inside.sum() > _FEWEST
-        else None
-    )
+    if inside.sum() <= _FEWEST:
+        return None
+    return Draws(estimate[inside], found[inside], worst, seed=seed)
 
 
 def _given(model: MixedModel, spreads: Floats) -> tuple[Floats, Floats]:
@@ -157,29 +155,25 @@ def corrected(
     random = np.random.default_rng(seed)
     reduction, values = reduced(throws, solution), np.array(solution.values)
     now = (values[:, common] - found.reference) / found.typical
-    own = zip(reduction.in_common(found.typical), now, found.fit.model.covariates, strict=True)
-    each = np.stack([_of_throw(found.fit, *one, draws, random) for one in own])
+    rows = reduction.in_common(found.typical)
+    told = zip(rows, now, found.fit.model.covariates, strict=True)
+    each = np.stack([_of_throw(found.fit, *one, draws, random) for one in told])
     for tried in _TRIED:
         some = np.linspace(0, number - 1, tried).astype(int)
         start = (
             values[:, None] + (each[:, some] * found.typical) @ reduction.follow[:, :, common].mT
         )
-        held = tasks.at(np.repeat(np.arange(count), tried))
-        start = np.clip(start.reshape(held.start.shape), held.lower, held.upper)
-        held = held._replace(
-            start=start, lower=np.where(common, start, held.lower),
-            upper=np.where(common, start, held.upper), penalty=None,
-        )  # fmt: skip
-        batch = FEW if count <= BATCH else BATCH
-        true = minimize_many(throws.rounds.model, held, batch, _STEPS_NEAR)
-        rows = reduction.in_common(found.typical)
+        own = tasks.at(np.repeat(np.arange(count), tried))
+        start = np.clip(start.reshape(own.start.shape), own.lower, own.upper)
+        own, batch = held(own, common, start), FEW if count <= BATCH else BATCH
+        true = minimize_many(throws.rounds.model, own, batch, _STEPS_NEAR)
         left = each[:, some] @ rows[..., :-1].mT + rows[:, None, :, -1]
         factors = ((left**2).sum(-1) - true.chi_squared.reshape(count, tried)) / 2
         factors = np.nan_to_num(factors, nan=-_FAR, neginf=-_FAR)  # without a path
         if factors.var(1).sum() < _QUADRATIC:
             return draws._replace(efficiency=1.0)
     pairs = zip(each, factors, strict=True)
-    logs = sum(_regression(at, some, own) for at, own in pairs)
+    logs = sum(_regression(at, some, known) for at, known in pairs)
     weights = np.exp(logs - np.max(logs))
     weights /= weights.sum()
     again = random.choice(number, _KEPT, p=weights)

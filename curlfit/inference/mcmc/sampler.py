@@ -220,11 +220,8 @@ class _OfFit(Run):
 
     def __init__(self, fit: FitResult, seed: int) -> None:
         parameters = fit.parameter_set
-        self.names, self.free, self.subject = (
-            parameters.names,
-            parameters.free,
-            subject_of(fit, seed),
-        )
+        self.names, self.free = parameters.names, parameters.free
+        self.subject = subject_of(fit, seed)
         self.lower, self.upper = parameters.lower[self.free], parameters.upper[self.free]
         self.proposal = posterior_proposal(fit)
         self._values, self._model = fit.values, fit.model
