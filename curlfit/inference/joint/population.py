@@ -167,7 +167,7 @@ def pool(
     seen = np.diag(1.0 * free)
     for step in range(_MOST):
         if step:
-            solution = _at_coefficients(throws, values)
+            solution = at_coefficients(throws, values)
             values = np.array(solution.values)
         solution = rounds.with_own_sigma(solution)
         reduction, now = reduced(throws, solution), (values[:, common] - reference) / typical
@@ -203,17 +203,21 @@ def pool(
     return found, solution._replace(success=ended), others
 
 
-def _at_coefficients(throws: Together, values: Floats) -> Solution:
-    """The optima of throws at the coefficients that they have."""
-    own = held(throws.tasks, throws.common, values)._replace(penalty=_of_throws(throws))
-    batch = FEW if len(values) <= BATCH else BATCH
-    return minimize_many(throws.rounds.model, own, batch, _STEPS)
+def at_coefficients(throws: Together, values: Floats, most: int = _STEPS) -> Solution:
+    """The optima of throws at coefficients that they are given.
 
-
-def held(tasks: Tasks, common: Booleans, start: Floats) -> Tasks:
-    """Tasks that begin somewhere and keep what they have in common as it is there; no priors."""
+    Parameters
+    ----------
+    values : of each throw one set or several, one after another, with its initial state nearby.
+    most : steps.
+    """
+    count, common = len(throws.tasks.start), throws.common
+    tasks = throws.tasks._replace(penalty=_of_throws(throws))
+    tasks = tasks.at(np.repeat(np.arange(count), len(values) // count))
+    start = np.clip(values, tasks.lower, tasks.upper)
     lower, upper = (np.where(common, start, end) for end in (tasks.lower, tasks.upper))
-    return tasks._replace(start=start, lower=lower, upper=upper, penalty=None)
+    tasks = tasks._replace(start=start, lower=lower, upper=upper)
+    return minimize_many(throws.rounds.model, tasks, FEW if count <= BATCH else BATCH, most)
 
 
 def told_by_data(

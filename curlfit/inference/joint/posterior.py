@@ -13,12 +13,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from curlfit.inference.joint.population import Population, Together, held, reduced
-from curlfit.inference.least_squares import Solution, minimize_many
+from curlfit.inference.joint.population import Population, Together, at_coefficients, reduced
+from curlfit.inference.least_squares import Solution
 from curlfit.inference.mcmc.ridge import RidgeProposal
 from curlfit.inference.mcmc.sampler import ENSEMBLES, Run
 from curlfit.numerics.arrays import Floats
-from curlfit.numerics.batches import BATCH, FEW
 from curlfit.numerics.differences import slopes
 from curlfit.numerics.mixed_model import MixedFit, MixedModel
 
@@ -148,8 +147,7 @@ def corrected(
     ----------
     solution : the throws at their own coefficients.
     """
-    tasks, common = throws.tasks, throws.common
-    count, number = len(tasks.start), len(draws.spreads)
+    common, count, number = throws.common, len(throws.tasks.start), len(draws.spreads)
     if count > _FEW_THROWS:
         return draws
     random = np.random.default_rng(seed)
@@ -163,12 +161,9 @@ def corrected(
         start = (
             values[:, None] + (each[:, some] * found.typical) @ reduction.follow[:, :, common].mT
         )
-        own = tasks.at(np.repeat(np.arange(count), tried))
-        start = np.clip(start.reshape(own.start.shape), own.lower, own.upper)
-        own, batch = held(own, common, start), FEW if count <= BATCH else BATCH
-        true = minimize_many(throws.rounds.model, own, batch, _STEPS_NEAR)
+        true = at_coefficients(throws, start.reshape(-1, values.shape[1]), _STEPS_NEAR)
         left = each[:, some] @ rows[..., :-1].mT + rows[:, None, :, -1]
-        factors = ((left**2).sum(-1) - true.chi_squared.reshape(count, tried)) / 2
+        factors = ((left**2).sum(-1) - true.objective.reshape(count, tried)) / 2
         factors = np.nan_to_num(factors, nan=-_FAR, neginf=-_FAR)  # without a path
         if factors.var(1).sum() < _QUADRATIC:
             return draws._replace(efficiency=1.0)
