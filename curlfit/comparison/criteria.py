@@ -192,10 +192,9 @@ class Posterior(NamedTuple):
         """From a fit, whose own priors are among the prior."""
         known, free = result.information, result.parameter_set.free
         information, gradient = np.array(known["matrix"]), np.array(known["gradient"])
-        if (penalty := result.parameter_set.penalty) is not None:
-            residual, slope = penalty.residual_and_slope(result.values)
-            information -= np.diag(slope[free] ** 2)
-            gradient += (residual * slope)[free]
+        _, slope, square = result.parameter_set.penalty.quadratic(result.values)
+        information -= np.diag(square[free])
+        gradient += slope[free]
         mean, sd, lower, upper = np.array([_prior(result, name) for name in known["names"]]).T
         at_bound = [result.parameters[name].verdict == "at bound" for name in known["names"]]
         return cls(

@@ -13,7 +13,6 @@ from operator import itemgetter
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from numpy.typing import NDArray
@@ -33,7 +32,7 @@ from curlfit.numerics.batches import BATCH, in_batches, stacked, unstacked
 from curlfit.numerics.compiled import compiled
 
 Indices = NDArray[np.intp]
-Stacks = tuple[Any, Any, Any, Penalty | None, Problem]
+Stacks = tuple[Any, Any, Any, Penalty, Problem]
 """Initial values, bounds, priors and problems, along the first axis."""
 
 _MOST_STEPS = 200
@@ -105,7 +104,7 @@ class Tasks(NamedTuple):
     upper: Floats
     typical: Floats
     """shape (parameters,)"""
-    penalty: Penalty | None = None
+    penalty: Penalty
     """each field of the shape of `start`"""
     common: Booleans | None = None
     """which parameters of a throw the others have in common with it; None with one throw"""
@@ -168,7 +167,7 @@ def _solve(
         return jax.vmap(one)(values[blocks.index], problem) if together else one(values, problem)
 
     def solved(
-        start: Array, lower: Array, upper: Array, penalty: Penalty | None, problem: Problem
+        start: Array, lower: Array, upper: Array, penalty: Penalty, problem: Problem
     ) -> Solution:
         solver = bounded.BoundedLeastSquares(
             descent=bounded.BoundedDescent(lower, upper, typical),
@@ -178,7 +177,7 @@ def _solve(
         found: Any = optx.least_squares(
             residual, solver, start, problem, max_steps=None, throw=False
         )
-        priors = jnp.zeros(()) if penalty is None else penalty.chi_squared(found.value)
+        priors = penalty.chi_squared(found.value)
         state = found.state
         return Solution(
             found.value, state.residual, state.jacobian, state.evaluations, state.success, priors

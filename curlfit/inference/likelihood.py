@@ -208,7 +208,7 @@ def log_likelihood(model: Model, values: Array, problem: Problem) -> Array:
 @compiled("model")
 def log_posterior(
     model: Model, values: Array, lower: Array, upper: Array, problem: Problem,
-    penalty: Penalty | None,
+    penalty: Penalty,
 ) -> Array:  # fmt: skip
     """Log-posterior of many parameter vectors, shape (walkers, parameters); the prior is uniform
     within the bounds except for the densities in the penalty."""
@@ -216,8 +216,7 @@ def log_posterior(
     # No path is computed outside the bounds: it could hold up all the others.
     safe = jnp.clip(values, lower, upper)
     value = jax.vmap(lambda one: log_likelihood(model, one, problem))(safe)
-    if penalty is not None:
-        value = value - 0.5 * penalty.chi_squared(safe)
+    value = value - 0.5 * penalty.chi_squared(safe)
     return jnp.where(inside, value, -jnp.inf)
 
 

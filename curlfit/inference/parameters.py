@@ -198,8 +198,8 @@ class ParameterSet:
         return self._array("typical")
 
     @cached_property
-    def penalty(self) -> Penalty | None:
-        """What the priors add to chi squared; None without priors."""
+    def penalty(self) -> Penalty:
+        """What the priors add to chi squared."""
         return penalty_of(self.parameters, self.priors, self.offset)
 
     @cached_property

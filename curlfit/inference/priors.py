@@ -100,6 +100,16 @@ class Penalty(NamedTuple):
     logarithmic: Any
     """1 where the logarithm is normal"""
 
+    @classmethod
+    def none(cls, *shape: int) -> Penalty:
+        """That of no priors."""
+        return cls(*np.zeros((3, *shape)))
+
+    @property
+    def informative(self) -> bool:
+        """Whether there is any prior."""
+        return bool((self.weight > 0).any())
+
     def residual_and_slope(self, values: Any) -> tuple[Any, Any]:
         """Residuals of the priors, and the derivative of each by its parameter."""
         xp = values.__array_namespace__()
@@ -118,11 +128,17 @@ class Penalty(NamedTuple):
         residual, slope = self.residual_and_slope(values)
         return (residual**2).sum(-1) / 2, slope * residual, slope**2
 
+    def rows(self, values: Floats) -> Floats:
+        """The residuals linearized at some values: one row for each parameter, with the residual as
+        the last column."""
+        residual, slope = self.residual_and_slope(values)
+        return np.concatenate([slope[..., None] * np.eye(slope.shape[-1]), residual[..., None]], -1)
+
 
 def penalty_of(
     parameters: Iterable[Parameter], priors: Mapping[str, Prior], offset: Floats | float = 0.0
-) -> Penalty | None:
-    """The penalty of some priors; None without any.
+) -> Penalty:
+    """The penalty of some priors.
 
     That of a lognormal density is quadratic about its mode: with u = ln(p/median) and s = sigma,
     u^2/(2 s^2) + u = (u + s^2)^2/(2 s^2) - s^2/2.
@@ -131,8 +147,6 @@ def penalty_of(
     ----------
     offset : added to the penalized values to obtain those that the priors refer to.
     """
-    if not priors:
-        return None
     names = [item.name for item in parameters]
     location, weight, logarithmic = np.zeros((3, len(names)))
     offset = np.zeros(len(names)) + offset

@@ -170,7 +170,7 @@ class BoundedLeastSquares(optx.AbstractLeastSquaresSolver):
     blocks: Blocks
     penalty: Any
     """adds its `quadratic(values)` to the loss: terms of the loss, of its gradient and of the
-    diagonal of its Hessian; None for nothing"""
+    diagonal of its Hessian"""
     rtol: float
     atol: float
     norm: Callable[..., Any]
@@ -264,11 +264,10 @@ class BoundedLeastSquares(optx.AbstractLeastSquaresSolver):
         loss = (residual**2).sum() / 2
         gradient = jnp.zeros(values.size).at[index].add((columns.mT @ rows)[..., 0])
         hessian = self.blocks.normal(columns)
-        if self.penalty is not None:
-            of_loss, of_gradient, of_hessian = self.penalty.quadratic(values)
-            loss, gradient = loss + of_loss, gradient + of_gradient
-            hessian = hessian.scaled(jnp.ones_like(values), of_hessian)
-        return _quadratic(loss, gradient, hessian), residual, jacobian, aux
+        of_loss, of_gradient, of_hessian = self.penalty.quadratic(values)
+        hessian = hessian.scaled(jnp.ones_like(values), of_hessian)
+        model = _quadratic(loss + of_loss, gradient + of_gradient, hessian)
+        return model, residual, jacobian, aux
 
     def terminate(
         self, fn: Any, y: Array, args: Any, options: Any, state: SolverState, tags: Any

@@ -91,9 +91,7 @@ class Refit:
     def _optimum(self, solution: Solution) -> Optimum:
         values = np.asarray(solution.values)
         half = np.einsum("cn,cni->i", solution.residual, solution.jacobian)
-        if self._penalty is not None:
-            residual, by_parameter = self._penalty.residual_and_slope(values)
-            half = half + residual * by_parameter
+        half = half + self._penalty.quadratic(values)[1]
         chi_squared = float(solution.objective)
         return Optimum(chi_squared, values + self._offset, 2 * half, bool(solution.success))
 

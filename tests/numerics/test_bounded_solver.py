@@ -10,6 +10,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from curlfit.inference.least_squares import Control
+from curlfit.inference.priors import Penalty
 from curlfit.numerics import bounded_solver as bounded
 from curlfit.numerics.arrow_matrix import Blocks
 
@@ -36,7 +37,7 @@ def solved(residual, start=(0.0,) * 4, lower=LOWER, upper=UPPER, blocks=None):
     solver = bounded.BoundedLeastSquares(
         descent=bounded.BoundedDescent(lower, upper, jnp.ones(start.size)),
         search=bounded.GainRatio(1e-2), control=Control(1e-2, 1e-14, 1e-18), blocks=blocks,
-        penalty=None,
+        penalty=Penalty.none(start.size),
     )  # fmt: skip
     return optx.least_squares(lambda z, _: residual(z), solver, start, max_steps=None, throw=False)
 

@@ -236,7 +236,7 @@ class Factors(NamedTuple):
         of_data: Floats,
         bounded: Bounded,
         typical: Floats,
-        penalty: Penalty | None,
+        penalty: Penalty | None = None,
         common: Booleans | None = None,
         others: Floats | None = None,
     ) -> Factors:
@@ -245,21 +245,15 @@ class Factors(NamedTuple):
         say of the parameters of each."""
         if others is not None:
             of_data = _stacked(of_data, others)
-        whole, reduction = of_data, None
-        if penalty is not None:
-            prior, slope = penalty.residual_and_slope(bounded.values)
-            diagonal = slope[..., None] * np.eye(slope.shape[-1])
-            priors = np.concatenate([diagonal, prior[..., None]], -1)
+        penalty = Penalty.none(*bounded.values.shape) if penalty is None else penalty
+        whole, reduction, priors = of_data, None, penalty.rows(bounded.values)
         if common is not None:
             about = bounded, typical, common
             # Priors of what is in common count once.
-            alone = of_data if penalty is None else _stacked(of_data, priors * ~common[:, None])
-            reduction = Reduction.of(alone, *about)
+            reduction = Reduction.of(_stacked(of_data, priors * ~common[:, None]), *about)
             whole = _stacked(of_data, reduction.others)
-            plain = reduction if penalty is None else Reduction.of(of_data, *about)
-            of_data = whole if penalty is None else _stacked(of_data, plain.others)
-        if penalty is not None:
-            whole = _stacked(whole, priors)
+            of_data = _stacked(of_data, Reduction.of(of_data, *about).others)
+        whole = _stacked(whole, priors)
         inside = confined(whole[..., :-1], bounded, typical)
         return cls(of_data, whole, np.concatenate([inside, whole[..., -1:]], -1), reduction)
 

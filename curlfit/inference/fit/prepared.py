@@ -86,8 +86,8 @@ class PreparedThrow(NamedTuple):
         """The parameters in the problem's coordinates."""
         return self.parameters.shifted(-self.offset)
 
-    def penalty(self, *, first: bool) -> Penalty | None:
-        """What the priors add to chi squared, in the problem's coordinates; None without priors.
+    def penalty(self, *, first: bool) -> Penalty:
+        """What the priors add to chi squared, in the problem's coordinates.
 
         The `first` fit weights all channels equally, 1 m like 1 rad, where no sigma is given.
         Priors would outweigh the data there, and the misfit that they cause would be taken for
@@ -95,7 +95,7 @@ class PreparedThrow(NamedTuple):
         a path hardly determines, are held near the modes of their priors.
         """
         found = penalty_of(self.parameters.parameters, self.parameters.priors, self.offset)
-        if found is None or not (first and self.equal_sigma()):
+        if not (first and self.equal_sigma()):
             return found
         held = np.isin(self.parameters.names, WEAK_CONDITIONS)
         return found._replace(weight=found.weight * held / _HELD)
@@ -161,10 +161,9 @@ def linearized_fit(fit: FitResult) -> Linearized:
     return linearized(fit.model, problem, values, path, fit.stone, typical, adjustable)
 
 
-def penalties(throws: Sequence[PreparedThrow], *, first: bool = False) -> Penalty | None:
+def penalties(throws: Sequence[PreparedThrow], *, first: bool = False) -> Penalty:
     """The same of many throws."""
-    known = [found for one in throws if (found := one.penalty(first=first)) is not None]
-    return stacked(known) if known else None
+    return stacked([one.penalty(first=first) for one in throws])
 
 
 def local_bounds(

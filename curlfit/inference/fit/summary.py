@@ -111,7 +111,7 @@ class _Many(NamedTuple):
     bounded: Bounded
     """in the problems' coordinates"""
     typical: Floats
-    penalty: Penalty | None
+    penalty: Penalty
     common: Booleans | None
     others: Floats | None
 
@@ -122,7 +122,7 @@ class _Many(NamedTuple):
         throws, solutions = [fit.prepared for fit in fits], stacked([fit.solution for fit in fits])
         offset, *ends = local_bounds(throws, common)
         penalty = penalties(throws)
-        if penalty is not None and others is not None:
+        if others is not None:
             known = (others[..., :-1] != 0).any((0, 1))
             penalty = penalty._replace(weight=penalty.weight * ~known)
         return cls(
@@ -150,7 +150,7 @@ class _Many(NamedTuple):
                 Covariance.of(
                     fit.prepared.parameters.names, absolute, self.typical, both,
                     fit.solution.jacobian, known,
-                    self.penalty is not None or self.others is not None,
+                    self.penalty.informative or self.others is not None,
                 )
             )  # fmt: skip
         if estimator.reduction is not None:
@@ -173,9 +173,8 @@ class _Many(NamedTuple):
         problems = jax.tree.map(itemgetter(owner), self.problems)
         delta = chi_squared_of_many(self.model, points, problems, batch)
         delta = delta - self.solutions.chi_squared[owner]
-        if self.penalty is not None:
-            there = Penalty(*(part[owner] for part in self.penalty))
-            delta += there.chi_squared(points) - there.chi_squared(best)
+        priors = Penalty(*(part[owner] for part in self.penalty))
+        delta += priors.chi_squared(points) - priors.chi_squared(best)
         rows = self.others if reduction is None else reduction.others
         if rows is not None:
             delta += chi_squared_change(rows[owner], points - best)

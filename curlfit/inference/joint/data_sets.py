@@ -32,6 +32,7 @@ from curlfit.inference.least_squares import PRECISE, Solution, Tasks, residual_s
 from curlfit.inference.model import Model
 from curlfit.inference.noise.models import Independence
 from curlfit.inference.parameters import options_of
+from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import ROWS_OF_DATA, Problem, problem_shape
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.settings.choices import Comparing, Fitting
@@ -150,7 +151,9 @@ class LawOnSets:
         for end in (lower, upper):
             end[self.throws :, ~self.common] = start[self.throws :, ~self.common]
         start = np.clip(start, lower, upper)
-        self.tasks = Tasks(problems, start, lower, upper, parameters.typical)
+        self.tasks = Tasks(
+            problems, start, lower, upper, parameters.typical, Penalty.none(*start.shape)
+        )
         self.unknown = np.zeros(problems.weight.shape[:2], bool)
         self.unknown[: self.throws] = self.rounds.unknown[: self.throws]
         for row, table in enumerate(tables, self.throws):

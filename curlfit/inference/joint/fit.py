@@ -215,7 +215,7 @@ def _equal(
         Bounded(solution.values, tasks.lower, tasks.upper), tasks.typical, common,
     )  # fmt: skip
     verdicts = {name: one.verdict for name, one in coefficients.items()}
-    if tasks.penalty is not None:  # what varies is what the throws themselves determine
+    if tasks.penalty.informative:  # what varies is what the throws themselves determine
         alone = told_by_data(tasks, solution, reduction, shared)
         verdicts = {
             name: known if known == "fixed" else alone.classified(row)[1]

@@ -91,7 +91,7 @@ class Population(NamedTuple):
         def told(fit: MixedFit) -> Factors:
             mean, matrix = fit.unbounded
             rows = _rows(mean[:size], matrix[:size, :size], best, fit.model.null)
-            return Factors.of(rows / np.append(self.typical, 1.0), bounded, self.typical, None)
+            return Factors.of(rows / np.append(self.typical, 1.0), bounded, self.typical)
 
         factors = told(self.fit)
         if self.of_data is not self.fit:
@@ -229,24 +229,23 @@ def told_by_data(
     bounded = Bounded(*(part[0, common] for part in (solution.values, tasks.lower, tasks.upper)))
     typical = tasks.typical[common]
     rows = r_factor(reduction.in_common().reshape(-1, len(typical) + 1))
-    return _covariance(names, Factors.of(rows, bounded, typical, None), bounded, typical)
+    return _covariance(names, Factors.of(rows, bounded, typical), bounded, typical)
 
 
-def _of_throws(throws: Together) -> Penalty | None:
+def _of_throws(throws: Together) -> Penalty:
     """The priors of what throws do not have in common."""
     penalty = throws.tasks.penalty
-    return penalty and penalty._replace(weight=penalty.weight * ~throws.common)
+    return penalty._replace(weight=penalty.weight * ~throws.common)
 
 
 def _prior(throws: Together, centre: Floats, seen: Floats) -> tuple[Floats, Floats] | None:
     """Rows of the priors of what throws have in common, in typical sizes from the first optimum,
     on what is seen of it, and what they then give."""
-    if throws.tasks.penalty is None:
-        return None
     common, typical = throws.common, throws.tasks.typical[throws.common]
-    off, slope = Penalty(*(one[0, common] for one in throws.tasks.penalty)).residual_and_slope(
-        centre
-    )
+    penalty = Penalty(*(one[0, common] for one in throws.tasks.penalty))
+    if not penalty.informative:
+        return None
+    off, slope = penalty.residual_and_slope(centre)
     rows = (slope * typical)[:, None] * seen
     return rows, rows @ ((centre - throws.solution.values[0, common]) / typical) - off
 

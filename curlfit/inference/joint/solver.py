@@ -49,10 +49,8 @@ def minimize_jointly(
 
     padded.start[:, common] = throws.start[:, common].mean(0)
     typical = joined(np.broadcast_to(throws.typical, padded.start.shape))
-    penalty = padded.penalty
-    if penalty is not None:
-        penalty.weight[count:] = 0.0
-        penalty = Penalty(*map(joined, penalty))
+    padded.penalty.weight[count:] = 0.0
+    penalty = Penalty(*map(joined, padded.penalty))
     start, lower, upper = map(joined, (padded.start, padded.lower, padded.upper))
     whole = stacked([Tasks(padded.problems, start, lower, upper, typical, penalty)])
     whole = whole._replace(typical=typical, common=common)
@@ -62,8 +60,7 @@ def minimize_jointly(
     values = found.values[Blocks.of(common, count).index]
     if progress is not None:
         progress(int(found.steps), float(found.chi_squared.sum() + found.penalty))
-    of_priors = np.zeros(count) if throws.penalty is None else throws.penalty.chi_squared(values)
     return Solution(
         values, found.residual[:count], found.jacobian[:count], np.full(count, found.steps),
-        np.full(count, found.success), of_priors,
+        np.full(count, found.success), throws.penalty.chi_squared(values),
     )  # fmt: skip

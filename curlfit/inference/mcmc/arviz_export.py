@@ -80,8 +80,7 @@ def _parameters(fit: FitResult, flat: Floats) -> dict[str, Any]:
 def _log_priors(fit: FitResult, flat: Floats) -> dict[str, Any]:
     """Log-densities of the priors of free parameters, each up to a constant; a flat one is 0."""
     known = fit.parameter_set
-    penalty = known.penalty
-    logs = flat * 0.0 if penalty is None else -0.5 * penalty.residual_and_slope(flat)[0] ** 2
+    logs = -0.5 * known.penalty.residual_and_slope(flat)[0] ** 2
     return {
         name: (_DRAWS, logs[..., row])
         for row, name in enumerate(known.names)

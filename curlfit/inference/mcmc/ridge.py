@@ -257,9 +257,8 @@ def _about_solution(
     free, values = parameters.free, optimum.values + offset
     jacobian = optimum.jacobian.reshape(-1, len(values))
     gradient, information = optimum.residual.ravel() @ jacobian, jacobian.T @ jacobian
-    if parameters.penalty is not None:
-        _, slope, square = parameters.penalty.quadratic(values)
-        gradient, information = gradient + slope, information + np.diag(square)
+    _, slope, square = parameters.penalty.quadratic(values)
+    gradient, information = gradient + slope, information + np.diag(square)
     ends = np.stack([parameters.lower, parameters.upper])
     at_bound = (np.abs(values - ends) < _NEAR * parameters.typical).any(0)
     return _about(
