@@ -17,6 +17,12 @@ FEW = 16
 Record = TypeVar("Record")
 
 
+def side_by_side(count: int) -> int:
+    """How many of `count` problems are best solved side by side: those of a batch end together, and
+    one that is not full costs as much as a full one."""
+    return FEW if count <= BATCH else BATCH
+
+
 def stacked(records: Sequence[Record]) -> Record:
     """Records of equal shapes as one record, stacked along the first axis of each array."""
     record: Record = jax.tree.map(lambda *leaves: np.stack(leaves), *records)

@@ -27,7 +27,7 @@ from curlfit.inference.likelihood import predict_many
 from curlfit.inference.parameters import START, ParameterSet
 from curlfit.inference.problem import problem_shape
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.numerics.batches import BATCH, stacked
+from curlfit.numerics.batches import side_by_side, stacked
 from curlfit.optimal_design.information import (
     Assumptions,
     PlannedThrow,
@@ -129,7 +129,7 @@ class Rival:
         prepared = [PreparedThrow.of(_accepted(throw), chosen) for throw in throws]
         channels, rows = zip(*(problem_shape(one.throw) for one in prepared), strict=True)
         shape = max(channels), max(rows)
-        rounds = Rounds(self.model, prepared, shape=shape, batch=BATCH)
+        rounds = Rounds(self.model, prepared, shape=shape, batch=side_by_side(len(throws)))
         each = []
         for one in fitted(rounds, None):
             if isinstance(one, CurlfitError):

@@ -22,7 +22,7 @@ from curlfit.inference.joint.effects import Covariates, Means
 from curlfit.inference.least_squares import Solution, Tasks, minimize_many
 from curlfit.inference.priors import Penalty
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.numerics.batches import BATCH, FEW
+from curlfit.numerics.batches import side_by_side
 from curlfit.numerics.mixed_model import MixedFit, MixedModel, bounded
 
 _MOST, _USUAL = 24, 8  # linearizations, and those with whole steps; then they alternate
@@ -217,7 +217,7 @@ def at_coefficients(throws: Together, values: Floats, most: int = _STEPS) -> Sol
     start = np.clip(values, tasks.lower, tasks.upper)
     lower, upper = (np.where(common, start, end) for end in (tasks.lower, tasks.upper))
     tasks = tasks._replace(start=start, lower=lower, upper=upper)
-    return minimize_many(throws.rounds.model, tasks, FEW if count <= BATCH else BATCH, most)
+    return minimize_many(throws.rounds.model, tasks, side_by_side(count), most)
 
 
 def told_by_data(
