@@ -36,7 +36,7 @@ from curlfit.inference.likelihood import prepare_channels
 from curlfit.inference.model import Model
 from curlfit.inference.problem import Origin, problem_shape
 from curlfit.numerics.arrays import Floats
-from curlfit.numerics.batches import BATCH, FEW, stacked, unstacked
+from curlfit.numerics.batches import BATCH, side_by_side, stacked, unstacked
 from curlfit.settings.choices import Fitting, takes
 from curlfit.throws.throw import Reference, Throw, require_throw
 
@@ -280,13 +280,13 @@ def fit_throws(
             groups.setdefault(key, {})[index] = prepared
     for (_, rows, _), alike in groups.items():
         rest = iter(alike.items())
-        batch, paths = (FEW, FEW) if len(alike) <= FEW else (BATCH, 4 * BATCH)
+        batch = side_by_side(len(alike))
         while part := dict(islice(rest, max(BATCH, _ROWS // rows))):
             model = Model(law, common.load, next(iter(part.values())).parameters.conditions)
             rounds = Rounds(model, list(part.values()), loss=loss, noise=noise, batch=batch)
             each = dict(zip(part, fitted(rounds, common.start), strict=True))
             usable = {k: one for k, one in each.items() if isinstance(one, LeastSquaresFit)}
             widths = {} if systematics is None else widths_of(model, systematics, rounds.throws)
-            results = summarize_many(list(usable.values()), paths, curves=curves, widths=widths)
+            results = summarize_many(list(usable.values()), batch, curves=curves, widths=widths)
             found |= each | dict(zip(usable, map(with_curl_warning, results), strict=True))
     return [found[index] for index in range(len(throws))]

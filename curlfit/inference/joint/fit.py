@@ -38,7 +38,7 @@ from curlfit.inference.least_squares import Solution, Tasks
 from curlfit.inference.model import Model
 from curlfit.inference.problem import problem_shape
 from curlfit.numerics.arrays import Floats
-from curlfit.numerics.batches import BATCH, FEW, unstacked
+from curlfit.numerics.batches import side_by_side, unstacked
 from curlfit.settings.choices import Fitting, takes
 from curlfit.throws.throw import Throw, require_throw
 
@@ -195,7 +195,7 @@ def solved_together(
 
 def _summarized(together: Together, solution: Solution, **known: Any) -> list[FitResult]:
     records = [together.rounds.record(row, one) for row, one in enumerate(unstacked(solution))]
-    return summarize_many(records, FEW if len(records) <= BATCH else 4 * BATCH, **known)
+    return summarize_many(records, side_by_side(len(records)), **known)
 
 
 def _equal(
