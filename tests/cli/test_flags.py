@@ -19,7 +19,8 @@ from curlfit.throws.synthetic import write_table
 
 COULOMB = ("--law", "coulomb")
 QUICK = ("--no-sample", "--no-figures")
-ASSUMED = ("--free", "slope_x", "--prior", "mu=0.01+-0.001")
+GIVEN = ("--bound", "mu=0:0.5", "--stone", "h=0.06")
+ASSUMED = ("--free", "slope_x", "--prior", "mu=0.01+-0.001", *GIVEN)
 SYSTEMATIC = ("--systematic", "all=0,slope_y=1e-3")
 ROWS = ("--since", "1", "--exclude", "3:3.55,12:13", "--until", "18")
 SWEPT = ("--sweep", "6:11")
@@ -31,6 +32,8 @@ SETTINGS = """
 law = "coulomb"
 free = ["slope_x"]
 prior.mu = "0.01+-0.001"
+bound.mu = [0, 0.5]
+stone.h = 0.06
 systematic = {all = 0, slope_y = 1e-3}
 since = 1
 until = 18
