@@ -9,8 +9,6 @@ import signal
 import time
 from contextlib import suppress
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import psutil
 import pytest
@@ -23,11 +21,16 @@ from curlfit import Stone
 from curlfit.batch.fit_many import fit_files
 from curlfit.batch.settings import BatchSettings, columns
 from curlfit.batch.table import Table
-from curlfit.dynamics.contact import accelerations
 from curlfit.friction import LAWS
+from curlfit.friction.family import family_of
+from curlfit.friction.registry import laws_under
+from curlfit.inference.initial_values import POINTS, accelerations_and_slopes
+from curlfit.inference.model import Model
+from curlfit.numerics.batches import stacked
 from curlfit.throws.synthetic import law_with, synthetic_throw, write_table
 
 STONE = Stone(R=0.054)
+RING = family_of(law for law, _ in laws_under(None, "uniform"))
 
 
 @pytest.fixture(scope="module")
@@ -140,23 +143,18 @@ def test_a_table_cut_off_anywhere_is_completed_to_the_same_bytes(season, done):
 @pytest.mark.parametrize("name", [name for name, law in LAWS.items() if law.shipped()])
 def test_the_sums_that_laws_name_are_all_that_uniform_load_hides(name):
     """Against the null space of forces and moment over many motions and coefficients."""
-    law = LAWS[name]
-    random = np.random.default_rng(1)
-    states = [random.uniform(*ends, 50) for ends in ((0.05, 4), (-20, 20), (0, 12), (0, 20))]
+    law, random = LAWS[name], np.random.default_rng(1)
+    ranges = ((0.05, 4), (-20, 20), (0, 12), (0, 20))
+    states = np.array([random.uniform(*ends, POINTS) for ends in ranges])
     names = [item.name for item in law.coefficients()]
-    typical = np.array([item.typical for item in law.coefficients()])
-    default = np.array([item.default for item in law.coefficients()])
-
-    @jax.jit
-    def forces(c):
-        return jnp.stack(accelerations(law.from_vector(c), Stone(), "uniform", *states)[:3])
-
-    columns = []
-    for k in range(len(names)):
-        around = [default + typical * random.uniform(0.1, 0.5, len(names)) for _ in range(3)]
-        step = 1e-4 * typical[k] * np.eye(len(names))[k]
-        columns.append(np.ravel([forces(c + step) - forces(c - step) for c in around]))
-    _, size, rows = np.linalg.svd(np.stack(columns, 1) / np.abs(columns).max(), full_matrices=False)
+    default, typical = np.array([(item.default, item.typical) for item in law.coefficients()]).T
+    model, columns = Model(law, "uniform").within(RING), []
+    for _ in range(3):
+        values = default + typical * random.uniform(0.1, 0.5, len(names))
+        some = values[None], typical, stacked([Stone()]), states[None], 1
+        columns.append(accelerations_and_slopes(model, *some)[1].reshape(-1, len(names)))
+    slopes = np.concatenate(columns) * typical
+    _, size, rows = np.linalg.svd(slopes / np.abs(slopes).max(), full_matrices=False)
     hidden = rows[size < 1e-6 * size[0]]
     hidden = hidden[(np.abs(hidden) > 1e-3).sum(1) > 1]  # single ones are no sums
     assert len(hidden) == len(law.sums)
@@ -175,7 +173,7 @@ def test_a_log_has_a_row_for_each_shot_and_an_export_one_for_each_object(logs):
     ]  # fmt: skip
     assert rows[1]["status"] == "failed"
     assert rows[1]["reason"].endswith("no stone moves in end 0 shot 1")
-    for row in rows[:1] + rows[2:]:
+    for row in (rows[0], rows[3], rows[-1]):
         which = {"shot": row["shot"], "stone_index": row["stone_index"]}
         alone = curlfit.fit(curlfit.load_throw(row["file"], **which), details=False)
         assert row["n_observations"] == alone.n_observations

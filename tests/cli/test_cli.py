@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 
 import pytest
-from conftest import DATA, command as curlfit, process
+from conftest import DATA, command as curlfit, process, python
 from sample_files import PIXELS, PLAIN, known_points
 
 from curlfit import LAWS, load_chain, load_fit, load_throw
@@ -87,31 +85,12 @@ def test_a_simulated_throw_comes_back(tmp_path):
     assert [file.name for file in (tmp_path / "a-fit").iterdir()] == ["fit.json"]
 
 
-def test_flags_override_the_configuration_and_that_the_file(tmp_path):
-    (tmp_path / "c.toml").write_text("until = 15\n[stone]\nR = 0.06\n[bound]\nmu1_xi = [0, 0.5]\n")
-    run = curlfit(
-        "fit", DATA, "--config", "c.toml", "--stone", "R=0.055", "--no-sample", "--out", "o",
-        "--no-figures", cwd=tmp_path,
-    )  # fmt: skip
-    assert run.returncode == 0, run.stderr
-    result = load_fit(tmp_path / "o")
-    assert (result.stone.R, result.stone.rho) == (0.055, 0.1)
-    assert result.data["to"] == 15
-    assert result.parameters["mu1_xi"].upper == 0.5
-
-
 def test_help_and_refusals_load_no_jax(tmp_path):
     each = (
-        ["--help"],
-        ["fit", "--help"],
-        ["check", "--help"],
-        ["reproduce", "--help"],
-        ["fit", str(DATA), "--law", "ice"],
-        ["laws"],
-        ["check", str(DATA)],
-        ["check", str(DATA), "--axes", "q"],
-        ["reproduce", f"--out={DATA}"],
-    )
+        ["--help"], ["fit", "--help"], ["check", "--help"], ["reproduce", "--help"],
+        ["fit", str(DATA), "--law", "ice"], ["laws"], ["check", str(DATA)],
+        ["check", str(DATA), "--axes", "q"], ["reproduce", f"--out={DATA}"],
+    )  # fmt: skip
     code = (
         "import sys\n"
         "from curlfit.cli import main\n"
@@ -121,9 +100,7 @@ def test_help_and_refusals_load_no_jax(tmp_path):
         "    assert 'jax' not in sys.modules and 'matplotlib' not in sys.modules, words\n"
         "    assert 'numpy' not in sys.modules or '--help' not in words, words\n"
     )
-    run = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
+    run = python("-c", code, cwd=tmp_path)
     assert run.returncode == 0, run.stderr
     assert run.stdout.count("Usage: ") == 4
 
@@ -140,9 +117,7 @@ def test_the_process_ends_with_the_status_of_the_command_and_all_it_printed(tmp_
         "curlfit.cli.main = main\n"
         "run()\n"
     )
-    run = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
+    run = python("-c", code, cwd=tmp_path)
     assert (run.returncode, run.stdout, run.stderr) == (2, "done\nstored\n", "")
 
 

@@ -12,12 +12,8 @@ import curlfit
 ROOT = Path(__file__).parents[2]
 
 
-def run(*arguments):
-    return invoke([str(one) for one in arguments])
-
-
 def test_data_and_notebooks_are_copied(tmp_path):
-    found = run("example", tmp_path / "mine")
+    found = invoke(["example", tmp_path / "mine"])
     assert found.exit_code == 0, found.stdout
     for part, pattern in (("data", "*"), ("notebooks", "*.ipynb")):
         originals = sorted((ROOT / part).glob(pattern))
@@ -30,7 +26,7 @@ def test_data_and_notebooks_are_copied(tmp_path):
 def test_what_is_there_is_left(tmp_path):
     (tmp_path / "data").mkdir()
     (tmp_path / "data" / "evening.csv").write_text("my own\n")
-    found = run("example", tmp_path)
+    found = invoke(["example", tmp_path])
     assert "Left as it is:" in found.stdout
     assert (tmp_path / "data" / "evening.csv").read_text() == "my own\n"
     assert (tmp_path / "data" / "tracker.txt").exists()

@@ -9,17 +9,9 @@ from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
+from conftest import filmed
 
-from curlfit import (
-    LAWS,
-    InitialState,
-    Stone,
-    Throw,
-    load_comparison,
-    load_fit,
-    load_profile,
-    simulate,
-)
+from curlfit import LAWS, load_comparison, load_fit, load_profile
 from curlfit.environment import Environment
 from curlfit.inference.conditions import CONDITIONS
 from curlfit.settings.choices import Comparing, Fitting, Reading
@@ -27,7 +19,8 @@ from curlfit.throws.synthetic import write_table
 
 COULOMB = ("--law", "coulomb")
 QUICK = ("--no-sample", "--no-figures")
-ASSUMED = ("--free", "slope_x", "--prior", "mu=0.01+-0.001")
+GIVEN = ("--bound", "mu=0:0.5", "--stone", "h=0.06")
+ASSUMED = ("--free", "slope_x", "--prior", "mu=0.01+-0.001", *GIVEN)
 SYSTEMATIC = ("--systematic", "all=0,slope_y=1e-3")
 ROWS = ("--since", "1", "--exclude", "3:3.55,12:13", "--until", "18")
 SWEPT = ("--sweep", "6:11")
@@ -39,6 +32,8 @@ SETTINGS = """
 law = "coulomb"
 free = ["slope_x"]
 prior.mu = "0.01+-0.001"
+bound.mu = [0, 0.5]
+stone.h = 0.06
 systematic = {all = 0, slope_y = 1e-3}
 since = 1
 until = 18
@@ -49,19 +44,11 @@ swept = [6, 11]
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Throws on ice that falls 0.2 mm/m to the right, the first swept from 6 to 11 s."""
-    folder, random = tmp_path_factory.mktemp("flags"), np.random.default_rng(5)
-    for name, omega, swept in (("a", 1.3, 0.8), ("b", -1.6, 1.0)):
-        path = simulate(
-            LAWS["coulomb"](0.009), Stone(), InitialState(v=2.0, omega=omega),
-            np.linspace(0, 20, 201),
-            environment=Environment(slope_x=2e-4, sweep=swept, swept_from=6.0, swept_to=11.0),
-        ).to_numpy()  # fmt: skip
-        noisy = [
-            series + size * random.standard_normal(201)
-            for series, size in ((path.x, 0.005), (path.y, 0.005), (path.phi, 0.01))
-        ]
-        (folder / f"{name}.csv").write_text(write_table(Throw.from_arrays(path.t, *noisy)))
+    """A throw on ice that falls 0.2 mm/m to the right, swept from 6 to 11 s."""
+    folder = tmp_path_factory.mktemp("flags")
+    ice = Environment(slope_x=2e-4, sweep=0.8, swept_from=6.0, swept_to=11.0)
+    throw = filmed(LAWS["coulomb"](0.009), 5, v=2.0, omega=1.3, environment=ice)
+    (folder / "a.csv").write_text(write_table(throw))
     (folder / "own.csv").write_text(OWN + (folder / "a.csv").read_text())
     (folder / "c.toml").write_text(SETTINGS)
     return folder

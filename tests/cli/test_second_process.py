@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 import time
 
 import psutil
 import pytest
-from conftest import DATA, started
+from conftest import DATA, STRICT, python, started
 
 from curlfit import load_fit
 from curlfit.numerics.threads import cores
@@ -49,10 +47,7 @@ def run(tmp_path):
     (tmp_path / "drawn.py").write_text(DRAWN)
 
     def run(code):
-        done = subprocess.run(
-            [sys.executable, "-W", "error", "-c", CODE + code], cwd=tmp_path, check=False,
-            capture_output=True, text=True, timeout=120,
-        )  # fmt: skip
+        done = python(*STRICT, "-c", CODE + code, cwd=tmp_path)
         assert (done.returncode, done.stderr) == (0, "")
         return done.stdout.strip()
 
@@ -114,9 +109,7 @@ for words in VERBS:
     eq12_fit.save(tmp_path / "fit.json")
     verbs = [verb.replace("DATA", str(DATA)).replace("FIT", str(tmp_path)) for verb in VERBS]
     code = f"VERBS, FOLDER = {verbs!r}, {str(tmp_path)!r}\n{code}"
-    done = subprocess.run(
-        [sys.executable, "-c", code], check=False, capture_output=True, text=True, timeout=120
-    )
+    done = python("-c", code)
     assert (done.stdout.split(), done.stderr) == (["False"] * len(VERBS), "")
 
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from conftest import NOISE, G, filmed
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
@@ -11,7 +14,6 @@ import curlfit
 from curlfit import InputError, sheet
 from curlfit.throws.events import Event
 
-G = 9.81
 HOG, TEE = sheet.LINES["hog"], sheet.LINES["far-tee"]
 C, K = 0.008, -0.3
 LAWS = ["coulomb", "power"]  # which have one program
@@ -98,9 +100,13 @@ def test_the_friction_table_alone_is_as_scipy_fits_it(agreeing):
     assert (on.own_dof, on.determined) == (pytest.approx(4.0), ("c", "k"))
 
 
-def test_a_law_of_each_data_set_but_not_of_both():
-    measured = table(c=0.0095, k=0.4)
-    found = curlfit.compare([*throws(), measured], LAWS).of("power")
+@pytest.fixture(scope="module")
+def apart():
+    return curlfit.compare([*throws(), table(c=0.0095, k=0.4)], LAWS)
+
+
+def test_a_law_of_each_data_set_but_not_of_both(apart):
+    found = apart.of("power")
     assert all(on.own_follows for on in found.sets)
     assert not found.follows
     rise = sum(on.chi_squared - on.own_chi_squared for on in found.sets)
@@ -108,7 +114,7 @@ def test_a_law_of_each_data_set_but_not_of_both():
     assert found.p_together < 1e-3
 
 
-def test_what_is_said_saved_and_drawn(agreeing, tmp_path):
+def test_what_is_said_saved_and_drawn(agreeing, apart, tmp_path):
     text = str(agreeing)
     assert "power, uniform load ranks first" in text
     assert "Laws that follow all data sets with the same coefficients: power" in text
@@ -117,7 +123,6 @@ def test_what_is_said_saved_and_drawn(agreeing, tmp_path):
     assert str(again) == text
     assert again.candidates[0].sets == agreeing.candidates[0].sets
     curlfit.comparison_figure(again).savefig(tmp_path / "compare.png")
-    apart = curlfit.compare([*throws(), table(c=0.0095, k=0.4)], LAWS)
     assert "each data set alone, but not all with the same coefficients: power" in str(
         apart._document().as_text("Comparison", "")
     ) + "".join(map(str, apart._document().sections[-1].parts))
@@ -137,32 +142,24 @@ def test_what_cannot_be_compared(items, choices, words):
         curlfit.compare(items, "power", **choices)
 
 
-def test_what_the_laws_miss_of_a_path_is_not_its_noise(eq12):
-    """Eq. 12 is a formula: what laws leave is smooth, some mm under the best."""
-    found = curlfit.compare([eq12, table()], ["semi-empirical", "front-back", "coulomb"])
-    assert found.sets[0].sigma == {"x": 0.005, "y": 0.005, "phi": 0.01}
+def test_what_the_laws_miss_of_a_path_is_not_its_noise():
+    """What they leave is smooth: 2 mm and 2 mrad under the best, as of a formula without noise."""
+    exact = filmed(noise=dict.fromkeys(NOISE, 0.0))
+    wave = 0.003 * np.sin(exact.t)
+    path = replace(exact, x=exact.x + wave, y=exact.y + wave, phi=exact.phi + wave)
+    found = curlfit.compare([path, table()], ["front-back", "coulomb"])
+    assert found.sets[0].sigma == NOISE
     assert found.sets[0].effective == found.sets[0].values
     of_path = {item.law: item.sets[0] for item in found.candidates}
-    assert of_path["semi-empirical"].own_follows
+    assert of_path["front-back"].own_follows
     assert not of_path["coulomb"].own_follows
-    alone = curlfit.fit(eq12, "coulomb", sigma=found.sets[0].sigma, details=False)
+    alone = curlfit.fit(path, "coulomb", sigma=found.sets[0].sigma, details=False)
     assert of_path["coulomb"].own_chi_squared == pytest.approx(alone.chi_squared, rel=1e-4)
-
-
-def track(spin):
-    t, random = np.arange(0, 12, 0.5), np.random.default_rng(4)
-    start = curlfit.InitialState(v=2.0, omega=spin)
-    path = curlfit.simulate(curlfit.LAWS["front-back"](), curlfit.Stone(), start, t).to_numpy()
-    sigma = {"x": 0.005, "y": 0.005, "phi": 0.01}
-    noisy = {
-        name: getattr(path, name) + random.normal(0, size, len(t)) for name, size in sigma.items()
-    }
-    return curlfit.Throw.from_arrays(t, **noisy, sigma=sigma)
 
 
 def test_tracks_alone_are_one_data_set_each():
     """Without events and tables."""
-    tracks = [track(1.0), track(-1.5)]
+    tracks = [filmed(omega=spin).with_sigma(NOISE) for spin in (1.2, -1.5)]
     best = curlfit.compare(tracks, "front-back").best
     together = curlfit.fit_together(tracks, "front-back", share="all")
     assert (best.law, len(best.sets)) == ("front-back", 2)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import filmed
 from scipy.integrate import quad
 from scipy.interpolate import CubicSpline
 from scipy.stats import halfnorm, lognorm, norm
@@ -59,15 +60,11 @@ def test_a_parameter_pushed_against_its_bound(push):
 
 
 @pytest.fixture(scope="module")
-def few(eq12):
+def few():
     """A throw of which three parameters are unknown, two of them along a ridge."""
-    random = np.random.default_rng(5)
     law = curlfit.LAWS["front-back"](0.0018, 0.058, 0.009, 0.009)
-    t = np.arange(0.0, 15.0, 0.1)
-    start = curlfit.InitialState(v=2.0, omega=1.0)
-    path = curlfit.simulate(law, curlfit.Stone(), start, t).to_numpy()
-    noisy = [series + random.normal(0, 0.3, len(t)) for series in (path.x, path.y, path.phi)]
-    throw = curlfit.Throw.from_arrays(t, *noisy, sigma=dict.fromkeys(("x", "y", "phi"), 0.3))
+    sigma = dict.fromkeys(("x", "y", "phi"), 0.3)
+    throw = filmed(law, 5, sigma, np.arange(0.0, 15.0, 0.1), v=2.0, omega=1.0).with_sigma(sigma)
     return curlfit.fit(throw, fix=FIXED, details=False)
 
 

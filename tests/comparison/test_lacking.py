@@ -49,7 +49,7 @@ def test_a_spline_has_the_derivatives_of_what_it_smooths():
 
 def test_the_bands_have_what_the_law_lacks():
     inside, seen = [], []
-    for seed in range(6):
+    for seed in range(4):
         throw = thrown(Falling(**COEFFICIENTS), seed)
         found = lacking(
             "front-back", curlfit.fit(throw, "front-back", stone=STONE, details=False), {}, None

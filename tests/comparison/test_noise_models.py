@@ -2,41 +2,35 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from io import StringIO
 
 import numpy as np
 import pytest
+from conftest import NOISE as SIGMA, TIMES, filmed
 from rich.console import Console
 from scipy.stats import multivariate_normal
 
 import curlfit
 from curlfit.comparison.report import conclusions, document, print_comparison
 from curlfit.comparison.result import load_comparison
-from curlfit.throws.synthetic import write_table
 
 MEMORY = 0.5
-SIGMA = {"x": 0.005, "y": 0.005, "phi": 0.01}
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """A throw whose noise forgets itself within half a second."""
-    folder, random = tmp_path_factory.mktemp("noise"), np.random.default_rng(2)
-    t = np.arange(0, 20.05, 0.1)
-    start = curlfit.InitialState(v=2.1, omega=1.3)
-    path = curlfit.simulate(curlfit.LAWS["coulomb"](0.009), curlfit.Stone(), start, t).to_numpy()
-    root = np.linalg.cholesky(np.exp(-np.abs(t[:, None] - t) / MEMORY))
-    noisy = [getattr(path, name) + SIGMA[name] * root @ random.standard_normal(201)
-             for name in SIGMA]  # fmt: skip
-    (folder / "a.csv").write_text(write_table(curlfit.Throw.from_arrays(t, *noisy)))
-    return folder
+def throw():
+    """Its noise forgets itself within half a second."""
+    random = np.random.default_rng(2)
+    root = np.linalg.cholesky(np.exp(-np.abs(TIMES[:, None] - TIMES) / MEMORY))
+    exact = filmed(curlfit.LAWS["coulomb"](0.009), noise=dict.fromkeys(SIGMA, 0.0), omega=1.3)
+    noise = {name: size * root @ random.standard_normal(201) for name, size in SIGMA.items()}
+    return replace(exact, **{name: getattr(exact, name) + noise[name] for name in noise})
 
 
 @pytest.fixture(scope="module")
-def found(folder):
-    return curlfit.compare(
-        curlfit.load_throw(folder / "a.csv"), ["coulomb"], noise=["white", "ar1", "white"]
-    )
+def found(throw):
+    return curlfit.compare(throw, ["coulomb"], noise=["white", "ar1", "white"])
 
 
 def test_likelihoods_of_noise_models_are_densities_of_the_data(found):
@@ -88,8 +82,8 @@ def test_report_and_record_name_the_noise_of_each_fit(found, tmp_path):
     assert legend[1:] == ["1. coulomb, uniform load, ar1 noise", "2. coulomb, uniform load"]
 
 
-def test_correlated_residuals_count_effective_values_less_those_spent(folder):
-    found = curlfit.compare(curlfit.load_throw(folder / "a.csv"), ["coulomb"])
+def test_correlated_residuals_count_effective_values_less_those_spent(throw):
+    found = curlfit.compare(throw, ["coulomb"])
     k, counts = found.best.n_parameters, found.effective
     assert counts.keys() == SIGMA.keys()
     # n (1 - r)/(1 + r) of the noise that was drawn
@@ -104,8 +98,7 @@ def test_correlated_residuals_count_effective_values_less_those_spent(folder):
     assert "which assume independent residuals, are not given" in document(found).warnings[0]
 
 
-def test_what_a_prior_says_is_not_counted_as_what_the_data_determine(folder):
-    throw = curlfit.load_throw(folder / "a.csv")
+def test_what_a_prior_says_is_not_counted_as_what_the_data_determine(throw):
     mu = 0.009
     free, prior, fixed = (
         curlfit.compare(throw, ["coulomb"], **choice)

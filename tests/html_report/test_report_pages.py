@@ -7,15 +7,13 @@ import json
 import math
 import re
 import shlex
-import subprocess
-import sys
 from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 import report_records
-from conftest import Reference, front_back
+from conftest import Reference, front_back, python
 
 import curlfit
 from curlfit.cli import app
@@ -298,10 +296,8 @@ def test_pages_that_integrate_nothing_load_no_jax(folder):
         "    curlfit.write_report(result, f'{kind}/report.html')\n"
         "print('jax' in sys.modules)"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=True
-    )
-    assert done.stdout == "False\n"
+    done = python("-c", code, cwd=folder)
+    assert (done.returncode, done.stdout) == (0, "False\n"), done.stderr
 
 
 def test_the_command_writes_the_page_beside_the_result(folder, typed, monkeypatch):

@@ -53,24 +53,9 @@ def single():
 def test_a_discrepancy_enters_as_its_covariance():
     """Dense, with derivatives by differences; the difference of the eta coefficients is held."""
     size, t = 0.05, np.linspace(0.0, 15.0, 76)
-
-    def path(values):
-        one, two, total, *start = values
-        law = LAW(one, two, total / 2, total / 2)
-        x, y, phi, v, heading, omega = start
-        start = curlfit.InitialState(x=x, y=y, phi=phi, v=v, heading=heading, omega=omega)
-        return curlfit.simulate(law, STONE, start, t).to_numpy()
-
-    def series(values):
-        found = path(values)
-        return np.concatenate(
-            [found.x / NOISE["x"], found.y / NOISE["y"], found.phi / NOISE["phi"]]
-        )
-
-    best = np.array([0.005, 0.05, 0.018, 0.0, 0.0, 0.0, 2.0, 0.0, 1.5])
-    steps = 1e-4 * np.eye(9)
-    jacobian = np.array([(series(best + h) - series(best - h)) / 2e-4 for h in steps]).T
-    found = path(best)
+    # the sum alone, whose column is that of mu1_eta
+    jacobian = in_noise(np.delete(jacobian_by_differences("uniform", 2.0, 1.5, t), 3, 2))
+    found = curlfit.simulate(LAW(*TRUE), STONE, InitialState(v=2.0, omega=1.5), t).to_numpy()
     motion = np.array([found.x, found.y, found.phi, found.speed, found.omega])
     responses = Responses.of(t, motion, STONE)
     lacking = size * np.concatenate(
@@ -130,10 +115,16 @@ def jacobian_by_differences(load, v0, omega0, times):
     return np.stack(columns, -1)
 
 
+def in_noise(jacobian):
+    """By channel and row, over sigma, as a matrix."""
+    return np.concatenate(
+        [one / sigma for one, sigma in zip(jacobian, NOISE.values(), strict=True)]
+    )
+
+
 def covariance_of(jacobian):
     """Of the whole matrix inverted: no Schur complement, no QR of parts."""
-    weighted = jacobian / np.array(list(NOISE.values()))[:, None, None]
-    weighted = weighted.reshape(-1, jacobian.shape[-1])
+    weighted = in_noise(jacobian)
     scale = np.linalg.norm(weighted, axis=0)
     inverse = np.linalg.inv((weighted / scale).T @ (weighted / scale))
     return inverse / np.outer(scale, scale)

@@ -92,13 +92,18 @@ def test_ticks_of_neighbouring_corner_panels_do_not_meet(eq12_posterior, case, m
             assert len(set(shown)) == len(shown)
 
 
+def with_coefficients(fit, count):
+    """The first few alone estimated."""
+    held = {name: replace(fit[name], verdict="fixed") for name in list(fit.coefficients)[count:]}
+    return replace(fit, parameters=fit.parameters | held)
+
+
 @pytest.mark.parametrize("count", [1, 3])
 def test_a_corner_of_few_coefficients_has_room_for_its_words(eq12_posterior, count):
     fit, chain = eq12_posterior
-    held = {name: replace(fit[name], verdict="fixed") for name in list(fit.coefficients)[count:]}
     name = f"a-{'very-' * 20}long-name-of-a-file.csv"
-    fit = replace(fit, parameters=fit.parameters | held, data={**fit.data, "file": name})
-    require_room(corner_figure(fit, chain))
+    few = replace(with_coefficients(fit, count), data={**fit.data, "file": name})
+    require_room(corner_figure(few, chain))
 
 
 def test_ticks_say_what_they_stand_for():
@@ -254,9 +259,11 @@ def written(eq12_posterior, tmp_path_factory):
 
     folders = [tmp_path_factory.mktemp(name) for name in ("one", "other")]
     everything = FigureFiles.of("png, pdf,svg")
+    fit, chain = eq12_posterior
+    two = with_coefficients(fit, 2)
 
     def draw():
-        return {"fit": fit_figure(eq12_posterior[0]), "corner": corner_figure(*eq12_posterior)}
+        return {"fit": fit_figure(fit), "corner": corner_figure(two, chain)}
 
     files = write_figures(folders[0], draw(), everything.formats)
     with rc_context({"font.size": 25, "pdf.fonttype": 3, "axes.grid": True, "lines.linewidth": 9}):
