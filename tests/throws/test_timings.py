@@ -330,14 +330,15 @@ def test_rows_of_weight_alone_need_one_that_determines_friction(tmp_path, monkey
     monkeypatch.chdir(tmp_path)
     a, v, d = 0.0085 * 9.81, 2.25, np.array([21.945, 28.346])
     hog, tee = (v - np.sqrt(v**2 - 2 * a * d)) / a  # from the near hog line
-    header, alone = "hog_to_hog,hog_to_tee,hog spilt,humidity\n", "13.5,,,40\n,,,41\n"
+    header = "hog_to_hog,hog_to_tee,curl,turns,hog spilt,humidity\n"
+    alone = "13.5,,,,,40\n,,,,,41\n"
     file = tmp_path / "evening.csv"
     file.write_text(header + 2 * alone)
     run = invoke(["fit", "evening.csv"])
     assert run.exit_code == 2
     assert "line 2: hog_to_hog alone gives the mean speed" in str(run.exception)
-    file.write_text(header + alone + 4 * f"{hog},{tee},,40\n")
-    run = invoke(["fit", "evening.csv", "--no-figures", "--out", "joint"])
+    file.write_text(header + alone + 8 * f"{hog},{tee},0,0,,40\n")
+    run = invoke(["fit", "evening.csv", "--no-figures", "--no-sample", "--out", "joint"])
     assert run.exit_code == 0, run.exception
     said = " ".join(run.stdout.split())
     for words in (
@@ -347,7 +348,8 @@ def test_rows_of_weight_alone_need_one_that_determines_friction(tmp_path, monkey
     ):  # fmt: skip
         assert said.count(words) == 1, words
     joint = load_joint(tmp_path / "joint")
-    assert joint["mu"].value == pytest.approx(0.0085, rel=1e-5)
+    (total,) = joint.combinations  # without spin
+    assert total.value == pytest.approx(2 * 0.0085, rel=1e-5)
 
 
 def test_labels_of_tracks(tmp_path):
