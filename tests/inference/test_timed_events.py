@@ -202,7 +202,7 @@ def test_a_rough_path_tells_no_exponent():
 
 def test_a_table_of_curl_against_spin_gives_the_law(write):
     truth = {"mu2_xi - mu1_xi": 0.046, "mu1_eta + mu2_eta": 0.018}
-    peer = Reference(front_back(0.004, 0.05, 0.009, 0.009), R=0.065)
+    peer = Reference(front_back(0.004, 0.05, 0.009, 0.009), R=0.065, nodes=40)
     random = np.random.default_rng(5)
     rows, states = ["speed_km_h,spin_rpm,curl_cm,rest,turns,sigma_speed"], []
     for v, omega in zip(np.linspace(1.8, 2.3, 12), np.tile([0.6, -1.0, 2.0, -3.0], 3), strict=True):
