@@ -101,15 +101,14 @@ def test_a_draw_to_the_tee_is_that_of_the_mean_law(joint):
     )
     v = weight(spin)
     path = path_of(law, v, spin)
-    about = {"by": ""}
-    friction = one_of(joint.groups, "friction", **about)
-    assert friction.value == pytest.approx(v**2 / (2 * 9.81 * (sheet.TEE - HOG)), rel=2e-4)
-    assert one_of(joint.groups, "curl", **about).value == pytest.approx(-path.x[-1], abs=1e-3)
-    assert one_of(joint.groups, "hog_to_hog", **about).value == pytest.approx(
-        crossing(path), abs=2e-3
+    friction, curl, hog = (
+        one_of(joint.groups, name, by="") for name in ("friction", "curl", "hog_to_hog")
     )
+    assert friction.value == pytest.approx(v**2 / (2 * 9.81 * (sheet.TEE - HOG)), rel=2e-4)
+    assert curl.value == pytest.approx(-path.x[-1], abs=1e-3)
+    assert hog.value == pytest.approx(crossing(path), abs=2e-3)
     assert joint.means.angle == pytest.approx(path_of(LAW, 2.24, 1.3).phi[-1], rel=0.05)
-    assert one_of(joint.groups, "curl", **about).stderr < 0.04
+    assert curl.stderr < 0.04
 
 
 def test_a_coefficient_at_its_bound_stays_there_in_every_throw():
@@ -308,16 +307,11 @@ def test_the_posterior_holds_where_a_likelihood_is_not_quadratic(speed):
     without and with a prior of the speed of each."""
     timed = [(13.2, 0.4), (13.9, -1.0), (12.9, 1.5), (13.5, -0.6), (14.1, 0.8), (12.6, -0.2),
              (14.3, 1.1), (13.0, -1.4), (13.7, 0.3)]  # fmt: skip
-    throws = [
-        curlfit.Throw.from_events(
-            [
-                Event("hog_to_hog", "time", hog, 1.2, FAR, HOG),
-                Event("rest", "y", sheet.TEE + rest, 0.5),
-            ],
-            assumed={"omega0": 0.0},
-        )
-        for hog, rest in timed
-    ]
+    throws = []
+    for hog, rest in timed:
+        events = [Event("hog_to_hog", "time", hog, 1.2, FAR, HOG),
+                  Event("rest", "y", sheet.TEE + rest, 0.5)]  # fmt: skip
+        throws.append(curlfit.Throw.from_events(events, assumed={"omega0": 0.0}))
     priors = speed and {"v0": "{}+-{}".format(*speed)}
     # the deceleration over g is half of what the halves of the ring have together
     fix = dict.fromkeys(("mu1_xi", "mu2_xi", "mu1_eta"), 0.0)
@@ -387,16 +381,15 @@ def test_too_few_throws_have_no_posterior():
     """With a flat prior the density of the spread falls as a power of one less than the degrees of
     freedom, and has no integral for one."""
     random = np.random.default_rng(1)
-    columns = random.standard_normal((4, 2))
-    model = MixedModel.of(
-        np.ones((4, 1, 1)), random.standard_normal((4, 1)), np.eye(1), columns - columns.mean(0)
-    )
-    ends = np.array([-np.inf]), np.array([np.inf])
-    assert sampled(model.fitted(np.ones(1), *ends), np.ones(1), seed=1) is None
-    fewer = MixedModel.of(
-        np.ones((4, 1, 1)), random.standard_normal((4, 1)), np.eye(1), columns[:, :1]
-    )
-    assert sampled(fewer.fitted(np.ones(1), *ends), np.ones(1), seed=1).r_hat < 1.02
+    columns, ends = random.standard_normal((4, 2)), (np.array([-np.inf]), np.array([np.inf]))
+
+    def posterior(covariates):
+        seen = random.standard_normal((4, 1))
+        model = MixedModel.of(np.ones((4, 1, 1)), seen, np.eye(1), covariates)
+        return sampled(model.fitted(np.ones(1), *ends), np.ones(1), seed=1)
+
+    assert posterior(columns - columns.mean(0)) is None
+    assert posterior(columns[:, :1]).r_hat < 1.02
 
 
 @pytest.mark.slow
