@@ -106,7 +106,7 @@ def test_a_spinning_stone_crosses_lines_where_its_path_does(problem):
     rest = np.argmax((path.vx == 0) & (path.vy == 0))
     x = np.interp([HOG, FAR], path.y, path.x)
     speed, omega = (np.interp(HOG, path.y, rate) for rate in (path.speed, path.omega))
-    found = predicted(problem, vector(0.0095, 0.02, 2.7, 4.0))
+    found = predicted(problem, vector(0.0095, 0.02, 2.7, omega=4.0))
     expected = [
         crossed[0], crossed[1] - crossed[0], crossed[2] - crossed[0], t[rest] - crossed[1],
         path.y[-1], path.x[-1] - x[0], x[1], speed, omega,
