@@ -67,5 +67,5 @@ def test_sweeping_is_still_found_and_where_it_was(begin, end, factor):
     assert float(words[place - 1]) == pytest.approx(factor, abs=0.08)
 
 
-def test_nothing_is_said_of_a_throw_that_the_law_describes():
-    assert causes(filmed(seed=1))[0] == []
+def test_nothing_is_said_of_a_throw_that_the_law_describes(eq12):
+    assert [causes(throw)[0] for throw in (filmed(seed=1), eq12)] == [[], []]

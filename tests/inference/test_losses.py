@@ -47,16 +47,21 @@ def test_losses_are_scipy_s():
 
 @pytest.mark.parametrize("loss", LOSSES)
 def test_derivatives(loss):
-    place = LOSSES.index(loss)
-    points = R[np.abs(R) > 1e-6]
-    slope = jax.vmap(jax.grad(lambda r: signed_root(r, place)))(points)
-    np.testing.assert_allclose(root_slope(points, loss), slope, rtol=1e-6)
-    half = jax.vmap(jax.grad(lambda r: signed_root(r, place) ** 2 / 2))(points)
-    np.testing.assert_allclose(influence(points, loss).psi, half, rtol=1e-7)
-    smooth = points[np.abs(np.abs(points) - 1.345) > 1e-3]
-    bend = jax.vmap(jax.grad(jax.grad(lambda r: signed_root(r, place) ** 2 / 2)))(smooth)
-    np.testing.assert_allclose(influence(smooth, loss).slope, bend, rtol=1e-5, atol=1e-7)
-    assert np.isfinite(jax.grad(lambda r: signed_root(r, place))(0.0))
+    def root(r):
+        return signed_root(r, LOSSES.index(loss))
+
+    def half(r):
+        return root(r) ** 2 / 2
+
+    slopes = jax.grad(root), jax.grad(half), jax.grad(jax.grad(half))
+    slope, psi, bend = jax.jit(jax.vmap(lambda r: [one(r) for one in slopes]))(R)
+    assert np.isfinite(slope[R == 0]).all()
+    some = np.abs(R) > 1e-6
+    np.testing.assert_allclose(root_slope(R, loss)[some], slope[some], rtol=1e-6)
+    np.testing.assert_allclose(influence(R, loss).psi[some], psi[some], rtol=1e-7)
+    some &= np.abs(np.abs(R) - 1.345) > 1e-3
+    found = influence(R, loss).slope[some]
+    np.testing.assert_allclose(found, bend[some], rtol=1e-5, atol=1e-7)
 
 
 @pytest.mark.parametrize("loss", LOSSES)
@@ -91,16 +96,16 @@ def test_the_likeliest_sigma(loss):
     assert likeliest_sigma(np.zeros(9), loss) == 1e-12
 
 
-@pytest.mark.parametrize(("loss", "efficiency"), [("huber", 0.95), ("cauchy", 0.95)])
-def test_constants_give_95_percent_of_the_information_of_gaussian_noise(loss, efficiency):
+@pytest.mark.parametrize("loss", ["huber", "cauchy"])
+def test_constants_give_95_percent_of_the_information_of_gaussian_noise(loss):
     def mean(f):
         return quad(lambda r: f(np.array([r]))[0] * norm.pdf(r), -8, 8, limit=400)[0]
 
     slope = mean(lambda r: influence(r, loss).slope)
     square = mean(lambda r: influence(r, loss).psi ** 2)
-    assert slope**2 / square == pytest.approx(efficiency, abs=2e-3)
+    assert slope**2 / square == pytest.approx(0.95, abs=2e-3)
     sample = np.random.default_rng(0).standard_normal(200_000)
-    assert precision(sample, loss) == pytest.approx(efficiency, abs=0.01)
+    assert precision(sample, loss) == pytest.approx(0.95, abs=0.01)
 
 
 @pytest.fixture(scope="module")
@@ -127,7 +132,7 @@ def spoiled(clean):
 
 @pytest.mark.parametrize("loss", [pytest.param("huber", marks=pytest.mark.slow), "student"])
 def test_five_percent_outliers_move_nothing_by_a_standard_error(loss, plain, clean, spoiled):
-    before, after = (curlfit.fit(throw, loss=loss) for throw in (clean, spoiled[0]))
+    before, after = (curlfit.fit(throw, loss=loss, details=False) for throw in (clean, spoiled[0]))
     one, other = plain["mu2_xi"], before["mu2_xi"]  # clean data lose next to nothing
     assert other.stderr / one.stderr < 1.1
     assert abs(other.value - one.value) < one.stderr

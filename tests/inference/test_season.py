@@ -12,6 +12,8 @@ from rich.console import Console
 
 import curlfit
 from curlfit import Stone
+from curlfit.inference.joint.season import Season, mean_of, told_by
+from curlfit.inference.model import Model
 from curlfit.throws.synthetic import law_with, synthetic_throw, write_table
 
 STONE = Stone(R=0.065)
@@ -20,7 +22,7 @@ STONE = Stone(R=0.065)
 @pytest.fixture(scope="module")
 def season(tmp_path_factory):
     """Ten tracks of two sheets with notes, fitted one by one; and the joint fit of the same."""
-    folder, random, throws = tmp_path_factory.mktemp("season"), np.random.default_rng(1), []
+    folder, random = tmp_path_factory.mktemp("season"), np.random.default_rng(1)
     notes = ["track,sheet,day"]
     (folder / "tracks").mkdir()
     for place in range(10):
@@ -35,24 +37,23 @@ def season(tmp_path_factory):
         )  # fmt: skip
         (folder / "tracks" / f"t{place}.csv").write_text(write_table(throw))
         notes.append(f"t{place}.csv,{sheet},2026-02-{place + 20 if place < 9 else 28}")
-        labels = dict(zip(("sheet", "day"), notes[-1].split(",")[1:], strict=True))
-        loaded = curlfit.load_throw(folder / "tracks" / f"t{place}.csv")
-        throws.append(replace(loaded, labels=labels))
     (folder / "notes.csv").write_text("\n".join(notes) + "\n")
+    throws = [
+        curlfit.load_throw(file, throws=folder / "notes.csv")
+        for file in sorted((folder / "tracks").iterdir())
+    ]
     words = ["tracks", "--throws", "notes.csv", "--stone", "R=0.065", "--out", "season.csv"]
     command("batch", *words, "--workers", "1", cwd=folder)
+    ran = command("fit", "season.csv", "--by", "sheet", "--trend", "day", cwd=folder)
     joint = curlfit.fit_together(throws, stone=STONE, by="sheet", trend="day")
-    return folder, joint
+    return folder, joint, ran
 
 
-def test_a_table_gives_what_all_throws_give_together(season, tmp_path):
-    folder, joint = season
-    ran = command(
-        "fit", str(folder / "season.csv"), "--by", "sheet", "--trend", "day", cwd=tmp_path
-    )
+def test_a_table_gives_what_all_throws_give_together(season):
+    folder, joint, ran = season
     assert ran.returncode == 0
     assert "10 throws that were fitted one by one" in ran.stdout + ran.stderr
-    found = curlfit.load_joint(tmp_path / "season-fit")
+    found = curlfit.load_joint(folder / "season-fit")
     for kind in ("groups", "differences", "trend"):
         for one, other in zip(getattr(found, kind), getattr(joint, kind), strict=True):
             assert (one.parameter, one.by, one.group) == (other.parameter, other.by, other.group)
@@ -77,11 +78,10 @@ def test_a_table_gives_what_all_throws_give_together(season, tmp_path):
 
 def test_the_next_throw_of_a_season_is_that_of_the_joint_fit(season, tmp_path):
     """For the same random numbers; the bands differ by what the means do."""
-    folder, joint = season
-    command("fit", str(folder / "season.csv"), "--by", "sheet", "--trend", "day", cwd=tmp_path)
-    asked = ["--sheet", "1", "--to-tee", "--out", "next"]
-    assert command("predict", "season-fit", *asked, cwd=tmp_path).returncode == 0
-    found = curlfit.load_prediction(tmp_path / "next")
+    folder, joint, _ = season
+    asked = ["--sheet", "1", "--to-tee", "--no-figures", "--out", tmp_path]
+    assert command("predict", "season-fit", *asked, cwd=folder).returncode == 0
+    found = curlfit.load_prediction(tmp_path)
     call = curlfit.Call({"sheet": "1"})
     other = curlfit.predict(joint, call=call, target=(0.0, 0.0))
     assert found.quantities.keys() == other.quantities.keys()
@@ -93,8 +93,7 @@ def test_the_next_throw_of_a_season_is_that_of_the_joint_fit(season, tmp_path):
     assert (found.warnings, found.notes) == (other.warnings, other.notes)
     assert found.weights[2].hog_to_hog == pytest.approx(other.weights[2].hog_to_hog, abs=2e-3)
     # a record of an earlier version is read, but foretells nothing
-    file = tmp_path / "season-fit" / "joint.json"
-    saved = json.loads(file.read_text())
+    saved, file = json.loads((folder / "season-fit/joint.json").read_text()), tmp_path / "a.json"
     for name in ("starts", "duration", "speeds", "spins", "null_directions"):
         del saved["table"][name]
     file.write_text(json.dumps(saved))
@@ -102,11 +101,10 @@ def test_the_next_throw_of_a_season_is_that_of_the_joint_fit(season, tmp_path):
         curlfit.predict(curlfit.load_joint(file), call=call, target=(0.0, 0.0))
 
 
-def test_what_throws_leave_open_does_not_explain_what_differs_between_them(tmp_path):
+def test_what_throws_leave_open_does_not_explain_what_differs_between_them():
     """Under the consistent load a throw tells the halves of the friction hardly apart. A division
     far outside the bounds would explain the scatter of the sum."""
-    random, folder = np.random.default_rng(7), tmp_path / "tracks"
-    folder.mkdir()
+    random, fits = np.random.default_rng(7), []
     for place in range(6):
         half = 0.009 * (1 + 0.01 * random.standard_normal())
         law = law_with("front-back", {"mu1_eta": half, "mu2_eta": half})
@@ -114,13 +112,17 @@ def test_what_throws_leave_open_does_not_explain_what_differs_between_them(tmp_p
             law, STONE, load="consistent", v0=2 + 0.02 * (place % 4), dt=0.2, noise_xy=0.005,
             omega0=(1.0, 2.0, 4.0)[place % 3] * (-1) ** place, noise_phi=0.01, seed=place,
         )  # fmt: skip
-        (folder / f"t{place}.csv").write_text(write_table(throw))
-    words = ["--stone", "R=0.065", "--load", "consistent", "--out", "season.csv"]
-    command("batch", "tracks", *words, "--workers", "1", cwd=tmp_path)
-    season = curlfit.fit_season(tmp_path / "season.csv")
+        fits.append(curlfit.fit(throw, stone=STONE, load="consistent"))
+    values = np.array([fit.values for fit in fits])
+    season = mean_of(
+        Season(
+            "season.csv", Model(type(law), "consistent"), STONE, [(f"{k}", {}) for k in range(6)],
+            values[:, :4], values[:, 4:], np.full(6, 20.0), np.array([*map(told_by, fits)]), (),
+        ), (), (), None,
+    )  # fmt: skip
     sums = []
-    for file in sorted(folder.iterdir()):
-        (one,) = curlfit.fit(curlfit.load_throw(file), stone=STONE, load="consistent").combinations
+    for fit in fits:
+        (one,) = fit.combinations
         assert one.weights["mu2_eta"] == pytest.approx(0.98, abs=0.005)
         sums.append(one.value)
     (total,) = season.combinations
@@ -132,7 +134,7 @@ def test_what_throws_leave_open_does_not_explain_what_differs_between_them(tmp_p
 
 
 def test_columns_that_were_added_to_a_table_are_labels(season, tmp_path):
-    folder, _ = season
+    folder, *_ = season
     rows = list(csv.reader((folder / "season.csv").read_text().splitlines()))
     head = [rows[0][0], "rink", *rows[0][1:]]
     table = [head, *([one[0], "ab"[k % 2], *one[1:]] for k, one in enumerate(rows[1:]))]
@@ -164,7 +166,7 @@ def test_columns_that_were_added_to_a_table_are_labels(season, tmp_path):
     ],
 )
 def test_a_table_that_cannot_be_used(season, tmp_path, change, words, said):
-    folder, _ = season
+    folder, *_ = season
     (tmp_path / "a.csv").write_text(change((folder / "season.csv").read_text()))
     (tmp_path / "a.settings.json").write_text((folder / "season.settings.json").read_text())
     ran = command("fit", "a.csv", *words, "--out", "out", cwd=tmp_path)
@@ -174,7 +176,7 @@ def test_a_table_that_cannot_be_used(season, tmp_path, change, words, said):
 
 
 def test_a_table_runs_no_law_of_its_sender(season, tmp_path):
-    folder, _ = season
+    folder, *_ = season
     (tmp_path / "a.csv").write_text((folder / "season.csv").read_text())
     settings = json.loads((folder / "season.settings.json").read_text())
     settings["plan"]["law"] = f"{tmp_path}/mine.py:Mine"
@@ -186,7 +188,7 @@ def test_a_table_runs_no_law_of_its_sender(season, tmp_path):
 
 def test_the_figure_of_a_table_names_all_groups(season):
     """Also where the first panel is of a coefficient that does not vary, and has none."""
-    folder, _ = season
+    folder, *_ = season
     found = curlfit.fit_season(folder / "season.csv", by="sheet")
     first, *others = found.variation
     groups = [one for one in found.groups if one.parameter != first.expression]

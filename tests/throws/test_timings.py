@@ -106,28 +106,24 @@ def test_the_side_of_the_curl(read, line, x):
 
 
 @pytest.mark.parametrize(
-    ("line", "y"),
+    ("text", "found"),
     [
         ("rest = 0.6", 0.6), ("rest: 2 ft past the tee", 2 * FOOT), ("rest = -0.6", -0.6),
         ("rest = 60 cm short of the tee line", -0.6),
         ("rest = 3 ft in front of the tee", -3 * FOOT),
         ("rest = 3 ft behind", 3 * FOOT), ("rest = 1'2\" in front of the tee", -14 * INCH),
         ("rest = 0'11\" short", -11 * INCH), ("rest = -1'2\"", -14 * INCH),
-    ],
-)  # fmt: skip
-def test_the_place_of_rest(read, line, y):
-    assert values(read(f"hog_to_hog = 14.2\n{line}\n"))["rest"] == pytest.approx(38.405 + y)
-
-
-@pytest.mark.parametrize(
-    ("text", "turns"),
-    [
         ("turns = 2.5 ccw", 2.5), ("turns = -2.5", -2.5), ("turns = 2.5\ncurl = 1 m right", -2.5),
         ("turns = 900 deg clockwise", -2.5), ("turns = 2.5\nhandle = ccw", 2.5),
     ],
 )  # fmt: skip
-def test_turns(read, text, turns):
-    assert values(read(THREE + text))["turns"] == pytest.approx(2 * math.pi * turns)
+def test_the_place_of_rest_and_turns(read, text, found):
+    """From the far tee line, and in revolutions."""
+    name = text[:5].strip(" :")
+    expected = {"rest": 38.405 + found, "turns": 2 * math.pi * found}[name]
+    assert values(read(f"hog_to_hog = 14.2\nhog_to_rest = 10.3\n{text}\n"))[name] == pytest.approx(
+        expected
+    )
 
 
 @pytest.mark.parametrize(
@@ -318,26 +314,26 @@ def test_guards_and_takeouts_are_not_odd_and_few_rows_are_left_out(tmp_path):
     varied = ((1, "9.1,-,-"), (2, "15.4,6.5,0.4 m left"), (3, "13,12.5,6 ft right"))
     assert not any(part.left_out for part in parts_in(evening(tmp_path, *varied)))
     absurd = ((1, "31,11,1 m left"), (2, "35,11,1 m left"))
-    parts = parts_in(evening(tmp_path, *absurd))
-    assert not any(part.left_out for part in parts)
-    assert any("kept since they are more than a tenth: line 3" in n for n in parts[0].throw.notes)
-    assert not any(
-        "odd" in n for n in parts_in(evening(tmp_path, absurd[0], rows=4))[0].throw.notes
-    )
+    first, *others = parts_in(evening(tmp_path, *absurd))
+    assert not any(part.left_out for part in (first, *others))
+    assert any("kept since they are more than a tenth: line 3" in n for n in first.throw.notes)
+    first, *_ = parts_in(evening(tmp_path, absurd[0], rows=4))
+    assert not any("odd" in note for note in first.throw.notes)
 
 
 def test_rows_of_weight_alone_need_one_that_determines_friction(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     a, v, d = 0.0085 * 9.81, 2.25, np.array([21.945, 28.346])
     hog, tee = (v - np.sqrt(v**2 - 2 * a * d)) / a  # from the near hog line
-    header, alone = "hog_to_hog,hog_to_tee,hog spilt,humidity\n", "13.5,,,40\n,,,41\n"
+    header = "hog_to_hog,hog_to_tee,curl,turns,hog spilt,humidity\n"
+    alone = "13.5,,,,,40\n,,,,,41\n"
     file = tmp_path / "evening.csv"
     file.write_text(header + 2 * alone)
     run = invoke(["fit", "evening.csv"])
     assert run.exit_code == 2
     assert "line 2: hog_to_hog alone gives the mean speed" in str(run.exception)
-    file.write_text(header + alone + 4 * f"{hog},{tee},,40\n")
-    run = invoke(["fit", "evening.csv", "--no-figures", "--out", "joint"])
+    file.write_text(header + alone + 8 * f"{hog},{tee},0,0,,40\n")
+    run = invoke(["fit", "evening.csv", "--no-figures", "--no-sample", "--out", "joint"])
     assert run.exit_code == 0, run.exception
     said = " ".join(run.stdout.split())
     for words in (
@@ -347,7 +343,8 @@ def test_rows_of_weight_alone_need_one_that_determines_friction(tmp_path, monkey
     ):  # fmt: skip
         assert said.count(words) == 1, words
     joint = load_joint(tmp_path / "joint")
-    assert joint["mu"].value == pytest.approx(0.0085, rel=1e-5)
+    (total,) = joint.combinations  # without spin
+    assert total.value == pytest.approx(2 * 0.0085, rel=1e-5)
 
 
 def test_labels_of_tracks(tmp_path):
