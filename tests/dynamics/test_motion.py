@@ -1,8 +1,6 @@
-"""The path: closed forms, scipy, symmetry, order of convergence, derivatives."""
+"""The path: closed forms, scipy, symmetry, order of convergence."""
 
 from __future__ import annotations
-
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -21,8 +19,8 @@ FRONT_BACK = LAWS["front-back"](*PAPER)
 ROWS = 61  # of most paths, so that one program is enough for each load
 
 
-def places(path):
-    return np.stack([path.x, path.y, path.phi])
+def places(path, xp=np):
+    return xp.stack([path.x, path.y, path.phi])
 
 
 def moved(law, start, times, **how):
@@ -62,7 +60,7 @@ def test_error_falls_with_the_fifth_power_of_the_step(monkeypatch):
         monkeypatch.setattr(equations, "STEP", step)
         jax.clear_caches()
         # traced here: the program of known times is kept from call to call
-        path = jax.jit(lambda times: places_of(simulate(FRONT_BACK, STONE, start, times, t0=0.0)))
+        path = jax.jit(lambda times: places(simulate(FRONT_BACK, STONE, start, times, t0=0.0), jnp))
         errors.append(np.abs(path(times) - exact).max())
     monkeypatch.undo()
     jax.clear_caches()
@@ -168,90 +166,6 @@ def test_pure_spin_stays_in_place_and_stops():
     slowing = 9.81 * 0.054 / 0.1**2 * (sum(PAPER) / 4)
     assert path.phi[1] == pytest.approx(5 - slowing / 2, abs=1e-9)
     assert path.phi[2] == pytest.approx(25 / (2 * slowing), abs=1e-9)
-
-
-def _places(p, times, load):
-    start = InitialState(*(p[4 + k] for k in range(6)))
-    stone = Stone(20.0, p[10], p[11], p[12])
-    law = LAWS["front-back"].from_vector(p)
-    return places_of(simulate(law, stone, start, times, load=load, t0=0.0))
-
-
-def places_of(path):
-    return jnp.stack([path.x, path.y, path.phi])
-
-
-@partial(jax.jit, static_argnames="load")
-def _derivatives(p, times, load):
-    """Forward, and in reverse those of the last row: one program, of which the longest part, the
-    integration with its tangents, is common to both, as it is to all modes of JAX."""
-    _, forward = jax.linearize(lambda p: _places(p, times, load), p)
-    (reverse,) = jax.vmap(jax.linear_transpose(forward, p))(
-        jnp.zeros((3, 3, len(times))).at[:, :, -1].set(jnp.eye(3))
-    )
-    return jax.vmap(forward, out_axes=-1)(jnp.eye(len(p))), reverse
-
-
-@pytest.mark.parametrize(
-    ("load", "v", "omega", "until"),
-    [
-        ("uniform", 2.06, 1.005, 20.0),
-        ("uniform", 2.06, 1.005, 40.0),  # to rest
-        pytest.param("consistent", 2.06, -1.5, 40.0, marks=pytest.mark.slow),
-        ("uniform", 0.05, 30.0, 40.0),
-    ],
-)
-def test_derivatives_agree_with_finite_differences(load, v, omega, until):
-    times = np.linspace(0, until, ROWS)
-
-    def f(p):
-        return _places(p, times, load)
-
-    p = np.array([*PAPER, 0.1, 0.2, 0.1, v, 0.2, omega, 0.054, 0.1, 0.057])
-    forward, reverse = map(np.asarray, _derivatives(p, times, load))
-    np.testing.assert_allclose(reverse, forward[:, -1], rtol=1e-12, atol=1e-12)
-    step = 1e-4 * np.maximum(np.abs(p), 1e-2)
-    for k in range(len(p)):
-        e = np.zeros_like(p)
-        e[k] = step[k]
-        near, far = f(p + e) - f(p - e), f(p + 2 * e) - f(p - 2 * e)
-        difference = np.asarray(8 * near - far) / (12 * step[k])
-        size = np.abs(forward[..., k]).max()
-        np.testing.assert_allclose(
-            forward[..., k], difference, rtol=0, atol=1e-6 * size + 1e-10, err_msg=str(k)
-        )
-
-
-@pytest.mark.parametrize(("v", "omega"), [(2.0, 0.0), (0.0, 3.0), (0.0, 0.0)])
-def test_derivatives_stay_finite_at_the_edges(v, omega):
-    p = np.array([*PAPER, 0.1, 0.2, 0.1, v, 0.2, omega, 0.054, 0.1, 0.057])
-    forward, _ = _derivatives(p, np.linspace(0, 40, ROWS), "uniform")
-    assert np.isfinite(forward).all()
-
-
-@pytest.mark.slow
-def test_second_derivatives_agree_with_differences_of_the_first():
-    """Of a path that curls: the heading turns, and depends on everything."""
-    times = np.array([0.0, 5.0, 12.0, 18.0])
-
-    def path(p):
-        law = LAWS["front-back"](p[0], p[1], 0.009, 0.0083)
-        found = simulate(law, STONE, InitialState(heading=p[2], v=p[3], omega=p[4]), times)
-        return jnp.stack([found.x[1:], found.y[1:], found.phi[1:]])
-
-    values, steps = np.array([0.002, 0.05, 0.1, 2.0, 1.2]), [1e-5, 1e-4, 1e-4, 1e-4, 1e-4]
-    slope = jax.jit(jax.jacfwd(path))
-    found = jax.jit(jax.jacfwd(jax.jacfwd(path)))(values)
-    moves = np.diag(steps)
-    differences = np.stack(
-        [
-            (slope(values + move) - slope(values - move)) / (2 * step)
-            for move, step in zip(moves, steps, strict=True)
-        ],
-        -1,
-    )
-    gap = np.abs(found - differences).max((0, 1)) / np.abs(differences).max((0, 1))
-    assert gap.max() < 2e-6
 
 
 def test_a_stone_of_whole_numbers_has_the_program_of_any():
