@@ -68,7 +68,7 @@ def _optimum(of, start, kind):
 
 
 def optimum(of, start=(0.0,) * 4, kind="smooth"):
-    return _optimum(of, np.asarray(start), [*KINDS].index(kind))
+    return _optimum(of, jnp.asarray(start), [*KINDS].index(kind))
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -298,7 +298,7 @@ PLACES = [0.0, 20 - 0.0981 * 10**2 / 2, 2**2 / (2 * 0.0981)]
 
 @pytest.fixture(scope="module")
 def shared(tmp_path_factory):
-    """A cache for uses that are run anew and compile to the same."""
+    """A cache for uses that are traced anew and compile to the same."""
     return tmp_path_factory.mktemp("cache")
 
 
@@ -310,7 +310,7 @@ SLOPES = "jax.jvp(y, (2.0,), (1.0,))[1].tolist()", [0, 10, 2 / 0.0981]
     ("imports", "wide", "use", "expected"),
     [("import curlfit, jax", None, *SLOPES), ("import jax, curlfit", "0", *PATHS)],
 )
-def test_the_first_use_may_be_run(imports, wide, use, expected, shared, monkeypatch):
+def test_the_first_use_may_be_traced(imports, wide, use, expected, shared, monkeypatch):
     monkeypatch.delenv("JAX_ENABLE_X64", raising=False)
     if wide is not None:
         monkeypatch.setenv("JAX_ENABLE_X64", wide)
