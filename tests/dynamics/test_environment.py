@@ -30,22 +30,32 @@ START = (1.0, -2.0, 0.3, 2.1, 0.5, 1.3)  # x, y, heading, v, phi, omega
 friction = jax.jit(partial(accelerations, stone=STONE, load="uniform"))
 
 
-@jax.jit
-def motion(mu, start, environment, times):
-    """x, y, phi, vx, vy, omega and the time of rest, by vectors, so that one program serves all."""
-    path = simulate(
-        LAW.from_vector(mu), STONE, InitialState(*start), times, t0=0.0,
-        environment=Environment(*environment),
-    )  # fmt: skip
-    return jnp.stack([path.x, path.y, path.phi, path.vx, path.vy, path.omega]), path.rest
-
-
 LEVEL = Environment()
+NAMES = [*vars(LEVEL), *vars(InitialState())]
+STEPS = {"slope_x": 1e-5, "slope_y": 1e-5, "drag": 1e-2, "sweep": 1e-3, "wear_20": 1e-4,
+         "heading": 1e-3}  # fmt: skip
+DIRECTIONS = np.array([[name == step for name in NAMES] for step in STEPS], float)
+
+
+@jax.jit
+def motion(mu, p, times):
+    """x, y, phi, vx, vy, omega and the time of rest, and their slopes in the directions, by
+    vectors, so that one program serves all."""
+
+    def found(p):
+        path = simulate(
+            LAW.from_vector(mu), STONE, InitialState(*p[len(vars(LEVEL)) :]), times, t0=0.0,
+            environment=Environment(*p[: len(vars(LEVEL))]),
+        )  # fmt: skip
+        return jnp.stack([path.x, path.y, path.phi, path.vx, path.vy, path.omega]), path.rest
+
+    along = jax.vmap(lambda e: jax.jvp(found, (p,), (e,)), out_axes=(None, 0))
+    return along(jnp.asarray(DIRECTIONS))
 
 
 def moved(mu=PAPER, start=START, environment=LEVEL, times=TIMES):
-    parts = mu, start, [*vars(environment).values()], times
-    found, rest = motion(*(np.array(part, float) for part in parts))
+    p = np.array([*vars(environment).values(), *start], float)
+    (found, rest), _ = motion(np.array(mu, float), p, np.array(times))
     return np.asarray(found), float(rest)
 
 
@@ -185,20 +195,15 @@ def test_turned_with_the_slope_the_path_is_turned():
 
 
 def test_derivatives_agree_with_finite_differences():
-    level = np.array([*vars(WORN).values()], float)
-    p = np.array([*level, *START])
-    steps = {0: 1e-5, 1: 1e-5, 2: 1e-2, 4: 1e-3, 8: 1e-4, 12: 1e-3}
-    assert [*vars(WORN)][4] == "sweep"
-    assert [*vars(WORN)][8] == "wear_20"
-    directions = np.eye(len(p))[list(steps)]
+    p, mu = np.array([*vars(WORN).values(), *START], float), np.array(PAPER)
 
     def places(p):
-        return motion(np.array(PAPER), p[10:], p[:10], TIMES)[0][:3]
+        return np.asarray(motion(mu, p, TIMES)[0][0][:3])
 
-    forward = jax.jit(lambda p: jax.vmap(lambda e: jax.jvp(places, (p,), (e,))[1])(directions))(p)
-    for slope, e, step in zip(np.asarray(forward), directions, steps.values(), strict=True):
+    _, (forward, _) = motion(mu, p, TIMES)
+    for slope, e, step in zip(forward[:, :3], DIRECTIONS, STEPS.values(), strict=True):
         near, far = (places(p + k * step * e) - places(p - k * step * e) for k in (1, 2))
-        difference = np.asarray(8 * near - far) / (12 * step)
+        difference = (8 * near - far) / (12 * step)
         tolerance = 2e-6 * np.abs(slope).max()
         np.testing.assert_allclose(slope, difference, rtol=0, atol=tolerance)
 

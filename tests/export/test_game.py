@@ -121,9 +121,9 @@ def compiled(language, folder, code):
 
 def compiled_as(language, folder, table):
     """The command that runs the exported stone."""
-    if language != "js":
+    if language == "c":
         (folder / "curlfit_stone.h").write_text(c_header(table))
-        return compiled(language, folder, (HERE / "stone.c").read_text())
+        return compiled("c", folder, (HERE / "stone.c").read_text())
     node = shutil.which("node")
     if node is None:
         pytest.skip("no node to run JavaScript")
@@ -140,7 +140,7 @@ def ran(words, throw, *more):
     return np.array(done.stdout.split(), float)
 
 
-@pytest.mark.parametrize("language", ["c", "c++", "js"])
+@pytest.mark.parametrize("language", ["c", "js"])
 def test_the_exported_stone_comes_to_rest_there_too(tmp_path, table, ends, language):
     words = compiled_as(language, tmp_path, table)
     for throw, (_, end) in zip(THROWS, ends, strict=True):
@@ -154,7 +154,7 @@ def test_the_exported_stone_comes_to_rest_there_too(tmp_path, table, ends, langu
 
 
 def test_frames_as_in_digitalcurling_end_there_too(tmp_path, table, ends):
-    """The page's own lines, in single precision."""
+    """The page's own lines, in single precision, with the header as C++."""
     page = (Path(__file__).parents[2] / "notebooks" / "in_a_game.md").read_text()
     (code,) = re.findall(r"<!-- frame -->\n```cpp\n(.*?)```", page, re.S)
     (tmp_path / "curlfit_stone.h").write_text(c_header(table))
