@@ -17,7 +17,7 @@ from curlfit.dynamics.law_structure import sample_points
 from curlfit.dynamics.ring_polynomials import at_points, has_closed_form, traction
 from curlfit.friction import Edges, RingPoint, power
 
-pytestmark = pytest.mark.numerical
+numerical = pytest.mark.numerical
 
 STONE = Stone(R=0.065, rho=0.1, h=0.057)
 MU = (0.004, 0.05, 0.012, 0.006)
@@ -31,6 +31,7 @@ def over_weight(law, load, v, omega, stone=STONE):
     return np.array([a.xi, a.eta, a.angular * stone.rho**2 / stone.R]) / G
 
 
+@numerical
 @pytest.mark.parametrize("epsilon", [0.0, 0.01, 0.3, 0.9, 0.999, 1.0, 1.001, 1.5, 30.0])
 def test_transverse_force_of_front_back_is_exact(epsilon):
     # int_0^pi sin a / sqrt(1 + 2 eps cos a + eps^2) da = 2 min(1, 1/eps)
@@ -41,6 +42,7 @@ def test_transverse_force_of_front_back_is_exact(epsilon):
     )
 
 
+@numerical
 @pytest.mark.parametrize("epsilon", [0.05, 0.5, 0.95, 1.2, 8.0])
 def test_coulomb_force_is_the_complete_elliptic_integral(epsilon):
     # (1/2 pi) oint (1 + eps cos a)/|..| da by K and E of m = 4 eps/(1 + eps)^2
@@ -50,6 +52,7 @@ def test_coulomb_force_is_the_complete_elliptic_integral(epsilon):
     assert -force[1] / 0.01 == pytest.approx(exact, rel=1e-9)
 
 
+@numerical
 @pytest.mark.parametrize("load", ["uniform", "consistent"])
 @pytest.mark.parametrize(
     ("omega", "tolerance"),
@@ -93,6 +96,7 @@ def test_laws_with_a_closed_form(load):
     assert {name for name in ring if has_closed_form(LAWS[name], load)} == CLOSED[load]
 
 
+@numerical
 @pytest.mark.parametrize(
     ("name", "load"),
     [
@@ -123,6 +127,7 @@ def test_closed_form_and_quadrature_agree_with_all_derivatives(name, load):
             np.testing.assert_allclose(closed, summed, rtol=1e-8, atol=1e-9)
 
 
+@numerical
 @pytest.mark.parametrize("front", [1.0, 0.0])
 @pytest.mark.parametrize("name", sorted(CLOSED["uniform"] - {"debris", "front-back+sideways"}))
 def test_polynomials_are_the_traction_at_every_point(name, front):
@@ -204,6 +209,7 @@ UNEVEN = {
 }
 
 
+@numerical
 @pytest.mark.parametrize("uneven", UNEVEN)
 def test_any_friction_is_summed(uneven):
     class Uneven(LocalLaw):
@@ -240,6 +246,7 @@ def test_any_friction_is_summed(uneven):
     assert has_closed_form(Uneven, "uniform") == (uneven in closed)
 
 
+@numerical
 def test_first_order_law_is_the_limit_of_the_ring():
     first_order = LAWS["front-back-first-order"](*MU)
     gaps = []
@@ -252,16 +259,18 @@ def test_first_order_law_is_the_limit_of_the_ring():
     assert gaps[1] / gaps[2] == pytest.approx(4, rel=0.05)
 
 
-@pytest.mark.parametrize("load", ["uniform", "consistent"])
-def test_rest_pure_spin_and_no_spin_are_finite_with_their_derivatives(load):
+def test_rest_pure_spin_and_no_spin_are_finite_with_their_derivatives_under_a_consistent_load():
+    """Those under a uniform load are in test_derivatives.py."""
+
     def force(x):
-        return sum(accelerations(FRONT_BACK, STONE, load, x[0], x[1]))
+        return sum(accelerations(FRONT_BACK, STONE, "consistent", x[0], x[1]))
 
     both = jax.jit(lambda x: (*jax.value_and_grad(force)(x), jax.jacfwd(force)(x)))
     for motion in ((0.0, 0.0), (0.0, 3.0), (1.0, 0.0)):
         assert all(np.isfinite(found).all() for found in both(np.array(motion)))
 
 
+@numerical
 def test_power_is_numpys_with_its_derivatives_and_nan_below_zero():
     base = np.concatenate([np.logspace(-150, 150, 601), np.nextafter(np.sqrt([0.5, 2]), 0), [1.0]])
     slopes_of = jax.jit(jax.vmap(jax.grad(power, (0, 1)), (0, None)))

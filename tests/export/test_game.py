@@ -220,13 +220,14 @@ def test_slope_drag_and_sweeping_of_a_fit_are_named(eq12_fit, table, tmp_path):
     np.testing.assert_array_equal(same.values, table.values)
     assert c_header(same) == c_header(table)
     fit = with_conditions(eq12_fit, slope_x=1.25e-4, drag=0.8, sweep=0.9)
-    other = tabulate(fit)
-    assert other.to_json()["not_included"] == {"slope_x": 1.25e-4, "drag": 0.8, "sweep": 0.9}
-    said = "Not included from the fit: slope_x = 0.000125, drag = 0.8, sweep = 0.9."
-    assert said in c_header(other)
-    assert said in javascript_module(other)
     fit.save(tmp_path / "fit.json")
-    done = command("export", "fit.json", "--to", "js", "--out", "game", cwd=tmp_path)
+    forms = ("--to", "table", "--to", "c", "--to", "js")
+    done = command("export", "fit.json", *forms, "--out", "game", cwd=tmp_path)
+    record = json.loads((tmp_path / "game" / "accelerations.json").read_text())
+    assert record["not_included"] == {"slope_x": 1.25e-4, "drag": 0.8, "sweep": 0.9}
+    said = "Not included from the fit: slope_x = 0.000125, drag = 0.8, sweep = 0.9."
+    for name in ("curlfit_stone.h", "curlfit_stone.mjs"):
+        assert said in (tmp_path / "game" / name).read_text()
     assert said in done.stdout
 
 

@@ -173,7 +173,9 @@ def keeping(tmp_path):
     return run
 
 
-posix = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="permissions of POSIX")
+user = os.geteuid() if hasattr(os, "geteuid") else None
+posix = pytest.mark.skipif(user is None, reason="permissions of POSIX")
+root = pytest.mark.skipif(user != 0, reason="only root gives files away, and makes such folders")
 
 
 @posix
@@ -213,8 +215,7 @@ def test_a_folder_that_others_may_write_is_no_cache(run):
     assert run() == 0
 
 
-@posix
-@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root gives away")
+@root
 def test_a_file_or_folder_of_another_user_is_not_read(run):
     run()
     file = next(run.folder.iterdir())
@@ -228,19 +229,16 @@ def test_a_file_or_folder_of_another_user_is_not_read(run):
     assert run() == 0
 
 
-@posix
+@root
 def test_the_folder_of_all_temporary_files_may_lie_above(keeping, tmp_path):
     """As /tmp does: anybody may write to it, and move nothing that is another's."""
-    if os.geteuid() != 0:
-        pytest.skip("only root makes such a folder")
     (tmp_path / "shared").mkdir()
     (tmp_path / "shared").chmod(0o1777)
     done = keeping("print(folder.name)", place=tmp_path / "shared" / "cache")
     assert (done.stdout, done.stderr) == ("programs\n", "")
 
 
-@posix
-@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root may change")
+@root
 def test_a_user_without_a_home_has_no_cache(keeping, tmp_path):
     done = keeping(
         "import platformdirs, platformdirs.unix, pwd\n"
