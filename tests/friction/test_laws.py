@@ -399,7 +399,7 @@ def test_a_load_that_would_have_to_be_negative_is_refused(name, within, beyond):
         assert np.isnan(path.y[1:]).all()
 
 
-@pytest.mark.parametrize("name", sorted(dict(LAWS_OF_THE_RING)))
+@pytest.mark.parametrize("name", UNLIKE)
 def test_only_laws_that_see_the_load_repeat_its_solution(name):
     program = str(
         jax.make_jaxpr(lambda law: accelerations(law, STONE, "consistent", 2.0, 1.0))(LAWS[name]())
