@@ -128,7 +128,7 @@ def test_a_law_of_the_user_and_a_single_law_have_no_family():
 
 
 @pytest.mark.parametrize("name", ["tensor", "power"])
-@pytest.mark.parametrize("family", [None, SMALL], ids=["alone", "member"])
+@pytest.mark.parametrize("family", [None, FAMILY], ids=["alone", "member"])
 def test_forces_along_a_path_and_their_slopes(name, family):
     law = LAWS[name]
     model, values = Model(law, "uniform", family=family), coefficients(law)
@@ -147,8 +147,7 @@ def test_forces_along_a_path_and_their_slopes(name, family):
 
 def test_a_fit_beside_others_is_the_fit(eq12):
     alone = curlfit.fit(eq12, "coulomb", details=False)
-    pair = family_of([LAWS["front-back"], LAWS["coulomb"]])
-    beside = curlfit.fit(eq12, "coulomb", details=False, family=pair)
+    beside = curlfit.fit(eq12, "coulomb", details=False, family=FAMILY)  # that of comparisons
     assert beside.coefficients.keys() == alone.coefficients.keys()
     for name, item in alone.parameters.items():
         other = beside.parameters[name]
