@@ -1,4 +1,4 @@
-/* Follow a throw with the exported stone, by C and C++: vx, vy, omega and the length of a step. */
+/* Follow a throw with the exported stone: vx, vy, omega and the length of a step. */
 #include <stdio.h>
 #include <stdlib.h>
 #include "curlfit_stone.h"

@@ -29,12 +29,13 @@ def coefficients(law):
     )
 
 
-def _state(law, values, stone, motion, load):
-    return jnp.stack(accelerations(law.from_vector(values), stone, load, *motion))
+def _state(law, values, stone, motion, load="uniform"):
+    found = jnp.stack(accelerations(law.from_vector(values), stone, load, *motion))
+    return found, found
 
 
-_value = jax.jit(_state, static_argnums=0, static_argnames="load")
-_slopes = jax.jit(jax.jacfwd(_state, argnums=(1, 2, 3)), static_argnums=0, static_argnames="load")
+_slopes = jax.jit(jax.jacfwd(_state, argnums=(1, 2, 3), has_aux=True), static_argnums=(0, 4))
+"""Derivatives by coefficients, stone and motion, and the accelerations."""
 
 
 def test_all_laws_of_the_ring_are_in_one():
@@ -73,13 +74,10 @@ def test_a_member_has_its_own_accelerations_and_derivatives(law, family):
     columns = family.columns(law, len(values))
     for motion in ((2.0, 1.0, 0.4, 3.0), (0.3, -9.0, -2.0, 8.0)):
         there = np.array(motion)
-        pair = (family, family.vector(law, values)), (law, values)
-        found, own = (_value(kind, vector, STONE, there, load=load) for kind, vector in pair)
-        assert np.abs(own[1]) > 1e-3
-        np.testing.assert_allclose(found, own, rtol=1e-12, atol=1e-15)
-        (by_family, *found), (by_own, *own) = (
-            _slopes(kind, vector, STONE, there, load=load) for kind, vector in pair
-        )
+        (by_family, *found), value = _slopes(family, family.vector(law, values), STONE, there, load)
+        (by_own, *own), its_own = _slopes(law, values, STONE, there, load)
+        assert np.abs(its_own[1]) > 1e-3
+        np.testing.assert_allclose(value, its_own, rtol=1e-12, atol=1e-15)
         np.testing.assert_allclose(by_family[:, columns], by_own, rtol=1e-10, atol=1e-13)
         others = np.delete(np.asarray(by_family), columns, axis=1)
         np.testing.assert_array_equal(others, 0.0)
@@ -141,25 +139,15 @@ def test_forces_along_a_path_and_their_slopes(name, family):
     )
     for point in (0, 50, POINTS - 1):
         there = path[:, point]
-        np.testing.assert_allclose(
-            found[0, :, point],
-            _value(law, values, STONE, there, load="uniform"),
-            rtol=1e-11,
-            atol=1e-16,
-        )
-        exact, *_ = _slopes(law, values, STONE, there, load="uniform")
-        linear = name == "tensor"
-        np.testing.assert_allclose(
-            slopes[0, :, point],
-            exact,
-            rtol=1e-9 if linear else 1e-3,
-            atol=1e-10 if linear else 1e-6,
-        )
+        (exact, *_), value = _slopes(law, values, STONE, there, "uniform")
+        np.testing.assert_allclose(found[0, :, point], value, rtol=1e-11, atol=1e-16)
+        rtol, atol = (1e-9, 1e-10) if name == "tensor" else (1e-3, 1e-6)  # if it is linear
+        np.testing.assert_allclose(slopes[0, :, point], exact, rtol=rtol, atol=atol)
 
 
 def test_a_fit_beside_others_is_the_fit(eq12):
     alone = curlfit.fit(eq12, "coulomb", details=False)
-    beside = curlfit.fit(eq12, "coulomb", details=False, family=FAMILY)
+    beside = curlfit.fit(eq12, "coulomb", details=False, family=FAMILY)  # that of comparisons
     assert beside.coefficients.keys() == alone.coefficients.keys()
     for name, item in alone.parameters.items():
         other = beside.parameters[name]

@@ -1,4 +1,5 @@
-"""Compiled programs in the user's cache folder, and JAX's width of numbers."""
+"""Compiled programs in the user's cache folder, those that threads load or compile before they are
+needed, and JAX's width of numbers."""
 
 from __future__ import annotations
 
@@ -13,37 +14,39 @@ from conftest import STRICT, python
 
 from curlfit.errors import warn_once
 from curlfit.numerics import compiled, program_cache as cache
+from curlfit.numerics.threads import cores
 
 CODE = """
 import numpy as np
 from curlfit.numerics import compiled as programs
 
-calls = []
+traced = []
 
 @programs.compiled("word")
 def twice(word, values):
-    calls.append(word)
-    return values * 2 if word == "double" else values
-
-assert twice("double", np.arange(3.0)).tolist() == [0.0, 2.0, 4.0]
+    traced.append(word)
+    return {"of": values * 2, "word": (values,)} if word == "double" else values
+"""
+CALLS = """
+assert twice("double", np.arange(3.0))["of"].tolist() == [0.0, 2.0, 4.0]
 assert twice("same", np.arange(3.0)).tolist() == [0.0, 1.0, 2.0]
-assert twice("double", np.arange(4.0)).tolist() == [0.0, 2.0, 4.0, 6.0]
-print(len(calls))
+assert twice("double", np.arange(4.0))["of"].tolist() == [0.0, 2.0, 4.0, 6.0]
+print(len(traced))
 """
 
 
 @pytest.fixture
-def traced(tmp_path, monkeypatch, capsys):
-    """How often the function is traced where no program is loaded, as in a new process; its cache
-    lies in a folder of the test."""
+def run(tmp_path, monkeypatch, capsys):
+    """The number that code prints where no program is loaded, as in a new process: by default how
+    often the function is traced. Its cache lies in a folder of the test."""
 
-    def run(stderr=False, **settings):
+    def run(code=CODE + CALLS, stderr=False, **settings):
         monkeypatch.setattr(compiled, "_programs", {})
         for name, value in ({"CURLFIT_CACHE": str(tmp_path / "cache")} | settings).items():
             monkeypatch.setenv(name, value)
         cache.folder.cache_clear()
         warn_once.cache_clear()
-        exec(CODE, {"__name__": "script"})
+        exec(code, {"__name__": "script"})
         out, err = capsys.readouterr()
         assert stderr or err == ""
         return (int(out), err) if stderr else int(out)
@@ -53,19 +56,45 @@ def traced(tmp_path, monkeypatch, capsys):
     cache.folder.cache_clear()
 
 
-def test_a_second_process_traces_nothing(traced, tmp_path):
-    assert traced() == 3
+def test_a_second_process_traces_nothing(run, tmp_path):
+    assert run() == 3
     for count in (3, 0):  # and in processes of their own
-        done = python(*STRICT, "-c", CODE, CURLFIT_CACHE=str(tmp_path / "other"))
+        done = python(*STRICT, "-c", CODE + CALLS, CURLFIT_CACHE=str(tmp_path / "other"))
         assert (done.returncode, done.stdout, done.stderr) == (0, f"{count}\n", "")
-    assert len(list(traced.folder.iterdir())) == 3  # each word and shape has its own
-    assert traced() == 0
+    assert len(list(run.folder.iterdir())) == 3  # each word and shape has its own
+    assert run() == 0
 
 
-def test_a_single_wrong_bit_is_noticed_and_the_program_made_again(traced):
+@pytest.mark.skipif(cores() < 2, reason="nothing is done beside on a single core")
+def test_a_program_in_preparation_is_compiled_once(run, monkeypatch):
+    prepared = 'twice.prepare("double", np.ones(3)); twice.prepare("double", np.zeros(3))\n'
+    assert run(CODE + prepared + CALLS) == 3
+    # What the thread has read stands though no file can be read any more.
+    read = "while not any(p.done() for p in programs._programs.values()): pass\n"
+    unreadable = "programs.cache.read = lambda file: None\n"
+    monkeypatch.setattr(cache, "read", cache.read)  # afterwards
+    assert run(CODE + prepared + read + unreadable + CALLS) == 2
+
+
+def test_an_error_in_preparation_comes_with_the_call(run):
+    code = """
+@programs.compiled()
+def wrong(values):
+    raise ValueError("no such path")
+
+wrong.prepare(np.ones(3))
+try:
+    wrong(np.ones(3))
+except ValueError as error:
+    print(str(error) == "no such path" and 7)
+"""
+    assert run(CODE + code) == 7
+
+
+def test_a_single_wrong_bit_is_noticed_and_the_program_made_again(run):
     """XLA itself would crash, or compute other numbers."""
-    traced()
-    for file in traced.folder.iterdir():
+    run()
+    for file in run.folder.iterdir():
         whole = file.read_bytes()
         places = np.linspace(0, len(whole) - 1, 8).astype(int)
         file.write_bytes(whole[:-200])  # cut short
@@ -75,8 +104,8 @@ def test_a_single_wrong_bit_is_noticed_and_the_program_made_again(traced):
             damaged[place] ^= 1 << bit
             file.write_bytes(damaged)
             assert cache.read(file) is None
-    assert traced() == 3  # with the right numbers
-    assert traced() == 0
+    assert run() == 3  # with the right numbers
+    assert run() == 0
 
 
 def test_a_cache_of_jax_named_by_the_user_is_left_to_jax(tmp_path):
@@ -86,7 +115,7 @@ def test_a_cache_of_jax_named_by_the_user_is_left_to_jax(tmp_path):
         "JAX_COMPILATION_CACHE_DIR": str(tmp_path / "jax"),
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
     }
-    done = python(*STRICT, "-c", CODE, **place)
+    done = python(*STRICT, "-c", CODE + CALLS, **place)
     assert (done.returncode, done.stdout, done.stderr) == (0, "3\n", "")
     assert list((tmp_path / "cache" / "programs").iterdir()) == []
     assert list((tmp_path / "jax").iterdir()) != []
@@ -109,18 +138,15 @@ print(int(force(Law, np.ones(3))[0]))
 """
 
 
-def test_a_law_of_the_user_is_compiled_again_only_if_it_does_something_else(tmp_path):
-    folder = tmp_path / "cache" / "programs"
+def test_a_law_of_the_user_is_compiled_again_only_if_it_does_something_else(run):
     for factor, files in ((2, 1), (2, 1), (3, 2)):
-        code = OWN_LAW.format(factor=factor)
-        done = python(*STRICT, "-c", code, CURLFIT_CACHE=str(tmp_path / "cache"))
-        assert (done.stdout, done.stderr) == (f"{factor}\n", "")
-        assert len(list(folder.iterdir())) == files
+        assert run(OWN_LAW.format(factor=factor)) == factor
+        assert len(list(run.folder.iterdir())) == files
 
 
-def test_the_cache_can_be_switched_off(traced):
-    assert traced() == traced(CURLFIT_CACHE="off") == 3
-    assert not traced.folder.parent.joinpath("off").exists()
+def test_the_cache_can_be_switched_off(run):
+    assert run() == run(CURLFIT_CACHE="off") == 3
+    assert not run.folder.parent.joinpath("off").exists()
 
 
 HOUSEKEEPING = """
@@ -147,7 +173,9 @@ def keeping(tmp_path):
     return run
 
 
-posix = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="permissions of POSIX")
+user = os.geteuid() if hasattr(os, "geteuid") else None
+posix = pytest.mark.skipif(user is None, reason="permissions of POSIX")
+root = pytest.mark.skipif(user != 0, reason="only root gives files away, and makes such folders")
 
 
 @posix
@@ -163,58 +191,54 @@ def test_what_is_kept_is_the_users_own_whatever_the_umask(keeping, tmp_path):
 
 
 @posix
-def test_a_file_that_others_may_write_is_not_run(traced):
-    traced()
-    file, *_ = traced.folder.iterdir()
+def test_a_file_that_others_may_write_is_not_run(run):
+    run()
+    file, *_ = run.folder.iterdir()
     file.chmod(0o620)
-    assert traced() == 1
-    assert traced() == 0
+    assert run() == 1
+    assert run() == 0
     assert stat.S_IMODE(file.stat().st_mode) == 0o600
 
 
 @posix
-def test_a_folder_that_others_may_write_is_no_cache(traced):
-    traced()
+def test_a_folder_that_others_may_write_is_no_cache(run):
+    run()
     for which in ("cache/programs", "."):
-        open_ = traced.folder.parent.parent / which
+        open_ = run.folder.parent.parent / which
         open_.chmod(0o770)
-        count, said = traced(stderr=True)
+        count, said = run(stderr=True)
         assert count == 3
         assert said.count("\n") == 1
         assert "Warning: compiled programs are not kept in" in said
         assert f"others may write to {open_.resolve()};" in said
         open_.chmod(0o700)
-    assert traced() == 0
+    assert run() == 0
 
 
-@posix
-@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root gives away")
-def test_a_file_or_folder_of_another_user_is_not_read(traced):
-    traced()
-    file = next(traced.folder.iterdir())
+@root
+def test_a_file_or_folder_of_another_user_is_not_read(run):
+    run()
+    file = next(run.folder.iterdir())
     os.chown(file, 12345, -1)
-    assert traced() == 1
-    os.chown(traced.folder, 12345, -1)
-    count, said = traced(stderr=True)
+    assert run() == 1
+    os.chown(run.folder, 12345, -1)
+    count, said = run(stderr=True)
     assert count == 3
     assert "others may write to" in said
-    os.chown(traced.folder, 0, -1)
-    assert traced() == 0
+    os.chown(run.folder, 0, -1)
+    assert run() == 0
 
 
-@posix
+@root
 def test_the_folder_of_all_temporary_files_may_lie_above(keeping, tmp_path):
     """As /tmp does: anybody may write to it, and move nothing that is another's."""
-    if os.geteuid() != 0:
-        pytest.skip("only root makes such a folder")
     (tmp_path / "shared").mkdir()
     (tmp_path / "shared").chmod(0o1777)
     done = keeping("print(folder.name)", place=tmp_path / "shared" / "cache")
     assert (done.stdout, done.stderr) == ("programs\n", "")
 
 
-@posix
-@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root may change")
+@root
 def test_a_user_without_a_home_has_no_cache(keeping, tmp_path):
     done = keeping(
         "import platformdirs, platformdirs.unix, pwd\n"
@@ -277,7 +301,7 @@ def shared(tmp_path_factory):
 
 
 PATHS = "jax.jit(y)(2.0).tolist()", PLACES
-SLOPES = "[jax.grad(lambda v: y(v)[place])(2.0).item() for place in (1, 2)]", [10, 2 / 0.0981]
+SLOPES = "jax.jvp(y, (2.0,), (1.0,))[1].tolist()", [0, 10, 2 / 0.0981]
 
 
 @pytest.mark.parametrize(
