@@ -19,6 +19,7 @@ from sample_files import (
     Y,
     known_points,
     log,
+    said,
     shot,
     table,
     tracker,
@@ -29,10 +30,6 @@ from curlfit import DataError, InputError, Throw, load_throw
 from curlfit.sheet import LINES
 from curlfit.throws.load import detect_format
 from curlfit.throws.readers.angles import AmbiguousTurnError, unwrap
-
-
-def said(throw: Throw, words: str) -> bool:
-    return any(words in note for note in throw.notes)
 
 
 @pytest.mark.parametrize(
@@ -377,9 +374,3 @@ def test_clocks_are_merged(write):
     assert np.isfinite(throw.x).sum() == np.isfinite(throw.phi).sum() == 12
     assert said(throw, "clocks t (12 rows), t_phi (12 rows) merged")
     np.testing.assert_allclose(throw.phi[throw.t == 0.1], 0)
-
-
-def test_empty_rows_are_left_out(write):
-    throw = load_throw(write(PLAIN + ",,,\n,,,\n"))
-    assert len(throw) == N
-    assert said(throw, "2 empty rows left out")
