@@ -5,24 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from conftest import parts_in
-from sample_files import (
-    CELL,
-    COLUMNS,
-    HEADER,
-    PHI,
-    PLAIN,
-    ROWS,
-    N,
-    T,
-    X,
-    Y,
-    is_throw,
-    ods,
-    said,
-    table,
-)
+from sample_files import CELL, COLUMNS, PHI, PLAIN, ROWS, N, T, X, Y, is_throw, ods, said, table
 
 from curlfit import DataError, InputError, Throw, load_throw, load_throws
+
+HEADER = ",".join(COLUMNS)
 
 
 def test_titles_above_the_header(write):
