@@ -230,11 +230,14 @@ def tally(folder: Path, seed: int, count: int) -> Tally:
 
 def imported(folder: Path) -> None:
     """Import what the command imports on its way, once for all copies of this process."""
-    whole = folder / "whole"
-    whole.write_text(SAMPLES["table"])
-    with redirect_stdout(StringIO()), suppress(SystemExit):
-        sys.argv[1:] = ["check", str(whole)]
-        main()
+    points = folder / "points.csv"
+    points.write_text(known_points())
+    for sample, words in (("table", []), ("pixels", [f"--reference={points}"])):
+        file = folder / sample
+        file.write_text(SAMPLES[sample])
+        with redirect_stdout(StringIO()), suppress(SystemExit):
+            sys.argv[1:] = ["check", str(file), *words]
+            main()
 
 
 if __name__ == "__main__":

@@ -9,6 +9,8 @@ from zipfile import ZipFile
 
 import numpy as np
 
+from curlfit import Throw
+
 # A throw that slows down and curls: what every file below says in its own way.
 N = 60
 T = np.arange(N) * 0.25
@@ -33,7 +35,24 @@ def table(
     return "\n".join(rows) + "\n"
 
 
-PLAIN = table({"t": T, "x": X, "y": Y, "phi": PHI})
+COLUMNS = {"t": T, "x": X, "y": Y, "phi": PHI}
+PLAIN = table(COLUMNS)
+HEADER, *ROWS = PLAIN.splitlines()
+
+
+def is_throw(
+    throw: Throw, shift: float = 0.0, later: float = 0.0, phi: bool = True, atol: float = 1e-9
+) -> None:
+    """Assert that this is the throw above, farther to the right and later by so much."""
+    moved = COLUMNS | {"t": T + later, "x": X + shift}
+    for name, values in moved.items():
+        if phi or name != "phi":
+            np.testing.assert_allclose(getattr(throw, name), values, atol=atol, err_msg=name)
+
+
+def said(throw: Throw, words: str) -> bool:
+    """Whether a note on a throw has these words."""
+    return any(words in note for note in throw.notes)
 
 
 def tracker(separator: str = "\t", comma: bool = False, angle: str = "θ_{r} (°)") -> str:

@@ -6,7 +6,7 @@ import re
 import sys
 
 import pytest
-from conftest import DATA, invoke, process
+from conftest import DATA, command, invoke
 
 from curlfit import load_throw
 from curlfit.app.form import fields_of, merged, proposals, values_of, words_of
@@ -23,7 +23,7 @@ WRITTEN = {
 
 
 def test_the_form_has_the_flags_that_the_command_lists():
-    text = process("fit", "--help", cwd=DATA.parent).stdout
+    text = command("fit", "--help", cwd=DATA.parent).stdout
     listed = set(re.findall(r"--(?!empty)[a-z-]+", text)) - {"--conditions"}  # of another command
     beside = {"--out", "--figures", "--no-figures", "--report", "--quiet", "--resume"}
     assert beside <= listed

@@ -1,7 +1,6 @@
 """What README and book tell to type is typed here, as it stands, and prints what they show.
 
-All commands are typed in one folder, in the order of the book. Pages with data of their own are in
-`test_pages`.
+All commands are typed in one folder, each once, in the order of the book.
 """
 
 from __future__ import annotations
@@ -25,7 +24,6 @@ from curlfit.sheet import CIRCLES, LINES
 
 pytestmark = pytest.mark.documentation
 NOTEBOOKS = ROOT / "notebooks"
-ELSEWHERE = ("tracked_throws", "stopwatch_evening", "two_sheets", "next_stone")
 ENTRIES = [
     entry
     for tree in re.findall(r"```{toctree}\n(.*?)```", (NOTEBOOKS / "index.md").read_text(), re.S)
@@ -34,7 +32,7 @@ ENTRIES = [
 PAGES = {"README": (ROOT / "README.md").read_text()} | {
     Path(entry).name: (NOTEBOOKS / f"{entry}.md").read_text()
     for entry in ["index", *ENTRIES]
-    if (NOTEBOOKS / f"{entry}.md").exists() and entry not in ELSEWHERE
+    if (NOTEBOOKS / f"{entry}.md").exists()
 }
 README, BOOK = PAGES["README"], "\n".join(PAGES.values())
 # These are done by .ci/run, each in an environment that has nothing yet.
@@ -53,6 +51,10 @@ BASH.remove("curlfit reproduce")  # of which all is in tests/paper, and in a not
 OUTPUTS = [(name, lines, text) for name, lines, text in BLOCKS if text]
 TABLE = re.search(r"A text table with a header:\n\n```text\n(.*?)```", PAGES["data"], re.S)[1]
 INLINE = set(re.findall(r"`(curlfit(?: [^`]+))`", BOOK)) - set(BASH)
+QUOTED = {
+    name: re.search(r"```text\n((?:Time|draw)[^\n]*[;,].*?)```", PAGES[name], re.S)[1]
+    for name in ("tracked_throws", "stopwatch_evening", "two_sheets")
+}
 LINK = re.compile(r"\]\((?!https?:)([^)#\s]*)(?:#([^)\s]*))?\)")
 
 
@@ -73,11 +75,17 @@ def printed(clone):
 def test_every_block_is_known():
     assert len(set(NOT_HERE)) == 2
     assert NOT_HERE[0].endswith(f"/{MAIN}")
-    assert len(BASH) > 25
+    assert len(BASH) > 45
     assert all(line.startswith("curlfit ") for line in BASH)
-    # output follows its commands; the others are of the README's first command, and six files
-    assert len(re.findall(r"^```text$", BOOK, re.M)) == len(OUTPUTS) + 7
-    assert len(OUTPUTS) >= 12
+    # output follows its commands; the others are of the README's first command, and nine files
+    assert len(re.findall(r"^```text$", BOOK, re.M)) == len(OUTPUTS) + 10
+    assert len(OUTPUTS) > 30
+
+
+@pytest.mark.parametrize("page", QUOTED)
+def test_the_lines_of_a_file_are_those_of_the_file(page):
+    files = [file.read_text() for file in (ROOT / "data").glob("*.csv")]
+    assert any(text.startswith(QUOTED[page]) for text in files)
 
 
 @pytest.mark.parametrize(

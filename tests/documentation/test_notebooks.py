@@ -6,6 +6,7 @@ from pathlib import Path
 
 import nbformat
 import pytest
+from jupyter_client.manager import KernelManager
 from nbclient import NotebookClient
 
 pytestmark = pytest.mark.documentation
@@ -17,12 +18,24 @@ def test_all_are_there():
     assert [name[0] for name in NOTEBOOKS] == ["1", "2", "3", "4"]
 
 
+@pytest.fixture(scope="module")
+def kernel():
+    """One process for all, which need not load JAX and the programs again."""
+    manager = KernelManager(kernel_name="python3")
+    manager.start_kernel(cwd=str(FOLDER))
+    yield manager
+    manager.shutdown_kernel(now=True)
+
+
 @pytest.mark.filterwarnings("default")  # of the kernel's own machinery
 @pytest.mark.parametrize("name", NOTEBOOKS)
-def test_notebook_runs(name):
+def test_notebook_runs(kernel, name):
     notebook = nbformat.read(FOLDER / name, as_version=4)
-    resources = {"metadata": {"path": str(FOLDER)}}
-    NotebookClient(notebook, timeout=300, kernel_name="python3", resources=resources).execute()
+    nothing_known = nbformat.v4.new_code_cell(f"%reset -f\n%cd -q {FOLDER}")
+    notebook.cells.insert(0, nothing_known)
+    client = NotebookClient(notebook, timeout=300, km=kernel)
+    client.execute()
+    client.kc.stop_channels()
 
 
 @pytest.mark.parametrize("name", NOTEBOOKS)

@@ -7,18 +7,12 @@ from contextlib import suppress
 import numpy as np
 import pytest
 from conftest import command
-from sample_files import PHI, T, X, Y, table
+from sample_files import PHI, T, X, Y, is_throw, table
 
 from curlfit import DataError, InputError, Throw, load_throw
 
 TURNS = PHI / (2 * np.pi)
 DEGREES = np.degrees(PHI)
-
-
-def is_throw(throw: Throw, phi: bool = True) -> None:
-    for name, values in {"t": T, "x": X, "y": Y, "phi": PHI}.items():
-        if phi or name != "phi":
-            np.testing.assert_allclose(getattr(throw, name), values, atol=1e-9, err_msg=name)
 
 
 def written(headings: str, *columns: np.ndarray) -> str:

@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 from curlfit import load_throw
 from curlfit.throws.readers.axes import parse_axes
 from curlfit.throws.readers.camera import displacements, homography
-from tests.sample_files import KNOWN, known_points, project, table
+from tests.sample_files import KNOWN, known_points, project, said, table
 
 PLACES = np.array([[0.0, 1.0, -1.5], [5.0, 20.0, 27.0]])
 T = np.linspace(0.0, 20.0, 60)
@@ -57,7 +57,7 @@ def test_four_points_leave_the_errors_unknown(write):
     assert homography(project(*KNOWN[:, :4]), KNOWN[:, :4]).errors is None
     four = load_throw(write(ROWS), reference=write(known_points(4), "points.csv"))
     assert four.calibration is None
-    assert any("unknown and missing from the systematic errors" in note for note in four.notes)
+    assert said(four, "unknown and missing from the systematic errors")
 
 
 def test_the_noise_of_a_row_is_that_of_one_pixel(write):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from conftest import parts_in
-from sample_files import PHI, T, X, Y, table
+from sample_files import COLUMNS, PHI, T, X, Y, said, table
 
 from curlfit import DataError, InputError, load_throw
 
@@ -45,7 +45,7 @@ def test_the_direction_of_the_handle_is_the_angle(write, unit, factor):
     turns = 2 * np.pi * np.round((throw.phi[0] - phi[0]) / (2 * np.pi))
     np.testing.assert_allclose(throw.phi - turns, phi, atol=1e-6)
     np.testing.assert_allclose(throw.x, X, atol=1e-8)
-    assert any("the direction of the mark, 120 mm from" in note for note in throw.notes)
+    assert said(throw, "the direction of the mark, 120 mm from")
 
 
 @pytest.mark.parametrize("words", ["x-along", "x-left", "y-back,counter-clockwise", "clockwise"])
@@ -109,6 +109,6 @@ def test_marks_that_are_none(write):
     plain = write(table({"t": T, "x": X, "y": Y}), "plain.csv")
     with pytest.raises(InputError, match=r"--handle: .*plain.csv is a table file and holds no obj"):
         load_throw(plain, handle=1)
-    both = {"t": T, "x": X, "y": Y, "phi": PHI, "x_mark": X + 0.1, "y_mark": Y}
+    both = COLUMNS | {"x_mark": X + 0.1, "y_mark": Y}
     with pytest.raises(DataError, match="an angle and a second mark are both given"):
         load_throw(write(table(both)))

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from conftest import DATA
+from sample_files import said
 
 from curlfit import DataError, InputError, Throw, load_throw
 from curlfit.throws.readers.columns import parse_header
@@ -52,7 +53,7 @@ def test_an_empty_column_was_not_measured(write, header):
     throw = load_throw(file)
     assert throw.seen == ("x", "y")
     assert not throw.sigma
-    assert any(f"column {header} is empty" in note for note in throw.notes)
+    assert said(throw, f"column {header} is empty")
 
 
 def test_settings_and_other_comments(write):

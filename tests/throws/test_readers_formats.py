@@ -19,6 +19,7 @@ from sample_files import (
     Y,
     known_points,
     log,
+    said,
     shot,
     table,
     tracker,
@@ -29,10 +30,6 @@ from curlfit import DataError, InputError, Throw, load_throw
 from curlfit.sheet import LINES
 from curlfit.throws.load import detect_format
 from curlfit.throws.readers.angles import AmbiguousTurnError, unwrap
-
-
-def said(throw: Throw, words: str) -> bool:
-    return any(words in note for note in throw.notes)
 
 
 @pytest.mark.parametrize(
@@ -281,6 +278,8 @@ def test_pixels(write):
 
 # Angles
 
+GAP = np.concatenate([np.arange(0, 4, 0.2), np.arange(7.5, 14, 0.2)])
+
 
 @pytest.mark.parametrize(("header", "low"), [("θ", 0.0), ("phi", -180.0), ("phi_rad", 0.0)])
 def test_degrees_without_a_unit_are_told_by_their_jumps(write, header, low):
@@ -317,25 +316,18 @@ def test_the_columns_of_curlfit_itself_are_radians_and_said_where_doubtful(write
 
 
 @pytest.mark.parametrize("low", [0.0, -np.pi, -1.0])
-@pytest.mark.parametrize("sign", [1, -1])
-def test_one_turn_is_undone(low, sign):
-    wrapped = np.remainder(sign * PHI - low, 2 * np.pi) + low
-    phi, jumps, _ = unwrap(T, wrapped)
-    assert jumps in (2, 3)
-    np.testing.assert_allclose(phi - phi[0], sign * (PHI - PHI[0]), atol=1e-12)
-
-
-def test_the_direction_of_a_line_is_undone():
-    phi, jumps, period = unwrap(T, np.remainder(PHI, np.pi))
-    assert (jumps, period) == (4, np.pi)
-    np.testing.assert_allclose(phi - phi[0], PHI - PHI[0], atol=1e-12)
-
-
-def test_gaps_are_bridged_at_the_pace():
-    t = np.concatenate([np.arange(0, 4, 0.2), np.arange(7.5, 14, 0.2)])
-    phi = 1.5 * t
-    got, _, _ = unwrap(t, np.remainder(phi, 2 * np.pi))
-    np.testing.assert_allclose(got, phi, atol=1e-12)
+@pytest.mark.parametrize(
+    ("t", "turned", "period", "jumps"),
+    [
+        (T, PHI, 2 * np.pi, (2, 3)), (T, -PHI, 2 * np.pi, (2, 3)),
+        (T, PHI, np.pi, (4, 5)),  # the direction of a line
+        (GAP, 1.5 * GAP, 2 * np.pi, (3, 4)),  # bridged at the pace
+    ],
+)  # fmt: skip
+def test_turns_are_undone(t, turned, period, jumps, low):
+    phi, found, of = unwrap(t, np.remainder(turned - low, period) + low)
+    assert (found in jumps, of) == (True, period)
+    np.testing.assert_allclose(phi - phi[0], turned - turned[0], atol=1e-12)
 
 
 def test_an_angle_that_counts_on_is_left_alone():
@@ -377,9 +369,3 @@ def test_clocks_are_merged(write):
     assert np.isfinite(throw.x).sum() == np.isfinite(throw.phi).sum() == 12
     assert said(throw, "clocks t (12 rows), t_phi (12 rows) merged")
     np.testing.assert_allclose(throw.phi[throw.t == 0.1], 0)
-
-
-def test_empty_rows_are_left_out(write):
-    throw = load_throw(write(PLAIN + ",,,\n,,,\n"))
-    assert len(throw) == N
-    assert said(throw, "2 empty rows left out")

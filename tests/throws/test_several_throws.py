@@ -5,36 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from conftest import parts_in
-from sample_files import PHI, N, T, X, Y, table
+from sample_files import COLUMNS, HEADER, ROWS, N, T, X, Y, is_throw, said, table
 
 from curlfit import DataError, InputError, Throw, load_throw
 
-COLUMNS = {"t": T, "x": X, "y": Y, "phi": PHI}
-
-
-def is_throw(throw, offset=0.0):
-    for name, values in COLUMNS.items():
-        np.testing.assert_allclose(getattr(throw, name), values + (name == "x") * offset, atol=1e-9)
-
-
-def said(throw, words):
-    return any(words in note for note in throw.notes)
-
-
-def rows_of(columns):
-    header, *rows = table(columns).splitlines()
-    return header, rows
+OTHERS = table(COLUMNS | {"x": X + 0.5}).splitlines()[1:]
 
 
 def two(interleaved=False):
     """A red stone, and a yellow one 0.5 m to the right, with a column that names them."""
-    header, red = rows_of(COLUMNS)
-    _, yellow = rows_of(COLUMNS | {"x": X + 0.5})
-    red, yellow = [f"{row},red" for row in red], [f"{row},yellow" for row in yellow]
+    red, yellow = [f"{row},red" for row in ROWS], [f"{row},yellow" for row in OTHERS]
     rows = (
         [r for pair in zip(red, yellow, strict=True) for r in pair] if interleaved else red + yellow
     )
-    return "\n".join([f"{header},stone", *rows]) + "\n"
+    return "\n".join([f"{HEADER},stone", *rows]) + "\n"
 
 
 @pytest.mark.parametrize("interleaved", [False, True])
@@ -56,9 +40,7 @@ def test_a_column_names_the_throws(write, interleaved):
 
 
 def test_times_that_start_again_begin_a_throw(write):
-    header, rows = rows_of(COLUMNS)
-    _, others = rows_of(COLUMNS | {"x": X + 0.5})
-    file = write("\n".join([header, *rows, *others]))
+    file = write("\n".join([HEADER, *ROWS, *OTHERS]))
     with pytest.raises(DataError, match=rf"1 from line 2 \(60 rows\); 2 from line {N + 2} \(60"):
         load_throw(file)
     is_throw(load_throw(file, stone_index=2), 0.5)
@@ -72,17 +54,15 @@ def test_times_that_start_again_begin_a_throw(write):
 
 @pytest.mark.parametrize("column", ["stone,red", "id,{k}", "frame_id,{k}", "heat,{k}"])
 def test_a_column_that_names_one_throw_or_each_row_is_ignored(write, column):
-    header, rows = rows_of(COLUMNS)
     name, cell = column.split(",")
-    body = [f"{row},{cell.format(k=k)}" for k, row in enumerate(rows)]
-    throw = load_throw(write("\n".join([f"{header},{name}", *body])))
+    body = [f"{row},{cell.format(k=k)}" for k, row in enumerate(ROWS)]
+    throw = load_throw(write("\n".join([f"{HEADER},{name}", *body])))
     is_throw(throw)
     assert said(throw, f"columns ignored: {name}")
 
 
 def test_two_stones_without_names_are_refused(write):
-    header, *rows = two(interleaved=True).splitlines()
-    bare = [row.rsplit(",", 1)[0] for row in [header, *rows]]
+    bare = [row.rsplit(",", 1)[0] for row in two(interleaved=True).splitlines()]
     with pytest.raises(DataError) as caught:
         load_throw(write("\n".join(bare)))
     assert "line 3, column t: time 0 s is repeated with places 0.5 m apart" in str(caught.value)
@@ -90,16 +70,16 @@ def test_two_stones_without_names_are_refused(write):
 
 
 def test_rows_are_sorted_and_repeated_ones_left_out(write):
-    header, rows = rows_of(COLUMNS)
+    rows = ROWS.copy()
     rows[10], rows[11] = rows[11], rows[10]
-    throw = load_throw(write("\n".join([header, *rows])))
+    throw = load_throw(write("\n".join([HEADER, *rows])))
     is_throw(throw)
     assert said(throw, "1 row out of the order of time, now sorted")
     assert throw.lines[10:12].tolist() == [13, 12]
-    throw = load_throw(write("\n".join([header, *rows[:20], *rows[15:]])))
+    throw = load_throw(write("\n".join([HEADER, *rows[:20], *rows[15:]])))
     is_throw(throw)
     assert said(throw, "5 repeated rows left out")
-    backwards = load_throw(write("\n".join([header, *rows[::-1]])))
+    backwards = load_throw(write("\n".join([HEADER, *rows[::-1]])))
     is_throw(backwards)
 
 
@@ -121,10 +101,9 @@ CLOCKS = {
 
 @pytest.mark.parametrize(("name", "clock"), CLOCKS.items())
 def test_clock_times_are_read_as_seconds(write, name, clock):
-    header, rows = rows_of(COLUMNS)
     times = [clock(22.15 + t) for t in T]
-    body = [",".join([time, *row.split(",")[1:]]) for time, row in zip(times, rows, strict=True)]
-    throw = load_throw(write("\n".join([header.replace("t", name, 1), *body])))
+    body = [",".join([time, *row.split(",")[1:]]) for time, row in zip(times, ROWS, strict=True)]
+    throw = load_throw(write("\n".join([HEADER.replace("t", name, 1), *body])))
     is_throw(throw)
     assert said(throw, f"{name}: clock times, taken as seconds since {times[0]}")
     is_throw(Throw.from_frame(COLUMNS | {"t": np.array(times)}))
