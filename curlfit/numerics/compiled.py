@@ -210,9 +210,7 @@ def _file(identity: str) -> Path | None:
 def _fingerprint() -> str:
     """What all programs depend on: sources, JAX, the machine and its settings."""
     sources = sorted(Path(__file__).parents[1].rglob("*.py"))
-    stamps = [
-        f"{source.name} {source.stat().st_mtime_ns} {source.stat().st_size}" for source in sources
-    ]
+    digest = hashlib.sha256(b"\0".join(source.read_bytes() for source in sources)).hexdigest()
     device = jax.devices()[0]
     cpu = platform.processor() or platform.machine()
     with suppress(OSError):
@@ -220,4 +218,4 @@ def _fingerprint() -> str:
         cpu += next((line for line in lines if line.startswith("flags")), "")
     versions = (jax.__version__, jaxlib_version.__version__)
     settings = (os.environ.get("XLA_FLAGS", ""), str(jax.config.values["jax_enable_x64"]))
-    return "\n".join((*stamps, *versions, device.platform, device.device_kind, cpu, *settings))
+    return "\n".join((digest, *versions, device.platform, device.device_kind, cpu, *settings))
