@@ -217,10 +217,8 @@ def _record(
 ) -> FitResult:
     law, throw, known = fit.model.law, fit.prepared.throw, found.identifiability
     reference, residual = throw.reference, residual[:, : len(throw)]
-    curves: dict[str, Floats] = {}
-    if path is not None:
-        path = path[:, : len(throw)]
-        curves = dict(zip(CHANNELS, path[:5] + fit.prepared.origin.place[:, None], strict=True))
+    path = None if path is None else path[:, : len(throw)]
+    curves = _curves(fit, path)
     series = _by_channel(fit, residual)
     enough = {name: pair for name, pair in series.items() if len(pair[0]) > _FEWEST}
     lag1 = {name: Independence.of(off).lag1 for name, (off, _) in enough.items()}
@@ -268,6 +266,13 @@ def _record(
     )
     warnings = warnings_of(fit, result, residual, unusual, rival, curvature)
     return replace(result, warnings=warnings)
+
+
+def _curves(fit: LeastSquaresFit, path: Floats | None) -> dict[str, Floats]:
+    """The fitted path by channel, in the data's coordinates; empty without one."""
+    if path is None:
+        return {}
+    return dict(zip(CHANNELS, path[:5] + fit.prepared.origin.place[:, None], strict=True))
 
 
 def _by_channel(fit: LeastSquaresFit, residual: Floats) -> dict[str, tuple[Floats, Floats]]:
