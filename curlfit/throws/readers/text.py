@@ -276,10 +276,13 @@ class TextTable:
             raise self.error("a header but no rows of numbers")
         return rows
 
+    @cached_property
+    def _cells(self) -> list[list[str]]:
+        return [cells(self.file.lines[index], self.separator) for index in self.rows]
+
     def column(self, place: int) -> list[str]:
         """The cells of a column."""
-        split = (cells(self.file.lines[index], self.separator) for index in self.rows)
-        return [row[place] if place < len(row) else "" for row in split]
+        return [row[place] if place < len(row) else "" for row in self._cells]
 
     def is_numeric(self, place: int) -> bool:
         """Whether a column has numbers or gaps only, at least one number."""
@@ -313,8 +316,7 @@ class TextTable:
         """
         width = len(self.names)
         remedy = "; where numbers have decimal commas, separate the columns by semicolons"
-        for index in self.rows:
-            row = cells(self.file.lines[index], self.separator)
+        for index, row in zip(self.rows, self._cells, strict=True):
             if len(row) < width or any(row[width:]):
                 many, head = counted(len(row), "cell"), counted(width, "column")
                 commas = self.separator == "," and width < len(row) <= 2 * width
