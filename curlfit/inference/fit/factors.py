@@ -252,7 +252,8 @@ class Factors(NamedTuple):
             # Priors of what is in common count once.
             reduction = Reduction.of(_stacked(of_data, priors * ~common[:, None]), *about)
             whole = _stacked(of_data, reduction.others)
-            of_data = _stacked(of_data, Reduction.of(of_data, *about).others)
+            plain = Reduction.of(of_data, *about) if penalty.informative else reduction
+            of_data = _stacked(of_data, plain.others)
         whole = _stacked(whole, priors)
         inside = confined(whole[..., :-1], bounded, typical)
         return cls(of_data, whole, np.concatenate([inside, whole[..., -1:]], -1), reduction)

@@ -274,9 +274,8 @@ def reduced(throws: Together, solution: Solution) -> Reduction:
     """What throws say of what they have in common, near their optima."""
     tasks, factors = throws.tasks, r_factors(solution.jacobian, solution.residual)
     within = Bounded(np.array(solution.values), tasks.lower, tasks.upper)
-    found = Factors.of(factors, within, tasks.typical, _of_throws(throws), throws.common).reduction
-    assert found is not None
-    return found
+    rows = np.concatenate([factors, _of_throws(throws).rows(within.values)], 1)
+    return Reduction.of(r_factor(rows), within, tasks.typical, throws.common)
 
 
 def _moves(rows: Floats, null: Floats, lower: Floats, upper: Floats) -> Floats:
