@@ -248,6 +248,8 @@ def _remove_jumps(step: Floats, dt: Floats) -> Floats:
     if len(step) < 5:
         return step
     rate = step / dt
+    if np.ptp(rate) * dt.max() < _TURN / 2:
+        return step
     padded = np.pad(rate, 2, "edge")
     pace = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1)
     off = step - pace * dt

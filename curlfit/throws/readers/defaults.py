@@ -97,10 +97,12 @@ def _check(settings: dict[str, Any]) -> None:
     for name, value in settings.items():
         if name in _FORMS and name != "reference":  # there, values to compare with
             _FORMS[name].checked(name, value)
-    Stone().with_values(settings.get("stone", {}))
+    if "stone" in settings:
+        Stone().with_values(settings["stone"])
     if "law" in settings:
         find_law(settings["law"], from_files=False)
-    parse_axes(settings.get("axes"))
+    if "axes" in settings:
+        parse_axes(settings["axes"])
 
 
 def _reference(file: TextFile, found: Any) -> Reference | None:

@@ -10,7 +10,7 @@ import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from itertools import pairwise
+from itertools import islice, pairwise
 from typing import Any
 
 import numpy as np
@@ -48,8 +48,7 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
     ------
     DataError : with the line and column of the fault, and what was expected.
     """
-    table = _table_of(file, reading)
-    parsed = begun(file, "table", table.header)
+    parsed, table = _table_of(file, reading)
     columns = Headings(table.names, table.error, table.is_numeric).of_throw(parsed, reading)
     read_columns(parsed, table, columns)
     others = [k for k, name in enumerate(table.names) if k not in columns and _may_name(name)]
@@ -61,29 +60,27 @@ TABLE = Format(
 )
 
 
-def _table_of(file: TextFile, reading: Reading) -> TextTable:
-    """The table of a file: its header may be below titles, and units in the line below it.
+def _table_of(file: TextFile, reading: Reading) -> tuple[ParsedFile, TextTable]:
+    """The settings and the table of a file: its header may be below titles, and units in the line
+    below it.
 
     Raises
     ------
     DataError : the file is empty, or begins with numbers.
     """
-    first, table = file.head(), None
-    below = [k for k in range(first, len(file.lines)) if not is_aside(file.lines[k])]
-    for index in below[:_MOST_TITLES]:
-        here = TextTable.at(file, index)
+    first = file.head()
+    below = (k for k in range(first, len(file.lines)) if not is_aside(file.lines[k]))
+    for titles, index in enumerate(islice(below, _MOST_TITLES)):
+        table = TextTable.at(file, index)
         with suppress(DataError):
-            own = begun(file, "table", index).settings.get("columns", {})
-            Headings(here.names, here.error).columns(reading, own)
-            table = here
-            break
-    if table is None:
-        return TextTable.of(file)
-    if table.header > first:
-        titles = below.index(table.header)
-        said = f"{counted(titles, 'line')} above the header not read: "
-        table.remarks.append(said + quoted(file.lines[first].strip(" ,;\t")))
-    return with_units_below(table)
+            parsed = begun(file, "table", index)
+            Headings(table.names, table.error).columns(reading, parsed.settings.get("columns", {}))
+            if titles:
+                said = f"{counted(titles, 'line')} above the header not read: "
+                table.remarks.append(said + quoted(file.lines[first].strip(" ,;\t")))
+            return parsed, with_units_below(table)
+    table = TextTable.of(file)
+    return begun(file, "table", table.header), table
 
 
 def with_units_below(table: TextTable) -> TextTable:

@@ -44,7 +44,9 @@ _MOST_OFF, _MOST_SHARE = 9.0, 0.7
 _LIKE_MEASUREMENTS = {"hog", "tee", "rest", "curl", "turns", "split", "speed", "spin"}
 _COLUMNS = f"one of {', '.join(TIMES)}, curl, rest, turns, speed, spin, with a unit as in curl_ft"
 _SPLIT = re.compile(r"[\s_\-./()\[\]]+")
-_LINE = re.compile(r"""\s*["']?([^=:;,\t"']*?)["']?\s*[=:;,\t]\s*(\S.*?)\s*[;,]?\s*$""")
+_LINE = re.compile(
+    r"""(?!\s*["']?[-+.\d])\s*["']?([^=:;,\t"']*?)["']?\s*[=:;,\t]\s*(\S.*?)\s*[;,]?\s*$"""
+)
 _MOST_ROWS = 100_000
 _MANY = 4  # throws of a table whose curls determine an asymmetry of the friction
 
