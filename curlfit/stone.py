@@ -44,15 +44,14 @@ class Stone:
     h: float = 0.057
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
+        for name, unit in UNITS.items():
+            value = getattr(self, name)
             if isinstance(value, str):
-                raise InputError(
-                    f"stone.{name} = {quoted(value)}: expected a number in {UNITS[name]}"
-                )
+                raise InputError(f"stone.{name} = {quoted(value)}: expected a number in {unit}")
             if isinstance(value, (int, float)) and not isinstance(value, bool):  # a mask of JAX's
                 if not (math.isfinite(value) and value >= SMALLEST):
                     raise InputError(
-                        f"stone.{name} = {value} {UNITS[name]}: expected a positive, finite "
+                        f"stone.{name} = {value} {unit}: expected a positive, finite "
                         f"number, at least {SMALLEST:g}"
                     )
                 if name != "m" and value > LARGEST:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from bisect import bisect_left
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -45,33 +46,26 @@ def begun(
     ------
     DataError : a setting that cannot be read or used.
     """
-    settings: dict[str, Any] = {}
+    known: list[tuple[int, str]] = []
     unknown: list[str] = []
-    count = 0
     for index, line in file.comments(until):
         body = line.lstrip().lstrip("#").strip()
         key, dot, _ = body.split("=", 1)[0].strip().partition(".")
         if "=" not in body or not key.isidentifier():
             continue
-        if key not in _SETTINGS or (key == "columns" and not dot):
+        if key in _SETTINGS and (key != "columns" or dot):
+            known.append((index, body))
+        else:
             unknown.append(f"{quoted(key)} (line {index + 1})")
-            continue
-        count += 1
-        if count > _MOST_SETTINGS:
-            fault = f"more than {_MOST_SETTINGS} settings; expected those of one throw"
-            raise file.error(fault, index)
-        try:
-            found = tomllib.loads(body)
-            _check(found)
-            _merge(settings, found)
-        except InputError as error:
-            raise file.error(str(error), index) from None
-        except (ValueError, RecursionError):
-            raise file.error(
-                f"cannot read the setting {quoted(body)}; expected key = value as in TOML, text in "
-                "quotes, each key once",
-                index,
-            ) from None
+    if len(known) > _MOST_SETTINGS:
+        fault = f"more than {_MOST_SETTINGS} settings; expected those of one throw"
+        raise file.error(fault, known[_MOST_SETTINGS][0])
+    settings, fault = _settings(known)
+    if fault:
+        first = bisect_left(
+            range(len(known)), True, key=lambda end: bool(_settings(known[: end + 1])[1])
+        )
+        raise file.error(_settings(known[: first + 1])[1], known[first][0])
     more = f" and {len(unknown) - 5} more" if len(unknown) > 5 else ""
     notes = [file.note] if file.note else []
     notes += [f"settings not known and ignored: {', '.join(unknown[:5])}{more}"] * bool(unknown)
@@ -81,15 +75,19 @@ def begun(
     )
 
 
-def _merge(table: dict[str, Any], more: Mapping[str, Any]) -> None:
-    """Add entries to a table, and to the tables in it. Raises `ValueError` for one given twice."""
-    for key, value in more.items():
-        if key not in table:
-            table[key] = value
-        elif isinstance(value, dict) and isinstance(table[key], dict):
-            _merge(table[key], value)
-        else:
-            raise ValueError(key)
+def _settings(lines: Sequence[tuple[int, str]]) -> tuple[dict[str, Any], str]:
+    """Settings by name, and what is wrong with those of the last line, if anything is."""
+    try:
+        settings = tomllib.loads("\n".join(body for _, body in lines))
+        _check(settings)
+    except InputError as error:
+        return {}, str(error)
+    except (ValueError, RecursionError):
+        return {}, (
+            f"cannot read the setting {quoted(lines[-1][1])}; expected key = value as in TOML, "
+            "text in quotes, each key once"
+        )
+    return settings, ""
 
 
 def _check(settings: dict[str, Any]) -> None:
