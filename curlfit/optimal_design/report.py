@@ -122,11 +122,6 @@ def _start(one: Any) -> str:
     return f"{one.v0:g} m/s, {one.omega0:g} rad/s"
 
 
-def count_text(count: int) -> str:
-    """A number of throws."""
-    return "1 throw" if count == 1 else f"{count} throws"
-
-
 def measured(
     rate: float, until: float | None, sigma: dict[str, float], stone: Stone,
     discrepancy: float = 0.0,
