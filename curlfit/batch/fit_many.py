@@ -10,7 +10,6 @@ from curlfit.batch.settings import DURATION, INFORMATION, LABELS, QUANTILES, Bat
 from curlfit.errors import CurlfitError
 from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.joint.season import told_by
 from curlfit.settings.choices import Fitting
 from curlfit.throws.load import Part, parts_of
 from curlfit.throws.throw import Throw
@@ -81,7 +80,7 @@ def _row(result: FitResult, plan: BatchSettings, sums: Sequence[str]) -> dict[st
     known: dict[str, Any] = dict(result.parameters)
     known |= {item.expression: item for item in result.combinations if item.expression in sums}
     if result.converged:
-        told = ", ".join(f"{number:.17g}" for number in told_by(result).ravel())
+        told = ", ".join(f"{number:.17g}" for number in result.coefficient_rows().ravel())
         row[INFORMATION] = f"[{told}]"
         known |= {item.expression: item for item in result.with_derived(plan.derive).derived}
     for name, item in known.items():

@@ -180,8 +180,8 @@ def _text_if_any(file: str | PathLike[str], reading: Reading) -> TextFile:
 
 def states_sweeping(file: str | PathLike[str], reading: Reading) -> bool:
     """Whether a file states that its stone was swept (`# swept = [A, B]`)."""
-    lines = _text_if_any(file, reading).lines
-    return any(re.match(r"\s*#+\s*swept\s*=", line) for line in lines)
+    text = "\n".join(_text_if_any(file, reading).lines)
+    return re.search(r"^[ \t]*#+[ \t]*swept[ \t]*=", text, re.MULTILINE) is not None
 
 
 def check_reading(reading: Reading) -> None:

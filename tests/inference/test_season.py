@@ -12,7 +12,7 @@ from rich.console import Console
 
 import curlfit
 from curlfit import Stone
-from curlfit.inference.joint.season import Season, mean_of, told_by
+from curlfit.inference.joint.season import Season, mean_of
 from curlfit.inference.model import Model
 from curlfit.throws.synthetic import law_with, synthetic_throw, write_table
 
@@ -117,7 +117,8 @@ def test_what_throws_leave_open_does_not_explain_what_differs_between_them():
     season = mean_of(
         Season(
             "season.csv", Model(type(law), "consistent"), STONE, [(f"{k}", {}) for k in range(6)],
-            values[:, :4], values[:, 4:], np.full(6, 20.0), np.array([*map(told_by, fits)]), (),
+            values[:, :4], values[:, 4:], np.full(6, 20.0),
+            np.array([fit.coefficient_rows() for fit in fits]), (),
         ), (), (), None,
     )  # fmt: skip
     sums = []

@@ -28,7 +28,6 @@ import curlfit
 from curlfit.inference.derived import LEVELS
 from curlfit.inference.joint import posterior
 from curlfit.inference.joint.effects import Covariates
-from curlfit.inference.joint.season import told_by
 
 WARM, DRAWS, CHAINS = 2000, 10_000, 4
 
@@ -77,7 +76,7 @@ def by_nuts(joint: curlfit.JointResult, throws: list[curlfit.Throw]) -> dict[str
     alone = [
         curlfit.fit(one, "front-back", stone=STONE, fix=FIXED, details=False) for one in throws
     ]
-    told = np.array([told_by(one) for one in alone])
+    told = np.array([one.coefficient_rows() for one in alone])
     labels = [(one.name, one.labels) for one in throws]
     covariate = Covariates.of(labels, ["sheet"], []).values[:, 0]
     directions = np.asarray(means.directions)

@@ -30,6 +30,8 @@ from curlfit.stone import Stone
 from curlfit.throws.events import QUANTITIES, Event
 from curlfit.throws.throw import CHANNELS, Reference, StoneValues, Throw, counts_from_hack
 
+_SEEN = 1e-10  # eigenvalue over the largest, of information in typical sizes, that is not rounding
+
 ChannelName = Annotated[str, Choice(CHANNELS)]
 LoadName = Annotated[str, Choice(("uniform", "consistent"))]
 LossName = Annotated[str, Choice(LOSSES)]
@@ -370,6 +372,27 @@ class FitResult(NamedEstimates):
     def with_derived(self, expressions: Iterable[str], chain: Any = None) -> FitResult:
         """The result with derived quantities, see `derive`."""
         return replace(self, derived=tuple(self.derive(text, chain) for text in expressions))
+
+    def coefficient_rows(self) -> Floats:
+        """What the throw says of the coefficients of its law: rows that are multiplied by these,
+        with what they then give as the last column, shape (coefficients, coefficients + 1); errors
+        are one."""
+        names, known = list(self.coefficients), self.information["names"]
+        typical = np.array([self.parameters[name].typical for name in known])
+        matrix = np.array(self.information["matrix"]) * typical * typical[:, None]
+        gradient = np.array(self.information["gradient"]) * typical
+        own = np.isin(known, names)
+        to_rest: Any = matrix[own][:, ~own] @ np.linalg.pinv(matrix[~own][:, ~own], hermitian=True)
+        squares, axes = np.linalg.eigh(matrix[own][:, own] - to_rest @ matrix[~own][:, own])
+        seen = squares > _SEEN * squares.max(initial=0.0)
+        rows = np.zeros((len(names), len(names) + 1))
+        free = np.isin(names, known)
+        along = axes[:, seen].T * np.sqrt(squares[seen])[:, None]
+        values = np.array([self.parameters[name].value for name in names])
+        rows[: len(along), :-1][:, free] = along / typical[own]
+        push = axes[:, seen].T @ (gradient[own] - to_rest @ gradient[~own]) / np.sqrt(squares[seen])
+        rows[: len(along), -1] = rows[: len(along), :-1] @ values + push
+        return rows
 
     def before_sampling(self) -> FitResult:
         """The result as it is kept on disk while the posterior is being sampled."""

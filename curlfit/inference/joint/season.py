@@ -16,7 +16,6 @@ from curlfit.errors import InputError
 from curlfit.friction import Coefficient
 from curlfit.inference.fit.covariance import Covariance
 from curlfit.inference.fit.estimates import Estimate
-from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import Bounded
 from curlfit.inference.joint.draw import TIMES, Draw
 from curlfit.inference.joint.effects import Covariates, Labelled
@@ -33,31 +32,8 @@ from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.mixed_model import MixedFit, MixedModel
 from curlfit.stone import Stone
 
-_SEEN = 1e-10  # eigenvalue over the largest, of information in typical sizes, that is not rounding
 _TURNING = 200  # throws from which the usual angle of a draw is taken
 _FEWEST = 4
-
-
-def told_by(fit: FitResult) -> Floats:
-    """What a throw says of the coefficients of its law: rows that are multiplied by these, with
-    what they then give as the last column, shape (coefficients, coefficients + 1); errors are one.
-    """
-    names, known = list(fit.coefficients), fit.information["names"]
-    typical = np.array([fit.parameters[name].typical for name in known])
-    matrix = np.array(fit.information["matrix"]) * typical * typical[:, None]
-    gradient = np.array(fit.information["gradient"]) * typical
-    own = np.isin(known, names)
-    to_rest: Any = matrix[own][:, ~own] @ np.linalg.pinv(matrix[~own][:, ~own], hermitian=True)
-    squares, axes = np.linalg.eigh(matrix[own][:, own] - to_rest @ matrix[~own][:, own])
-    seen = squares > _SEEN * squares.max(initial=0.0)
-    rows = np.zeros((len(names), len(names) + 1))
-    free = np.isin(names, known)
-    along = axes[:, seen].T * np.sqrt(squares[seen])[:, None]
-    values = np.array([fit.parameters[name].value for name in names])
-    rows[: len(along), :-1][:, free] = along / typical[own]
-    push = axes[:, seen].T @ (gradient[own] - to_rest @ gradient[~own]) / np.sqrt(squares[seen])
-    rows[: len(along), -1] = rows[: len(along), :-1] @ values + push
-    return rows
 
 
 class Season(NamedTuple):
@@ -74,7 +50,7 @@ class Season(NamedTuple):
     durations: Floats
     """of the records, s"""
     told: Floats
-    """by each, see `told_by`"""
+    """by each, see `FitResult.coefficient_rows`"""
     notes: tuple[str, ...]
     conditions: tuple[str, ...] = ()
     """that each throw has for itself"""
