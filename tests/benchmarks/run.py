@@ -314,6 +314,7 @@ def _posterior(name: str, throw: Any, *, nuts: bool) -> None:
     from curlfit.inference.fit.prepared import PreparedThrow
     from curlfit.inference.likelihood import log_posterior
     from curlfit.inference.model import Model
+    from curlfit.inference.priors import Penalty
     from curlfit.inference.problem import build_problem
     from curlfit.settings.choices import Modelling
 
@@ -334,10 +335,11 @@ def _posterior(name: str, throw: Any, *, nuts: bool) -> None:
     random = np.random.default_rng(0)
     # It begins among our draws, so that no time is lost on finding them.
     first = random.permutation(chain.flat)[:walkers] - offset
+    nothing = Penalty.none(len(local))
 
     def log_prob(values: Any) -> Any:
         model = Model(law, "uniform")
-        return np.asarray(log_posterior(model, values, local.lower, local.upper, problem, None))
+        return np.asarray(log_posterior(model, values, local.lower, local.upper, problem, nothing))
 
     stock = emcee.EnsembleSampler(walkers, len(local), log_prob, vectorize=True)
     begin = time.perf_counter()
