@@ -332,3 +332,8 @@ class Discrepancy:
     def estimated(self) -> bool:
         """Whether any channel had enough rows to estimate it."""
         return bool(self.excess)
+
+    @property
+    def detected(self) -> bool:
+        """Whether the residuals show a missing acceleration."""
+        return any(excess > DETECTION for excess in self.excess.values())

@@ -525,7 +525,7 @@ def main() -> None:
                 numbers = range(asked.throws or THROWS[trial.section])
                 made = pool.map(partial(answer, trial), numbers, chunksize=BLOCK)
                 found[name] = list(made)
-                put(name, table(trial, found[name]).text)
+                put(name, table(trial, found[name]))
                 print(name, file=sys.stderr)
     ranks = {TRIALS[name].truth: a for name, a in found.items() if name.startswith("ranks")}
     if ranks:
