@@ -317,9 +317,9 @@ class TextTable:
         width = len(self.names)
         with suppress(ValueError):  # of anything but numbers
             lines = [self.file.lines[index] for index in self.rows]
-            every = np.loadtxt(lines, delimiter=self.separator, comments=None, ndmin=2)
-            if every.shape[1] == width and not np.isinf(every).any():
-                return list(every[:, list(columns)].T.copy())
+            plain = np.loadtxt(lines, delimiter=self.separator, comments=None, ndmin=2)
+            if plain.shape[1] == width and not np.isinf(plain).any():
+                return list(plain[:, list(columns)].T.copy())
         remedy = "; where numbers have decimal commas, separate the columns by semicolons"
         for index, row in zip(self.rows, self._cells, strict=True):
             if len(row) < width or any(row[width:]):
