@@ -193,11 +193,11 @@ class Reduction:
         def before(rows: Floats) -> list[Floats]:
             found = [np.zeros((rows.shape[-1],) * 2)]
             for one in rows[:-1]:
-                found.append(_stacked(found[-1], one))
+                found.append(combined(found[-1], one))
             return found
 
         after = before(self.rows[::-1])[::-1]
-        return _stacked(np.stack(before(self.rows)), np.stack(after))
+        return combined(np.stack(before(self.rows)), np.stack(after))
 
     def gradient(self, gradients: Floats) -> Floats:
         """That of all throws by the parameters of each, from the gradients of each throw."""
@@ -213,7 +213,7 @@ def chi_squared_change(rows: Floats, steps: Floats) -> Floats:
     return found
 
 
-def _stacked(*factors: Floats) -> Floats:
+def combined(*factors: Floats) -> Floats:
     """R factor of the rows of several."""
     return r_factor(np.concatenate(factors, -2))
 
@@ -244,17 +244,17 @@ class Factors(NamedTuple):
         parameters the throws have in common, if they are fitted together; or rows of what others
         say of the parameters of each."""
         if others is not None:
-            of_data = _stacked(of_data, others)
+            of_data = combined(of_data, others)
         penalty = Penalty.none(*bounded.values.shape) if penalty is None else penalty
         whole, reduction, priors = of_data, None, penalty.rows(bounded.values)
         if common is not None:
             about = bounded, typical, common
             # Priors of what is in common count once.
-            reduction = Reduction.of(_stacked(of_data, priors * ~common[:, None]), *about)
-            whole = _stacked(of_data, reduction.others)
+            reduction = Reduction.of(combined(of_data, priors * ~common[:, None]), *about)
+            whole = combined(of_data, reduction.others)
             plain = Reduction.of(of_data, *about) if penalty.informative else reduction
-            of_data = _stacked(of_data, plain.others)
-        whole = _stacked(whole, priors)
+            of_data = combined(of_data, plain.others)
+        whole = combined(whole, priors)
         inside = confined(whole[..., :-1], bounded, typical)
         return cls(of_data, whole, np.concatenate([inside, whole[..., -1:]], -1), reduction)
 

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.inference.fit.covariance import Covariance, Sigmas
-from curlfit.inference.fit.factors import Factors, Reduction
+from curlfit.inference.fit.factors import Factors, Reduction, combined
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.identifiability import Bounded, Combination, r_factor, r_factors
 from curlfit.inference.joint.effects import Covariates, Means
@@ -274,8 +274,8 @@ def reduced(throws: Together, solution: Solution) -> Reduction:
     """What throws say of what they have in common, near their optima."""
     tasks, factors = throws.tasks, r_factors(solution.jacobian, solution.residual)
     within = Bounded(np.array(solution.values), tasks.lower, tasks.upper)
-    rows = np.concatenate([factors, _of_throws(throws).rows(within.values)], 1)
-    return Reduction.of(r_factor(rows), within, tasks.typical, throws.common)
+    whole = combined(factors, _of_throws(throws).rows(within.values))
+    return Reduction.of(whole, within, tasks.typical, throws.common)
 
 
 def _moves(rows: Floats, null: Floats, lower: Floats, upper: Floats) -> Floats:
@@ -283,7 +283,7 @@ def _moves(rows: Floats, null: Floats, lower: Floats, upper: Floats) -> Floats:
     bounds."""
     size = len(null)
     held = np.broadcast_to(np.pad(null.T, ((0, 0), (0, 1))), (len(rows), null.shape[1], size + 1))
-    factor = r_factor(np.concatenate([rows, held], 1))[:, :size]
+    factor = combined(rows, held)[:, :size]
     root = factor[..., :-1]
     found: Any = np.linalg.solve(root, -factor[..., -1:])[..., 0]
     for row in np.flatnonzero(((found < lower) | (found > upper)).any(1)):

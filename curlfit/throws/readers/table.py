@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from itertools import islice, pairwise
 from typing import Any
@@ -72,13 +71,15 @@ def _table_of(file: TextFile, reading: Reading) -> tuple[ParsedFile, TextTable]:
     below = (k for k in range(first, len(file.lines)) if not is_aside(file.lines[k]))
     for titles, index in enumerate(islice(below, _MOST_TITLES)):
         table = TextTable.at(file, index)
-        with suppress(DataError):
+        try:
             parsed = begun(file, "table", index)
             Headings(table.names, table.error).columns(reading, parsed.settings.get("columns", {}))
-            if titles:
-                said = f"{counted(titles, 'line')} above the header not read: "
-                table.remarks.append(said + quoted(file.lines[first].strip(" ,;\t")))
-            return parsed, with_units_below(table)
+        except DataError:
+            continue
+        if titles:
+            said = f"{counted(titles, 'line')} above the header not read: "
+            table.remarks.append(said + quoted(file.lines[first].strip(" ,;\t")))
+        return parsed, with_units_below(table)
     table = TextTable.of(file)
     return begun(file, "table", table.header), table
 

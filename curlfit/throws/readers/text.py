@@ -315,8 +315,8 @@ class TextTable:
             finite number.
         """
         width = len(self.names)
+        lines = [self.file.lines[index] for index in self.rows]
         with suppress(ValueError):  # of anything but numbers
-            lines = [self.file.lines[index] for index in self.rows]
             plain = np.loadtxt(lines, delimiter=self.separator, comments=None, ndmin=2)
             if plain.shape[1] == width and not np.isinf(plain).any():
                 return list(plain[:, list(columns)].T.copy())
