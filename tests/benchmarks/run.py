@@ -20,7 +20,7 @@ from dataclasses import replace
 from datetime import date
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -49,16 +49,30 @@ def processes(
     return [statistics.median(series) for series in taken]
 
 
-def measured(command: list[str], env: dict[str, str] | None = None) -> tuple[float, float]:
-    """Wall time, s, and most memory, MB, of a process; figures are drawn by a second one."""
+class Usage(NamedTuple):
+    """What a process took; figures are drawn by a second one."""
+
+    seconds: float
+    processor: float
+    """s, with the processes that it started"""
+    memory: float
+    """most, MB"""
+
+
+def measured(command: list[str], env: dict[str, str] | None = None) -> Usage:
+    """Run a process and measure what it takes."""
     begin = time.perf_counter()
     process = subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        command,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
         env=os.environ | (env or {}),
-    )  # fmt: skip
+    )
     _, status, usage = os.wait4(process.pid, 0)
+    seconds = time.perf_counter() - begin
     assert status == 0, command
-    return time.perf_counter() - begin, usage.ru_maxrss / 1024
+    processor = usage.ru_utime + usage.ru_stime
+    return Usage(seconds, processor, usage.ru_maxrss / 1024)
 
 
 def best(function: Callable[[], Any], seconds: float = 2.0) -> float:
@@ -119,9 +133,9 @@ def verbs() -> None:
             own = {"CURLFIT_CACHE": f"{folder}/cache-{number}"}
             command = [*CURLFIT, *words, "--out", f"{folder}/result-{number}"]
             runs = [measured(command, own) for _ in range(4)]
-            seconds, memory = runs[0]
+            seconds, _, memory = runs[0]
             row(f"{name}, first", f"{seconds:.1f} s, {memory:.0f} MB", seconds / script)
-            seconds, memory = (statistics.median(values) for values in zip(*runs[1:], strict=True))
+            seconds, _, memory = map(statistics.median, zip(*runs[1:], strict=True))
             row(name, f"{seconds:.2f} s, {memory:.0f} MB", seconds / script)
 
 
