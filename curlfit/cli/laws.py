@@ -49,7 +49,8 @@ def laws(
 def _summary(law: type[Law]) -> str:
     # A dataclass without a docstring is given its signature as one.
     text = (law.__doc__ or "").strip()
-    return "" if text.startswith(f"{law.__name__}(") else text.partition("\n\n")[0]
+    first, _, _ = text.partition("\n\n")
+    return "" if text.startswith(f"{law.__name__}(") else " ".join(first.split())
 
 
 def _text(law: type[Law], width: int) -> str:

@@ -488,13 +488,18 @@ ALL = {
 }
 
 
+def about(name: str) -> str:
+    """What a benchmark is, in one line."""
+    return " ".join((ALL[name].__doc__ or "").partition("\n\n")[0].split())
+
+
 def main() -> None:
     """Run the benchmarks asked for, or all."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    about = "; ".join(f"{name}: {(f.__doc__ or '').splitlines()[0]}" for name, f in ALL.items())
-    parser.add_argument("benchmark", nargs="*", help=f"{about} All, if none is named.")
+    each = "; ".join(f"{name}: {about(name)}" for name in ALL)
+    parser.add_argument("benchmark", nargs="*", help=f"{each} All, if none is named.")
     asked = parser.parse_args().benchmark
     unknown = set(asked) - set(ALL)
     if unknown:
@@ -507,7 +512,7 @@ def main() -> None:
     print(f"{date.today()}, {platform.processor() or platform.machine()}, {os.cpu_count()} cores, ")
     print(f"{device.platform} {device.device_kind}, Python {platform.python_version()}, {packages}")
     for name in asked or ALL:
-        print(f"\n{(ALL[name].__doc__ or '').splitlines()[0]}\n")
+        print(f"\n{about(name)}\n")
         row(name, "measured", "ratio")
         row("---", "---", "---")
         ALL[name]()
