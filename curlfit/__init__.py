@@ -1,7 +1,8 @@
 """Friction coefficients from the trajectory of a curling stone.
 
-curlfit fits a friction law to a measured path (time, position and, if available, angle), samples
-the posterior, and reports which coefficients the path determines and which it does not.
+curlfit fits a friction law to a measured path (time, position and, if available,
+angle), samples the posterior, and reports which coefficients the path determines and
+which it does not.
 
     import curlfit
     throw = curlfit.load_throw("data/jensen_shegelski_2004.csv")
@@ -12,7 +13,8 @@ the posterior, and reports which coefficients the path determines and which it d
 
 Most used:
 
-    load_throw   a throw from a file; `Throw.from_arrays`, `Throw.from_frame` from memory
+    load_throw   a throw from a file; `Throw.from_arrays`, `Throw.from_frame` from
+                 memory
     fit          coefficients and initial state of one throw; `fit_together` for several
     sample       the posterior; `chain.to_frame`, `chain.to_arviz`
     compare      which law describes the data best
@@ -21,11 +23,12 @@ Most used:
     write_report any of these results as one HTML page to share
     simulate     the model itself, for `jax.jit`, `vmap` and derivatives
 
-`dir(curlfit)` lists all names, `help(curlfit.fit)` shows arguments and an example; for the rest see
-the pages and notebooks named in the README.
+`dir(curlfit)` lists all names, `help(curlfit.fit)` shows arguments and an example; for
+the rest see the pages and notebooks named in the README.
 
-Axes: y along the sheet, x to the right of it, angle and spin counter-clockwise; SI units and
-radians. `import curlfit` makes JAX compute with 64-bit numbers, whatever JAX_ENABLE_X64 says.
+Axes: y along the sheet, x to the right of it, angle and spin counter-clockwise; SI
+units and radians. `import curlfit` makes JAX compute with 64-bit numbers, whatever
+JAX_ENABLE_X64 says.
 """
 
 import os
@@ -33,15 +36,16 @@ import sys
 
 import lazy_loader
 
-# A user's function may be traced before any name of curlfit is used, and the width of numbers
-# cannot change during tracing. JAX reads the environment variable when it is imported.
+# A user's function may be traced before any name of curlfit is used, and the width
+# of numbers cannot change during tracing. JAX reads the environment variable when it
+# is imported.
 if "jax" in sys.modules:
     sys.modules["jax"].config.update("jax_enable_x64", True)
 else:
     os.environ["JAX_ENABLE_X64"] = "1"
 
-# Each run-time check of equinox calls Python, and a program with such a call cannot be stored.
-# curlfit checks the status of optimistix itself.
+# Each run-time check of equinox calls Python, and a program with such a call cannot be
+# stored. curlfit checks the status of optimistix itself.
 os.environ.setdefault("EQX_ON_ERROR", "nan")
 
 # Public names, listed in the stub beside this file, are imported on first use, so that

@@ -2,7 +2,10 @@ from .batch.season import fit_season as fit_season
 from .comparison.compare import compare as compare
 from .comparison.figures import comparison_figure as comparison_figure
 from .comparison.report import print_comparison as print_comparison
-from .comparison.result import Comparison as Comparison, load_comparison as load_comparison
+from .comparison.result import (
+    Comparison as Comparison,
+    load_comparison as load_comparison,
+)
 from .dynamics.aim import Aim as Aim, aim as aim
 from .dynamics.trajectory import (
     InitialState as InitialState,
@@ -27,7 +30,10 @@ from .friction import (
 from .friction_tables.figures import friction_figure as friction_figure
 from .friction_tables.fit import fit_friction as fit_friction
 from .friction_tables.report import print_friction as print_friction
-from .friction_tables.result import FrictionFits as FrictionFits, load_friction as load_friction
+from .friction_tables.result import (
+    FrictionFits as FrictionFits,
+    load_friction as load_friction,
+)
 from .html_report.page import write_report as write_report
 from .inference.fit.estimates import Posterior as Posterior
 from .inference.fit.fit import fit as fit

@@ -12,22 +12,25 @@ from io import BufferedWriter, FileIO, TextIOWrapper
 from types import FrameType
 
 _terminated: list[int] = []
-_GARBAGE = 300_000  # new objects between searches for garbage; the default, 700, costs time
+# new objects between searches for garbage; the default, 700, costs time
+_GARBAGE = 300_000
 
 
 def run() -> None:
     """Run the command and end the process as soon as all work is done.
 
-    SIGTERM stops the command as Ctrl-C does, with another exit status. Python would tear down JAX,
-    XLA's programs and matplotlib piece by piece, which takes a tenth of the time of a fit.
+    SIGTERM stops the command as Ctrl-C does, with another exit status. Python would
+    tear down JAX, XLA's programs and matplotlib piece by piece, which takes a tenth of
+    the time of a fit.
     """
-    # before the imports: of NumPy, whose threads would wait for one another over small matrices,
-    # and of objects that live to the end
+    # before the imports: of NumPy, whose threads would wait for one another over small
+    # matrices, and of objects that live to the end
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.set_threshold(_GARBAGE)
     _open_streams()
     for number in (signal.SIGINT, signal.SIGTERM):
-        if signal.getsignal(number) is not signal.SIG_IGN:  # as of Ctrl-C in the background
+        # as of Ctrl-C in the background
+        if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _stop)
     from curlfit.cli import main
 
@@ -52,8 +55,11 @@ def run() -> None:
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
-    """Stop as by Ctrl-C; at once while JAX is being loaded, which no exception may leave."""
-    if getattr(getattr(sys.modules.get("jax"), "__spec__", None), "_initializing", False):
+    """Stop as by Ctrl-C; at once while JAX is being loaded, which no
+    exception may leave."""
+    if getattr(
+        getattr(sys.modules.get("jax"), "__spec__", None), "_initializing", False
+    ):
         os.write(2, b"curlfit: stopped\n")
         os._exit(128 + number)
     if number == signal.SIGTERM and number not in _terminated:
@@ -72,7 +78,8 @@ def _is_callback_of_garbage(frame: FrameType | None) -> bool:
 
 
 class _Pipe(FileIO):
-    """An output whose reader may go: what remains is dropped, and the command does its work."""
+    """An output whose reader may go: what remains is dropped, and the command
+    does its work."""
 
     def write(self, text: bytes) -> int:  # type: ignore[override]
         try:
@@ -84,8 +91,8 @@ class _Pipe(FileIO):
 def _open_streams() -> None:
     """Standard streams to which anything can be written.
 
-    A closed one, as by `>&-`, is the null device: its number must not become that of a file.
-    Characters that the encoding of an output lacks become question marks.
+    A closed one, as by `>&-`, is the null device: its number must not become that of a
+    file. Characters that the encoding of an output lacks become question marks.
     """
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         stream = getattr(sys, name)
@@ -94,7 +101,9 @@ def _open_streams() -> None:
         if number and not (stream and stream.isatty()):
             raw = _Pipe(number, "w", closefd=False)
             encoding = stream.encoding if stream else "utf-8"
-            stream = TextIOWrapper(BufferedWriter(raw), encoding, line_buffering=number == 2)
+            stream = TextIOWrapper(
+                BufferedWriter(raw), encoding, line_buffering=number == 2
+            )
             setattr(sys, name, stream)
         if number:
             stream.reconfigure(errors="replace")

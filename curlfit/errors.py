@@ -1,4 +1,5 @@
-"""Errors and warnings. Each message says what was found, where, and what was expected."""
+"""Errors and warnings. Each message says what was found, where, and what
+was expected."""
 
 from __future__ import annotations
 
@@ -9,7 +10,8 @@ from curlfit.foreign import message, quoted, say
 
 
 class CurlfitError(Exception):
-    """Base of all errors that curlfit raises on purpose; `exit_status` is that of the command.
+    """Base of all errors that curlfit raises on purpose; `exit_status` is that of
+    the command.
 
     Examples
     --------
@@ -38,7 +40,9 @@ class InputError(CurlfitError, ValueError):
     exit_status = 2
 
 
-def require_kind(value: object, kind: type | tuple[type, ...], name: str, expected: str) -> None:
+def require_kind(
+    value: object, kind: type | tuple[type, ...], name: str, expected: str
+) -> None:
     """Raise `InputError` for an argument of another type."""
     if not isinstance(value, kind):
         found = f"{type(value).__name__} {quoted(str(value))}"

@@ -1,5 +1,6 @@
-"""What comes from outside, in files, names and options: numbers that can be used, and text made
-harmless where it leaves, in messages, on the terminal, in tables, as names of folders."""
+"""What comes from outside, in files, names and options: numbers that can be used,
+and text made harmless where it leaves, in messages, on the terminal, in tables, as
+names of folders."""
 
 from __future__ import annotations
 
@@ -27,7 +28,8 @@ _DEVICES = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.I)  # of Windo
 
 
 def is_number(value: object, *, infinite: bool = False) -> bool:
-    """Whether a value is a number of at most `LARGEST`, or infinite if that is allowed."""
+    """Whether a value is a number of at most `LARGEST`, or infinite if
+    that is allowed."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
     return abs(value) <= LARGEST or (infinite and abs(value) == math.inf)
@@ -39,7 +41,8 @@ def is_size(value: float) -> bool:
 
 
 def quoted(value: object) -> str:
-    """A value for a message: in quotes if it is text, cut, control characters as escapes."""
+    """A value for a message: in quotes if it is text, cut, control
+    characters as escapes."""
     return repr(cut(value)) if isinstance(value, str) else cut(_SHORT.repr(value))
 
 
@@ -55,12 +58,13 @@ def counted(number: int, what: str) -> str:
 
 
 def printable(text: str) -> str:
-    """Text with what moves the cursor, hides or reverses other text (control characters and such)
-    as escapes."""
+    """Text with what moves the cursor, hides or reverses other text (control characters
+    and such) as escapes."""
     if text.isprintable():
         return text
     return "".join(
-        char if char.isprintable() else char.encode("unicode_escape").decode() for char in text
+        char if char.isprintable() else char.encode("unicode_escape").decode()
+        for char in text
     )
 
 
@@ -71,17 +75,22 @@ def message(text: str) -> str:
 
 def say(text: str, *, error: bool = False) -> None:
     """Print lines that may contain names of files."""
-    print("\n".join(map(printable, text.split("\n"))), file=sys.stderr if error else sys.stdout)
+    print(
+        "\n".join(map(printable, text.split("\n"))),
+        file=sys.stderr if error else sys.stdout,
+    )
 
 
 def file_and_number(name: str) -> tuple[str, str]:
-    """The file of a throw, and its number in it, which is empty if the file has no other."""
+    """The file of a throw, and its number in it, which is empty if the file
+    has no other."""
     found = re.fullmatch(r"(.*) (?:row|throw) (\d+)", name, re.S)
     return (found[1], found[2]) if found is not None else (name, "")
 
 
 def safe_name(text: str) -> str:
-    """A name for a folder, of this or any other system; a usual name is left as it is."""
+    """A name for a folder, of this or any other system; a usual name is
+    left as it is."""
     name = _UNSAFE.sub(lambda match: "_" * len(match[0]), printable(text)) or "_"
     if _DEVICES.fullmatch(name):
         name += "_"
@@ -101,7 +110,8 @@ def csv_lines(rows: Iterable[Sequence[Any]]) -> str:
 
 
 def csv_cell(value: Any) -> Any:
-    """A cell, text without line breaks; an apostrophe precedes what a spreadsheet would compute."""
+    """A cell, text without line breaks; an apostrophe precedes what a spreadsheet
+    would compute."""
     if isinstance(value, str):
         shown = printable(value)
         return f"'{shown}" if shown.startswith(("=", "+", "-", "@")) else shown

@@ -1,7 +1,7 @@
 """Results as records: frozen dataclasses in JSON, written and read by one rule.
 
-What is written follows from the fields of a record, and what is read is checked against their
-types: a file that somebody else made is a record of these types, or is refused.
+What is written follows from the fields of a record, and what is read is checked against
+their types: a file that somebody else made is a record of these types, or is refused.
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ class Axes(int):
 
 
 def keys(every: bool = True, /, **kinds: Any) -> Any:
-    """The keys of an object and their types, as an annotation; `every` one is needed, except those
-    that are `NotRequired`."""
+    """The keys of an object and their types, as an annotation; `every` one is needed,
+    except those that are `NotRequired`."""
     return TypedDict("keys", kinds, total=every)  # type: ignore[operator]
 
 
@@ -80,8 +80,9 @@ Arrays = dict[str, Annotated[Floats, Axes(0)]]
 class Record(Displayed):
     """Base of all results: `save` writes one as JSON, `read` reads it.
 
-    Class attributes: `kind`, the name of its file; `marks`, entries that tell it from others of
-    this kind; `written_together`, fields that are written as one object, by its name.
+    Class attributes: `kind`, the name of its file; `marks`, entries that tell it
+    from others of this kind; `written_together`, fields that are written as one
+    object, by its name.
     """
 
     kind: ClassVar[str] = ""
@@ -104,7 +105,8 @@ class Record(Displayed):
 
     @classmethod
     def from_json(cls, entries: Mapping[str, Any]) -> Self:
-        """The record from the output of `to_json`. Raises `DataError` for anything else."""
+        """The record from the output of `to_json`. Raises `DataError` for
+        anything else."""
         return structured(entries, cls)
 
     @classmethod
@@ -113,7 +115,8 @@ class Record(Displayed):
 
         Raises
         ------
-        DataError : missing, too large, not a record of this kind, or of another version.
+        DataError : missing, too large, not a record of this kind, or of
+            another version.
         """
         path = Path(file)
         if path.is_dir():
@@ -121,7 +124,9 @@ class Record(Displayed):
         entries = read_json(path, f"a {cls.kind}.json of curlfit")
         version = entries.get("schema")
         if type(version) is not int:
-            raise DataError(f"not a {cls.kind}.json of curlfit: it names no schema", file=path)
+            raise DataError(
+                f"not a {cls.kind}.json of curlfit: it names no schema", file=path
+            )
         if version != SCHEMA:
             newer = "a newer" if version > SCHEMA else "no"
             raise DataError(
@@ -142,11 +147,13 @@ class Record(Displayed):
         return cls.from_json(entries)
 
     def require_consistent(self) -> None:
-        """Raise `ValueError` where fields of a record that was read contradict one another."""
+        """Raise `ValueError` where fields of a record that was read contradict
+        one another."""
 
 
 def plain(value: Any, *, series: bool = True) -> Any:
-    """A value as JSON has it: records as objects, arrays as lists, NaN as null, infinities as text.
+    """A value as JSON has it: records as objects, arrays as lists, NaN as null,
+    infinities as text.
 
     `series` is False for records without their series.
     """
@@ -161,17 +168,23 @@ def plain(value: Any, *, series: bool = True) -> Any:
     if not is_dataclass(value):
         return value
     names = [
-        item.name for item in saved_fields(type(value)) if series or "series" not in item.metadata
+        item.name
+        for item in saved_fields(type(value))
+        if series or "series" not in item.metadata
     ]
     names += getattr(value, "written", ())
     found = {name: plain(getattr(value, name), series=series) for name in names}
     if isinstance(value, Record):
         group_of = {
-            name: group for group, inside in value.written_together.items() for name in inside
+            name: group
+            for group, inside in value.written_together.items()
+            for name in inside
         }
         whole: dict[str, Any] = {"schema": SCHEMA, **value.marks}
         for name, item in found.items():
-            (whole.setdefault(group_of[name], {}) if name in group_of else whole)[name] = item
+            (whole.setdefault(group_of[name], {}) if name in group_of else whole)[
+                name
+            ] = item
         return whole
     return found
 
@@ -182,7 +195,8 @@ def saved_fields(kind: Any) -> list[Field[Any]]:
 
 
 def structured(value: Any, kind: Any) -> Any:
-    """A value of JSON as a type: a dataclass, a TypedDict, or lists and dictionaries of them.
+    """A value of JSON as a type: a dataclass, a TypedDict, or lists and
+    dictionaries of them.
 
     Raises
     ------
@@ -194,7 +208,9 @@ def structured(value: Any, kind: Any) -> Any:
     except (BaseExceptionGroup, ValueError) as error:
         *place, because = _first(error)
         groups = getattr(kind, "written_together", {})
-        place[:0] = [group for group, inside in groups.items() if place and place[0] in inside]
+        place[:0] = [
+            group for group, inside in groups.items() if place and place[0] in inside
+        ]
         where = f"{'.'.join(place)}: " if place else ""
         raise DataError(
             f"{where}{because}; damaged, or written by an earlier version: {AGAIN}"
@@ -213,8 +229,15 @@ def _first(error: BaseException) -> list[str]:
 
 def unexpected(value: Any, what: str) -> ValueError:
     """The error for a value that is something else than `what`."""
-    kinds = {dict: "an object", list: "a list", type(None): "null", bool: str(value).lower()}
-    return ValueError(f"{kinds.get(type(value)) or quoted(value)} found, expected {what}")
+    kinds = {
+        dict: "an object",
+        list: "a list",
+        type(None): "null",
+        bool: str(value).lower(),
+    }
+    return ValueError(
+        f"{kinds.get(type(value)) or quoted(value)} found, expected {what}"
+    )
 
 
 def _exactly(kind: Any, what: str) -> Callable[[Any, Any], Any]:
@@ -244,7 +267,8 @@ def _array(value: Any, kind: Any) -> Floats:
             raise unexpected(items, "a list of numbers")
         deeper = axes > 1 or (axes == 0 and items and isinstance(items[0], list))
         return [
-            numbers(item, axes - 1 if axes else 1) if deeper else _number(item) for item in items
+            numbers(item, axes - 1 if axes else 1) if deeper else _number(item)
+            for item in items
         ]
 
     lists = numbers(value, axes)
@@ -255,7 +279,9 @@ def _array(value: Any, kind: Any) -> Floats:
 
 
 def _chosen(value: Any, kind: Any) -> Any:
-    choices: tuple[str, ...] = next(item for item in get_args(kind) if isinstance(item, Choice))
+    choices: tuple[str, ...] = next(
+        item for item in get_args(kind) if isinstance(item, Choice)
+    )
     if not isinstance(value, str) or value not in choices:
         raise unexpected(value, f"one of {', '.join(choices)}")
     return value
@@ -267,7 +293,9 @@ def require(place: str, holds: bool, what: str) -> None:
         raise ValueError(f"{place}: expected {what}")
 
 
-def require_rows(place: str, series: Mapping[str, Sequence[Any] | Floats], rows: int) -> None:
+def require_rows(
+    place: str, series: Mapping[str, Sequence[Any] | Floats], rows: int
+) -> None:
     """Raise `ValueError` unless all series have as many values."""
     same = all(len(values) == rows for values in series.values())
     require(place, same, f"series of {rows} values each")
@@ -291,14 +319,17 @@ def _converter() -> Any:
 
     for annotation, read in ((Choice, _chosen), (Axes, _array)):
         made.register_structure_hook_factory(
-            partial(holds, annotation), lambda kind, read=read: lambda value, _: read(value, kind)
+            partial(holds, annotation),
+            lambda kind, read=read: lambda value, _: read(value, kind),
         )
     made.register_structure_hook_func(partial(is_a, (np.ndarray,)), _array)
     made.register_structure_hook_factory(
         partial(holds, _Keys), lambda kind: made.get_structure_hook(get_args(kind)[1])
     )
 
-    made.register_structure_hook_factory(partial(holds, Names), partial(_of_names, made))
+    made.register_structure_hook_factory(
+        partial(holds, Names), partial(_of_names, made)
+    )
 
     @made.register_structure_hook_factory(partial(is_a, (Union, UnionType)))
     def of_optional(kind: Any) -> Any:
@@ -306,7 +337,8 @@ def _converter() -> Any:
         # found when it is called, since a record may have another of its kind
         return lambda value, _: None if value is None else made.structure(value, other)
 
-    # cattrs takes whatever can be iterated over, defaults for what is missing, and no annotations.
+    # cattrs takes whatever can be iterated over, defaults for what is missing, and
+    # no annotations.
     inside: list[Any] = []
 
     def is_list(kind: Any) -> bool:
@@ -317,7 +349,9 @@ def _converter() -> Any:
         inside.append(kind)
         usual = made.get_structure_hook(kind, cache_result=False)
         inside.remove(kind)
-        wanted, what = (dict, "an object") if get_origin(kind) is dict else (list, "a list")
+        wanted, what = (
+            (dict, "an object") if get_origin(kind) is dict else (list, "a list")
+        )
 
         def hook(value: Any, _: Any) -> Any:
             if type(value) is not wanted:
@@ -361,7 +395,11 @@ def _of_object(made: Any, kind: Any) -> Any:
         required = [item.name for item in saved if item.metadata.get("needed", True)]
         known = {item.name: item in saved for item in fields(kind)}
     else:
-        make, required, known = of_keys, sorted(kind.__required_keys__), dict.fromkeys(hints, True)
+        make, required, known = (
+            of_keys,
+            sorted(kind.__required_keys__),
+            dict.fromkeys(hints, True),
+        )
     overrides = {
         name: override(struct_hook=made.get_structure_hook(hints[name]), omit=not read)
         for name, read in known.items()

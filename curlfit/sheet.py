@@ -1,11 +1,12 @@
 """The sheet of ice: positions of its lines and circles.
 
-Dimensions from The Rules of Curling (World Curling, rule R1), which gives both feet and metres:
-114 ft from tee to tee, 12 ft from tee to hack, 21 ft from tee to hog line, 6 ft from tee to back
-line; circles of 6, 4, 2 and 1/2 ft radius; 146 to 150 ft long, at most 16 ft 5 in wide.
+Dimensions from The Rules of Curling (World Curling, rule R1), which gives both feet and
+metres: 114 ft from tee to tee, 12 ft from tee to hack, 21 ft from tee to hog line, 6 ft
+from tee to back line; circles of 6, 4, 2 and 1/2 ft radius; 146 to 150 ft long, at most
+16 ft 5 in wide.
 
-Positions along the sheet are measured from the thrower's hack, positions across it from the centre
-line, positive to the right.
+Positions along the sheet are measured from the thrower's hack, positions across it from
+the centre line, positive to the right.
 """
 
 from __future__ import annotations

@@ -11,8 +11,8 @@ from curlfit.foreign import quoted
 
 GRAVITY = 9.81  # m/s^2
 SMALLEST, LARGEST = 1e-6, 0.5
-"""Lower limit of all constants, in m and kg; upper limit of R, rho and h in m: stones are at most
-0.29 m across (World Curling, rule R2)."""
+"""Lower limit of all constants, in m and kg; upper limit of R, rho and h in m: stones
+are at most 0.29 m across (World Curling, rule R2)."""
 
 
 @dataclass(frozen=True)
@@ -22,15 +22,17 @@ class Stone:
     Attributes
     ----------
     m : mass in kg; it scales forces and enters the motion only through air drag.
-    R : radius of the contact ring in m. Ivanov and Shuvalov (2012) use 0.0625, 0.065 and
-        0.054 m in one paper, so it is an input.
-    rho : radius of gyration about the vertical axis in m (0.1 m in the paper; 0.1025 m for a
-        solid cylinder of 29 cm diameter).
-    h : height of the centre of mass above the ice in m, used by the consistent load (eq. 8-9).
+    R : radius of the contact ring in m. Ivanov and Shuvalov (2012) use 0.0625, 0.065
+        and 0.054 m in one paper, so it is an input.
+    rho : radius of gyration about the vertical axis in m (0.1 m in the paper; 0.1025 m
+        for a solid cylinder of 29 cm diameter).
+    h : height of the centre of mass above the ice in m, used by the consistent
+        load (eq. 8-9).
 
     Raises
     ------
-    InputError : a value is not a positive finite number, or a length is larger than any stone.
+    InputError : a value is not a positive finite number, or a length is larger
+        than any stone.
 
     Examples
     --------
@@ -47,8 +49,11 @@ class Stone:
         for name, unit in UNITS.items():
             value = getattr(self, name)
             if isinstance(value, str):
-                raise InputError(f"stone.{name} = {quoted(value)}: expected a number in {unit}")
-            if isinstance(value, (int, float)) and not isinstance(value, bool):  # a mask of JAX's
+                raise InputError(
+                    f"stone.{name} = {quoted(value)}: expected a number in {unit}"
+                )
+            # a mask of JAX's
+            if isinstance(value, (int, float)) and not isinstance(value, bool):
                 if not (math.isfinite(value) and value >= SMALLEST):
                     raise InputError(
                         f"stone.{name} = {value} {unit}: expected a positive, finite "
@@ -56,10 +61,11 @@ class Stone:
                     )
                 if name != "m" and value > LARGEST:
                     raise InputError(
-                        f"stone.{name} = {value:g} m: expected at most {LARGEST} m; the unit is m, "
-                        "not cm or mm"
+                        f"stone.{name} = {value:g} m: expected at most {LARGEST} m; "
+                        "the unit is m, not cm or mm"
                     )
-                object.__setattr__(self, name, float(value))  # one type, for one compiled program
+                # one type, for one compiled program
+                object.__setattr__(self, name, float(value))
 
     def with_values(self, values: dict[str, float]) -> Stone:
         """A copy with some values replaced. Raises `InputError` for an unknown name."""

@@ -1,4 +1,5 @@
-"""Configuration of the book: `sphinx-build -M html notebooks notebooks/_build` makes a site of it.
+"""Configuration of the book: `sphinx-build -M html notebooks notebooks/_build` makes
+a site of it.
 
 The pages need no network, neither to be built nor to be read.
 """
@@ -52,7 +53,12 @@ html_theme_options = {"navigation_with_keys": True}
 html_css_files = ["curlfit.css"]
 _mathjax = find_spec("sphinx-mathjax-offline")
 if _mathjax is None or _mathjax.origin is None:
-    raise ImportError("sphinx-mathjax-offline is not installed: pip install 'curlfit[docs]'")
-html_static_path = ["_static", str(Path(_mathjax.origin).parent / "static/mathjax/tex-svg.js")]
+    raise ImportError(
+        "sphinx-mathjax-offline is not installed: pip install 'curlfit[docs]'"
+    )
+html_static_path = [
+    "_static",
+    str(Path(_mathjax.origin).parent / "static/mathjax/tex-svg.js"),
+]
 mathjax_path = "tex-svg.js"
 html_extra_path = [".nojekyll"]

@@ -1,4 +1,5 @@
-"""The shipped data, its fit, and an integration that shares no code with the program."""
+"""The shipped data, its fit, and an integration that shares no code with
+the program."""
 
 from __future__ import annotations
 
@@ -58,31 +59,46 @@ def write(tmp_path):
 
 
 LONG = (
-    "test_book", "test_population", "test_laws", "test_prediction", "test_results_in_notebooks",
-    "test_comparison", "test_batch", "test_timings", "test_hard_numerics",
-)  # fmt: skip
+    "test_book",
+    "test_population",
+    "test_laws",
+    "test_prediction",
+    "test_results_in_notebooks",
+    "test_comparison",
+    "test_batch",
+    "test_timings",
+    "test_hard_numerics",
+)
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Have the tests' own programs compile as curlfit's do (see `curlfit.numerics.compiled`), in
-    half the time, where this JAX knows how: set for the workers, before they start.
+    """Have the tests' own programs compile as curlfit's do (see
+    `curlfit.numerics.compiled`), in half the time, where this JAX knows how: set for
+    the workers, before they start.
 
-    Each program compiles in one piece, since all processors are busy with tests; that does not
-    change what it computes.
+    Each program compiles in one piece, since all processors are busy with tests; that
+    does not change what it computes.
     """
     os.environ.pop("COLUMNS", None)  # reports are as wide as anywhere else
-    os.environ["PYTHONPATH"] = str(DATA.parents[1])  # processes run this curlfit, and its programs
-    compiled._MOST_LOADED = 100  # tests turn from law to law, and there is memory for it
+    # processes run this curlfit, and its programs
+    os.environ["PYTHONPATH"] = str(DATA.parents[1])
+    # tests turn from law to law, and there is memory for it
+    compiled._MOST_LOADED = 100
     gc.set_threshold(100_000)  # tracing makes many objects
     if hasattr(config, "workerinput"):
         return
     lowered = jax.jit(lambda x: x).lower(0.0)
     with suppress(jax.errors.JaxRuntimeError):
-        options = {"xla_cpu_use_fusion_emitters": False, "xla_cpu_parallel_codegen_split_count": 1}
+        options = {
+            "xla_cpu_use_fusion_emitters": False,
+            "xla_cpu_parallel_codegen_split_count": 1,
+        }
         lowered.compile(compiler_options=options)
         flags = [f"--{name}={str(value).lower()}" for name, value in options.items()]
         # first, for of two that contradict each other XLA takes the last
-        os.environ["XLA_FLAGS"] = " ".join((*flags, os.environ.get("XLA_FLAGS", ""))).strip()
+        os.environ["XLA_FLAGS"] = " ".join(
+            (*flags, os.environ.get("XLA_FLAGS", ""))
+        ).strip()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -102,12 +118,18 @@ class Ran(NamedTuple):
 def python(
     *words: object, cwd: Path | None = None, **settings: str
 ) -> subprocess.CompletedProcess[str]:
-    """Python as a process of its own, in a folder, with further settings of the environment."""
+    """Python as a process of its own, in a folder, with further settings of
+    the environment."""
     return subprocess.run(
-        [sys.executable, *map(str, words)], cwd=cwd, capture_output=True, text=True, timeout=1500,
+        [sys.executable, *map(str, words)],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        timeout=1500,
         # not that of the C library, to which readline adds the width of a terminal
-        check=False, env=os.environ | settings,
-    )  # fmt: skip
+        check=False,
+        env=os.environ | settings,
+    )
 
 
 def process(*words: object, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -118,18 +140,19 @@ def process(*words: object, cwd: Path) -> subprocess.CompletedProcess[str]:
 STRICT = ("-W", "error")  # warnings are errors, as in the tests
 
 
-LAUNCH = """
-import resource, signal
-signal.signal(signal.SIGINT, signal.default_int_handler)  # which a background job ignores
-resource.setrlimit(resource.RLIMIT_FSIZE, (ROOM, ROOM))
-from curlfit.__main__ import run
-run()
-"""
+LAUNCH = (
+    "\nimport resource, signal\n"
+    "signal.signal(signal.SIGINT, signal.default_int_handler)"
+    "  # which a background job ignores\n"
+    "resource.setrlimit(resource.RLIMIT_FSIZE, (ROOM, ROOM))\n"
+    "from curlfit.__main__ import run\n"
+    "run()\n"
+)
 
 
 def started(*words: object, room: int = -1, **how: Any) -> subprocess.Popen[str]:
-    """The command as a running process, in a group of its own; with `room`, no file of it may
-    have more bytes."""
+    """The command as a running process, in a group of its own; with `room`, no file of
+    it may have more bytes."""
     return subprocess.Popen(
         [sys.executable, "-c", LAUNCH.replace("ROOM", str(room)), *map(str, words)],
         start_new_session=True,
@@ -143,18 +166,27 @@ def parts_in(file, **choices):
 
 
 def command(*words: object, cwd: Path) -> Ran:
-    """What that process would do, in this one: it need not load JAX and the programs again."""
+    """What that process would do, in this one: it need not load JAX and the
+    programs again."""
     from curlfit.cli import main
     from curlfit.errors import warn_once
 
     warn_once.cache_clear()
     before, status = sys.argv, 0
-    with chdir(cwd), redirect_stdout(StringIO()) as out, redirect_stderr(StringIO()) as err:
+    with (
+        chdir(cwd),
+        redirect_stdout(StringIO()) as out,
+        redirect_stderr(StringIO()) as err,
+    ):
         sys.argv = ["curlfit", *map(str, words)]
         try:
             main()
         except SystemExit as ended:
-            status = ended.code if isinstance(ended.code, int) else int(ended.code is not None)
+            status = (
+                ended.code
+                if isinstance(ended.code, int)
+                else int(ended.code is not None)
+            )
         finally:
             sys.argv = before
     return Ran(status, out.getvalue(), err.getvalue())
@@ -170,7 +202,8 @@ class Invoked(NamedTuple):
 
 
 def invoke(words: Sequence[object]) -> Invoked:
-    """Carry out a command in this process and folder, without the words of `main` for an error."""
+    """Carry out a command in this process and folder, without the words of `main`
+    for an error."""
     from curlfit import cli
 
     with redirect_stdout(StringIO()) as out, redirect_stderr(StringIO()) as err:
@@ -200,7 +233,9 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 @pytest.fixture(scope="module")
 def browser():
     """Chromium, of whose console nothing is lost."""
-    webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
+    webdriver = pytest.importorskip(
+        "selenium.webdriver", reason="selenium is not installed"
+    )
     named = (os.environ.get("CHROMIUM", ""), *BROWSERS)
     chromium = next(filter(None, map(shutil.which, named)), None)
     chromedriver = shutil.which("chromedriver")
@@ -208,10 +243,17 @@ def browser():
         pytest.skip("there is no Chromium with its chromedriver")
     options = webdriver.ChromeOptions()
     options.binary_location = chromium
-    for flag in ("--headless=new", "--no-sandbox", "--disable-gpu", "--window-size=1280,900"):
+    for flag in (
+        "--headless=new",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--window-size=1280,900",
+    ):
         options.add_argument(flag)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(chromedriver))
+    driver = webdriver.Chrome(
+        options=options, service=webdriver.ChromeService(chromedriver)
+    )
     yield driver
     driver.quit()
 
@@ -235,7 +277,9 @@ def eq12_fit(eq12: curlfit.Throw) -> curlfit.FitResult:
 
 
 @pytest.fixture(scope="session")
-def eq12_posterior(eq12_fit: curlfit.FitResult) -> tuple[curlfit.FitResult, curlfit.Chain]:
+def eq12_posterior(
+    eq12_fit: curlfit.FitResult,
+) -> tuple[curlfit.FitResult, curlfit.Chain]:
     return curlfit.sample(eq12_fit, seed=1)
 
 
@@ -250,12 +294,15 @@ def filmed(
     times: np.ndarray = TIMES,
     **how: Any,
 ) -> curlfit.Throw:
-    """A throw of `front-back` or another law, with independent noise in the channels named.
+    """A throw of `front-back` or another law, with independent noise in the
+    channels named.
 
-    Of `how`, what `simulate` does not know is of the initial state. Times and initial speed are
-    alike in most tests, so that one program serves them.
+    Of `how`, what `simulate` does not know is of the initial state. Times and initial
+    speed are alike in most tests, so that one program serves them.
     """
-    start = {name: how.pop(name) for name in set(how) - {"stone", "load", "environment"}}
+    start = {
+        name: how.pop(name) for name in set(how) - {"stone", "load", "environment"}
+    }
     path = curlfit.simulate(
         law or curlfit.LAWS["front-back"](),
         how.pop("stone", curlfit.Stone()),
@@ -296,10 +343,15 @@ Traction = Callable[[Ring, np.ndarray], tuple[np.ndarray, np.ndarray]]
 """Force per unit normal load (right, forward), from the points and the load n/n0."""
 
 
-def front_back(mu1_xi: float, mu2_xi: float, mu1_eta: float, mu2_eta: float) -> Traction:
+def front_back(
+    mu1_xi: float, mu2_xi: float, mu1_eta: float, mu2_eta: float
+) -> Traction:
     def traction(ring: Ring, _: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         front = ring.eta > 0
-        mu_xi, mu_eta = np.where(front, mu1_xi, mu2_xi), np.where(front, mu1_eta, mu2_eta)
+        mu_xi, mu_eta = (
+            np.where(front, mu1_xi, mu2_xi),
+            np.where(front, mu1_eta, mu2_eta),
+        )
         return -mu_xi * ring.v_xi / ring.speed, -mu_eta * ring.v_eta / ring.speed
 
     return traction
@@ -317,15 +369,17 @@ def follow(
 ) -> np.ndarray:
     """x, y, phi at the times, shape (3, n); held after rest.
 
-    Each phase ends where its function of (spin, angle turned) passes zero. Without `inertia` the
-    stone rests when it stops sliding, though it may still spin.
+    Each phase ends where its function of (spin, angle turned) passes zero. Without
+    `inertia` the stone rests when it stops sliding, though it may still spin.
     """
     state = np.array([start.x, start.y, start.v, start.heading, start.phi, start.omega])
     now, found = 0.0, np.empty((3, len(times)))
     found[:] = state[[0, 1, 4], None]
     for accelerations, end in phases:
 
-        def rates(t: float, state: np.ndarray, accelerations: Rates = accelerations) -> list[float]:
+        def rates(
+            t: float, state: np.ndarray, accelerations: Rates = accelerations
+        ) -> list[float]:
             _, _, v, beta, phi, omega = state
             a_xi, a_eta, angular = accelerations(v, omega, phi - start.phi, t)
             return [v * np.sin(beta), v * np.cos(beta), a_eta, a_xi / v, omega, angular]
@@ -338,17 +392,26 @@ def follow(
             return float(min(np.hypot(v, u) - 1e-7, max(v - 1e-9, u - 2e-6)))
 
         def over(
-            _: float, state: np.ndarray, end: Callable[[float, float], float] | None = end
+            _: float,
+            state: np.ndarray,
+            end: Callable[[float, float], float] | None = end,
         ) -> float:
             return 1.0 if end is None else end(state[5], state[4] - start.phi)
 
         rest.terminal = over.terminal = True  # type: ignore[attr-defined]
-        # With 1e-11 a step over |epsilon| = 1, where friction has a kink, may pass for exact and be
-        # off by 1e-7, this or that way by the rounding of the machine's matrix products.
+        # With 1e-11 a step over |epsilon| = 1, where friction has a kink, may pass for
+        # exact and be off by 1e-7, this or that way by the rounding of the machine's
+        # matrix products.
         part = solve_ivp(
-            rates, (now, times[-1]), state, method="DOP853", rtol=1e-13, atol=1e-15,
-            events=(rest, over), dense_output=True,
-        )  # fmt: skip
+            rates,
+            (now, times[-1]),
+            state,
+            method="DOP853",
+            rtol=1e-13,
+            atol=1e-15,
+            events=(rest, over),
+            dense_output=True,
+        )
         assert part.success
         later = times >= now
         found[:, later] = part.sol(np.minimum(times[later], part.t[-1]))[[0, 1, 4]]
@@ -365,9 +428,10 @@ _TRIALS = np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1]])  # of the load
 class Reference:
     """A local law on a dense ring, in plain numpy, for scipy's order-8 integrator.
 
-    The ring is cut where the law jumps: between the halves and at the polar angles in `edges`.
-    Each piece has `nodes` Gauss points crowded by a cubic map toward the place where sliding
-    stops. `corner` is the angle turned at which friction changes its course.
+    The ring is cut where the law jumps: between the halves and at the polar angles
+    in `edges`. Each piece has `nodes` Gauss points crowded by a cubic map toward
+    the place where sliding stops. `corner` is the angle turned at which friction
+    changes its course.
     """
 
     traction: Traction
@@ -403,17 +467,22 @@ class Reference:
         v_xi, v_eta = -u * eta, v + u * xi
         return Ring(a, xi, eta, v_xi, v_eta, np.hypot(v_xi, v_eta), w, turned, time)
 
-    def force(self, v: float, u: float, turned: float = 0.0, time: float = 0.0) -> np.ndarray:
+    def force(
+        self, v: float, u: float, turned: float = 0.0, time: float = 0.0
+    ) -> np.ndarray:
         """Force over m g (right, forward) and moment over m g R.
 
-        The load (p, q) = -2 (h/R) T of eq. 8-9 is found by Newton's method from differences.
+        The load (p, q) = -2 (h/R) T of eq. 8-9 is found by Newton's method
+        from differences.
         """
         ring, tilt = self.ring(v, u, turned, time), np.zeros(2)
         if self.h is None:
             return self.net(ring, tilt)
         size = -2 * self.h / self.R
         force, *moved = self.net(ring, _TRIALS)
-        slope = np.array([(other - force)[:2] for other in moved]).T * (size / _TRIALS[1, 0])
+        slope = np.array([(other - force)[:2] for other in moved]).T * (
+            size / _TRIALS[1, 0]
+        )
         inverse = np.linalg.inv(np.eye(2) - slope)
         for _ in range(100):
             change = inverse @ (size * force[:2] - tilt)
@@ -424,18 +493,23 @@ class Reference:
         raise AssertionError("the load does not settle")
 
     def net(self, ring: Ring, tilt: np.ndarray) -> np.ndarray:
-        """The same under the load 1 + p xi + q eta, of one or many (p, q) on the last axis."""
+        """The same under the load 1 + p xi + q eta, of one or many (p, q) on
+        the last axis."""
         p, q = tilt[..., :1], tilt[..., 1:]
         load = 1 + p * ring.xi + q * ring.eta
         t_xi, t_eta = self.traction(ring, load)
         n_xi, n_eta = load * t_xi, load * t_eta
         moment = ring.xi * n_eta - ring.eta * n_xi
-        return np.array([n_xi @ ring.weight, n_eta @ ring.weight, moment @ ring.weight]).T
+        return np.array(
+            [n_xi @ ring.weight, n_eta @ ring.weight, moment @ ring.weight]
+        ).T
 
     def path(self, start: curlfit.InitialState, times: np.ndarray) -> np.ndarray:
         """x, y, phi at the times, shape (3, n); held after rest."""
 
-        def accelerations(v: float, omega: float, turned: float, time: float) -> Sequence[float]:
+        def accelerations(
+            v: float, omega: float, turned: float, time: float
+        ) -> Sequence[float]:
             a_xi, a_eta, moment = G * self.force(v, self.R * omega, turned, time)
             return a_xi, a_eta, moment * self.R / self.rho**2
 

@@ -1,9 +1,9 @@
 """Damaged files, and what the command does with each.
 
-`python damaged_files.py FOLDER SEED COUNT` lets the command have COUNT files (20000, say), some of
-them under hostile names or with a configuration file, each in a process of its own that is forked
-from this one, and prints a `Tally` as JSON. A forked process needs what a
-fresh one would, but for the half second of its imports.
+`python damaged_files.py FOLDER SEED COUNT` lets the command have COUNT files (20000,
+say), some of them under hostile names or with a configuration file, each in a process
+of its own that is forked from this one, and prints a `Tally` as JSON. A forked process
+needs what a fresh one would, but for the half second of its imports.
 """
 
 from __future__ import annotations
@@ -33,14 +33,73 @@ _FIT_SECONDS = 120  # and a fit of one or a page, where the model must be compil
 _WAIT = 10  # times as long by the clock, on a busy machine
 
 _PIECES = [
-    "", ",", ";", "\t", " ", "\n", "\r", '"', "'", "#", "=", "nan", "inf", "-inf", "1e999", "-",
-    "--", "1e308", "-1e308", "1e-320", "999999999999999999999", "1_0", "0x1p3", "١٢", "NaN", "null",
-    "true", "{", "}", "[", "]", "{}", "[]", ":", "[" * 3000, "0" * 5000, "9" * 5000, "\x00",
-    "\ufeff", "\u2028", "\x1c", "\x85", "é", "θ_{r}", "t", "x", "y", "u", "v", "phi", "t_phi",
-    "# axes = 'x-along'\n", "# until = inf\n", "# stone = {R = 1}\n", "# sigma.x = 1\n",
-    "# reference.law = 1\n", "# law = 'nothing'\n", "hog_to_hog = 1\n", "curl = 1e5 ft\n",
-    '"trajectory": 1', '"team": 3', '"index": -1', '"index": true', "0.25", "-0.25", "1e9",
-]  # fmt: skip
+    "",
+    ",",
+    ";",
+    "\t",
+    " ",
+    "\n",
+    "\r",
+    '"',
+    "'",
+    "#",
+    "=",
+    "nan",
+    "inf",
+    "-inf",
+    "1e999",
+    "-",
+    "--",
+    "1e308",
+    "-1e308",
+    "1e-320",
+    "999999999999999999999",
+    "1_0",
+    "0x1p3",
+    "١٢",
+    "NaN",
+    "null",
+    "true",
+    "{",
+    "}",
+    "[",
+    "]",
+    "{}",
+    "[]",
+    ":",
+    "[" * 3000,
+    "0" * 5000,
+    "9" * 5000,
+    "\x00",
+    "\ufeff",
+    "\u2028",
+    "\x1c",
+    "\x85",
+    "é",
+    "θ_{r}",
+    "t",
+    "x",
+    "y",
+    "u",
+    "v",
+    "phi",
+    "t_phi",
+    "# axes = 'x-along'\n",
+    "# until = inf\n",
+    "# stone = {R = 1}\n",
+    "# sigma.x = 1\n",
+    "# reference.law = 1\n",
+    "# law = 'nothing'\n",
+    "hog_to_hog = 1\n",
+    "curl = 1e5 ft\n",
+    '"trajectory": 1',
+    '"team": 3',
+    '"index": -1',
+    '"index": true',
+    "0.25",
+    "-0.25",
+    "1e9",
+]
 
 
 def damaged_text(chance: random.Random, text: str) -> str:
@@ -63,12 +122,18 @@ def damaged_text(chance: random.Random, text: str) -> str:
             lines[chance.randrange(len(lines) + 1) : 0] = [line] * chance.randrange(3)
             text = "\n".join(lines)
         elif kind == 5:
-            one, other = chance.sample([",", ";", "\t", " ", ".", "\n", "0", "1", "-"], 2)
+            one, other = chance.sample(
+                [",", ";", "\t", " ", ".", "\n", "0", "1", "-"], 2
+            )
             text = text.replace(one, other, chance.choice([1, 5, -1]))
         elif kind == 8:  # another digit
             text = text[:a] + chance.choice("0123456789") + text[a + 1 :]
         elif kind == 6:
-            text = text[:a] + chr(chance.choice([0, 9, 11, 34, 44, 59, 127, 160, 8722])) + text[a:]
+            text = (
+                text[:a]
+                + chr(chance.choice([0, 9, 11, 34, 44, 59, 127, 160, 8722]))
+                + text[a:]
+            )
         else:
             text = text[a : a + 300] + text[b:]
         text = text[:1_000_000] or " "
@@ -78,7 +143,9 @@ def damaged_text(chance: random.Random, text: str) -> str:
 def damaged(chance: random.Random) -> bytes:
     """A sample with some damage."""
     text = damaged_text(chance, chance.choice(list(SAMPLES.values())))
-    raw = text.encode(chance.choice(["utf-8"] * 6 + ["utf-8-sig", "utf-16", "utf-16-le"]))
+    raw = text.encode(
+        chance.choice(["utf-8"] * 6 + ["utf-8-sig", "utf-16", "utf-16-le"])
+    )
     if chance.random() < 0.2:
         k = chance.randrange(len(raw))
         raw = raw[:k] + bytes([chance.randrange(256)]) + raw[k + 1 :]
@@ -86,24 +153,105 @@ def damaged(chance: random.Random) -> bytes:
 
 
 _KEYS = [
-    "law", "load", "since", "until", "exclude", "swept", "stone", "stone.R", "stone.m", "sigma.x",
-    "fix", "fix.v0", "bound.mu1_xi", "bound", "start.v0", "unbounded", "free", "prior.rho",
-    "systematic.slope_x", "loss", "noise", "seed", "derive", "format", "axes", "units", "reference",
-    "stone_index", "shot", "handle", "as_given", "stone." + "a." * 300 + "a", '"\\u001b[31m"', "q",
-]  # fmt: skip
+    "law",
+    "load",
+    "since",
+    "until",
+    "exclude",
+    "swept",
+    "stone",
+    "stone.R",
+    "stone.m",
+    "sigma.x",
+    "fix",
+    "fix.v0",
+    "bound.mu1_xi",
+    "bound",
+    "start.v0",
+    "unbounded",
+    "free",
+    "prior.rho",
+    "systematic.slope_x",
+    "loss",
+    "noise",
+    "seed",
+    "derive",
+    "format",
+    "axes",
+    "units",
+    "reference",
+    "stone_index",
+    "shot",
+    "handle",
+    "as_given",
+    "stone." + "a." * 300 + "a",
+    '"\\u001b[31m"',
+    "q",
+]
 _VALUES = [
-    "1", "-1", "0", "0.054", "1e308", "-1e308", "nan", "inf", "-inf", "1e-320", "9" * 400, "true",
-    "0x" + "f" * 900, "''", "'front-back'", "'coulomb'", "'x'", f"'{'x' * 900}'", "2026-01-05",
-    "14:03:22", "[]", "[1]", "[2, 5]", "[5, 2]", "[[2, 5]]", "[[1, 'a']]", "['rho']", "{}",
-    "{a = 1}", "{v0 = 2}", "{mu1_xi = [0, inf]}", "[" * 60000, "[\n" * 30000, '"\\u202e"',
-    "'1+-0.1'", "'white'",
-]  # fmt: skip
+    "1",
+    "-1",
+    "0",
+    "0.054",
+    "1e308",
+    "-1e308",
+    "nan",
+    "inf",
+    "-inf",
+    "1e-320",
+    "9" * 400,
+    "true",
+    "0x" + "f" * 900,
+    "''",
+    "'front-back'",
+    "'coulomb'",
+    "'x'",
+    f"'{'x' * 900}'",
+    "2026-01-05",
+    "14:03:22",
+    "[]",
+    "[1]",
+    "[2, 5]",
+    "[5, 2]",
+    "[[2, 5]]",
+    "[[1, 'a']]",
+    "['rho']",
+    "{}",
+    "{a = 1}",
+    "{v0 = 2}",
+    "{mu1_xi = [0, inf]}",
+    "[" * 60000,
+    "[\n" * 30000,
+    '"\\u202e"',
+    "'1+-0.1'",
+    "'white'",
+]
 _NAMES = [
-    "..csv", "...csv", "-x.csv", "--law.csv", "a$b_{.csv", "$$.csv", "=1+1.csv", "[red].csv",
-    "~.csv", "\x1b]0;title\x07.csv", "\u202efdp.csv", "\u65e5\u672c.csv", "n\nl.csv", "end. .csv",
-    "NUL.csv", "x" * 255, ":smile:.csv", "_u.csv", "a\udcffb.csv", "a row 3", "%s{0}.csv",
-    "*?.csv", "'\".csv", " ",
-]  # fmt: skip
+    "..csv",
+    "...csv",
+    "-x.csv",
+    "--law.csv",
+    "a$b_{.csv",
+    "$$.csv",
+    "=1+1.csv",
+    "[red].csv",
+    "~.csv",
+    "\x1b]0;title\x07.csv",
+    "\u202efdp.csv",
+    "\u65e5\u672c.csv",
+    "n\nl.csv",
+    "end. .csv",
+    "NUL.csv",
+    "x" * 255,
+    ":smile:.csv",
+    "_u.csv",
+    "a\udcffb.csv",
+    "a row 3",
+    "%s{0}.csv",
+    "*?.csv",
+    "'\".csv",
+    " ",
+]
 
 
 def settings(chance: random.Random) -> bytes:
@@ -151,13 +299,23 @@ def arguments(chance: random.Random, folder: Path) -> list[str]:
     file.write_bytes(raw)
     verb = chance.random()
     if verb < 0.01:
-        out = ["--no-sample", "--no-figures", "--law=coulomb", f"--out={folder / 'fit'}"]
+        out = [
+            "--no-sample",
+            "--no-figures",
+            "--law=coulomb",
+            f"--out={folder / 'fit'}",
+        ]
         return ["fit", *words, *out]
-    return ["check", *words, *([f"--out={folder / 'check.png'}"] if verb < 0.02 else [])]
+    return [
+        "check",
+        *words,
+        *([f"--out={folder / 'check.png'}"] if verb < 0.02 else []),
+    ]
 
 
 class Outcome(NamedTuple):
-    """How a process ended: exit status (minus the signal, if one ended it), and its needs."""
+    """How a process ended: exit status (minus the signal, if one ended it),
+    and its needs."""
 
     status: int
     megabytes: float
@@ -171,7 +329,9 @@ class Outcome(NamedTuple):
             return f"{self.megabytes:.0f} MB"
         said = self.errors.splitlines()
         wanted = 0 if self.status == 0 else 1
-        if len(said) != wanted or not all(line.startswith("curlfit: ") for line in said):
+        if len(said) != wanted or not all(
+            line.startswith("curlfit: ") for line in said
+        ):
             return "not one sentence on stderr"
         return None
 
@@ -183,7 +343,9 @@ def forked(words: list[str], errors: Path) -> Outcome:
         status = 70
         try:
             for name, stream in ((os.devnull, 1), (str(errors), 2)):
-                os.dup2(os.open(name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), stream)
+                os.dup2(
+                    os.open(name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), stream
+                )
             limit = _FIT_SECONDS if words[0] in ("fit", "report") else _SECONDS
             resource.setrlimit(resource.RLIMIT_CPU, (limit, limit + 1))
             signal.alarm(_WAIT * limit)
@@ -191,7 +353,9 @@ def forked(words: list[str], errors: Path) -> Outcome:
             main()
             status = 0
         except SystemExit as end:
-            status = end.code if isinstance(end.code, int) else 0 if end.code is None else 70
+            status = (
+                end.code if isinstance(end.code, int) else 0 if end.code is None else 70
+            )
         except BaseException:
             traceback.print_exc()
         finally:
@@ -205,7 +369,8 @@ def forked(words: list[str], errors: Path) -> Outcome:
 
 @dataclass
 class Tally:
-    """What became of many files: how many ended with each status, and what was wrong."""
+    """What became of many files: how many ended with each status, and
+    what was wrong."""
 
     statuses: dict[str, int] = field(default_factory=dict)
     faults: list[str] = field(default_factory=list)
@@ -229,7 +394,8 @@ def tally(folder: Path, seed: int, count: int) -> Tally:
 
 
 def imported(folder: Path) -> None:
-    """Import what the command imports on its way, once for all copies of this process."""
+    """Import what the command imports on its way, once for all copies of
+    this process."""
     points = folder / "points.csv"
     points.write_text(known_points())
     for sample, words in (("table", []), ("pixels", [f"--reference={points}"])):

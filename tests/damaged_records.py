@@ -1,8 +1,9 @@
 """Damaged records, and what the command does with each.
 
-`python damaged_records.py FOLDER SEED COUNT` damages the results in the folders of FOLDER, one at a
-time, lets the command read each, as `damaged_files` does, and prints a `Tally` as JSON. Without
-FOLDER/fit it first makes results of all kinds there: `python damaged_records.py FOLDER 1 20000`.
+`python damaged_records.py FOLDER SEED COUNT` damages the results in the folders of
+FOLDER, one at a time, lets the command read each, as `damaged_files` does, and prints a
+`Tally` as JSON. Without FOLDER/fit it first makes results of all kinds there:
+`python damaged_records.py FOLDER 1 20000`.
 """
 
 from __future__ import annotations
@@ -29,10 +30,44 @@ from curlfit.cli import main
 from curlfit.output.display import KINDS
 
 _VALUES = [
-    None, True, False, 0, 1, -1, 2, 10**6, 10**30, 10**400, 0.5, -0.5, 1e-320, 1e99, 1e300, "", "x",
-    "inf", "-inf", "nan", "1", "é\u2028", "x" * 10_000, [], {}, [[]], [1], ["x"], [None], {"x": 1},
-    {"": {}}, [0.5, "x"], [[1, 2], [3]], [0.0] * 1000, "../..", "notes.py:Mine", "mine",
-]  # fmt: skip
+    None,
+    True,
+    False,
+    0,
+    1,
+    -1,
+    2,
+    10**6,
+    10**30,
+    10**400,
+    0.5,
+    -0.5,
+    1e-320,
+    1e99,
+    1e300,
+    "",
+    "x",
+    "inf",
+    "-inf",
+    "nan",
+    "1",
+    "é\u2028",
+    "x" * 10_000,
+    [],
+    {},
+    [[]],
+    [1],
+    ["x"],
+    [None],
+    {"x": 1},
+    {"": {}},
+    [0.5, "x"],
+    [[1, 2], [3]],
+    [0.0] * 1000,
+    "../..",
+    "notes.py:Mine",
+    "mine",
+]
 _WEIGHTS = {"show": 76, "json": 9, "export": 9, "report": 3, "plot": 3}
 
 
@@ -73,7 +108,11 @@ def damage(chance: random.Random, text: str) -> str:
         return damaged_text(chance, text)
     record = json.loads(text)
     for _ in range(chance.choice([1, 1, 1, 2, 4])):
-        all_ = [one for one in places(record) if isinstance(one[0], dict) or chance.random() < 0.02]
+        all_ = [
+            one
+            for one in places(record)
+            if isinstance(one[0], dict) or chance.random() < 0.02
+        ]
         if not all_:
             break
         holder, key = chance.choice(all_)
@@ -111,12 +150,16 @@ def damage_chain(chance: random.Random, file: Path) -> None:
         data, kind = out[name], chance.random()
         if kind < 0.5:
             value = data[:]
-            shape = chance.choice([(10**7, 32, 10), (10**7,), (3,), value.shape[1:], ()])
+            shape = chance.choice(
+                [(10**7, 32, 10), (10**7,), (3,), value.shape[1:], ()]
+            )
             del out[name]
             if np.prod(shape) > 10**6:
                 out.create_dataset(name, shape, "f8", chunks=True, compression="gzip")
             else:
-                out[name] = chance.choice([np.zeros(shape), np.full(shape, b"x"), value[:-1]])
+                out[name] = chance.choice(
+                    [np.zeros(shape), np.full(shape, b"x"), value[:-1]]
+                )
         elif kind < 0.6:
             del out[name]
         else:
@@ -147,17 +190,27 @@ def tally(samples: Path, seed: int, count: int) -> Tally:
             file.write_text(damage(chance, file.read_text()))
         verb = chance.choices(list(_WEIGHTS), list(_WEIGHTS.values()))[0]
         words = {
-            "show": ["show", f"{work}"], "json": ["show", f"{work}", "--json"],
-            "export": ["export", f"{work}", "--to=csv", "--to=latex", f"--out={work / 'out'}"],
-            "report": ["report", f"{work}"], "plot": ["plot", f"{work}"],
-        }[verb]  # fmt: skip
+            "show": ["show", f"{work}"],
+            "json": ["show", f"{work}", "--json"],
+            "export": [
+                "export",
+                f"{work}",
+                "--to=csv",
+                "--to=latex",
+                f"--out={work / 'out'}",
+            ],
+            "report": ["report", f"{work}"],
+            "plot": ["plot", f"{work}"],
+        }[verb]
         if verb == "export" and kind not in ("fit", "joint", "compare"):
             words = ["show", f"{work}"]
         before = len(found.faults)
         outcome = forked(words, work.with_suffix(".errors"))
         found.add(outcome, f"seed {seed}, record {k}, {words}")
         if len(found.faults) > before:
-            shutil.copytree(work, work.with_name(f"fault-{seed}-{k}"), dirs_exist_ok=True)
+            shutil.copytree(
+                work, work.with_name(f"fault-{seed}-{k}"), dirs_exist_ok=True
+            )
     shutil.rmtree(work)
     return found
 
@@ -168,8 +221,8 @@ if __name__ == "__main__":
     if not (folder / "fit").exists():
         with get_context("spawn").Pool(1) as own:  # JAX has threads, which a copy lacks
             own.apply(save_all, (folder,))
-    # What the copies of this process would otherwise import, each for itself; a page may load JAX,
-    # whose threads a copy lacks.
+    # What the copies of this process would otherwise import, each for itself; a page
+    # may load JAX, whose threads a copy lacks.
     warm = folder.with_name("warm")
     for one in sorted(folder.iterdir()):
         for words in (["show", f"{one}"], ["plot", f"{one}", f"--out={warm}"]):

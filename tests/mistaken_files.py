@@ -12,7 +12,8 @@ NOISE = {"x": 0.003, "y": 0.003, "phi": 0.005}
 
 
 def good() -> Columns:
-    """Eq. 12 up to 20 s with the noise of a camera: 27 m, counter-clockwise, to the left."""
+    """Eq. 12 up to 20 s with the noise of a camera: 27 m, counter-clockwise,
+    to the left."""
     body = DATA.read_text().split("t,x,y,phi\n")[1]
     rows = np.loadtxt(body.splitlines(), delimiter=",")[:201]
     random = np.random.default_rng(12)
@@ -24,7 +25,9 @@ def good() -> Columns:
 
 def scaled(**factors: float) -> Callable[[Columns], Columns]:
     """Some columns multiplied."""
-    return lambda c: {name: factors.get(name, 1.0) * values for name, values in c.items()}
+    return lambda c: {
+        name: factors.get(name, 1.0) * values for name, values in c.items()
+    }
 
 
 def exchanged(c: Columns) -> Columns:
@@ -33,16 +36,18 @@ def exchanged(c: Columns) -> Columns:
 
 
 def pushed(c: Columns) -> Columns:
-    """Filmed from the hack: 3 s in which the hand brings the stone from rest to its speed."""
+    """Filmed from the hack: 3 s in which the hand brings the stone from rest
+    to its speed."""
     v = np.array([(c[axis][10] - c[axis][0]) / 1.0 for axis in "xy"])
     before = np.arange(-30, 0) * 0.1
     gone = (before + 3.0) ** 2 / 6 - 1.5  # speed grows evenly to 1 at t = 0
     random = np.random.default_rng(3)
     early = {
-        "t": before, "phi": c["phi"][0] + 0 * before,
+        "t": before,
+        "phi": c["phi"][0] + 0 * before,
         "x": c["x"][0] + v[0] * gone + 0.003 * random.standard_normal(30),
         "y": c["y"][0] + v[1] * gone + 0.003 * random.standard_normal(30),
-    }  # fmt: skip
+    }
     return {name: np.concatenate([early[name], c[name]]) for name in c}
 
 
@@ -54,10 +59,11 @@ def picked_up(c: Columns) -> Columns:
     stop = np.clip(t - 20, 0, 1)
     last = {name: c[name][-10:].mean() for name in c}
     late = {
-        "t": t, "x": last["x"] - 0.1 + push + 0.003 * random.standard_normal(70),
+        "t": t,
+        "x": last["x"] - 0.1 + push + 0.003 * random.standard_normal(70),
         "y": last["y"] + 0.5 * stop + 0.003 * random.standard_normal(70),
         "phi": last["phi"] + 0 * t,
-    }  # fmt: skip
+    }
     return {name: np.concatenate([c[name], late[name]]) for name in c}
 
 
@@ -70,7 +76,9 @@ def collided(c: Columns) -> Columns:
     return result
 
 
-def wrapped(period: float, low: float, unit: float = 1.0) -> Callable[[Columns], Columns]:
+def wrapped(
+    period: float, low: float, unit: float = 1.0
+) -> Callable[[Columns], Columns]:
     """The angle in another unit within one turn."""
     return lambda c: c | {"phi": np.remainder(unit * c["phi"] - low, period) + low}
 

@@ -8,7 +8,11 @@ import curlfit
 def of_fit(throw):
     """A fit with a null direction, its chain, and a prediction from them."""
     fit, chain = curlfit.sample(curlfit.fit(throw), seed=1, effective=200)
-    return {"fit": fit, "chain": chain, "prediction": curlfit.predict(fit, chain, draws=100)}
+    return {
+        "fit": fit,
+        "chain": chain,
+        "prediction": curlfit.predict(fit, chain, draws=100),
+    }
 
 
 def of_all(throw):

@@ -22,7 +22,10 @@ OMEGA = np.gradient(PHI, T)
 
 
 def table(
-    columns: dict[str, np.ndarray], separator: str = ",", digits: int = 17, comma: bool = False
+    columns: dict[str, np.ndarray],
+    separator: str = ",",
+    digits: int = 17,
+    comma: bool = False,
 ) -> str:
     """A text table; NaN is an empty cell (a word where spaces separate)."""
     rows = [separator.join(columns)]
@@ -41,13 +44,20 @@ HEADER, *ROWS = PLAIN.splitlines()
 
 
 def is_throw(
-    throw: Throw, shift: float = 0.0, later: float = 0.0, phi: bool = True, atol: float = 1e-9
+    throw: Throw,
+    shift: float = 0.0,
+    later: float = 0.0,
+    phi: bool = True,
+    atol: float = 1e-9,
 ) -> None:
-    """Assert that this is the throw above, farther to the right and later by so much."""
+    """Assert that this is the throw above, farther to the right and
+    later by so much."""
     moved = COLUMNS | {"t": T + later, "x": X + shift}
     for name, values in moved.items():
         if phi or name != "phi":
-            np.testing.assert_allclose(getattr(throw, name), values, atol=atol, err_msg=name)
+            np.testing.assert_allclose(
+                getattr(throw, name), values, atol=atol, err_msg=name
+            )
 
 
 def said(throw: Throw, words: str) -> bool:
@@ -55,7 +65,9 @@ def said(throw: Throw, words: str) -> bool:
     return any(words in note for note in throw.notes)
 
 
-def tracker(separator: str = "\t", comma: bool = False, angle: str = "θ_{r} (°)") -> str:
+def tracker(
+    separator: str = "\t", comma: bool = False, angle: str = "θ_{r} (°)"
+) -> str:
     """One object, with what Tracker computes from its places, in m and degrees."""
     along, across = Y + 1.0, X + 0.5
     vx, vy = (np.full(N, np.nan) for _ in range(2))
@@ -63,10 +75,16 @@ def tracker(separator: str = "\t", comma: bool = False, angle: str = "θ_{r} (°
     vy[1:-1] = (along[2:] - along[:-2]) / (T[2:] - T[:-2])
     direction = np.degrees(np.arctan2(along, across))
     body = table(
-        {"t (s)": T, "x (m)": across, "y (m)": along, angle: direction,
-         "v (m/s)": np.hypot(vx, vy)},
-        separator, comma=comma,
-    )  # fmt: skip
+        {
+            "t (s)": T,
+            "x (m)": across,
+            "y (m)": along,
+            angle: direction,
+            "v (m/s)": np.hypot(vx, vy),
+        },
+        separator,
+        comma=comma,
+    )
     return f"mass_A{separator * 4}\n{body}"
 
 
@@ -81,7 +99,8 @@ def two_masses() -> str:
 
 
 def shot(end: int = 0, number: int = 0, hit: int | None = None) -> dict:
-    """The entry of one shot in a server's log; stone 1 of team0 is hit in frame `hit`."""
+    """The entry of one shot in a server's log; stone 1 of team0 is hit in
+    frame `hit`."""
 
     def at(x: float, y: float, angle: float) -> dict:
         return {"position": {"x": x, "y": y}, "angle": angle}
@@ -89,7 +108,10 @@ def shot(end: int = 0, number: int = 0, hit: int | None = None) -> dict:
     wrapped = np.remainder(PHI + np.pi, 2 * np.pi) - np.pi
     empty: list = [None] * 8
     lying = at(0.5, 38.0, 0.0)
-    start = {"team0": [lying, *empty[1:]], "team1": [at(X[0], Y[0], wrapped[0]), *empty[1:]]}
+    start = {
+        "team0": [lying, *empty[1:]],
+        "team1": [at(X[0], Y[0], wrapped[0]), *empty[1:]],
+    }
     frames = []
     for k in range(1, N):
         changes = [{"team": "team1", "index": 0, "value": at(X[k], Y[k], wrapped[k])}]
@@ -98,15 +120,24 @@ def shot(end: int = 0, number: int = 0, hit: int | None = None) -> dict:
             changes.append({"team": "team0", "index": 0, "value": moved})
         frames.append(changes)
     return {
-        "tag": "sht", "id": number, "date_time": "2022-01-01T00:00:00", "thread": "1",
+        "tag": "sht",
+        "id": number,
+        "date_time": "2022-01-01T00:00:00",
+        "thread": "1",
         "log": {
-            "game_id": "g", "end": end, "shot": number,
-            "selected_move": {"type": "shot"}, "actual_move": {"type": "shot"},
+            "game_id": "g",
+            "end": end,
+            "shot": number,
+            "selected_move": {"type": "shot"},
+            "actual_move": {"type": "shot"},
             "trajectory": {
-                "seconds_per_frame": 0.25, "start": start, "finish": start, "frames": frames,
+                "seconds_per_frame": 0.25,
+                "start": start,
+                "finish": start,
+                "frames": frames,
             },
         },
-    }  # fmt: skip
+    }
 
 
 def log(count: int = 1) -> str:
@@ -127,7 +158,8 @@ sigma_t = 0.1
 """
 
 CLOCKS = "t,x,y,t_phi,phi\n" + "".join(
-    f"{0.5 * k},{0.01 * k},{k - 0.02 * k * k},{0.5 * k + 0.1},{0.3 * k}\n" for k in range(12)
+    f"{0.5 * k},{0.01 * k},{k - 0.02 * k * k},{0.5 * k + 0.1},{0.3 * k}\n"
+    for k in range(12)
 )
 
 # A camera that looks along the sheet.
@@ -145,40 +177,63 @@ def known_points(count: int = 6, noise: float = 0.0) -> str:
     """A table of known points for the camera."""
     pixels = project(*KNOWN) + noise * np.random.default_rng(3).normal(size=KNOWN.shape)
     return table(
-        {"u": pixels[0, :count], "v": pixels[1, :count], "x": KNOWN[0, :count],
-         "y": KNOWN[1, :count]}
-    )  # fmt: skip
+        {
+            "u": pixels[0, :count],
+            "v": pixels[1, :count],
+            "x": KNOWN[0, :count],
+            "y": KNOWN[1, :count],
+        }
+    )
 
 
 PIXELS = table(dict(zip("uv", project(X, Y), strict=True)) | {"t": T, "phi": PHI})
 
 SAMPLES = {
-    "table": PLAIN, "settings": '# until = 12\n# stone.R = 0.06\n# axes = "x-left"\n' + PLAIN,
-    "semicolons": table({"time_ms": 1000 * T, "y (ft)": Y / 0.3048, "x [cm]": 100 * X,
-                         "angle_deg": np.degrees(PHI) % 360}, ";", comma=True),
-    "tracker": tracker(), "two": two_masses(), "shot": json.dumps(shot(hit=40), indent=1),
-    "log": log(2), "timings": TIMINGS, "clocks": CLOCKS, "pixels": PIXELS,
-}  # fmt: skip
+    "table": PLAIN,
+    "settings": '# until = 12\n# stone.R = 0.06\n# axes = "x-left"\n' + PLAIN,
+    "semicolons": table(
+        {
+            "time_ms": 1000 * T,
+            "y (ft)": Y / 0.3048,
+            "x [cm]": 100 * X,
+            "angle_deg": np.degrees(PHI) % 360,
+        },
+        ";",
+        comma=True,
+    ),
+    "tracker": tracker(),
+    "two": two_masses(),
+    "shot": json.dumps(shot(hit=40), indent=1),
+    "log": log(2),
+    "timings": TIMINGS,
+    "clocks": CLOCKS,
+    "pixels": PIXELS,
+}
 
 
-CELL = '<table:table-cell office:value-type="{}" {}><text:p>{}</text:p></table:table-cell>'
+CELL = (
+    '<table:table-cell office:value-type="{}" {}><text:p>{}</text:p></table:table-cell>'
+)
 SHEETS = (
-    '<office:document-content xmlns:office="urn:oasis:names:tc:opendocument:xmlns:office:1.0" '
+    "<office:document-content "
+    'xmlns:office="urn:oasis:names:tc:opendocument:xmlns:office:1.0" '
     'xmlns:table="urn:oasis:names:tc:opendocument:xmlns:table:1.0" '
-    'xmlns:text="urn:oasis:names:tc:opendocument:xmlns:text:1.0"><office:body><office:spreadsheet>'
-    '<table:table table:name="empty"/>{}'
+    'xmlns:text="urn:oasis:names:tc:opendocument:xmlns:text:1.0"><office:body>'
+    '<office:spreadsheet><table:table table:name="empty"/>{}'
     "</office:spreadsheet></office:body></office:document-content>"
 )
 
 
 def ods(file: Path, rows: Iterable[str], **others: Iterable[str]) -> Path:
-    """A workbook: an empty worksheet, one named `evening` with these rows, each the text of its
-    cells, and others."""
+    """A workbook: an empty worksheet, one named `evening` with these rows, each the
+    text of its cells, and others."""
     tables = {
         name: "".join(f"<table:table-row>{row}</table:table-row>" for row in each)
         for name, each in {"evening": rows, **others}.items()
     }
-    sheets = (f'<table:table table:name="{k}">{v}</table:table>' for k, v in tables.items())
+    sheets = (
+        f'<table:table table:name="{k}">{v}</table:table>' for k, v in tables.items()
+    )
     with ZipFile(file, "w") as archive:
         archive.writestr("mimetype", "application/vnd.oasis.opendocument.spreadsheet")
         archive.writestr("content.xml", SHEETS.format("".join(sheets)))

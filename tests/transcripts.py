@@ -1,4 +1,5 @@
-"""Commands of a page are typed as they stand, and print the lines that the page shows."""
+"""Commands of a page are typed as they stand, and print the lines that
+the page shows."""
 
 from __future__ import annotations
 
@@ -25,9 +26,13 @@ def typed(line: str, folder: Path) -> str:
 
 
 def blocks(page: str) -> list[tuple[list[str], str]]:
-    """The commands of each block of a page, and the block of output that follows it, if any."""
+    """The commands of each block of a page, and the block of output that
+    follows it, if any."""
     found = re.findall(r"```bash\n(.*?)```(?:\n\n```text\n(.*?)```)?", page, re.S)
-    return [([line for line in part.splitlines() if line.strip()], text) for part, text in found]
+    return [
+        ([line for line in part.splitlines() if line.strip()], text)
+        for part, text in found
+    ]
 
 
 def without_gaps(text: str) -> list[str]:
@@ -36,8 +41,8 @@ def without_gaps(text: str) -> list[str]:
 
 
 def alike(line: str, text: str) -> bool:
-    """Whether the text has the line, but for five units of the last digits of numbers, or 5 %:
-    quantiles of samples have an error, and hang on the processor's rounding."""
+    """Whether the text has the line, but for five units of the last digits of numbers,
+    or 5 %: quantiles of samples have an error, and hang on the processor's rounding."""
     pattern = f"({NUMBER})".join(map(re.escape, re.split(NUMBER, line)))
     for match in re.finditer(pattern, text):
         pairs = zip(re.findall(NUMBER, line), match.groups(), strict=True)

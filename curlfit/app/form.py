@@ -47,14 +47,19 @@ class Field:
         if self.form is SWITCH:
             return [self.flag]
         each = isinstance(self.form, Table) and not self.form.many
-        return [f"{self.flag}={word}" for word in (shlex.split(text) if each else [text.strip()])]
+        return [
+            f"{self.flag}={word}"
+            for word in (shlex.split(text) if each else [text.strip()])
+        ]
 
     def value(self, text: str) -> Any:
         """What the command makes of it. Raises `InputError`."""
         if self.form is SWITCH:
             return True
         values = [word.partition("=")[2] for word in self.words(text)]
-        return self.form(None, [Token(keyword=self.flag, value=value) for value in values])
+        return self.form(
+            None, [Token(keyword=self.flag, value=value) for value in values]
+        )
 
 
 def fields_of(cli: App, verb: str) -> dict[str, Field]:
@@ -65,18 +70,28 @@ def fields_of(cli: App, verb: str) -> dict[str, Field]:
         group, form = str(groups[0].name), one.parameter.converter
         if one.name.startswith("--") and one.name != "--resume" and group != "Output":
             found[one.name] = Field(
-                one.name, group, " ".join((one.parameter.help or "").split()),
-                str(one.parameter.metavar or ""), form if isinstance(form, Form) else SWITCH,
-            )  # fmt: skip
+                one.name,
+                group,
+                " ".join((one.parameter.help or "").split()),
+                str(one.parameter.metavar or ""),
+                form if isinstance(form, Form) else SWITCH,
+            )
     return found
 
 
 def words_of(fields: Mapping[str, Field], written: Mapping[str, str]) -> list[str]:
     """The words of a command, of the fields that it has."""
-    return [w for flag, text in written.items() if flag in fields for w in fields[flag].words(text)]
+    return [
+        w
+        for flag, text in written.items()
+        if flag in fields
+        for w in fields[flag].words(text)
+    ]
 
 
-def values_of(fields: Mapping[str, Field], written: Mapping[str, str]) -> dict[str, Any]:
+def values_of(
+    fields: Mapping[str, Field], written: Mapping[str, str]
+) -> dict[str, Any]:
     """Choices by name, as the command has them. Raises `InputError`."""
     return {
         _NAMES.get(flag, flag[2:].replace("-", "_")): fields[flag].value(text)
@@ -85,8 +100,8 @@ def values_of(fields: Mapping[str, Field], written: Mapping[str, str]) -> dict[s
 
 
 def proposals(fields: Mapping[str, Field], sentence: str) -> list[tuple[str, str]]:
-    """The options between backticks that can be set as they stand, as flag and text; flags that
-    the sentence wants a file for have none."""
+    """The options between backticks that can be set as they stand, as flag and text;
+    flags that the sentence wants a file for have none."""
     found = []
     for code in _OPTION.findall(sentence):
         flag, _, text = code.partition(" ")
@@ -96,7 +111,9 @@ def proposals(fields: Mapping[str, Field], sentence: str) -> list[tuple[str, str
             elif text not in ("", field.written):
                 found.append((flag, " ".join(shlex.split(text))))
     found += [
-        (flag, "") for flag, one in fields.items() if one.takes_file and f"{flag} " in sentence
+        (flag, "")
+        for flag, one in fields.items()
+        if one.takes_file and f"{flag} " in sentence
     ]
     return list(dict.fromkeys(found))
 

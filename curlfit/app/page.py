@@ -31,12 +31,14 @@ MOST_BYTES = 100_000_000
 _VERBS = {"fit": ("Fit", "The fit"), "compare": ("Compare laws", "The comparison")}
 _FIRST = ("--law", "--load", "--stone", "--noise")
 _HEADINGS = {
-    "Parameters": "More about the model", "How to read DATA": "How the file is read",
+    "Parameters": "More about the model",
+    "How to read DATA": "How the file is read",
     "Sampling": "Sampling of the posterior",
-}  # fmt: skip
+}
 _HEIGHT = (  # as high as what it shows, at any width
     "const body = this.contentDocument.body; "
-    "new ResizeObserver(() => {this.style.height = body.offsetHeight + 60 + 'px'}).observe(body)"
+    "new ResizeObserver(() => {this.style.height = body.offsetHeight + 60 + "
+    "'px'}).observe(body)"
 )
 
 
@@ -57,22 +59,37 @@ class Page:
         self.seen = Seen()
         self.work: Work | None = None
         self.done: dict[str, Work] = {}
-        self.parts = [ui.refreshable(part) for part in (self._read, self._choices, self._results)]
+        self.parts = [
+            ui.refreshable(part) for part in (self._read, self._choices, self._results)
+        ]
 
     def build(self) -> None:
         """The elements of the page."""
-        ui.add_css(source("report.css") + (resources.files(__package__) / "page.css").read_text())
+        ui.add_css(
+            source("report.css")
+            + (resources.files(__package__) / "page.css").read_text()
+        )
         with _box("header"):
             _tag("h1", "curlfit")
-            _tag("p", "What the ice did to a stone, and what its path cannot tell.", "subject")
+            _tag(
+                "p",
+                "What the ice did to a stone, and what its path cannot tell.",
+                "subject",
+            )
         ui.upload(
-            label="Drop a file here, or click", multiple=True, auto_upload=True,
-            on_multi_upload=self.receive, max_total_size=MOST_BYTES, on_rejected=self.refuse,
-        ).props("flat").classes("drop")  # fmt: skip
+            label="Drop a file here, or click",
+            multiple=True,
+            auto_upload=True,
+            on_multi_upload=self.receive,
+            max_total_size=MOST_BYTES,
+            on_rejected=self.refuse,
+        ).props("flat").classes("drop")
         _tag(
-            "p", "A path (t, x, y, angle), times by stopwatch, or friction against speed; several "
-            "files at once are fitted together. Nothing leaves this computer.", "note",
-        )  # fmt: skip
+            "p",
+            "A path (t, x, y, angle), times by stopwatch, or friction against speed; "
+            "several files at once are fitted together. Nothing leaves this computer.",
+            "note",
+        )
         with _box("datalist", id="--law"):
             for name in LAWS:
                 _tag("option", value=name)
@@ -103,15 +120,21 @@ class Page:
 
     def refuse(self) -> None:
         """Say why a file was not taken."""
-        self.seen = Seen(fault=f"The file has more than {MOST_BYTES // 10**6} MB; nothing was read")
+        self.seen = Seen(
+            fault=f"The file has more than {MOST_BYTES // 10**6} MB; nothing was read"
+        )
         self.refresh()
 
     def fail(self, error: Exception) -> None:
         """Say that something went wrong which is not the user's fault."""
-        self.seen = Seen(fault=f"This is an error of curlfit: {type(error).__name__}: {error}")
+        self.seen = Seen(
+            fault=f"This is an error of curlfit: {type(error).__name__}: {error}"
+        )
         self.refresh()
 
-    async def receive_beside(self, flag: str, event: events.UploadEventArguments) -> None:
+    async def receive_beside(
+        self, flag: str, event: events.UploadEventArguments
+    ) -> None:
         """Take the file of a field."""
         name = safe_name(event.file.name)
         await event.file.save(self.folder / name)
@@ -135,7 +158,9 @@ class Page:
 
     async def accept(self, flag: str, text: str, verb: str) -> None:
         """Follow a proposal; one of a result, by running its command again."""
-        await self.put(flag, merged(self.fields["fit"][flag], self.written.get(flag, ""), text))
+        await self.put(
+            flag, merged(self.fields["fit"][flag], self.written.get(flag, ""), text)
+        )
         if verb and not self.seen.fault:
             await self.carry_out(verb)
 
@@ -153,7 +178,11 @@ class Page:
         self.parts[-1].refresh()
 
     def _words(self, verb: str) -> list[str]:
-        return [*map(str, self.files), *words_of(self.fields[verb], self.written), "--report"]
+        return [
+            *map(str, self.files),
+            *words_of(self.fields[verb], self.written),
+            "--report",
+        ]
 
     def close(self) -> None:
         """End the command that runs, at once."""
@@ -162,7 +191,8 @@ class Page:
             self.work.stop()
 
     def save(self, folder: Path, place: str) -> str:
-        """Copy a folder to a place where there is nothing yet; what is to be said of it."""
+        """Copy a folder to a place where there is nothing yet; what is to
+        be said of it."""
         target = self.start / Path(place).expanduser()
         try:
             return f"Written: {shutil.copytree(folder, target)}"
@@ -183,7 +213,8 @@ class Page:
             for text in self.seen.oddities:
                 self._say(text, "warned")
             if self.seen.shown:
-                paper = "card" if "<svg" in self.seen.shown else ""  # on which figures are drawn
+                # on which figures are drawn
+                paper = "card" if "<svg" in self.seen.shown else ""
                 ui.html(self.seen.shown, sanitize=False).classes(f"seen {paper}")
             for text in self.seen.notes:
                 self._say(text, "note")
@@ -199,7 +230,11 @@ class Page:
             ui.html(marked(sentence(text, CHANNELS)), sanitize=False)
             for flag, value in proposals(self.fields["fit"], text):
                 if value:
-                    shown = flag if self.fields["fit"][flag].form is SWITCH else f"{flag} {value}"
+                    shown = (
+                        flag
+                        if self.fields["fit"][flag].form is SWITCH
+                        else f"{flag} {value}"
+                    )
                     _button(f"Apply {shown}", partial(self.accept, flag, value, verb))
                 else:
                     self._file(flag)
@@ -215,13 +250,18 @@ class Page:
         with _box("section", "h2", "Choices"):
             for heading, group in groups.items():
                 opened = any(one.flag in self.written for one in group)
-                with _box("details", "summary", heading, open=opened), _box("div", role="fields"):
+                with (
+                    _box("details", "summary", heading, open=opened),
+                    _box("div", role="fields"),
+                ):
                     for one in group:
                         self._field(one)
             _command("fit", self._words("fit"))
             with _box("div", role="acts"):
                 for verb, (label, _) in _VERBS.items():
-                    act = _button(label, partial(self.carry_out, verb)).classes(f"to-{verb}")
+                    act = _button(label, partial(self.carry_out, verb)).classes(
+                        f"to-{verb}"
+                    )
                     act.props["disabled"] = bool(self.seen.fault)
 
     def _field(self, one: Field) -> None:
@@ -236,7 +276,9 @@ class Page:
         chosen = self.written.get(flag, "")
         label = f"{flag}: {chosen}" if chosen else f"Choose the file for {flag}"
         take = partial(self.receive_beside, flag)
-        ui.upload(label=label, auto_upload=True, on_upload=take).props("flat").classes("beside")
+        ui.upload(label=label, auto_upload=True, on_upload=take).props("flat").classes(
+            "beside"
+        )
 
     def _input(self, one: Field) -> None:
         value, emitted = self.written.get(one.flag, ""), "value"
@@ -250,7 +292,9 @@ class Page:
                     _tag("option", text, value=name, selected=name == value)
         else:
             hint = one.usual or one.written
-            found = _tag("input", type="text", value=value, placeholder=hint, list=one.flag)
+            found = _tag(
+                "input", type="text", value=value, placeholder=hint, list=one.flag
+            )
         found.props["aria-label"] = one.flag
         emit = f"e => emit(e.target.{emitted})"
         found.on("change", lambda e: self.put(one.flag, e.args), js_handler=emit)

@@ -1,4 +1,5 @@
-"""What is seen of files before a fit: their motion in a few words and figures, what is odd."""
+"""What is seen of files before a fit: their motion in a few words and figures,
+what is odd."""
 
 from __future__ import annotations
 
@@ -55,8 +56,12 @@ def look(files: Sequence[Path], chosen: Mapping[str, Any]) -> Seen:
             span = f"{table.speed.min():.3g} to {table.speed.max():.3g} m/s"
             said = f"{len(table.speed)} values of friction against speed, {span}"
             return Seen(said, notes=[table.note] * bool(table.note))
-        reading = Reading(**{k: chosen[k] for k in chosen.keys() & Reading.forms().keys()})
-        flags = Fitting(**{k: chosen[k] for k in chosen.keys() & Fitting.forms().keys()})
+        reading = Reading(
+            **{k: chosen[k] for k in chosen.keys() & Reading.forms().keys()}
+        )
+        flags = Fitting(
+            **{k: chosen[k] for k in chosen.keys() & Fitting.forms().keys()}
+        )
         jobs = [*prepare_all(files, chosen.get("config"), reading, flags).values()]
         if len(jobs) > 1:
             return _several([job.throw for job in jobs])
@@ -68,7 +73,10 @@ def look(files: Sequence[Path], chosen: Mapping[str, Any]) -> Seen:
 def _several(throws: Sequence[Throw]) -> Seen:
     rows = [
         {"throw": throw.name, **throw.labels, "motion": motion_in_words(throw)}
-        | {f">{e.name.replace('_', ' ')} ({e.unit})": f"{e.value:.5g}" for e in throw.events}
+        | {
+            f">{e.name.replace('_', ' ')} ({e.unit})": f"{e.value:.5g}"
+            for e in throw.events
+        }
         for throw in throws
     ]
     return Seen(
@@ -78,7 +86,9 @@ def _several(throws: Sequence[Throw]) -> Seen:
     )
 
 
-def _one(file: Path, job: ConfiguredThrow[Fitting], reading: Reading, config: Path | None) -> Seen:
+def _one(
+    file: Path, job: ConfiguredThrow[Fitting], reading: Reading, config: Path | None
+) -> Seen:
     from curlfit.throws.figures import motion_figures
     from curlfit.throws.load import read
     from curlfit.throws.plausibility import examine, require_motion, require_plausible
@@ -87,7 +97,9 @@ def _one(file: Path, job: ConfiguredThrow[Fitting], reading: Reading, config: Pa
     throw, printed, fault = job.throw, StringIO(), ""
     oddities: list[str] = []
     settings = {**throw.settings, **read_config(config)}
-    print_inspection(read(file, reading), throw, settings, Console(file=printed, width=110))
+    print_inspection(
+        read(file, reading), throw, settings, Console(file=printed, width=110)
+    )
     figures = motion_figures(throw) if throw.has_path else {}
     try:
         require_motion(job.cut)
@@ -98,10 +110,14 @@ def _one(file: Path, job: ConfiguredThrow[Fitting], reading: Reading, config: Pa
         fault = str(error)
     return Seen(
         motion_in_words(throw) or f"{len(throw.events)} times and places",
-        fault, oddities, throw.notes,
-        "".join(inline_svg(one, f"seen-{name}-", name) for name, one in figures.items()),
+        fault,
+        oddities,
+        throw.notes,
+        "".join(
+            inline_svg(one, f"seen-{name}-", name) for name, one in figures.items()
+        ),
         printed.getvalue(),
-    )  # fmt: skip
+    )
 
 
 def motion_in_words(throw: Throw) -> str:
@@ -119,5 +135,7 @@ def motion_in_words(throw: Throw) -> str:
         ]
     turned = turning(throw)[0] / (2 * math.pi)
     if math.isfinite(turned):
-        words.append(f"turns {abs(turned):.2g} times {sided('counter-clockwise', turned)[0]}")
+        words.append(
+            f"turns {abs(turned):.2g} times {sided('counter-clockwise', turned)[0]}"
+        )
     return ", ".join(words)

@@ -1,4 +1,5 @@
-"""The page on a port of this computer: for this computer alone, at an address with a secret."""
+"""The page on a port of this computer: for this computer alone, at an address
+with a secret."""
 
 from __future__ import annotations
 
@@ -34,8 +35,13 @@ def serve(cli: App, port: int, *, browser: bool) -> None:
     try:
         listening = socket.create_server((_HOST, port))
     except OSError as error:
-        raise InputError(f"--port {port}: {error.strerror or error}; give another") from None
-    start, temporary = Path.cwd(), TemporaryDirectory("-curlfit-app", ignore_cleanup_errors=True)
+        raise InputError(
+            f"--port {port}: {error.strerror or error}; give another"
+        ) from None
+    start, temporary = (
+        Path.cwd(),
+        TemporaryDirectory("-curlfit-app", ignore_cleanup_errors=True),
+    )
     with listening, temporary as folder, chdir(folder):
         secret = secrets.token_urlsafe(24)
         address = f"http://{_HOST}:{listening.getsockname()[1]}/{secret}/"
@@ -70,6 +76,8 @@ def _server(cli: App, start: Path, folder: Path, secret: str) -> Callable[..., N
         return await proceed(request)
 
     outer.middleware("http")(limited)
-    ui.run_with(outer, mount_path=f"/{secret}", dark=None, tailwind=False, language="en-US")
+    ui.run_with(
+        outer, mount_path=f"/{secret}", dark=None, tailwind=False, language="en-US"
+    )
     config = uvicorn.Config(outer, log_level="error", timeout_graceful_shutdown=1)
     return uvicorn.Server(config).run

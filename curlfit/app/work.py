@@ -15,7 +15,8 @@ from curlfit.foreign import cut
 
 _LONGEST = 120  # characters of a line of progress
 _CONTROL = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]|[━╸╺⠀-⣿]")
-# a terminal of which no line is too long, so that progress is shown and sentences are whole
+# a terminal of which no line is too long, so that progress is shown and
+# sentences are whole
 _TERMINAL = {"FORCE_COLOR": "1", "COLUMNS": "9999", "PYTHONIOENCODING": "utf-8"}
 
 
@@ -25,7 +26,8 @@ class Work:
     Attributes
     ----------
     verb, words : what is typed after `curlfit`.
-    complaints, warnings : what it said. page : the page that it wrote, within the folder.
+    complaints, warnings : what it said. page : the page that it wrote,
+        within the folder.
     stopped, over : whether it was told to stop, and whether it has ended.
     """
 
@@ -41,10 +43,17 @@ class Work:
     async def run(self, folder: Path) -> None:
         """Run it in a folder, to its end."""
         self._process = await asyncio.create_subprocess_exec(
-            sys.executable, "-m", "curlfit", self.verb, *self.words, cwd=folder,
-            stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE,
-            stderr=asyncio.subprocess.STDOUT, env=os.environ | _TERMINAL,
-        )  # fmt: skip
+            sys.executable,
+            "-m",
+            "curlfit",
+            self.verb,
+            *self.words,
+            cwd=folder,
+            stdin=asyncio.subprocess.DEVNULL,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.STDOUT,
+            env=os.environ | _TERMINAL,
+        )
         if self.stopped:
             self._process.kill()
         assert self._process.stdout is not None
@@ -59,7 +68,10 @@ class Work:
         self.over.set()
 
     def _hear(self, raw: bytes) -> None:
-        self._line = " ".join(_CONTROL.sub("", raw.decode(errors="replace")).split()) or self._line
+        self._line = (
+            " ".join(_CONTROL.sub("", raw.decode(errors="replace")).split())
+            or self._line
+        )
         kind, _, text = self._line.partition(": ")
         if kind == "Written" and text.endswith("report.html"):
             self.page = Path(text)

@@ -30,8 +30,8 @@ class Running(Choices):
     posterior : Quantiles of each throw's posterior as well; far slower.
     seed : Seed of the posterior sampling. [default: 0]
     workers : Number of processes. [default: one per core]
-    dask : Use the workers of a Dask scheduler, which see the same files. Whoever can connect to it
-        can run code as its owner. Needs `pip install 'curlfit[dask]'`.
+    dask : Use the workers of a Dask scheduler, which see the same files. Whoever can
+        connect to it can run code as its owner. Needs `pip install 'curlfit[dask]'`.
     again : Start again, overwriting the table.
     quiet : Print nothing but errors.
     """
@@ -53,22 +53,23 @@ def batch(
 ) -> Saved:
     """Fit a friction law to many throws, each by itself, into one table.
 
-    A row has status, rms, coefficients, standard errors, verdicts and what is determined together.
-    A log of DigitalCurling 3 has a row for each shot, a Tracker export one for each object, a table
-    one for each throw (columns shot and stone_index). A throw without a usable fit has the reason
-    in its row and does not stop the batch: status "not usable" if the data were read, "failed" if
-    they could not be read. The same command continues where an earlier run was interrupted.
+    A row has status, rms, coefficients, standard errors, verdicts and what is
+    determined together. A log of DigitalCurling 3 has a row for each shot, a Tracker
+    export one for each object, a table one for each throw (columns shot and
+    stone_index). A throw without a usable fit has the reason in its row and does not
+    stop the batch: status "not usable" if the data were read, "failed" if they could
+    not be read. The same command continues where an earlier run was interrupted.
 
-    Exit status 0 if a throw in the table is ok; 1 if some were read and none is usable; 2 if none
-    could be read, or the command itself is refused.
+    Exit status 0 if a throw in the table is ok; 1 if some were read and none is usable;
+    2 if none could be read, or the command itself is refused.
 
     Example: `curlfit batch season/ --stone R=0.054 --out season.csv`
 
     Parameters
     ----------
     data
-        Folders, files or patterns like `'season/*.csv'`; each file as for `curlfit fit`. A folder
-        stands for its .csv, .tsv, .txt, .json and .jsonl files.
+        Folders, files or patterns like `'season/*.csv'`; each file as for
+        `curlfit fit`. A folder stands for its .csv, .tsv, .txt, .json and .jsonl files.
     out
         Table of results, one row per throw; its settings are written beside it, as
         results.settings.json. [default: results.csv]
@@ -81,18 +82,23 @@ def batch(
 
     if running.dask is not None and "://" not in running.dask:
         raise InputError(
-            f"--dask {running.dask}: expected the address of a scheduler, tcp://...; for processes "
-            "on this machine use --workers"
+            f"--dask {running.dask}: expected the address of a scheduler, tcp://...; "
+            "for processes on this machine use --workers"
         )
     files = [str(file) for file in found_files(data, besides=(out, settings_file(out)))]
     # Invalid settings are refused before anything slow is loaded.
     plan = BatchSettings.of(
-        {"law": usual_law(files[0], reading)}, vars(flags), vars(reading), vars(running),
+        {"law": usual_law(files[0], reading)},
+        vars(flags),
+        vars(reading),
+        vars(running),
         any_swept=any(states_sweeping(file, reading) for file in files),
-    )  # fmt: skip
+    )
     console = terminal(quiet=running.quiet)
     with Table(out, columns(plan), dict(plan), files, again=running.again) as table:
-        _fill(table, plan, len(files), console, workers=running.workers, dask=running.dask)
+        _fill(
+            table, plan, len(files), console, workers=running.workers, dask=running.dask
+        )
     return _told(table, console)
 
 
@@ -101,7 +107,11 @@ def _told(table: Table, console: Console) -> Saved:
     counts = table.counts
     console.print(
         f"{counts['ok']} ok"
-        + (f" ({table.warned} with warnings, in the column of that name)" if table.warned else "")
+        + (
+            f" ({table.warned} with warnings, in the column of that name)"
+            if table.warned
+            else ""
+        )
         + f", {counts['not usable']} not usable, {counts['failed']} failed"
         + f". Written: {table.file}, {table.settings}",
         soft_wrap=True,
@@ -113,7 +123,9 @@ def _told(table: Table, console: Console) -> Saved:
     return Saved(None, status=0 if counts["ok"] else 1 if read else 2)
 
 
-def _fill(table: Table, plan: BatchSettings, every: int, console: Console, **crew: Any) -> None:
+def _fill(
+    table: Table, plan: BatchSettings, every: int, console: Console, **crew: Any
+) -> None:
     """Fit what the table lacks of `every` file, with a line of progress."""
     from concurrent.futures import BrokenExecutor
 
@@ -124,7 +136,14 @@ def _fill(table: Table, plan: BatchSettings, every: int, console: Console, **cre
 
     if done := every - len(table.todo):
         console.print(f"{done} of {every} files are in {table.file}.")
-    bar = "Fitting", BarColumn(), MofNCompleteColumn(), "files", TimeRemainingColumn(), COMPILES
+    bar = (
+        "Fitting",
+        BarColumn(),
+        MofNCompleteColumn(),
+        "files",
+        TimeRemainingColumn(),
+        COMPILES,
+    )
     try:
         with progress_line(console, *bar) as show, executor(plan, **crew) as fitted:
             show("", done, every)
@@ -134,6 +153,6 @@ def _fill(table: Table, plan: BatchSettings, every: int, console: Console, **cre
                 show("", done, every)
     except BrokenExecutor:
         raise CurlfitError(
-            f"a process was killed, perhaps for lack of memory; {done} of {every} files are in "
-            f"{table.file}, and the same command continues"
+            f"a process was killed, perhaps for lack of memory; {done} of {every} "
+            f"files are in {table.file}, and the same command continues"
         ) from None

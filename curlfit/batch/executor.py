@@ -1,7 +1,8 @@
-"""Execution of a batch by processes on this machine, or by the workers of a Dask scheduler.
+"""Execution of a batch by processes on this machine, or by the workers of a
+Dask scheduler.
 
-Throws are sent out in chunks and results returned in the order of the chunks, so that a table does
-not depend on who computed it.
+Throws are sent out in chunks and results returned in the order of the chunks, so that a
+table does not depend on who computed it.
 """
 
 from __future__ import annotations
@@ -24,8 +25,9 @@ _OF_WORKERS = {
     "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
-    # The C library returns large arrays to the system, which clears each page of the next ones: an
-    # eighth of the time. These settings make it keep them (glibc; ignored elsewhere).
+    # The C library returns large arrays to the system, which clears each page of the
+    # next ones: an eighth of the time. These settings make it keep them (glibc;
+    # ignored elsewhere).
     "MALLOC_MMAP_THRESHOLD_": str(32 * _MEGABYTE),
     "MALLOC_TRIM_THRESHOLD_": str(256 * _MEGABYTE),
     "MALLOC_TOP_PAD_": str(64 * _MEGABYTE),
@@ -81,7 +83,9 @@ def _dask_crew(plan: BatchSettings, address: str) -> Iterator[Fitted]:
     try:
         client = Client(address, timeout="10s")
     except (OSError, ValueError) as error:
-        raise InputError(f"--dask {address}: no scheduler answers there ({error})") from None
+        raise InputError(
+            f"--dask {address}: no scheduler answers there ({error})"
+        ) from None
     try:
         count = max(len(client.scheduler_info()["workers"]), 1)
         # If a worker dies, the scheduler gives its chunk to another one.
@@ -97,7 +101,9 @@ def _fit(files: Sequence[str], plan: BatchSettings) -> Rows:
     return fit_files(files, plan)
 
 
-def _chunks(files: Sequence[str], plan: BatchSettings, workers: int) -> Iterator[Sequence[str]]:
+def _chunks(
+    files: Sequence[str], plan: BatchSettings, workers: int
+) -> Iterator[Sequence[str]]:
     """The files in chunks, equally many for each worker."""
     most = _SAMPLED if plan.posterior else CHUNK
     count = -(-len(files) // (most * workers)) * workers

@@ -6,7 +6,14 @@ from collections.abc import Sequence
 from os import PathLike
 from typing import Any
 
-from curlfit.batch.settings import DURATION, INFORMATION, LABELS, QUANTILES, BatchSettings, columns
+from curlfit.batch.settings import (
+    DURATION,
+    INFORMATION,
+    LABELS,
+    QUANTILES,
+    BatchSettings,
+    columns,
+)
 from curlfit.errors import CurlfitError
 from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.fit.result import FitResult
@@ -15,11 +22,14 @@ from curlfit.throws.load import Part, parts_of
 from curlfit.throws.throw import Throw
 
 
-def fit_files(files: Sequence[str | PathLike[str]], plan: BatchSettings) -> list[dict[str, Any]]:
+def fit_files(
+    files: Sequence[str | PathLike[str]], plan: BatchSettings
+) -> list[dict[str, Any]]:
     """One row for each throw in the files, in their order, with the keys of `columns`.
 
-    The status is "ok", "not usable" (the data were read but gave no usable fit) or "failed" (they
-    could not be read); `reason` says why. Unavailable values are missing.
+    The status is "ok", "not usable" (the data were read but gave no usable fit)
+    or "failed" (they could not be read); `reason` says why. Unavailable values
+    are missing.
 
     Raises
     ------
@@ -44,7 +54,9 @@ def fit_files(files: Sequence[str | PathLike[str]], plan: BatchSettings) -> list
     return rows
 
 
-def _read(files: Sequence[str | PathLike[str]], plan: BatchSettings) -> list[tuple[str, Part]]:
+def _read(
+    files: Sequence[str | PathLike[str]], plan: BatchSettings
+) -> list[tuple[str, Part]]:
     """Every throw in the files, with the name of its file."""
     found = []
     for file in map(str, files):
@@ -52,7 +64,9 @@ def _read(files: Sequence[str | PathLike[str]], plan: BatchSettings) -> list[tup
             parts = parts_of(file, plan)
         except CurlfitError as error:
             parts = [Part(None, None, error)]
-        found += [(file, part._replace(throw=part.alone or part.throw)) for part in parts]
+        found += [
+            (file, part._replace(throw=part.alone or part.throw)) for part in parts
+        ]
     return found
 
 
@@ -69,7 +83,9 @@ def _row(result: FitResult, plan: BatchSettings, sums: Sequence[str]) -> dict[st
         ),
         "warnings": "; ".join(result.warnings),
         DURATION: result.data["to"] - result.data["from"],
-        LABELS: "; ".join(f"{name} = {label.replace(';', ',')}" for name, label in labels),
+        LABELS: "; ".join(
+            f"{name} = {label.replace(';', ',')}" for name, label in labels
+        ),
         **{f"rms_{name}": result.rms.get(name) for name in ("x", "y", "phi")},
         **{f"{name}_verdict": item.verdict for name, item in result.parameters.items()},
     }
@@ -78,11 +94,17 @@ def _row(result: FitResult, plan: BatchSettings, sums: Sequence[str]) -> dict[st
         return f"{name}{'_' if name in result.parameters else ' '}{what}"
 
     known: dict[str, Any] = dict(result.parameters)
-    known |= {item.expression: item for item in result.combinations if item.expression in sums}
+    known |= {
+        item.expression: item for item in result.combinations if item.expression in sums
+    }
     if result.converged:
-        told = ", ".join(f"{number:.17g}" for number in result.coefficient_rows().ravel())
+        told = ", ".join(
+            f"{number:.17g}" for number in result.coefficient_rows().ravel()
+        )
         row[INFORMATION] = f"[{told}]"
-        known |= {item.expression: item for item in result.with_derived(plan.derive).derived}
+        known |= {
+            item.expression: item for item in result.with_derived(plan.derive).derived
+        }
     for name, item in known.items():
         row |= {name: item.value, column(name, "stderr"): item.stderr}
     if plan.systematics:

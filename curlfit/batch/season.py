@@ -32,10 +32,11 @@ def fit_season(
     trend: str | Sequence[str] = (),
     seed: int | None = None,
 ) -> JointResult:
-    """Fit the mean of the throws in a table of `curlfit batch`, and how they vary about it.
+    """Fit the mean of the throws in a table of `curlfit batch`, and how they
+    vary about it.
 
-    To first order it is what `fit_together` finds from the throws themselves. The cost is small:
-    seconds for ten thousand throws.
+    To first order it is what `fit_together` finds from the throws themselves. The cost
+    is small: seconds for ten thousand throws.
 
     Parameters
     ----------
@@ -47,7 +48,8 @@ def fit_season(
     Raises
     ------
     DataError : a file that is no such table, or is damaged.
-    InputError : too few throws; labels that a throw lacks, or that give no groups or numbers.
+    InputError : too few throws; labels that a throw lacks, or that give no
+        groups or numbers.
 
     Examples
     --------
@@ -59,7 +61,8 @@ def fit_season(
 
 
 def _read(file: Path, law: str | type[Law] | None = None) -> Season:
-    """The usable throws of a table, with the labels of their rows and of columns that were added.
+    """The usable throws of a table, with the labels of their rows and of columns
+    that were added.
 
     Parameters
     ----------
@@ -67,13 +70,16 @@ def _read(file: Path, law: str | type[Law] | None = None) -> Season:
 
     Raises
     ------
-    DataError : a table of an earlier version or without its settings, or a cell that is no number.
+    DataError : a table of an earlier version or without its settings, or a cell that
+        is no number.
     """
     plan = plan_of(settings_file(file), _AGAIN)
     kind = find_law(law) if law else find_law(str(plan.get("law")), from_files=False)
     chosen = BatchSettings.of(plan, law=kind)
     if chosen.priors:
-        raise DataError("priors of the batch would count once for each throw", file=file)
+        raise DataError(
+            "priors of the batch would count once for each throw", file=file
+        )
     known, names = columns(chosen), [item.name for item in kind.coefficients()]
     of_start = [item.name for item in START]
     labels, numbers, told, others = [], [], [], 0
@@ -93,8 +99,12 @@ def _read(file: Path, law: str | type[Law] | None = None) -> Season:
                     continue
                 name = f"{file} row {reader.line_num - 1}"
                 labels.append((name, _labels(row, added)))
-                numbers.append([float(row[one]) for one in (*names, *of_start, DURATION)])
-                told.append([float(cell) for cell in row[INFORMATION].strip("[]").split(",")])
+                numbers.append(
+                    [float(row[one]) for one in (*names, *of_start, DURATION)]
+                )
+                told.append(
+                    [float(cell) for cell in row[INFORMATION].strip("[]").split(",")]
+                )
                 if len(told[-1]) != len(names) * (len(names) + 1):
                     raise ValueError("another number of numbers")
     except KeyError as error:
@@ -110,14 +120,22 @@ def _read(file: Path, law: str | type[Law] | None = None) -> Season:
     are = "is" if others == 1 else "are"
     notes = [f"{counted(others, 'row')} {are} not ok and {are} left out"] * bool(others)
     return Season(
-        str(file), Model(kind, chosen.load), Stone().with_values(dict(chosen.stone)), labels,
-        values, start, durations[:, 0], rows, tuple(notes),
+        str(file),
+        Model(kind, chosen.load),
+        Stone().with_values(dict(chosen.stone)),
+        labels,
+        values,
+        start,
+        durations[:, 0],
+        rows,
+        tuple(notes),
         tuple({*chosen.parameter_set().conditions} - {"sweep"}),
-    )  # fmt: skip
+    )
 
 
 def _labels(row: Mapping[str, str], added: Sequence[str]) -> dict[str, str]:
-    """The labels of a row, and the cells of the columns that were added to the table."""
+    """The labels of a row, and the cells of the columns that were added
+    to the table."""
     pairs = (pair.partition(" = ") for pair in row[LABELS].split("; ") if pair)
     return {name: label for name, _, label in pairs} | {
         name: row[name] for name in added if row[name]

@@ -16,8 +16,8 @@ from curlfit.throws.throw import check_sigma
 CHUNK = 128
 """Number of throws that are read and fitted together."""
 INFORMATION, LABELS, DURATION = "information", "labels", "duration"
-"""Columns from which a second fit takes what a throw says of its coefficients, its groups, and how
-long it was seen, in s."""
+"""Columns from which a second fit takes what a throw says of its coefficients, its
+groups, and how long it was seen, in s."""
 QUANTILES = ("16", "50", "84")
 """Quantiles of the posterior, in percent."""
 
@@ -28,7 +28,8 @@ class BatchSettings(Fitting, Reading):
 
     Attributes
     ----------
-    any_swept : whether a file states sweeping, so that the table has columns of `sweep`.
+    any_swept : whether a file states sweeping, so that the table has
+        columns of `sweep`.
     posterior : sample the posterior of each throw as well; hundreds of times slower.
     seed : of the sampling.
     """
@@ -45,21 +46,37 @@ class BatchSettings(Fitting, Reading):
         return find_law(self.law)
 
     def parameter_set(self) -> ParameterSet:
-        """Parameters of each throw's fit. Raises InputError for a choice that cannot be used."""
+        """Parameters of each throw's fit. Raises InputError for a choice that
+        cannot be used."""
         return checked_parameters(self, others_swept=self.any_swept)
 
     def sums(self) -> dict[str, tuple[str, ...]]:
-        """Free coefficients of which only the sum enters the motion, by the sum as written."""
+        """Free coefficients of which only the sum enters the motion, by the
+        sum as written."""
         law = self.checked()
         if self.load != "uniform" and not issubclass(law, NetLaw):
             return {}
-        return {" + ".join(names): names for names in law.sums if not set(names) & set(self.fix)}
+        return {
+            " + ".join(names): names
+            for names in law.sums
+            if not set(names) & set(self.fix)
+        }
 
 
 def columns(plan: BatchSettings) -> list[str]:
-    """Columns of the table of results; those of text, which may contain commas, come last."""
+    """Columns of the table of results; those of text, which may contain
+    commas, come last."""
     plan.checked()
-    found = ["file", "shot", "stone_index", "status", "n_observations", "rms_x", "rms_y", "rms_phi"]
+    found = [
+        "file",
+        "shot",
+        "stone_index",
+        "status",
+        "n_observations",
+        "rms_x",
+        "rms_y",
+        "rms_phi",
+    ]
     more = [*QUANTILES] * plan.posterior + ["systematic"] * bool(plan.systematics)
     for name in plan.parameter_set().names:
         found += [name, *(f"{name}_{what}" for what in ("stderr", "verdict", *more))]

@@ -1,7 +1,7 @@
 """A table of results that grows row by row and survives being killed at any moment.
 
-It is plain CSV. The settings of its rows are in a file beside it (`season.settings.json` for
-`season.csv`); rows with other settings are never mixed in.
+It is plain CSV. The settings of its rows are in a file beside it
+(`season.settings.json` for `season.csv`); rows with other settings are never mixed in.
 """
 
 from __future__ import annotations
@@ -42,7 +42,8 @@ def is_table(file: Path) -> bool:
 
 
 def plan_of(settings: Path, otherwise: str) -> dict[str, Any]:
-    """The recorded settings of a table's rows; `otherwise` says what to do without them.
+    """The recorded settings of a table's rows; `otherwise` says what to do
+    without them.
 
     Raises
     ------
@@ -61,8 +62,10 @@ class Table:
 
     Parameters
     ----------
-    file : the table. columns : its columns, including `file`, `shot`, `stone_index` and `status`.
-    plan : settings of the rows. files : data files whose throws the table is to contain.
+    file : the table. columns : its columns, including `file`, `shot`, `stone_index`
+        and `status`.
+    plan : settings of the rows. files : data files whose throws the table
+        is to contain.
     again : start again.
 
     Attributes
@@ -72,7 +75,8 @@ class Table:
 
     Raises
     ------
-    InputError : the file is something else, has rows of another plan, or cannot be written.
+    InputError : the file is something else, has rows of another plan, or
+        cannot be written.
     """
 
     def __init__(
@@ -91,18 +95,22 @@ class Table:
         head, settings = csv_lines([self.columns]), plain(dict(plan))
         size, done = 0, set[str]()
         try:
-            before = plan_of(self.settings, _OTHERWISE) if self.settings.exists() else None
+            before = (
+                plan_of(self.settings, _OTHERWISE) if self.settings.exists() else None
+            )
             file.parent.mkdir(parents=True, exist_ok=True)
             with ExitStack() as opened:
                 self.stream = opened.enter_context(file.open("ab"))
                 _lock(self.stream, file)
                 whole = file.read_bytes().decode(errors="surrogateescape")
-                if not (again or head.startswith(whole)):  # killed while the header was written
+                # killed while the header was written
+                if not (again or head.startswith(whole)):
                     self._require_own(whole, head, before, settings)
                     size, done = self._read(whole, files)
                 self.stream.truncate(size)
                 if not size:
-                    # The table is empty now: a kill cannot leave rows beside other settings.
+                    # The table is empty now: a kill cannot leave rows beside
+                    # other settings.
                     made_by = f"{_MAKER} {__version__}"
                     write_json({"made_by": made_by, "plan": settings}, self.settings)
                     self.stream.write(head.encode())
@@ -113,15 +121,24 @@ class Table:
         self.todo = [name for name in files if csv_cell(name) not in done]
 
     def _require_own(
-        self, whole: str, head: str, before: dict[str, Any] | None, settings: dict[str, Any]
+        self,
+        whole: str,
+        head: str,
+        before: dict[str, Any] | None,
+        settings: dict[str, Any],
     ) -> None:
         """Raise `InputError` for a file that is no table with these settings."""
         fault, recorded = "", before or {}
-        other = next((key for key in settings if recorded.get(key) != settings[key]), None)
+        other = next(
+            (key for key in settings if recorded.get(key) != settings[key]), None
+        )
         if not whole.startswith("file,"):
             fault = f", line 1: not a table of `{_MAKER}`"
         elif before is None:
-            fault = f": the settings of its rows are unknown, because {self.settings} is missing"
+            fault = (
+                ": the settings of its rows are unknown, because "
+                f"{self.settings} is missing"
+            )
         elif other is not None:
             here, now = _shown(recorded.get(other)), _shown(settings[other])
             fault = f": made with other settings ({other} = {here}, not {now})"
@@ -131,8 +148,8 @@ class Table:
             raise InputError(f"{self.file}{fault}; {_OTHERWISE}")
 
     def _read(self, whole: str, files: Sequence[str]) -> tuple[int, set[str]]:
-        """Count complete rows; returns the length of the table up to the last of them, in bytes,
-        and the files that are done."""
+        """Count complete rows; returns the length of the table up to the last of them,
+        in bytes, and the files that are done."""
         lines = whole.split("\n")[:-1]  # what follows was cut off by a kill
         done = []
         for number, row in enumerate(csv.reader(lines[1:]), start=2):
@@ -140,9 +157,12 @@ class Table:
                 fault = f"expected {len(self.columns)} columns"
                 raise DataError(fault, file=self.file, line=number)
             done.append(dict(zip(self.columns, row, strict=True)))
-        # If the last rows are of a file with several throws, others of this file may be missing.
+        # If the last rows are of a file with several throws, others of this file
+        # may be missing.
         last = done[-1] if done else {"file": "", "shot": "", "stone_index": ""}
-        if (last["shot"] or last["stone_index"]) and last["file"] in map(csv_cell, files):
+        if (last["shot"] or last["stone_index"]) and last["file"] in map(
+            csv_cell, files
+        ):
             while done and done[-1]["file"] == last["file"]:
                 done.pop()
         self._count(done)
@@ -151,7 +171,9 @@ class Table:
 
     def add(self, rows: Sequence[Mapping[str, Any]]) -> None:
         """Write rows in one piece and flush them to the disk."""
-        self.stream.write(csv_lines([row[name] for name in self.columns] for row in rows).encode())
+        self.stream.write(
+            csv_lines([row[name] for name in self.columns] for row in rows).encode()
+        )
         self._settle()
         self._count(rows)
 
@@ -172,7 +194,8 @@ class Table:
 
 
 def _lock(stream: BinaryIO, file: Path) -> None:
-    """Lock the table for as long as it is open in this process, where the disk knows locks."""
+    """Lock the table for as long as it is open in this process, where the disk
+    knows locks."""
     try:
         if sys.platform == "win32":
             import msvcrt
@@ -185,8 +208,8 @@ def _lock(stream: BinaryIO, file: Path) -> None:
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except (BlockingIOError, PermissionError):
         raise InputError(
-            f"{file}: another `{_MAKER}` is writing this table; name another with --out, or wait "
-            "for its end"
+            f"{file}: another `{_MAKER}` is writing this table; name another with "
+            "--out, or wait for its end"
         ) from None
     except OSError:
         pass

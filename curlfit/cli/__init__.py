@@ -43,8 +43,11 @@ def _version() -> None:
 
 app = App(
     name="curlfit",
-    help="Estimate friction coefficients from the trajectory of a curling stone.\n\n"
-    "Begin with `curlfit fit DATA.csv`, where DATA.csv has columns t, x, y, phi (s, m, m, rad).",
+    help=(
+        "Estimate friction coefficients from the trajectory of a curling stone.\n\n"
+        "Begin with `curlfit fit DATA.csv`, where DATA.csv has columns t, x, y, "
+        "phi (s, m, m, rad)."
+    ),
     help_format="markdown",
     version_flags=[],
     default_parameter=Parameter(negative=(), show_default=False, show_choices=False),
@@ -54,9 +57,23 @@ app = App(
     result_action="return_value",
 )
 for _verb in (
-    check, fit, compare, batch, predict, profile, design, show, plot, report, export, simulate,
-    laws, reproduce, example, page,
-):  # fmt: skip
+    check,
+    fit,
+    compare,
+    batch,
+    predict,
+    profile,
+    design,
+    show,
+    plot,
+    report,
+    export,
+    simulate,
+    laws,
+    reproduce,
+    example,
+    page,
+):
     app.command(_verb)
 app.command(_version, name="--version")
 
@@ -67,7 +84,9 @@ def run(words: Sequence[str]) -> int:
         saved = app(words)
     except CycloptsError as error:
         cause = error.__cause__  # of a value that cannot be used
-        raise cause if isinstance(cause, CurlfitError) else InputError(str(error)) from None
+        raise (
+            cause if isinstance(cause, CurlfitError) else InputError(str(error))
+        ) from None
     if not isinstance(saved, Saved):
         return 0
     if saved.page is not None:
@@ -79,7 +98,8 @@ def run(words: Sequence[str]) -> int:
 
 def main() -> None:
     """Run the command; errors of the input become one sentence and an exit status."""
-    # NumPy is not loaded yet. Its matrices here are small: threads would wait for one another.
+    # NumPy is not loaded yet. Its matrices here are small: threads would wait for
+    # one another.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         try:
@@ -93,8 +113,12 @@ def main() -> None:
         say("curlfit: stopped", error=True)
         status = _INTERRUPTED
     except OSError as error:
-        # Unprinted output is dropped; Python would otherwise try to write it again on exit.
+        # Unprinted output is dropped; Python would otherwise try to write it
+        # again on exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        say(f"curlfit: {error.filename or 'output'}: {error.strerror or error}", error=True)
+        say(
+            f"curlfit: {error.filename or 'output'}: {error.strerror or error}",
+            error=True,
+        )
         status = 2
     sys.exit(status)

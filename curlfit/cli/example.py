@@ -29,13 +29,21 @@ def example(
 
     # a wheel has them in a folder of its own, a clone beside the package
     source = next(
-        (root for root in (_PACKAGE / "examples", _PACKAGE.parent) if (root / _FIRST).is_file()),
+        (
+            root
+            for root in (_PACKAGE / "examples", _PACKAGE.parent)
+            if (root / _FIRST).is_file()
+        ),
         None,
     )
     if source is None:
-        raise InputError(f"this installation has no examples ({_PACKAGE / 'examples'} is missing)")
+        raise InputError(
+            f"this installation has no examples ({_PACKAGE / 'examples'} is missing)"
+        )
     if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: a file; expected a folder, or a name that is not taken")
+        raise InputError(
+            f"{folder}: a file; expected a folder, or a name that is not taken"
+        )
     for part, pattern in _PARTS.items():
         prepare_folder(folder / part)
         for file in sorted((source / part).glob(pattern)):

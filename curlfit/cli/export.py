@@ -52,17 +52,18 @@ def export(
 
     `curlfit export throw-fit --to csv --to latex`: parameters.csv, path.csv, table.tex
 
-    `curlfit export throw-fit --to game --out game`: accelerations.json, curlfit_stone.h, .mjs
+    `curlfit export throw-fit --to game --out game`: accelerations.json,
+    curlfit_stone.h, .mjs
 
     Parameters
     ----------
     folder
         Folder of a fit, a joint fit or a comparison, or the JSON in it.
     to
-        csv: parameters, and the path with its residuals. netcdf: the sampled posterior for ArviZ.
-        json: what `curlfit show --json` prints. latex: a table with booktabs. table, c, js: the
-        accelerations of the stone by speed and spin, as JSON, C header and JavaScript module, for
-        games and simulators; game: all three.
+        csv: parameters, and the path with its residuals. netcdf: the sampled posterior
+        for ArviZ. json: what `curlfit show --json` prints. latex: a table with
+        booktabs. table, c, js: the accelerations of the stone by speed and spin, as
+        JSON, C header and JavaScript module, for games and simulators; game: all three.
     out
         Folder for the files. [default: the result's name with -export]
     """
@@ -71,8 +72,8 @@ def export(
     kind = s.kind_of(folder)
     if kind not in _LOADERS:
         raise InputError(
-            f"{folder}: a result of curlfit {kind}; expected the folder of a fit, a joint fit or a "
-            "comparison"
+            f"{folder}: a result of curlfit {kind}; expected the folder of a fit, "
+            "a joint fit or a comparison"
         )
     every = (_GAME if form is Form.game else (form,) for form in to)
     forms = list(dict.fromkeys(chain.from_iterable(every)))
@@ -114,26 +115,39 @@ def _files(form: Form, result: Any, kind: str, folder: Path) -> dict[str, bytes]
         table = tables.candidates_table if kind == "compare" else tables.estimates_table
         return {"table.tex": table(result).encode()}
     if form is Form.json:
-        return {f"{kind}.json": (json.dumps(result.summary(), indent=1) + "\n").encode()}
+        return {
+            f"{kind}.json": (json.dumps(result.summary(), indent=1) + "\n").encode()
+        }
     result, sample = s.load_fit_and_chain(folder)
     if sample is None:
         raise InputError(
-            f"--to netcdf: {folder} has no sampled posterior; `curlfit fit ... --resume` samples it"
+            f"--to netcdf: {folder} has no sampled posterior; "
+            "`curlfit fit ... --resume` samples it"
         )
     data = sample.to_arviz(result)
-    tree = data.to_datatree() if hasattr(data, "to_datatree") else data  # of ArviZ before 1.0
-    # In memory, as HDF5 does not recover from a full disk; a copy, as a view of a buffer that
-    # the garbage collector closes is an error on Python 3.13.
+    # of ArviZ before 1.0
+    tree = data.to_datatree() if hasattr(data, "to_datatree") else data
+    # In memory, as HDF5 does not recover from a full disk; a copy, as a view of a
+    # buffer that the garbage collector closes is an error on Python 3.13.
     return {"posterior.nc": bytes(tree.to_netcdf(engine="h5netcdf"))}
 
 
 def _game(fit: FitResult, forms: Sequence[Form]) -> tuple[dict[str, bytes], str]:
-    """The stone for games in some forms, by file name, and what of the fit it does not include."""
-    from curlfit.export.accelerations import c_header, javascript_module, not_included, tabulate
+    """The stone for games in some forms, by file name, and what of the fit it does
+    not include."""
+    from curlfit.export.accelerations import (
+        c_header,
+        javascript_module,
+        not_included,
+        tabulate,
+    )
 
     table = tabulate(fit)
     made = {
-        Form.table: ("accelerations.json", json.dumps(table.to_json(), indent=1) + "\n"),
+        Form.table: (
+            "accelerations.json",
+            json.dumps(table.to_json(), indent=1) + "\n",
+        ),
         Form.c: ("curlfit_stone.h", c_header(table)),
         Form.js: ("curlfit_stone.mjs", javascript_module(table)),
     }

@@ -41,8 +41,9 @@ class Sampling(Choices):
     effective : Effective sample size required for every parameter. [default: 4000]
     max_steps : Maximum number of sampling steps. [default: 2000]
     seed : Seed of the sampling. [default: 0]
-    resume : Continue an earlier run in that folder, finished or interrupted: its least-squares
-        result is reused (`--start` then has no effect) and its chain is continued.
+    resume : Continue an earlier run in that folder, finished or interrupted: its
+        least-squares result is reused (`--start` then has no effect) and its chain
+        is continued.
     """
 
     no_sample: Annotated[bool, option(SWITCH)] = False
@@ -66,12 +67,12 @@ class Together(Choices):
 
     Attributes
     ----------
-    share : With several throws: coefficients that are equal in all of them. [default: all; from
-        four throws on they vary about their mean]
-    by : With several throws: labels by which they form groups that differ, such as `sheet`; the
-        columns of the table, or of that of `--throws`.
-    trend : With several throws: labels along which the ice changes, such as `start` (clock times
-        or numbers).
+    share : With several throws: coefficients that are equal in all of them. [default:
+        all; from four throws on they vary about their mean]
+    by : With several throws: labels by which they form groups that differ, such as
+        `sheet`; the columns of the table, or of that of `--throws`.
+    trend : With several throws: labels along which the ice changes, such as `start`
+        (clock times or numbers).
     """
 
     share: Annotated[Sequence[str], option(NAMES, "all|NAME,...")] = ()
@@ -93,21 +94,24 @@ def fit(
     sampling: Sampling = Sampling(),
     output: Output = Output(),
 ) -> Saved:
-    """Fit a friction law to a throw, or to several jointly, and show what the path determines.
+    """Fit a friction law to a throw, or to several jointly, and show what the
+    path determines.
 
-    Writes `fit.json`, `fit.png` and, unless `--no-sample`, `chain.h5` and `corner.png`; for
-    several throws `joint.json`, `joint.png` and a folder for each, and where they vary `chain.h5`
-    and `corner.png` of their mean and spreads.
-    Ctrl-C during sampling keeps the chain so far; `--resume` continues it (of one throw).
+    Writes `fit.json`, `fit.png` and, unless `--no-sample`, `chain.h5` and `corner.png`;
+    for several throws `joint.json`, `joint.png` and a folder for each, and where they
+    vary `chain.h5` and `corner.png` of their mean and spreads.
+    Ctrl-C during sampling keeps the chain so far; `--resume` continues it
+    (of one throw).
 
     Example: `curlfit fit data/jensen_shegelski_2004.csv --stone rho=0.1025`
 
     Parameters
     ----------
     data
-        Table with a header: t, x, y and if possible phi (s, m, m, rad; other units as y_ft,
-        angle_deg ...). Leading lines `# key = value` are its defaults. Several files, or those of
-        a folder, are fitted jointly; of a table of `curlfit batch`, the throws that it contains.
+        Table with a header: t, x, y and if possible phi (s, m, m, rad; other units as
+        y_ft, angle_deg ...). Leading lines `# key = value` are its defaults. Several
+        files, or those of a folder, are fitted jointly; of a table of `curlfit batch`,
+        the throws that it contains.
     """
     from curlfit.batch.table import is_table
     from curlfit.throws.friction_table import is_friction_table
@@ -121,11 +125,14 @@ def fit(
     if is_table(files[0]):
         if words := [*replace(flags, law=None).words(), *reading.words()]:
             raise InputError(
-                f"{words[0]}: the throws of {files[0]} are fitted already; expected it in the batch"
+                f"{words[0]}: the throws of {files[0]} are fitted already; "
+                "expected it in the batch"
             )
         return _fit_table(files, flags.law, together, sampling.of_several(), output)
     if sampling.resume and sampling.no_sample:
-        raise InputError("--resume continues sampling, and --no-sample skips it; give one of them")
+        raise InputError(
+            "--resume continues sampling, and --no-sample skips it; give one of them"
+        )
     jobs = s.prepare_all(files, config, reading, flags)
     if len(jobs) > 1:
         one, several = data[0].resolve(), Path("joint-fit")
@@ -157,7 +164,10 @@ def _fit_one(
     from curlfit.output.files import prepare_folder
 
     s.checked(job)
-    folder, seed = output.out or usual, job.seed if sampling.seed is None else sampling.seed
+    folder, seed = (
+        output.out or usual,
+        job.seed if sampling.seed is None else sampling.seed,
+    )
     saved = None
     if sampling.resume:
         saved, seed = _load_saved(folder, seed, job)
@@ -165,7 +175,9 @@ def _fit_one(
     record, chain_file = folder / "fit.json", folder / "chain.h5"
     drawn, console = output.drawn(), output.console()
     if sampling.resume and saved is None:
-        console.print(f"Nothing to resume in {folder}; this is a first run.", soft_wrap=True)
+        console.print(
+            f"Nothing to resume in {folder}; this is a first run.", soft_wrap=True
+        )
     drawn.draw_beside()
     if saved is None:
         with output.status(f"Fitting {COMPILES}"):
@@ -186,10 +198,14 @@ def _fit_one(
     if not sampling.no_sample:
         try:
             result, chain = _sample(
-                console, result, seed=seed or 0, effective=sampling.effective or 4000,
-                most_steps=sampling.max_steps or 2000, checkpoint=chain_file,
+                console,
+                result,
+                seed=seed or 0,
+                effective=sampling.effective or 4000,
+                most_steps=sampling.max_steps or 2000,
+                checkpoint=chain_file,
                 resume=saved is not None,
-            )  # fmt: skip
+            )
         except KeyboardInterrupt:
             drawn.written()
             raise
@@ -198,7 +214,11 @@ def _fit_one(
     console.print(document_of(result))
     written = [record, *[chain_file] * (not sampling.no_sample), *drawn.written()]
     done = output.written(folder, written, console)
-    if result.converged and result.posterior is not None and not result.posterior.converged:
+    if (
+        result.converged
+        and result.posterior is not None
+        and not result.posterior.converged
+    ):
         say(f"curlfit: warning: posterior {result.posterior.status}", error=True)
     return _finish(result, done)
 
@@ -206,8 +226,8 @@ def _fit_one(
 def _load_saved(
     folder: Path, seed: int | None, job: s.ConfiguredThrow[Fitting]
 ) -> tuple[FitResult | None, int | None]:
-    """The saved fit in a folder, if any, and the seed, of its chain unless one is given; fit and
-    chain must be of the same problem."""
+    """The saved fit in a folder, if any, and the seed, of its chain unless one is
+    given; fit and chain must be of the same problem."""
     if not (folder / "fit.json").exists():
         return None, seed
     from curlfit.friction import find_law
@@ -218,9 +238,14 @@ def _load_saved(
     found = load_fit(folder)
     chosen = job.chosen
     now = chain.subject_of_fit(
-        job.cut.condensed(), find_law(chosen.law), chosen.load,
-        Stone().with_values(dict(chosen.stone)), job.parameters, chosen.loss, chosen.noise,
-    )  # fmt: skip
+        job.cut.condensed(),
+        find_law(chosen.law),
+        chosen.load,
+        Stone().with_values(dict(chosen.stone)),
+        job.parameters,
+        chosen.loss,
+        chosen.noise,
+    )
     chain.require_same(chain.subject_of_saved(found), now, folder / "fit.json")
     file = folder / "chain.h5"
     if file.exists():
@@ -265,7 +290,8 @@ def _fit_jointly(
     output: Output,
     usual: Path,
 ) -> Saved:
-    """Fit several throws jointly and print the report; write `joint.json`, figures, single fits."""
+    """Fit several throws jointly and print the report; write `joint.json`, figures,
+    single fits."""
     from curlfit.friction import find_law
     from curlfit.output.files import prepare_folder
     from curlfit.throws.plausibility import require_plausible
@@ -279,9 +305,11 @@ def _fit_jointly(
     for name in () if share == ("all",) else share:
         if name not in names:
             raise InputError(
-                f"--share {name}: law {law.name} has no such coefficient; it has {', '.join(names)}"
+                f"--share {name}: law {law.name} has no such coefficient; "
+                f"it has {', '.join(names)}"
             )
-    # Each throw keeps its own rows, stone and times of sweeping, unless one is given for all.
+    # Each throw keeps its own rows, stone and times of sweeping, unless one is
+    # given for all.
     each = ("since", "until", "exclude", "stone", "sigma", "swept")
     any_swept = any(job.chosen.swept is not None for job in jobs)
     for job in jobs:
@@ -301,9 +329,15 @@ def _fit_jointly(
         from curlfit.inference.joint.fit import fit_together
 
         result = fit_together(
-            throws, share=shared, **together.effects, seed=seed, **common,
-            progress=lambda step, chi_squared: show(f"step {step}, chi squared {chi_squared:.6g}"),
-        )  # fmt: skip
+            throws,
+            share=shared,
+            **together.effects,
+            seed=seed,
+            **common,
+            progress=lambda step, chi_squared: show(
+                f"step {step}, chi squared {chi_squared:.6g}"
+            ),
+        )
     for name, one in zip(named, result.throws, strict=True):
         own_folder = prepare_folder(folder / name)
         one.save(own_folder / "fit.json")
@@ -321,20 +355,26 @@ def _require_alike(jobs: Sequence[s.ConfiguredThrow[Fitting]]) -> None:
         own, first = getattr(job.chosen, key), getattr(jobs[0].chosen, key)
         if own != first:
             raise InputError(
-                f"{job.throw.name}: {key}: {own}, where {jobs[0].throw.name} has {first}; give one "
-                f"with --{key}"
+                f"{job.throw.name}: {key}: {own}, where {jobs[0].throw.name} has "
+                f"{first}; give one with --{key}"
             )
 
 
 def _fit_table(
-    data: Sequence[Path], law: str | None, together: Together, seed: int | None, output: Output
+    data: Sequence[Path],
+    law: str | None,
+    together: Together,
+    seed: int | None,
+    output: Output,
 ) -> Saved:
-    """Fit the mean of throws that `curlfit batch` fitted one by one; write `joint.json` and its
-    figure."""
+    """Fit the mean of throws that `curlfit batch` fitted one by one; write `joint.json`
+    and its figure."""
     from curlfit.output.files import prepare_folder
 
     if len(data) > 1:
-        raise InputError(f"{data[0]}: a table of many throws; expected no other file beside it")
+        raise InputError(
+            f"{data[0]}: a table of many throws; expected no other file beside it"
+        )
     drawn = output.drawn()
     with output.status(f"Fitting the throws of {data[0]} {COMPILES}"):
         from curlfit.batch.season import fit_season

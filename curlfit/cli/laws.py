@@ -19,16 +19,16 @@ def laws(
 ) -> None:
     """List the friction laws: formula, coefficients, source, direction of curl.
 
-    n is the normal load at a point of the ring, n0 its mean, v the sliding velocity there, xi to
-    the right of the stone's motion and eta along it.
+    n is the normal load at a point of the ring, n0 its mean, v the sliding velocity
+    there, xi to the right of the stone's motion and eta along it.
 
     Parameters
     ----------
     names
         Only these; FILE.py:CLASS for a law of your own.
     conditions
-        The conditions that a fit holds (level ice, still air, the stone, the scales), and their
-        standard uncertainties.
+        The conditions that a fit holds (level ice, still air, the stone, the scales),
+        and their standard uncertainties.
     """
     from curlfit.errors import InputError
     from curlfit.friction import LAWS, TERMS, find_law
@@ -59,11 +59,18 @@ def _text(law: type[Law], width: int) -> str:
         ("", law.formula),
         ("source: ", law.source or law.origin),
         ("a counter-clockwise stone curls ", law.predicts),
-        ("", "" if law.brakes else f"does not brake: a part of sums, as in power+{law.name}"),
+        (
+            "",
+            ""
+            if law.brakes
+            else f"does not brake: a part of sums, as in power+{law.name}",
+        ),
     ):
         if text:
             lines += _wrap("  ", f"{label}{text}", width)
-    return "\n".join([*lines, *_listed("    ", _coefficient, law.coefficients(), width)])
+    return "\n".join(
+        [*lines, *_listed("    ", _coefficient, law.coefficients(), width)]
+    )
 
 
 def _listed(
@@ -78,9 +85,13 @@ def _listed(
 def _wrap(head: str, text: str, width: int) -> list[str]:
     """Lines of a text after a head, with a hanging indent."""
     return textwrap.wrap(
-        text, width, initial_indent=head, subsequent_indent=" " * len(head),
-        break_long_words=False, break_on_hyphens=False,
-    )  # fmt: skip
+        text,
+        width,
+        initial_indent=head,
+        subsequent_indent=" " * len(head),
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
 
 
 def _coefficient(item: Coefficient) -> str:
@@ -93,7 +104,10 @@ def _coefficient(item: Coefficient) -> str:
 
 
 def _condition(item: Condition) -> str:
-    return f"{item.meaning}; standard uncertainty {item.width:g}{_unit(item)} ({item.basis})"
+    return (
+        f"{item.meaning}; standard uncertainty "
+        f"{item.width:g}{_unit(item)} ({item.basis})"
+    )
 
 
 def _unit(item: Coefficient | Condition) -> str:

@@ -14,8 +14,9 @@ def app(
 ) -> None:
     """Open a page in the browser on which files are dropped, read, fitted and compared.
 
-    It runs `check`, `fit` and `compare`, and shows their commands. It is for this computer alone,
-    and needs no network. Needs `pip install 'curlfit[app]'`. Ctrl-C ends it.
+    It runs `check`, `fit` and `compare`, and shows their commands. It is for this
+    computer alone, and needs no network. Needs `pip install 'curlfit[app]'`.
+    Ctrl-C ends it.
 
     Parameters
     ----------

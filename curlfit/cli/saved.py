@@ -1,4 +1,5 @@
-"""`curlfit show`, `plot` and `report`: print or draw a saved result, or write its page."""
+"""`curlfit show`, `plot` and `report`: print or draw a saved result, or
+write its page."""
 
 from __future__ import annotations
 
@@ -24,7 +25,8 @@ Verb = TypeVar("Verb", bound=Callable[..., Any])
 
 
 def of_record(verb: Verb) -> Verb:
-    """A verb that refuses a record of the right types whose values contradict one another."""
+    """A verb that refuses a record of the right types whose values contradict
+    one another."""
 
     @wraps(verb)
     def checked(*given: Any, **options: Any) -> Any:
@@ -32,10 +34,17 @@ def of_record(verb: Verb) -> Verb:
             return verb(*given, **options)
         except CurlfitError:
             raise
-        except (ArithmeticError, LookupError, StopIteration, TypeError, ValueError) as error:
+        except (
+            ArithmeticError,
+            LookupError,
+            StopIteration,
+            TypeError,
+            ValueError,
+        ) as error:
             raise DataError(
-                f"its values contradict one another ({type(error).__name__}: {error}); if no other "
-                "program changed it, this is an error of curlfit",
+                f"its values contradict one another ({type(error).__name__}: "
+                f"{error}); if no other program changed it, this is an "
+                "error of curlfit",
                 file=options["folder"] if "folder" in options else given[0],
             ) from error
 
@@ -50,7 +59,8 @@ def show(
     as_json: Annotated[bool, option(SWITCH, name="--json")] = False,
     derive: Annotated[Sequence[str], option(TEXTS, "EXPRESSION")] = (),
 ) -> None:
-    """Print the report of a saved fit, joint fit, comparison, prediction, profile or design.
+    """Print the report of a saved fit, joint fit, comparison, prediction,
+    profile or design.
 
     Example: `curlfit show throw-fit --derive "mu2_xi - mu1_xi"`
 
@@ -82,7 +92,8 @@ def plot(
     out: Annotated[Path | None, option(PATH, "DIR")] = None,
     format: Annotated[str, option(TEXT, "FORMAT")] = "png",
 ) -> None:
-    """Draw the figures again of a saved fit, joint fit, comparison, prediction, profile, design.
+    """Draw the figures again of a saved fit, joint fit, comparison, prediction,
+    profile, design.
 
     Parameters
     ----------
@@ -113,11 +124,12 @@ def report(
     show_it: Annotated[bool, option(SWITCH, name="--open")] = False,
     law: LawOfFit = None,
 ) -> None:
-    """Write a saved result as one HTML file to send: numbers, figures, warnings, animations.
+    """Write a saved result as one HTML file to send: numbers, figures,
+    warnings, animations.
 
-    Of a fit, joint fit, comparison, prediction, profile or design. The file needs no network and no
-    other file; animated are the stone on the sheet, the directions that the path does not
-    determine, and the draws of a prediction.
+    Of a fit, joint fit, comparison, prediction, profile or design. The file needs no
+    network and no other file; animated are the stone on the sheet, the directions that
+    the path does not determine, and the draws of a prediction.
 
     Example: `curlfit report throw-fit --open`
 
@@ -149,16 +161,24 @@ def write_page(folder: Path, out: Path | None = None, law: Any = None) -> Path:
     return file
 
 
-def _load(folder: Path, flag: str = "", law: str | None = None) -> tuple[str, Any, Chain | None]:
-    """Kind, result and chain, that so far if sampling was interrupted; `flag` needs a fit."""
+def _load(
+    folder: Path, flag: str = "", law: str | None = None
+) -> tuple[str, Any, Chain | None]:
+    """Kind, result and chain, that so far if sampling was interrupted; `flag`
+    needs a fit."""
     kind = kind_of(folder)
     if kind != "fit":
         if flag and kind != "joint":
-            raise InputError(f"{flag}: {folder} is no fit; expected the folder of a fit")
+            raise InputError(
+                f"{flag}: {folder} is no fit; expected the folder of a fit"
+            )
         return kind, getattr(curlfit, f"load_{KINDS[kind].noun}")(folder), None
     result, chain = load_fit_and_chain(folder, law)
     if result.sampling == "unfinished":
         from curlfit.inference.mcmc.summary import unfinished_posterior
 
-        result, chain = unfinished_posterior(result, chain_beside(folder)) or (result, None)
+        result, chain = unfinished_posterior(result, chain_beside(folder)) or (
+            result,
+            None,
+        )
     return kind, result, chain

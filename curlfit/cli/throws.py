@@ -12,7 +12,16 @@ from curlfit.errors import InputError
 from curlfit.foreign import say
 from curlfit.options import settings as s
 from curlfit.settings.choices import SEED, Choices, Modelling, Reading, Rows
-from curlfit.settings.forms import NUMBER, PATH, PERIOD, SWITCH, TIME, Form, OneOf, option
+from curlfit.settings.forms import (
+    NUMBER,
+    PATH,
+    PERIOD,
+    SWITCH,
+    TIME,
+    Form,
+    OneOf,
+    option,
+)
 from curlfit.sheet import LINES
 
 if TYPE_CHECKING:
@@ -53,7 +62,9 @@ def check(
     configured = s.read_config(config)
     reading = Reading.of(configured, vars(reading))
     parsed = read(data, reading)
-    job = s.apply_settings(throw_of(parsed, reading), configured, Modelling(**vars(rows)))
+    job = s.apply_settings(
+        throw_of(parsed, reading), configured, Modelling(**vars(rows))
+    )
     require_motion(job.cut)
     if out is not None and not job.throw.has_path:
         raise InputError(f"--out: {data} has timed events only, and no path to draw")
@@ -78,7 +89,9 @@ def check(
 
 def _require_picture(file: Path) -> None:
     if file.suffix.lower() not in (".png", ".pdf", ".svg"):
-        raise InputError(f"--out {file}: expected a name that ends in .png, .pdf or .svg")
+        raise InputError(
+            f"--out {file}: expected a name that ends in .png, .pdf or .svg"
+        )
     if not file.absolute().parent.is_dir():
         raise InputError(f"--out {file}: the folder {file.parent} does not exist")
 
@@ -93,7 +106,10 @@ def _swept(word: str) -> tuple[tuple[float, float], float]:
 
 _LINE = OneOf("line", list(LINES)[:-1])
 _SWEPT = Form(
-    "", lambda one: one, _swept, "A:B=V, times in s and the ratio of friction, of 0 or more"
+    "",
+    lambda one: one,
+    _swept,
+    "A:B=V, times in s and the ratio of friction, of 0 or more",
 )
 
 
@@ -107,8 +123,8 @@ class Conditions(Choices):
     slope_x : Downward slope of the ice to the right, m/m.
     slope_y : Downward slope of the ice along the throw, m/m.
     drag : Drag coefficient in still air, about 0.8.
-    sweep : The stone is swept from A to B (s); V is the ratio of the friction then to that
-        otherwise.
+    sweep : The stone is swept from A to B (s); V is the ratio of the friction then to
+        that otherwise.
     """
 
     slope_x: Annotated[float | None, option(NUMBER, "V")] = None
@@ -175,17 +191,20 @@ def simulate(
 
     `curlfit simulate --set mu2_xi=0.06 --noise-xy 0.005 --noise-phi 0.01 --out a.csv`
 
-    `curlfit simulate --line hog --v0 2.3 --slope-x 2e-4 --drag 0.8 --sweep 8:14=0.9 --out b.csv`
+    `curlfit simulate --line hog --v0 2.3 --slope-x 2e-4 --drag 0.8 --sweep 8:14=0.9
+    --out b.csv`
 
-    `curlfit simulate --fit a-fit --omega0=-1.2 --until 30 --out c.csv`: another throw of a fit
+    `curlfit simulate --fit a-fit --omega0=-1.2 --until 30 --out c.csv`: another
+    throw of a fit
 
     Parameters
     ----------
     fit
-        Saved fit that supplies law, load, stone, conditions and initial state unless given here.
+        Saved fit that supplies law, load, stone, conditions and initial state
+        unless given here.
     line
-        Start on a line of the sheet: `hack`, `back`, `tee`, `hog` (the near ones), `centre` or
-        `far-hog`; y is then measured from the hack.
+        Start on a line of the sheet: `hack`, `back`, `tee`, `hog` (the near ones),
+        `centre` or `far-hog`; y is then measured from the hack.
     out
         File to write. [default: print]
     """
@@ -222,16 +241,23 @@ def _write(throw: Throw, out: Path | None) -> None:
 
 
 def _given_model(given: Simulated) -> dict[str, Any]:
-    """What is simulated unless flags say otherwise, as arguments of `synthetic_throw`."""
+    """What is simulated unless flags say otherwise, as arguments of
+    `synthetic_throw`."""
     from curlfit.environment import Environment
     from curlfit.stone import Stone
     from curlfit.throws.synthetic import law_with
 
     return {
-        "law": law_with(given.law or "front-back", given.coefficients, unbounded=given.unbounded),
-        "stone": Stone().with_values(dict(given.stone)), "load": given.load or "uniform",
-        "environment": Environment(), "v0": 2.0, "omega0": 1.0, "until": 20.0,
-    }  # fmt: skip
+        "law": law_with(
+            given.law or "front-back", given.coefficients, unbounded=given.unbounded
+        ),
+        "stone": Stone().with_values(dict(given.stone)),
+        "load": given.load or "uniform",
+        "environment": Environment(),
+        "v0": 2.0,
+        "omega0": 1.0,
+        "until": 20.0,
+    }
 
 
 def _fitted_model(folder: Path, given: Simulated) -> dict[str, Any]:
@@ -246,20 +272,31 @@ def _fitted_model(folder: Path, given: Simulated) -> dict[str, Any]:
     fit, _ = s.load_fit_and_chain(folder)
     law = None if given.law is None else find_law(given.law)
     if not fit.converged:
-        raise UnusableFitError(f"{folder}: nothing can be simulated from this fit: {fit.status}")
-    system = System.of(fit.model, [float(value) for value in fit.values], fit.stone, Environment())
+        raise UnusableFitError(
+            f"{folder}: nothing can be simulated from this fit: {fit.status}"
+        )
+    system = System.of(
+        fit.model, [float(value) for value in fit.values], fit.stone, Environment()
+    )
     environment, swept, begin = system.environment, fit.data["swept"], fit.data["from"]
     if swept is not None:
-        environment = replace(environment, swept_from=swept[0] - begin, swept_to=swept[1] - begin)
+        environment = replace(
+            environment, swept_from=swept[0] - begin, swept_to=swept[1] - begin
+        )
     own: dict[str, float] = {}
     if law is None or law.name == fit.law:
-        law, own = fit.law_class, {name: one.value for name, one in fit.coefficients.items()}
+        law, own = (
+            fit.law_class,
+            {name: one.value for name, one in fit.coefficients.items()},
+        )
     plain = own and not given.coefficients
     return {
         "law": fit.fitted_law
         if plain
         else law_with(law, given.coefficients, unbounded=given.unbounded, others=own),
-        "stone": system.stone.with_values(dict(given.stone)), "load": given.load or fit.load,
-        "environment": environment, "until": fit.data["to"] - begin,
+        "stone": system.stone.with_values(dict(given.stone)),
+        "load": given.load or fit.load,
+        "environment": environment,
+        "until": fit.data["to"] - begin,
         **{one.name: fit.parameters[one.name].value for one in START},
-    }  # fmt: skip
+    }

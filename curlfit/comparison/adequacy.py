@@ -1,7 +1,9 @@
-"""Whether a law follows the path, how much of its curl it explains, and what a law can do.
+"""Whether a law follows the path, how much of its curl it explains, and what
+a law can do.
 
-The size of residuals is their rms; under a robust loss it is the scale of their bulk, and the path
-to be explained is filtered by a running median, since no law has to explain outliers.
+The size of residuals is their rms; under a robust loss it is the scale of their bulk,
+and the path to be explained is filtered by a running median, since no law has to
+explain outliers.
 """
 
 from __future__ import annotations
@@ -28,9 +30,11 @@ from curlfit.throws.throw import scatter
 
 _MOST = 500
 """Largest number of coefficient vectors for which a law is evaluated."""
-_FOLLOWS = 0.1  # rms of a residual over what is to be explained, up to which a law follows a path
+# rms of a residual over what is to be explained, up to which a law follows a path
+_FOLLOWS = 0.1
 _MEDIAN = 5  # rows of a running median that removes single outliers
-_NOISE = 1.5  # rms of a residual over the noise of the data, up to which it follows in any case
+# rms of a residual over the noise of the data, up to which it follows in any case
+_NOISE = 1.5
 _UNCLEAR = 3.0  # the same, up to which correlated noise may explain the residual
 _DEGREE = 5  # of the polynomial in time that separates motion from noise
 
@@ -51,9 +55,15 @@ class Adequacy(NamedTuple):
 def adequacy(result: FitResult) -> Adequacy:
     """Whether the law follows the path, and what part of its curl it explains."""
     t, x, y, phi = (result.observed[name] for name in ("t", *PLACE))
-    off, loss = {name: result.observed[name] - result.fitted[name] for name in PLACE}, result.loss
+    off, loss = (
+        {name: result.observed[name] - result.fitted[name] for name in PLACE},
+        result.loss,
+    )
     place, turned = np.isfinite(x) & np.isfinite(y), np.isfinite(phi)
-    measured, missed = np.stack([x, y], 1)[place], np.stack([off["x"], off["y"]], 1)[place]
+    measured, missed = (
+        np.stack([x, y], 1)[place],
+        np.stack([off["x"], off["y"]], 1)[place],
+    )
     seen = np.stack([_seen(values, loss) for values in measured.T], 1)
     along = np.linalg.svd(seen - seen.mean(0), full_matrices=False)[2][0]
     along = along if along @ (seen[-1] - seen[0]) > 0 else -along
@@ -85,7 +95,8 @@ def adequacy(result: FitResult) -> Adequacy:
 
 
 def _seen(values: Floats, loss: str) -> Floats:
-    """The part of a series to be explained: without outliers where the loss is robust."""
+    """The part of a series to be explained: without outliers where the
+    loss is robust."""
     if loss == "linear":
         return values
     from scipy.ndimage import median_filter  # slow to load
@@ -95,8 +106,9 @@ def _seen(values: Floats, loss: str) -> Floats:
 
 
 def _noise(t: Floats, values: Floats, loss: str) -> float:
-    """Standard deviation of the noise on a smooth series: that of its scatter from row to row, or
-    about a polynomial in time where that is larger, as with correlated noise."""
+    """Standard deviation of the noise on a smooth series: that of its scatter from
+    row to row, or about a polynomial in time where that is larger, as with
+    correlated noise."""
     by_row = float(scatter(values))
     if len(values) <= 3 * _DEGREE:
         return by_row
@@ -112,25 +124,32 @@ def _uneven(t: Floats, values: Floats) -> float:
 
 def _size(residual: Floats, loss: str) -> float:
     """rms of residuals, or the scale of their bulk where the loss is robust."""
-    return float(np.sqrt(np.mean(residual**2))) if loss == "linear" else robust_sigma(residual)
+    return (
+        float(np.sqrt(np.mean(residual**2)))
+        if loss == "linear"
+        else robust_sigma(residual)
+    )
 
 
 def opposes_sliding(law: type[Law]) -> bool:
-    """Whether friction opposes sliding all around the ring, whatever the coefficients."""
+    """Whether friction opposes sliding all around the ring, whatever the
+    coefficients."""
     if not issubclass(law, LocalLaw):
         return False
     general = law_in_general(law)
     points = [sample_points(half) for half in (1.0, 0.0)]
     tractions = [(*general.traction(one), one.e_xi, one.e_eta) for one in points]
     return all(
-        np.allclose(xi * e_eta, eta * e_xi, rtol=0, atol=1e-9) for xi, eta, e_xi, e_eta in tractions
+        np.allclose(xi * e_eta, eta * e_xi, rtol=0, atol=1e-9)
+        for xi, eta, e_xi, e_eta in tractions
     )
 
 
 def sides_of_curl(
     law: type[Law], load: Load, result: FitResult, family: type[LawFamily] | None = None
 ) -> tuple[str, ...]:
-    """Sides to which the law can curl a counter-clockwise stone that it slows, within bounds.
+    """Sides to which the law can curl a counter-clockwise stone that it slows,
+    within bounds.
 
     A law of a family is evaluated by the family's program.
     """
@@ -146,7 +165,8 @@ def sides_of_curl(
         grid = grid[np.random.default_rng(0).choice(len(grid), _MOST, replace=False)]
     v = float(np.median(result.fitted["speed"]))
     omega = float(np.median(np.abs(result.fitted["omega"])))
-    # half a radian and a second after release, where laws that depend on these push to their side
+    # half a radian and a second after release, where laws that depend on these push
+    # to their side
     state = np.tile(np.array([v, omega, 0.5, 1.0])[:, None], POINTS)
     model = Model(law, load).within(family)
     stones = stacked([result.stone])

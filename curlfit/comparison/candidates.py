@@ -1,4 +1,5 @@
-"""What comparisons with one track and with several data sets say alike of their candidates."""
+"""What comparisons with one track and with several data sets say alike of
+their candidates."""
 
 from __future__ import annotations
 
@@ -17,8 +18,10 @@ from curlfit.numerics.threads import in_threads
 Progress = Callable[[str, int, int], None]
 
 _DIFFERENCES: dict[str, tuple[str, Callable[[list[float]], float]]] = {
-    "aicc": ("delta_aicc", min), "bic": ("delta_bic", min), "log_evidence": ("delta_evidence", max),
-}  # fmt: skip
+    "aicc": ("delta_aicc", min),
+    "bic": ("delta_bic", min),
+    "log_evidence": ("delta_evidence", max),
+}
 """The difference from the best by each criterion, and which value is the best."""
 
 
@@ -38,11 +41,16 @@ def described(
     """Its coefficients, and the sums of them that are determined."""
 
     def of(verdict: str) -> tuple[str, ...]:
-        return tuple(name for name, item in estimates.items() if item.verdict == verdict)
+        return tuple(
+            name for name, item in estimates.items() if item.verdict == verdict
+        )
 
     return {
         "coefficients": {
-            name: {key: getattr(item, key) for key in ("value", "stderr", "verdict", "unit")}
+            name: {
+                key: getattr(item, key)
+                for key in ("value", "stderr", "verdict", "unit")
+            }
             for name, item in estimates.items()
         },
         "combinations": tuple(
@@ -56,10 +64,15 @@ def described(
 
 
 def computed(
-    function: Callable[..., Any], fits: Sequence[Any], names: Iterable[str], done: int, total: int,
+    function: Callable[..., Any],
+    fits: Sequence[Any],
+    names: Iterable[str],
+    done: int,
+    total: int,
     progress: Progress | None,
-) -> list[Any]:  # fmt: skip
-    """What a function makes of each of several fits, in threads; its progress is told."""
+) -> list[Any]:
+    """What a function makes of each of several fits, in threads; its
+    progress is told."""
     found = []
     with in_threads(function, fits) as results:
         for place, name in enumerate(names, done):
@@ -84,12 +97,12 @@ def parted(found: Iterable[Any]) -> tuple[list[Any], list[Candidate]]:
 
 
 def ranked(known: Sequence[dict[str, Any]]) -> list[int]:
-    """Which candidates come first, of what is known of each; their ranks, differences from the best
-    and weights are added to that.
+    """Which candidates come first, of what is known of each; their ranks, differences
+    from the best and weights are added to that.
 
-    A law that does not follow what another follows comes after it: with a flexible noise model its
-    likelihood may be greater all the same. Differences of BIC below a tenth are meaningless: the
-    order of the request is kept.
+    A law that does not follow what another follows comes after it: with a flexible
+    noise model its likelihood may be greater all the same. Differences of BIC below a
+    tenth are meaningless: the order of the request is kept.
     """
     counts = [one["converged"] and not one["signs_free"] for one in known]
     followed = any(c and one["follows"] for c, one in zip(counts, known, strict=True))
@@ -97,10 +110,17 @@ def ranked(known: Sequence[dict[str, Any]]) -> list[int]:
 
     def place(row: int) -> tuple[bool, bool, bool, float]:
         one = known[row]
-        return one["signs_free"], not one["converged"], misses[row], round(one["bic"], 1)
+        return (
+            one["signs_free"],
+            not one["converged"],
+            misses[row],
+            round(one["bic"], 1),
+        )
 
     order = sorted(range(len(known)), key=place)
-    best = [known[row] for row in order if counts[row] and not misses[row]] or [known[order[0]]]
+    best = [known[row] for row in order if counts[row] and not misses[row]] or [
+        known[order[0]]
+    ]
     for name, (difference, best_of) in _DIFFERENCES.items():
         if name in best[0]:
             least = best_of([one[name] for one in best])

@@ -20,16 +20,18 @@ def compare(
     config: s.Config = None,
     output: Output = Output(),
 ) -> Saved:
-    """Fit many friction laws to one throw, or to several data sets at once, and rank them.
+    """Fit many friction laws to one throw, or to several data sets at once,
+    and rank them.
 
-    Each law is fitted within its own bounds; one that fails with a coefficient at zero is fitted
-    again with either sign allowed, which is shown and not ranked. Laws are ranked by BIC; with a
-    robust `--loss`, by that of the corresponding noise distribution. If residuals are independent,
-    the log evidence (dlnZ) and the expected log predictive density of leave-one-out (delpd, with
-    the standard error of the difference) are given too. `--fix`, `--bound` and `--start` hold
-    for the laws that have such a parameter.
-    Several files are tracks, tables of throws by stopwatch and tables of friction against speed, of
-    which one set of coefficients of each law must answer all.
+    Each law is fitted within its own bounds; one that fails with a coefficient at zero
+    is fitted again with either sign allowed, which is shown and not ranked. Laws are
+    ranked by BIC; with a robust `--loss`, by that of the corresponding noise
+    distribution. If residuals are independent, the log evidence (dlnZ) and the expected
+    log predictive density of leave-one-out (delpd, with the standard error of the
+    difference) are given too. `--fix`, `--bound` and `--start` hold for the laws that
+    have such a parameter.
+    Several files are tracks, tables of throws by stopwatch and tables of friction
+    against speed, of which one set of coefficients of each law must answer all.
     Writes `compare.json` and `compare.png`.
 
     Example: `curlfit compare data/jensen_shegelski_2004.csv --load both`
@@ -61,11 +63,17 @@ def _is_table_of_throws(file: Path, reading: Reading) -> bool:
     if reading.shot is not None or format_of(file, reading) != TIMINGS.name:
         return False
     parts = parts_of(file, reading)
-    return len(parts) > 1 and not any(getattr(one.throw, "has_path", True) for one in parts)
+    return len(parts) > 1 and not any(
+        getattr(one.throw, "has_path", True) for one in parts
+    )
 
 
 def _several(
-    data: Sequence[Path], flags: Comparing, reading: Reading, config: Path | None, output: Output
+    data: Sequence[Path],
+    flags: Comparing,
+    reading: Reading,
+    config: Path | None,
+    output: Output,
 ) -> Saved:
     """Compare laws on several data sets."""
     from curlfit.output.files import prepare_folder
@@ -78,11 +86,19 @@ def _several(
     items: list[Any] = []
     for file in data:
         items += (
-            [load_friction_table(file)] if is_friction_table(file) else load_throws(file, **how)
+            [load_friction_table(file)]
+            if is_friction_table(file)
+            else load_throws(file, **how)
         )
     single = len(data) == 1
-    usual = s.result_folder(data[0], "compare", reading) if single else Path("joint-compare")
-    return _compared(items, chosen, (prepare_folder(output.out or usual), drawn), output)
+    usual = (
+        s.result_folder(data[0], "compare", reading)
+        if single
+        else Path("joint-compare")
+    )
+    return _compared(
+        items, chosen, (prepare_folder(output.out or usual), drawn), output
+    )
 
 
 def _one_throw(
@@ -101,7 +117,9 @@ def _one_throw(
     unusual = require_plausible(cut)
     laws = [find_law(name) for name in chosen.laws] or list(LAWS.values())
     options = {**chosen.by_parameter, "start": chosen.start}
-    require_known(laws, {FLAGS.get(name, f"--{name}"): values for name, values in options.items()})
+    require_known(
+        laws, {FLAGS.get(name, f"--{name}"): values for name, values in options.items()}
+    )
     for law in laws:
         own = options_of(law, chosen.by_parameter)
         ParameterSet.for_throw(law, cut, swept=chosen.swept is not None, **own)
@@ -111,9 +129,12 @@ def _one_throw(
 
 
 def _compared(
-    data: Any, chosen: Comparing, saved: tuple[Path, FigureFiles], output: Output,
+    data: Any,
+    chosen: Comparing,
+    saved: tuple[Path, FigureFiles],
+    output: Output,
     remarks: Sequence[object] = (),
-) -> Saved:  # fmt: skip
+) -> Saved:
     """Compare laws on a throw, or on data sets, and write what was found."""
     from rich.progress import BarColumn, MofNCompleteColumn
 

@@ -1,11 +1,12 @@
-"""Comparison of laws on one throw: fits under one or several noise models, and their ranking.
+"""Comparison of laws on one throw: fits under one or several noise models, and
+their ranking.
 
-Each law is fitted within its own bounds. Where a coefficient is then at zero and the law does not
-follow the path, it is fitted once more with either sign allowed, to show what it would need; such
-a fit is listed but not ranked.
+Each law is fitted within its own bounds. Where a coefficient is then at zero and the
+law does not follow the path, it is fitted once more with either sign allowed, to show
+what it would need; such a fit is listed but not ranked.
 
-Fits are ranked by BIC, first those of laws that follow the path; the criteria are in `criteria`,
-and the test of whether a law follows the path in `adequacy`.
+Fits are ranked by BIC, first those of laws that follow the path; the criteria are in
+`criteria`, and the test of whether a law follows the path in `adequacy`.
 """
 
 from __future__ import annotations
@@ -19,7 +20,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.comparison.adequacy import Adequacy, adequacy, sides_of_curl
-from curlfit.comparison.candidates import Progress, about, computed, described, parted, ranked
+from curlfit.comparison.candidates import (
+    Progress,
+    about,
+    computed,
+    described,
+    parted,
+    ranked,
+)
 from curlfit.comparison.criteria import (
     criteria,
     effective_values,
@@ -48,13 +56,14 @@ from curlfit.throws.friction_table import FrictionTable
 from curlfit.throws.throw import Throw, require_path, require_throw
 
 _FAR = 5.0
-"""Times the residuals of another law, or the noise of an ordinary tracker, beyond which a law does
-not follow a path: 4.1 for the front-back law on the path of eq. 12, 7.7 where friction depends on
-the speed to the power -0.25."""
+"""Times the residuals of another law, or the noise of an ordinary tracker, beyond which
+a law does not follow a path: 4.1 for the front-back law on the path of eq. 12, 7.7
+where friction depends on the speed to the power -0.25."""
 
 
 class Fitted(NamedTuple):
-    """A fit, and what is known of its candidate, by field; more is added as fits are compared."""
+    """A fit, and what is known of its candidate, by field; more is added as fits
+    are compared."""
 
     known: dict[str, Any]
     result: FitResult
@@ -81,25 +90,27 @@ def compare(
     progress: Progress | None = None,
     **choices: Any,
 ) -> Comparison:
-    """Fit each law to a throw, under each noise model, and rank the fits by BIC; or to several data
-    sets at once.
+    """Fit each law to a throw, under each noise model, and rank the fits by BIC; or to
+    several data sets at once.
 
-    Of a list of throws and tables of friction, one set of coefficients of each law must answer all.
-    The timed throws of one file are one data set.
+    Of a list of throws and tables of friction, one set of coefficients of each law must
+    answer all. The timed throws of one file are one data set.
 
-    Parameters of a law (`fix`, `bounds`, `free`, `priors`, `start`) hold for the laws that have
-    them. With `unbounded`, the fits are ranked even so.
+    Parameters of a law (`fix`, `bounds`, `free`, `priors`, `start`) hold for the laws
+    that have them. With `unbounded`, the fits are ranked even so.
 
     Parameters
     ----------
-    laws : names or classes; by default curlfit's own except those that approximate another.
-    progress : called with the law being fitted, the number of fits done, and their total number.
+    laws : names or classes; by default curlfit's own except those that
+        approximate another.
+    progress : called with the law being fitted, the number of fits done, and their
+        total number.
     {choices}
 
     Raises
     ------
-    InputError : an unknown law, load, loss or noise; a name that no law has; or a throw that cannot
-        be fitted by any.
+    InputError : an unknown law, load, loss or noise; a name that no law has; or a throw
+        that cannot be fitted by any.
 
     Examples
     --------
@@ -133,7 +144,9 @@ def compare(
         progress("", len(fits), len(fits))
     made = _compared(*parted(chain(*found)), shared["family"])
     made = replace(made, lacking=_lacking(made, shared["family"]))
-    return replace(made, data={**made.data, "flags": [*throw.read_with, *chosen.words()]})
+    return replace(
+        made, data={**made.data, "flags": [*throw.read_with, *chosen.words()]}
+    )
 
 
 def _lacking(made: Comparison, family: type[LawFamily] | None) -> Lacking | None:
@@ -152,12 +165,15 @@ def _lacking(made: Comparison, family: type[LawFamily] | None) -> Lacking | None
 def _with_free_signs(
     throw: Throw, law: type[Law], choices: dict[str, Any]
 ) -> list[Fitted | Candidate]:
-    """The fit of a law and, where it needs a negative coefficient, the fit with that."""
+    """The fit of a law and, where it needs a negative coefficient, the
+    fit with that."""
     one = _fitted(throw, law, choices, signs_free=False)
     if isinstance(one, Candidate) or one.known["follows"] or choices["unbounded"]:
         return [one]
     at_zero = (
-        item.verdict == "at bound" and item.lower == 0 and item.value < 1e-6 * item.typical
+        item.verdict == "at bound"
+        and item.lower == 0
+        and item.value < 1e-6 * item.typical
         for item in one.result.coefficients.values()
     )
     if any(at_zero):
@@ -170,13 +186,19 @@ def _with_free_signs(
 def _fitted(
     throw: Throw, law: type[Law], choices: dict[str, Any], *, signs_free: bool
 ) -> Fitted | Candidate:
-    known = about(law, choices["load"]) | {"signs_free": signs_free, "noise": choices["noise"]}
+    known = about(law, choices["load"]) | {
+        "signs_free": signs_free,
+        "noise": choices["noise"],
+    }
     try:
         result = fit(throw, law, **choices)
     except UnusableFitError as error:
         return Candidate(**known, status=str(error))
     likelihood, adequate = log_likelihood(result), adequacy(result)
-    known |= {name: getattr(result, name) for name in ("status", "converged", "rms", "warnings")}
+    known |= {
+        name: getattr(result, name)
+        for name in ("status", "converged", "rms", "warnings")
+    }
     known |= described(result.coefficients, result.combinations) | {
         "noise_model": plain(result.noise),
         "n_parameters": number_of_parameters(result),
@@ -188,19 +210,23 @@ def _fitted(
         "fitted": {name: result.fitted[name].tolist() for name in PLACE},
     }
     if result.loss != "linear":
-        known["bulk"] = {name: robust_sigma(r) for name, r in residuals_of(result).items()}
+        known["bulk"] = {
+            name: robust_sigma(r) for name, r in residuals_of(result).items()
+        }
     return Fitted(known, result, likelihood, adequate)
 
 
 def _needed_negative(result: FitResult) -> tuple[str, ...]:
-    """Coefficients below zero at the point of the optimum, possibly a ridge, with the smallest sum
-    of negative parts."""
+    """Coefficients below zero at the point of the optimum, possibly a ridge, with the
+    smallest sum of negative parts."""
     from scipy.optimize import linprog
 
     names = [item.name for item in result.law_class.coefficients() if not item.signed]
     value = np.array([result.parameters[name].value for name in names])
     typical = np.array([result.parameters[name].typical for name in names])
-    ridge = np.array([[row.get(name, 0.0) for row in result.null_directions] for name in names])
+    ridge = np.array(
+        [[row.get(name, 0.0) for row in result.null_directions] for name in names]
+    )
     if ridge.size:
         # minimize the sum of s >= 0 subject to s >= -(value + ridge step)/typical
         p, d = ridge.shape
@@ -211,7 +237,9 @@ def _needed_negative(result: FitResult) -> tuple[str, ...]:
             bounds=[(None, None)] * d + [(0, None)] * p,
         )
         value = value + ridge @ found.x[:d]
-    return tuple(name for name, low in zip(names, value < -1e-6 * typical, strict=True) if low)
+    return tuple(
+        name for name, low in zip(names, value < -1e-6 * typical, strict=True) if low
+    )
 
 
 def _compared(
@@ -244,8 +272,8 @@ def _compared(
 
 
 def _follow(found: Sequence[Fitted]) -> None:
-    """No law follows the path that leaves far larger residuals than another, beyond the noise of an
-    ordinary tracker."""
+    """No law follows the path that leaves far larger residuals than another, beyond the
+    noise of an ordinary tracker."""
     able = [one for one in found if one.result.converged and not one.known["negative"]]
     for name, sigma in NOISE.items():
         sizes = [one.size[name] for one in able if name in one.size]
@@ -256,16 +284,22 @@ def _follow(found: Sequence[Fitted]) -> None:
 
 
 def _add_predictions(found: Sequence[Fitted], family: type[LawFamily] | None) -> None:
-    """Evidence and leave-one-out, which are valid for independent residuals only: a small effective
-    sample size does not determine the shape of a likelihood, and a row that is correlated with its
-    neighbours is predicted from them whatever the law."""
+    """Evidence and leave-one-out, which are valid for independent residuals only: a
+    small effective sample size does not determine the shape of a likelihood, and a row
+    that is correlated with its neighbours is predicted from them whatever the law."""
     for one in found:
-        one.known["log_evidence"] = log_evidence(one.result, one.known["log_likelihood"])
-    scored = [(one, score) for one in found if (score := leave_one_out(one.result, family))]
+        one.known["log_evidence"] = log_evidence(
+            one.result, one.known["log_likelihood"]
+        )
+    scored = [
+        (one, score) for one in found if (score := leave_one_out(one.result, family))
+    ]
     counted = [score for one, score in scored if one.counts]
     best = max(counted, key=lambda score: score.elpd, default=None)
     for one, score in scored:
-        one.known.update(elpd_loo=score.elpd, elpd_loo_se=score.stderr, p_loo=score.p_loo)
+        one.known.update(
+            elpd_loo=score.elpd, elpd_loo_se=score.stderr, p_loo=score.p_loo
+        )
         if best is not None:
             one.known["delta_elpd"] = score.elpd - best.elpd
             one.known["delta_elpd_se"] = standard_error(score.left_out - best.left_out)

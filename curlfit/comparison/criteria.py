@@ -1,34 +1,40 @@
-"""Criteria by which laws are ranked: AICc and BIC, evidence, and leave-one-out cross-validation.
+"""Criteria by which laws are ranked: AICc and BIC, evidence, and
+leave-one-out cross-validation.
 
-The number of parameters is that of what the path determines, not of what the law has or a prior
-says: their effective number (`effective_parameters`), plus one for each estimated parameter of the
-noise. Likelihoods are densities of the data in SI units, with the determinant of the covariance for
-correlated noise, so that AICc and BIC compare noise models as well as laws.
+The number of parameters is that of what the path determines, not of what the law has or
+a prior says: their effective number (`effective_parameters`), plus one for each
+estimated parameter of the noise. Likelihoods are densities of the data in SI units,
+with the determinant of the covariance for correlated noise, so that AICc and BIC
+compare noise models as well as laws.
 
-Where the residuals of the fit of greatest likelihood are correlated from row to row, the
-log-likelihood of each channel is weighted by its effective sample size, minus the number of
-parameters that this fit spends on it, over the number of its rows (quasi-likelihood, with the
-variance inflation estimated with n - p degrees of freedom: Burnham and Anderson 2002, sect. 2.5),
-for all candidates alike. This is an approximation, and the report says so.
+Where the residuals of the fit of greatest likelihood are correlated from row to row,
+the log-likelihood of each channel is weighted by its effective sample size, minus the
+number of parameters that this fit spends on it, over the number of its rows
+(quasi-likelihood, with the variance inflation estimated with n - p degrees of freedom:
+Burnham and Anderson 2002, sect. 2.5), for all candidates alike. This is an
+approximation, and the report says so.
 
-Under a robust loss the likelihood is that of the corresponding noise distribution, at its most
-likely sigma (see `losses.log_density`); all laws are fitted and ranked under the same loss.
+Under a robust loss the likelihood is that of the corresponding noise distribution, at
+its most likely sigma (see `losses.log_density`); all laws are fitted and ranked under
+the same loss.
 
 Evidence
 --------
-The likelihood of a law, averaged over the prior of its parameters. A parameter with a prior in the
-fit keeps it. Any other coefficient has a normal density about zero, truncated at its bounds, whose
-standard deviation is three times the larger of its typical size and its default: it specifies only
-the order of magnitude. The initial state, and conditions without a prior, have a flat density
-common to all laws, so that evidences for one throw are comparable and their ratios are Bayes
-factors (Kass and Raftery 1995).
+The likelihood of a law, averaged over the prior of its parameters. A parameter with a
+prior in the fit keeps it. Any other coefficient has a normal density about zero,
+truncated at its bounds, whose standard deviation is three times the larger of its
+typical size and its default: it specifies only the order of magnitude. The initial
+state, and conditions without a prior, have a flat density common to all laws, so that
+evidences for one throw are comparable and their ratios are Bayes factors (Kass and
+Raftery 1995).
 
-Chi squared is taken as quadratic (Laplace), which leaves a Gaussian integral over the box of the
-bounds. It is exact along ridges, where only the prior limits it, and at bounds: a parameter that
-the data push against its bound contributes the integral over its half-line, and the others the
-probability of the box under their joint normal density. A parameter p with a lognormal prior is
-replaced by its logarithm, q = p1 (1 + ln(p/p1)) about the estimate p1: the prior is normal in q,
-and the integral exact both where the data determine p and where only the prior does (MacKay 1998).
+Chi squared is taken as quadratic (Laplace), which leaves a Gaussian integral over the
+box of the bounds. It is exact along ridges, where only the prior limits it, and at
+bounds: a parameter that the data push against its bound contributes the integral over
+its half-line, and the others the probability of the box under their joint normal
+density. A parameter p with a lognormal prior is replaced by its logarithm, q = p1 (1 +
+ln(p/p1)) about the estimate p1: the prior is normal in q, and the integral exact both
+where the data determine p and where only the prior does (MacKay 1998).
 """
 
 from __future__ import annotations
@@ -50,13 +56,15 @@ from curlfit.throws.throw import CHANNELS
 
 NULL = 1e-13
 """Share of the largest singular value below which one is rounding error."""
-_ORDER = 3.0  # standard deviation of a coefficient's prior over its typical size or default
+# standard deviation of a coefficient's prior over its typical size or default
+_ORDER = 3.0
 _FAR = 8.0  # standard deviations within which a bound matters
 _LEAST = 1e-12  # smallest probability of a box, and stiffness
 
 
 class EffectiveValues(NamedTuple):
-    """Effective sample sizes with correlated residuals, from the fit of greatest likelihood."""
+    """Effective sample sizes with correlated residuals, from the fit of
+    greatest likelihood."""
 
     number: dict[str, float]
     """effective sample size of the channels whose residuals are correlated"""
@@ -65,23 +73,29 @@ class EffectiveValues(NamedTuple):
 
 
 def number_of_parameters(result: FitResult) -> float:
-    """Number of parameters that the data determine: of the law and the initial state, the estimated
-    sigmas, and the noise model's own (distinct correlation times, independent shares, sizes of a
-    discrepancy)."""
+    """Number of parameters that the data determine: of the law and the initial state,
+    the estimated sigmas, and the noise model's own (distinct correlation times,
+    independent shares, sizes of a discrepancy)."""
     noise = result.noise
     correlated = {name: memory for name, memory in noise.memory.items() if memory}
-    own = len({*correlated.values()}) + len(correlated.keys() & noise.white) + len(noise.sizes)
+    own = (
+        len({*correlated.values()})
+        + len(correlated.keys() & noise.white)
+        + len(noise.sizes)
+    )
     return effective_parameters(result) + len(result.sigma) + own
 
 
 def residuals_of(result: FitResult) -> dict[str, Floats]:
     """Measured - fitted by channel, where measured."""
-    return {name: values[np.isfinite(values)] for name, values in result.residuals.items()}
+    return {
+        name: values[np.isfinite(values)] for name, values in result.residuals.items()
+    }
 
 
 def log_likelihood(result: FitResult) -> dict[str, float]:
-    """Log-likelihood at the fit, by channel, under the noise model or the loss; an estimated sigma
-    is at its most likely value."""
+    """Log-likelihood at the fit, by channel, under the noise model or the loss; an
+    estimated sigma is at its most likely value."""
     problem, _ = problem_of(result)
     weight, whitener, found = problem.weight, problem.whitener, {}
     residual = np.zeros(weight.shape)
@@ -90,22 +104,28 @@ def log_likelihood(result: FitResult) -> dict[str, float]:
             values = result.residuals[name]
             residual[row, : len(values)] = np.nan_to_num(values)
     white = np.asarray(whitened(residual * weight, whitener))
-    determinant = np.zeros(len(weight)) if whitener is None else whitener.log_determinant()
+    determinant = (
+        np.zeros(len(weight)) if whitener is None else whitener.log_determinant()
+    )
     for row, name in enumerate(CHANNELS):
         if name in result.residuals:
             there = weight[row] > 0
             own = white[row, there]
             scale = likeliest_sigma(own, result.loss) if name in result.sigma else 1.0
-            density = log_density(own / scale, result.loss) + np.log(weight[row, there] / scale)
+            density = log_density(own / scale, result.loss) + np.log(
+                weight[row, there] / scale
+            )
             found[name] = float(density.sum() + determinant[row])
     return found
 
 
 def effective_values(result: FitResult) -> EffectiveValues:
-    """Effective sample sizes of the channels whose residuals are correlated from row to row.
+    """Effective sample sizes of the channels whose residuals are correlated
+    from row to row.
 
-    n (1 - r)/(1 + r) (Bayley and Hammersley 1946). A fit of p parameters to n rows reduces the
-    correlation r of neighbours by (2 r + p (1 + r))/n (Marriott and Pope 1954, for a mean).
+    n (1 - r)/(1 + r) (Bayley and Hammersley 1946). A fit of p parameters to n rows
+    reduces the correlation r of neighbours by (2 r + p (1 + r))/n (Marriott and Pope
+    1954, for a mean).
     """
     found, p = {}, effective_parameters(result) / len(result.rms)
     for name, residual in residuals_of(result).items():
@@ -119,19 +139,22 @@ def effective_values(result: FitResult) -> EffectiveValues:
 def criteria(
     result: FitResult, likelihood: Mapping[str, float], effective: EffectiveValues
 ) -> dict[str, float]:
-    """AICc (Hurvich and Tsai 1989) and BIC (Schwarz 1978), from the log-likelihood of each channel,
-    weighted by its effective sample size.
+    """AICc (Hurvich and Tsai 1989) and BIC (Schwarz 1978), from the log-likelihood of
+    each channel, weighted by its effective sample size.
 
-    The penalty of BIC is that of the effective sample size. The small-sample correction of AICc is
-    that of the number of values: where residuals are correlated, the effective sample size is often
-    less than k + 2, and the correction would be infinite.
+    The penalty of BIC is that of the effective sample size. The small-sample
+    correction of AICc is that of the number of values: where residuals are
+    correlated, the effective sample size is often less than k + 2, and the correction
+    would be infinite.
     """
     k, n = number_of_parameters(result), result.n_observations
     twice = values = 0.0
     for name, residual in residuals_of(result).items():
         rows = len(residual)
         number = effective.number.get(name, rows)
-        counted = max(number - effective.spent, 1.0) if name in effective.number else rows
+        counted = (
+            max(number - effective.spent, 1.0) if name in effective.number else rows
+        )
         twice += 2 * likelihood[name] * counted / rows
         values += number
     correction = 2 * k * (k + 1) / max(n - k - 1, 1)
@@ -147,8 +170,8 @@ class NormalFactors(NamedTuple):
 
 
 class Quadratic(NamedTuple):
-    """A function b d - d A d/2 of parameters minus their estimates, in units in which the diagonal
-    of A is 1."""
+    """A function b d - d A d/2 of parameters minus their estimates, in units in which
+    the diagonal of A is 1."""
 
     size: Floats
     """of these units"""
@@ -174,8 +197,8 @@ class Quadratic(NamedTuple):
 
 
 class Posterior(NamedTuple):
-    """The log-posterior about the estimates of a fit to second order, under the priors of the
-    module docstring, and in its coordinates."""
+    """The log-posterior about the estimates of a fit to second order, under the priors
+    of the module docstring, and in its coordinates."""
 
     estimates: Floats
     lower: Floats
@@ -195,12 +218,21 @@ class Posterior(NamedTuple):
         _, slope, square = result.parameter_set.penalty.quadratic(result.values)
         information -= np.diag(square[free])
         gradient += slope[free]
-        mean, sd, lower, upper = np.array([_prior(result, name) for name in known["names"]]).T
-        at_bound = [result.parameters[name].verdict == "at bound" for name in known["names"]]
+        mean, sd, lower, upper = np.array(
+            [_prior(result, name) for name in known["names"]]
+        ).T
+        at_bound = [
+            result.parameters[name].verdict == "at bound" for name in known["names"]
+        ]
         return cls(
-            result.values[free], lower, upper, NormalFactors(mean, 1 / sd**2), information,
-            gradient, np.array(at_bound),
-        )  # fmt: skip
+            result.values[free],
+            lower,
+            upper,
+            NormalFactors(mean, 1 / sd**2),
+            information,
+            gradient,
+            np.array(at_bound),
+        )
 
     @property
     def away(self) -> Floats:
@@ -209,14 +241,15 @@ class Posterior(NamedTuple):
 
     @property
     def inward(self) -> Floats:
-        """Sign of the direction in which each parameter leaves its bound; 0 away from bounds."""
+        """Sign of the direction in which each parameter leaves its bound; 0 away
+        from bounds."""
         lower = self.estimates - self.lower < self.upper - self.estimates
         return np.where(self.at_bound, np.where(lower, 1.0, -1.0), 0.0)
 
 
 def _prior(result: FitResult, name: str) -> tuple[float, float, float, float]:
-    """Mean and standard deviation of the prior of a parameter, infinite where it is flat, and its
-    bounds, as described in the module docstring."""
+    """Mean and standard deviation of the prior of a parameter, infinite where it is
+    flat, and its bounds, as described in the module docstring."""
     item, prior = result.parameters[name], result.parameter_set.priors.get(name)
     bounds = item.lower, item.upper
     if prior is None:
@@ -235,32 +268,39 @@ def _prior(result: FitResult, name: str) -> tuple[float, float, float, float]:
 
 
 def log_evidence(result: FitResult, log_likelihood: float) -> float:
-    """Logarithm of the evidence, up to a constant that is the same for all laws, from the
-    log-likelihood at the fit."""
+    """Logarithm of the evidence, up to a constant that is the same for all laws, from
+    the log-likelihood at the fit."""
     known = Posterior.of(result)
     (mean, precision), off = known.prior, known.away
     total = log_likelihood - 0.5 * float(off @ (precision * off))
     for name, prior in result.parameter_set.priors.items():
         if prior.kind == "uniform":
-            total -= math.log(result.parameters[name].upper - result.parameters[name].lower)
+            total -= math.log(
+                result.parameters[name].upper - result.parameters[name].lower
+            )
     normal = precision > 0
     root = np.sqrt(precision[normal])
     ends = ((end - mean)[normal] * root for end in (known.lower, known.upper))
     total += float((np.log(root / np.sqrt(2 * np.pi)) - _log_between(*ends)).sum())
     return total + _log_integral(
-        known.gradient + precision * off, known.information + np.diag(precision),
-        known.lower - known.estimates, known.upper - known.estimates, known.at_bound,
-    )  # fmt: skip
+        known.gradient + precision * off,
+        known.information + np.diag(precision),
+        known.lower - known.estimates,
+        known.upper - known.estimates,
+        known.at_bound,
+    )
 
 
 def effective_parameters(result: FitResult) -> float:
-    """Number of parameters away from their bounds that the data rather than the prior determine:
-    the trace of J^T J (J^T J + P)^-1, P the precision of the prior."""
+    """Number of parameters away from their bounds that the data rather than the prior
+    determine: the trace of J^T J (J^T J + P)^-1, P the precision of the prior."""
     known = Posterior.of(result)
     free = ~known.at_bound
     information, prior = known.information[free][:, free], known.prior.precision[free]
     whole = Quadratic.of(known.gradient[free], information + np.diag(prior))
-    return float(np.trace(whole.inverse() @ (information / np.outer(whole.size, whole.size))))
+    return float(
+        np.trace(whole.inverse() @ (information / np.outer(whole.size, whole.size)))
+    )
 
 
 def _log_between(low: Any, high: Any) -> Any:
@@ -272,7 +312,8 @@ def _log_between(low: Any, high: Any) -> Any:
 def _log_integral(
     linear: Floats, precision: Floats, lower: Floats, upper: Floats, pushed: Booleans
 ) -> float:
-    """Logarithm of the integral of exp(b d - d A d/2) over a box of d, parameters minus estimates.
+    """Logarithm of the integral of exp(b d - d A d/2) over a box of d, parameters
+    minus estimates.
 
     b is `linear`, A `precision`.
     """
@@ -288,7 +329,9 @@ def _log_integral(
     # Each pushed parameter over its half-line, with the others following.
     for index in np.flatnonzero(pushed):
         push, stiffness = quadratic.alone(index, inner)
-        total += push**2 / (2 * stiffness) + float(log_ndtr(-abs(push) / math.sqrt(stiffness)))
+        total += push**2 / (2 * stiffness) + float(
+            log_ndtr(-abs(push) / math.sqrt(stiffness))
+        )
         total += 0.5 * math.log(2 * math.pi / stiffness) - math.log(size[index])
     return total
 
@@ -305,7 +348,7 @@ def _log_box(mean: Floats, covariance: Floats, lower: Floats, upper: Floats) -> 
     from scipy.stats import multivariate_normal  # slow to load, and few boxes need it
 
     some = np.ix_(near, near)
-    found = multivariate_normal(mean[near], covariance[some], allow_singular=True, seed=1).cdf(
-        upper[near], lower_limit=lower[near]
-    )
+    found = multivariate_normal(
+        mean[near], covariance[some], allow_singular=True, seed=1
+    ).cdf(upper[near], lower_limit=lower[near])
     return math.log(max(float(found), _LEAST))

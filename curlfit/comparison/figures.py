@@ -7,7 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from curlfit.comparison.result import COMPONENTS, FOLLOWS, Candidate, Comparison, Lacking
+from curlfit.comparison.result import (
+    COMPONENTS,
+    FOLLOWS,
+    Candidate,
+    Comparison,
+    Lacking,
+)
 from curlfit.output import figures as draw
 
 _MOST = 4  # other laws drawn
@@ -15,7 +21,8 @@ _MOST = 4  # other laws drawn
 
 @draw.style()
 def comparison_figure(comparison: Comparison) -> draw.Picture:
-    """All fitted paths over the data, their residuals of x, and the size of residuals by channel.
+    """All fitted paths over the data, their residuals of x, and the size of
+    residuals by channel.
 
     Of several data sets: chi squared per degree of freedom by law and set.
 
@@ -40,7 +47,9 @@ def comparison_figure(comparison: Comparison) -> draw.Picture:
 
     path.plot(y[some], x[some], **draw.DATA_STYLE, label="data")
     for place, (item, style) in enumerate(zip(shown, styles, strict=True)):
-        fitted = {name: np.array(values) for name, values in (item.fitted or {}).items()}
+        fitted = {
+            name: np.array(values) for name, values in (item.fitted or {}).items()
+        }
         style |= {"lw": 1.5 if item.follows else 0.9, "zorder": 3 + len(shown) - place}
         name = item.label if item.rank is None else f"{item.rank}. {item.label}"
         name += ", law alone" * ("discrepancy" in item.noise)
@@ -55,7 +64,9 @@ def comparison_figure(comparison: Comparison) -> draw.Picture:
     _sizes(dots, shown, "rms" if comparison.loss == "linear" else "bulk")
     panels = [path, residual]
     if lacking is not None:
-        by_label = {item.label: style for item, style in zip(shown, styles, strict=True)}
+        by_label = {
+            item.label: style for item, style in zip(shown, styles, strict=True)
+        }
         below: Any = rows[2].subgridspec(1, len(COMPONENTS)).subplots()
         _lacking(below, lacking, by_label)
         panels.append(below[0])
@@ -66,10 +77,15 @@ def comparison_figure(comparison: Comparison) -> draw.Picture:
     return figure
 
 
-def _lacking(panels: Any, lacking: Lacking, styles: Mapping[str, dict[str, Any]]) -> None:
-    """What the path has beyond the first law against speed, and what others would add."""
+def _lacking(
+    panels: Any, lacking: Lacking, styles: Mapping[str, dict[str, Any]]
+) -> None:
+    """What the path has beyond the first law against speed, and what
+    others would add."""
     some = sorted(lacking.others, key=lacking.size)[:_MOST]
-    for row, (axes, (name, unit)) in enumerate(zip(panels, COMPONENTS.items(), strict=True)):
+    for row, (axes, (name, unit)) in enumerate(
+        zip(panels, COMPONENTS.items(), strict=True)
+    ):
         lacks, error = lacking.lacks[row], lacking.stderr[row]
         for times, alpha in ((1.96, 0.3), (1.0, 0.5)):
             band = lacks - times * error, lacks + times * error
@@ -77,19 +93,25 @@ def _lacking(panels: Any, lacking: Lacking, styles: Mapping[str, dict[str, Any]]
         axes.plot(lacking.speed, lacks, color="0.25", lw=1)
         ends = axes.get_ylim()
         for label in some:
-            axes.plot(lacking.speed, lacking.others[label][row], **styles[label] | {"lw": 0.9})
+            axes.plot(
+                lacking.speed, lacking.others[label][row], **styles[label] | {"lw": 0.9}
+            )
         axes.set_ylim(ends)
         axes.axhline(0, **draw.ZERO_LINE)
         axes.set(xlabel="speed (m/s)", ylabel=f"{name} ({unit})")
-    draw.title(panels[0], f"What the path has beyond {draw.literal(lacking.law)}", loc="left")
+    draw.title(
+        panels[0], f"What the path has beyond {draw.literal(lacking.law)}", loc="left"
+    )
 
 
 def _figure_of_sets(comparison: Comparison) -> draw.Picture:
-    """Chi squared per degree of freedom of each law on each data set: filled with the coefficients
-    that all sets have in common, open with those of the set alone."""
+    """Chi squared per degree of freedom of each law on each data set: filled with the
+    coefficients that all sets have in common, open with those of the set alone."""
     shown = [item for item in comparison.candidates if item.sets]
     count, rows = len(comparison.sets), np.arange(len(shown))
-    figure = draw.Picture(figsize=(draw.WIDTH, 1.3 + 0.22 * len(shown)), layout="constrained")
+    figure = draw.Picture(
+        figsize=(draw.WIDTH, 1.3 + 0.22 * len(shown)), layout="constrained"
+    )
     panels: Any = figure.subplots(1, count, sharey=True, squeeze=False)[0]
     for number, (axes, one) in enumerate(zip(panels, comparison.sets, strict=True)):
         each = [item.sets[number] for item in shown]
@@ -106,20 +128,34 @@ def _figure_of_sets(comparison: Comparison) -> draw.Picture:
         draw.title(axes, draw.file_name(one.name))
     _name_rows(panels[0], shown)
     handles = panels[0].get_legend_handles_labels()
-    figure.legend(*handles, loc="outside lower center", ncols=2,
-                  title="grey: within 1.5 times the noise; bold: follows all")  # fmt: skip
+    figure.legend(
+        *handles,
+        loc="outside lower center",
+        ncols=2,
+        title="grey: within 1.5 times the noise; bold: follows all",
+    )
     return figure
 
 
 def _sizes(axes: Any, shown: list[Candidate], size: str) -> None:
     """Sizes of the residuals of each candidate, by row."""
-    marks = {"x": ("o", "white", "mm"), "y": ("s", "0.15", "mm"), "phi": ("^", "0.7", "mrad")}
+    marks = {
+        "x": ("o", "white", "mm"),
+        "y": ("s", "0.15", "mm"),
+        "phi": ("^", "0.7", "mrad"),
+    }
     for name, (marker, filling, unit) in marks.items():
         values = [1000 * item.residual_size.get(name, np.nan) for item in shown]
         axes.plot(
-            values, range(len(shown)), marker, color="0.15", markerfacecolor=filling,
-            markersize=4.5, markeredgewidth=0.9, label=f"${draw.CHANNEL_LABEL[name]}$ ({unit})",
-        )  # fmt: skip
+            values,
+            range(len(shown)),
+            marker,
+            color="0.15",
+            markerfacecolor=filling,
+            markersize=4.5,
+            markeredgewidth=0.9,
+            label=f"${draw.CHANNEL_LABEL[name]}$ ({unit})",
+        )
     _name_rows(axes, shown)
     axes.set_xscale("log")
     axes.set_xlabel(f"{size} of the residuals\nbold: follows the path")

@@ -1,24 +1,27 @@
-"""How well a law predicts rows that it was not fitted to: leave-one-out cross-validation.
+"""How well a law predicts rows that it was not fitted to: leave-one-out
+cross-validation.
 
-The expected log pointwise predictive density, elpd_loo = sum_i log p(y_i | y_-i), its standard
-error and the effective number of parameters p_loo = sum_i [log p(y_i | y) - log p(y_i | y_-i)] are
-those of Vehtari, Gelman and Gabry (2017, Statistics and Computing 27, 1413), eqs. 4, 23 and 24. A
-point i is a row, with all channels that were measured in it. Priors are those of the evidence.
+The expected log pointwise predictive density, elpd_loo = sum_i log p(y_i | y_-i), its
+standard error and the effective number of parameters p_loo = sum_i [log p(y_i | y) -
+log p(y_i | y_-i)] are those of Vehtari, Gelman and Gabry (2017, Statistics and
+Computing 27, 1413), eqs. 4, 23 and 24. A point i is a row, with all channels that were
+measured in it. Priors are those of the evidence.
 
-If the path is linear in the parameters within their errors, no row has to be left out explicitly.
-For residuals e in units of their sigma and the hat matrix H of all rows,
+If the path is linear in the parameters within their errors, no row has to be left out
+explicitly. For residuals e in units of their sigma and the hat matrix H of all rows,
 
     e_-i = (I - H_ii)^-1 e_i,    cov(e_-i) = (I - H_ii)^-1
 
-are the residual of a row from the fit to all others and its covariance (Cook and Weisberg 1982,
-sect. 2.2). Where sigma is estimated, the density is Student's t with n_c - p_c - 1 degrees of
-freedom in channel c, p_c being the sum of the leverages of its values, and sigma is estimated
-without the row. The bound that a parameter is pushed against is replaced by a normal factor that
-gives its density the same mean and variance (expectation propagation: Minka 2001).
+are the residual of a row from the fit to all others and its covariance (Cook and
+Weisberg 1982, sect. 2.2). Where sigma is estimated, the density is Student's t with
+n_c - p_c - 1 degrees of freedom in channel c, p_c being the sum of the leverages of its
+values, and sigma is estimated without the row. The bound that a parameter is pushed
+against is replaced by a normal factor that gives its density the same mean and variance
+(expectation propagation: Minka 2001).
 
-If residuals are correlated from row to row, a row is predicted from its neighbours, whatever the
-law; a robust loss has no closed form; and a row that alone determines a parameter is not predicted
-by the others at all.
+If residuals are correlated from row to row, a row is predicted from its neighbours,
+whatever the law; a robust loss has no closed form; and a row that alone determines a
+parameter is not predicted by the others at all.
 """
 
 from __future__ import annotations
@@ -72,10 +75,12 @@ def standard_error(pointwise: Floats) -> float:
     return float(np.sqrt(n * pointwise.var(ddof=1))) if n > 1 else 0.0
 
 
-def leave_one_out(result: FitResult, family: type[LawFamily] | None = None) -> LeaveOneOut | None:
-    """Cross-validation of a fit, by the program of a family of laws; None under a robust loss or
-    correlated noise, where a row alone determines a parameter, and where the law admits no motion
-    near the fit."""
+def leave_one_out(
+    result: FitResult, family: type[LawFamily] | None = None
+) -> LeaveOneOut | None:
+    """Cross-validation of a fit, by the program of a family of laws; None under a
+    robust loss or correlated noise, where a row alone determines a parameter, and where
+    the law admits no motion near the fit."""
     if result.loss != "linear" or result.noise.kind != "white":
         return None
     known, where = Posterior.of(result), result.parameter_set.free
@@ -95,29 +100,38 @@ def leave_one_out(result: FitResult, family: type[LawFamily] | None = None) -> L
         return np.where(there, path * weight, 0.0)
 
     residual = problem.observed[:, :n] * weight - weighted(values)
-    jacobian = slopes(weighted, values, step, where, lower=parameters.lower, upper=parameters.upper)
+    jacobian = slopes(
+        weighted, values, step, where, lower=parameters.lower, upper=parameters.upper
+    )
     if not (np.isfinite(residual).all() and np.isfinite(jacobian).all()):
         return None
     precision, away = known.prior.precision, known.away
     design = jacobian.reshape(-1, len(away))
     factors = _bound_factors(
-        design.T @ design + np.diag(precision), design.T @ residual.ravel() + precision * away,
+        design.T @ design + np.diag(precision),
+        design.T @ residual.ravel() + precision * away,
         known.inward,
-    )  # fmt: skip
+    )
     roots = np.sqrt(np.stack([precision, factors.precision]))
     return densities(
-        residual, jacobian, weight, (roots[..., None] * np.eye(len(away))).reshape(-1, len(away)),
+        residual,
+        jacobian,
+        weight,
+        (roots[..., None] * np.eye(len(away))).reshape(-1, len(away)),
         (roots * np.stack([away, factors.mean])).ravel(),
         np.array([name in result.sigma for name in CHANNELS[:channels]]),
-    )  # fmt: skip
+    )
 
 
-def _bound_factors(precision: Floats, gradient: Floats, inward: Floats) -> NormalFactors:
-    """Normal factors, about the estimates, that replace the bounds of parameters at a bound.
+def _bound_factors(
+    precision: Floats, gradient: Floats, inward: Floats
+) -> NormalFactors:
+    """Normal factors, about the estimates, that replace the bounds of
+    parameters at a bound.
 
-    With all others integrated out, the density of the distance d from the bound is proportional to
-    exp(-push d - s d^2/2), d > 0: with a = push/sqrt(s) and l = phi(a)/Phi(-a), its mean is
-    (l - a)/sqrt(s) and its variance (1 - l (l - a))/s.
+    With all others integrated out, the density of the distance d from the bound is
+    proportional to exp(-push d - s d^2/2), d > 0: with a = push/sqrt(s) and l =
+    phi(a)/Phi(-a), its mean is (l - a)/sqrt(s) and its variance (1 - l (l - a))/s.
 
     Parameters
     ----------
@@ -131,12 +145,17 @@ def _bound_factors(precision: Floats, gradient: Floats, inward: Floats) -> Norma
         push = max(-inward[row] * slope, 0.0)
         a = push / np.sqrt(stiffness)
         ratio = np.exp(_log_normal(a) - log_ndtr(-a))
-        mean, variance = (ratio - a) / np.sqrt(stiffness), (1 - ratio * (ratio - a)) / stiffness
+        mean, variance = (
+            (ratio - a) / np.sqrt(stiffness),
+            (1 - ratio * (ratio - a)) / stiffness,
+        )
         if a > _HARD:  # an exponential density, without the rounding error of ratio - a
             mean, variance = 1 / push, 1 / push**2
         extra = 1 / variance - stiffness
         found.precision[row] = extra * quadratic.size[row] ** 2
-        found.mean[row] = inward[row] * (mean / variance + push) / extra / quadratic.size[row]
+        found.mean[row] = (
+            inward[row] * (mean / variance + push) / extra / quadratic.size[row]
+        )
     return found
 
 
@@ -154,17 +173,24 @@ def _log_student(u: Floats, dof: Floats) -> Floats:
 
 
 def densities(
-    residual: Floats, jacobian: Floats, weight: Floats,
-    prior_rows: Floats, prior_residual: Floats, estimated: Booleans,
-) -> LeaveOneOut | None:  # fmt: skip
-    """Log predictive densities in a linear model; None where a row alone determines a parameter.
+    residual: Floats,
+    jacobian: Floats,
+    weight: Floats,
+    prior_rows: Floats,
+    prior_residual: Floats,
+    estimated: Booleans,
+) -> LeaveOneOut | None:
+    """Log predictive densities in a linear model; None where a row alone determines
+    a parameter.
 
     Parameters
     ----------
-    residual, jacobian : measured - fitted over sigma, and the derivative of fitted over sigma by
-        the parameters; shapes (channels, n) and (channels, n, parameters), 0 where not observed.
+    residual, jacobian : measured - fitted over sigma, and the derivative of fitted over
+        sigma by the parameters; shapes (channels, n) and (channels, n, parameters), 0
+        where not observed.
     weight : 1/sigma, 0 where not observed, shape (channels, n).
-    prior_rows, prior_residual : the same of the prior, shapes (rows, parameters) and (rows,).
+    prior_rows, prior_residual : the same of the prior, shapes (rows, parameters)
+        and (rows,).
     estimated : channels whose sigma is estimated.
     """
     channels, n, count = jacobian.shape
@@ -172,7 +198,9 @@ def densities(
     # Orthonormal columns: J^T J without a row is then 1 - Q_i^T Q_i.
     design = np.concatenate([jacobian.reshape(-1, count), prior_rows])
     size = np.sqrt((design**2).sum(0))
-    left, singular, _ = np.linalg.svd(design / np.where(size > 0, size, 1.0), full_matrices=False)
+    left, singular, _ = np.linalg.svd(
+        design / np.where(size > 0, size, 1.0), full_matrices=False
+    )
     basis = left[:, singular > NULL * singular.max(initial=0.0)]
     away = np.concatenate([residual.ravel(), prior_residual])
     e = (away - basis @ (basis.T @ away))[: channels * n].reshape(channels, n)
@@ -183,7 +211,8 @@ def densities(
         return None
     covariance = np.linalg.inv(left_over)
     e_out = np.einsum("icd,di->ci", covariance, e)
-    # Without row i the parameters change by -Q_i^T e_-i, and the sums of squares accordingly.
+    # Without row i the parameters change by -Q_i^T e_-i, and the sums of
+    # squares accordingly.
     change = np.einsum("cik,ci->ik", q, e_out)
     gradient = np.einsum("cik,ci->ck", q, e)
     information = np.einsum("cik,cil->ckl", q, q)

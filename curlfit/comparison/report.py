@@ -13,7 +13,12 @@ from rich.text import Text
 
 from curlfit.comparison.report_of_sets import document_of_sets
 from curlfit.comparison.result import COMPONENTS, Candidate, Comparison
-from curlfit.comparison.tables import coefficients_table, difference, ranked_row, summary
+from curlfit.comparison.tables import (
+    coefficients_table,
+    difference,
+    ranked_row,
+    summary,
+)
 from curlfit.foreign import counted
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Said, Section, command_line, show
@@ -21,8 +26,9 @@ from curlfit.output.text import compact, join_words, rows_text, stone_text
 
 _PROBABLE = 0.01  # weight of a law that is named
 _SEEN = 3.0  # standard errors
-_ELPD = 4.0  # below which differences and their errors are unreliable (Sivula, Magnusson, Matamoros
+# below which differences and their errors are unreliable (Sivula, Magnusson, Matamoros
 # and Vehtari 2020, Uncertainty in Bayesian leave-one-out)
+_ELPD = 4.0
 
 
 def print_comparison(comparison: Comparison, console: Console | None = None) -> None:
@@ -44,8 +50,14 @@ def document(comparison: Comparison) -> Document:
     first, *others = conclusions(comparison)
     count = len(comparison.candidates)
     loss = "" if comparison.loss == "linear" else f", {comparison.loss} loss"
-    noise = "" if comparison.noise == "white" else f", {join_words(comparison.noises)} noise"
-    bend = f"to the {comparison.side}" if comparison.side else "no more than its scatter"
+    noise = (
+        ""
+        if comparison.noise == "white"
+        else f", {join_words(comparison.noises)} noise"
+    )
+    bend = (
+        f"to the {comparison.side}" if comparison.side else "no more than its scatter"
+    )
     curl = f"curls {bend}: {comparison.curl:.3g} m (rms) off a straight line"
     fits = f"{counted(count, 'fit')} to {data['file']}{loss}{noise}"
     return Document(
@@ -58,9 +70,16 @@ def document(comparison: Comparison) -> Document:
         ),
         sections=(
             Section("laws", "The laws", (_ranks(comparison),)),
-            Section("coefficients", "Coefficients", (coefficients_table(comparison),), brief=False),
+            Section(
+                "coefficients",
+                "Coefficients",
+                (coefficients_table(comparison),),
+                brief=False,
+            ),
             Section("conclusions", "What follows", (Said(first), *others)),
-            Section("lacking", "What the first law lacks", _lacking(comparison), brief=False),
+            Section(
+                "lacking", "What the first law lacks", _lacking(comparison), brief=False
+            ),
         ),
         warnings=[_about_correlation(comparison)] if comparison.effective else (),
         title=f"{Path(data['file']).name}: which law?",
@@ -74,7 +93,8 @@ def document(comparison: Comparison) -> Document:
 
 
 def _lacking(comparison: Comparison) -> tuple[Any, ...]:
-    """Where the path has most beyond the first law, and which other law would add it."""
+    """Where the path has most beyond the first law, and which other law
+    would add it."""
     found = comparison.lacking
     if found is None:
         return ()
@@ -88,19 +108,22 @@ def _lacking(comparison: Comparison) -> tuple[Any, ...]:
                 "lacking": name,
                 ">most": f"{compact(lacks, error)} {unit}",
                 ">std. errors": f"{abs(by_error[row, at]):.1f}",
-                ">at v": f"{found.speed[at]:.2f} m/s", ">spin": f"{found.omega[at]:.2f} rad/s",
+                ">at v": f"{found.speed[at]:.2f} m/s",
+                ">spin": f"{found.omega[at]:.2f} rad/s",
                 ">of the law's": f"{100 * abs(lacks) / whole:.2g} %" if whole else "",
             }
-        )  # fmt: skip
+        )
     table = PlainTable(rows, "Accelerations that the path has beyond the first law")
     if np.abs(by_error).max() < _SEEN:
         said = (
-            f"The path shows nothing that {found.law} lacks: all within {_SEEN:g} standard errors."
+            f"The path shows nothing that {found.law} lacks: all within {_SEEN:g} "
+            "standard errors."
         )
     elif found.nearest:
         said = (
-            f"{found.nearest} would leave least of what {found.law} lacks: a mean square of "
-            f"{found.size(found.nearest):.3g} of {found.size():.3g}, in standard errors."
+            f"{found.nearest} would leave least of what {found.law} lacks: "
+            f"a mean square of {found.size(found.nearest):.3g} of {found.size():.3g}, "
+            "in standard errors."
         )
     else:
         said = f"No other law has half of what {found.law} lacks."
@@ -117,22 +140,28 @@ def _ranks(comparison: Comparison) -> PlainTable:
     measure, by = "rms", ""
     if comparison.loss != "linear":
         measure = "robust scale"
-        by = f" BIC and AICc are those of the noise distribution of the {comparison.loss} loss."
+        by = (
+            " BIC and AICc are those of the noise distribution of the "
+            f"{comparison.loss} loss."
+        )
     criteria = "dlnZ: log evidence minus the largest; " * evidence
     if any(item.delta_elpd is not None for item in candidates):
         criteria += (
-            "delpd: expected log predictive density of leave-one-out (elpd_loo) minus the largest, "
-            "with the standard error of that in its last two digits; "
+            "delpd: expected log predictive density of leave-one-out (elpd_loo) minus "
+            "the largest, with the standard error of that in its last two digits; "
         )
     note = Text(
         "k: effective number of parameters, including those of the noise; "
-        f"{criteria}x, y, phi: {measure} of the residuals; curl: fraction of the curl explained; "
-        "ccw curls: sides to which the law can curl a counter-clockwise stone. A law follows the "
-        "path if no residual exceeds a tenth of the deviation from uniform straight-line motion, "
-        f"or the noise, nor five times that of another law.{by}",
+        f"{criteria}x, y, phi: {measure} of the residuals; curl: "
+        "fraction of the curl explained; ccw curls: sides to which the law can curl "
+        "a counter-clockwise stone. A law follows the path if no residual exceeds "
+        "a tenth of the deviation from uniform straight-line motion, or the noise, "
+        f"nor five times that of another law.{by}",
         style="dim",
     )
-    return PlainTable(rows, "The laws, best first by BIC", keys=4 if several else 3, note=note)
+    return PlainTable(
+        rows, "The laws, best first by BIC", keys=4 if several else 3, note=note
+    )
 
 
 def _fitted(item: Candidate, *, evidence: bool) -> dict[str, Any]:
@@ -140,24 +169,30 @@ def _fitted(item: Candidate, *, evidence: bool) -> dict[str, Any]:
     if item.rms is None:
         return {"follows": Text("no fit", style="red")}
     size = item.residual_size
-    criterion, other = ("dlnZ", item.delta_evidence) if evidence else ("dAICc", item.delta_aicc)
+    criterion, other = (
+        ("dlnZ", item.delta_evidence) if evidence else ("dAICc", item.delta_aicc)
+    )
     elpd = difference(item.delta_elpd)
     if item.delta_elpd_se:
         elpd = compact(item.delta_elpd or 0.0, item.delta_elpd_se)
     return {
-        f">{criterion}": difference(other), ">delpd": elpd,
+        f">{criterion}": difference(other),
+        ">delpd": elpd,
         **{
             f">{name} ({unit})": f"{1000 * size[name]:.3g}" if name in size else ""
             for name, unit in (("x", "mm"), ("y", "mm"), ("phi", "mrad"))
         },
         ">curl": "" if item.curl_explained is None else _share(item.curl_explained),
-        "follows": _FOLLOWS[item.follows], "ccw curls": " or ".join(item.sides) or "neither way",
-    }  # fmt: skip
+        "follows": _FOLLOWS[item.follows],
+        "ccw curls": " or ".join(item.sides) or "neither way",
+    }
 
 
 _FOLLOWS = {
-    True: Text("yes", style="green"), None: Text("unclear"), False: Text("no", style="yellow"),
-}  # fmt: skip
+    True: Text("yes", style="green"),
+    None: Text("unclear"),
+    False: Text("no", style="yellow"),
+}
 
 
 def _share(value: float) -> str:
@@ -171,26 +206,36 @@ def conclusions(comparison: Comparison) -> list[str]:
     fitted = [item for item in comparison.candidates if item.rms is not None]
     within = [item for item in fitted if not item.signs_free]
     following, unclear = (
-        "; ".join(item.label for item in within if item.follows is follows and not item.negative)
+        "; ".join(
+            item.label
+            for item in within
+            if item.follows is follows and not item.negative
+        )
         for follows in (True, None)
     )
     isotropic = [item for item in within if item.isotropic]
     weights = {item.label: item.weight for item in within if item.weight is not None}
     predicted = [item for item in within if item.rank and item.delta_elpd is not None]
     lines = [
-        f"Laws that follow the path within their bounds: {following}." if following else "",
-        "Laws of which it is unclear whether they follow the path, as their residuals may be "
-        f"correlated noise: {unclear}." if unclear else "",
+        f"Laws that follow the path within their bounds: {following}."
+        if following
+        else "",
+        "Laws of which it is unclear whether they follow the path, "
+        f"as their residuals may be correlated noise: {unclear}."
+        if unclear
+        else "",
         "" if following or unclear else "No law follows the path within its bounds.",
         _about_isotropic(isotropic) if isotropic else "",
         *(
-            f"{item.label}: follows the path only with negative {join_words(item.negative)}."
-            for item in fitted if item.negative and item.follows
+            f"{item.label}: follows the path only with negative "
+            f"{join_words(item.negative)}."
+            for item in fitted
+            if item.negative and item.follows
         ),
         _about_evidence(weights) if weights else "",
         _about_predictions(predicted) if predicted else "",
         _about_noise(comparison) if len(comparison.noises) > 1 else "",
-    ]  # fmt: skip
+    ]
     return [line for line in lines if line]
 
 
@@ -200,8 +245,9 @@ def _about_evidence(weights: Mapping[str, float]) -> str:
     named = [label for label in ordered if weights[label] > _PROBABLE] or ordered[:1]
     said = join_words([f"{label} {_share(weights[label])}" for label in named])
     return (
-        "Posterior probabilities from the evidence, with equal prior probabilities of the "
-        f"{len(weights)} laws: {said}. They hold among these laws only; possibly none is correct."
+        "Posterior probabilities from the evidence, with equal prior probabilities "
+        f"of the {len(weights)} laws: {said}. They hold among these laws only; "
+        "possibly none is correct."
     )
 
 
@@ -213,41 +259,50 @@ def _about_predictions(ranked: list[Candidate]) -> str:
         for item in others
         if -(item.delta_elpd or 0.0) < max(_ELPD, 2 * (item.delta_elpd_se or 0.0))
     ]
-    said = f"does not distinguish {best.label} from {'; '.join(same)}" if same else (
-        f"prefers {best.label} to all others"
-    )  # fmt: skip
+    said = (
+        f"does not distinguish {best.label} from {'; '.join(same)}"
+        if same
+        else (f"prefers {best.label} to all others")
+    )
     return f"Leave-one-out {said}: {_ELPD:g} or two standard errors apart would count."
 
 
 def _about_noise(comparison: Comparison) -> str:
-    """The noise model of the best fit, and how far the best fits of the others are from it."""
+    """The noise model of the best fit, and how far the best fits of the others
+    are from it."""
     best, others = comparison.best, []
     for name in comparison.noises:
-        own = (item for item in comparison.candidates if item.noise == name and item.rank)
+        own = (
+            item for item in comparison.candidates if item.noise == name and item.rank
+        )
         if name != best.noise and (first := next(own, None)):
-            others.append(f"; with {name} noise it is {difference(first.delta_bic)} higher")
+            others.append(
+                f"; with {name} noise it is {difference(first.delta_bic)} higher"
+            )
     return (
-        f"The lowest BIC is that of {best.noise} noise ({best.label}){''.join(others)}. The log "
-        "evidence is not given, because the parameters of the noise have no prior, nor is "
-        "leave-one-out, which would predict a row of correlated noise from its neighbours."
+        f"The lowest BIC is that of {best.noise} noise "
+        f"({best.label}){''.join(others)}. The log evidence is not given, "
+        "because the parameters of the noise have no prior, nor is leave-one-out, "
+        "which would predict a row of correlated noise from its neighbours."
     )
 
 
 def _about_correlation(comparison: Comparison) -> str:
-    """That a ranking with correlated residuals is unreliable, and its effective sample sizes."""
+    """That a ranking with correlated residuals is unreliable, and its effective
+    sample sizes."""
     worth = []
     for name, count in comparison.effective.items():
         values = comparison.observed.get(name, [])
         rows = sum(value is not None and math.isfinite(value) for value in values)
         worth.append(f"{count:.0f}{f' of {rows}' * bool(rows)} in {name}")
     return (
-        "the ranking is not reliable. Even the law that fits best leaves residuals that are "
-        "correlated from row to row. The likelihoods in dBIC and dAICc are weighted by effective "
-        f"sample sizes ({', '.join(worth)}), an approximation; correlated noise alone can put a "
-        "wrong law first"
+        "the ranking is not reliable. Even the law that fits best leaves residuals "
+        "that are correlated from row to row. The likelihoods in dBIC and dAICc are "
+        f"weighted by effective sample sizes ({', '.join(worth)}), an approximation; "
+        "correlated noise alone can put a wrong law first"
     ) + (len(comparison.noises) == 1) * (
-        ". The log evidence and leave-one-out, which assume independent residuals, are not "
-        "given. Use --noise white,ar1 to compare noise models"
+        ". The log evidence and leave-one-out, which assume independent residuals, "
+        "are not given. Use --noise white,ar1 to compare noise models"
     )
 
 
@@ -259,10 +314,13 @@ def _about_isotropic(isotropic: list[Candidate]) -> str:
     if any(item.follows is None for item in positive):
         return f"Whether isotropic {enough} is unclear."
     text = (
-        "No isotropic law (friction opposite to sliding at every point) with non-negative "
-        "coefficients follows the path"
+        "No isotropic law (friction opposite to sliding at every point) with "
+        "non-negative coefficients follows the path"
     )
     best = max(positive, key=lambda item: item.curl_explained or 0.0, default=None)
     if best is None or best.curl_explained is None:
         return f"{text}."
-    return f"{text}; the closest explains {_share(best.curl_explained)} of the curl ({best.label})."
+    return (
+        f"{text}; the closest explains {_share(best.curl_explained)} of the "
+        f"curl ({best.label})."
+    )

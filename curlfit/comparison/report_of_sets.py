@@ -9,7 +9,12 @@ from typing import Any
 from rich.text import Text
 
 from curlfit.comparison.result import Candidate, Comparison, SetOfData
-from curlfit.comparison.tables import coefficients_table, difference, ranked_row, summary
+from curlfit.comparison.tables import (
+    coefficients_table,
+    difference,
+    ranked_row,
+    summary,
+)
 from curlfit.foreign import counted
 from curlfit.output.console import Items, PlainTable
 from curlfit.output.document import Document, Said, Section, command_line
@@ -31,11 +36,15 @@ def document_of_sets(comparison: Comparison) -> Document:
         headline=Text(f"{laws}: {files}", style="bold"),
         about=[_about(one) for one in sets],
         sections=(
-            Section("laws", "The laws", (_ranks(comparison), *[_alone(comparison)] * many)),
+            Section(
+                "laws", "The laws", (_ranks(comparison), *[_alone(comparison)] * many)
+            ),
             Section("against", "What speaks against each law", (_against(comparison),)),
             Section(
-                "coefficients", "Coefficients",
-                (coefficients_table(comparison), *[_determined(comparison)] * many), brief=False,
+                "coefficients",
+                "Coefficients",
+                (coefficients_table(comparison), *[_determined(comparison)] * many),
+                brief=False,
             ),
             Section("conclusions", "What follows", (Said(first), *others)),
         ),
@@ -45,7 +54,7 @@ def document_of_sets(comparison: Comparison) -> Document:
         command=command_line(
             "compare", *(one.name for one in sets), *comparison.data.get("flags", ())
         ),
-    )  # fmt: skip
+    )
 
 
 def short(one: SetOfData) -> str:
@@ -54,8 +63,12 @@ def short(one: SetOfData) -> str:
 
 
 def _about(one: SetOfData) -> str:
-    count = {"track": "track", "friction": "friction"}.get(one.kind, counted(one.throws, "throw"))
-    fewer = f", worth {one.effective:.0f} independent ones" * (one.effective < one.values - 0.5)
+    count = {"track": "track", "friction": "friction"}.get(
+        one.kind, counted(one.throws, "throw")
+    )
+    fewer = f", worth {one.effective:.0f} independent ones" * (
+        one.effective < one.values - 0.5
+    )
     return f"{one.name}: {count}, {counted(one.values, 'value')}{fewer}"
 
 
@@ -63,9 +76,9 @@ def _noise(one: SetOfData) -> str:
     sigma = ", ".join(f"{name} {value:.2g}" for name, value in one.sigma.items())
     tracker = ", or that of an ordinary tracker where that is correlated and smaller"
     return (
-        f"{short(one)}: sigma is not given and taken for all laws to be the least that any leaves "
-        f"({one.noise_of}){tracker * (one.kind == 'track')}: {sigma}"
-        f"{' (m, rad)' * (one.kind == 'track')}"
+        f"{short(one)}: sigma is not given and taken for all laws to be the least "
+        f"that any leaves ({one.noise_of}){tracker * (one.kind == 'track')}: "
+        f"{sigma}{' (m, rad)' * (one.kind == 'track')}"
     )
 
 
@@ -81,21 +94,28 @@ def _ranks(comparison: Comparison) -> PlainTable:
             said = _per_value(on.chi_squared, on.dof)
             if len(comparison.sets) > 1:
                 said += f" ({_per_value(on.own_chi_squared, on.own_dof)})"
-            row[f">{short(one)}"] = Text(said, style="green" if on.follows else "yellow")
+            row[f">{short(one)}"] = Text(
+                said, style="green" if on.follows else "yellow"
+            )
         if item.p_together is not None:
             row["one ice"] = p_text(item.p_together)
-        row["follows"] = Text(item.status, style="red") if not item.sets else _follows(item)
+        row["follows"] = (
+            Text(item.status, style="red") if not item.sets else _follows(item)
+        )
         rows.append(row)
     note = (
-        "Under each data set: chi squared per degree of freedom with the coefficients that all "
-        "have in common, and in parentheses with those of the set alone. one ice: the probability "
-        "that common coefficients raise chi squared as much by chance. A law follows if each is "
-        "within what chance or 1.5 times the noise makes it, and p is above 0.001."
+        "Under each data set: chi squared per degree of freedom with the coefficients "
+        "that all have in common, and in parentheses with those of the set alone. "
+        "one ice: the probability that common coefficients raise chi squared as much "
+        "by chance. A law follows if each is within what chance or 1.5 times the "
+        "noise makes it, and p is above 0.001."
         if len(comparison.sets) > 1
-        else "Under the data set: chi squared per degree of freedom. A law follows if it is within "
-        "what chance or 1.5 times the noise makes it."
+        else "Under the data set: chi squared per degree of freedom. A law follows if "
+        "it is within what chance or 1.5 times the noise makes it."
     )
-    return PlainTable(rows, "The laws, best first", keys=3, note=Text(note, style="dim"))
+    return PlainTable(
+        rows, "The laws, best first", keys=3, note=Text(note, style="dim")
+    )
 
 
 def _follows(item: Candidate) -> Text:
@@ -123,7 +143,11 @@ def _against(comparison: Comparison) -> PlainTable:
     for item in comparison.candidates:
         said = []
         for one, on in zip(comparison.sets, item.sets, strict=False):
-            far = [f"{what} by {abs(off):.2g}" for what, off in on.largest if abs(off) > _FAR]
+            far = [
+                f"{what} by {abs(off):.2g}"
+                for what, off in on.largest
+                if abs(off) > _FAR
+            ]
             if far and not on.follows:
                 said.append(Text(f"{short(one)}: {join_words(far)} sigma"))
         if said:
@@ -155,16 +179,20 @@ def _conclusions(comparison: Comparison) -> list[str]:
         if several and not item.follows and all(on.own_follows for on in item.sets)
     ]
     lines = [
-        f"Laws that follow {what}: {'; '.join(found)}." if found else f"No law follows {what}."
+        f"Laws that follow {what}: {'; '.join(found)}."
+        if found
+        else f"No law follows {what}."
     ]
     if apart:
         lines.append(
-            f"Laws that follow each data set alone, but not all with the same coefficients: "
-            f"{'; '.join(apart)}."
+            "Laws that follow each data set alone, but not all with the same "
+            f"coefficients: {'; '.join(apart)}."
         )
     for number, one in enumerate(comparison.sets):
         if several and not any(item.sets[number].own_follows for item in items):
-            lines.append(f"No law follows {short(one)}, even with coefficients of its own.")
+            lines.append(
+                f"No law follows {short(one)}, even with coefficients of its own."
+            )
     lines += _gained(items[:1], comparison.sets) if several else []
     return lines
 
@@ -174,13 +202,15 @@ def _gained(items: Sequence[Candidate], sets: Sequence[SetOfData]) -> list[str]:
     lines = []
     for item in items:
         known = {
-            name for name, one in (item.coefficients or {}).items()
+            name
+            for name, one in (item.coefficients or {}).items()
             if one["verdict"] in ("determined", "weak")
-        } | {one["expression"] for one in item.combinations}  # fmt: skip
+        } | {one["expression"] for one in item.combinations}
         alone = {name for on in item.sets for name in on.determined}
         if new := sorted(known - alone):
             lines.append(
-                f"{item.label}: {join_words(new)} by all data sets together, by none alone."
+                f"{item.label}: {join_words(new)} by all data sets "
+                "together, by none alone."
             )
         for one, on in zip(sets, item.sets, strict=True):
             lines.append(

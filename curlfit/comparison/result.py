@@ -17,7 +17,8 @@ from curlfit.stone import Stone
 
 PLACE = ("x", "y", "phi")
 FOLLOWS = 1.5**2
-"""Chi squared per degree of freedom of a law that follows a data set: 1.5 times the noise."""
+"""Chi squared per degree of freedom of a law that follows a data set: 1.5
+times the noise."""
 
 
 _Coefficient = Annotated[
@@ -27,10 +28,15 @@ _Sum = Annotated[dict[str, Any], keys(expression=str, value=float, stderr=float 
 _Noise = Annotated[
     dict[str, Any],
     keys(
-        False, kind=str, memory=dict[str, float], white=dict[str, float], sizes=dict[str, float],
-        independent=dict[str, float], initial_state=list[list[float]],
+        False,
+        kind=str,
+        memory=dict[str, float],
+        white=dict[str, float],
+        sizes=dict[str, float],
+        independent=dict[str, float],
+        initial_state=list[list[float]],
     ),
-]  # fmt: skip
+]
 
 
 @dataclass(frozen=True)
@@ -39,13 +45,14 @@ class OnSet:
 
     Attributes
     ----------
-    chi_squared, dof : with the coefficients that all data sets have in common, and degrees of
-        freedom: values less the parameters spent on them. own_chi_squared, own_dof : with the
-        coefficients that are best for this set alone.
-    follows, own_follows : whether chi squared is no more than expected, or than 1.5 times the noise
-        makes it.
-    rank, determined : number of coefficients, or sums of them, that this set determines beside the
-        others, and their names.
+    chi_squared, dof : with the coefficients that all data sets have in common, and
+        degrees of freedom: values less the parameters spent on
+        them. own_chi_squared, own_dof : with the coefficients that are best for
+        this set alone.
+    follows, own_follows : whether chi squared is no more than expected, or than 1.5
+        times the noise makes it.
+    rank, determined : number of coefficients, or sums of them, that this set determines
+        beside the others, and their names.
     largest : the largest residuals by name, (model - data)/sigma.
     own_delta_bic : BIC for this set alone, minus the smallest of all laws.
     """
@@ -70,8 +77,10 @@ class SetOfData:
     ----------
     name, kind : of its file; "track", "throws" or "friction".
     throws, values : number of throws, and of measured values.
-    effective : effective number of values, where residuals are correlated from row to row.
-    sigma : estimated standard deviations by channel, SI; noise_of : the laws that leave them.
+    effective : effective number of values, where residuals are correlated
+        from row to row.
+    sigma : estimated standard deviations by channel, SI; noise_of : the laws
+        that leave them.
     """
 
     name: str
@@ -89,48 +98,53 @@ class Candidate:
 
     Attributes
     ----------
-    law, load : the law's name, and the load on the contact ring ("-" for a law without a ring).
+    law, load : the law's name, and the load on the contact ring ("-" for a law
+        without a ring).
     isotropic : whether friction opposes sliding at every point of the ring (eq. 3-4).
-    signs_free : whether coefficients may have either sign, contrary to the law's own bounds.
+    signs_free : whether coefficients may have either sign, contrary to the
+        law's own bounds.
     status, converged : of the fit; without a fit, all that follows is None or empty.
     coefficients : by name, {"value", "stderr", "verdict", "unit"}; see `FitResult`.
     combinations : expression and value, where single coefficients are not identifiable.
     noise, noise_model : the noise model's name, and its parameters as in `fit.json`.
-    n_parameters : effective number (see `curlfit.comparison.criteria`), including the estimated
-        ones of the noise.
-    rms : by channel, m, m, rad. bulk : the scale of the bulk of the residuals (1.4826 times their
-        median size), under a robust loss.
-    curl_explained : fraction of the path's curl that the law explains, at most 1; None where the
-        path has no curl beyond its scatter.
-    follows : whether each channel's residual is within a tenth of its departure from uniform
-        straight motion, or within its noise, and not five times that of another law; None where
-        correlated noise may explain the residual.
+    n_parameters : effective number (see `curlfit.comparison.criteria`), including the
+        estimated ones of the noise.
+    rms : by channel, m, m, rad. bulk : the scale of the bulk of the residuals (1.4826
+        times their median size), under a robust loss.
+    curl_explained : fraction of the path's curl that the law explains, at most 1; None
+        where the path has no curl beyond its scatter.
+    follows : whether each channel's residual is within a tenth of its departure from
+        uniform straight motion, or within its noise, and not five times that of another
+        law; None where correlated noise may explain the residual.
     log_likelihood : under the noise model and the loss.
-    aicc, bic : information criteria, from likelihoods weighted by effective sample sizes (see
-        `Comparison.effective`); the penalty of BIC is that of the effective sample size, the
-        small-sample correction of AICc that of the number of values.
-    log_evidence : of the likelihood averaged over the prior, up to a constant common to all; None
-        where residuals are correlated from row to row, or if noise models are compared.
-    elpd_loo, elpd_loo_se, p_loo : expected log predictive density of leave-one-out, its standard
-        error, and its effective number of parameters (see `curlfit.comparison.criteria`);
-        None where residuals are correlated from row to row, under a robust loss and for noise
-        other than white.
+    aicc, bic : information criteria, from likelihoods weighted by effective sample
+        sizes (see `Comparison.effective`); the penalty of BIC is that of the effective
+        sample size, the small-sample correction of AICc that of the number of values.
+    log_evidence : of the likelihood averaged over the prior, up to a constant common
+        to all; None where residuals are correlated from row to row, or if noise models
+        are compared.
+    elpd_loo, elpd_loo_se, p_loo : expected log predictive density of leave-one-out, its
+        standard error, and its effective number of parameters (see
+        `curlfit.comparison.criteria`); None where residuals are correlated from row to
+        row, under a robust loss and for noise other than white.
     delta_aicc, delta_bic : aicc and bic minus the smallest of the ranked candidates.
-        delta_evidence : log evidence minus the largest of these. delta_elpd, delta_elpd_se :
-        elpd_loo minus the largest of these, and the standard error of that difference, from the
-        differences by row.
-    weight : posterior probability of the law from its evidence, with equal prior probabilities of
-        the ranked candidates; None if not ranked.
-    rank : by BIC among the candidates within their laws' bounds, from 1; None if not ranked.
-    sides : to which sides the law can curl a slowing counter-clockwise stone on this path, within
-        its bounds: a subset of ("left", "right").
-    negative : coefficients fitted below zero, except those for which either sign is natural, such
-        as exponents.
+        delta_evidence : log evidence minus the largest of these. delta_elpd,
+            delta_elpd_se :
+        elpd_loo minus the largest of these, and the standard error of that difference,
+        from the differences by row.
+    weight : posterior probability of the law from its evidence, with equal prior
+        probabilities of the ranked candidates; None if not ranked.
+    rank : by BIC among the candidates within their laws' bounds, from 1; None
+        if not ranked.
+    sides : to which sides the law can curl a slowing counter-clockwise stone on this
+        path, within its bounds: a subset of ("left", "right").
+    negative : coefficients fitted below zero, except those for which either sign is
+        natural, such as exponents.
     at_bound, not_identifiable : names.
     warnings : of the fit.
-    sets, p_together : on each of several data sets, and the probability of a larger rise of chi
-        squared by common coefficients if the law is right; `follows` then says whether it follows
-        all sets with these.
+    sets, p_together : on each of several data sets, and the probability of a larger
+        rise of chi squared by common coefficients if the law is right; `follows` then
+        says whether it follows all sets with these.
     """
 
     law: str
@@ -200,8 +214,9 @@ class Lacking:
     ----------
     law : label of the candidate.
     speed, omega : of the stone, m/s and rad/s, shape (n,).
-    of_law : accelerations by the law there, to the right of the motion, along it, and angular,
-        shape (3, n). lacks, stderr : what the path has beyond them, and its standard error.
+    of_law : accelerations by the law there, to the right of the motion, along it, and
+        angular, shape (3, n). lacks, stderr : what the path has beyond them, and its
+        standard error.
     others : what other laws add to them, by label.
     """
 
@@ -214,7 +229,8 @@ class Lacking:
     others: dict[str, Matrix] = field(default_factory=dict, metadata=SERIES)
 
     def significance(self, other: str = "") -> Floats:
-        """What is lacking over its standard error, or what another law would leave of it."""
+        """What is lacking over its standard error, or what another law would
+        leave of it."""
         left = self.lacks - self.others[other] if other else self.lacks
         return left / np.maximum(self.stderr, np.finfo(float).tiny)
 
@@ -224,23 +240,26 @@ class Lacking:
 
     @property
     def nearest(self) -> str:
-        """The other law that would leave the least; empty if none leaves less than half."""
+        """The other law that would leave the least; empty if none leaves
+        less than half."""
         least = min(self.others, key=self.size, default="")
         return least if least and self.size(least) < self.size() / 2 else ""
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Comparison(Record):
-    """Candidates, best first: those ranked, then those fitted beyond their bounds, then failures.
+    """Candidates, best first: those ranked, then those fitted beyond their bounds,
+    then failures.
 
-    `data` describes what was fitted; `curl` is the path's lateral departure from a straight line in
-    m (rms), and `side` the side to which it bends, seen along the motion. `observed` has t, x, y,
-    phi. `loss` is how much large residuals counted, `noise` the noise models, separated by commas.
-    `effective` is the effective sample size by channel where the residuals of the fit of greatest
-    likelihood are correlated from row to row; otherwise empty.
+    `data` describes what was fitted; `curl` is the path's lateral departure from a
+    straight line in m (rms), and `side` the side to which it bends, seen along the
+    motion. `observed` has t, x, y, phi. `loss` is how much large residuals counted,
+    `noise` the noise models, separated by commas. `effective` is the effective sample
+    size by channel where the residuals of the fit of greatest likelihood are correlated
+    from row to row; otherwise empty.
     `lacking` is what the first law lacks, if the path shows it.
-    `fits` are the full results in the order of the candidates, and empty when read from a file.
-    Of several data sets, `sets` describes these, and there is no path.
+    `fits` are the full results in the order of the candidates, and empty when read from
+    a file. Of several data sets, `sets` describes these, and there is no path.
 
     Examples
     --------
@@ -283,10 +302,13 @@ class Comparison(Record):
         signs_free: bool = False,
         noise: str | None = None,
     ) -> Candidate:
-        """The candidate of a law; with several noise models the best, unless one is named.
-        Raises KeyError if there is none."""
+        """The candidate of a law; with several noise models the best, unless one is
+        named. Raises KeyError if there is none."""
         for item in self.candidates:
-            same = (item.law, item.signs_free) == (law, signs_free) and item.load in (load, "-")
+            same = (item.law, item.signs_free) == (law, signs_free) and item.load in (
+                load,
+                "-",
+            )
             if same and noise in (None, item.noise):
                 return item
         raise KeyError(f"{law}, {load}" + (f", {noise}" if noise else ""))
@@ -300,23 +322,41 @@ class Comparison(Record):
             if one.sets:
                 require("candidates", len(one.sets) == len(self.sets), "all data sets")
             if one.fitted is not None:
-                require("candidates", one.fitted.keys() == set(PLACE), "fitted x, y and phi")
+                require(
+                    "candidates", one.fitted.keys() == set(PLACE), "fitted x, y and phi"
+                )
                 require_rows("candidates", one.fitted, len(self.observed["t"]))
 
     def to_frame(self) -> Any:
-        """The candidates as a pandas DataFrame, one row each, best first; sizes in m and rad.
+        """The candidates as a pandas DataFrame, one row each, best first; sizes
+        in m and rad.
 
         Raises
         ------
         InputError : pandas is not installed.
         """
         same = (
-            "law", "load", "signs_free", "rank", "converged", "status", "n_parameters", "delta_bic",
-            "delta_aicc", "delta_evidence", "weight", "curl_explained", "follows",
-        )  # fmt: skip
-        columns = {name: [getattr(item, name) for item in self.candidates] for name in same}
+            "law",
+            "load",
+            "signs_free",
+            "rank",
+            "converged",
+            "status",
+            "n_parameters",
+            "delta_bic",
+            "delta_aicc",
+            "delta_evidence",
+            "weight",
+            "curl_explained",
+            "follows",
+        )
+        columns = {
+            name: [getattr(item, name) for item in self.candidates] for name in same
+        }
         for name in PLACE:
-            columns[f"rms_{name}"] = [(item.rms or {}).get(name) for item in self.candidates]
+            columns[f"rms_{name}"] = [
+                (item.rms or {}).get(name) for item in self.candidates
+            ]
         return frame(columns)
 
 

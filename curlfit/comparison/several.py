@@ -1,12 +1,14 @@
-"""Comparison of laws on several data sets, all of which one set of coefficients must answer.
+"""Comparison of laws on several data sets, all of which one set of coefficients
+must answer.
 
-The noise of a data set without sigma is the least that any law leaves on this set alone, for all
-laws alike. Where that is correlated it counts as its effective sample size; where it is smaller
-than the noise of an ordinary tracker too, it is what the laws miss, and sigma is the latter. A
-common optimum is thus one of weighted least squares, and the rise of chi squared from the optima of
-the sets alone tests whether they agree under a law: it has as many degrees of freedom as these
-determine more parameters than the common one (Maltoni and Schwetz 2003, Testing the statistical
-compatibility of independent data sets).
+The noise of a data set without sigma is the least that any law leaves on this set
+alone, for all laws alike. Where that is correlated it counts as its effective sample
+size; where it is smaller than the noise of an ordinary tracker too, it is what the laws
+miss, and sigma is the latter. A common optimum is thus one of weighted least squares,
+and the rise of chi squared from the optima of the sets alone tests whether they agree
+under a law: it has as many degrees of freedom as these determine more parameters than
+the common one (Maltoni and Schwetz 2003, Testing the statistical compatibility of
+independent data sets).
 """
 
 from __future__ import annotations
@@ -19,7 +21,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import chdtrc, chdtri
 
-from curlfit.comparison.candidates import Progress, about, computed, described, parted, ranked
+from curlfit.comparison.candidates import (
+    Progress,
+    about,
+    computed,
+    described,
+    parted,
+    ranked,
+)
 from curlfit.comparison.result import FOLLOWS, Candidate, Comparison, OnSet, SetOfData
 from curlfit.errors import InputError, UnusableFitError
 from curlfit.friction.family import family_of
@@ -33,7 +42,8 @@ from curlfit.settings.choices import Comparing
 from curlfit.throws.friction_table import FrictionTable
 from curlfit.throws.throw import Throw
 
-_CHANCE = 0.01  # probability of a larger chi squared, where few values make larger ones likely
+# probability of a larger chi squared, where few values make larger ones likely
+_CHANCE = 0.01
 _AGREE = 0.001  # the same, for the rise of chi squared by common coefficients
 _LARGEST = 3  # residuals that are named
 
@@ -57,10 +67,17 @@ def compare_sets(
     InputError : as `compare`; a choice that holds for one track alone.
     """
     sets = data_sets(items)
-    for name, usual in (("loss", "linear"), ("noise", ("white",)), ("priors", {}), ("free", ())):
+    for name, usual in (
+        ("loss", "linear"),
+        ("noise", ("white",)),
+        ("priors", {}),
+        ("free", ()),
+    ):
         value = getattr(chosen, name)
         if (tuple(value) if isinstance(value, list) else value) != usual:
-            raise InputError(f"{name}: expected it with one track; several data sets have none")
+            raise InputError(
+                f"{name}: expected it with one track; several data sets have none"
+            )
     todo = laws_under(chosen.laws, chosen.load)
     family = family_of(law for law, _ in todo)
 
@@ -76,7 +93,9 @@ def compare_sets(
     noise, of_laws = _common_noise(found)
     names, fits = [one.law.law.name for one in found], [(one, noise) for one in found]
     made = computed(_judged, fits, names, len(todo), total, progress)
-    least = np.min([[item.own_delta_bic for item in one["sets"]] for one in made], axis=0)
+    least = np.min(
+        [[item.own_delta_bic for item in one["sets"]] for one in made], axis=0
+    )
     for one in made:
         one["sets"] = tuple(
             replace(item, own_delta_bic=float(item.own_delta_bic - low))
@@ -86,19 +105,33 @@ def compare_sets(
     first = found[0].law
     return Comparison(
         data={
-            "file": ", ".join(one.name for one in sets), "rows": int(first.counts().sum()),
-            "from": 0.0, "to": 0.0, "law_file": None, "since": None, "until": None, "exclude": [],
-            "swept": None, "sigma": {}, "notes": [], "flags": chosen.words(),
+            "file": ", ".join(one.name for one in sets),
+            "rows": int(first.counts().sum()),
+            "from": 0.0,
+            "to": 0.0,
+            "law_file": None,
+            "since": None,
+            "until": None,
+            "exclude": [],
+            "swept": None,
+            "sigma": {},
+            "notes": [],
+            "flags": chosen.words(),
         },
-        stone=first.rounds.throws[0].stone, curl=0.0, side=None, candidates=candidates,
+        stone=first.rounds.throws[0].stone,
+        curl=0.0,
+        side=None,
+        candidates=candidates,
         observed={name: [] for name in ("t", "x", "y", "phi")},
         sets=tuple(_described(first, k, noise, of_laws[k]) for k in range(len(sets))),
-    )  # fmt: skip
+    )
 
 
-def _deviance(found: Solution, weight: Floats, unknown: Booleans, count: Floats) -> Floats:
-    """-2 log-likelihood of each throw or table, up to a constant that all laws share; an unknown
-    sigma has its likeliest value."""
+def _deviance(
+    found: Solution, weight: Floats, unknown: Booleans, count: Floats
+) -> Floats:
+    """-2 log-likelihood of each throw or table, up to a constant that all laws share;
+    an unknown sigma has its likeliest value."""
     chi, largest = (found.residual**2).sum(-1), weight.max(-1)
     seen = count > 0
     some = np.where(seen, chi, 1.0) / np.where(seen, count * largest**2, 1.0)
@@ -107,25 +140,34 @@ def _deviance(found: Solution, weight: Floats, unknown: Booleans, count: Floats)
 
 
 def _common_noise(found: Sequence[_Alone]) -> tuple[Noise, list[str]]:
-    """The least noise of each throw or table and channel that any law leaves on its data set alone;
-    and these laws, by data set."""
+    """The least noise of each throw or table and channel that any law leaves on its
+    data set alone; and these laws, by data set."""
     first, laws = found[0].law, [one.law.law.name for one in found]
     own = first.owner, np.arange(len(first.owner))
     noises = ([noise for _, noise in one.each] for one in found)
-    each = [Noise(*(np.stack(part)[own] for part in zip(*one, strict=True))) for one in noises]
+    each = [
+        Noise(*(np.stack(part)[own] for part in zip(*one, strict=True)))
+        for one in noises
+    ]
     sizes = np.nan_to_num([one.sigma for one in each], nan=np.inf)
     least = sizes.argmin(0)[None]
-    best_of = [np.take_along_axis(np.array(part), least, 0)[0] for part in zip(*each, strict=True)]
+    best_of = [
+        np.take_along_axis(np.array(part), least, 0)[0]
+        for part in zip(*each, strict=True)
+    ]
     names = []
     for number in range(len(first.sets)):
-        some = least[0][first.of_set(number)[:, None] & first.unknown & (first.counts() > 0)]
+        some = least[0][
+            first.of_set(number)[:, None] & first.unknown & (first.counts() > 0)
+        ]
         names.append(", ".join(dict.fromkeys(laws[index] for index in some)))
     return Noise(*best_of), names
 
 
 def _judged(one: _Alone, noise: Noise) -> dict[str, Any]:
-    """What is known of a law with the common noise: at its common optimum, and beside it at those
-    of each set, whose BIC stands in place of its difference from the least."""
+    """What is known of a law with the common noise: at its common optimum, and
+    beside it at those of each set, whose BIC stands in place of its difference
+    from the least."""
     law = one.law
     weight = law.weights(noise)
     groups = [law.of_set(number) for number in range(len(law.sets))]
@@ -157,18 +199,29 @@ def _judged(one: _Alone, noise: Noise) -> dict[str, Any]:
     rank = float(known.identifiability.rank + joint.reduction.rank.sum())
     bic = float(_deviance(common, weight, unknown, count).sum())
     converged = bool(known.distance < CONVERGED and np.isfinite(common.residual).all())
-    return about(law.law, law.model.load) | described(*joint.estimates(known)) | {
-        "converged": converged, "status": "converged" if converged else "not converged",
-        "n_parameters": rank, "sets": tuple(made), "p_together": p,
-        "follows": all(item.follows for item in made) and (p is None or p >= _AGREE),
-        "bic": bic + rank * math.log(count.sum()),
-    }  # fmt: skip
+    return (
+        about(law.law, law.model.load)
+        | described(*joint.estimates(known))
+        | {
+            "converged": converged,
+            "status": "converged" if converged else "not converged",
+            "n_parameters": rank,
+            "sets": tuple(made),
+            "p_together": p,
+            "follows": all(item.follows for item in made)
+            and (p is None or p >= _AGREE),
+            "bic": bic + rank * math.log(count.sum()),
+        }
+    )
 
 
 def _on_set(
-    joint: Told, inside: Booleans, common: Solution, alone: tuple[Solution, float, float],
+    joint: Told,
+    inside: Booleans,
+    common: Solution,
+    alone: tuple[Solution, float, float],
     noise: Noise,
-) -> OnSet:  # fmt: skip
+) -> OnSet:
     """A law on a data set, with its common coefficients and with its own."""
     found, count, spent = alone
     dof = max(count - float(joint.parameters()[inside].sum()), 1.0)
@@ -176,12 +229,16 @@ def _on_set(
     chi, own = (float(one.chi_squared[inside].sum()) for one in (common, found))
     known = joint.by(inside)
     return OnSet(
-        chi_squared=chi, dof=dof, own_chi_squared=own, own_dof=own_dof,
-        follows=_follows(chi, dof), own_follows=_follows(own, own_dof),
+        chi_squared=chi,
+        dof=dof,
+        own_chi_squared=own,
+        own_dof=own_dof,
+        follows=_follows(chi, dof),
+        own_follows=_follows(own, own_dof),
         rank=known.identifiability.rank,
         determined=tuple(known.identifiability.determined()),
         largest=_largest(joint.of, inside, common, noise),
-    )  # fmt: skip
+    )
 
 
 def _follows(chi_squared: float, dof: float) -> bool:
@@ -206,7 +263,11 @@ def _described(law: LawOnSets, number: int, noise: Noise, of_law: str) -> SetOfD
     names = [*ROWS_OF_DATA[:-1], "mu"]
     sigma = {names[k]: float(noise.sigma[row, k]) for row, k in np.argwhere(some)}
     return SetOfData(
-        name=one.name, kind=one.kind, throws=len(one.throws), values=int(count[inside].sum()),
-        effective=float((count * noise.share)[inside].sum()), sigma=sigma,
+        name=one.name,
+        kind=one.kind,
+        throws=len(one.throws),
+        values=int(count[inside].sum()),
+        effective=float((count * noise.share)[inside].sum()),
+        sigma=sigma,
         noise_of=of_law,
-    )  # fmt: skip
+    )

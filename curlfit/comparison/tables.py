@@ -15,18 +15,24 @@ _FIRST = 3  # laws named in a line
 
 def difference(value: float | None) -> str:
     """A difference of a criterion; empty without one."""
-    return "" if value is None else f"{value:.1f}" if abs(value) < 1000 else f"{value:.0f}"
+    return (
+        "" if value is None else f"{value:.1f}" if abs(value) < 1000 else f"{value:.0f}"
+    )
 
 
 def summary(comparison: Comparison, first: str, more: str) -> dict[str, Any]:
-    """Of a document: which law ranks first, and by how much; the `first` conclusion. `more` says
-    how many laws are not named."""
+    """Of a document: which law ranks first, and by how much; the `first` conclusion.
+    `more` says how many laws are not named."""
     ranked = [item for item in comparison.candidates if item.rank is not None]
     unsure = ", not reliably" * bool(comparison.effective)
-    order = ", ".join(f"{item.label} ({difference(item.delta_bic)})" for item in ranked[:_FIRST])
+    order = ", ".join(
+        f"{item.label} ({difference(item.delta_bic)})" for item in ranked[:_FIRST]
+    )
     rest = more.format(len(ranked) - _FIRST) if len(ranked) > _FIRST else ""
     return {
-        "finding": f"{ranked[0].label} ranks first{unsure}" if ranked else "no law is ranked",
+        "finding": f"{ranked[0].label} ranks first{unsure}"
+        if ranked
+        else "no law is ranked",
         "lines": [f"dBIC: {order}{rest}" if ranked else "", first],
     }
 
@@ -36,16 +42,20 @@ def ranked_row(item: Candidate, noise: str = "") -> dict[str, Any]:
     return {
         ">": "-" if item.rank is None else str(item.rank),
         "law": Text.assemble(item.law, (" any sign" * item.signs_free, "dim")),
-        "load": item.load, "noise": noise,
+        "load": item.load,
+        "noise": noise,
         ">k": "" if item.n_parameters is None else f"{item.n_parameters:.3g}",
         ">dBIC": difference(item.delta_bic),
-    }  # fmt: skip
+    }
 
 
 def coefficients_table(comparison: Comparison) -> PlainTable:
     """What is known of the coefficients of each candidate."""
     return PlainTable(
-        ({"law, load": item.label, "~coefficients": _said(item)} for item in comparison.candidates),
+        (
+            {"law, load": item.label, "~coefficients": _said(item)}
+            for item in comparison.candidates
+        ),
         "Coefficients of each law, with standard errors",
     )
 
@@ -59,11 +69,15 @@ def _said(item: Candidate) -> Text | Items:
     for name, found in item.coefficients.items():
         verdict, unit = found["verdict"], found["unit"]
         if verdict != "not identifiable":
-            shown = compact(found["value"], found["stderr"]) + ("" if unit == "1" else f" {unit}")
+            shown = compact(found["value"], found["stderr"]) + (
+                "" if unit == "1" else f" {unit}"
+            )
             about = "" if verdict in ("determined", "fixed") else f" {verdict}"
             said.append(Text.assemble(f"{name} = {shown}", (about, STYLE[verdict])))
     for one in item.combinations:
-        said.append(Text(f"{one['expression']} = {compact(one['value'], one['stderr'])}"))
+        said.append(
+            Text(f"{one['expression']} = {compact(one['value'], one['stderr'])}")
+        )
     if item.not_identifiable:
         hidden = f"{join_words(item.not_identifiable)} not identifiable"
         said.append(Text(hidden, style=STYLE["not identifiable"]))

@@ -1,1 +1,2 @@
-"""The motion of a stone: ring contact, equations, integration, the path and its derivatives."""
+"""The motion of a stone: ring contact, equations, integration, the path and
+its derivatives."""

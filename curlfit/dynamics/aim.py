@@ -1,8 +1,8 @@
 """The speed and heading that bring a stone to a target: the inverse problem of a throw.
 
-On level ice the heading only rotates the path about its initial position: the speed follows from
-the distance alone, and the heading from the direction. The speed is the root of a function of one
-variable, found by Brent's method.
+On level ice the heading only rotates the path about its initial position: the speed
+follows from the distance alone, and the heading from the direction. The speed is the
+root of a function of one variable, found by Brent's method.
 """
 
 from __future__ import annotations
@@ -17,7 +17,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from curlfit.dynamics.trajectory import InitialState, external_forces, ordered_trajectory
+from curlfit.dynamics.trajectory import (
+    InitialState,
+    external_forces,
+    ordered_trajectory,
+)
 from curlfit.environment import Environment
 from curlfit.errors import InputError
 from curlfit.friction import Law, Load, check_load, find_law
@@ -73,8 +77,8 @@ def aim(
 
     Returns
     -------
-    Aim, within 1e-9 m of the target. If several speeds reach it (friction that decreases steeply
-    with speed), the lowest one that was bracketed.
+    Aim, within 1e-9 m of the target. If several speeds reach it (friction that
+    decreases steeply with speed), the lowest one that was bracketed.
 
     Raises
     ------
@@ -94,12 +98,17 @@ def aim(
             raise InputError(f"{name}: expected finite numbers")
     if not along > 0:
         raise InputError(
-            f"the target lies {-along:.3g} m behind the start; expected a place ahead of it"
+            f"the target lies {-along:.3g} m behind the start; "
+            "expected a place ahead of it"
         )
     if not 0 <= speed < FASTEST:
-        raise InputError(f"a speed of {speed:g} m/s at the target; expected 0 to {FASTEST:g} m/s")
+        raise InputError(
+            f"a speed of {speed:g} m/s at the target; expected 0 to {FASTEST:g} m/s"
+        )
     if heading is not None and not abs(heading) < math.pi / 2:
-        raise InputError(f"heading = {heading:g} rad: expected one that goes along the sheet")
+        raise InputError(
+            f"heading = {heading:g} rad: expected one that goes along the sheet"
+        )
     surroundings, direct = environment or Environment(), math.atan2(across, along)
     guess = direct if heading is None else heading
 
@@ -117,7 +126,10 @@ def aim(
             return Aim(v0, heading)
         found = direct - math.atan2(*place(v0))
         # The heading enters only through the direction of the slope.
-        if abs(found - guess) < _TOLERANCE / math.hypot(across, along) or environment is None:
+        if (
+            abs(found - guess) < _TOLERANCE / math.hypot(across, along)
+            or environment is None
+        ):
             break
         guess = found
     return Aim(v0, found)
@@ -126,8 +138,8 @@ def aim(
 def _speed_without(
     overshoot: Callable[[Floats], float], place: Callable[[float], Floats], speed: float
 ) -> float:
-    """Initial speed whose place is neither short of the target nor beyond it; `speed` is the one
-    there."""
+    """Initial speed whose place is neither short of the target nor beyond it; `speed`
+    is the one there."""
 
     def excess_at(v: float) -> float:
         return overshoot(place(v))
@@ -147,17 +159,27 @@ def _speed_without(
         low, largest = high, max(largest, excess)
     what = "comes to rest" if speed == 0 else f"has slowed to {speed:g} m/s"
     raise InputError(
-        f"no throw reaches it: even one of {FASTEST:g} m/s {what} {-largest:.3g} m short"
+        f"no throw reaches it: even one of {FASTEST:g} m/s {what} "
+        f"{-largest:.3g} m short"
     )
 
 
 def _place(
-    law: Law, stone: Stone, load: Load, forces: Floats, omega: float, speed: float, v: float
+    law: Law,
+    stone: Stone,
+    load: Load,
+    forces: Floats,
+    omega: float,
+    speed: float,
+    v: float,
 ) -> Floats:
-    """Where (x, y) a throw from the origin along +y has slowed to a speed; NaN if it does not."""
+    """Where (x, y) a throw from the origin along +y has slowed to a speed; NaN if
+    it does not."""
     if v <= speed:
         return np.zeros(2)
-    coefficients = np.array([float(getattr(law, item.name)) for item in law.coefficients()])
+    coefficients = np.array(
+        [float(getattr(law, item.name)) for item in law.coefficients()]
+    )
 
     def motion(times: Floats) -> Floats:
         """x, y, speed, vx, vy, shape (5, times)."""
@@ -187,9 +209,16 @@ _external_forces = compiled()(external_forces)
 
 @compiled("law", "load")
 def _motion(
-    law: type[Law], load: Load, coefficients: Array, stone: Stone, forces: Array,
-    start: InitialState, times: Array,
-) -> Array:  # fmt: skip
+    law: type[Law],
+    load: Load,
+    coefficients: Array,
+    stone: Stone,
+    forces: Array,
+    start: InitialState,
+    times: Array,
+) -> Array:
     friction, start = law.from_vector(coefficients), jax.tree.map(jnp.asarray, start)
-    path = ordered_trajectory(friction, stone, forces, start, times, jnp.zeros(()), load=load)
+    path = ordered_trajectory(
+        friction, stone, forces, start, times, jnp.zeros(()), load=load
+    )
     return jnp.stack([path.x, path.y, path.speed, path.vx, path.vy])

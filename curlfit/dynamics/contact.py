@@ -1,7 +1,7 @@
 """The contact ring: from a friction law at a point to the acceleration of the stone.
 
-The forces of the ring (`ring_forces`) are taken under a uniform load, or under the dynamically
-consistent load that balances them (eq. 8-9).
+The forces of the ring (`ring_forces`) are taken under a uniform load, or under the
+dynamically consistent load that balances them (eq. 8-9).
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ from curlfit.stone import GRAVITY, Stone
 
 
 class Accelerations(NamedTuple):
-    """Acceleration of the stone in the moving frame (eq. 1, per unit mass and inertia)."""
+    """Acceleration of the stone in the moving frame (eq. 1, per unit mass
+    and inertia)."""
 
     xi: Array
     """to the right of the motion, m/s^2"""
@@ -46,7 +47,9 @@ class _Inputs(NamedTuple):
     turned: Array
     time: Array
 
-    def contact(self, kind: type[Law], load: Load, clustering: NodeClustering) -> Contact:
+    def contact(
+        self, kind: type[Law], load: Load, clustering: NodeClustering
+    ) -> Contact:
         """The ring, with all that its friction depends on."""
         R, h = self.stone.R, self.stone.h
         motion = RingMotion(self.v, R * self.omega, self.turned, self.time)
@@ -55,12 +58,17 @@ class _Inputs(NamedTuple):
 
 
 def accelerations_under(forces: RingForces, stone: Stone) -> Accelerations:
-    """Accelerations due to the forces of a ring; NaN where no load with n >= 0 balances them."""
+    """Accelerations due to the forces of a ring; NaN where no load with n >= 0
+    balances them."""
     t_xi, t_eta, moment = forces[0]
     if len(forces) > 1:
         p, q = balanced_tilt(forces, jnp.asarray(2 * stone.h / stone.R))
-        t_xi, t_eta, moment = (one + p * xi + q * eta for one, xi, eta in zip(*forces, strict=True))
-    return Accelerations(GRAVITY * t_xi, GRAVITY * t_eta, GRAVITY * stone.R * moment / stone.rho**2)
+        t_xi, t_eta, moment = (
+            one + p * xi + q * eta for one, xi, eta in zip(*forces, strict=True)
+        )
+    return Accelerations(
+        GRAVITY * t_xi, GRAVITY * t_eta, GRAVITY * stone.R * moment / stone.rho**2
+    )
 
 
 def _of_net_law(kind: type[NetLaw], inputs: _Inputs) -> Accelerations:
@@ -77,13 +85,16 @@ def _accelerations(
 ) -> Accelerations:
     if issubclass(kind, NetLaw):
         return _of_net_law(kind, inputs)
-    return accelerations_under(ring_forces(inputs.contact(kind, load, clustering)), inputs.stone)
+    return accelerations_under(
+        ring_forces(inputs.contact(kind, load, clustering)), inputs.stone
+    )
 
 
 def _accelerations_jvp(
     kind: type[Law], load: Load, primals: tuple[Any, Any], tangents: tuple[Any, Any]
 ) -> tuple[Accelerations, Accelerations]:
-    """The derivative with respect to each input is computed once, for any number of directions."""
+    """The derivative with respect to each input is computed once, for any number
+    of directions."""
     inputs, clustering = primals
     change, _ = tangents
     if issubclass(kind, NetLaw):
@@ -96,7 +107,8 @@ def _accelerations_jvp(
     out, total = _along(partial(accelerations_under, forces), stone, of_stone)
 
     def under_load(change: Values) -> Accelerations:
-        """Effect of a change of the forces at fixed load, to which the load then responds."""
+        """Effect of a change of the forces at fixed load, to which the load
+        then responds."""
 
         def at(constant: Values) -> Accelerations:
             return accelerations_under((constant, *forces[1:]), stone)
@@ -110,13 +122,23 @@ def _accelerations_jvp(
             if number in of_ring:
                 direction = of_ring[number]
                 terms = zip(total, row, strict=True)
-                total = Accelerations(*(sum_ + part * direction for sum_, part in terms))
+                total = Accelerations(
+                    *(sum_ + part * direction for sum_, part in terms)
+                )
     return out, total
 
 
-def _ring_change(kind: type[Law], inputs: _Inputs, change: _Inputs) -> tuple[Stone, dict[int, Any]]:
+def _ring_change(
+    kind: type[Law], inputs: _Inputs, change: _Inputs
+) -> tuple[Stone, dict[int, Any]]:
     """Tangents of the stone's fields, and of the ring's inputs by their number."""
-    numbered: list[Any] = [*change.coefficients, change.v, None, change.turned, change.time]
+    numbered: list[Any] = [
+        *change.coefficients,
+        change.v,
+        None,
+        change.turned,
+        change.time,
+    ]
     k = len(change.coefficients)
     spin, radius = change.omega, change.stone.R
     terms = [
@@ -126,10 +148,14 @@ def _ring_change(kind: type[Law], inputs: _Inputs, change: _Inputs) -> tuple[Sto
     ]
     numbered[k + 1] = sum(terms) if terms else spin
     laws = kind.members if issubclass(kind, LawFamily) else (kind,)
-    depends = (depends_on_turned_and_time(example_law(law), inputs.stone) for law in laws)
+    depends = (
+        depends_on_turned_and_time(example_law(law), inputs.stone) for law in laws
+    )
     seen = [True] * (k + 2) + [any(flags) for flags in zip(*depends, strict=True)]
     return change.stone, {
-        number: part for number, part in enumerate(numbered) if seen[number] and not _is_zero(part)
+        number: part
+        for number, part in enumerate(numbered)
+        if seen[number] and not _is_zero(part)
     }
 
 
@@ -140,7 +166,8 @@ def _is_zero(tangent: Any) -> bool:
 def _along(
     function: Callable[[Any], Accelerations], inputs: Any, change: Any
 ) -> tuple[Accelerations, Accelerations]:
-    """A function and its derivative along a direction that may be zero in some inputs."""
+    """A function and its derivative along a direction that may be zero in
+    some inputs."""
     leaves, tree = jax.tree.flatten(inputs)
     parts = jax.tree.leaves(change, is_leaf=_is_zero)
     varying = [number for number, part in enumerate(parts) if not _is_zero(part)]
@@ -180,7 +207,8 @@ def accelerations(
     ----------
     law, stone : the friction law and the stone.
     load : "uniform", or "consistent" (eq. 8-9). A net law has no ring and ignores it.
-    v : speed of the centre in m/s, >= 0, of any shape. `v = omega = 0` is allowed and gives zero.
+    v : speed of the centre in m/s, >= 0, of any shape. `v = omega = 0` is allowed
+        and gives zero.
     omega : spin in rad/s, either sign, of the same shape.
     turned, time : angle turned in rad and time in s since release.
     clustering : positions of the nodes of the ring; computed if not given.
@@ -198,9 +226,15 @@ def accelerations(
 
 
 def contact_of(
-    law: Law, stone: Stone, load: Load, v: ArrayLike, omega: ArrayLike, turned: ArrayLike = 0.0
+    law: Law,
+    stone: Stone,
+    load: Load,
+    v: ArrayLike,
+    omega: ArrayLike,
+    turned: ArrayLike = 0.0,
 ) -> Contact:
-    """The ring of a stone in motion. Arguments as in `accelerations`; not for a net law."""
+    """The ring of a stone in motion. Arguments as in `accelerations`; not
+    for a net law."""
     inputs = _inputs(law, stone, v, omega, turned, 0.0)
     clustering = node_clustering(inputs.v, inputs.stone.R * inputs.omega)
     return inputs.contact(type(law), load, clustering)

@@ -1,15 +1,17 @@
-"""Sums over the ring in closed form, for friction that is linear in the direction of sliding.
+"""Sums over the ring in closed form, for friction that is linear in the
+direction of sliding.
 
-Under such a law, `t = -n M v/|v|` with a tensor M that is a polynomial in the position on each half
-of the ring (`ring_polynomials`), the force of the ring follows from ten means of the direction of
-sliding. In units of the larger of the two speeds `v` and `|u| = R |omega|`, with `q` the smaller
-one and `c` the cosine of the angle from the fastest point, the sliding speed is
-`rho = sqrt(1 + q^2 + 2 q c)`. Over a half ring
+Under such a law, `t = -n M v/|v|` with a tensor M that is a polynomial in the position
+on each half of the ring (`ring_polynomials`), the force of the ring follows from ten
+means of the direction of sliding. In units of the larger of the two speeds `v` and
+`|u| = R |omega|`, with `q` the smaller one and `c` the cosine of the angle from the
+fastest point, the sliding speed is `rho = sqrt(1 + q^2 + 2 q c)`. Over a half ring
 
-- means odd in `eta` are integrals of polynomials in c over rho, and `1/rho = sum (-q)^n P_n(c)` is
-  the generating function of Legendre's polynomials (DLMF 18.12.11);
-- means even in `eta` are those of `c^n/rho`, complete elliptic integrals of the modulus q
-  (DLMF 19.2.8 and, for n > 1, by parts).
+- means odd in `eta` are integrals of polynomials in c over rho, and
+  `1/rho = sum (-q)^n P_n(c)` is the generating function of Legendre's polynomials
+  (DLMF 18.12.11);
+- means even in `eta` are those of `c^n/rho`, complete elliptic integrals of the modulus
+  q (DLMF 19.2.8 and, for n > 1, by parts).
 """
 
 from __future__ import annotations
@@ -21,13 +23,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-_AGM_ITERATIONS = 5  # of the arithmetic-geometric mean: exact to rounding for m1 >= _MIN_M1
+# of the arithmetic-geometric mean: exact to rounding for m1 >= _MIN_M1
+_AGM_ITERATIONS = 5
 _MIN_M1 = 1e-10  # 1 - q^2: an error of 1e-9 of the force at |epsilon| = 1
 _SMALL_M = 1e-5  # m below which dG/dm is taken from its series
 
 
 class _Complete(NamedTuple):
-    """Complete elliptic integrals of the parameter `m = q^2`, by the arithmetic-geometric mean."""
+    """Complete elliptic integrals of the parameter `m = q^2`, by the
+    arithmetic-geometric mean."""
 
     B: Array
     """of cos^2/Delta, Delta = sqrt(1 - m sin^2)"""
@@ -71,8 +75,9 @@ def _(inputs: tuple[Any, Any], tangents: tuple[Any, Any]) -> tuple[Any, Any]:
 
 
 class Means(NamedTuple):
-    """Half-ring means (integrals over the front half divided by 2 pi) of one component of a vector,
-    times 1, xi, xi^2, eta and xi eta: arrays, or numbers that are the same in all motions."""
+    """Half-ring means (integrals over the front half divided by 2 pi) of one component
+    of a vector, times 1, xi, xi^2, eta and xi eta: arrays, or numbers that are the same
+    in all motions."""
 
     one: Any
     xi: Any
@@ -88,9 +93,9 @@ MEAN_PLACES = Means(one=0.5, xi=0.0, xi_xi=0.25, eta=1 / np.pi, xi_eta=0.0)
 def mean_directions(v: Array, u: Array) -> tuple[Means, Means]:
     """Means of the directions of sliding, to the right and forward, on the front half.
 
-    `v >= 0` is the speed of the centre and `u = R omega`, of any shape. On the back half the means
-    odd in eta have the opposite sign: to the right those of 1, xi and xi^2, forward those of eta
-    and xi eta. Zero for a stone at rest.
+    `v >= 0` is the speed of the centre and `u = R omega`, of any shape. On the back
+    half the means odd in eta have the opposite sign: to the right those of 1, xi and
+    xi^2, forward those of eta and xi eta. Zero for a stone at rest.
     """
     s = jnp.where(u >= 0, 1.0, -1.0)
     au = s * u
@@ -105,7 +110,9 @@ def mean_directions(v: Array, u: Array) -> tuple[Means, Means]:
     factor = jnp.where(moving, 1 / jnp.pi, 0.0)
     B, H, D, G = (factor * part for part in _complete(m, m1))
     # Of 1, c, c^2 over rho, odd in eta.
-    odd_1, odd_c, odd_cc = (part * (1 / jnp.pi) for part in (1.0, q * (-1 / 3), 1 / 3 + 2 / 15 * m))
+    odd_1, odd_c, odd_cc = (
+        part * (1 / jnp.pi) for part in (1.0, q * (-1 / 3), 1 / 3 + 2 / 15 * m)
+    )
     # Of c^2, c^3 and (1 - c^2) c over rho, even in eta.
     cc = (B + (2 + m) * D) * (1 / 3)
     c_ss = q * ((1 + m) * (G + 2 * D) * (1 / 15) - 2 / 5 * D)

@@ -1,20 +1,25 @@
-"""Equations of motion, choice of the step size, and interpolation of the path within a step.
+"""Equations of motion, choice of the step size, and interpolation of the path
+within a step.
 
 With speed `v`, heading `b` (beta of eq. 24) and spin `omega`
 
-    dv/dt = a_eta,  v db/dt = a_xi,  domega/dt = alpha,  dx/dt = v sin b,  dy/dt = v cos b,
+    dv/dt = a_eta,  v db/dt = a_xi,  domega/dt = alpha,
+    dx/dt = v sin b,  dy/dt = v cos b,
 
-where a_eta and a_xi are due to friction, gravity on ice that is not level, and air drag.
+where a_eta and a_xi are due to friction, gravity on ice that is not level,
+and air drag.
 
-The time scales of this motion are the time to rest, the turning of the velocity and the passage of
-|epsilon| = 1, where one point of the ring stops sliding and friction has a logarithmic kink. Each
-step is a fixed fraction of the shortest of these, so steps shrink geometrically toward rest. Toward
-the kink they shrink more slowly, for equal errors, down to one step across the kink that is short
-enough for its error to be negligible. A law may declare angles turned at which its friction has a
-kink (`corners`) and a rate of explicit change in time (`quickness`): steps end at these angles,
-resolve this rate, and resolve the rotation up to the last angle. Steps also end where sweeping
-begins and ends, and a step of 2 ns crosses the jump of the friction there. Within a step the path
-is the quintic polynomial that matches position, velocity and acceleration at both ends.
+The time scales of this motion are the time to rest, the turning of the velocity and the
+passage of |epsilon| = 1, where one point of the ring stops sliding and friction has a
+logarithmic kink. Each step is a fixed fraction of the shortest of these, so steps
+shrink geometrically toward rest. Toward the kink they shrink more slowly, for equal
+errors, down to one step across the kink that is short enough for its error to be
+negligible. A law may declare angles turned at which its friction has a kink (`corners`)
+and a rate of explicit change in time (`quickness`): steps end at these angles, resolve
+this rate, and resolve the rotation up to the last angle. Steps also end where sweeping
+begins and ends, and a step of 2 ns crosses the jump of the friction there. Within a
+step the path is the quintic polynomial that matches position, velocity and acceleration
+at both ends.
 
 All arrays have the batch, one throw in each column, along the last axis.
 """
@@ -35,15 +40,18 @@ from curlfit.friction import Law, Load, NetLaw, power
 from curlfit.stone import Stone
 
 STEP = 0.25  # fraction of the shortest time scale, with 1 m or 1 rad remaining
-_REST_WEIGHT, _KINK_WEIGHT = 1.3, 1.1  # of the rates to rest and kink, relative to the others
+# of the rates to rest and kink, relative to the others
+_REST_WEIGHT, _KINK_WEIGHT = 1.3, 1.1
 _MAX_STEP = 0.6  # fraction of the time to rest
 _MAX_TURN = 1.5  # rad in a step
 _MAX_APPROACH = 0.6  # fraction of the time to the kink, by singularity distance
 _REST = 1e-10  # remaining motion (m and rad together) of a stone at rest
-_KINK = 2e-5  # singularity distance to which the kink at |epsilon| = 1 is resolved, 1 m remaining
+# singularity distance to which the kink at |epsilon| = 1 is resolved, 1 m remaining
+_KINK = 2e-5
 _CIRCLE = 1e-10  # radius in m of the smallest circles of a stone that are followed
 _ANGLE_TOLERANCE = 1e-9  # rad, for reaching an angle of the law's `corners`
-_SWITCH = 1e-9  # s, delay of the beginning and end of sweeping, so that steps can end there
+# s, delay of the beginning and end of sweeping, so that steps can end there
+_SWITCH = 1e-9
 _MIN_SPIN = 1e-8  # rad/s, down to which the end of the spin is resolved
 
 
@@ -59,7 +67,8 @@ class State(NamedTuple):
 
 
 def _decay_rate(law: Law, stone: Stone, state: State, rate: State) -> Array:
-    """Inverse of the time to rest, from the loss of kinetic energy, 1/s; 0 for a stone at rest."""
+    """Inverse of the time to rest, from the loss of kinetic energy, 1/s; 0 for a
+    stone at rest."""
     # Under a net law there is no spin without translation.
     inertia = 0.0 if isinstance(law, NetLaw) else stone.rho**2
     square = state.v**2 + inertia * state.omega**2
@@ -69,7 +78,8 @@ def _decay_rate(law: Law, stone: Stone, state: State, rate: State) -> Array:
 
 @jax.custom_jvp
 def _sine_cosine(heading: Array, s: Array, c: Array) -> tuple[Array, Array]:
-    """The known sine and cosine of a heading, differentiated with respect to the heading."""
+    """The known sine and cosine of a heading, differentiated with respect to
+    the heading."""
     return s, c
 
 
@@ -87,8 +97,9 @@ class HeadingFrame(NamedTuple):
     c: Array
 
     def rotated_to(self, heading: Array) -> HeadingFrame:
-        """The frame of another heading, by series, which unlike the library's functions are
-        vectorized: accurate to 1e-11 for turns up to 0.6 rad, to 1e-7 up to 1.5 rad."""
+        """The frame of another heading, by series, which unlike the library's
+        functions are vectorized: accurate to 1e-11 for turns up to 0.6 rad, to 1e-7
+        up to 1.5 rad."""
         turn = jax.lax.stop_gradient(heading) - self.heading
         square = turn**2
         sine = cosine = jnp.zeros_like(turn)
@@ -106,7 +117,8 @@ class HeadingFrame(NamedTuple):
 
 
 class ExternalForces(NamedTuple):
-    """Effects on a stone besides its law, in the frame of the initial heading (y along it)."""
+    """Effects on a stone besides its law, in the frame of the initial heading
+    (y along it)."""
 
     g_x: Array
     """acceleration due to gravity, m/s^2"""
@@ -138,18 +150,22 @@ def rates(
 ) -> State:
     """Time derivative of the state; `frame` is that of a nearby heading.
 
-    `forces` are the fields of `ExternalForces`, shape (11, batch); None for a law alone.
+    `forces` are the fields of `ExternalForces`, shape (11, batch); None for
+    a law alone.
 
-    A stone that spins almost in place, under a transverse force, moves on circles of radius
-    v^2/a_xi. The smaller they are than `_CIRCLE`, the less they are followed; smoothly, for the
-    sake of derivatives.
+    A stone that spins almost in place, under a transverse force, moves on circles of
+    radius v^2/a_xi. The smaller they are than `_CIRCLE`, the less they are followed;
+    smoothly, for the sake of derivatives.
     """
-    a = accelerations(law, stone, load, state.v, state.omega, state.phi, time, clustering)
+    a = accelerations(
+        law, stone, load, state.v, state.omega, state.phi, time, clustering
+    )
     moving = state.v > 0
     _, s, c = frame.rotated_to(state.heading)
 
     def followed(across: Array) -> Array:
-        """The part of the motion on circles that is followed, for a transverse acceleration."""
+        """The part of the motion on circles that is followed, for a
+        transverse acceleration."""
         return state.v**4 / jnp.where(moving, state.v**4 + (_CIRCLE * across) ** 2, 1.0)
 
     if forces is not None:
@@ -161,7 +177,9 @@ def rates(
             worn = worn + bend * jnp.maximum(state.y - knot, 0.0) ** 3
         factor = jnp.where(swept, outer.sweep, 1.0) * worn
         across = factor * a.xi + c * outer.g_x - s * outer.g_y
-        pull = followed(across) * (s * outer.g_x + c * outer.g_y) - outer.drag * state.v**2
+        pull = (
+            followed(across) * (s * outer.g_x + c * outer.g_y) - outer.drag * state.v**2
+        )
         a = Accelerations(across, factor * a.eta + pull, factor * a.angular)
     part = followed(a.xi)
     turning = part * a.xi / jnp.where(moving, state.v, 1.0)
@@ -170,7 +188,8 @@ def rates(
 
 
 def _remaining_motion(law: Law, state: State, decay_rate: Array) -> tuple[Array, Array]:
-    """Whether the stone moves, and the scale of its remaining motion, 1 rad counted as 1 m."""
+    """Whether the stone moves, and the scale of its remaining motion, 1 rad
+    counted as 1 m."""
     turns = (state.omega != 0) & (not isinstance(law, NetLaw))
     moving = (state.v > 0) | turns
     square = jnp.where(moving, state.v**2 + state.omega**2, 1.0)
@@ -179,14 +198,21 @@ def _remaining_motion(law: Law, state: State, decay_rate: Array) -> tuple[Array,
 
 def at_rest(law: Law, stone: Stone, state: State, rate: State) -> Array:
     """Whether the remaining motion is negligible."""
-    moving, remaining = _remaining_motion(law, state, _decay_rate(law, stone, state, rate))
+    moving, remaining = _remaining_motion(
+        law, state, _decay_rate(law, stone, state, rate)
+    )
     return ~moving | (remaining < _REST)
 
 
 def step_size(
-    law: Law, stone: Stone, forces: Array | None, span: Array, state: State, rate: State,
+    law: Law,
+    stone: Stone,
+    forces: Array | None,
+    span: Array,
+    state: State,
+    rate: State,
     time: Array,
-) -> Array:  # fmt: skip
+) -> Array:
     """Length of the next step in s."""
     v, u = state.v, stone.R * state.omega
     decay_rate = _decay_rate(law, stone, state, rate)
@@ -196,11 +222,13 @@ def step_size(
     distance_rate = 2 * jnp.abs(au * rate.v - v * du) / total**2
     # The error of the step across the kink is its square times the remaining motion.
     kink = singularity_distance(v, u) + _KINK / jnp.sqrt(jnp.maximum(remaining, _REST))
-    # Where dv/dt ~ v^-n, the time to rest is v/|dv/dt|/(1 + n); the kink is also steeper.
+    # Where dv/dt ~ v^-n, the time to rest is v/|dv/dt|/(1 + n); the kink is
+    # also steeper.
     speed_exponent = law.steepness()
     rest_rate = decay_rate * (1 + speed_exponent)
-    # Friction at a distance d from the kink behaves like d^(1-n) log d. A step h has an error of
-    # h^6 times the fifth derivative, which is the same at any d if h ~ d^((4+n)/6).
+    # Friction at a distance d from the kink behaves like d^(1-n) log d. A step h
+    # has an error of h^6 times the fifth derivative, which is the same at any d if
+    # h ~ d^((4+n)/6).
     kink_rate = (
         _KINK_WEIGHT
         * distance_rate
@@ -220,8 +248,8 @@ def step_size(
         turning = jnp.sqrt(1 / span**2 + state.omega**2 + jnp.abs(rate.omega))
         last = jnp.stack([jnp.asarray(angle) for angle in law.corners]).max()
         frequency += turning * (jnp.abs(state.phi) < last - _ANGLE_TOLERANCE)
-    # The error of a step is the sixth power of its fraction times the remaining motion; the seventh
-    # root minimizes the error for a given number of steps.
+    # The error of a step is the sixth power of its fraction times the remaining motion;
+    # the seventh root minimizes the error for a given number of steps.
     largest = frequency * remaining ** (1 / 7) / STEP
     for stability_rate in (
         rest_rate / _MAX_STEP,
@@ -234,7 +262,9 @@ def step_size(
     for angle in law.corners:
         time_left = _time_to_angle(angle, state, rate)
         # In two steps, since the prediction improves as the time becomes shorter.
-        dt = jnp.where(time_left < dt / 8, time_left, jnp.minimum(dt, 7 / 8 * time_left))
+        dt = jnp.where(
+            time_left < dt / 8, time_left, jnp.minimum(dt, 7 / 8 * time_left)
+        )
     switches = () if forces is None else ExternalForces(*forces)[-2:]
     for switch in switches:
         time_left = switch - time
@@ -244,7 +274,8 @@ def step_size(
 
 
 def _time_to_angle(target: Any, state: State, rate: State) -> Array:
-    """Time until the angle reaches `target`, for constant angular acceleration; or inf."""
+    """Time until the angle reaches `target`, for constant angular
+    acceleration; or inf."""
     sense = jnp.sign(state.omega)
     spin, gain = sense * state.omega, sense * rate.omega
     angle = sense * (target - state.phi)
@@ -255,9 +286,9 @@ def _time_to_angle(target: Any, state: State, rate: State) -> Array:
 
 
 class StepState(NamedTuple):
-    """Time, length of the next step (0 where the integration has ended), heading frame, the packed
-    state and its time derivative, (6, batch), and the second time derivatives of x, y, phi,
-    (3, batch)."""
+    """Time, length of the next step (0 where the integration has ended), heading frame,
+    the packed state and its time derivative, (6, batch), and the second time
+    derivatives of x, y, phi, (3, batch)."""
 
     t: Array
     dt: Array
@@ -277,7 +308,8 @@ def second_derivatives(frame: HeadingFrame, state: State, rate: State) -> Array:
 def extrapolated_rest(
     law: Law, stone: Stone, t: Array, frame: HeadingFrame, state: State, rate: State
 ) -> Array:
-    """x, y, phi and time at rest, shape (4, batch), if speed and spin decrease linearly."""
+    """x, y, phi and time at rest, shape (4, batch), if speed and spin
+    decrease linearly."""
     decay_rate = _decay_rate(law, stone, state, rate)
     duration = 0.5 / jnp.where(decay_rate > 1e-9, decay_rate, 1e-9)
     s, c = _sine_cosine(state.heading, frame.s, frame.c)
@@ -290,17 +322,25 @@ def extrapolated_rest(
             state.x + duration * state.v * s,
             state.y + duration * state.v * c,
             state.phi + duration * state.omega,
-            t + jnp.where(decelerating, 1 / jnp.where(decelerating, rest_rate, 1.0), otherwise),
+            t
+            + jnp.where(
+                decelerating, 1 / jnp.where(decelerating, rest_rate, 1.0), otherwise
+            ),
         ]
     )
 
 
 def quintic_coefficients(
-    h: Array, state_a: Array, rate_a: Array, second_a: Array,
-    state_b: Array, rate_b: Array, second_b: Array,
-) -> tuple[Array, ...]:  # fmt: skip
-    """Polynomials for x, y, phi over a step of length h, from fields of `StepState` at both ends:
-    coefficients by decreasing power of (t - t0)/h, each (3, batch)."""
+    h: Array,
+    state_a: Array,
+    rate_a: Array,
+    second_a: Array,
+    state_b: Array,
+    rate_b: Array,
+    second_b: Array,
+) -> tuple[Array, ...]:
+    """Polynomials for x, y, phi over a step of length h, from fields of `StepState` at
+    both ends: coefficients by decreasing power of (t - t0)/h, each (3, batch)."""
     c0, c1, c2 = state_a[:3], h * rate_a[:3], h**2 * (0.5 * second_a)
     difference = state_b[:3] - (c0 + c1 + c2)
     slope = h * rate_b[:3] - (c1 + 2 * c2)
@@ -311,8 +351,11 @@ def quintic_coefficients(
     return c5, c4, c3, c2, c1, c0
 
 
-def quintic(t0: Array, h: Array, coefficients: tuple[Array, ...], t: Array) -> tuple[Array, Array]:
-    """Values and time derivatives of these polynomials at times (n, batch or 1): (3, n, batch)."""
+def quintic(
+    t0: Array, h: Array, coefficients: tuple[Array, ...], t: Array
+) -> tuple[Array, Array]:
+    """Values and time derivatives of these polynomials at times (n, batch or 1):
+    (3, n, batch)."""
     inverse_step = 1 / h
     s = (t - t0) * inverse_step
     value = slope = jnp.zeros_like(s)

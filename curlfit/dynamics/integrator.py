@@ -1,20 +1,23 @@
 """Integration of a batch of throws, with derivatives.
 
-Method. The fifth-order formula of Dormand and Prince (1980), with the step sizes of `equations`. No
-step is rejected, so all throws of a batch advance together, and derivatives are those of a smooth
-map. The requested rows are interpolated as the stones pass them.
+Method. The fifth-order formula of Dormand and Prince (1980), with the step sizes of
+`equations`. No step is rejected, so all throws of a batch advance together, and
+derivatives are those of a smooth map. The requested rows are interpolated as the
+stones pass them.
 
-A throw has about ten inputs. Its derivatives with respect to these are integrated alongside it as
-tangents, on an axis before the batch: the Jacobian costs about ten trajectories and nothing is
-stored for a reverse pass; both differentiation modes of JAX are derived from it.
+A throw has about ten inputs. Its derivatives with respect to these are integrated
+alongside it as tangents, on an axis before the batch: the Jacobian costs about ten
+trajectories and nothing is stored for a reverse pass; both differentiation modes of JAX
+are derived from it.
 
-Why not a general solver: diffrax with adaptive steps takes several times as long for the same
-accuracy, its run-time checks keep compiled programs out of the cache, and the derivative of the
-rest event is delicate. The tests use it as an independent reference.
+Why not a general solver: diffrax with adaptive steps takes several times as long for
+the same accuracy, its run-time checks keep compiled programs out of the cache, and the
+derivative of the rest event is delicate. The tests use it as an independent reference.
 
-For speed under XLA, arrays are joined by writing rows into a larger one, since a `stack` is
-computed element by element; and a value used more than once crosses a loop boundary or is the
-result of a matrix product, since it would otherwise be recomputed for each use.
+For speed under XLA, arrays are joined by writing rows into a larger one, since a
+`stack` is computed element by element; and a value used more than once crosses a loop
+boundary or is the result of a matrix product, since it would otherwise be recomputed
+for each use.
 """
 
 from __future__ import annotations
@@ -49,8 +52,8 @@ from curlfit.stone import Stone
 _MAX_STEPS = 32_000
 _WINDOW = 8  # rows interpolated together
 
-# Dormand and Prince (1980), RK5(4)7M. The last row is the fifth-order formula itself, so that its
-# derivative is also the first of the next step.
+# Dormand and Prince (1980), RK5(4)7M. The last row is the fifth-order formula itself,
+# so that its derivative is also the first of the next step.
 _TABLEAU = np.zeros((6, 7))
 for _stage, _weights in enumerate(
     (
@@ -70,8 +73,8 @@ Solution = tuple[tuple[Array, ...], Array]
 
 
 class _Dual(NamedTuple):
-    """A value and its tangents, which have an additional axis of directions before the batch axis;
-    None where no derivatives are requested."""
+    """A value and its tangents, which have an additional axis of directions before the
+    batch axis; None where no derivatives are requested."""
 
     value: Any
     tangents: Any = None
@@ -91,7 +94,9 @@ def _map(function: Callable[..., Any], *inputs: _Dual) -> _Dual:
                 full[index] = value
             return function(*full)
 
-        return jax.jvp(restricted, tuple(values[index] for index in varying), tuple(tangents))
+        return jax.jvp(
+            restricted, tuple(values[index] for index in varying), tuple(tangents)
+        )
 
     tangents = [inputs[index].tangents for index in varying]
     return _Dual(*jax.vmap(pushforward, in_axes=-2, out_axes=(None, -2))(tangents))
@@ -108,10 +113,14 @@ def _weighted_sum(weights: Array, derivatives: _Dual) -> _Dual:
     return _Dual(*(jnp.tensordot(weights, part, 1) for part in derivatives))
 
 
-def _update(whole: _Dual, part: _Dual, function: Callable[[Array, Array], Array]) -> _Dual:
+def _update(
+    whole: _Dual, part: _Dual, function: Callable[[Array, Array], Array]
+) -> _Dual:
     if whole.tangents is None:
         return _Dual(function(whole.value, part.value))
-    return _Dual(function(whole.value, part.value), function(whole.tangents, part.tangents))
+    return _Dual(
+        function(whole.value, part.value), function(whole.tangents, part.tangents)
+    )
 
 
 def _integrate_batch(
@@ -128,16 +137,16 @@ def _integrate_batch(
 
     Parameters
     ----------
-    system, forces : functions of the value of `parameters`: law and stone, and forces besides the
-        law (`equations.ExternalForces`).
+    system, forces : functions of the value of `parameters`: law and stone, and forces
+        besides the law (`equations.ExternalForces`).
     start : initial speed and spin, shape (2, batch).
-    times : in s, non-decreasing from row to row, shape (n, batch or 1); inf for unused rows, which
-        cost nothing and are 0.
+    times : in s, non-decreasing from row to row, shape (n, batch or 1); inf for unused
+        rows, which cost nothing and are 0.
 
     Returns
     -------
-    x, y, phi, and vx, vy, omega if requested, each of shape (n, batch), and the times of rest,
-    (batch,).
+    x, y, phi, and vx, vy, omega if requested, each of shape (n, batch), and the times
+    of rest, (batch,).
     """
     law, stone = system(parameters.value)
     net = isinstance(law, NetLaw)
@@ -162,14 +171,22 @@ def _integrate_batch(
         def derivative(parameters: Any, state: Array, time: Array) -> State:
             outer = forces(parameters)
             return rates(
-                *system(parameters), outer, load, frame.value, clustering, State(*state),
+                *system(parameters),
+                outer,
+                load,
+                frame.value,
+                clustering,
+                State(*state),
                 time,
-            )  # fmt: skip
+            )
 
-        # A loop over the stages, rather than six copies, keeps the compiled program small.
+        # A loop over the stages, rather than six copies, keeps the compiled
+        # program small.
         def stage(index: Array, carry: tuple[_Dual, _Dual]) -> tuple[_Dual, _Dual]:
             _, derivatives = carry
-            state = _map(increment, begin, dt, _weighted_sum(tableau[index], derivatives))
+            state = _map(
+                increment, begin, dt, _weighted_sum(tableau[index], derivatives)
+            )
             time = _map(lambda t, dt: t + dt * nodes[index], t, dt)
             stage_rate = _map(derivative, parameters, state, time)
             for row in range(len(State._fields)):
@@ -191,11 +208,17 @@ def _integrate_batch(
 
     def step_state(t: _Dual, frame: HeadingFrame, state: _Dual, rate: _Dual) -> _Dual:
         """The state at the end of a step, with the length of the next."""
-        ended = at_rest(law, stone, State(*state.value), State(*rate.value)) | (t.value > last)
+        ended = at_rest(law, stone, State(*state.value), State(*rate.value)) | (
+            t.value > last
+        )
 
-        def length(parameters: Any, t: Array, packed: Array, packed_rate: Array) -> Array:
+        def length(
+            parameters: Any, t: Array, packed: Array, packed_rate: Array
+        ) -> Array:
             state, rate = State(*packed), State(*packed_rate)
-            dt = step_size(*system(parameters), forces(parameters), span, state, rate, t)
+            dt = step_size(
+                *system(parameters), forces(parameters), span, state, rate, t
+            )
             return jnp.where(ended, 0.0, dt)
 
         def second(packed: Array, packed_rate: Array) -> Array:
@@ -234,13 +257,18 @@ def _integrate_batch(
     frame = _Dual(HeadingFrame(zero, zero, 1 + zero))
     state = _map(lambda start: jnp.stack([*(0 * start[0],) * 4, *start]), start)
     rate = _map(lambda state: 0 * state, state)
-    step = _step(still, still, frame, state, rate, _map(lambda state: 0 * state[:3], state))
+    step = _step(
+        still, still, frame, state, rate, _map(lambda state: 0 * state[:3], state)
+    )
     empty = _map(
-        lambda start: (jnp.full((3, len(rows), start.shape[-1]), jnp.nan),) * orders, start
+        lambda start: (jnp.full((3, len(rows), start.shape[-1]), jnp.nan),) * orders,
+        start,
     )
     # Part of the carry, since XLA would otherwise recompute it for each of the times.
     rest = _map(lambda state: state[:4], state)
-    _, step, rest, _, out = jax.lax.while_loop(unfinished, iterate, (0, step, rest, 0, empty))
+    _, step, rest, _, out = jax.lax.while_loop(
+        unfinished, iterate, (0, step, rest, 0, empty)
+    )
     ended = at_rest(law, stone, State(*step.value.state), State(*step.value.rate))
     constant = ended & (times >= step.value.t)
     constant |= ~used
@@ -265,16 +293,18 @@ def _active(step: StepState) -> Array:
 def _fill_rows(
     a: _Dual, b: _Dual, rows: Array, window: int, first: Array, out: _Dual
 ) -> tuple[Array, _Dual]:
-    """Interpolate the rows between two states, a window of rows at a time, from the row `first` on.
+    """Interpolate the rows between two states, a window of rows at a time, from the
+    row `first` on.
 
     Parameters
     ----------
-    rows : times, shape (n + window, batch or 1). out : a channel array, (3, n + window, batch), for
-        each order of derivatives.
+    rows : times, shape (n + window, batch or 1). out : a channel array, (3, n + window,
+        batch), for each order of derivatives.
 
     Returns
     -------
-    The first row that is not yet complete for the whole batch, and `out` with the new rows.
+    The first row that is not yet complete for the whole batch, and `out` with
+    the new rows.
     """
     t0, _, _, *first_end = _fields(a)
     t1, _, _, *second_end = _fields(b)
@@ -286,7 +316,9 @@ def _fill_rows(
 
     def within_step(carry: tuple[Array, Array, _Dual]) -> Array:
         index, *_ = carry
-        return (jax.lax.dynamic_index_in_dim(rows, index, keepdims=False) <= reach).any()
+        return (
+            jax.lax.dynamic_index_in_dim(rows, index, keepdims=False) <= reach
+        ).any()
 
     def fill_window(carry: tuple[Array, Array, _Dual]) -> tuple[Array, Array, _Dual]:
         index, first, out = carry
@@ -320,7 +352,9 @@ def _step(*fields: _Dual) -> _Dual:
     """A step from its fields, not all of which need tangents."""
     tangents = StepState(*(item.tangents for item in fields))
     known = any(item is not None for item in tangents)
-    return _Dual(StepState(*(item.value for item in fields)), tangents if known else None)
+    return _Dual(
+        StepState(*(item.value for item in fields)), tangents if known else None
+    )
 
 
 def _row(rows: _Dual, index: int) -> _Dual:
@@ -328,12 +362,13 @@ def _row(rows: _Dual, index: int) -> _Dual:
 
 
 def _mappable(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Make a function of one throw from one of a batch; its `vmap` is one call for the batch.
+    """Make a function of one throw from one of a batch; its `vmap` is one call
+    for the batch.
 
     Parameters
     ----------
-    function : takes arrays of shape (k, batch) and times (n, batch or 1); its results have the
-        batch on the last axis.
+    function : takes arrays of shape (k, batch) and times (n, batch or 1); its results
+        have the batch on the last axis.
     """
 
     @custom_vmap
@@ -359,11 +394,15 @@ def _mappable(function: Callable[..., Any]) -> Callable[..., Any]:
 
         last = len(arrays) - 1  # the times
         pairs = enumerate(zip(arrays, mapped, strict=True))
-        out = of_batch(*(merge(array, is_mapped, i == last) for i, (array, is_mapped) in pairs))
+        out = of_batch(
+            *(merge(array, is_mapped, i == last) for i, (array, is_mapped) in pairs)
+        )
         return jax.tree.map(split, out), jax.tree.map(lambda _: True, out)
 
     def of_one(*arrays: Array) -> Any:
-        return jax.tree.map(lambda a: a[..., 0], of_batch(*(array[:, None] for array in arrays)))
+        return jax.tree.map(
+            lambda a: a[..., 0], of_batch(*(array[:, None] for array in arrays))
+        )
 
     return of_one
 
@@ -388,21 +427,32 @@ def _forces_in(constants: Sequence[Array]) -> Array | None:
 
 
 def _values_and_jacobian(
-    law: type[Law], load: Load, velocities: bool, active: tuple[bool, ...], *arrays: Array
+    law: type[Law],
+    load: Load,
+    velocities: bool,
+    active: tuple[bool, ...],
+    *arrays: Array,
 ) -> tuple[Solution, Solution]:
-    """A motion, and its derivatives with respect to the active inputs, along the axis before the
-    batch."""
+    """A motion, and its derivatives with respect to the active inputs, along the axis
+    before the batch."""
     *inputs, times = arrays
-    sizes = [len(vector) * is_active for is_active, vector in zip(active, inputs, strict=True)]
+    sizes = [
+        len(vector) * is_active
+        for is_active, vector in zip(active, inputs, strict=True)
+    ]
     batch, total, offset = inputs[0].shape[-1], sum(sizes), 0
     duals = []
     for size, vector in zip(sizes, inputs, strict=True):
         basis = np.zeros((len(vector), total, 1))
         basis[:size, offset : offset + size, 0] = np.eye(size)
         offset += size
-        duals.append(_Dual(vector, jnp.broadcast_to(basis, (len(vector), total, batch))))
+        duals.append(
+            _Dual(vector, jnp.broadcast_to(basis, (len(vector), total, batch)))
+        )
     *constants, start = duals
-    free = [item for is_active, item in zip(active, constants, strict=False) if is_active]
+    free = [
+        item for is_active, item in zip(active, constants, strict=False) if is_active
+    ]
 
     def unpacked(parameters: list[Array]) -> list[Array]:
         remaining = iter(parameters)
@@ -419,7 +469,8 @@ def _values_and_jacobian(
         return _forces_in(unpacked(parameters))
 
     parameters = _Dual(
-        [item.value for item in free], [item.tangents for item in free] if free else None
+        [item.value for item in free],
+        [item.tangents for item in free] if free else None,
     )
     path, rest = _integrate_batch(
         system, forces, parameters, start, times=times, load=load, velocities=velocities
@@ -439,12 +490,13 @@ def integrate(
 
     Parameters
     ----------
-    velocities : whether to return velocities, which takes as long again as the positions.
-    inputs : the law's coefficients, the stone's fields, the external forces if there are any (see
-        `equations.ExternalForces`), and (v0, omega0), as vectors. Inputs without tangents cost
-        nothing; a `vmap` becomes one batch.
-    times : in s, >= 0, non-decreasing, shape (n,). Rows at inf, allowed at the end, cost
-        nothing and are 0.
+    velocities : whether to return velocities, which takes as long again as
+        the positions.
+    inputs : the law's coefficients, the stone's fields, the external forces if there
+        are any (see `equations.ExternalForces`), and (v0, omega0), as vectors. Inputs
+        without tangents cost nothing; a `vmap` becomes one batch.
+    times : in s, >= 0, non-decreasing, shape (n,). Rows at inf, allowed at the end,
+        cost nothing and are 0.
     """
     return _mappable(partial(_values, law, load, velocities))(*inputs, times)
 
@@ -463,7 +515,9 @@ def _integrate_jvp(
         function = partial(_values_and_jacobian, law, load, velocities, active)
         out, jacobian = _mappable(function)(*inputs, times)
         pairs = zip(active, d_inputs, strict=True)
-        direction = jnp.concatenate([tangent for is_active, tangent in pairs if is_active])
+        direction = jnp.concatenate(
+            [tangent for is_active, tangent in pairs if is_active]
+        )
         d_path, d_rest = jax.tree.map(lambda part: part @ direction, jacobian)
     else:
         out = _mappable(partial(_values, law, load, velocities))(*inputs, times)
@@ -471,7 +525,9 @@ def _integrate_jvp(
     if not isinstance(d_times, SymbolicZero):
         if not velocities:
             raise TypeError("derivatives with respect to the times need the velocities")
-        d_positions = (d + rate * d_times for d, rate in zip(d_path, out[0][3:], strict=False))
+        d_positions = (
+            d + rate * d_times for d, rate in zip(d_path, out[0][3:], strict=False)
+        )
         d_path = (*d_positions, *d_path[3:])
     return out, (d_path, d_rest)
 

@@ -1,8 +1,10 @@
-"""The structure of a law that compiled programs need: pytree, powers, dependences, symmetry.
+"""The structure of a law that compiled programs need: pytree, powers,
+dependences, symmetry.
 
-What a law depends on is found by tracing it. XLA calls the library's `pow` for one number at a
-time, which takes three times as long as vector instructions; here the logarithm is computed from
-exponent and mantissa, by the series of the inverse hyperbolic tangent.
+What a law depends on is found by tracing it. XLA calls the library's `pow` for one
+number at a time, which takes three times as long as vector instructions; here the
+logarithm is computed from exponent and mantissa, by the series of the inverse
+hyperbolic tangent.
 """
 
 from __future__ import annotations
@@ -21,7 +23,8 @@ from curlfit.friction.base import arctan, exp, on_new_law
 from curlfit.stone import Stone
 
 UNIT_POINT = RingPoint(*(1.0 for _ in RingPoint._fields))
-_ROOT_HALF = np.float64(0.5**0.5).view(np.int64)  # mantissas lie between this and sqrt(2)
+# mantissas lie between this and sqrt(2)
+_ROOT_HALF = np.float64(0.5**0.5).view(np.int64)
 _MANTISSA_BITS = 52
 AnyLaw = TypeVar("AnyLaw", bound=Law)
 _TERMS = 11  # of the series: exact to rounding for these mantissas
@@ -29,8 +32,9 @@ _TERMS = 11  # of the series: exact to rounding for these mantissas
 
 def _register(law: type[Law]) -> None:
     names = [item.name for item in law.coefficients()]
-    # Not `register_dataclass`: jaxlib 0.10 treats the structures of two dataclasses with the same
-    # number of fields as equal, so that `jit` may run the program of one law for another.
+    # Not `register_dataclass`: jaxlib 0.10 treats the structures of two dataclasses
+    # with the same number of fields as equal, so that `jit` may run the program of one
+    # law for another.
     jax.tree_util.register_pytree_node(
         law,
         lambda value: ([getattr(value, name) for name in names], None),
@@ -45,7 +49,9 @@ def _derived(kind: type[Law]) -> set[type[Law]]:
 for _law in _derived(Law) - {Law}:
     _register(_law)
 on_new_law.append(_register)
-jax.tree_util.register_dataclass(Stone, data_fields=["m", "R", "rho", "h"], meta_fields=[])
+jax.tree_util.register_dataclass(
+    Stone, data_fields=["m", "R", "rho", "h"], meta_fields=[]
+)
 
 
 @jax.custom_jvp
@@ -89,7 +95,9 @@ def depends_on(function: Callable[..., Any], *inputs: Any) -> list[bool]:
 
 def depends_on_load(law: LocalLaw, points: RingPoint) -> bool:
     """Whether the traction per unit load depends on the load."""
-    (dependent,) = depends_on(lambda load: law.traction(points._replace(load=load)), points.load)
+    (dependent,) = depends_on(
+        lambda load: law.traction(points._replace(load=load)), points.load
+    )
     return dependent
 
 
@@ -100,7 +108,9 @@ def depends_on_turned_and_time(law: Law, stone: Stone) -> list[bool]:
         if isinstance(law, NetLaw):
             return law.accelerations(Motion(one, one, turned, time), stone)
         assert isinstance(law, LocalLaw)
-        return law.traction(UNIT_POINT._replace(turned=turned, time=time)), law.edges(turned)
+        return law.traction(UNIT_POINT._replace(turned=turned, time=time)), law.edges(
+            turned
+        )
 
     one = jnp.ones(())
     law = jax.tree.map(lambda leaf: jnp.ones(()), law)
@@ -108,8 +118,8 @@ def depends_on_turned_and_time(law: Law, stone: Stone) -> list[bool]:
 
 
 def _is_linear(function: Callable[..., Any], size: int, parameters: int) -> bool:
-    """Whether a function is a constant matrix times its first `size` inputs, for all values of the
-    other inputs, the parameters."""
+    """Whether a function is a constant matrix times its first `size` inputs, for all
+    values of the other inputs, the parameters."""
     one: Any = np.ones(())
     inputs = (one,) * (size + parameters)
 
@@ -118,7 +128,9 @@ def _is_linear(function: Callable[..., Any], size: int, parameters: int) -> bool
         return jax.jvp(restricted, values[:size], inputs[:size])[1]
 
     with jax.ensure_compile_time_eval():
-        at_zero = jax.tree.leaves(function(*(0 * one for _ in range(size)), *inputs[size:]))
+        at_zero = jax.tree.leaves(
+            function(*(0 * one for _ in range(size)), *inputs[size:])
+        )
         affine = any(float(part) for part in at_zero)
     if affine or any(depends_on(derivative, *inputs)):
         return False
@@ -127,7 +139,9 @@ def _is_linear(function: Callable[..., Any], size: int, parameters: int) -> bool
 
 def example_law(kind: type[AnyLaw]) -> AnyLaw:
     """A law whose coefficients all differ."""
-    return kind.from_vector([0.1 + 0.01 * index for index, _ in enumerate(kind.coefficients())])
+    return kind.from_vector(
+        [0.1 + 0.01 * index for index, _ in enumerate(kind.coefficients())]
+    )
 
 
 def has_edges(kind: type[LocalLaw]) -> bool:
@@ -137,17 +151,29 @@ def has_edges(kind: type[LocalLaw]) -> bool:
 
 @cache
 def sample_points(front: float) -> RingPoint:
-    """Points on one half of the ring in several motions, as NumPy arrays; those on the other half
-    are their mirror images."""
+    """Points on one half of the ring in several motions, as NumPy arrays; those on the
+    other half are their mirror images."""
     v, u = np.array([[1.1], [0.3], [2.3]]), np.array([[-0.6], [0.15], [1.7]])
     angle = (2 * front - 1) * np.linspace(0.2, 2.9, 7)
     xi, eta = np.cos(angle), np.sin(angle)
     slide_xi, slide_eta = -u * eta, v + u * xi
     speed = np.hypot(slide_xi, slide_eta)
     return RingPoint(
-        xi, eta, angle, front, slide_xi, slide_eta, speed, slide_xi / speed, slide_eta / speed,
-        np.ones_like(speed), v, u, 0.7 * v, 3.1 * v,
-    )  # fmt: skip
+        xi,
+        eta,
+        angle,
+        front,
+        slide_xi,
+        slide_eta,
+        speed,
+        slide_xi / speed,
+        slide_eta / speed,
+        np.ones_like(speed),
+        v,
+        u,
+        0.7 * v,
+        3.1 * v,
+    )
 
 
 def _close(a: Any, b: Any) -> bool:
@@ -156,14 +182,17 @@ def _close(a: Any, b: Any) -> bool:
 
 @cache
 def is_mirror_symmetric(kind: type[LocalLaw], load: Load) -> bool:
-    """Whether friction on the back half mirrors that on the front, as under an isotropic law."""
+    """Whether friction on the back half mirrors that on the front, as under an
+    isotropic law."""
     law = example_law(kind)
     if load != "uniform" or has_edges(kind):
         return False
     names = ("e_xi", "slide_xi", "eta", "angle", "front")  # differ between the halves
 
     def traction(part: int, *values: Array) -> Any:
-        return law.traction(UNIT_POINT._replace(**dict(zip(names, values, strict=True))))[part]
+        return law.traction(
+            UNIT_POINT._replace(**dict(zip(names, values, strict=True)))
+        )[part]
 
     try:
         dependences = depends_on(partial(traction, 1), *(np.ones(()) for _ in names))

@@ -1,9 +1,10 @@
 """When and where a stone crosses lines and comes to rest, with derivatives.
 
-A stone crosses a line or stops short of it, and at the transition the time of crossing ends like a
-square root: a search would meet an infinite slope, and then no value. Lines beyond a point `_EDGE`
-before the resting position are therefore taken to be crossed at the speed at that point. Times are
-thus defined for every line and every motion, and are continuous with their first derivatives.
+A stone crosses a line or stops short of it, and at the transition the time of crossing
+ends like a square root: a search would meet an infinite slope, and then no value. Lines
+beyond a point `_EDGE` before the resting position are therefore taken to be crossed at
+the speed at that point. Times are thus defined for every line and every motion, and are
+continuous with their first derivatives.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ _SLOWEST = 1e-4  # m/s, smallest divisor
 
 
 class Passages(NamedTuple):
-    """Times since the start (s), x (m), angles (rad), speeds (m/s) and spins (rad/s) at lines,
-    shape (lines,), and at rest."""
+    """Times since the start (s), x (m), angles (rad), speeds (m/s) and spins (rad/s) at
+    lines, shape (lines,), and at rest."""
 
     time: Array
     x: Array
@@ -58,7 +59,8 @@ def with_passages(
     Parameters
     ----------
     lines : y in m, shape (lines,), increasing.
-    asked : whether the passages are needed; the motion is not followed to rest otherwise.
+    asked : whether the passages are needed; the motion is not followed to
+        rest otherwise.
     """
     motion = partial(trajectory, law, stone, forces, start, load=load)
     held = jax.lax.stop_gradient((law, stone, forces, start))
@@ -67,7 +69,9 @@ def with_passages(
 
     def targets(y_rest: Array) -> Array:
         edge = y_rest - _EDGE
-        return jnp.concatenate([jnp.minimum(lines, edge), edge + _NEAR * jnp.array([-1.0, 1.0])])
+        return jnp.concatenate(
+            [jnp.minimum(lines, edge), edge + _NEAR * jnp.array([-1.0, 1.0])]
+        )
 
     def step(count: Array, t: Array) -> Array:
         path = fixed(jnp.concatenate([t, last]))
@@ -86,7 +90,8 @@ def with_passages(
     n, crossed = len(times), slice(len(times), len(times) + len(t))
     path = motion(jnp.concatenate([times, t, t + _LATER, last]))
     x, y, phi, vx, vy, speed, omega = (
-        getattr(path, name)[crossed] for name in ("x", "y", "phi", "vx", "vy", "speed", "omega")
+        getattr(path, name)[crossed]
+        for name in ("x", "y", "phi", "vx", "vy", "speed", "omega")
     )
     # One more step, with its derivatives: those of the implicit function y(t) = line.
     late = (targets(path.y[-1]) - y) / jnp.maximum(vy, _SLOWEST)
@@ -98,20 +103,30 @@ def with_passages(
     slowness = (time[-1] - time[-2]) / (2 * _NEAR)
     beyond = jnp.maximum(lines - (path.y[-1] - _EDGE), 0.0)
     passages = Passages(
-        time[:-2] + beyond * slowness, x[:-2], phi[:-2], speed[:-2], omega[:-2],
+        time[:-2] + beyond * slowness,
+        x[:-2],
+        phi[:-2],
+        speed[:-2],
+        omega[:-2],
         jnp.stack([path.rest, path.x[-1], path.y[-1], path.phi[-1]]),
-    )  # fmt: skip
+    )
     moving = Trajectory(
-        **{name: getattr(path, name)[:n] for name in ("t", "x", "y", "phi", "vx", "vy", "omega")},
+        **{
+            name: getattr(path, name)[:n]
+            for name in ("t", "x", "y", "phi", "vx", "vy", "omega")
+        },
         rest=path.rest,
     )
     return moving, passages
 
 
 def _reached(targets: Array, path: Trajectory) -> Array:
-    """Times at which y first has these values, by cubic polynomials between points of the path."""
+    """Times at which y first has these values, by cubic polynomials between points
+    of the path."""
     after = jnp.argmax(path.y[1:] >= targets[:, None], 1) + 1
-    (t0, y0, v0), (t1, y1, v1) = ((path.t[k], path.y[k], path.vy[k]) for k in (after - 1, after))
+    (t0, y0, v0), (t1, y1, v1) = (
+        (path.t[k], path.y[k], path.vy[k]) for k in (after - 1, after)
+    )
     h = t1 - t0
     h = jnp.where(h > 0, h, 1.0)
     rise = y1 - y0

@@ -1,7 +1,8 @@
-"""Net friction of the contact ring, and its derivatives, under a law or a member of a family.
+"""Net friction of the contact ring, and its derivatives, under a law or a member
+of a family.
 
-The laws of a family share what does not depend on the law: the means or the points of the ring, and
-how these change with its motion.
+The laws of a family share what does not depend on the law: the means or the points of
+the ring, and how these change with its motion.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ from curlfit.friction.family import LawFamily
 
 
 class Slopes(NamedTuple):
-    """Derivatives of force and moment, one for each of some inputs along the first axis."""
+    """Derivatives of force and moment, one for each of some inputs along
+    the first axis."""
 
     inputs: tuple[int, ...]
     """their numbers: the coefficients, then the fields of the motion"""
@@ -61,14 +63,18 @@ class Contact(NamedTuple):
 
     @property
     def is_summed(self) -> bool:
-        """Whether a single law applies, at least part of which is summed over points."""
+        """Whether a single law applies, at least part of which is summed
+        over points."""
         law = self.laws[0]
         single = not issubclass(self.kind, LawFamily)
         return single and (has_edges(law) or not has_closed_form(law, self.load))
 
     def ring(self, **motion: Array) -> Ring:
-        """What the laws have in common, in this motion or with some of its fields replaced."""
-        return Ring.of(self.laws, self.load, self.motion._replace(**motion), self.clustering)
+        """What the laws have in common, in this motion or with some of its
+        fields replaced."""
+        return Ring.of(
+            self.laws, self.load, self.motion._replace(**motion), self.clustering
+        )
 
     def zeros(self, rows: int) -> Array:
         """Rows of zeros for each motion."""
@@ -80,15 +86,20 @@ class Contact(NamedTuple):
             return function(self.laws[0], self.coefficients)
 
         def branch(law: type[LocalLaw]) -> Callable[..., Any]:
-            return lambda *inputs: function(law, inputs[1 : 1 + len(law.coefficients())])
+            return lambda *inputs: function(
+                law, inputs[1 : 1 + len(law.coefficients())]
+            )
 
         member = jax.lax.stop_gradient(self.coefficients[0]).astype(int).reshape(-1)[0]
-        return jax.lax.switch(_common(member), [*map(branch, self.laws)], *self.coefficients)
+        return jax.lax.switch(
+            _common(member), [*map(branch, self.laws)], *self.coefficients
+        )
 
 
 @custom_vmap
 def _common(index: Array) -> Array:
-    """An index that all motions of a batch share; without it `switch` would compute all cases."""
+    """An index that all motions of a batch share; without it `switch` would
+    compute all cases."""
     return index
 
 
@@ -102,21 +113,26 @@ def ring_forces(contact: Contact) -> RingForces:
     ring = contact.ring()
 
     def forces(law: type[LocalLaw], own: Values) -> RingForces:
-        return forces_of(law.from_vector(own), contact.load, contact.motion, ring, contact.lever)
+        return forces_of(
+            law.from_vector(own), contact.load, contact.motion, ring, contact.lever
+        )
 
     found: RingForces = contact.of_law(forces)
     return found
 
 
 def ring_slopes(contact: Contact, tilt: Tilt, wanted: Iterable[int]) -> list[Slopes]:
-    """Derivatives of the net friction under a given load with respect to inputs, by number."""
+    """Derivatives of the net friction under a given load with respect to
+    inputs, by number."""
     k = len(contact.coefficients)
-    first = int(issubclass(contact.kind, LawFamily))  # the index of the member is not a variable
+    # the index of the member is not a variable
+    first = int(issubclass(contact.kind, LawFamily))
     moving = tuple(number for number in wanted if number in (k, k + 1))
     own = tuple(number for number in wanted if number >= first and number not in moving)
     groups = [group for group in (own, moving) if group]
     if contact.is_summed and contact.motion.v.size > 1:
-        # Most inputs enter only a small part; for a single motion, groups make a smaller program.
+        # Most inputs enter only a small part; for a single motion, groups make a
+        # smaller program.
         groups = [(number,) for group in groups for number in group]
     ring = contact.ring()
     place = contact.motion.v, contact.motion.u
@@ -126,12 +142,16 @@ def ring_slopes(contact: Contact, tilt: Tilt, wanted: Iterable[int]) -> list[Slo
         return tuple(part[np.array(group) - k] for part in _each(place))
 
     changes = {
-        group: _along(lambda v, u: contact.ring(v=v, u=u).sliding, place, directions(group))
+        group: _along(
+            lambda v, u: contact.ring(v=v, u=u).sliding, place, directions(group)
+        )
         for group in groups
         if group[0] in moving
     }
 
-    def rows(law: type[LocalLaw], coefficients: Values, group: tuple[int, ...]) -> Values:
+    def rows(
+        law: type[LocalLaw], coefficients: Values, group: tuple[int, ...]
+    ) -> Values:
         def force(one: LocalLaw, motion: RingMotion, ring: Ring = ring) -> Values:
             return force_under(one, contact.load, motion, ring, tilt)
 
@@ -140,7 +160,9 @@ def ring_slopes(contact: Contact, tilt: Tilt, wanted: Iterable[int]) -> list[Slo
 
         def moved(sliding: Any, v: Array, u: Array) -> Values:
             motion = contact.motion._replace(v=v, u=u)
-            return force(law.from_vector(coefficients), motion, ring.with_sliding(sliding))
+            return force(
+                law.from_vector(coefficients), motion, ring.with_sliding(sliding)
+            )
 
         changed = changes[group], *directions(group)
         found: Values = _along(moved, (ring.sliding, *place), changed)
@@ -159,11 +181,17 @@ def _own_rows(
     numbers: tuple[int, ...],
     force: Callable[[LocalLaw, RingMotion], Values],
 ) -> Values:
-    """Derivatives with respect to inputs of a law, by number; 0 for coefficients it lacks."""
+    """Derivatives with respect to inputs of a law, by number; 0 for
+    coefficients it lacks."""
     first, k = int(issubclass(contact.kind, LawFamily)), len(contact.coefficients)
     count = len(coefficients)
-    places = [number - first if number < k else number - k + count for number in numbers]
-    known = [number >= k or place < count for number, place in zip(numbers, places, strict=True)]
+    places = [
+        number - first if number < k else number - k + count for number in numbers
+    ]
+    known = [
+        number >= k or place < count
+        for number, place in zip(numbers, places, strict=True)
+    ]
     own = [place for place, is_known in zip(places, known, strict=True) if is_known]
     everything = (*coefficients, *contact.motion)
 
@@ -191,7 +219,9 @@ def _along(
     function: Callable[..., Any], inputs: tuple[Any, ...], directions: tuple[Any, ...]
 ) -> Any:
     """Derivatives along directions, one for each element of the first axis."""
-    return jax.vmap(lambda *direction: jax.jvp(function, inputs, direction)[1])(*directions)
+    return jax.vmap(lambda *direction: jax.jvp(function, inputs, direction)[1])(
+        *directions
+    )
 
 
 def _each(inputs: Values) -> Values:

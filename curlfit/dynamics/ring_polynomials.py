@@ -1,9 +1,10 @@
-"""Friction as a polynomial in the position on the ring, found by evaluating the law with symbols.
+"""Friction as a polynomial in the position on the ring, found by evaluating the law
+with symbols.
 
-A law is arithmetic, so it accepts polynomials in place of numbers. Where its traction is then a
-polynomial in `xi` and `eta` times the direction, or the velocity, of sliding, the sum over the ring
-has a closed form (`elliptic`). Any other operation, such as a root or a comparison, raises
-`TypeError`, and the law is summed by quadrature.
+A law is arithmetic, so it accepts polynomials in place of numbers. Where its traction
+is then a polynomial in `xi` and `eta` times the direction, or the velocity, of sliding,
+the sum over the ring has a closed form (`elliptic`). Any other operation, such as a
+root or a comparison, raises `TypeError`, and the law is summed by quadrature.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ _LARGE = 1e3  # bound on the sampled coefficients
 _ANGLES = 60  # on half a ring, at which friction between edges must be the same
 _ROUNDING = 1e-12
 _DIRECTIONS = {(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 0, 1), (0, 1, 1)}
-"""Powers of e_xi, e_eta and speed of the terms that have a mean: of a push, a direction of sliding
-and a velocity"""
+"""Powers of e_xi, e_eta and speed of the terms that have a mean: of a push, a direction
+of sliding and a velocity"""
 _MEANS = {(0, 0): "one", (1, 0): "xi", (2, 0): "xi_xi", (0, 1): "eta", (1, 1): "xi_eta"}
 
 
@@ -41,7 +42,8 @@ class Powers(NamedTuple):
 
 
 class Polynomial:
-    """A sum of terms, each a coefficient times powers; `eta^2` is written as `1 - xi^2`.
+    """A sum of terms, each a coefficient times powers; `eta^2` is written
+    as `1 - xi^2`.
 
     Coefficients are numbers or arrays. Speed and load may have negative exponents.
     """
@@ -59,8 +61,11 @@ class Polynomial:
             return value
         if value is None or (isinstance(value, np.ndarray) and value.dtype.hasobject):
             raise TypeError("expected a number")
-        # Only a zero written in the law itself vanishes; a coefficient may have other values.
-        return cls({} if type(value) in (int, float) and value == 0 else {Powers(): value})
+        # Only a zero written in the law itself vanishes; a coefficient may have
+        # other values.
+        return cls(
+            {} if type(value) in (int, float) and value == 0 else {Powers(): value}
+        )
 
     def __add__(self, other: Any) -> Polynomial:
         terms = dict(self.terms)
@@ -81,7 +86,9 @@ class Polynomial:
         if len(other.terms) == 1:
             ((powers, value),) = other.terms.items()
             if powers == Powers(speed=powers.speed, load=powers.load):
-                return self * Polynomial({Powers(*(-power for power in powers)): 1 / value})
+                return self * Polynomial(
+                    {Powers(*(-power for power in powers)): 1 / value}
+                )
         raise TypeError("a polynomial can be divided by a speed or a load only")
 
     def __pow__(self, exponent: int) -> Polynomial:
@@ -140,7 +147,8 @@ class Force(NamedTuple):
         return cls(xi, eta, XI * eta - ETA * xi)
 
     def under(self, load: Any, constant: bool = True) -> Force:
-        """The force under a load; `constant`: whether to include terms independent of it."""
+        """The force under a load; `constant`: whether to include terms
+        independent of it."""
         return Force(*(_under(part, load, constant) for part in self))
 
 
@@ -158,15 +166,26 @@ def _under(part: Polynomial, load: Any, constant: bool) -> Polynomial:
 def traction(
     law: LocalLaw, load: Load, front: float, angle: Any, motion: tuple[Any, ...]
 ) -> tuple[Polynomial, Polynomial]:
-    """Traction on one half in a motion (v, u, turned, time); between two edges of a law, `angle` is
-    any angle between them. Raises some exception where it is not a polynomial."""
+    """Traction on one half in a motion (v, u, turned, time); between two edges of
+    a law, `angle` is any angle between them. Raises some exception where it is not
+    a polynomial."""
     v, u, turned, time = motion
     point = RingPoint(
-        xi=XI, eta=ETA, angle=angle, front=front,
-        slide_xi=_symbol(e_xi=1, speed=1), slide_eta=_symbol(e_eta=1, speed=1),
-        speed=_symbol(speed=1), e_xi=_symbol(e_xi=1), e_eta=_symbol(e_eta=1),
-        load=1.0 if load == "uniform" else _LOAD, v=v, u=u, turned=turned, time=time,
-    )  # fmt: skip
+        xi=XI,
+        eta=ETA,
+        angle=angle,
+        front=front,
+        slide_xi=_symbol(e_xi=1, speed=1),
+        slide_eta=_symbol(e_eta=1, speed=1),
+        speed=_symbol(speed=1),
+        e_xi=_symbol(e_xi=1),
+        e_eta=_symbol(e_eta=1),
+        load=1.0 if load == "uniform" else _LOAD,
+        v=v,
+        u=u,
+        turned=turned,
+        time=time,
+    )
     factor = 1.0 if load == "uniform" else _LOAD  # traction is per unit load
     across, along = law.traction(point)
     return Polynomial.of(across) * factor, Polynomial.of(along) * factor
@@ -178,9 +197,11 @@ def has_mean(powers: Powers) -> bool:
 
 
 def mean(part: Polynomial, of: Callable[[Powers], Any]) -> Any:
-    """Mean over a part of the ring, from the terms that have one; the others cancel (in the moment
-    of `radial`, by `xi^2 + eta^2 = 1`)."""
-    return sum(value * of(powers) for powers, value in part.terms.items() if has_mean(powers))
+    """Mean over a part of the ring, from the terms that have one; the others cancel (in
+    the moment of `radial`, by `xi^2 + eta^2 = 1`)."""
+    return sum(
+        value * of(powers) for powers, value in part.terms.items() if has_mean(powers)
+    )
 
 
 def mean_of_half(means: Any, front: float, powers: Powers) -> Any:
@@ -190,7 +211,11 @@ def mean_of_half(means: Any, front: float, powers: Powers) -> Any:
     ----------
     means : means of the directions and of the velocities of sliding.
     """
-    of = means[powers.speed][powers.e_eta] if powers.e_xi or powers.e_eta else MEAN_PLACES
+    of = (
+        means[powers.speed][powers.e_eta]
+        if powers.e_xi or powers.e_eta
+        else MEAN_PLACES
+    )
     found = getattr(of, _MEANS[powers.xi, powers.eta])
     # The front and the back half slide to opposite sides.
     mirrored = (powers.eta + powers.e_xi) % 2 == 1 and not front
@@ -199,9 +224,15 @@ def mean_of_half(means: Any, front: float, powers: Powers) -> Any:
 
 def at_points(point: RingPoint, powers: Powers) -> Any:
     """A term of position and sliding at the points of a part."""
-    sliding = ((point.e_xi, point.e_eta), (point.slide_xi, point.slide_eta))[powers.speed]
+    sliding = ((point.e_xi, point.e_eta), (point.slide_xi, point.slide_eta))[
+        powers.speed
+    ]
     factors = (point.xi, point.eta, *sliding)
-    return prod(value for value, power in zip(factors, powers, strict=False) for _ in range(power))
+    return prod(
+        value
+        for value, power in zip(factors, powers, strict=False)
+        for _ in range(power)
+    )
 
 
 @cache
@@ -217,14 +248,17 @@ def has_closed_form(kind: type[LocalLaw], load: Load) -> bool:
                 random.uniform(max(item.lower, -_LARGE), min(item.upper, _LARGE), 1)[0]
                 for item in kind.coefficients()
             ]
-            motion = random.uniform((0.1, -1.0, -farthest, 0.0), (3.0, 1.0, farthest, 40.0))
+            motion = random.uniform(
+                (0.1, -1.0, -farthest, 0.0), (3.0, 1.0, farthest, 40.0)
+            )
             _check(kind.from_vector(values), load, tuple(motion))
         return True
     return False
 
 
 def _check(law: LocalLaw, load: Load, motion: tuple[float, ...]) -> None:
-    """Raise TypeError where the force or the moment needs a mean that has no closed form."""
+    """Raise TypeError where the force or the moment needs a mean that has no
+    closed form."""
     jumps = law.edges(motion[2])
     for front in (1.0, 0.0):
         if not any(jumps):

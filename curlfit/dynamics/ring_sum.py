@@ -1,12 +1,12 @@
 """The sum over the contact ring of the friction of one law (eq. 2).
 
-In closed form where the law is a polynomial in the position on the ring (`ring_polynomials`), by
-Gauss quadrature otherwise (`quadrature`).
+In closed form where the law is a polynomial in the position on the ring
+(`ring_polynomials`), by Gauss quadrature otherwise (`quadrature`).
 
-Under a consistent load `n/n0 = 1 + p xi + q eta` (eq. 9) the force is linear in p and q, so that it
-follows from the forces under the loads 1, xi and eta. For a law that itself depends on the load,
-these are the forces of the tangent at the balance, which has the same value and first derivatives
-there.
+Under a consistent load `n/n0 = 1 + p xi + q eta` (eq. 9) the force is linear in p and
+q, so that it follows from the forces under the loads 1, xi and eta. For a law that
+itself depends on the load, these are the forces of the tangent at the balance, which
+has the same value and first derivatives there.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ _SLIDING = ("slide_xi", "slide_eta", "speed", "e_xi", "e_eta", "v", "u")
 
 Values = tuple[Array, ...]
 RingForces = tuple[Values, ...]
-"""Force over m g to the right and forward and moment over m g R, under the load 1 and, where the
-load is consistent, under the loads xi and eta"""
+"""Force over m g to the right and forward and moment over m g R, under the load 1 and,
+where the load is consistent, under the loads xi and eta"""
 
 Tilt = tuple[Array, Array] | None
 """(p, q) of a load; None for a uniform one"""
@@ -86,10 +86,14 @@ class Ring(NamedTuple):
 
     @classmethod
     def of(
-        cls, laws: Iterable[type[LocalLaw]], load: Load, motion: RingMotion,
+        cls,
+        laws: Iterable[type[LocalLaw]],
+        load: Load,
+        motion: RingMotion,
         clustering: NodeClustering,
-    ) -> Ring:  # fmt: skip
-        """The front half suffices if the back half mirrors it for all laws that are summed."""
+    ) -> Ring:
+        """The front half suffices if the back half mirrors it for all laws
+        that are summed."""
         laws = [term for law in laws for term in _terms(law, load)]
         summed = [law for law in laws if not has_closed_form(law, load)]
         plain = [law for law in summed if not has_edges(law)]
@@ -107,7 +111,8 @@ class Ring(NamedTuple):
     def sliding(self) -> Any:
         """What depends on the motion of the ring."""
         return self.means, [
-            {name: getattr(panel.points, name) for name in _SLIDING} for panel in self.panels
+            {name: getattr(panel.points, name) for name in _SLIDING}
+            for panel in self.panels
         ]
 
     def with_sliding(self, sliding: Any) -> Ring:
@@ -126,19 +131,26 @@ class Ring(NamedTuple):
         if has_edges(type(law)):
             return panels(law, *motion, self.clustering)
         there = {"turned": motion.turned, "time": motion.time}
-        return [panel._replace(points=panel.points._replace(**there)) for panel in self.panels]
+        return [
+            panel._replace(points=panel.points._replace(**there))
+            for panel in self.panels
+        ]
 
 
 def _terms(law: type[LocalLaw], load: Load) -> tuple[type[LocalLaw], ...]:
-    """The laws that are summed over the ring each in its own way: those of a sum, or this one."""
-    apart = issubclass(law, Sum) and load == "uniform" and not has_closed_form(law, load)
+    """The laws that are summed over the ring each in its own way: those of a sum,
+    or this one."""
+    apart = (
+        issubclass(law, Sum) and load == "uniform" and not has_closed_form(law, load)
+    )
     return law.parts if apart else (law,)  # type: ignore[attr-defined]
 
 
 def forces_of(
     law: LocalLaw, load: Load, motion: RingMotion, ring: Ring, lever: Array
 ) -> RingForces:
-    """Net friction of a law; `lever` is 2 h/R, by which a force tilts the load (eq. 8)."""
+    """Net friction of a law; `lever` is 2 h/R, by which a force tilts the
+    load (eq. 8)."""
     if has_closed_form(type(law), load):
         total = partial(_total, _parts_in_closed_form(law, load, motion, ring), motion)
         if load == "uniform":
@@ -150,20 +162,27 @@ def forces_of(
     if depends_on_load(law, ring_panels[0].points):
         return _about_balance(law, ring_panels, lever)
     across, along = (
-        [Panel(points, weight * getattr(points, name)) for points, weight in ring_panels]
+        [
+            Panel(points, weight * getattr(points, name))
+            for points, weight in ring_panels
+        ]
         for name in ("xi", "eta")
     )
     return _moments(law, ring_panels), _moments(law, across), _moments(law, along)
 
 
-def force_under(law: LocalLaw, load: Load, motion: RingMotion, ring: Ring, tilt: Tilt) -> Values:
+def force_under(
+    law: LocalLaw, load: Load, motion: RingMotion, ring: Ring, tilt: Tilt
+) -> Values:
     """Net friction of a law under one load."""
     if has_closed_form(type(law), load):
         tilted = 1.0 if tilt is None else 1 + tilt[0] * XI + tilt[1] * ETA
         return _total(_parts_in_closed_form(law, load, motion, ring), motion, tilted)
     if isinstance(law, Sum) and load == "uniform":
         each = [force_under(term, load, motion, ring, tilt) for term in law.terms]
-        return tuple(sum(row, start=jnp.zeros_like(motion.v)) for row in zip(*each, strict=True))
+        return tuple(
+            sum(row, start=jnp.zeros_like(motion.v)) for row in zip(*each, strict=True)
+        )
     return _by_quadrature(law, load, ring.panels_of(law, motion), tilt)
 
 
@@ -174,9 +193,11 @@ class _Part(NamedTuple):
     mean: Callable[[Powers], Array]
 
 
-def _parts_in_closed_form(law: LocalLaw, load: Load, motion: RingMotion, ring: Ring) -> list[_Part]:
-    """The force before the first edge of a law is summed over the whole of each half in closed
-    form, and its change beyond the edges by quadrature."""
+def _parts_in_closed_form(
+    law: LocalLaw, load: Load, motion: RingMotion, ring: Ring
+) -> list[_Part]:
+    """The force before the first edge of a law is summed over the whole of each half in
+    closed form, and its change beyond the edges by quadrature."""
     v, u, turned, time = motion
     parts = []
     for front in (1.0, 0.0):
@@ -194,7 +215,9 @@ def _parts_in_closed_form(law: LocalLaw, load: Load, motion: RingMotion, ring: R
     return parts
 
 
-def _total(parts: list[_Part], motion: RingMotion, tilted: Any, *, constant: bool = True) -> Values:
+def _total(
+    parts: list[_Part], motion: RingMotion, tilted: Any, *, constant: bool = True
+) -> Values:
     """Force and moment; `tilted` is the load, with `constant` as in `Force.under`."""
     forces = [part.force.under(tilted, constant) for part in parts]
     means = (
@@ -205,7 +228,9 @@ def _total(parts: list[_Part], motion: RingMotion, tilted: Any, *, constant: boo
 
 
 def _mean_of_panel(panel: Panel, powers: Powers) -> Array:
-    return jnp.tensordot(GAUSS_WEIGHTS, panel.weight * at_points(panel.points, powers), 1)
+    return jnp.tensordot(
+        GAUSS_WEIGHTS, panel.weight * at_points(panel.points, powers), 1
+    )
 
 
 def _by_quadrature(law: LocalLaw, load: Load, ring: list[Panel], tilt: Tilt) -> Values:
@@ -235,7 +260,9 @@ def _moments(law: LocalLaw, ring: list[Panel]) -> Values:
         t_xi += n_xi
         t_eta += n_eta
         moment += points.xi * n_eta - points.eta * n_xi
-    return tuple(jnp.tensordot(GAUSS_WEIGHTS, density, 1) for density in (t_xi, t_eta, moment))
+    return tuple(
+        jnp.tensordot(GAUSS_WEIGHTS, density, 1) for density in (t_xi, t_eta, moment)
+    )
 
 
 def _about_balance(law: LocalLaw, ring: list[Panel], lever: Array) -> RingForces:
@@ -251,7 +278,9 @@ def _about_balance(law: LocalLaw, ring: list[Panel], lever: Array) -> RingForces
         law, ring = jax.tree.unflatten(tree, now)
 
         def force(tilt: Array) -> Array:
-            return jnp.stack(_by_quadrature(law, "consistent", ring, (tilt[0], tilt[1])))
+            return jnp.stack(
+                _by_quadrature(law, "consistent", ring, (tilt[0], tilt[1]))
+            )
 
         one, zero = jnp.ones_like(tilt[0]), jnp.zeros_like(tilt[0])
         value, slope = jax.linearize(force, tilt)
@@ -263,7 +292,8 @@ def _about_balance(law: LocalLaw, ring: list[Panel], lever: Array) -> RingForces
         def iterate(carry: tuple[Any, ...]) -> tuple[Any, ...]:
             tilt, _, _, count = carry
             forces = tangent(arrays, tilt)
-            after = _solved_tilt(forces, lever)  # an iterate may exceed any admissible load
+            # an iterate may exceed any admissible load
+            after = _solved_tilt(forces, lever)
             return after, forces, jnp.abs(after - tilt).max(0), count + 1
 
         def unbalanced(carry: tuple[Any, ...]) -> Array:
@@ -271,18 +301,27 @@ def _about_balance(law: LocalLaw, ring: list[Panel], lever: Array) -> RingForces
             return (change > _BALANCE_TOLERANCE).any() & (count < _MAX_NEWTON_STEPS)
 
         none = jnp.zeros_like(lever)
-        start = jnp.stack([none, none]), ((none,) * 3,) * 3, none + jnp.inf, jnp.zeros((), int)
+        start = (
+            jnp.stack([none, none]),
+            ((none,) * 3,) * 3,
+            none + jnp.inf,
+            jnp.zeros((), int),
+        )
         _, forces, change, _ = jax.lax.while_loop(unbalanced, iterate, start)
         # The error is the square of this change.
         unknown = ~(change <= _BALANCE_TOLERANCE)
         return jax.tree.map(lambda part: jnp.where(unknown, jnp.nan, part), forces)
 
     @balanced.defjvp
-    def _(primals: tuple[Any, Any], tangents: tuple[Any, Any]) -> tuple[RingForces, RingForces]:
+    def _(
+        primals: tuple[Any, Any], tangents: tuple[Any, Any]
+    ) -> tuple[RingForces, RingForces]:
         (arrays, lever), (d_arrays, d_lever) = primals, tangents
         forces = balanced(arrays, lever)
         tilt = balanced_tilt(forces, lever)
-        at_fixed_tilt = jax.jvp(lambda arrays: tangent(arrays, tilt), (arrays,), (d_arrays,))[1]
+        at_fixed_tilt = jax.jvp(
+            lambda arrays: tangent(arrays, tilt), (arrays,), (d_arrays,)
+        )[1]
         d_tilt = jax.jvp(balanced_tilt, (forces, lever), (at_fixed_tilt, d_lever))[1]
         return forces, jax.jvp(tangent, (arrays, tilt), (d_arrays, d_tilt))[1]
 
@@ -291,7 +330,8 @@ def _about_balance(law: LocalLaw, ring: list[Panel], lever: Array) -> RingForces
 
 
 def balanced_tilt(forces: RingForces, lever: Array) -> Array:
-    """The consistent load (eq. 8-9) as (p, q); NaN where it would be negative somewhere.
+    """The consistent load (eq. 8-9) as (p, q); NaN where it would be
+    negative somewhere.
 
     On a thin ring eq. 8 reads `(p, q) = -2 (h/R) T/(m g)`.
     """

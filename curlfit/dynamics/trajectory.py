@@ -38,7 +38,8 @@ _FEWEST_ROWS = 64  # of a program, which also serves fewer
 )
 @dataclass(frozen=True)
 class InitialState:
-    """Position, angle, velocity and spin at the start of a throw, in the axes of curlfit.
+    """Position, angle, velocity and spin at the start of a throw, in the
+    axes of curlfit.
 
     Attributes
     ----------
@@ -69,12 +70,13 @@ class InitialState:
 )
 @dataclass(frozen=True, repr=False)
 class Trajectory(Displayed):
-    """Motion of a stone at given times; every field but `rest` is an array of the shape of `t`.
+    """Motion of a stone at given times; every field but `rest` is an array of the
+    shape of `t`.
 
-    t in s; x, y in m; phi in rad, not wrapped; vx, vy in m/s; omega in rad/s. After the stone
-    has come to rest its position and angle are constant and its velocities are zero. `rest` is the
-    time of rest in s; if the stone still moves at the last time, it is extrapolated from the energy
-    loss there, and inf if there is none.
+    t in s; x, y in m; phi in rad, not wrapped; vx, vy in m/s; omega in rad/s. After the
+    stone has come to rest its position and angle are constant and its velocities are
+    zero. `rest` is the time of rest in s; if the stone still moves at the last time, it
+    is extrapolated from the energy loss there, and inf if there is none.
 
     Examples
     --------
@@ -101,7 +103,8 @@ class Trajectory(Displayed):
         return jnp.where(moving, jnp.sqrt(jnp.where(moving, square, 1.0)), 0.0)
 
     def to_frame(self) -> Any:
-        """The motion as a pandas DataFrame: t, x, y, phi, vx, vy, omega and speed (SI, rad).
+        """The motion as a pandas DataFrame: t, x, y, phi, vx, vy, omega and
+        speed (SI, rad).
 
         Raises
         ------
@@ -113,20 +116,36 @@ class Trajectory(Displayed):
     def _document(self) -> Document:
         shape = jnp.shape(self.x)
         arrays = [getattr(self, item.name) for item in fields(self)]
-        if len(shape) != 1 or not shape[0] or any(isinstance(x, jax.core.Tracer) for x in arrays):
+        if (
+            len(shape) != 1
+            or not shape[0]
+            or any(isinstance(x, jax.core.Tracer) for x in arrays)
+        ):
             return Document(finding=f"shape {shape}", subject="motion of a stone")
-        units = {"t": "s", "x": "m", "y": "m", "phi": "rad", "speed": "m/s", "omega": "rad/s"}
+        units = {
+            "t": "s",
+            "x": "m",
+            "y": "m",
+            "phi": "rad",
+            "speed": "m/s",
+            "omega": "rad/s",
+        }
         series = {name: np.asarray(getattr(self, name)) for name in units}
         table = PlainTable(
             {"": label}
-            | {f">{name} ({units[name]})": f"{x[row] + 0.0:.5g}" for name, x in series.items()}
+            | {
+                f">{name} ({units[name]})": f"{x[row] + 0.0:.5g}"
+                for name, x in series.items()
+            }
             for label, row in (("first", 0), ("last", -1))
         )
         rest = float(self.rest)
         t, x, y = series["t"], series["x"], series["y"]
         ends = f"from ({x[0]:.4g}, {y[0]:.4g}) m to ({x[-1]:.4g}, {y[-1]:.4g}) m"
         return Document(
-            finding=f"at rest at {rest:.5g} s" if math.isfinite(rest) else "does not come to rest",
+            finding=f"at rest at {rest:.5g} s"
+            if math.isfinite(rest)
+            else "does not come to rest",
             subject=f"motion of a stone at {counted(len(t), 'time')}, "
             f"t = {t[0]:.5g} .. {t[-1]:.5g} s",
             lines=[f"x, y {ends}"],
@@ -146,21 +165,34 @@ jax.tree_util.register_dataclass(
 )
 
 
-def external_forces(stone: Stone, environment: Environment, heading: Array, t0: Any = 0.0) -> Array:
-    """External forces, as `integrate` takes them, in the frame of an initial heading."""
+def external_forces(
+    stone: Stone, environment: Environment, heading: Array, t0: Any = 0.0
+) -> Array:
+    """External forces, as `integrate` takes them, in the frame of an
+    initial heading."""
     right, along = environment.gravity_along(jnp.sin(heading), jnp.cos(heading))
     return jnp.stack(
         ExternalForces(
-            right, along, environment.drag_rate(stone.m), *environment.wear_along(),
-            environment.sweep, environment.swept_from - t0, environment.swept_to - t0,
+            right,
+            along,
+            environment.drag_rate(stone.m),
+            *environment.wear_along(),
+            environment.sweep,
+            environment.swept_from - t0,
+            environment.swept_to - t0,
         )
-    )  # fmt: skip
+    )
 
 
 def _motion(
-    law: Law, stone: Stone, forces: Array | None, start: InitialState, times: Array, load: Load,
+    law: Law,
+    stone: Stone,
+    forces: Array | None,
+    start: InitialState,
+    times: Array,
+    load: Load,
     velocities: bool,
-) -> tuple[list[Array], Array]:  # fmt: skip
+) -> tuple[list[Array], Array]:
     """x, y, phi, with vx, vy, omega if requested, and the time of rest."""
     inputs = (
         jnp.stack(jax.tree.leaves(law)),
@@ -169,8 +201,8 @@ def _motion(
         jnp.stack([start.v, start.omega]),
     )
     channels, rest = integrate(type(law), load, velocities, inputs, times)
-    # Friction is homogeneous and isotropic: initial position, heading and angle only translate and
-    # rotate the path (u to the right of the initial heading, w along it).
+    # Friction is homogeneous and isotropic: initial position, heading and angle only
+    # translate and rotate the path (u to the right of the initial heading, w along it).
     s, c = jnp.sin(start.heading), jnp.cos(start.heading)
     u, w, turned, *rates = channels
     out = [start.x + c * u + s * w, start.y - s * u + c * w, start.phi + turned]
@@ -182,31 +214,53 @@ def _motion(
 
 @partial(jax.jit, static_argnames="load")
 def ordered_trajectory(
-    law: Law, stone: Stone, forces: Array | None, start: InitialState, times: Array, t0: Array, *,
+    law: Law,
+    stone: Stone,
+    forces: Array | None,
+    start: InitialState,
+    times: Array,
+    t0: Array,
+    *,
     load: Load,
-) -> Trajectory:  # fmt: skip
-    """Like `simulate`, for arrays of floats, the `external_forces` or None, and non-decreasing
-    times; rows at inf are unused, and are 0."""
+) -> Trajectory:
+    """Like `simulate`, for arrays of floats, the `external_forces` or None, and
+    non-decreasing times; rows at inf are unused, and are 0."""
     (x, y, phi, *rates), rest = _motion(
         law, stone, forces, start, times - t0, load, velocities=True
     )
     vx, vy, omega = rates
-    return Trajectory(t=times, x=x, y=y, phi=phi, vx=vx, vy=vy, omega=omega, rest=t0 + rest)
+    return Trajectory(
+        t=times, x=x, y=y, phi=phi, vx=vx, vy=vy, omega=omega, rest=t0 + rest
+    )
 
 
 def trajectory(
-    law: Law, stone: Stone, forces: Array | None, start: InitialState, times: Array, t0: Any = 0.0,
-    *, load: Load,
-) -> Trajectory:  # fmt: skip
+    law: Law,
+    stone: Stone,
+    forces: Array | None,
+    start: InitialState,
+    times: Array,
+    t0: Any = 0.0,
+    *,
+    load: Load,
+) -> Trajectory:
     """`ordered_trajectory` for times in any order."""
     order = jnp.argsort(times)
-    path = ordered_trajectory(law, stone, forces, start, times[order], jnp.asarray(t0), load=load)
+    path = ordered_trajectory(
+        law, stone, forces, start, times[order], jnp.asarray(t0), load=load
+    )
     back = jnp.argsort(order)
     return jax.tree.map(lambda values: values[back] if values.ndim else values, path)
 
 
 def positions(
-    law: Law, stone: Stone, forces: Array | None, start: InitialState, times: Array, *, load: Load
+    law: Law,
+    stone: Stone,
+    forces: Array | None,
+    start: InitialState,
+    times: Array,
+    *,
+    load: Load,
 ) -> Array:
     """x, y and phi alone, shape (3, n), of a stone that starts at time 0.
 
@@ -228,42 +282,49 @@ def simulate(
 ) -> Trajectory:
     """The trajectory of a stone under a friction law.
 
-    Works under `jit` and `vmap`, and can be differentiated in forward and reverse mode with respect
-    to the law's coefficients, the stone, the initial state and the environment. Derivatives of
-    position and angle with respect to `times` are exact; those of velocity are taken as zero.
+    Works under `jit` and `vmap`, and can be differentiated in forward and reverse mode
+    with respect to the law's coefficients, the stone, the initial state and the
+    environment. Derivatives of position and angle with respect to `times` are exact;
+    those of velocity are taken as zero.
 
     Parameters
     ----------
     law, stone, start : friction law, stone and initial state.
-    times : times in s, shape (n,), none before `t0`, in any order; inf gives the position at
-        rest.
+    times : times in s, shape (n,), none before `t0`, in any order; inf gives the
+        position at rest.
     load : "uniform" or "consistent" (eq. 8-9).
     t0 : time of `start` in s; the earliest of `times` if not given.
-    environment : slope of the ice, air drag, wear and sweeping; none of them by default.
+    environment : slope of the ice, air drag, wear and sweeping; none of
+        them by default.
 
     Returns
     -------
-    Trajectory of shape (n,) and the time of rest. Positions are accurate to 1e-7 m and angles to
-    1e-7 rad over a throw. NaN where the law admits no motion (a consistent load that would have
-    to be negative) or the integration fails.
+    Trajectory of shape (n,) and the time of rest. Positions are accurate to 1e-7 m and
+    angles to 1e-7 rad over a throw. NaN where the law admits no motion (a consistent
+    load that would have to be negative) or the integration fails.
 
     Raises
     ------
-    InputError : unknown `load`; `start` or the law has arrays in place of numbers, or `start` a
-        negative speed; `times` of another shape. DataError : a law of your own that is not usable.
+    InputError : unknown `load`; `start` or the law has arrays in place of numbers, or
+        `start` a negative speed; `times` of another shape. DataError : a law of your
+        own that is not usable.
 
     Examples
     --------
     >>> law = curlfit.law_with("front-back", {"mu2_xi": 0.055})
     >>> times = [0.0, 5.0, 10.0, 15.0, 20.0]
-    >>> path = curlfit.simulate(law, curlfit.Stone(), curlfit.InitialState(v=2.0), times)
+    >>> path = curlfit.simulate(
+    ...     law, curlfit.Stone(), curlfit.InitialState(v=2.0), times
+    ... )
     >>> bool(path.x[-1] < 0)  # counter-clockwise spin curls to the left
     True
     """
     checked = check_load(load)
     _check_motion(law, start, times)
     given = (law, stone, start, environment, times, t0)
-    if np.size(times) and not any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(given)):
+    if np.size(times) and not any(
+        isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(given)
+    ):
         return _simulate_known(law, stone, start, times, t0, environment, checked)
     times = jnp.asarray(times, float)
     t0 = jnp.min(times) if t0 is None else jnp.asarray(t0, float)
@@ -271,13 +332,20 @@ def simulate(
         lambda value: jnp.asarray(value, float), (law, stone, start, environment)
     )
     finite = jnp.where(times == jnp.inf, _REST_TIME, times)
-    return replace(_surrounded(law, stone, environment, start, finite, t0, checked), t=times)
+    return replace(
+        _surrounded(law, stone, environment, start, finite, t0, checked), t=times
+    )
 
 
 def _surrounded(
-    law: Law, stone: Stone, environment: Environment | None, start: InitialState, times: Array,
-    t0: Array, load: Load,
-) -> Trajectory:  # fmt: skip
+    law: Law,
+    stone: Stone,
+    environment: Environment | None,
+    start: InitialState,
+    times: Array,
+    t0: Array,
+    load: Load,
+) -> Trajectory:
     forces = None
     if environment is not None:
         forces = external_forces(stone, environment, start.heading, t0)
@@ -294,29 +362,40 @@ def _check_motion(law: Law, start: InitialState, times: ArrayLike) -> None:
                 continue
             if np.shape(value):
                 raise InputError(
-                    f"{name}.{item.name} of shape {np.shape(value)} found, expected a number; for "
-                    "many motions, `jax.vmap` a function that simulates one"
+                    f"{name}.{item.name} of shape {np.shape(value)} found, "
+                    "expected a number; for many motions, `jax.vmap` a function "
+                    "that simulates one"
                 )
-            require_kind(value, (Real, np.ndarray, Array), f"{name}.{item.name}", "a number")
+            require_kind(
+                value, (Real, np.ndarray, Array), f"{name}.{item.name}", "a number"
+            )
             if record is start and not math.isfinite(value):
-                raise InputError(f"{name}.{item.name} = {value}: expected a finite number")
+                raise InputError(
+                    f"{name}.{item.name} = {value}: expected a finite number"
+                )
     if not isinstance(start.v, jax.core.Tracer) and start.v < 0:
         raise InputError(
-            f"InitialState.v = {float(start.v):g} m/s: expected a speed >= 0; `heading` gives its "
-            "direction"
+            f"InitialState.v = {float(start.v):g} m/s: expected a speed >= 0; "
+            "`heading` gives its direction"
         )
     if np.ndim(times) != 1:
         raise InputError(f"times of shape {np.shape(times)} found, expected (n,)")
 
 
 def _simulate_known(
-    law: Law, stone: Stone, start: InitialState, times: ArrayLike, t0: ArrayLike | None,
-    environment: Environment | None, load: Load,
-) -> Trajectory:  # fmt: skip
-    """The same outside JAX's transformations, by a program that is stored on disk and serves any
-    number of rows up to a power of two."""
+    law: Law,
+    stone: Stone,
+    start: InitialState,
+    times: ArrayLike,
+    t0: ArrayLike | None,
+    environment: Environment | None,
+    load: Load,
+) -> Trajectory:
+    """The same outside JAX's transformations, by a program that is stored on disk and
+    serves any number of rows up to a power of two."""
     t = np.asarray(times, float)
-    padded = np.full(max(_FEWEST_ROWS, 1 << (len(t) - 1).bit_length()), np.inf)  # unused rows
+    # unused rows
+    padded = np.full(max(_FEWEST_ROWS, 1 << (len(t) - 1).bit_length()), np.inf)
     padded[: len(t)] = np.where(t == np.inf, _REST_TIME, t)
     stone, start, environment, coefficients = jax.tree.map(
         lambda value: np.asarray(value, float),
@@ -335,7 +414,15 @@ def _simulate_known(
 
 @compiled("law", "load")
 def _padded_trajectory(
-    law: type[Law], load: Load, coefficients: Array, stone: Stone,
-    environment: Environment | None, start: InitialState, times: Array, t0: Array,
-) -> Trajectory:  # fmt: skip
-    return _surrounded(law.from_vector(coefficients), stone, environment, start, times, t0, load)
+    law: type[Law],
+    load: Load,
+    coefficients: Array,
+    stone: Stone,
+    environment: Environment | None,
+    start: InitialState,
+    times: Array,
+    t0: Array,
+) -> Trajectory:
+    return _surrounded(
+        law.from_vector(coefficients), stone, environment, start, times, t0, load
+    )

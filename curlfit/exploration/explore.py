@@ -1,4 +1,5 @@
-"""Paths under the law of a fit at other values of its parameters, and sliders for these."""
+"""Paths under the law of a fit at other values of its parameters, and
+sliders for these."""
 
 from __future__ import annotations
 
@@ -25,7 +26,8 @@ from curlfit.throws.throw import CHANNELS
 _STEPS = 500  # of a slider
 _HALF = 0.5  # half the range of a slider, relative to the value or its typical size
 _SIGMAS = 5.0  # standard errors that half a range contains at least
-_HALF_RANGES = {"x0": 0.5, "y0": 0.5, "phi0": 0.5, "v0": 0.5, "heading": 0.05}  # m, rad, m/s
+# m, rad, m/s
+_HALF_RANGES = {"x0": 0.5, "y0": 0.5, "phi0": 0.5, "v0": 0.5, "heading": 0.05}
 _DPI = 110
 
 
@@ -36,7 +38,8 @@ class Curves:
     Attributes
     ----------
     t : evenly spaced times over the data, s.
-    path : x, y, phi, speed and omega at these times (SI, rad), NaN where the law admits no motion.
+    path : x, y, phi, speed and omega at these times (SI, rad), NaN where the law
+        admits no motion.
     residuals : measured minus computed, by measured channel, at the times of the data.
     chi_squared : of the data, under the noise model and the loss of the fit.
     """
@@ -53,10 +56,14 @@ class CurveModel:
     def __init__(self, fit: FitResult) -> None:
         self.fit, self._model = fit, fit.model
         self._problem, origin = problem_of(fit)
-        self._offset, self._place = origin.offset(len(fit.parameters)), origin.place[:, None]
+        self._offset, self._place = (
+            origin.offset(len(fit.parameters)),
+            origin.place[:, None],
+        )
         observed = fit.observed["t"]
         self._rows = len(observed)
-        # As many times as padded rows: the program for the data also computes the curves.
+        # As many times as padded rows: the program for the data also
+        # computes the curves.
         count = len(self._problem.times)
         self._t = np.linspace(observed[0], observed[-1], count)
         none = np.zeros_like(self._problem.weight)
@@ -99,7 +106,9 @@ class MovingFigure:
                 (3.544, 0.824, 1),
             )
         )
-        path.plot(*(fit.observed[name][self._some] for name in ("y", "x")), **draw.DATA_STYLE)
+        path.plot(
+            *(fit.observed[name][self._some] for name in ("y", "x")), **draw.DATA_STYLE
+        )
         path.set(xlabel="along the sheet, y (m)", ylabel="to the right, x (m)")
         path.invert_yaxis()  # as seen from above, thrown to the right
         draw.plot_rate(spin, fit.observed, "omega")
@@ -111,7 +120,9 @@ class MovingFigure:
             self._sizes[name], unit = unit_for(max(rms, 1e-12), name)
             axes.axhline(0, **draw.ZERO_LINE)
             axes.set_xlabel("t (s)")
-            axes.set_title(f"${draw.CHANNEL_LABEL[name]}$ residual ({unit})", loc="center")
+            axes.set_title(
+                f"${draw.CHANNEL_LABEL[name]}$ residual ({unit})", loc="center"
+            )
             style, some = draw.DATA_STYLE | {"color": "0.25"}, t[self._some]
             (self.residuals[name],) = axes.plot(some, some, **style)
         self.move(curves)
@@ -138,7 +149,8 @@ class Explorer:
 
     Attributes
     ----------
-    sliders : by name of the parameter; moving one, or setting its `value`, moves the curves.
+    sliders : by name of the parameter; moving one, or setting its `value`,
+        moves the curves.
     curves : as shown, see `curlfit.exploration.explore.Curves`.
     widget : the whole display, for layouts of one's own.
     """
@@ -154,13 +166,20 @@ class Explorer:
             low, high = slider_range(name, item)
             step = (high - low) / _STEPS
             self.sliders[name] = widgets.FloatSlider(
-                value=item.value, min=low, max=high, step=step, description=name, layout=wide,
+                value=item.value,
+                min=low,
+                max=high,
+                step=step,
+                description=name,
+                layout=wide,
                 readout_format=f".{max(decimals(step) - 1, 0)}f",
                 tooltip=f"{item.meaning}: {item.verdict}",
-            )  # fmt: skip
+            )
         self._text = widgets.HTML()
         self._image = widgets.Image(format="png")
-        self._reset = widgets.Button(description="Reset", tooltip="Back to the values of the fit")
+        self._reset = widgets.Button(
+            description="Reset", tooltip="Back to the values of the fit"
+        )
         self._reset.on_click(lambda _: self.reset())
         for slider in self.sliders.values():
             slider.observe(self._moved, names="value")
@@ -195,8 +214,9 @@ class Explorer:
 
 
 def explore(fit: FitResult) -> Explorer:
-    """Sliders for all parameters of a fit, in a notebook: path, residuals and spin follow
-    immediately, and chi squared is that of the data under the noise model and the loss of the fit.
+    """Sliders for all parameters of a fit, in a notebook: path, residuals and spin
+    follow immediately, and chi squared is that of the data under the noise model and
+    the loss of the fit.
 
     Parameters
     ----------

@@ -1,15 +1,17 @@
-"""A table of the accelerations of a stone by speed and spin, for programs without curlfit.
+"""A table of the accelerations of a stone by speed and spin, for programs
+without curlfit.
 
 With u = R omega and s = sqrt(v^2 + u^2), the coordinates of the table are log s and
-theta = atan2(u, v). Coulomb friction depends on theta alone, down to rest, where v and u are
-singular coordinates; other laws depend on powers of s. At |theta| = pi/4, where |R omega/v| = 1, a
-point of the ring stops sliding, and the accelerations have a kink of the form d log d at a
-distance d. With g = 4 |theta|/pi - 1 they are smooth in p = cbrt(g) (14 + g^2)/15, which has no
-kink of its own at theta = 0. Interpolation between the nodes is by cubic polynomials (Catmull and
-Rom 1974), for which the table has an additional node at either end.
+theta = atan2(u, v). Coulomb friction depends on theta alone, down to rest, where v and
+u are singular coordinates; other laws depend on powers of s. At |theta| = pi/4, where
+|R omega/v| = 1, a point of the ring stops sliding, and the accelerations have a kink of
+the form d log d at a distance d. With g = 4 |theta|/pi - 1 they are smooth in p =
+cbrt(g) (14 + g^2)/15, which has no kink of its own at theta = 0. Interpolation between
+the nodes is by cubic polynomials (Catmull and Rom 1974), for which the table has an
+additional node at either end.
 
-As a C header and as a JavaScript module, without dependencies, it is written by the templates
-`curlfit_stone.h.in` and `curlfit_stone.mjs.in` beside this file.
+As a C header and as a JavaScript module, without dependencies, it is written by the
+templates `curlfit_stone.h.in` and `curlfit_stone.mjs.in` beside this file.
 """
 
 from __future__ import annotations
@@ -39,17 +41,21 @@ from curlfit.version import __version__
 SLOWEST, FASTEST = 1e-3, 8.0
 """Range of s, m/s; the accelerations are constant beyond it."""
 REST = 1e-4
-"""Value of s, m/s, below which a stone is taken to be at rest; it would slide a further 0.1 um."""
+"""Value of s, m/s, below which a stone is taken to be at rest; it would slide a
+further 0.1 um."""
 _SIZES = ((16, 32), (32, 64), (64, 128))  # intervals of log s and of p
-_SMALL = tuple((2, columns) for _, columns in _SIZES)  # for friction that depends on p alone
+# for friction that depends on p alone
+_SMALL = tuple((2, columns) for _, columns in _SIZES)
 _SCALE_FREE = 1e-9  # relative change with s below which there is none
 _SLOWER = 1e-14  # v/u below which a stone spins in place
 _GOOD = 1e-3  # m, error of the resting positions that is small enough
 _BEST = 1e-2  # m, largest error of the resting positions that is accepted
-_DRAWS = ((2.3, 1.3), (2.25, -1.5), (2.0, 3.0), (2.9, 0.5), (1.2, 12.0))  # draws: m/s, rad/s
+# draws: m/s, rad/s
+_DRAWS = ((2.3, 1.3), (2.25, -1.5), (2.0, 3.0), (2.9, 0.5), (1.2, 12.0))
 _TRIALS = 2000  # random motions at which the interpolation is tested
 STEP, SHARE = 0.05, 0.2
-"""Longest steps of the integration, in s and as a fraction of the remaining time to rest."""
+"""Longest steps of the integration, in s and as a fraction of the remaining
+time to rest."""
 
 
 class Moved(NamedTuple):
@@ -70,12 +76,14 @@ class AccelerationTable:
     Attributes
     ----------
     law, load, coefficients, stone : those that the table represents.
-    values : to the right of the motion (m/s^2), along it (m/s^2), counter-clockwise (rad/s^2),
-        shape (3, n + 3, k + 3): n intervals of log s, k of p, and an additional node at either end.
+    values : to the right of the motion (m/s^2), along it (m/s^2), counter-clockwise
+        (rad/s^2), shape (3, n + 3, k + 3): n intervals of log s, k of p, and an
+        additional node at either end.
     interpolation : largest errors over random motions, in the units of the values.
-    resting_place : largest distance in m, over some throws, from the resting position by the law.
-    not_included : slope, air drag and sweeping of the fit, which the program that uses the table
-        must add.
+    resting_place : largest distance in m, over some throws, from the resting
+        position by the law.
+    not_included : slope, air drag and sweeping of the fit, which the program that uses
+        the table must add.
     """
 
     law: str
@@ -163,24 +171,35 @@ class AccelerationTable:
             "coordinates": {
                 "s": "sqrt(v^2 + (R omega)^2), m/s",
                 "theta": "atan2(R omega, v), rad",
-                "rows": "log(s / slowest) / log(fastest / slowest) * intervals[0]; row -1 first",
-                "columns": "(2 + side (1 + p)) / 4 * intervals[1], side the sign of theta and "
-                "g = 4 |theta| / pi - 1, p = cbrt(g) (14 + g^2) / 15; column -1 first",
+                "rows": (
+                    "log(s / slowest) / log(fastest / slowest) * intervals[0]; "
+                    "row -1 first"
+                ),
+                "columns": (
+                    "(2 + side (1 + p)) / 4 * intervals[1], "
+                    "side the sign of theta and g = 4 |theta| / pi - 1, "
+                    "p = cbrt(g) (14 + g^2) / 15; column -1 first"
+                ),
                 "slowest": SLOWEST,
                 "fastest": FASTEST,
                 "intervals": list(self.shape),
                 "interpolation": "Catmull-Rom",
             },
-            "units": {"across": "m/s^2, to the right", "along": "m/s^2",
-                      "angular": "rad/s^2, counter-clockwise"},
+            "units": {
+                "across": "m/s^2, to the right",
+                "along": "m/s^2",
+                "angular": "rad/s^2, counter-clockwise",
+            },
             "error": {
                 "interpolation": dict(zip(names, self.interpolation, strict=True)),
                 "resting_place": self.resting_place,
             },
             "not_included": self.not_included,
-            **{name: [[float(f"{v:.7g}") for v in row] for row in part.tolist()]
-               for name, part in zip(names, self.values, strict=True)},
-        }  # fmt: skip
+            **{
+                name: [[float(f"{v:.7g}") for v in row] for row in part.tolist()]
+                for name, part in zip(names, self.values, strict=True)
+            },
+        }
 
 
 def warped(g: Any) -> Any:
@@ -189,7 +208,8 @@ def warped(g: Any) -> Any:
 
 
 def catmull_rom(f: float) -> Floats:
-    """Weights of four adjacent nodes at a fraction f of the interval between the middle two."""
+    """Weights of four adjacent nodes at a fraction f of the interval between
+    the middle two."""
     return np.array(
         [
             f * (-0.5 + f * (1.0 - 0.5 * f)),
@@ -201,32 +221,37 @@ def catmull_rom(f: float) -> Floats:
 
 
 def tabulate(fit: FitResult) -> AccelerationTable:
-    """The table of a fitted law: the smallest that brings stones to rest where the law does.
+    """The table of a fitted law: the smallest that brings stones to rest where
+    the law does.
 
     Raises
     ------
     UnusableFitError : the fit did not converge.
-    InputError : the friction depends on more than speed and spin, such as the distance along the
-        throw (`wear`), or admits no motion.
+    InputError : the friction depends on more than speed and spin, such as the distance
+        along the throw (`wear`), or admits no motion.
     """
     if not fit.converged:
         raise UnusableFitError(f"no table can be made of this fit: {fit.status}")
     law, stone = fit.fitted_law, fit.stone
-    given = {name: item.value for name, item in fit.conditions.items() if name in vars(stone)}
+    given = {
+        name: item.value for name, item in fit.conditions.items() if name in vars(stone)
+    }
     stone = stone.with_values(given)
     if isinstance(law, NetLaw):
         raise InputError(
-            f"law {law.name} has no contact ring: its accelerations are the formula that `curlfit "
-            "laws` prints; no table is needed"
+            f"law {law.name} has no contact ring: its accelerations are the formula "
+            "that `curlfit laws` prints; no table is needed"
         )
     if any(depends_on_turned_and_time(law, stone)):
         raise InputError(
-            f"the friction of law {law.name} depends on the angle turned or on the time; a table "
-            "by speed and spin does not hold it"
+            f"the friction of law {law.name} depends on the angle turned or on the "
+            "time; a table by speed and spin does not hold it"
         )
     others = _not_included(fit)
     load = check_load(fit.load)
-    exact = jax.jit(lambda v, omega: jnp.stack(accelerations(law, stone, load, v, omega)))
+    exact = jax.jit(
+        lambda v, omega: jnp.stack(accelerations(law, stone, load, v, omega))
+    )
     random = np.random.default_rng(0)
     s = np.exp(random.uniform(np.log(SLOWEST), np.log(FASTEST / 2), _TRIALS))
     theta = random.uniform(-np.pi / 2, np.pi / 2, _TRIALS)
@@ -237,40 +262,58 @@ def tabulate(fit: FitResult) -> AccelerationTable:
         values = _tabulated(exact, stone.R, *size)
         if not np.isfinite(values).all():
             raise InputError(
-                f"law {law.name} with {fit.load} load admits no motion at some speeds and spins; "
-                "no table can be made"
+                f"law {law.name} with {fit.load} load admits no motion at some speeds "
+                "and spins; no table can be made"
             )
         coefficients = {name: item.value for name, item in fit.coefficients.items()}
         table = AccelerationTable(
-            law.name, fit.load, coefficients, stone, values, (0.0, 0.0, 0.0), 0.0, others
+            law.name,
+            fit.load,
+            coefficients,
+            stone,
+            values,
+            (0.0, 0.0, 0.0),
+            0.0,
+            others,
         )
-        off = max(_distance(table, draw, end) for draw, end in zip(_DRAWS, ends, strict=True))
+        off = max(
+            _distance(table, draw, end) for draw, end in zip(_DRAWS, ends, strict=True)
+        )
         if off < _GOOD:
             break
     if not off < _BEST:
         raise InputError(
-            f"no table of law {law.name} brings stones to rest within 1 cm of where the law does; "
-            f"the best is off by {off:.2g} m"
+            f"no table of law {law.name} brings stones to rest within 1 cm of where "
+            f"the law does; the best is off by {off:.2g} m"
         )
-    pairs = np.array([table.accelerations(*pair) for pair in zip(*trials, strict=True)]).T
+    pairs = np.array(
+        [table.accelerations(*pair) for pair in zip(*trials, strict=True)]
+    ).T
     error = np.abs(pairs - true).max(1).tolist()
-    return replace(table, interpolation=(error[0], error[1], error[2]), resting_place=off)
+    return replace(
+        table, interpolation=(error[0], error[1], error[2]), resting_place=off
+    )
 
 
 def _not_included(fit: FitResult) -> dict[str, float]:
-    """The fit's slope, air drag and sweeping; raises `InputError` for friction that changes along
-    the throw. The scales of lengths and times are of the record, not of the motion."""
+    """The fit's slope, air drag and sweeping; raises `InputError` for friction that
+    changes along the throw. The scales of lengths and times are of the record, not
+    of the motion."""
     neutral = vars(Environment())
     found = {
         name: item.value
         for name, item in fit.conditions.items()
         if name in neutral and item.value != neutral[name]
     }
-    wear = [f"{name} = {value:.4g}" for name, value in found.items() if name.startswith("wear")]
+    wear = [
+        f"{name} = {value:.4g}"
+        for name, value in found.items()
+        if name.startswith("wear")
+    ]
     if wear:
         raise InputError(
-            f"the friction of this fit changes along the throw ({', '.join(wear)}); a table by "
-            "speed and spin does not hold it"
+            f"the friction of this fit changes along the throw ({', '.join(wear)}); "
+            "a table by speed and spin does not hold it"
         )
     return found
 
@@ -283,28 +326,39 @@ def _scale_free(exact: Any, R: float) -> bool:
 
 
 def _tabulated(exact: Any, R: float, n: int, k: int) -> Floats:
-    """Values at the nodes, and one node beyond either end by quadratic extrapolation."""
+    """Values at the nodes, and one node beyond either end by quadratic
+    extrapolation."""
     s = SLOWEST * (FASTEST / SLOWEST) ** (np.arange(n + 1) / n)
     column = np.arange(k + 1) / k * 4 - 2
     side = np.where(column >= 0, 1.0, -1.0)
     p = np.abs(column) - 1
-    g = np.array([brentq(lambda g, p=p: warped(g) - p, -1.0, 1.0, xtol=1e-15) for p in p])
+    g = np.array(
+        [brentq(lambda g, p=p: warped(g) - p, -1.0, 1.0, xtol=1e-15) for p in p]
+    )
     theta = side * np.pi / 4 * (1 + g)
     v, u = s[:, None] * np.cos(theta), s[:, None] * np.sin(theta)
     found = np.asarray(exact(np.where(v > _SLOWER * np.abs(u), v, 0.0), u / R))
     for axis in (1, 2):
-        low, high = (np.moveaxis(found, axis, 0)[rows] for rows in ([0, 1, 2], [-1, -2, -3]))
+        low, high = (
+            np.moveaxis(found, axis, 0)[rows] for rows in ([0, 1, 2], [-1, -2, -3])
+        )
         ends = [np.expand_dims(3 * a - 3 * b + c, axis) for a, b, c in (low, high)]
         found = np.concatenate([ends[0], found, ends[1]], axis)
-    return np.array([[[float(f"{x:.7g}") for x in row] for row in part] for part in found])
+    return np.array(
+        [[[float(f"{x:.7g}") for x in row] for row in part] for part in found]
+    )
 
 
 def _resting_place(law: Law, stone: Stone, load: Any, v: float, omega: float) -> Floats:
-    path = simulate(law, stone, InitialState(v=v, omega=omega), np.array([0.0, np.inf]), load=load)
+    path = simulate(
+        law, stone, InitialState(v=v, omega=omega), np.array([0.0, np.inf]), load=load
+    )
     return np.array([path.x[-1], path.y[-1], path.phi[-1]])
 
 
-def _distance(table: AccelerationTable, draw: tuple[float, float], end: Floats) -> float:
+def _distance(
+    table: AccelerationTable, draw: tuple[float, float], end: Floats
+) -> float:
     """Distance in m from the resting position of a throw to that by the table."""
     stone = Moved(0.0, 0.0, 0.0, draw[0], 0.0, draw[1])
     for _ in range(1000):
@@ -315,7 +369,8 @@ def _distance(table: AccelerationTable, draw: tuple[float, float], end: Floats) 
 
 
 def c_header(table: AccelerationTable) -> str:
-    """The table with its interpolation and a time step, in C99 that is also valid C++."""
+    """The table with its interpolation and a time step, in C99 that is
+    also valid C++."""
     return _filled("curlfit_stone.h.in", table, "{", "}")
 
 
@@ -325,30 +380,47 @@ def javascript_module(table: AccelerationTable) -> str:
 
 
 def not_included(table: AccelerationTable) -> str:
-    """A sentence on conditions of the fit that the table does not include; empty without any."""
+    """A sentence on conditions of the fit that the table does not include; empty
+    without any."""
     if not table.not_included:
         return ""
-    named = ", ".join(f"{name} = {value:.4g}" for name, value in table.not_included.items())
+    named = ", ".join(
+        f"{name} = {value:.4g}" for name, value in table.not_included.items()
+    )
     return f"Not included from the fit: {named}."
 
 
 def _filled(template: str, table: AccelerationTable, left: str, right: str) -> str:
     n, k = table.shape
     across, along, angular = (f"{size:.1g}" for size in table.interpolation)
-    named = ", ".join(f"{name} = {value:.6g}" for name, value in table.coefficients.items())
+    named = ", ".join(
+        f"{name} = {value:.6g}" for name, value in table.coefficients.items()
+    )
     values = {
-        "law": table.law, "load": table.load, "version": __version__, "coefficients": named,
-        "rho": f"{table.stone.rho!r}", "h": f"{table.stone.h!r}", "R": f"{table.stone.R!r}",
-        "error_across": across, "error_along": along, "error_angular": angular,
+        "law": table.law,
+        "load": table.load,
+        "version": __version__,
+        "coefficients": named,
+        "rho": f"{table.stone.rho!r}",
+        "h": f"{table.stone.h!r}",
+        "R": f"{table.stone.R!r}",
+        "error_across": across,
+        "error_along": along,
+        "error_angular": angular,
         "resting_place": f"{table.resting_place:.1g}",
-        "rows": str(n), "columns": str(k),
-        "quarter": repr(math.pi / 4), "slowest": repr(SLOWEST), "rest": repr(REST),
-        "span": repr(math.log(FASTEST / SLOWEST)), "step": repr(STEP), "share": repr(SHARE),
+        "rows": str(n),
+        "columns": str(k),
+        "quarter": repr(math.pi / 4),
+        "slowest": repr(SLOWEST),
+        "rest": repr(REST),
+        "span": repr(math.log(FASTEST / SLOWEST)),
+        "step": repr(STEP),
+        "share": repr(SHARE),
         "values": ",\n".join(
             left + ",\n".join(_wrapped(row, left, right) for row in part) + right
             for part in table.values.tolist()
         ),
-    }  # fmt: skip
+    }
     head, text = (
         Template(Path(__file__).with_name(name).read_text(encoding="utf-8"))
         for name in ("head.in", template)

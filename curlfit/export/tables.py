@@ -1,5 +1,5 @@
-"""Tables: estimates, the path with its residuals and candidates of a comparison as CSV; estimates
-and candidates as the table of a paper, in LaTeX with booktabs."""
+"""Tables: estimates, the path with its residuals and candidates of a comparison as CSV;
+estimates and candidates as the table of a paper, in LaTeX with booktabs."""
 
 from __future__ import annotations
 
@@ -23,30 +23,61 @@ if TYPE_CHECKING:
     from curlfit.inference.joint.result import JointResult
 
 _SPECIAL = {
-    "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "&": r"\&", "%": r"\%", "$": r"\$",
-    "#": r"\#", "_": r"\_", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
-}  # fmt: skip
+    "\\": r"\textbackslash{}",
+    "{": r"\{",
+    "}": r"\}",
+    "&": r"\&",
+    "%": r"\%",
+    "$": r"\$",
+    "#": r"\#",
+    "_": r"\_",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+}
 _CANDIDATE = (
-    "rank", "law", "load", "signs_free", "converged", "n_parameters", "bic", "delta_bic", "aicc",
-    "delta_aicc", "log_evidence", "delta_evidence", "weight", "curl_explained", "follows",
-)  # fmt: skip
+    "rank",
+    "law",
+    "load",
+    "signs_free",
+    "converged",
+    "n_parameters",
+    "bic",
+    "delta_bic",
+    "aicc",
+    "delta_aicc",
+    "log_evidence",
+    "delta_evidence",
+    "weight",
+    "curl_explained",
+    "follows",
+)
 
 
 _ESTIMATE = (
-    "name", "value", "stderr", "systematic", "low_95", "high_95", "dof", "verdict", "unit", "prior",
-)  # fmt: skip
+    "name",
+    "value",
+    "stderr",
+    "systematic",
+    "low_95",
+    "high_95",
+    "dof",
+    "verdict",
+    "unit",
+    "prior",
+)
 
 
 class Row(NamedTuple):
-    """An estimate, a determined combination or a derived quantity, and its cells in a CSV table, by
-    their headings."""
+    """An estimate, a determined combination or a derived quantity, and its cells in a
+    CSV table, by their headings."""
 
     item: Estimate | Combination | Derived
     cells: dict[str, Any]
 
 
 def rows_of(result: FitResult | JointResult, *, in_words: bool = False) -> list[Row]:
-    """Coefficients first, then determined combinations, other parameters and derived quantities.
+    """Coefficients first, then determined combinations, other parameters and
+    derived quantities.
 
     With `in_words`, quantities of the path are positive, their meaning names the side.
     """
@@ -58,25 +89,35 @@ def rows_of(result: FitResult | JointResult, *, in_words: bool = False) -> list[
     if in_words:
         quoted = {name: to_its_side(item) for name, item in quoted.items()}
     everything: dict[str, Estimate | Combination | Derived] = {
-        **estimates, **{item.expression: item for item in result.combinations},
+        **estimates,
+        **{item.expression: item for item in result.combinations},
         **{name: item for name, item in others.items() if name not in estimates},
-        **{item.expression: item for item in result.derived}, **quoted,
-    }  # fmt: skip
+        **{item.expression: item for item in result.derived},
+        **quoted,
+    }
     for name, item in everything.items():
         verdict = getattr(item, "verdict", "determined")
         value = None if verdict == "not identifiable" else item.value
         systematic = item.systematic if isinstance(item, Derived) else errors.get(name)
         cells = (
-            name, value, item.stderr, systematic, *(item.interval() or (None, None)), item.dof,
-            verdict, getattr(item, "unit", ""), getattr(item, "prior", ""),
-        )  # fmt: skip
+            name,
+            value,
+            item.stderr,
+            systematic,
+            *(item.interval() or (None, None)),
+            item.dof,
+            verdict,
+            getattr(item, "unit", ""),
+            getattr(item, "prior", ""),
+        )
         found.append(Row(item, dict(zip(_ESTIMATE, cells, strict=True))))
     return found
 
 
 def parameters_csv(result: FitResult | JointResult) -> str:
-    """The estimates of a fit as CSV in SI units, one per row; empty cells where a number is not
-    determined. For a joint fit with the parameters of each throw; the first column names the throw.
+    """The estimates of a fit as CSV in SI units, one per row; empty cells where a
+    number is not determined. For a joint fit with the parameters of each throw; the
+    first column names the throw.
     """
     throws: Sequence[FitResult] = getattr(result, "throws", ())
     rows = rows_of(result)
@@ -91,9 +132,11 @@ def parameters_csv(result: FitResult | JointResult) -> str:
 
 
 def path_csv(fits: Sequence[FitResult]) -> str:
-    """Measured value, fitted value and residual of each measured channel (SI, rad), one row per
-    time; for several throws the first column names the throw."""
-    channels = list(dict.fromkeys(name for one in fits for name in one.rms if name in one.fitted))
+    """Measured value, fitted value and residual of each measured channel (SI, rad), one
+    row per time; for several throws the first column names the throw."""
+    channels = list(
+        dict.fromkeys(name for one in fits for name in one.rms if name in one.fitted)
+    )
     head = ["t"]
     for name in channels:
         head += [name, f"{name}_fitted", f"{name}_residual"]
@@ -102,28 +145,37 @@ def path_csv(fits: Sequence[FitResult]) -> str:
         columns = [one.observed["t"]]
         empty = math.nan * one.observed["t"]
         for name in channels:
-            observed, fitted = one.observed.get(name, empty), one.fitted.get(name, empty)
+            observed, fitted = (
+                one.observed.get(name, empty),
+                one.fitted.get(name, empty),
+            )
             columns += [observed, fitted, observed - fitted]
         label = (one.data["file"],) if len(fits) > 1 else ()
-        lines += [(*label, *row) for row in zip(*(c.tolist() for c in columns), strict=True)]
+        lines += [
+            (*label, *row) for row in zip(*(c.tolist() for c in columns), strict=True)
+        ]
     return csv_lines([("throw", *head) if len(fits) > 1 else head, *lines])
 
 
 def candidates_csv(comparison: Any) -> str:
-    """The candidates of a comparison, best first; the coefficients of each in one cell."""
+    """The candidates of a comparison, best first; the coefficients of each
+    in one cell."""
     lines = []
     for one in comparison.candidates:
         rms = [(one.rms or {}).get(name) for name in ("x", "y", "phi")]
         coefficients = "; ".join(
-            f"{name} = {item['value']:.6g}" for name, item in (one.coefficients or {}).items()
+            f"{name} = {item['value']:.6g}"
+            for name, item in (one.coefficients or {}).items()
         )
         lines.append((*(getattr(one, name) for name in _CANDIDATE), *rms, coefficients))
-    return csv_lines([(*_CANDIDATE, "rms_x", "rms_y", "rms_phi", "coefficients"), *lines])
+    return csv_lines(
+        [(*_CANDIDATE, "rms_x", "rms_y", "rms_phi", "coefficients"), *lines]
+    )
 
 
 def estimates_table(result: FitResult | JointResult) -> str:
-    """Coefficients, initial state, combinations and derived quantities of a fit, as a `table` with
-    `booktabs`: values with standard errors in units of the last digits."""
+    """Coefficients, initial state, combinations and derived quantities of a fit, as a
+    `table` with `booktabs`: values with standard errors in units of the last digits."""
     rows = rows_of(result, in_words=True)
     posterior = getattr(result, "posterior", None)
     symbols = {
@@ -133,12 +185,14 @@ def estimates_table(result: FitResult | JointResult) -> str:
     }
     cells = (
         {
-            "parameter": _label(row, symbols), "estimate": _estimate(row),
+            "parameter": _label(row, symbols),
+            "estimate": _estimate(row),
             "systematic": _rounded(row.cells["systematic"], ".2g"),
-            r"68\,\% of posterior": _interval(posterior, row), "unit": _unit(row.cells["unit"]),
+            r"68\,\% of posterior": _interval(posterior, row),
+            "unit": _unit(row.cells["unit"]),
         }
         for row in rows
-    )  # fmt: skip
+    )
     return _drawn(PlainTable(cells, _caption(result)))
 
 
@@ -160,17 +214,20 @@ def candidates_table(comparison: Any) -> str:
             "follows": follows[one.follows] if one.converged else "no fit",
         }
         for one in comparison.candidates
-    )  # fmt: skip
+    )
     caption = (
-        f"Friction laws fitted to {_file(comparison.data['file'])}, by BIC: number of parameters "
-        rf"$k$, rms of the residuals, and whether the law follows the path. {_software()}"
+        f"Friction laws fitted to {_file(comparison.data['file'])}, by BIC: "
+        "number of parameters $k$, rms of the residuals, and whether the law follows "
+        f"the path. {_software()}"
     )
     return _drawn(PlainTable(rows, caption))
 
 
 def escaped(text: str) -> str:
     """Text with the special characters of TeX and control characters escaped."""
-    return "".join(_SPECIAL.get(character, character) for character in printable(str(text)))
+    return "".join(
+        _SPECIAL.get(character, character) for character in printable(str(text))
+    )
 
 
 def _drawn(table: PlainTable) -> str:
@@ -197,9 +254,10 @@ def _caption(result: FitResult | JointResult) -> str:
         what = f"{_file(fits[0].data['file'])} ({counted(fits[0].data['rows'], 'row')})"
     stone = result.stone
     text = (
-        f"Estimates of the {escaped(result.law)} law under {escaped(result.load)} load, fitted to "
-        f"{what}; stone $R = {stone.R:g}$\\,m, $\\rho = {stone.rho:g}$\\,m, $h = {stone.h:g}$\\,m, "
-        f"$m = {stone.m:g}$\\,kg. Standard errors in parentheses, in units of the last digits"
+        f"Estimates of the {escaped(result.law)} law under "
+        f"{escaped(result.load)} load, fitted to {what}; stone $R = {stone.R:g}$\\,m, "
+        f"$\\rho = {stone.rho:g}$\\,m, $h = {stone.h:g}$\\,m, $m = {stone.m:g}$\\,kg. "
+        "Standard errors in parentheses, in units of the last digits"
     )
     if result.systematics.errors:
         text += "; systematic errors come from conditions that the fit holds fixed"
@@ -231,7 +289,11 @@ def _label(row: Row, symbols: dict[str, str]) -> str:
     if isinstance(item, Combination):
         text = ""
         for name, weight in item.weights.items():
-            sign = ("-" if weight < 0 else "") if not text else (" - " if weight < 0 else " + ")
+            sign = (
+                ("-" if weight < 0 else "")
+                if not text
+                else (" - " if weight < 0 else " + ")
+            )
             size = "" if abs(weight) == 1 else rf"{abs(weight):.4g}\,"
             text += f"{sign}{size}{symbols.get(name, escaped(name))}"
         return f"${text}$"
@@ -240,7 +302,8 @@ def _label(row: Row, symbols: dict[str, str]) -> str:
 
 
 def _expression(text: str, symbols: dict[str, str]) -> str:
-    """Sums, products and quotients of parameters in symbols; other expressions verbatim."""
+    """Sums, products and quotients of parameters in symbols; other
+    expressions verbatim."""
     parts = re.split(r"(\w+)", text.replace(" ", ""))
     words, signs = parts[1::2], "".join(parts[::2])
     plain = all(word in symbols or re.fullmatch(r"\d+", word) for word in words)
@@ -262,7 +325,9 @@ def _estimate(row: Row) -> str:
 def _number(text: str) -> str:
     """A number as written by `compact`, in math mode."""
     text = text.replace("+-", r"\pm")
-    text = re.sub(r"e([-+]?)0*(\d+)", lambda m: rf" \times 10^{{{m[1].strip('+')}{m[2]}}}", text)
+    text = re.sub(
+        r"e([-+]?)0*(\d+)", lambda m: rf" \times 10^{{{m[1].strip('+')}{m[2]}}}", text
+    )
     return f"${text}$"
 
 

@@ -1,4 +1,5 @@
-"""Friction laws. All modules of this folder are imported, which registers their laws."""
+"""Friction laws. All modules of this folder are imported, which
+registers their laws."""
 
 from importlib import import_module
 from pkgutil import iter_modules

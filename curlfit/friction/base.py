@@ -1,7 +1,7 @@
 """Friction laws and their coefficients.
 
-A law is arithmetic on any numbers or arrays, without an array library, so that the same class
-serves the compiled model, NumPy and a table of names and units.
+A law is arithmetic on any numbers or arrays, without an array library, so that the same
+class serves the compiled model, NumPy and a table of names and units.
 """
 
 from __future__ import annotations
@@ -10,7 +10,15 @@ import dataclasses
 import functools
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, ClassVar, Literal, NamedTuple, Self, dataclass_transform, get_args
+from typing import (
+    Any,
+    ClassVar,
+    Literal,
+    NamedTuple,
+    Self,
+    dataclass_transform,
+    get_args,
+)
 
 import numpy as np
 
@@ -18,12 +26,14 @@ from curlfit.errors import InputError
 from curlfit.foreign import quoted
 
 Load = Literal["uniform", "consistent"]
-"""Distribution of the weight over the ring: uniform, or consistent with friction (eq. 8-9)."""
+"""Distribution of the weight over the ring: uniform, or consistent with
+friction (eq. 8-9)."""
 
 LOADS: tuple[str, ...] = get_args(Load)
 
 START_NAMES = ("x0", "y0", "heading", "v0", "phi0", "omega0")
-"""Parameters of the initial state, which a fit estimates together with the coefficients."""
+"""Parameters of the initial state, which a fit estimates together with
+the coefficients."""
 
 
 def check_load(load: str) -> Load:
@@ -44,8 +54,9 @@ def no_motion_because(load: str) -> str:
 class Parameter:
     """A parameter of a fit.
 
-    `typical` is its order of magnitude: the scale of the fit's variables, and the standard error
-    above which it counts as undetermined. `lower` and `upper` bound the fit and its flat prior.
+    `typical` is its order of magnitude: the scale of the fit's variables, and the
+    standard error above which it counts as undetermined. `lower` and `upper` bound the
+    fit and its flat prior.
     """
 
     name: str
@@ -61,8 +72,8 @@ class Parameter:
 class Coefficient(Parameter):
     """A parameter of a law, with its default value.
 
-    An `optional` one is fixed at the default in a fit unless bounds are given for it. A `signed`
-    one (such as an exponent) has no natural sign.
+    An `optional` one is fixed at the default in a fit unless bounds are given for it. A
+    `signed` one (such as an exponent) has no natural sign.
     """
 
     default: float
@@ -70,7 +81,8 @@ class Coefficient(Parameter):
     signed: bool = False
 
     def unbounded(self) -> Coefficient:
-        """The coefficient with negative values allowed; signed and optional ones are unchanged."""
+        """The coefficient with negative values allowed; signed and optional ones
+        are unchanged."""
         if self.signed or self.optional:
             return self
         return dataclasses.replace(self, lower=-self.upper)
@@ -128,12 +140,13 @@ def coefficient(
 class RingPoint(NamedTuple):
     """Variables of a local law, at one or more points of the contact ring.
 
-    Lengths are in units of the ring radius, directions in the moving frame: `eta` along the
-    velocity of the centre, `xi` to its right (eq. 21).
+    Lengths are in units of the ring radius, directions in the moving frame: `eta` along
+    the velocity of the centre, `xi` to its right (eq. 21).
 
     Attributes
     ----------
-    xi : cos(alpha), the coordinate to the right of the centre; negative on the left half.
+    xi : cos(alpha), the coordinate to the right of the centre; negative on
+        the left half.
     eta : sin(alpha), the coordinate ahead of the centre.
     angle : alpha in rad, in (-pi, pi), counter-clockwise from `xi`.
     front : 1.0 on the front half (eta > 0), 0.0 on the back half.
@@ -142,7 +155,8 @@ class RingPoint(NamedTuple):
     e_xi, e_eta : unit vector of sliding, to the right and forward (eq. 4).
     load : normal load relative to the uniform load, n/n0.
     v, u : speed of the centre and R omega, the same at all points, m/s.
-    turned : angle turned since release (the first row of a throw), rad, counter-clockwise positive.
+    turned : angle turned since release (the first row of a throw), rad,
+        counter-clockwise positive.
     time : time since release, s.
     """
 
@@ -163,7 +177,8 @@ class RingPoint(NamedTuple):
 
 
 class Edges(NamedTuple):
-    """Polar angles at which friction jumps, on the front half (0, pi) and back half (-pi, 0)."""
+    """Polar angles at which friction jumps, on the front half (0, pi) and back
+    half (-pi, 0)."""
 
     front: tuple[Any, ...] = ()
     back: tuple[Any, ...] = ()
@@ -188,7 +203,8 @@ class Motion(NamedTuple):
 
 @functools.singledispatch
 def power(base: Any, exponent: Any) -> Any:
-    """`base ** exponent` for a positive base, several times as fast in compiled programs."""
+    """`base ** exponent` for a positive base, several times as fast in
+    compiled programs."""
     return base**exponent
 
 
@@ -205,7 +221,8 @@ def exp(value: Any) -> Any:
 
 
 LAWS: dict[str, type[Law]] = {}
-"""All laws by name; a class that has one is registered when it is defined, others at first use."""
+"""All laws by name; a class that has one is registered when it is defined, others
+at first use."""
 
 TERMS: dict[str, type[Law]] = {}
 """By name what does not brake a stone by itself, but may be a part of a sum of laws."""
@@ -218,9 +235,9 @@ on_new_law: list[Callable[[type[Law]], None]] = []
 class Law:
     """A friction law: a frozen record whose fields are its coefficients.
 
-    Derive from `LocalLaw` or `NetLaw`, not from this class. Class attributes: `name` (used on the
-    command line), `formula`, `source`, `predicts` (the direction in which a stone with
-    counter-clockwise spin curls).
+    Derive from `LocalLaw` or `NetLaw`, not from this class. Class attributes: `name`
+    (used on the command line), `formula`, `source`, `predicts` (the direction in which
+    a stone with counter-clockwise spin curls).
 
     Examples
     --------
@@ -233,7 +250,8 @@ class Law:
     source: ClassVar[str] = ""
     predicts: ClassVar[str] = ""
     brakes: ClassVar[bool] = True
-    """Whether it is a law by itself; otherwise it is a part of sums, as in "power+sideways"."""
+    """Whether it is a law by itself; otherwise it is a part of sums, as
+    in "power+sideways"."""
     approximates: ClassVar[str] = ""
     """Name of the law that this one approximates."""
     origin: ClassVar[str] = ""
@@ -241,12 +259,12 @@ class Law:
     sums: ClassVar[tuple[tuple[str, ...], ...]] = ()
     """Coefficients of which only the sum enters the motion, under uniform load."""
     corners: ClassVar[tuple[float, ...]] = ()
-    """Angles turned (rad) at which friction, as a function of that angle, has a kink; beyond the
-    last of them friction no longer depends on the angle."""
+    """Angles turned (rad) at which friction, as a function of that angle, has a kink;
+    beyond the last of them friction no longer depends on the angle."""
 
     def quickness(self, time: Any) -> Any:
-        """Relative rate of the explicit change of friction with time since release, 1/s; steps in
-        time become shorter in proportion."""
+        """Relative rate of the explicit change of friction with time since release,
+        1/s; steps in time become shorter in proportion."""
         return 0.0 * time
 
     def steepness(self) -> Any:
@@ -254,7 +272,8 @@ class Law:
         return 0.0
 
     def fault(self) -> str | None:
-        """Why these coefficients are inadmissible, where bounds cannot express it; or None."""
+        """Why these coefficients are inadmissible, where bounds cannot express
+        it; or None."""
         return None
 
     def __init_subclass__(cls, **keywords: Any) -> None:
@@ -279,11 +298,13 @@ class Law:
 
     @classmethod
     def register(cls, name: str) -> None:
-        """Add the class to the laws. Raises TypeError if a law of curlfit has this name."""
+        """Add the class to the laws. Raises TypeError if a law of curlfit
+        has this name."""
         laws = LAWS if cls.brakes else TERMS
         if name in laws and laws[name].shipped() and not cls.shipped():
             raise TypeError(
-                f"{cls.__name__}: curlfit has a law {quoted(name)} already; choose another"
+                f"{cls.__name__}: curlfit has a law {quoted(name)} "
+                "already; choose another"
             )
         cls.name = name
         laws[name] = cls
@@ -314,23 +335,27 @@ def _check(law: type[Law], name: str, metadata: dict[str, Any]) -> None:
     elif any(name in vars(base) for base in law.__mro__ if base.__module__ == __name__):
         taken = "an attribute of every law"
     if taken:
-        raise TypeError(f"{law.__name__}.{name}: this is the name of {taken}; choose another")
+        raise TypeError(
+            f"{law.__name__}.{name}: this is the name of {taken}; choose another"
+        )
     default, lower, upper = (metadata[key] for key in ("default", "lower", "upper"))
     if not lower <= default <= upper:
         raise TypeError(
-            f"{law.__name__}.{name}: default {default:g} lies outside its bounds, {lower:g} .. "
-            f"{upper:g}; give coefficient(..., lower=, upper=) that include it"
+            f"{law.__name__}.{name}: default {default:g} lies outside its bounds, "
+            f"{lower:g} .. {upper:g}; give coefficient(..., lower=, "
+            "upper=) that include it"
         )
 
 
 class LocalLaw(Law, ABC):
     """A law of friction at a point of the contact ring (eq. 3-5).
 
-    A subclass defines `traction`, which curlfit integrates over the ring. The traction may jump
-    between the front and the back half and at fixed angles, which curlfit finds when the law is
-    first used; angles that depend on coefficients or on the angle turned are to be given by
-    `edges`. If on each half it is a polynomial in `xi` and `eta`, up to second order, times the
-    direction or the velocity of sliding, the integral has a closed form.
+    A subclass defines `traction`, which curlfit integrates over the ring. The traction
+    may jump between the front and the back half and at fixed angles, which curlfit
+    finds when the law is first used; angles that depend on coefficients or on the angle
+    turned are to be given by `edges`. If on each half it is a polynomial in `xi` and
+    `eta`, up to second order, times the direction or the velocity of sliding, the
+    integral has a closed form.
 
     Examples
     --------
@@ -346,8 +371,8 @@ class LocalLaw(Law, ABC):
     """
 
     divisions: ClassVar[Edges] = Edges()
-    """Angles at which friction jumps, has a kink or changes quickly, found when the law is first
-    used if it does not define `edges`"""
+    """Angles at which friction jumps, has a kink or changes quickly, found when the law
+    is first used if it does not define `edges`"""
 
     def edges(self, turned: Any) -> Edges:
         """Jumps of friction within the halves, after an angle turned."""
@@ -355,7 +380,8 @@ class LocalLaw(Law, ABC):
 
     @abstractmethod
     def traction(self, point: RingPoint) -> tuple[Any, Any]:
-        """Friction force per unit normal load at a ring point, as (to the right, forward)."""
+        """Friction force per unit normal load at a ring point, as (to the
+        right, forward)."""
 
 
 class NetLaw(Law, ABC):
@@ -369,4 +395,5 @@ class NetLaw(Law, ABC):
 
     @abstractmethod
     def accelerations(self, motion: Motion, stone: Any) -> tuple[Any, Any, Any]:
-        """(to the right, forward, angular) in m/s^2, m/s^2, rad/s^2, in the moving frame."""
+        """(to the right, forward, angular) in m/s^2, m/s^2, rad/s^2, in the
+        moving frame."""

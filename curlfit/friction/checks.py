@@ -1,8 +1,9 @@
-"""What is wrong with a user's law, said before it is used, and where its ring is divided.
+"""What is wrong with a user's law, said before it is used, and where its
+ring is divided.
 
-A law is evaluated with its defaults at a few points; then, in many motions and with coefficients
-near the defaults, its sum over the ring and over steps in time is compared with that over many more
-points.
+A law is evaluated with its defaults at a few points; then, in many motions and with
+coefficients near the defaults, its sum over the ring and over steps in time is compared
+with that over many more points.
 """
 
 from __future__ import annotations
@@ -30,20 +31,21 @@ _STATES = [
 _ANGLES = np.linspace(-np.pi, np.pi, 24, endpoint=False) + np.pi / 24
 _ROUNDING = 1e-12  # m/s, of a power per unit load
 _USE_JAX = (
-    "a law is compiled, which numpy, math and `if` cannot be; expected functions of jax.numpy "
-    "(`import jax.numpy as jnp`, jnp.sqrt for np.sqrt) and jnp.where(condition, a, b) for `if`"
+    "a law is compiled, which numpy, math and `if` cannot be; expected functions "
+    "of jax.numpy (`import jax.numpy as jnp`, jnp.sqrt for np.sqrt) and "
+    "jnp.where(condition, a, b) for `if`"
 )
 _MOTIONS = 64  # in which the sum over the ring is checked
 _COMPARED = 8  # of them, by which the ring is divided
 _LARGEST_ERROR = 1e-5
-"""Of the sum over the ring, relative: a hundredth of the standard error of a coefficient in a good
-measurement."""
+"""Of the sum over the ring, relative: a hundredth of the standard error of a
+coefficient in a good measurement."""
 _DURATION, _INTERVAL = 25.0, 0.01  # s, in which changes are looked for
 _SPEED, _SPINS = 2.0, (1.5, -1.5)  # m/s and rad/s, of the motion meanwhile
 _LARGEST_SHIFT = 1e-4  # m, of the path, if the steps in time are too long for a change
 _STEP_RATES = 0.8, 7.1
-"""Inverse length of a step in 1/s, and its increase per 1/s of `quickness`, at the release of such
-a stone (`dynamics.equations.step_size`)"""
+"""Inverse length of a step in 1/s, and its increase per 1/s of `quickness`, at the
+release of such a stone (`dynamics.equations.step_size`)"""
 _RATES = 0.3, 1.0, 3.0, 10.0  # 1/s, of a quickness that a message may recommend
 _JUMP = 0.3  # of all change, within one interval
 _COURSES = 4
@@ -56,12 +58,12 @@ _DEPENDENCES = {
     "the motion": ("speed", "omega"),
 }
 _EDGES = (
-    "give these in `def edges(self, turned)`, which returns Edges(front=(ANGLE, ...), back=(ANGLE, "
-    "...)) of curlfit.friction"
+    "give these in `def edges(self, turned)`, which returns Edges(front=(ANGLE, ...), "
+    "back=(ANGLE, ...)) of curlfit.friction"
 )
 _GRADUAL = (
-    "make the change gradual, as (1 + jnp.tanh((a - b) / width)) / 2 in place of the condition "
-    "a > b"
+    "make the change gradual, as (1 + jnp.tanh((a - b) / width)) / 2 in place of "
+    "the condition a > b"
 )
 
 _CHECKED: set[type[Law]] = set()
@@ -76,8 +78,8 @@ def checked(law: type[Law], file: str = "") -> type[Law]:
 
     Raises
     ------
-    DataError : the law cannot be evaluated or compiled, drives the stone, jumps or changes where it
-        cannot be integrated, or has the name of a law of curlfit.
+    DataError : the law cannot be evaluated or compiled, drives the stone, jumps or
+        changes where it cannot be integrated, or has the name of a law of curlfit.
     """
     if law.shipped() or law in _CHECKED:
         return law
@@ -101,7 +103,9 @@ class Check:
 
     def __init__(self, law: type[Law], file: str = "") -> None:
         self.law = law
-        method: Any = getattr(law, "traction", None) or getattr(law, "accelerations", None)
+        method: Any = getattr(law, "traction", None) or getattr(
+            law, "accelerations", None
+        )
         code = getattr(inspect.unwrap(method), "__code__", None)
         self.path = Path(code.co_filename if code else "")
         self.file = file or str(self.path)
@@ -114,7 +118,11 @@ class Check:
     def values(self) -> None:
         """Evaluate the law with its defaults, both on numbers and traced."""
         local = issubclass(self.law, LocalLaw)
-        names = ("to the right", "forward") if local else ("to the right", "forward", "angular")
+        names = (
+            ("to the right", "forward")
+            if local
+            else ("to the right", "forward", "angular")
+        )
         for state in _STATES:
             point = ring_points(_ANGLES, state)
             result = self._evaluated(point if local else state)
@@ -128,7 +136,9 @@ class Check:
                     f"{self.law.__name__} gives {found}; expected {len(names)}: "
                     f"({', '.join(names)})"
                 )
-            conditions = f"with its defaults, at {state.speed:g} m/s and {state.omega:g} rad/s"
+            conditions = (
+                f"with its defaults, at {state.speed:g} m/s and {state.omega:g} rad/s"
+            )
             if not all(np.isfinite(np.asarray(part, float)).all() for part in result):
                 self.refuse(f"{self.law.__name__} {conditions}, gives {result!r}")
             if local:
@@ -162,18 +172,23 @@ class Check:
             self.refuse(first_line(error), last_line(self.path, error))
 
     def _opposes(self, power: Any, conditions: str) -> None:
-        """Refuse a law whose friction does not oppose the motion; warn of one that drives some
-        points of the ring."""
+        """Refuse a law whose friction does not oppose the motion; warn of one that
+        drives some points of the ring."""
         local = issubclass(self.law, LocalLaw)
         if np.sum(power) > _ROUNDING:
             self.refuse(
-                f"{self.law.__name__} {conditions}, drives the stone; expected a force against the "
-                + ("sliding, as -mu * point.e_xi, -mu * point.e_eta" if local else "motion")
+                f"{self.law.__name__} {conditions}, drives the stone; "
+                "expected a force against the "
+                + (
+                    "sliding, as -mu * point.e_xi, -mu * point.e_eta"
+                    if local
+                    else "motion"
+                )
             )
         if np.max(power) > _ROUNDING:
             warn_once(
-                f"{self.file}: {self.law.__name__} {conditions}, drives some points of the ring; "
-                "friction opposes sliding at each of them"
+                f"{self.file}: {self.law.__name__} {conditions}, drives some points "
+                "of the ring; friction opposes sliding at each of them"
             )
 
     def sums(self) -> None:
@@ -192,7 +207,8 @@ class Check:
             found = divisions(sampled.friction(conditions.take(rows)))
             if found is not None:
                 front, back = (
-                    tuple(angle for angle in found if sign * angle > 0) for sign in (1, -1)
+                    tuple(angle for angle in found if sign * angle > 0)
+                    for sign in (1, -1)
                 )
                 law.divisions = Edges(front, back)
                 conditions = sampled.usable(sample(law, _MOTIONS, seed=1))
@@ -204,27 +220,41 @@ class Check:
         ends = self.sampled.ends(conditions)
         return errors_of_sums(self.sampled.friction(conditions), ends)
 
-    def _refuse_jump(self, conditions: Conditions, worst: int, error: float) -> NoReturn:
+    def _refuse_jump(
+        self, conditions: Conditions, worst: int, error: float
+    ) -> NoReturn:
         """Say what the angles at which friction jumps depend on."""
         some = conditions.take(slice(_COMPARED))
         one = conditions.take([worst])
         same = conditions.take([worst] * len(some.time))
         here = jumps(self.sampled.friction(one))
-        head = f"{self.law.__name__}: friction jumps, or changes within a narrow range, at "
+        head = (
+            f"{self.law.__name__}: friction jumps, or changes within a "
+            "narrow range, at "
+        )
         tail = f" (error of its sum over the ring: {100 * error:.2g} %); "
         for name, fields in _DEPENDENCES.items():
-            varied = same._replace(**{field: _toward(some, same, field) for field in fields})
+            varied = same._replace(
+                **{field: _toward(some, same, field) for field in fields}
+            )
             found = jumps(self.sampled.friction(self.sampled.usable(varied)))
             if here is not None and (found is None or len(found) > len(here)):
-                remedy = _EDGES if name in ("its coefficients", "the angle turned") else _GRADUAL
+                remedy = (
+                    _EDGES
+                    if name in ("its coefficients", "the angle turned")
+                    else _GRADUAL
+                )
                 self.refuse(f"{head}polar angles that depend on {name}{tail}{remedy}")
         known = self.sampled.ends(one)
-        more = [f"{angle:.4g}" for angle in here or () if np.abs(known - angle).min() > 1e-6]
+        more = [
+            f"{angle:.4g}" for angle in here or () if np.abs(known - angle).min() > 1e-6
+        ]
         angles = f"{', '.join(more[:4])} rad" if more else "many angles"
         self.refuse(f"{head}{angles}{tail}{_EDGES}")
 
     def changes(self) -> None:
-        """Compare friction summed over steps in time with that over many more points."""
+        """Compare friction summed over steps in time with that over many
+        more points."""
         rows = sample(self.law, _COURSES, seed=2).coefficients
         rows[0] = [item.default for item in self.law.coefficients()]
         for coefficients in rows:
@@ -252,16 +282,20 @@ class Check:
             else f"an angle turned of {spin * time:.3g} rad"
         )
         change = np.abs(np.diff(net)).max() / np.ptp(net, axis=1).max()
-        steps = [rate for rate in _RATES if _shift(net, law, spin, rate)[0] <= _LARGEST_SHIFT]
+        steps = [
+            rate for rate in _RATES if _shift(net, law, spin, rate)[0] <= _LARGEST_SHIFT
+        ]
         if change > _JUMP or not steps:
             remedy = _GRADUAL
         else:
             remedy = (
-                f"declare its rate in 1/s in `def quickness(self, time)`; {steps[0]:g} would do"
+                "declare its rate in 1/s in `def quickness(self, time)`; "
+                f"{steps[0]:g} would do"
             )
         self.refuse(
-            f"{self.law.__name__}: friction changes too quickly for the steps in time, at {place} "
-            f"(error of the path about {1000 * shift:.2g} mm); {remedy}"
+            f"{self.law.__name__}: friction changes too quickly for the steps in "
+            f"time, at {place} (error of the path about {1000 * shift:.2g} mm); "
+            f"{remedy}"
         )
 
 
@@ -276,12 +310,16 @@ def _course(coefficients: Floats, spin: float) -> Conditions:
     time = np.arange(0.0, _DURATION, _INTERVAL)
     one = np.ones_like(time)
     repeated = np.broadcast_to(coefficients, (len(time), len(coefficients)))
-    return Conditions(repeated, _SPEED * one, spin * one, spin * time, time, 0 * one, 0 * one)
+    return Conditions(
+        repeated, _SPEED * one, spin * one, spin * time, time, 0 * one, 0 * one
+    )
 
 
-def _shift(net: Floats, law: Law, spin: float, more: float = 0.0) -> tuple[float, float]:
-    """Error of a path in m whose steps in time are those of `dynamics.equations`, with `more`
-    quickness than the law declares, and the time at which most of it arises.
+def _shift(
+    net: Floats, law: Law, spin: float, more: float = 0.0
+) -> tuple[float, float]:
+    """Error of a path in m whose steps in time are those of `dynamics.equations`, with
+    `more` quickness than the law declares, and the time at which most of it arises.
 
     Parameters
     ----------
@@ -290,9 +328,15 @@ def _shift(net: Floats, law: Law, spin: float, more: float = 0.0) -> tuple[float
     time = np.arange(net.shape[1]) * _INTERVAL
     ends = _steps(law, spin, more)
     low, high = time[ends[:-1]], time[ends[1:]]
-    nodes, weights = np.polynomial.legendre.leggauss(3)  # of the order of the integrator
+    # of the order of the integrator
+    nodes, weights = np.polynomial.legendre.leggauss(3)
     at = (low + high)[:, None] / 2 + (high - low)[:, None] / 2 * nodes
-    by_steps = np.array([np.interp(at, time, part) for part in net]) @ weights / 2 * (high - low)
+    by_steps = (
+        np.array([np.interp(at, time, part) for part in net])
+        @ weights
+        / 2
+        * (high - low)
+    )
     intervals = (net[:, 1:] + net[:, :-1]) / 2 * _INTERVAL
     error = by_steps - np.add.reduceat(intervals, ends[:-1], axis=1)
     shift = _SPEED * np.abs(np.cumsum(error, 1)).max() / np.abs(net).mean(1).max()
@@ -311,7 +355,9 @@ def _steps(law: Law, spin: float, more: float) -> list[int]:
     ends, last = [0], len(time) - 1
     while ends[-1] < last:
         here = ends[-1]
-        ends.append(min(here + int(sizes[here]), last, *(c for c in corners if c > here)))
+        ends.append(
+            min(here + int(sizes[here]), last, *(c for c in corners if c > here))
+        )
     return ends
 
 

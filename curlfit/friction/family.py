@@ -1,8 +1,9 @@
 """Several laws as one, so that one compiled program serves them all.
 
-Most of a program is the motion of the stone, whatever the law, and a first comparison of laws
-spends most of its time compiling. A family is a law that can be any one of its members: one of its
-coefficients selects the member, and only the forces of the ring are compiled once per member.
+Most of a program is the motion of the stone, whatever the law, and a first comparison
+of laws spends most of its time compiling. A family is a law that can be any one of its
+members: one of its coefficients selects the member, and only the forces of the ring are
+compiled once per member.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ _NEVER = -1e9  # rad, an angle that no stone reaches
 class LawFamily(Law):
     """A law that can be any one of several, the same for all motions of a batch.
 
-    Its coefficients are the index of the member, the coefficients of that member, and unused ones
-    up to the largest number that any member has.
+    Its coefficients are the index of the member, the coefficients of that member, and
+    unused ones up to the largest number that any member has.
     """
 
     members: ClassVar[tuple[type[LocalLaw], ...]] = ()
@@ -35,7 +36,8 @@ class LawFamily(Law):
 
     @property
     def corners(self) -> tuple[Any, ...]:  # type: ignore[override]
-        """Angles turned (rad) at which friction has a kink, padded by angles never reached."""
+        """Angles turned (rad) at which friction has a kink, padded by angles
+        never reached."""
         most = max(len(member.corners) for member in self.members)
         each = [(*member.corners, *(_NEVER,) * most)[:most] for member in self.members]
         index, *_ = self._values()
@@ -45,39 +47,51 @@ class LawFamily(Law):
         )
 
     def quickness(self, time: Any) -> Any:
-        """Relative rate of the explicit change of friction with time since release, 1/s."""
-        changing = [member for member in self.members if member.quickness is not Law.quickness]
+        """Relative rate of the explicit change of friction with time since
+        release, 1/s."""
+        changing = [
+            member for member in self.members if member.quickness is not Law.quickness
+        ]
         return self._of_member(lambda law: law.quickness(time), changing) + 0.0 * time
 
     def steepness(self) -> Any:
         """Absolute exponent of the dependence of friction on the speed."""
-        steep = [member for member in self.members if member.steepness is not Law.steepness]
+        steep = [
+            member for member in self.members if member.steepness is not Law.steepness
+        ]
         return self._of_member(lambda law: law.steepness(), steep)
 
     def _values(self) -> list[Any]:
         return [getattr(self, item.name) for item in self.coefficients()]
 
-    def _of_member(self, value: Callable[[Law], Any], members: list[type[LocalLaw]]) -> Any:
+    def _of_member(
+        self, value: Callable[[Law], Any], members: list[type[LocalLaw]]
+    ) -> Any:
         """A value of the selected member if it is one of `members`; else 0."""
         index, *values = self._values()
         found: Any = 0.0
         for member in members:
             selected = index == self.members.index(member)
             pairs = zip(values, member.coefficients(), strict=False)
-            # Other members have their defaults, since they may be undefined at these coefficients.
-            own = [selected * one + (1 - selected) * item.default for one, item in pairs]
+            # Other members have their defaults, since they may be undefined at
+            # these coefficients.
+            own = [
+                selected * one + (1 - selected) * item.default for one, item in pairs
+            ]
             found = found + selected * value(member.from_vector(own))
         return found
 
     @classmethod
     def columns(cls, member: type[Law], size: int) -> list[int]:
-        """Indices of `size` parameters of a member, its coefficients first, among the family's."""
+        """Indices of `size` parameters of a member, its coefficients first, among
+        the family's."""
         k, own = len(cls.coefficients()), len(member.coefficients())
         return [*range(1, own + 1), *range(k, k + size - own)]
 
     @classmethod
     def padded(cls, member: type[Law], values: Floats, fill: float = 0.0) -> Floats:
-        """Arrays by parameter of a member, along the last axis, padded to those of the family."""
+        """Arrays by parameter of a member, along the last axis, padded to those
+        of the family."""
         size = values.shape[-1]
         added = len(cls.coefficients()) - len(member.coefficients())
         found = np.full((*values.shape[:-1], size + added), fill)
@@ -93,7 +107,8 @@ class LawFamily(Law):
 
 
 def family_of(laws: Iterable[type[Law]]) -> type[LawFamily] | None:
-    """The family of those laws that can belong to one; None if there are fewer than two."""
+    """The family of those laws that can belong to one; None if there are
+    fewer than two."""
     # A user's law may change from run to run, so programs with it are not stored.
     ring = (law for law in laws if issubclass(law, LocalLaw) and law.shipped())
     members = tuple(dict.fromkeys(ring))

@@ -10,21 +10,32 @@ from curlfit.stone import GRAVITY
 class _FrontBackCoefficients(Law):
     sums = (("mu1_eta", "mu2_eta"),)
 
-    mu1_xi: float = coefficient(0.005, "front half, across the motion", symbol=r"\mu_{1\xi}")
-    mu2_xi: float = coefficient(0.05, "back half, across the motion", symbol=r"\mu_{2\xi}")
-    mu1_eta: float = coefficient(0.009, "front half, along the motion", symbol=r"\mu_{1\eta}")
-    mu2_eta: float = coefficient(0.009, "back half, along the motion", symbol=r"\mu_{2\eta}")
+    mu1_xi: float = coefficient(
+        0.005, "front half, across the motion", symbol=r"\mu_{1\xi}"
+    )
+    mu2_xi: float = coefficient(
+        0.05, "back half, across the motion", symbol=r"\mu_{2\xi}"
+    )
+    mu1_eta: float = coefficient(
+        0.009, "front half, along the motion", symbol=r"\mu_{1\eta}"
+    )
+    mu2_eta: float = coefficient(
+        0.009, "back half, along the motion", symbol=r"\mu_{2\eta}"
+    )
 
 
 class FrontBack(_FrontBackCoefficients, LocalLaw):
-    """Friction across and along the motion with separate coefficients on each half of the ring.
+    """Friction across and along the motion with separate coefficients on each half
+    of the ring.
 
-    Under uniform load only `mu1_eta + mu2_eta` enters the motion: the ring integrals of the two
-    halves are equal term by term, for every spin.
+    Under uniform load only `mu1_eta + mu2_eta` enters the motion: the ring integrals of
+    the two halves are equal term by term, for every spin.
     """
 
     name = "front-back"
-    formula = "t = -n (mu_xi v_xi, mu_eta v_eta)/|v|, mu1 where eta > 0, mu2 where eta < 0"
+    formula = (
+        "t = -n (mu_xi v_xi, mu_eta v_eta)/|v|, mu1 where eta > 0, mu2 where eta < 0"
+    )
     source = "Ivanov and Shuvalov (2012), eq. 25-26"
     predicts = "left where mu2_xi > mu1_xi"
 
@@ -37,8 +48,8 @@ class FrontBack(_FrontBackCoefficients, LocalLaw):
 class FrontBackFirstOrder(_FrontBackCoefficients, NetLaw):
     """The front-back law to first order in epsilon = R omega/v: the paper's own model.
 
-    Accurate to 0.3 % for epsilon < 0.1; it diverges as the stone comes to rest. For comparison
-    with the paper; otherwise use `front-back`.
+    Accurate to 0.3 % for epsilon < 0.1; it diverges as the stone comes to rest. For
+    comparison with the paper; otherwise use `front-back`.
     """
 
     name = "front-back-first-order"
@@ -55,5 +66,9 @@ class FrontBackFirstOrder(_FrontBackCoefficients, NetLaw):
         return (
             epsilon * GRAVITY * (self.mu1_xi - self.mu2_xi) / pi,
             -GRAVITY * (self.mu1_eta + self.mu2_eta) / 2,
-            -epsilon * GRAVITY * stone.R * (self.mu1_xi + self.mu2_xi) / (4 * stone.rho**2),
+            -epsilon
+            * GRAVITY
+            * stone.R
+            * (self.mu1_xi + self.mu2_xi)
+            / (4 * stone.rho**2),
         )

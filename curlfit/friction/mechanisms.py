@@ -1,7 +1,9 @@
-"""Forces that turn the path of a stone without braking it: terms of sums, as in "power+sideways".
+"""Forces that turn the path of a stone without braking it: terms of sums, as
+in "power+sideways".
 
-Each is a traction on the ring, proportional to the load, of which only the force and the moment
-matter. The slow side is where rotation opposes the motion, the left of a counter-clockwise stone.
+Each is a traction on the ring, proportional to the load, of which only the force and
+the moment matter. The slow side is where rotation opposes the motion, the left of a
+counter-clockwise stone.
 """
 
 from typing import Any
@@ -10,8 +12,9 @@ from curlfit.friction.base import LocalLaw, RingPoint, arctan, coefficient, powe
 from curlfit.stone import GRAVITY
 
 _SLOWEST = 1e-2
-"""Speed in m/s below which a force ceases, lest a stone turn ever faster as it comes to rest, and
-R omega below which the torque of a pivot does, which ends the spin of a moving stone"""
+"""Speed in m/s below which a force ceases, lest a stone turn ever faster as it comes to
+rest, and R omega below which the torque of a pivot does, which ends the spin of a
+moving stone"""
 _SIDE = 1e-3
 """R omega in m/s below which the side of a force changes gradually"""
 
@@ -22,34 +25,51 @@ def _to_the_slow_side(u: Any, exponent: float, slowest: float = _SIDE) -> Any:
 
 
 class Sideways(LocalLaw):
-    """A force to the slow side without torque, a power of the speed whatever the rate of spin.
+    """A force to the slow side without torque, a power of the speed whatever the
+    rate of spin.
 
-    Pivot-slide models give n = 2, scratch-guiding with a friction like v^-1/2 gives n = -1/2.
+    Pivot-slide models give n = 2, scratch-guiding with a friction like v^-1/2
+    gives n = -1/2.
     """
 
     name = "sideways"
     brakes = False
     formula = "a_xi = -sgn(omega) a (v/(1 m/s))^n, no torque"
     source = (
-        "our reading of pivot-slide (Shegelski and Lozowski 2016) and scratch-guiding (Nyberg et "
-        "al. 2013), of which no formula could be read"
+        "our reading of pivot-slide (Shegelski and Lozowski 2016) and scratch-guiding "
+        "(Nyberg et al. 2013), of which no formula could be read"
     )
     predicts = "left"
 
-    a: float = coefficient(0.005, "sideways acceleration at 1 m/s", unit="m/s^2", typical=0.005,
-                           symbol="a")  # fmt: skip
-    n: float = coefficient(0.0, "exponent of the speed", lower=-0.9, upper=3.0, typical=0.5,
-                           symbol="n", signed=True)  # fmt: skip
+    a: float = coefficient(
+        0.005, "sideways acceleration at 1 m/s", unit="m/s^2", typical=0.005, symbol="a"
+    )
+    n: float = coefficient(
+        0.0,
+        "exponent of the speed",
+        lower=-0.9,
+        upper=3.0,
+        typical=0.5,
+        symbol="n",
+        signed=True,
+    )
 
     def traction(self, point: RingPoint) -> tuple[Any, Any]:
-        size = self.a / GRAVITY * point.v * power(point.v**2 + _SLOWEST**2, (self.n - 1) / 2)
+        size = (
+            self.a
+            / GRAVITY
+            * point.v
+            * power(point.v**2 + _SLOWEST**2, (self.n - 1) / 2)
+        )
         return size * _to_the_slow_side(point.u, 0.0), 0.0
 
 
 class Transverse(LocalLaw):
-    """A force proportional to the angle between the velocities in front of the ring and behind.
+    """A force proportional to the angle between the velocities in front of the
+    ring and behind.
 
-    Without torque. In a draw it has the shape of the front-back law, as long as R omega < v/10.
+    Without torque. In a draw it has the shape of the front-back law, as long as R
+    omega < v/10.
     """
 
     name = "transverse"
@@ -58,8 +78,13 @@ class Transverse(LocalLaw):
     source = "our reading of Honkanen (2018), fig. 5"
     predicts = "left"
 
-    b: float = coefficient(0.05, "sideways acceleration over the angle", unit="m/s^2", typical=0.05,
-                           symbol="b")  # fmt: skip
+    b: float = coefficient(
+        0.05,
+        "sideways acceleration over the angle",
+        unit="m/s^2",
+        typical=0.05,
+        symbol="b",
+    )
 
     def traction(self, point: RingPoint) -> tuple[Any, Any]:
         speed = power(point.v**2 + _SLOWEST**2, 0.5)
@@ -68,7 +93,8 @@ class Transverse(LocalLaw):
 
 
 class Pivot(LocalLaw):
-    """A force at the slowest point of the ring, to its side; more for a slowly spinning stone.
+    """A force at the slowest point of the ring, to its side; more for a slowly
+    spinning stone.
 
     The force is applied with the torque that it has about the centre, against the spin.
     """
@@ -79,8 +105,9 @@ class Pivot(LocalLaw):
     source = "Leaney (2020), as implemented by J. Poole (2025)"
     predicts = "left"
 
-    q: float = coefficient(1.1e-4, "force over the weight at R omega = 1 m/s", typical=1e-4,
-                           symbol="q")  # fmt: skip
+    q: float = coefficient(
+        1.1e-4, "force over the weight at R omega = 1 m/s", typical=1e-4, symbol="q"
+    )
 
     def traction(self, point: RingPoint) -> tuple[Any, Any]:
         push = self.q * _to_the_slow_side(point.u, -0.5, _SLOWEST)

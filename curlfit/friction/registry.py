@@ -16,16 +16,18 @@ from curlfit.friction.sums import sum_of
 
 
 def find_law(name: str | type[Law], *, from_files: bool = True) -> type[Law]:
-    """The law of that name, or a user's law in a file, as "FILE.py:CLASS"; a law is itself.
+    """The law of that name, or a user's law in a file, as "FILE.py:CLASS"; a
+    law is itself.
 
     A law that is not one of curlfit is tested when it is first used.
 
-    `from_files` is False where the name comes from a data file, which must not execute code.
+    `from_files` is False where the name comes from a data file, which must not
+    execute code.
 
     Raises
     ------
-    InputError : no such law; the message lists the laws. DataError : the file contains no
-        usable law, or the law is not usable.
+    InputError : no such law; the message lists the laws. DataError : the file contains
+        no usable law, or the law is not usable.
 
     Examples
     --------
@@ -40,18 +42,25 @@ def find_law(name: str | type[Law], *, from_files: bool = True) -> type[Law]:
         return checked(LAWS[name])
     if name in TERMS:
         raise InputError(
-            f"{name} does not brake a stone; add it to a law of the ring, as in power+{name}"
+            f"{name} does not brake a stone; add it to a law of the ring, "
+            f"as in power+{name}"
         )
     if "+" in name:
         parts = name.split("+")
         if all(part in TERMS or part in LAWS for part in parts[1:]):
-            each = (TERMS.get(part) or find_law(part, from_files=from_files) for part in parts)
+            each = (
+                TERMS.get(part) or find_law(part, from_files=from_files)
+                for part in parts
+            )
             return checked(sum_of(*each))  # type: ignore[arg-type]  # which it checks
     file, colon, kind = name.rpartition(":")
     if from_files and (file.endswith(".py") or name.endswith(".py")):
-        return law_from_file(*((file, kind) if colon and not kind.endswith(".py") else (name, "")))
+        return law_from_file(
+            *((file, kind) if colon and not kind.endswith(".py") else (name, ""))
+        )
     raise InputError(
-        f"unknown law {quoted(name)}; the laws are {', '.join(sorted(LAWS))} (see `curlfit laws`)"
+        f"unknown law {quoted(name)}; the laws are {', '.join(sorted(LAWS))} "
+        "(see `curlfit laws`)"
         + ("; a law of your own is FILE.py:CLASS" if from_files else "")
     )
 
@@ -61,11 +70,17 @@ def laws_under(
 ) -> list[tuple[type[Law], str]]:
     """Laws and loads to be fitted; `load` may be "both".
 
-    Where no law is named, all of curlfit's own except those that approximate another. A law without
-    a ring has no load and is listed once. Raises `InputError` for an unknown name.
+    Where no law is named, all of curlfit's own except those that approximate another. A
+    law without a ring has no load and is listed once. Raises `InputError` for an
+    unknown name.
     """
-    wanted = laws or [law for law in LAWS.values() if law.shipped() and not law.approximates]
-    chosen = [find_law(law) for law in ([wanted] if isinstance(wanted, str | type) else wanted)]
+    wanted = laws or [
+        law for law in LAWS.values() if law.shipped() and not law.approximates
+    ]
+    chosen = [
+        find_law(law)
+        for law in ([wanted] if isinstance(wanted, str | type) else wanted)
+    ]
     loads = ("uniform", "consistent") if load == "both" else (load,)
     return [
         (law, one)
@@ -81,7 +96,8 @@ def law_from_file(file: str, kind: str = "") -> type[Law]:
 
     Raises
     ------
-    DataError : the file cannot be read or run, has no such law, or the evaluation fails.
+    DataError : the file cannot be read or run, has no such law, or the
+        evaluation fails.
     """
     path = Path(file).resolve()
     if not path.is_file():
@@ -101,9 +117,13 @@ def _module(path: Path, _modified: int, file: str) -> ModuleType:
     try:
         spec.loader.exec_module(module)
     except SyntaxError as error:
-        raise DataError(f"{error.msg}; expected Python", file=file, line=error.lineno) from None
+        raise DataError(
+            f"{error.msg}; expected Python", file=file, line=error.lineno
+        ) from None
     except Exception as error:
-        raise DataError(first_line(error), file=file, line=last_line(path, error)) from None
+        raise DataError(
+            first_line(error), file=file, line=last_line(path, error)
+        ) from None
     return module
 
 
@@ -115,9 +135,15 @@ def _select_law(file: str, module: ModuleType, kind: str) -> type[Law]:
         and issubclass(value, LocalLaw | NetLaw)
         and value.__module__ == module.__name__
     }
-    available = f"it has {', '.join(classes)}" if classes else "derive one from curlfit.LocalLaw"
+    available = (
+        f"it has {', '.join(classes)}"
+        if classes
+        else "derive one from curlfit.LocalLaw"
+    )
     if kind and kind not in classes:
         raise DataError(f"no law class {quoted(kind)} in it; {available}", file=file)
     if not kind and len(classes) != 1:
-        raise DataError(f"expected one law class, or FILE.py:CLASS; {available}", file=file)
+        raise DataError(
+            f"expected one law class, or FILE.py:CLASS; {available}", file=file
+        )
     return classes[kind or next(iter(classes))]

@@ -14,7 +14,8 @@ from curlfit.stone import Stone
 
 STONE = Stone()
 _POINTS = 4096  # evaluated in one call, so that there is one program
-_SPIN_RATIOS = 0.01, 0.4  # |epsilon|; near 1 the nodes of the model crowd where sliding stops
+# |epsilon|; near 1 the nodes of the model crowd where sliding stops
+_SPIN_RATIOS = 0.01, 0.4
 _IN_PLACE = 3.0  # |epsilon| of a stone that spins almost in place
 _MOST_TRIES = 20
 
@@ -42,11 +43,15 @@ def sample(law: type[Law], count: int, seed: int) -> Conditions:
     items = law.coefficients()
     default = np.array([item.default for item in items])
     reach = np.array([max(abs(item.default) / 2, item.typical) for item in items])
-    lower, upper = np.array([(item.lower, item.upper) for item in items]).reshape(-1, 2).T
+    lower, upper = (
+        np.array([(item.lower, item.upper) for item in items]).reshape(-1, 2).T
+    )
 
     def coefficients() -> Floats:
         for _ in range(_MOST_TRIES):
-            found = np.clip(default + reach * random.uniform(-1, 1, len(items)), lower, upper)
+            found = np.clip(
+                default + reach * random.uniform(-1, 1, len(items)), lower, upper
+            )
             if law.from_vector(found).fault() is None:
                 return found
         return default
@@ -56,10 +61,13 @@ def sample(law: type[Law], count: int, seed: int) -> Conditions:
     speed[::8], epsilon[::8] = 0.1 * random.uniform(0.2, 1, len(speed[::8])), _IN_PLACE
     omega = np.minimum(epsilon * speed / STONE.R, 4.0) * random.choice([-1, 1], count)
     return Conditions(
-        np.array([coefficients() for _ in range(count)]), speed, omega,
-        random.uniform(-7, 14, count), random.uniform(0, 25, count),
+        np.array([coefficients() for _ in range(count)]),
+        speed,
+        omega,
+        random.uniform(-7, 14, count),
+        random.uniform(0, 25, count),
         *random.uniform(-0.05, 0.05, (2, count)),
-    )  # fmt: skip
+    )
 
 
 def ring_points(alpha: Any, motion: Motion, array: Any = np) -> RingPoint:
@@ -69,10 +77,21 @@ def ring_points(alpha: Any, motion: Motion, array: Any = np) -> RingPoint:
     slide_xi, slide_eta = -spin * eta, motion.speed + spin * xi  # eq. 16
     speed = array.hypot(slide_xi, slide_eta)
     return RingPoint(
-        xi=xi, eta=eta, angle=alpha, front=1.0 * (eta > 0), slide_xi=slide_xi, slide_eta=slide_eta,
-        speed=speed, e_xi=slide_xi / speed, e_eta=slide_eta / speed, load=1 + 0 * xi,
-        v=motion.speed, u=spin, turned=motion.turned, time=motion.time,
-    )  # fmt: skip
+        xi=xi,
+        eta=eta,
+        angle=alpha,
+        front=1.0 * (eta > 0),
+        slide_xi=slide_xi,
+        slide_eta=slide_eta,
+        speed=speed,
+        e_xi=slide_xi / speed,
+        e_eta=slide_eta / speed,
+        load=1 + 0 * xi,
+        v=motion.speed,
+        u=spin,
+        turned=motion.turned,
+        time=motion.time,
+    )
 
 
 class Sampled:
@@ -86,24 +105,30 @@ class Sampled:
         self._program = jax.jit(jax.vmap(partial(function, law)))
 
     def _run(self, conditions: Conditions, rows: Any, alpha: Any) -> Floats:
-        """Force to the right, forward and moment for pairs of a condition and an angle: (3, n)."""
+        """Force to the right, forward and moment for pairs of a condition and an
+        angle: (3, n)."""
         found = []
         for first in range(0, len(rows), _POINTS):
             used = slice(first, first + _POINTS)
             edge = (0, _POINTS - len(rows[used]))
-            row, angle = (np.pad(part[used], edge, mode="edge") for part in (rows, alpha))
+            row, angle = (
+                np.pad(part[used], edge, mode="edge") for part in (rows, alpha)
+            )
             values = self._program(*conditions.take(row), angle)
             found.append(np.asarray(values)[: len(rows[used])])
         return np.concatenate(found).T
 
     def friction(self, conditions: Conditions, *, relative: bool = True) -> Friction:
-        """Friction under these conditions; `relative` to its mean over the ring in each."""
+        """Friction under these conditions; `relative` to its mean over the
+        ring in each."""
         every = np.arange(len(conditions.speed))
 
         def friction(angles: Floats) -> Floats:
             shape = len(every), angles.shape[1]
             rows = np.broadcast_to(every[:, None], shape)
-            found = self._run(conditions, rows.ravel(), np.broadcast_to(angles, shape).ravel())
+            found = self._run(
+                conditions, rows.ravel(), np.broadcast_to(angles, shape).ravel()
+            )
             return found.reshape(3, *shape)
 
         if not relative:
@@ -114,7 +139,9 @@ class Sampled:
     def size(self, conditions: Conditions) -> Floats:
         """Mean magnitude of friction on the ring, shape (n,)."""
         angles = np.linspace(-np.pi, np.pi, 60, endpoint=False)[None] + 0.01
-        found: Floats = np.hypot(*self.friction(conditions, relative=False)(angles)[:2]).mean(-1)
+        found: Floats = np.hypot(
+            *self.friction(conditions, relative=False)(angles)[:2]
+        ).mean(-1)
         return found
 
     def usable(self, conditions: Conditions) -> Conditions:
@@ -123,20 +150,28 @@ class Sampled:
         return conditions.take(np.flatnonzero(np.isfinite(size) & (size > 0)))
 
     def ends(self, conditions: Conditions) -> Floats:
-        """Angles between the parts in which the law is summed: (conditions, k) or (1, k)."""
+        """Angles between the parts in which the law is summed: (conditions,
+        k) or (1, k)."""
         assert issubclass(self.law, LocalLaw)
         edges = self.law.from_vector(conditions.coefficients.T).edges(conditions.turned)
         n = len(conditions.speed)
         front, back = (
-            [np.clip(np.broadcast_to(np.asarray(angle, float), n), *limits) for angle in angles]
+            [
+                np.clip(np.broadcast_to(np.asarray(angle, float), n), *limits)
+                for angle in angles
+            ]
             for angles, limits in ((edges.front, (0, np.pi)), (edges.back, (-np.pi, 0)))
         )
-        return np.sort(np.stack([*np.tile(HALVES, (n, 1)).T, *front, *back], axis=1), axis=1)
+        return np.sort(
+            np.stack([*np.tile(HALVES, (n, 1)).T, *front, *back], axis=1), axis=1
+        )
 
     def net(self, conditions: Conditions) -> Floats:
         """Friction of the whole stone: shape (3, n)."""
         if issubclass(self.law, LocalLaw):
-            return sums(self.friction(conditions, relative=False), self.ends(conditions))
+            return sums(
+                self.friction(conditions, relative=False), self.ends(conditions)
+            )
         rows = np.arange(len(conditions.speed))
         return self._run(conditions, rows, 0.0 * rows)
 
@@ -148,7 +183,9 @@ def _at_point(law: type[LocalLaw], coefficients: Any, *at: Any) -> Any:
     *motion, p, q, alpha = at
     point = ring_points(alpha, Motion(*motion), jnp)
     point = point._replace(load=1 + p * point.xi + q * point.eta)
-    right, forward = (point.load * part for part in law.from_vector(coefficients).traction(point))
+    right, forward = (
+        point.load * part for part in law.from_vector(coefficients).traction(point)
+    )
     return jnp.stack([right, forward, point.xi * forward - point.eta * right])
 
 
@@ -156,5 +193,7 @@ def _of_stone(law: type[NetLaw], coefficients: Any, *at: Any) -> Any:
     """Accelerations, that of the rotation at the radius of gyration."""
     import jax.numpy as jnp
 
-    right, forward, angular = law.from_vector(coefficients).accelerations(Motion(*at[:4]), STONE)
+    right, forward, angular = law.from_vector(coefficients).accelerations(
+        Motion(*at[:4]), STONE
+    )
     return jnp.stack([right + 0.0 * at[0], forward, STONE.rho * angular])

@@ -1,4 +1,5 @@
-"""Sums of laws of the ring: of a law that brakes, and of what else acts on the stone."""
+"""Sums of laws of the ring: of a law that brakes, and of what else acts
+on the stone."""
 
 from __future__ import annotations
 
@@ -27,7 +28,9 @@ class Sum(LocalLaw):
     def terms(self) -> list[LocalLaw]:
         """The parts with their coefficients."""
         return [
-            part(**{item.name: getattr(self, item.name) for item in part.coefficients()})
+            part(
+                **{item.name: getattr(self, item.name) for item in part.coefficients()}
+            )
             for part in self.parts
         ]
 
@@ -51,17 +54,21 @@ class Sum(LocalLaw):
 
 @cache
 def sum_of(*parts: type[LocalLaw]) -> type[Sum]:
-    """The law of which these are the parts. Raises `InputError` unless one brakes, all act on the
-    ring, and no two have a coefficient of one name."""
+    """The law of which these are the parts. Raises `InputError` unless one brakes, all
+    act on the ring, and no two have a coefficient of one name."""
     name = "+".join(part.name for part in parts)
     names = Counter(item.name for part in parts for item in part.coefficients())
     twice = [one for one, count in names.items() if count > 1]
     if twice:
         raise InputError(f"{name}: two of these have a coefficient {twice[0]}")
     if not all(issubclass(part, LocalLaw) for part in parts):
-        raise InputError(f"{name}: expected laws of the ring, and a law of the whole stone is none")
+        raise InputError(
+            f"{name}: expected laws of the ring, and a law of the whole stone is none"
+        )
     if not any(part.brakes for part in parts):
-        raise InputError(f"{name}: nothing brakes the stone; expected a law, as in power+sideways")
+        raise InputError(
+            f"{name}: nothing brakes the stone; expected a law, as in power+sideways"
+        )
     own = next((part.__module__ for part in parts if not part.shipped()), __name__)
     given: dict[str, Any] = {
         item.name: field(default=item.default, metadata=item.metadata)
@@ -69,8 +76,10 @@ def sum_of(*parts: type[LocalLaw]) -> type[Sum]:
         for item in fields(part)
     }
     return type(
-        name, (Sum,),
-        given | {
+        name,
+        (Sum,),
+        given
+        | {
             "__annotations__": dict.fromkeys(given, float),
             "__doc__": f"The sum of {' and '.join(part.name for part in parts)}.",
             "__module__": own,
@@ -80,12 +89,19 @@ def sum_of(*parts: type[LocalLaw]) -> type[Sum]:
             "formula": " + ".join(part.formula for part in parts),
             "source": "; ".join(part.source for part in parts),
             "predicts": "as its parts together",
-            "corners": tuple(sorted({angle for part in parts for angle in part.corners})),
+            "corners": tuple(
+                sorted({angle for part in parts for angle in part.corners})
+            ),
             "sums": sum((part.sums for part in parts), ()),
         },
-    )  # fmt: skip
+    )
 
 
-for _parts in ((Power, Sideways), (Power, Transverse), (Power, Pivot), (FrontBack, Sideways)):
+for _parts in (
+    (Power, Sideways),
+    (Power, Transverse),
+    (Power, Pivot),
+    (FrontBack, Sideways),
+):
     _sum = sum_of(*_parts)
     LAWS[_sum.name] = _sum

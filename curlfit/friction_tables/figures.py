@@ -13,7 +13,8 @@ _SAME = 1e-6  # difference of friction below which curves coincide
 
 @draw.style()
 def friction_figure(result: FrictionFits) -> draw.Picture:
-    """Measured friction against speed, and the laws fitted to it; those of one curve together.
+    """Measured friction against speed, and the laws fitted to it; those of one
+    curve together.
 
     Examples
     --------
@@ -25,11 +26,16 @@ def friction_figure(result: FrictionFits) -> draw.Picture:
     if sigma is None:
         axes.plot(seen["speed"], seen["mu"], **style, label="data")
     else:
-        axes.errorbar(seen["speed"], seen["mu"], sigma, **style, elinewidth=0.8, label="data")
+        axes.errorbar(
+            seen["speed"], seen["mu"], sigma, **style, elinewidth=0.8, label="data"
+        )
     curves: list[tuple[list[str], dict[str, np.ndarray]]] = []
     for one in result.fits:
-        alike = (names for names, curve in curves
-                 if np.abs(curve["mu"] - one.curve["mu"]).max() < _SAME)  # fmt: skip
+        alike = (
+            names
+            for names, curve in curves
+            if np.abs(curve["mu"] - one.curve["mu"]).max() < _SAME
+        )
         if names := next(alike, None):
             names.append(one.law)
         else:

@@ -45,12 +45,14 @@ def fit_friction(
 
     Raises
     ------
-    DataError : the file is not such a table. InputError : an unknown law or load; a law with more
-        coefficients than the table has rows.
+    DataError : the file is not such a table. InputError : an unknown law or load; a law
+        with more coefficients than the table has rows.
 
     Examples
     --------
-    >>> friction = curlfit.fit_friction("data/sutor_1988_friction.csv", ["sutor", "power"])
+    >>> friction = curlfit.fit_friction(
+    ...     "data/sutor_1988_friction.csv", ["sutor", "power"]
+    ... )
     >>> friction.fits[0].law
     'sutor'
     """
@@ -61,12 +63,15 @@ def fit_friction(
     if not usable:
         raise InputError(
             f"{table.name} has {len(table.mu)} rows, and {wanted[0].name} has "
-            f"{len(wanted[0].coefficients())} coefficients; expected more rows than coefficients"
+            f"{len(wanted[0].coefficients())} coefficients; expected more rows "
+            "than coefficients"
         )
     chosen, family = Comparing.of(load=load, stone=stone or Stone()), family_of(usable)
     sets = [DataSet(table.name, table=table)]
     with in_threads(
-        lambda law: _fitted(LawOnSets(law, check_load(load), sets, chosen, family), table),
+        lambda law: _fitted(
+            LawOnSets(law, check_load(load), sets, chosen, family), table
+        ),
         [(law,) for law in usable],
     ) as each:
         fits = sorted(each, key=lambda one: (not one.converged, round(one.bic, 6)))
@@ -95,17 +100,27 @@ def _fitted(on: LawOnSets, table: FrictionTable) -> FrictionFit:
     sigma = noise.sigma[inside][0, -1] if table.sigma is None else _rms(table.sigma)
     curve = np.geomspace(table.speed.min(), table.speed.max(), _CURVE)
     along = accelerations(
-        law.from_vector(known.values), on.rounds.throws[0].stone, on.model.load,
-        jnp.asarray(curve), jnp.full(_CURVE, np.median(table.omega)),
-    ).eta  # fmt: skip
+        law.from_vector(known.values),
+        on.rounds.throws[0].stone,
+        on.model.load,
+        jnp.asarray(curve),
+        jnp.full(_CURVE, np.median(table.omega)),
+    ).eta
     return FrictionFit(
-        law=law.name, load="" if issubclass(law, NetLaw) else on.model.load,
-        converged=bool(known.distance < CONVERGED), coefficients=estimates,
-        combinations=combinations, rank=rank, chi_squared=chi_squared, sigma=float(sigma),
-        rms=_rms(raw), bic=misfit + rank * math.log(count),
-        warnings=tuple(of_bounds(estimates, known.identifiability.names)), fitted=table.mu + raw,
+        law=law.name,
+        load="" if issubclass(law, NetLaw) else on.model.load,
+        converged=bool(known.distance < CONVERGED),
+        coefficients=estimates,
+        combinations=combinations,
+        rank=rank,
+        chi_squared=chi_squared,
+        sigma=float(sigma),
+        rms=_rms(raw),
+        bic=misfit + rank * math.log(count),
+        warnings=tuple(of_bounds(estimates, known.identifiability.names)),
+        fitted=table.mu + raw,
         curve={"speed": curve, "mu": -np.asarray(along) / GRAVITY},
-    )  # fmt: skip
+    )
 
 
 def _rms(values: Floats) -> float:

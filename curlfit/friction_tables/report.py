@@ -36,18 +36,25 @@ def document(result: FrictionFits) -> Document:
     return Document(
         finding=finding,
         style=style_of(first),
-        subject=f"friction at {len(speed)} speeds, {speed.min():g} .. {speed.max():g} m/s",
+        subject=(
+            f"friction at {len(speed)} speeds, {speed.min():g} .. {speed.max():g} m/s"
+        ),
         headline=Text.assemble(
             ("friction against speed", "bold"),
-            f": {len(speed)} values, {speed.min():g} .. {speed.max():g} m/s, {result.data['file']}",
+            f": {len(speed)} values, {speed.min():g} .. {speed.max():g} m/s, "
+            f"{result.data['file']}",
         ),
         about=(_conclusion(result),),
         lines=[_said(first)],
         sections=(
             Section("laws", "Laws", (_laws(result),)),
-            Section("coefficients", "Coefficients", tuple(map(_coefficients, result.fits))),
+            Section(
+                "coefficients", "Coefficients", tuple(map(_coefficients, result.fits))
+            ),
         ),
-        warnings=[f"{one.law}: {lower(text)}" for one in result.fits for text in one.warnings],
+        warnings=[
+            f"{one.law}: {lower(text)}" for one in result.fits for text in one.warnings
+        ],
         notes=["sigma is estimated from the residuals of each law"]
         * (result.data["sigma"] == "estimated"),
         title=f"{result.data['file']}: friction against speed",
@@ -62,15 +69,25 @@ def _conclusion(result: FrictionFits) -> str:
     if not others:
         return _said(first)
     near = [one.law for one in others if one.converged and one.bic - first.bic <= _NEAR]
-    rest = f"not to be told from it: {join_words(near)}" if near else "the others are far behind"
+    rest = (
+        f"not to be told from it: {join_words(near)}"
+        if near
+        else "the others are far behind"
+    )
     return f"{first.law} describes the values best by BIC; {rest}."
 
 
 def _said(one: FrictionFit) -> str:
     """What of a law the table determines."""
-    hidden = [name for name, item in one.coefficients.items() if item.verdict == "not identifiable"]
+    hidden = [
+        name
+        for name, item in one.coefficients.items()
+        if item.verdict == "not identifiable"
+    ]
     known = [
-        f"{name} = {compact(*found)}" for name, found in reported(one).items() if name not in hidden
+        f"{name} = {compact(*found)}"
+        for name, found in reported(one).items()
+        if name not in hidden
     ]
     text = f"{one.law}: {', '.join(known)}"
     return (
@@ -85,14 +102,18 @@ def _laws(result: FrictionFits) -> PlainTable:
     return PlainTable(
         (
             {
-                "law": one.law, "load": one.load, ">determined": f"{one.rank}",
-                ">rms": f"{one.rms:.2g}", ">dBIC": f"{one.bic - least:.1f}",
+                "law": one.law,
+                "load": one.load,
+                ">determined": f"{one.rank}",
+                ">rms": f"{one.rms:.2g}",
+                ">dBIC": f"{one.bic - least:.1f}",
                 "": "" if one.converged else "not converged",
             }
             for one in result.fits
         ),
-        "Laws by BIC: number of coefficients that the values determine, and rms of the residuals",
-    )  # fmt: skip
+        "Laws by BIC: number of coefficients that the values determine, "
+        "and rms of the residuals",
+    )
 
 
 def _coefficients(one: FrictionFit) -> PlainTable:

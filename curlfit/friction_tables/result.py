@@ -18,7 +18,8 @@ class FrictionFit:
 
     Attributes
     ----------
-    sigma : standard error of mu that is estimated, from the residuals; of given ones their rms.
+    sigma : standard error of mu that is estimated, from the residuals; of given
+        ones their rms.
     rms : of the residuals.
     rank : number of coefficients, or combinations of them, that the table determines.
     bic : Schwarz's criterion, up to a constant that all laws have in common.

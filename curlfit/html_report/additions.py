@@ -1,4 +1,5 @@
-"""What the page of each kind of result has beside its document: figures and interactive parts."""
+"""What the page of each kind of result has beside its document: figures and
+interactive parts."""
 
 from __future__ import annotations
 
@@ -24,12 +25,16 @@ if TYPE_CHECKING:
     from curlfit.prediction.result import Prediction
 
 _MOVING = 6  # animated throws in a page
-_OLD = "This record was written without draws of the posterior; `curlfit predict` adds them."
+_OLD = (
+    "This record was written without draws of the posterior; "
+    "`curlfit predict` adds them."
+)
 
 
 @dataclass
 class Additions:
-    """Blocks by section: of a section of the document, at its end, or of one that follows.
+    """Blocks by section: of a section of the document, at its end, or of one
+    that follows.
 
     `data` are of the interactive parts, by id.
     """
@@ -52,14 +57,19 @@ class Additions:
             self.add(section, found[0])
             self.data[found[0].shows["id"]] = found[1]
 
-    def directions(self, fits: Sequence[FitResult], found: Sequence[dict[str, float]]) -> None:
+    def directions(
+        self, fits: Sequence[FitResult], found: Sequence[dict[str, float]]
+    ) -> None:
         """Add the null directions of fits."""
         if not found or not all(fit.converged for fit in fits):
             return
         try:
             fits[0].law_class  # noqa: B018  (a user's law is read from its file)
         except CurlfitError as error:
-            self.add("determined", paragraph(f"The paths along it are not here: {error}.", "note"))
+            self.add(
+                "determined",
+                paragraph(f"The paths along it are not here: {error}.", "note"),
+            )
             return
         from curlfit.html_report.direction import directions_of
 
@@ -82,12 +92,15 @@ def _of_joint(page: Additions, joint: JointResult) -> None:
     if not throws:
         return
     measured = {
-        Path(one.data["file"]).name: "; ".join(filter(None, (extent(one), quantities_line(one))))
+        Path(one.data["file"]).name: "; ".join(
+            filter(None, (extent(one), quantities_line(one)))
+        )
         for one in throws
     }
     page.add("coefficients", rows("The throws", measured))
     page.directions(
-        throws, [one for one in throws[0].null_directions if set(one) <= set(joint.share)]
+        throws,
+        [one for one in throws[0].null_directions if set(one) <= set(joint.share)],
     )
     if count > _MOVING:
         page.add("throw", paragraph(f"The first {_MOVING} of {count} throws.", "note"))
@@ -109,19 +122,28 @@ def _of_fit(page: Additions, fit: FitResult) -> None:
 
 
 _PARTS: dict[str, Callable[[Additions, Any], None]] = {
-    "fit": _of_fit, "joint": _of_joint, "predict": _of_prediction,
-}  # fmt: skip
+    "fit": _of_fit,
+    "joint": _of_joint,
+    "predict": _of_prediction,
+}
 _CAPTIONS = {
     "fit": "The path with its fit, residuals by channel, speed and spin",
     "corner": "Posterior of the coefficients, pair by pair",
-    "joint": "All throws with their fits, and what each alone says of what they have in common",
+    "joint": (
+        "All throws with their fits, and what each alone says of what "
+        "they have in common"
+    ),
     "friction": "Measured friction against speed, and the laws fitted to it",
-    "compare": "All paths over the data, their residuals, and the size of these by channel",
+    "compare": (
+        "All paths over the data, their residuals, and the size of these by channel"
+    ),
     "predict": "The path on the sheet, the resting position, the bands, speed and spin",
     "design-map": "What a single throw would tell, over speed and spin",
     "design-errors": "Errors against noise, rate and number of throws",
     "design-separate": "Separation of two coefficients",
-    "discrimination": "How well one throw decides the hardest pair of laws, over speed and spin",
+    "discrimination": (
+        "How well one throw decides the hardest pair of laws, over speed and spin"
+    ),
 }
 
 
@@ -130,8 +152,14 @@ def _caption(result: Any, name: str) -> str:
     if name == "profile":
         loss = getattr(result, "each", [result])[0].loss
         what = "Chi squared" if loss == "linear" else "Minus twice the log-likelihood"
-        return f"{what} over {join_words(result.names)}, all other parameters fitted again"
-    return "Timed events beside the fit" if name == "fit" and not result.rms else _CAPTIONS[name]
+        return (
+            f"{what} over {join_words(result.names)}, all other parameters fitted again"
+        )
+    return (
+        "Timed events beside the fit"
+        if name == "fit" and not result.rms
+        else _CAPTIONS[name]
+    )
 
 
 def additions_of(result: Any, chain: Chain | None) -> Additions:

@@ -27,8 +27,8 @@ class Block:
 
 
 def marked(text: Any) -> Markup:
-    """A text, or the content of a cell, as HTML: escaped, in the colours of the page, with text
-    between backticks as code."""
+    """A text, or the content of a cell, as HTML: escaped, in the colours of the page,
+    with text between backticks as code."""
     found = _CODE.sub(r"<code>\1</code>", inline(text))
     for name, color in COLORS.items():
         found = found.replace(f"color: {color}", f"color: var(--{name})")
@@ -56,7 +56,9 @@ def bullets(items: Iterable[str], role: str = "") -> list[Block]:
 
 def rows(caption: str, items: Mapping[str, str]) -> Block:
     """A table of two columns: names and values, of which empty ones are left out."""
-    return Block("rows", {"caption": caption, "items": [one for one in items.items() if one[1]]})
+    return Block(
+        "rows", {"caption": caption, "items": [one for one in items.items() if one[1]]}
+    )
 
 
 def blocks_of(parts: Iterable[Part]) -> Iterator[Block]:
@@ -88,6 +90,8 @@ def _table(found: Table) -> Block:
                 [(marked(cell), style(cell, place)) for place, cell in enumerate(row)]
                 for row in zip(*(one.cells for one in columns), strict=True)
             ],
-            "words": next((k for k, one in enumerate(columns) if one.justify != "right"), 0),
+            "words": next(
+                (k for k, one in enumerate(columns) if one.justify != "right"), 0
+            ),
         },
     )

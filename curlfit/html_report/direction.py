@@ -1,7 +1,8 @@
-"""A direction in parameter space that leaves the path unchanged, with the paths along it.
+"""A direction in parameter space that leaves the path unchanged, with the
+paths along it.
 
-Every path is computed from the model at its own parameter values: that the paths coincide is a
-result, not an assumption.
+Every path is computed from the model at its own parameter values: that the paths
+coincide is a result, not an assumption.
 """
 
 from __future__ import annotations
@@ -26,7 +27,12 @@ _POSITIONS = 33  # along a direction
 _INSTANTS = 49  # times of a path
 _REACH = 3.0  # multiple of the value or typical size, where there is no bound
 _PRECISION = 1e-7  # of the computed path, m and rad
-_MEASURES = {"position": ("x", "y"), "angle": ("phi",), "speed": ("speed",), "spin": ("omega",)}
+_MEASURES = {
+    "position": ("x", "y"),
+    "angle": ("phi",),
+    "speed": ("speed",),
+    "spin": ("omega",),
+}
 _WIDTH, _HEIGHT, _MARGIN = 640.0, 200.0, 16.0  # of the drawing
 
 
@@ -41,14 +47,15 @@ def directions_of(
     if not models:
         return []
     found = [
-        _direction(models, direction, f"{id}-{place}") for place, direction in enumerate(directions)
+        _direction(models, direction, f"{id}-{place}")
+        for place, direction in enumerate(directions)
     ]
     return [item for item in found if item is not None]
 
 
 def positions_along(fit: FitResult, direction: dict[str, float]) -> Floats:
-    """Steps along a direction from the fit, including 0, at which all parameters are within their
-    bounds, or within a few times their size where they have none."""
+    """Steps along a direction from the fit, including 0, at which all parameters are
+    within their bounds, or within a few times their size where they have none."""
     ends = [-math.inf, math.inf]
     for name, weight in direction.items():
         item = fit.parameters[name]
@@ -63,17 +70,21 @@ def positions_along(fit: FitResult, direction: dict[str, float]) -> Floats:
 
 
 class _Drawing(NamedTuple):
-    """Where points along two axes are drawn: from their origin, enlarged by their scale."""
+    """Where points along two axes are drawn: from their origin, enlarged by
+    their scale."""
 
     origin: list[float]
     scale: list[float]
 
     @classmethod
     def of(cls, low: Floats, high: Floats, *, from_above: bool) -> _Drawing:
-        """One that shows what lies between two corners; seen `from_above`, thrown to the right,
-        left of the throw is up."""
+        """One that shows what lies between two corners; seen `from_above`, thrown to
+        the right, left of the throw is up."""
         size = np.where(high > low, high - low, 1.0)
-        along, across = (_WIDTH - 2 * _MARGIN) / size[0], (_HEIGHT - 2 * _MARGIN) / size[1]
+        along, across = (
+            (_WIDTH - 2 * _MARGIN) / size[0],
+            (_HEIGHT - 2 * _MARGIN) / size[1],
+        )
         if from_above:
             return cls([float(low[0]), float(high[1])], [along, -across])
         return cls(low.tolist(), [along, across])
@@ -98,14 +109,21 @@ def _direction(
     sizes, start = np.abs(values).max(0), int(np.flatnonzero(steps == 0)[0])
     whole = [_curves(models, names[:count], moves) for count in (len(names), 1)]
     best = whole[0][start]
-    changes, apart = ([_change(curves, best, models) for curves in one] for one in whole)
+    changes, apart = (
+        [_change(curves, best, models) for curves in one] for one in whole
+    )
     sides = ("y", "x") if {"x", "y"} <= fit.rms.keys() else ("t", next(iter(fit.rms)))
     some = some_rows(len(best[0].t), _INSTANTS)
     paths, alone = (
-        [[(one.t if name == "t" else one.path[name])[some] for name in sides] for one, *_ in each]
+        [
+            [(one.t if name == "t" else one.path[name])[some] for name in sides]
+            for one, *_ in each
+        ]
         for each in whole
     )
-    low, high = (side(np.array(paths + alone), axis=(0, 2)) for side in (np.nanmin, np.nanmax))
+    low, high = (
+        side(np.array(paths + alone), axis=(0, 2)) for side in (np.nanmin, np.nanmax)
+    )
     drawing = _Drawing.of(low, high, from_above=sides[1] == "x")
     data: dict[str, Any] = {
         "kind": "direction",
@@ -113,29 +131,44 @@ def _direction(
         "names": names,
         "values": [rounded(row, 9) for row in values],
         "sizes": np.where(sizes > 0, sizes, 1.0).tolist(),
-        **drawing._asdict(), "margin": _MARGIN,
+        **drawing._asdict(),
+        "margin": _MARGIN,
         "paths": [[rounded(values, 8) for values in one] for one in paths],
         "alone": [[rounded(values, 4) for values in one] for one in alone],
         "changes": changes,
         "apart": apart,
-        "chi_squared": [_number(sum(one.chi_squared for one in each)) for each in whole[0]],
+        "chi_squared": [
+            _number(sum(one.chi_squared for one in each)) for each in whole[0]
+        ],
         "start": start,
         "t": rounded(best[0].t[some], 6),
-    }  # fmt: skip
+    }
     measured = some_rows(len(fit.observed["t"]), 200)
     shows = {
-        **data, "id": id, "last": len(steps) - 1, "joined": join_words(names),
+        **data,
+        "id": id,
+        "last": len(steps) - 1,
+        "joined": join_words(names),
         "shares": (100 * np.abs(values[start]) / data["sizes"]).tolist(),
-        "sum": _constant(fit, names), "largest": _largest(changes), "apart": _largest(apart),
-        "width": _WIDTH, "height": _HEIGHT, "axes": _axes(fit, sides, low, high, len(models)),
-        "points": drawing.at(np.array([fit.observed[name][measured] for name in sides])),
+        "sum": _constant(fit, names),
+        "largest": _largest(changes),
+        "apart": _largest(apart),
+        "width": _WIDTH,
+        "height": _HEIGHT,
+        "axes": _axes(fit, sides, low, high, len(models)),
+        "points": drawing.at(
+            np.array([fit.observed[name][measured] for name in sides])
+        ),
         "path": drawing.at(np.array(paths[start])),
-    }  # fmt: skip
+    }
     return Block("direction", shows), data
 
 
-def _curves(models: list[CurveModel], names: list[str], moves: Floats) -> list[list[Curves]]:
-    """The curves of all models at each of some moves of the parameters of these names."""
+def _curves(
+    models: list[CurveModel], names: list[str], moves: Floats
+) -> list[list[Curves]]:
+    """The curves of all models at each of some moves of the parameters of
+    these names."""
     fit = models[0].fit
     places = [list(fit.parameters).index(name) for name in names]
 
@@ -143,14 +176,18 @@ def _curves(models: list[CurveModel], names: list[str], moves: Floats) -> list[l
         values = model.fit.values
         values[places] += move[: len(places)]
         # The step to a bound ends on it up to rounding.
-        return model.at(np.clip(values, fit.parameter_set.lower, fit.parameter_set.upper))
+        return model.at(
+            np.clip(values, fit.parameter_set.lower, fit.parameter_set.upper)
+        )
 
     return [[at(model, move) for model in models] for move in moves]
 
 
 def _largest(changes: list[dict[str, Any] | None]) -> str:
     """The largest of changes in words; empty where no path exists."""
-    found = max(filter(None, changes), key=lambda one: one["size"], default={"text": ""})
+    found = max(
+        filter(None, changes), key=lambda one: one["size"], default={"text": ""}
+    )
     return str(found["text"])
 
 
@@ -164,22 +201,28 @@ def _constant(fit: FitResult, names: list[str]) -> str:
     return join_words(said) if said else ""
 
 
-def _axes(fit: FitResult, sides: tuple[str, str], low: Floats, high: Floats, throws: int) -> str:
+def _axes(
+    fit: FitResult, sides: tuple[str, str], low: Floats, high: Floats, throws: int
+) -> str:
     """What the drawing shows, in words."""
     units = {"t": "s"} | UNITS
     along, across = (
         f"{name} ({a:.2f} .. {b:.2f} {units[name]})"
-        for name, a, b in zip(sides, low.round(2) + 0.0, high.round(2) + 0.0, strict=True)
+        for name, a, b in zip(
+            sides, low.round(2) + 0.0, high.round(2) + 0.0, strict=True
+        )
     )
     name = Path(fit.data["file"]).name
-    return f"{across} against {along}" + (f" of {name}, one of {throws} throws" * (throws > 1))
+    return f"{across} against {along}" + (
+        f" of {name}, one of {throws} throws" * (throws > 1)
+    )
 
 
 def _change(
     curves: list[Curves], best: list[Curves], models: list[CurveModel]
 ) -> dict[str, Any] | None:
-    """The largest changes of the measured channels of the paths, in words; None where a path does
-    not exist."""
+    """The largest changes of the measured channels of the paths, in words; None where a
+    path does not exist."""
     sizes: dict[str, float] = {}
     for one, other, model in zip(curves, best, models, strict=True):
         for name, channels in _MEASURES.items():
@@ -190,7 +233,9 @@ def _change(
                 sizes[name] = float(np.maximum(sizes.get(name, 0.0), largest))
     if not all(map(math.isfinite, sizes.values())):
         return None
-    said = [f"{_size(size, _MEASURES[name][0])} in {name}" for name, size in sizes.items()]
+    said = [
+        f"{_size(size, _MEASURES[name][0])} in {name}" for name, size in sizes.items()
+    ]
     return {"size": max(sizes.values()), "text": join_words(said)}
 
 

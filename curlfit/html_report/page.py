@@ -1,4 +1,5 @@
-"""A result as one HTML page: markup, style, program, data and figures in a single file."""
+"""A result as one HTML page: markup, style, program, data and figures in a
+single file."""
 
 from __future__ import annotations
 
@@ -39,20 +40,23 @@ _LATER = {
 """Sections that follow those of the document, by id."""
 
 
-def write_report(result: Any, path: str | PathLike[str], *, chain: Chain | None = None) -> None:
-    """Write a result as one HTML file that needs no network: numbers, warnings, figures and
-    interactive parts.
+def write_report(
+    result: Any, path: str | PathLike[str], *, chain: Chain | None = None
+) -> None:
+    """Write a result as one HTML file that needs no network: numbers, warnings, figures
+    and interactive parts.
 
     Parameters
     ----------
-    result : a fit, of one throw or several, a comparison, a profile, a prediction or a design.
+    result : a fit, of one throw or several, a comparison, a profile, a prediction
+        or a design.
     path : of the file.
     chain : the posterior sample of a fit, for its figure.
 
     Raises
     ------
-    InputError : the result is of another kind, or the file cannot be written, has a name that does
-        not end in .html, or exists and is not such a page.
+    InputError : the result is of another kind, or the file cannot be written, has a
+        name that does not end in .html, or exists and is not such a page.
 
     Examples
     --------
@@ -70,8 +74,8 @@ def page_of(result: Any, chain: Chain | None = None) -> str:
     """The text of the page of a result. Raises `InputError` for other objects."""
     if not kind_of(result):
         raise InputError(
-            f"a {type(result).__name__} has no report; expected a fit, a comparison, a profile, a "
-            "prediction or a design"
+            f"a {type(result).__name__} has no report; expected a fit, a comparison, "
+            "a profile, a prediction or a design"
         )
     document = document_of(result)
     added = additions_of(result, chain)
@@ -83,26 +87,32 @@ def page_of(result: Any, chain: Chain | None = None) -> str:
     notes = [sentence(text, document.names) for text in document.notes]
     words = " and ".join(["warnings"] * bool(warnings) + ["notes"] * bool(notes))
     sections["warnings", words.capitalize()] = [
-        *bullets(warnings, "warning"), *bullets(notes, "note"),
-    ]  # fmt: skip
+        *bullets(warnings, "warning"),
+        *bullets(notes, "note"),
+    ]
     for id, heading in _LATER.items():
         sections[id, heading] = added.blocks.get(id, [])
     commands = {"lines": (document.command,) * bool(document.command)}
     sections["made", "How to reproduce this result"] = [
-        Block("commands", commands), rows("Settings", document.settings),
+        Block("commands", commands),
+        rows("Settings", document.settings),
         rows("Versions that wrote this page", _versions()),
-    ]  # fmt: skip
+    ]
     script = "".join(map(source, _SCRIPTS)) if added.data else ""
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    return _templates().get_template("page.html.j2").render(
-        document=document,
-        sections=sections,
-        style=Markup(source("report.css")),
-        script=Markup(script),
-        digest=digest,
-        data=Markup(_embedded(added.data)) if added.data else "",
-        version=__version__,
-    )  # fmt: skip
+    return (
+        _templates()
+        .get_template("page.html.j2")
+        .render(
+            document=document,
+            sections=sections,
+            style=Markup(source("report.css")),
+            script=Markup(script),
+            digest=digest,
+            data=Markup(_embedded(added.data)) if added.data else "",
+            version=__version__,
+        )
+    )
 
 
 def _versions() -> dict[str, str]:
@@ -139,7 +149,9 @@ def _templates() -> Environment:
 
 def rendered(block: Block) -> Markup:
     """One part of a section as HTML."""
-    return Markup(_templates().get_template(f"{block.template}.html.j2").render(block=block))
+    return Markup(
+        _templates().get_template(f"{block.template}.html.j2").render(block=block)
+    )
 
 
 def source(name: str) -> str:

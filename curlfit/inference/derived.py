@@ -12,7 +12,12 @@ import numpy as np
 from curlfit.errors import InputError
 from curlfit.foreign import quoted
 from curlfit.inference.expression import CONSTANTS, parse
-from curlfit.inference.identifiability import WEAK_ERROR, Combination, Verdict, WithInterval
+from curlfit.inference.identifiability import (
+    WEAK_ERROR,
+    Combination,
+    Verdict,
+    WithInterval,
+)
 from curlfit.numerics.arrays import Floats
 from curlfit.output.text import sided
 from curlfit.records import Names
@@ -21,7 +26,8 @@ from curlfit.stone import UNITS as STONE_UNITS
 LEVELS = ("2.5", "16", "50", "84", "97.5")
 """Quantiles in percent."""
 Quantiles = Annotated[dict[str, float], Names(LEVELS)]
-_NO_PART = 1e-3  # share of a gradient along null directions below which it counts as zero
+# share of a gradient along null directions below which it counts as zero
+_NO_PART = 1e-3
 _TRIES = 4  # further points of the ridge at which the gradient is checked
 
 
@@ -33,14 +39,16 @@ class Derived(WithInterval):
     ----------
     expression : arithmetic of the parameters, or the name of a quantity of the path.
     value : at the estimates.
-    stderr : standard error, from the covariance to first order; None where the quantity is not
-        determined, or depends on a parameter at its bound.
-    verdict : "determined"; "prior" (it rests on priors); "weak" (its standard error is more
-        than half of what typical sizes of its parameters imply); "not identifiable" (it depends on
-        a direction that the path does not determine); "at bound" or "fixed".
-    systematic : error due to the conditions that the fit holds fixed; None where there is none.
-    dof : degrees of freedom of `stderr`, the smallest of its parameters'; None where sigma was
-        given.
+    stderr : standard error, from the covariance to first order; None where the quantity
+        is not determined, or depends on a parameter at its bound.
+    verdict : "determined"; "prior" (it rests on priors); "weak" (its standard error is
+        more than half of what typical sizes of its parameters imply); "not
+        identifiable" (it depends on a direction that the path does not determine); "at
+        bound" or "fixed".
+    systematic : error due to the conditions that the fit holds fixed; None where
+        there is none.
+    dof : degrees of freedom of `stderr`, the smallest of its parameters'; None where
+        sigma was given.
     quantiles : of the posterior, "2.5" to "97.5"; empty without a chain.
     meaning, unit : of a quantity of the path.
     """
@@ -64,10 +72,12 @@ def scaled(item: Derived, factor: float) -> Derived:
 
     quantiles = sorted(value * factor for value in item.quantiles.values())
     return replace(
-        item, value=item.value * factor, stderr=times(item.stderr),
+        item,
+        value=item.value * factor,
+        stderr=times(item.stderr),
         systematic=times(item.systematic),
         quantiles=dict(zip(item.quantiles, quantiles, strict=True)),
-    )  # fmt: skip
+    )
 
 
 def to_its_side(item: Derived) -> Derived:
@@ -101,12 +111,16 @@ class FirstOrder(NamedTuple):
         return np.array([weights.get(name, 0.0) for name in self.names])
 
     def stderr(self, gradient: Mapping[str, float]) -> float:
-        """Standard error of a quantity with this gradient; null directions are ignored."""
+        """Standard error of a quantity with this gradient; null directions
+        are ignored."""
         row = self.vector(gradient)
-        return math.sqrt(max(float(row @ np.array(self.covariance["matrix"]) @ row), 0.0))
+        return math.sqrt(
+            max(float(row @ np.array(self.covariance["matrix"]) @ row), 0.0)
+        )
 
     def null_space(self) -> Floats:
-        """Orthonormal null directions in units of typical sizes, shape (directions, parameters)."""
+        """Orthonormal null directions in units of typical sizes, shape
+        (directions, parameters)."""
         rows = [self.vector(item) / self._typical for item in self.null_directions]
         rows = [row for row in rows if row.any()]
         if not rows:
@@ -125,10 +139,13 @@ class FirstOrder(NamedTuple):
         return not np.linalg.norm(self.null_space() @ row) > _NO_PART * size
 
     def shift(self, condition: str) -> Floats:
-        """Shift from the estimates to the true values if a condition is off by one width, along the
-        determined directions, in the order of the parameters that can move."""
+        """Shift from the estimates to the true values if a condition is off by
+        one width, along the determined directions, in the order of the parameters
+        that can move."""
         known = [name for name in self.names if name in self.shifts]
-        found = self.vector({name: self.shifts[name].get(condition, 0.0) for name in known})
+        found = self.vector(
+            {name: self.shifts[name].get(condition, 0.0) for name in known}
+        )
         sums = [item for item in self.combinations if item.expression in self.shifts]
         hidden = np.array([name not in known for name in self.names])
         if hidden.any() and sums:
@@ -139,17 +156,24 @@ class FirstOrder(NamedTuple):
         return found
 
     def assess(
-        self, name: str, value: float, gradient: Mapping[str, float], changes: Mapping[str, float],
-        *, seen: bool = True, held_counts: bool = True,
-    ) -> Derived:  # fmt: skip
+        self,
+        name: str,
+        value: float,
+        gradient: Mapping[str, float],
+        changes: Mapping[str, float],
+        *,
+        seen: bool = True,
+        held_counts: bool = True,
+    ) -> Derived:
         """The quantity with its errors.
 
         Parameters
         ----------
-        gradient : by the parameters. changes : for one width of each condition, at fixed
-            parameters.
+        gradient : by the parameters. changes : for one width of each condition, at
+            fixed parameters.
         seen : whether it is determined elsewhere on the ridge as well.
-        held_counts : whether dependence on a parameter at its bound leaves it without an error.
+        held_counts : whether dependence on a parameter at its bound leaves it
+            without an error.
         """
         used = {key: self.parameters[key] for key, slope in gradient.items() if slope}
         free = [key for key, item in used.items() if item.verdict != "fixed"]
@@ -174,27 +198,37 @@ class FirstOrder(NamedTuple):
             for condition in self.widths
         ]
         systematic = math.hypot(*by_condition) if by_condition else None
-        return Derived(name, value, stderr, verdict, systematic, dof=min(known) if known else None)
+        return Derived(
+            name, value, stderr, verdict, systematic, dof=min(known) if known else None
+        )
 
 
 def check_derived(texts: Sequence[str], names: Sequence[str]) -> None:
-    """Raise `InputError`, before a fit, for an expression that is not valid for its parameters."""
+    """Raise `InputError`, before a fit, for an expression that is not valid for
+    its parameters."""
     for text in texts:
-        parse(text, (*names, *(key for key in (*STONE_UNITS, *CONSTANTS) if key not in names)), {})
+        parse(
+            text,
+            (*names, *(key for key in (*STONE_UNITS, *CONSTANTS) if key not in names)),
+            {},
+        )
 
 
-def derive(known: FirstOrder, text: str, samples: Mapping[str, Floats] | None = None) -> Derived:
+def derive(
+    known: FirstOrder, text: str, samples: Mapping[str, Floats] | None = None
+) -> Derived:
     """A derived quantity from its expression.
 
     Parameters
     ----------
-    text : arithmetic of parameters, determined combinations, the stone's R, rho, h and m, g and pi.
+    text : arithmetic of parameters, determined combinations, the stone's R, rho, h and
+        m, g and pi.
     samples : of the posterior, by parameter.
 
     Raises
     ------
-    InputError : it is not arithmetic of such names, or has no finite value or derivative at the
-        estimates.
+    InputError : it is not arithmetic of such names, or has no finite value or
+        derivative at the estimates.
     """
     constants = {**CONSTANTS, **known.stone}
     values = {name: item.value for name, item in known.parameters.items()}
@@ -206,8 +240,15 @@ def derive(known: FirstOrder, text: str, samples: Mapping[str, Floats] | None = 
     own = {name: slope for name, slope in gradient.items() if name in values}
     for sound, fault in (
         (math.isfinite(value), "it has no finite value at the estimates"),
-        (all(map(math.isfinite, gradient.values())), "it has no derivative at the estimates"),
-        (own, "it contains no parameter of the fit; the parameters are " + ", ".join(values)),
+        (
+            all(map(math.isfinite, gradient.values())),
+            "it has no derivative at the estimates",
+        ),
+        (
+            own,
+            "it contains no parameter of the fit; the parameters are "
+            + ", ".join(values),
+        ),
     ):
         if not sound:
             raise InputError(f"derive {quoted(expression.text)}: {fault}")
@@ -245,8 +286,8 @@ def _seen_along_the_ridge(
     values: Mapping[str, float],
     slopes: Callable[[Mapping[str, float]], dict[str, float]],
 ) -> bool:
-    """Whether the gradient vanishes along the null directions elsewhere on the ridge as well: that
-    of a product a b vanishes along a - b only where a = b."""
+    """Whether the gradient vanishes along the null directions elsewhere on the ridge as
+    well: that of a product a b vanishes along a - b only where a = b."""
     space = known.null_space()
     if not len(space):
         return True

@@ -28,8 +28,11 @@ _OPERATORS: dict[type, Callable[[Any, Any], Any]] = {
 
 
 def _real_if_constant(value: Any) -> Any:
-    """The value as real if possible: NumPy multiplies out only integer powers of real type."""
-    return np.real(value) if np.isrealobj(value) or not np.any(np.imag(value)) else value
+    """The value as real if possible: NumPy multiplies out only integer powers
+    of real type."""
+    return (
+        np.real(value) if np.isrealobj(value) or not np.any(np.imag(value)) else value
+    )
 
 
 def _choice(pick: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
@@ -75,7 +78,8 @@ class Expression:
     def gradient(self, values: Mapping[str, float]) -> dict[str, float]:
         """Derivative by each name, exact to rounding.
 
-        By a complex step (Squire and Trapp 1998, SIAM Review 40): f(x + ih) = f(x) + ih f'(x).
+        By a complex step (Squire and Trapp 1998, SIAM Review 40): f(x + ih) =
+        f(x) + ih f'(x).
         """
         found = {}
         for name in self.names:
@@ -85,14 +89,16 @@ class Expression:
         return found
 
 
-def parse(text: str, names: Iterable[str], sums: Mapping[str, Mapping[str, float]]) -> Expression:
+def parse(
+    text: str, names: Iterable[str], sums: Mapping[str, Mapping[str, float]]
+) -> Expression:
     """An expression from text.
 
     Parameters
     ----------
     names : that may occur.
-    sums : weights of sums by their expression, in which they are rounded; such a sum may occur as
-        written there, in parentheses or alone.
+    sums : weights of sums by their expression, in which they are rounded; such a sum
+        may occur as written there, in parentheses or alone.
 
     Raises
     ------
@@ -102,27 +108,37 @@ def parse(text: str, names: Iterable[str], sums: Mapping[str, Mapping[str, float
     shown = " ".join(str(text).split())
     said = f"derive {quoted(shown)}"
     if not shown:
-        raise InputError("derive: the expression is empty; expected arithmetic of parameters")
+        raise InputError(
+            "derive: the expression is empty; expected arithmetic of parameters"
+        )
     if len(shown) > _LONGEST:
-        raise InputError(f"derive: {len(shown)} characters; expected at most {_LONGEST}")
+        raise InputError(
+            f"derive: {len(shown)} characters; expected at most {_LONGEST}"
+        )
     try:
         tree = ast.parse(_multiplied_out(shown, sums), mode="eval").body
     except (SyntaxError, ValueError, MemoryError, RecursionError):
         raise InputError(
             f"{said}: not an arithmetic expression; expected one such as "
-            f"'{known[0]} / {known[min(1, len(known) - 1)]}', with + - * / ** and parentheses"
+            f"'{known[0]} / {known[min(1, len(known) - 1)]}', "
+            "with + - * / ** and parentheses"
         ) from None
     used: dict[str, None] = {}
     function = _function_of(tree, said, known, used)
     if not used:
-        raise InputError(f"{said}: it contains no parameter; the parameters are {', '.join(known)}")
+        raise InputError(
+            f"{said}: it contains no parameter; the parameters are {', '.join(known)}"
+        )
     return Expression(shown, tuple(used), function)
 
 
 def _multiplied_out(text: str, sums: Mapping[str, Mapping[str, float]]) -> str:
-    """The text with products as Python writes them: "0.977 mu2_eta" is "0.977 * mu2_eta"."""
+    """The text with products as Python writes them: "0.977 mu2_eta" is
+    "0.977 * mu2_eta"."""
     for written, weights in sums.items():
-        product = " + ".join(f"({weight!r}) * {name}" for name, weight in weights.items())
+        product = " + ".join(
+            f"({weight!r}) * {name}" for name, weight in weights.items()
+        )
         if text == written:
             return product
         text = re.sub(rf"(?<!\w)\( *{re.escape(written)} *\)", f"({product})", text)
@@ -151,7 +167,8 @@ def _function_of(
         name = node.id
         if name not in names:
             raise InputError(
-                f"{said}: no parameter {quoted(name)}; the parameters are {', '.join(names)}"
+                f"{said}: no parameter {quoted(name)}; the parameters are "
+                f"{', '.join(names)}"
             )
         used.setdefault(name)
         return lambda values: np.asarray(values[name])[()]
@@ -174,13 +191,17 @@ def _function_of(
 def _function_called(node: ast.Call, name: str, said: str) -> Callable[..., Any]:
     if name not in _FUNCTIONS:
         raise InputError(
-            f"{said}: no function {quoted(name)}; the functions are {', '.join(_FUNCTIONS)}"
+            f"{said}: no function {quoted(name)}; the functions are "
+            f"{', '.join(_FUNCTIONS)}"
         )
     count, function = _FUNCTIONS[name]
     if len(node.args) != count or node.keywords:
-        raise InputError(f"{said}: {name} takes {count} argument{'s' if count > 1 else ''}")
+        raise InputError(
+            f"{said}: {name} takes {count} argument{'s' if count > 1 else ''}"
+        )
     return function
 
 
 CONSTANTS = {"g": GRAVITY, "pi": math.pi}
-"""Constants that an expression may contain unless a parameter has the same name; g in m/s^2."""
+"""Constants that an expression may contain unless a parameter has the same
+name; g in m/s^2."""

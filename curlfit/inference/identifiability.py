@@ -1,10 +1,12 @@
-"""What the data determine: singular values of the scaled Jacobian, and their directions in words.
+"""What the data determine: singular values of the scaled Jacobian, and their
+directions in words.
 
-Columns of the Jacobian of the residuals (in units of their sigma) are scaled by the typical size
-of each parameter. A singular value s then means that the data determine its direction to 1/s
-typical sizes: below 1 the direction is weakly determined; below `_UNSEEN`, or below the rounding
-error of the largest singular value, it is not determined at all. Nor is a weak one along which the
-bounds leave less room than a tenth of a standard error: only the bounds determine it.
+Columns of the Jacobian of the residuals (in units of their sigma) are scaled by the
+typical size of each parameter. A singular value s then means that the data determine
+its direction to 1/s typical sizes: below 1 the direction is weakly determined; below
+`_UNSEEN`, or below the rounding error of the largest singular value, it is not
+determined at all. Nor is a weak one along which the bounds leave less room than a tenth
+of a standard error: only the bounds determine it.
 """
 
 from __future__ import annotations
@@ -25,17 +27,21 @@ _UNSEEN = 1e-3  # known to no better than a thousand typical sizes
 _ROUNDING = 1e-9  # over the largest singular value
 _NO_PART = 1e-3  # share of a direction below which a parameter takes no part in it
 _LITTLE_PART = 0.05  # the same for a direction that is weakly determined
-_ROOM = 0.1  # standard errors within the bounds, below which these determine a direction
+# standard errors within the bounds, below which these determine a direction
+_ROOM = 0.1
 _WHOLE = np.arange(1.0, 7)[:, None, None]  # denominators of simple ratios
-_WEAK = 1.0  # singular value below which a direction is known to no better than typical sizes
-_UNDETERMINED = 1e-3  # share of a sum outside the determined directions, above which it is unknown
+# singular value below which a direction is known to no better than typical sizes
+_WEAK = 1.0
+# share of a sum outside the determined directions, above which it is unknown
+_UNDETERMINED = 1e-3
 WEAK_ERROR = 0.5
-"""Standard error over typical size, from which an estimate is weakly determined: a 95 % interval
-then reaches a typical size to either side."""
+"""Standard error over typical size, from which an estimate is weakly determined: a 95 %
+interval then reaches a typical size to either side."""
 
 
 Verdict = Annotated[
-    str, Choice(("determined", "prior", "weak", "not identifiable", "at bound", "fixed"))
+    str,
+    Choice(("determined", "prior", "weak", "not identifiable", "at bound", "fixed")),
 ]
 
 
@@ -74,7 +80,9 @@ def with_combinations(
     """Samples (..., parameters) by the name of the parameter, and by combination."""
     found = {name: samples[..., place] for place, name in enumerate(names)}
     sums = {
-        item.expression: np.sum([weight * found[name] for name, weight in item.weights.items()], 0)
+        item.expression: np.sum(
+            [weight * found[name] for name, weight in item.weights.items()], 0
+        )
         for item in combinations
     }
     return found | sums
@@ -89,11 +97,12 @@ class Identifiability:
     names : the free parameters, in the order used below.
     rank : number of directions that the data determine.
     singular_values : of the scaled Jacobian, largest first.
-    null_directions : directions along which the residuals stay the same, as weights by name, the
-        largest being 1.
+    null_directions : directions along which the residuals stay the same, as weights by
+        name, the largest being 1.
     covariance : of the free parameters, along the determined directions only.
     unseen : for each free parameter, whether it takes part in a null direction.
-    combinations : what is determined in place of parameters that are not, or only weakly.
+    combinations : what is determined in place of parameters that are not, or
+        only weakly.
     """
 
     names: tuple[str, ...]
@@ -105,9 +114,14 @@ class Identifiability:
     combinations: tuple[Combination, ...]
 
     def determined(self) -> dict[str, Floats]:
-        """Weights of the parameters in what is determined: themselves and the combinations."""
+        """Weights of the parameters in what is determined: themselves and
+        the combinations."""
         unit = np.eye(len(self.names))
-        weights = {name: unit[row] for row, name in enumerate(self.names) if not self.unseen[row]}
+        weights = {
+            name: unit[row]
+            for row, name in enumerate(self.names)
+            if not self.unseen[row]
+        }
         for item in self.combinations:
             row = [item.weights.get(name, 0.0) for name in self.names]
             weights[item.expression] = np.array(row)
@@ -117,7 +131,8 @@ class Identifiability:
 def student_quantile(level: float, dof: float | None) -> float:
     """Half width, in standard errors, of a two-sided confidence interval at a level.
 
-    Student's t with `dof` degrees of freedom; Gaussian where `dof` is None (sigma known).
+    Student's t with `dof` degrees of freedom; Gaussian where `dof` is None
+    (sigma known).
     """
     from scipy.special import ndtri, stdtrit  # slow to load
 
@@ -130,8 +145,8 @@ def directions(information: Floats, typical: Floats) -> tuple[Floats, Floats, Fl
 
     Returns
     -------
-    seen, singular, null : rows of orthonormal directions in scaled parameters that the data
-        determine, the singular value of each, and rows that span the rest.
+    seen, singular, null : rows of orthonormal directions in scaled parameters that the
+        data determine, the singular value of each, and rows that span the rest.
     """
     squared, rows = principal_axes(typical[:, None] * information * typical)
     singular = np.sqrt(np.maximum(squared, 0.0))
@@ -141,7 +156,8 @@ def directions(information: Floats, typical: Floats) -> tuple[Floats, Floats, Fl
 
 
 def visible(singular: Floats) -> Booleans:
-    """Which directions the data determine, from the singular values of scaled Jacobians."""
+    """Which directions the data determine, from the singular values of
+    scaled Jacobians."""
     found: Booleans = singular > np.maximum(_UNSEEN, _ROUNDING * singular[..., :1])
     return found
 
@@ -154,9 +170,9 @@ class Bounded(NamedTuple):
     upper: Floats
 
     def confine(self, right: Floats, singular: Floats, typical: Floats) -> Booleans:
-        """Which weakly determined directions, rows of `right` in scaled parameters, have so little
-        room within the bounds, compared with their standard error 1/`singular`, that only the
-        bounds limit them."""
+        """Which weakly determined directions, rows of `right` in scaled parameters,
+        have so little room within the bounds, compared with their standard error
+        1/`singular`, that only the bounds limit them."""
         step = right * typical / np.maximum(singular, 1e-300)[..., None]
         moved = (self.upper > self.lower)[..., None, :] & (np.abs(right) > _ROUNDING)
         below = np.where(moved, (self.values - self.lower)[..., None, :], np.inf)
@@ -164,12 +180,15 @@ class Bounded(NamedTuple):
         size = np.maximum(np.abs(step), 1e-300)
         forward = np.where(step > 0, above, below) / size
         backward = np.where(step > 0, below, above) / size
-        found: Booleans = (forward.min(-1) + backward.min(-1) < _ROOM) & (singular < _WEAK)
+        found: Booleans = (forward.min(-1) + backward.min(-1) < _ROOM) & (
+            singular < _WEAK
+        )
         return found
 
 
 def confined(jacobian: Floats, bounded: Bounded, typical: Floats) -> Floats:
-    """A Jacobian, or each of a stack, without the directions that only the bounds determine."""
+    """A Jacobian, or each of a stack, without the directions that only the
+    bounds determine."""
     free = bounded.upper > bounded.lower
     scaled = jacobian * (typical * free)[..., None, :]
     _, singular, right = np.linalg.svd(scaled, full_matrices=False)
@@ -186,10 +205,13 @@ def stderr_of(weights: Floats, right: Floats, singular: Floats) -> float | None:
     Parameters
     ----------
     weights : in scaled parameters.
-    right, singular : determined directions, as orthonormal rows, and the singular value of each.
+    right, singular : determined directions, as orthonormal rows, and the singular
+        value of each.
     """
     along = right @ weights
-    if np.linalg.norm(weights - right.T @ along) > _UNDETERMINED * np.linalg.norm(weights):
+    if np.linalg.norm(weights - right.T @ along) > _UNDETERMINED * np.linalg.norm(
+        weights
+    ):
         return None
     return float(np.linalg.norm(along / singular))
 
@@ -200,8 +222,8 @@ def inverted(singular: Floats, counts: Booleans) -> Floats:
 
 
 def r_factor(matrix: Floats) -> Floats:
-    """R factor (QR decomposition) of a matrix or of each of a stack: at most as many rows as
-    columns, which replace all rows in least squares."""
+    """R factor (QR decomposition) of a matrix or of each of a stack: at most as many
+    rows as columns, which replace all rows in least squares."""
     found: Any = np.linalg.qr(matrix, mode="r")
     return found
 
@@ -225,15 +247,18 @@ def analyse(
     slack: Floats | None = None,
     bounded: Bounded | None = None,
 ) -> Identifiability:
-    """Split the space of the free parameters into what the data determine and what they do not.
+    """Split the space of the free parameters into what the data determine and what
+    they do not.
 
     Parameters
     ----------
     jacobian : of the residuals over their sigma, shape (residuals, parameters).
-    names, values, typical : of the parameters; values at which the Jacobian was evaluated.
-    slack : contribution of other parameters, at their bounds, to the spread of these: columns whose
-        outer products add to the covariance, shape (parameters, others).
-    bounded : values and bounds, in the same coordinates; without them the bounds do not count.
+    names, values, typical : of the parameters; values at which the Jacobian
+        was evaluated.
+    slack : contribution of other parameters, at their bounds, to the spread of these:
+        columns whose outer products add to the covariance, shape (parameters, others).
+    bounded : values and bounds, in the same coordinates; without them the bounds
+        do not count.
     """
     rows, p = jacobian.shape
     if rows > 2 * p:
@@ -267,7 +292,13 @@ def analyse(
         covariance=covariance,
         unseen=unseen,
         combinations=_combinations(
-            right[~seen], inverse[:, seen & ~strong].T, weak, names, values, typical, covariance
+            right[~seen],
+            inverse[:, seen & ~strong].T,
+            weak,
+            names,
+            values,
+            typical,
+            covariance,
         ),
     )
 
@@ -277,8 +308,8 @@ def classify(
 ) -> tuple[float | None, str]:
     """Standard error, where there is one, and verdict of a free parameter.
 
-    The 95 % interval of a weakly determined parameter reaches its typical size to either side.
-    `place` is the index of the parameter in `known`.
+    The 95 % interval of a weakly determined parameter reaches its typical size to
+    either side. `place` is the index of the parameter in `known`.
     """
     if at_bound:
         return None, "at bound"
@@ -297,9 +328,10 @@ def _combinations(
     typical: Floats,
     covariance: Floats,
 ) -> tuple[Combination, ...]:
-    """Determined combinations of the weak parameters, from the directions that are not determined
-    and those that are weakly, times the standard errors along these. Weights near whole numbers
-    become these where that makes no variance more than twice as large."""
+    """Determined combinations of the weak parameters, from the directions that are not
+    determined and those that are weakly, times the standard errors along these.
+    Weights near whole numbers become these where that makes no variance more than
+    twice as large."""
     if not weak.any():
         return ()
     unit = loose / np.linalg.norm(loose, axis=-1, keepdims=True)
@@ -326,21 +358,28 @@ def _combinations(
 
 
 def expression(weights: dict[str, float]) -> str:
-    """A combination as text: {"a": 1, "b": 1} is "a + b", {"a": -2, "b": 1} is "b - 2 a"."""
+    """A combination as text: {"a": 1, "b": 1} is "a + b", {"a": -2, "b": 1}
+    is "b - 2 a"."""
     text = ""
     for name, weight in sorted(weights.items(), key=lambda item: item[1] < 0):
         size = abs(weight)
         factor = "" if size == 1 else f"{Fraction(size).limit_denominator(12)} "
         if factor and abs(Fraction(size).limit_denominator(12) - size) > 1e-9:
             factor = f"{size:.4g} "
-        sign = ("- " if weight < 0 else "") if not text else (" - " if weight < 0 else " + ")
+        sign = (
+            ("- " if weight < 0 else "")
+            if not text
+            else (" - " if weight < 0 else " + ")
+        )
         text += f"{sign}{factor}{name}"
     return text
 
 
-def _tidy_basis(rows: Floats, close: float = _NO_PART, wholes: Floats = _WHOLE) -> Floats:
-    """A basis of the same space in reduced row echelon form, with ratios of small integers where
-    close."""
+def _tidy_basis(
+    rows: Floats, close: float = _NO_PART, wholes: Floats = _WHOLE
+) -> Floats:
+    """A basis of the same space in reduced row echelon form, with ratios of small
+    integers where close."""
     if not rows.size:
         return rows
     rows = _echelon(rows) if len(rows) > 1 else rows
@@ -354,7 +393,8 @@ def _tidy_basis(rows: Floats, close: float = _NO_PART, wholes: Floats = _WHOLE) 
 
 
 def _echelon(rows: Floats) -> Floats:
-    """Reduced row echelon form of independent rows; the largest entry of a column is its pivot."""
+    """Reduced row echelon form of independent rows; the largest entry of a column
+    is its pivot."""
     rows = np.array(rows, float)
     place = 0
     for row in range(len(rows)):
@@ -377,5 +417,7 @@ def _echelon(rows: Floats) -> Floats:
 def _named(row: Floats, names: Sequence[str], where: Booleans) -> dict[str, float]:
     chosen = [name for name, take in zip(names, where, strict=True) if take]
     return {
-        name: float(weight) for name, weight in zip(chosen, row, strict=True) if abs(weight) > 0
+        name: float(weight)
+        for name, weight in zip(chosen, row, strict=True)
+        if abs(weight) > 0
     }

@@ -1,9 +1,10 @@
 """Initial values from the data.
 
-A polynomial through each channel gives speed, direction and spin accurately enough to evaluate the
-law's forces along the path. These are linear in the law's coefficients, or are linearized; they are
-integrated twice over time and fitted to the measured positions and angles by linear least squares.
-Only the polynomial is differentiated, and only once.
+A polynomial through each channel gives speed, direction and spin accurately enough to
+evaluate the law's forces along the path. These are linear in the law's coefficients,
+or are linearized; they are integrated twice over time and fitted to the measured
+positions and angles by linear least squares. Only the polynomial is differentiated,
+and only once.
 """
 
 from __future__ import annotations
@@ -33,20 +34,24 @@ from curlfit.stone import Stone
 from curlfit.throws.throw import last_motion
 
 _DEGREE = 5
-_NOTHING = 1e-13  # length of a column, over the longest, below which it is rounding error
-_FAINT = 1e-6  # singular value over the largest, below which derivatives are not accurate enough
+# length of a column, over the longest, below which it is rounding error
+_NOTHING = 1e-13
+# singular value over the largest, below which derivatives are not accurate enough
+_FAINT = 1e-6
 _USUAL_SPEED = 2.0  # m/s, where no measurement determines it
-_ASTRAY = 20.0  # typical sizes from its initial guess, where a coefficient hardly acts any more
+# typical sizes from its initial guess, where a coefficient hardly acts any more
+_ASTRAY = 20.0
 
 
 def default_guess(item: Coefficient) -> float:
-    """Initial guess of a coefficient; an optional one that is fitted is not at its default."""
+    """Initial guess of a coefficient; an optional one that is fitted is not at
+    its default."""
     return item.typical if item.optional else item.default
 
 
 def usual_where_astray(law: type[Law], values: Floats, typical: Floats) -> Floats:
-    """Initial guesses of the coefficients that are so far from these that they hardly act any more;
-    NaN for the other parameters."""
+    """Initial guesses of the coefficients that are so far from these that they hardly
+    act any more; NaN for the other parameters."""
     found = np.full(len(values), np.nan)
     for place, item in enumerate(law.coefficients()):
         usual = default_guess(item)
@@ -56,21 +61,25 @@ def usual_where_astray(law: type[Law], values: Floats, typical: Floats) -> Float
 
 
 class SmoothPath(NamedTuple):
-    """Polynomials through the moving part of many paths, throws along the first axis."""
+    """Polynomials through the moving part of many paths, throws along
+    the first axis."""
 
     span: Floats
     """s from the first row to the last with the stone in motion, shape (throws,)"""
     curves: Floats
-    """Chebyshev coefficients over 0..span of x, y, phi, shape (throws, 3, coefficients). Where only
-    the speed or the spin was measured, y or phi is its integral"""
+    """Chebyshev coefficients over 0..span of x, y, phi, shape (throws, 3,
+    coefficients). Where only the speed or the spin was measured, y or phi is
+    its integral"""
     known: Booleans
     """whether anything is known of x, y, phi, shape (throws, 3)"""
     rms: Floats
-    """of the data about the polynomials, floored, inf if not observed; shape (throws, channels)"""
+    """of the data about the polynomials, floored, inf if not observed; shape
+    (throws, channels)"""
 
 
 def smooth(problems: Problem) -> SmoothPath:
-    """Polynomials of degree 5 or less through each channel, up to where the stone came to rest.
+    """Polynomials of degree 5 or less through each channel, up to where the stone
+    came to rest.
 
     Parameters
     ----------
@@ -78,7 +87,9 @@ def smooth(problems: Problem) -> SmoothPath:
     """
     t, seen, observed = problems.times, problems.weight > 0, problems.observed
     shown = np.where(seen[:, :2], observed[:, :2], np.nan)
-    last = np.array([last_motion(*one) for one in zip(t, shown[:, 0], shown[:, 1], strict=True)])
+    last = np.array(
+        [last_motion(*one) for one in zip(t, shown[:, 0], shown[:, 1], strict=True)]
+    )
     span = np.maximum(np.where(last < 0.9 * t[:, -1], last, t[:, -1]), 1e-9)
     use = seen & (t <= span[:, None])[:, None]
     n = use.sum(-1)
@@ -98,7 +109,10 @@ def smooth(problems: Problem) -> SmoothPath:
         risen = chebint(found[:, 3:], lbnd=-1, axis=-1) * span[:, None, None] / 2
         placeless = ~known[:, 0] & ~known[:, 1] & known[:, 3]
         angleless = ~known[:, 2] & known[:, 4]
-        curves[placeless, 1], curves[angleless, 2] = risen[placeless, 0], risen[angleless, 1]
+        curves[placeless, 1], curves[angleless, 2] = (
+            risen[placeless, 0],
+            risen[angleless, 1],
+        )
         known[:, 1] |= placeless
         known[:, 2] |= angleless
     return SmoothPath(span, curves[:, :3], known[:, :3], np.where(n >= 2, rms, np.inf))
@@ -117,14 +131,17 @@ def start_values(
 ) -> Floats:
     """Parameter vectors near the optima, within the bounds, shape (throws, parameters).
 
-    What the data do not determine to first order is near the usual coefficients of the law.
+    What the data do not determine to first order is near the usual
+    coefficients of the law.
 
     Parameters
     ----------
-    problems : of many throws, as `stacked` returns them; `path` is what `smooth` returns for them.
+    problems : of many throws, as `stacked` returns them; `path` is what `smooth`
+        returns for them.
     lower, upper : bounds, shape (throws, parameters).
     spin : in rad/s, where the angle was not measured.
-    mirrored : whether this is near the reflection of the usual coefficients in the smallest ones.
+    mirrored : whether this is near the reflection of the usual coefficients in the
+        smallest ones.
     batch : number of throws computed together.
     """
     law = model.law
@@ -132,7 +149,8 @@ def start_values(
     moving = _moving(path, spin)
     use = (problems.weight > 0) & (problems.times <= path.span[:, None])[:, None]
     if use.shape[1] > 3:
-        use[:, 3] &= ~use[:, :2].any((1, 2))[:, None]  # the positions determine it already
+        # the positions determine it already
+        use[:, 3] &= ~use[:, :2].any((1, 2))[:, None]
     free = np.full((len(lower), len(START)), np.inf)
     low, high = np.hstack([lower[:, :k], -free]), np.hstack([upper[:, :k], free])
     found = np.zeros_like(low)
@@ -142,7 +160,9 @@ def start_values(
     typical = np.array([item.typical for item in law.coefficients()])
     going = np.arange(len(found))
     for step in range(3):
-        here: Any = jax.tree.map(lambda leaf, going=going: leaf[going], (problems, path, moving))
+        here: Any = jax.tree.map(
+            lambda leaf, going=going: leaf[going], (problems, path, moving)
+        )
         nominal = found[going, :k]
         a, by_coefficient = accelerations_and_slopes(
             model, nominal, typical, here[0].stone, here[2].measured, batch
@@ -153,7 +173,9 @@ def start_values(
         about = matrix, right, low[going], high[going]
         if mirrored and step == 0:
             nearest = _bounded_least_squares(*about, found)
-            found = np.clip(2 * _bounded_least_squares(*about, 0 * found) - nearest, low, high)
+            found = np.clip(
+                2 * _bounded_least_squares(*about, 0 * found) - nearest, low, high
+            )
         found[going] = _bounded_least_squares(*about, found[going])
         bent = np.abs(linear - a) > 1e-12 + 1e-9 * np.abs(a)
         going = going[(bent | np.isnan(a)).any((1, 2))]
@@ -175,11 +197,15 @@ def _state(found: Floats, path: SmoothPath, moving: _Moving, spin: float) -> Flo
     velocity = np.where(slow, first, (vx0, vy0))
     return np.stack(
         [
-            x0, y0, np.arctan2(*velocity), np.hypot(*velocity),
-            np.where(turning, phi0, 0.0), np.where(turning, omega0, spin),
+            x0,
+            y0,
+            np.arctan2(*velocity),
+            np.hypot(*velocity),
+            np.where(turning, phi0, 0.0),
+            np.where(turning, omega0, spin),
         ],
         -1,
-    )  # fmt: skip
+    )
 
 
 def start_values_of_sides(
@@ -191,11 +217,12 @@ def start_values_of_sides(
     *,
     batch: int = BATCH,
 ) -> Floats:
-    """Initial values on all sides that may fit equally, shape (sides, throws, parameters).
+    """Initial values on all sides that may fit equally, shape (sides,
+    throws, parameters).
 
-    Without the angle a path tells the sense of the spin at most by the side of the curl; without x
-    it does not tell this side. Values with the most usual coefficients come first. Arguments as in
-    `start_values`.
+    Without the angle a path tells the sense of the spin at most by the side of the
+    curl; without x it does not tell this side. Values with the most usual coefficients
+    come first. Arguments as in `start_values`.
     """
     about = model, problems, path, lower, upper
     if path.known.all():
@@ -234,18 +261,21 @@ def _moving(path: SmoothPath, spin: float) -> _Moving:
     omega = np.where(turning, pace[:, 2], spin)
     turned = np.where(turning, path.curves[:, 2] @ (values - values[0]).T, spin * grid)
     velocity = pace[:, :2]
-    return _Moving(velocity, np.stack([np.hypot(*velocity.swapaxes(0, 1)), omega, turned, grid], 1))
+    return _Moving(
+        velocity, np.stack([np.hypot(*velocity.swapaxes(0, 1)), omega, turned, grid], 1)
+    )
 
 
 def _design(
     slopes: Floats, use: Booleans, problems: Problem, path: SmoothPath, moving: _Moving
 ) -> tuple[Floats, Floats]:
-    """Linear least-squares problem for coefficients, x0, vx0, y0, vy0, phi0, omega0, in few rows.
+    """Linear least-squares problem for coefficients, x0, vx0, y0, vy0, phi0, omega0,
+    in few rows.
 
     Parameters
     ----------
-    slopes : accelerations (xi, eta, angular) per unit of each coefficient, and those that depend on
-        none, shape (throws, 3, n, coefficients + 1).
+    slopes : accelerations (xi, eta, angular) per unit of each coefficient, and those
+        that depend on none, shape (throws, 3, n, coefficients + 1).
 
     Returns
     -------
@@ -274,7 +304,8 @@ def _design(
     share, throw = (place - below)[..., None], np.arange(len(times))[:, None]
     design = np.zeros((len(times), channels, rows, k + len(START) + 1))
     for row in range(channels):
-        # Position and angle are integrated twice, speed (along the initial heading) and spin once.
+        # Position and angle are integrated twice, speed (along the initial heading)
+        # and spin once.
         series, axis = (twice, row) if row < 3 else (once, row - 2)
         early, late = (series[throw, axis, below + here] for here in (0, 1))
         own = early + share * (late - early)
@@ -291,10 +322,15 @@ def _design(
 def _bounded_least_squares(
     matrix: Floats, right: Floats, low: Floats, high: Floats, nominal: Floats
 ) -> Floats:
-    """Linear least squares of many throws within bounds; the solution nearest to the nominal one
-    where it is not unique. The smallest could be where by symmetry chi squared has a saddle point.
+    """Linear least squares of many throws within bounds; the solution nearest to the
+    nominal one where it is not unique. The smallest could be where by symmetry chi
+    squared has a saddle point.
     """
-    right, low, high = right - (matrix @ nominal[..., None])[..., 0], low - nominal, high - nominal
+    right, low, high = (
+        right - (matrix @ nominal[..., None])[..., 0],
+        low - nominal,
+        high - nominal,
+    )
     size = np.linalg.norm(matrix, axis=1)
     size[size <= _NOTHING * size.max(1, keepdims=True)] = np.inf  # has no effect: 0
     held = np.full_like(low, np.nan)
@@ -323,7 +359,8 @@ _STEP = 1e-4  # of differences, over the typical size
 def accelerations_along(
     model: Model, coefficients: Floats, stones: Stone, paths: Floats, batch: int = BATCH
 ) -> Floats:
-    """Accelerations (xi, eta, angular) along the paths of many throws, shape (throws, 3, POINTS).
+    """Accelerations (xi, eta, angular) along the paths of many throws, shape
+    (throws, 3, POINTS).
 
     Parameters
     ----------
@@ -338,10 +375,15 @@ def accelerations_along(
 
 
 def accelerations_and_slopes(
-    model: Model, coefficients: Floats, typical: Floats, stones: Stone, paths: Floats, batch: int
+    model: Model,
+    coefficients: Floats,
+    typical: Floats,
+    stones: Stone,
+    paths: Floats,
+    batch: int,
 ) -> tuple[Floats, Floats]:
-    """Accelerations for one coefficient vector per throw, and their derivatives by it; these are
-    exact to rounding where the accelerations are linear.
+    """Accelerations for one coefficient vector per throw, and their derivatives by it;
+    these are exact to rounding where the accelerations are linear.
 
     Parameters
     ----------
@@ -366,6 +408,8 @@ def _accelerations(
     law: type[Law], load: Load, coefficients: Array, stones: Stone, paths: Array
 ) -> Array:
     def along(coefficients: Array, stone: Stone, path: Array) -> Array:
-        return jnp.stack(accelerations(law.from_vector(coefficients.T), stone, load, *path))
+        return jnp.stack(
+            accelerations(law.from_vector(coefficients.T), stone, load, *path)
+        )
 
     return jax.vmap(along)(coefficients, stones, paths)

@@ -1,8 +1,9 @@
-"""The optimum of one throw, of many, or of several with common parameters, within bounds.
+"""The optimum of one throw, of many, or of several with common parameters,
+within bounds.
 
-One compiled program of optimistix serves all. It solves a batch of problems side by side, which
-costs far less than one after another. The solves of a batch end together; those that take many
-steps are therefore interrupted and grouped anew.
+One compiled program of optimistix serves all. It solves a batch of problems side by
+side, which costs far less than one after another. The solves of a batch end together;
+those that take many steps are therefore interrupted and grouped anew.
 """
 
 from __future__ import annotations
@@ -38,7 +39,8 @@ Stacks = tuple[Any, Any, Any, Penalty, Problem]
 _MOST_STEPS = 200
 _FIRST_STEPS = 12  # of many problems, until those that are not done are grouped anew
 _MIXED = "mixed"  # in place of the name of a loss
-_NOTHING = 1e-7  # length of a column, over the longest, below which it is rounding error
+# length of a column, over the longest, below which it is rounding error
+_NOTHING = 1e-7
 _ROUNDING = 1e-12  # eigenvalue, with columns of length 1, that may be rounding error
 _SAME_START = 1e-3  # typical sizes within which initial values are the same
 _FACTORS = 1.0, 0.3, 3.0  # on the usual coefficients, for other initial values
@@ -51,7 +53,8 @@ class Control(NamedTuple):
     """How a solve begins, and when it has converged."""
 
     damping: float
-    """of the first step, relative to the squared columns: the larger, the more cautious"""
+    """of the first step, relative to the squared columns: the larger, the
+    more cautious"""
     extrapolated: float
     """share of chi squared that the last step, which is not evaluated, may gain"""
     remaining: float
@@ -65,9 +68,11 @@ _QUICK = Control(1e-4, 1e-8, 1e-10)  # for many: within 1e-5 standard errors
 
 
 class Solution(NamedTuple):
-    """An optimum, in the coordinates of its problem; or many, along the first axis of each field.
+    """An optimum, in the coordinates of its problem; or many, along the first axis
+    of each field.
 
-    Residuals that are not finite mean that there was no path even at the initial values.
+    Residuals that are not finite mean that there was no path even at the
+    initial values.
     """
 
     values: Any
@@ -94,7 +99,8 @@ class Solution(NamedTuple):
 class Tasks(NamedTuple):
     """Problems of one shape, their initial values and bounds, along the first axis.
 
-    A problem is a throw, or several throws along its first axis that have parameters in common.
+    A problem is a throw, or several throws along its first axis that have
+    parameters in common.
     """
 
     problems: Problem
@@ -107,7 +113,8 @@ class Tasks(NamedTuple):
     penalty: Penalty
     """each field of the shape of `start`"""
     common: Booleans | None = None
-    """which parameters of a throw the others have in common with it; None with one throw"""
+    """which parameters of a throw the others have in common with it; None
+    with one throw"""
 
     @classmethod
     def of(cls, throws: Iterable[tuple[ParameterSet, Problem, Floats]]) -> Tasks:
@@ -143,14 +150,26 @@ class Tasks(NamedTuple):
                 common = model.family.padded(model.law, common.astype(float), 1.0) > 0
             blocks = Blocks.of(common, self.problems.observed.shape[1])
         return (
-            model.of_program, self._loss,
-            (*map(model.vector, (self.start, self.lower, self.upper)), penalty, self.problems),
-            typical, blocks, control,
-        )  # fmt: skip
+            model.of_program,
+            self._loss,
+            (
+                *map(model.vector, (self.start, self.lower, self.upper)),
+                penalty,
+                self.problems,
+            ),
+            typical,
+            blocks,
+            control,
+        )
 
 
 def _solve(
-    model: Model, loss: str, stacks: Stacks, typical: Array, blocks: Blocks, control: Control
+    model: Model,
+    loss: str,
+    stacks: Stacks,
+    typical: Array,
+    blocks: Blocks,
+    control: Control,
 ) -> Solution:
     # Imported only to compile the program: it takes half as long to load as JAX.
     import optimistix as optx
@@ -164,23 +183,34 @@ def _solve(
             return weighted_residuals(model, values, problem)
 
         together = problem.observed.ndim > 2
-        return jax.vmap(one)(values[blocks.index], problem) if together else one(values, problem)
+        return (
+            jax.vmap(one)(values[blocks.index], problem)
+            if together
+            else one(values, problem)
+        )
 
     def solved(
         start: Array, lower: Array, upper: Array, penalty: Penalty, problem: Problem
     ) -> Solution:
         solver = bounded.BoundedLeastSquares(
             descent=bounded.BoundedDescent(lower, upper, typical),
-            search=bounded.GainRatio(control.damping), control=control, blocks=blocks,
+            search=bounded.GainRatio(control.damping),
+            control=control,
+            blocks=blocks,
             penalty=penalty,
-        )  # fmt: skip
+        )
         found: Any = optx.least_squares(
             residual, solver, start, problem, max_steps=None, throw=False
         )
         priors = penalty.chi_squared(found.value)
         state = found.state
         return Solution(
-            found.value, state.residual, state.jacobian, state.evaluations, state.success, priors
+            found.value,
+            state.residual,
+            state.jacobian,
+            state.evaluations,
+            state.success,
+            priors,
         )
 
     if len(stacks[0]) > 1:
@@ -196,7 +226,12 @@ _solve_often = compiled("model", "loss", optimize=True)(_solve)
 
 
 def solve(
-    model: Model, tasks: Tasks, how: Control = PRECISE, batch: int = 1, *, once: bool = True
+    model: Model,
+    tasks: Tasks,
+    how: Control = PRECISE,
+    batch: int = 1,
+    *,
+    once: bool = True,
 ) -> Solution:
     """The optima of problems, a batch of them side by side.
 
@@ -206,7 +241,9 @@ def solve(
     """
     program = _solve_once if once else _solve_often
     law, loss, stacks, *common = tasks.arguments(model, how)
-    found: Solution = in_batches(lambda *some: program(law, loss, some, *common), stacks, batch)
+    found: Solution = in_batches(
+        lambda *some: program(law, loss, some, *common), stacks, batch
+    )
     if model.family is not None:
         size = tasks.start.shape[-1]
         of_throw = size if tasks.common is None else len(tasks.common)
@@ -220,7 +257,8 @@ def solve(
 def prepare_minimize(
     model: Model, parameters: ParameterSet, problem: Problem, batch: int = 1
 ) -> None:
-    """Begin to compile what `minimize_many` needs for problems like this one, alone or few."""
+    """Begin to compile what `minimize_many` needs for problems like this one,
+    alone or few."""
     control = PRECISE if batch == 1 else _QUICK
     tasks = Tasks.of([(parameters, problem, np.zeros(len(parameters)))] * batch)
     _solve_once.prepare(*tasks.arguments(model, control))
@@ -245,15 +283,22 @@ def minimize_many(
         now = due[loss[due] == loss[due[0]]][:batch]
         found = solve(model, tasks.at(now), control, batch, once=batch < BATCH)
         if whole is None:
-            whole = jax.tree.map(lambda leaf: np.zeros((count, *leaf.shape[1:]), leaf.dtype), found)
+            whole = jax.tree.map(
+                lambda leaf: np.zeros((count, *leaf.shape[1:]), leaf.dtype), found
+            )
         steps = whole.steps[now] + found.steps
         for leaf, new in zip(whole, found._replace(steps=steps), strict=True):
             leaf[as_slice(now)] = new
         tasks.start[now] = found.values
-        interrupted[now] = ~found.success & (found.steps >= control.most) & (steps < most)
+        interrupted[now] = (
+            ~found.success & (found.steps >= control.most) & (steps < most)
+        )
         due = np.setdiff1d(due, now)
         if not len(due):
-            due, control = np.flatnonzero(interrupted), control._replace(most=2 * control.most)
+            due, control = (
+                np.flatnonzero(interrupted),
+                control._replace(most=2 * control.most),
+            )
             interrupted[:] = False
     solution: Solution = whole
     return solution
@@ -266,7 +311,9 @@ def optima(
     owner = np.repeat(np.arange(len(starts)), [*map(len, starts)])
     found: list[list[Solution]] = [[] for _ in starts]
     if len(owner):
-        some = tasks.at(owner)._replace(start=np.concatenate([one for one in starts if one]))
+        some = tasks.at(owner)._replace(
+            start=np.concatenate([one for one in starts if one])
+        )
         each = unstacked(minimize_many(model, some, batch))
         for place, one in zip(owner, each, strict=True):
             found[place].append(one)
@@ -274,7 +321,8 @@ def optima(
 
 
 def best_first(solutions: Iterable[Solution]) -> list[Solution]:
-    """The optima of a problem whose chi squared is finite, the first of the best before others."""
+    """The optima of a problem whose chi squared is finite, the first of the best
+    before others."""
     found: list[Solution] = []
     for one in solutions:
         if np.isfinite(one.chi_squared):
@@ -286,7 +334,8 @@ def best_first(solutions: Iterable[Solution]) -> list[Solution]:
 def starts_to_try(
     law: type[Law], sides: Floats, bounds: tuple[Floats, Floats], typical: Floats
 ) -> tuple[list[Floats], list[Floats]]:
-    """Initial values of which all are to be tried, since they may fit equally, and others.
+    """Initial values of which all are to be tried, since they may fit
+    equally, and others.
 
     `sides` are those of a throw, from `start_values_of_sides`.
     """
@@ -301,8 +350,9 @@ def starts_to_try(
 
 
 def fits_equally(best: Solution, other: Solution) -> Booleans:
-    """Whether other optima of the same problems fit as well as the best, within two standard
-    deviations of the noise, though to first order about the best they should not."""
+    """Whether other optima of the same problems fit as well as the best, within
+    two standard deviations of the noise, though to first order about the best
+    they should not."""
     best, other = (jax.tree.map(np.asarray, one) for one in (best, other))
     count = np.maximum((best.jacobian != 0).any(-1).sum((-1, -2)), 1)
     noise = best.objective / count
@@ -312,7 +362,9 @@ def fits_equally(best: Solution, other: Solution) -> Booleans:
     return other.success & (worse < _EQUAL * noise) & (expected > _APART * noise)
 
 
-def needs_restart(solutions: Solution, paths: SmoothPath, problems: Problem) -> Booleans:
+def needs_restart(
+    solutions: Solution, paths: SmoothPath, problems: Problem
+) -> Booleans:
     """Which of many optima are so poor that other initial values are worth trying."""
     observed, weight = problems.observed[:, :3], problems.weight[:, :3]
     there = weight > 0
@@ -322,13 +374,18 @@ def needs_restart(solutions: Solution, paths: SmoothPath, problems: Problem) -> 
     highest = np.where(there, observed, -np.inf).max(-1)
     lowest = np.where(there, observed, np.inf).min(-1)
     over_polynomial, over_range = _POOR
-    off = (rms > over_polynomial * paths.rms[:, :3]) & (rms > over_range * (highest - lowest))
+    off = (rms > over_polynomial * paths.rms[:, :3]) & (
+        rms > over_range * (highest - lowest)
+    )
     ended = solutions.success & np.isfinite(solutions.chi_squared)
     return ~np.asarray(ended) | (off & (n >= 3)).any(-1)
 
 
-def residual_sigma(solutions: Solution, problems: Problem, free: Booleans) -> NDArray[np.float64]:
-    """sqrt(sum of squares/(n - p)) by channel of many throws; p is a channel's share of parameters.
+def residual_sigma(
+    solutions: Solution, problems: Problem, free: Booleans
+) -> NDArray[np.float64]:
+    """sqrt(sum of squares/(n - p)) by channel of many throws; p is a channel's share
+    of parameters.
 
     Parameters
     ----------

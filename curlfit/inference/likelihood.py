@@ -1,14 +1,16 @@
-"""Residuals and log-posterior of the parameters given a measured path, defined in one place.
+"""Residuals and log-posterior of the parameters given a measured path, defined
+in one place.
 
-Noise is Gaussian, with a sigma for each channel that is given or estimated beforehand (see
-`curlfit.inference.fit.rounds`), and independent from row to row unless a `Noise` describes its
-correlation. An unknown sigma is not estimated together with the parameters: where a law is not
-exact, that likelihood has its maximum in a corner where one channel is fitted perfectly at the
-expense of the others.
+Noise is Gaussian, with a sigma for each channel that is given or estimated beforehand
+(see `curlfit.inference.fit.rounds`), and independent from row to row unless a `Noise`
+describes its correlation. An unknown sigma is not estimated together with the
+parameters: where a law is not exact, that likelihood has its maximum in a corner where
+one channel is fitted perfectly at the expense of the others.
 
-Timed events, such as crossing a line or coming to rest, are observations besides the channels, each
-with its own sigma (see `curlfit.throws.events`). A speed of zero at the time of rest would not do
-as an observation: a stone that came to rest earlier also has it.
+Timed events, such as crossing a line or coming to rest, are observations besides the
+channels, each with its own sigma (see `curlfit.throws.events`). A speed of zero at
+the time of rest would not do as an observation: a stone that came to rest earlier
+also has it.
 """
 
 from __future__ import annotations
@@ -36,20 +38,22 @@ from curlfit.numerics.compiled import compiled
 from curlfit.stone import GRAVITY
 
 SIGMA_FLOOR = 1e-7
-"""Smallest standard deviation of noise (m and rad): the precision of the computed path."""
+"""Smallest standard deviation of noise (m and rad): the precision of the
+computed path."""
 
 
 def _forces(model: Model, system: System) -> Array:
-    """Forces other than friction. A slope that is not a parameter is small: its dependence on the
-    heading is left out of the derivatives, which saves those by the forces."""
+    """Forces other than friction. A slope that is not a parameter is small: its
+    dependence on the heading is left out of the derivatives, which saves those
+    by the forces."""
     heading = system.start.heading
     heading = heading if model.has_slope else jax.lax.stop_gradient(heading)
     return external_forces(system.stone, system.environment, heading)
 
 
 def _channels(model: Model, values: Array, problem: Problem) -> Array:
-    """x, y, phi, speed and spin at the times of a problem, shape (5, n); with events, a sixth row
-    has one event per column, or the friction in a state."""
+    """x, y, phi, speed and spin at the times of a problem, shape (5, n); with events, a
+    sixth row has one event per column, or the friction in a state."""
     system = System.of(model, values, problem.stone, problem.environment)
     if problem.times is None:  # friction alone
         return jnp.pad(_braking(model, system, problem.states)[None], ((5, 0), (0, 0)))
@@ -58,40 +62,60 @@ def _channels(model: Model, values: Array, problem: Problem) -> Array:
     forces = _forces(model, system)
     if problem.events is None:
         path = ordered_trajectory(
-            system.law, system.stone, forces, start, measured, jnp.zeros(()), load=model.load
+            system.law,
+            system.stone,
+            forces,
+            start,
+            measured,
+            jnp.zeros(()),
+            load=model.load,
         )
         known = jnp.zeros(len(measured))
     else:
         lines = start.y + (problem.events.lines - start.y) / scale
         weights = problem.events.weights
         path, passages = with_passages(
-            system.law, system.stone, forces, start, lines, measured, (weights != 0).any(),
+            system.law,
+            system.stone,
+            forces,
+            start,
+            lines,
+            measured,
+            (weights != 0).any(),
             load=model.load,
-        )  # fmt: skip
+        )
         time, x_rest, y_rest, phi_rest = passages.rest
         at_lines = jnp.concatenate(
             [
-                passages.time * system.time_scale, _scaled(passages.x, start.x, scale),
-                passages.phi, jnp.stack(
+                passages.time * system.time_scale,
+                _scaled(passages.x, start.x, scale),
+                passages.phi,
+                jnp.stack(
                     [
-                        time * system.time_scale, _scaled(x_rest, start.x, scale),
-                        _scaled(y_rest, start.y, scale), phi_rest,
+                        time * system.time_scale,
+                        _scaled(x_rest, start.x, scale),
+                        _scaled(y_rest, start.y, scale),
+                        phi_rest,
                     ]
                 ),
-                passages.speed, passages.omega,
+                passages.speed,
+                passages.omega,
             ]
-        )  # fmt: skip
+        )
         found = jnp.where(weights != 0, weights * at_lines, 0.0).sum(-1)
         known = jnp.zeros(len(measured)).at[: len(found)].set(found)
     if problem.states is not None:
-        known = jnp.where(problem.states[0] > 0, _braking(model, system, problem.states), known)
+        known = jnp.where(
+            problem.states[0] > 0, _braking(model, system, problem.states), known
+        )
     more = [] if problem.events is None and problem.states is None else [known]
     x, y = _scaled(path.x, start.x, scale), _scaled(path.y, start.y, scale)
     return jnp.stack([x, y, path.phi, path.speed, path.omega, *more])
 
 
 def _braking(model: Model, system: System, states: Array) -> Array:
-    """Braking force over the weight at speeds and spins, of any size where a speed is 0."""
+    """Braking force over the weight at speeds and spins, of any size where
+    a speed is 0."""
     speed, omega = states
     state = jnp.where(speed > 0, speed, 1.0), omega
     found = accelerations(system.law, system.stone, model.load, *state)
@@ -107,8 +131,8 @@ _single_channels = compiled("model")(_channels)
 
 
 def predict_channels(model: Model, values: Any, problem: Problem) -> Array:
-    """x, y, phi, speed and spin at the times of a problem, shape (5, n); with events, a sixth row
-    has one event per column."""
+    """x, y, phi, speed and spin at the times of a problem, shape (5, n); with events, a
+    sixth row has one event per column."""
     found: Array = _single_channels(*_of_path(model, values, problem))
     return found
 
@@ -124,7 +148,8 @@ def _of_path(model: Model, values: Any, problem: Problem) -> tuple[Model, Any, P
 
 
 def _without_data(problem: Problem) -> Problem:
-    """Only what a path depends on: one program serves all channels, losses and noise models."""
+    """Only what a path depends on: one program serves all channels, losses and
+    noise models."""
     return problem._replace(observed=None, weight=None, loss=None, whitener=None)
 
 
@@ -133,8 +158,11 @@ def _batch_of_channels(model: Model, values: Array, problems: Problem) -> Array:
     return jax.vmap(partial(_channels, model))(values, problems)
 
 
-def predict_many(model: Model, values: Floats, problems: Problem, batch: int = BATCH) -> Floats:
-    """The result of `predict_channels` for each of many throws, shape (throws, 5 or 6, n)."""
+def predict_many(
+    model: Model, values: Floats, problems: Problem, batch: int = BATCH
+) -> Floats:
+    """The result of `predict_channels` for each of many throws, shape
+    (throws, 5 or 6, n)."""
     if batch == 1:
         pairs = zip(values, unstacked(problems), strict=True)
         return np.array([predict_channels(model, *pair) for pair in pairs])
@@ -148,7 +176,8 @@ def _slopes_of_channels(model: Model, values: Array, problems: Problem) -> Array
 
 
 def path_jacobians(model: Model, values: Floats, problems: Problem) -> Floats:
-    """Derivatives of the result of `predict_many` by the parameters, (throws, 5 or 6, n, p)."""
+    """Derivatives of the result of `predict_many` by the parameters, (throws, 5
+    or 6, n, p)."""
     found = np.asarray(_slopes_of_channels(*_of_path(model, values, problems)))
     return found[..., model.columns(values.shape[-1])]
 
@@ -160,7 +189,8 @@ def _unpadded_times(problem: Problem) -> Array:
 
 
 def weighted_residuals(model: Model, values: Array, problem: Problem) -> Array:
-    """(model - data) times weight, whitened and transformed by the loss, shaped like the data."""
+    """(model - data) times weight, whitened and transformed by the loss, shaped
+    like the data."""
     return signed_root(_whitened_residuals(model, values, problem), problem.loss)
 
 
@@ -170,23 +200,30 @@ def _whitened_residuals(model: Model, values: Array, problem: Problem) -> Array:
     if len(problem.observed) == 3 and "time_scale" not in model.conditions:
         system = System.of(model, values, problem.stone, problem.environment)
         start, scale = system.start, system.length_scale
-        # Friction alone is faster; without such a parameter the ice is level and the air still.
+        # Friction alone is faster; without such a parameter the ice is level and
+        # the air still.
         forces = _forces(model, system) if model.has_environment else None
         x, y, phi = positions(
-            system.law, system.stone, forces, start, _unpadded_times(problem),
+            system.law,
+            system.stone,
+            forces,
+            start,
+            _unpadded_times(problem),
             load=model.load,
-        )  # fmt: skip
+        )
         path = jnp.stack([_scaled(x, start.x, scale), _scaled(y, start.y, scale), phi])
     else:
         path = _channels(model, values, problem)[: len(problem.observed)]
-    residual = jnp.where(problem.weight > 0, (path - problem.observed) * problem.weight, 0.0)
+    residual = jnp.where(
+        problem.weight > 0, (path - problem.observed) * problem.weight, 0.0
+    )
     return whitened(residual, problem.whitener)
 
 
 @compiled("model")
 def linearize(model: Model, values: Array, problems: Problem) -> tuple[Array, Array]:
-    """Residuals of throws, shape (throws, channels, n), and their Jacobian by the parameters; both
-    whitened, but not transformed by a loss."""
+    """Residuals of throws, shape (throws, channels, n), and their Jacobian by the
+    parameters; both whitened, but not transformed by a loss."""
 
     def one(values: Array, problem: Problem) -> tuple[Array, Array]:
         def residual(values: Array) -> tuple[Array, Array]:
@@ -207,11 +244,15 @@ def log_likelihood(model: Model, values: Array, problem: Problem) -> Array:
 
 @compiled("model")
 def log_posterior(
-    model: Model, values: Array, lower: Array, upper: Array, problem: Problem,
+    model: Model,
+    values: Array,
+    lower: Array,
+    upper: Array,
+    problem: Problem,
     penalty: Penalty,
-) -> Array:  # fmt: skip
-    """Log-posterior of many parameter vectors, shape (walkers, parameters); the prior is uniform
-    within the bounds except for the densities in the penalty."""
+) -> Array:
+    """Log-posterior of many parameter vectors, shape (walkers, parameters); the prior
+    is uniform within the bounds except for the densities in the penalty."""
     inside = ((values >= lower) & (values <= upper)).all(-1)
     # No path is computed outside the bounds: it could hold up all the others.
     safe = jnp.clip(values, lower, upper)
@@ -229,7 +270,8 @@ def _chi_squared(model: Model, values: Array, problems: Problem) -> Array:
 def chi_squared_of_many(
     model: Model, values: Floats, problems: Problem, batch: int = BATCH
 ) -> Floats:
-    """Chi squared of each of many throws, shape (throws,); NaN where there is no motion."""
+    """Chi squared of each of many throws, shape (throws,); NaN where there
+    is no motion."""
     if not len(values):
         return np.zeros(0)
     if batch > 1:
@@ -243,9 +285,12 @@ def chi_squared_of_many(
 def whitened_residuals_of_many(
     model: Model, values: Floats, problems: Problem, batch: int = BATCH
 ) -> Floats:
-    """(model - data) times weight of many throws, whitened but not transformed by the loss."""
+    """(model - data) times weight of many throws, whitened but not transformed
+    by the loss."""
     path = predict_many(model, values, problems, batch)
-    residual = (path[:, : problems.observed.shape[1]] - problems.observed) * problems.weight
+    residual = (
+        path[:, : problems.observed.shape[1]] - problems.observed
+    ) * problems.weight
     if problems.whitener is None:
         return residual
     pairs = zip(residual, unstacked(problems.whitener), strict=True)

@@ -12,7 +12,8 @@ from curlfit.numerics.arrays import Floats
 
 
 class Model(NamedTuple):
-    """A law, a load, and the conditions that are parameters besides the law's coefficients."""
+    """A law, a load, and the conditions that are parameters besides the
+    law's coefficients."""
 
     law: type[Law]
     load: Load
@@ -28,8 +29,13 @@ class Model(NamedTuple):
 
     @property
     def of_program(self) -> Model:
-        """The model that a program is compiled for, called with `vector` of the parameters."""
-        return self if self.family is None else Model(self.family, self.load, self.conditions)
+        """The model that a program is compiled for, called with `vector` of
+        the parameters."""
+        return (
+            self
+            if self.family is None
+            else Model(self.family, self.load, self.conditions)
+        )
 
     def vector(self, values: Floats) -> Floats:
         """Parameter vectors, or their first columns, as a program takes them."""
@@ -37,11 +43,16 @@ class Model(NamedTuple):
 
     def columns(self, size: int) -> list[int]:
         """Columns of the first `size` parameters in such a vector."""
-        return [*range(size)] if self.family is None else self.family.columns(self.law, size)
+        return (
+            [*range(size)]
+            if self.family is None
+            else self.family.columns(self.law, size)
+        )
 
     @property
     def has_environment(self) -> bool:
-        """Whether any force besides friction, or change of the friction, is a parameter."""
+        """Whether any force besides friction, or change of the friction, is
+        a parameter."""
         return any(field.name in self.conditions for field in fields(Environment))
 
     @property

@@ -27,11 +27,19 @@ _ANY = -math.inf, math.inf
 START = (
     Parameter("x0", "m", *_ANY, 1.0, "x_0", "initial position, to the right"),
     Parameter("y0", "m", *_ANY, 1.0, "y_0", "initial position, along the sheet"),
-    Parameter("heading", "rad", *_ANY, 1.0, r"\beta_0", "initial direction, from +y toward +x"),
+    Parameter(
+        "heading", "rad", *_ANY, 1.0, r"\beta_0", "initial direction, from +y toward +x"
+    ),
     Parameter("v0", "m/s", 0.0, 10.0, 1.0, "v_0", "initial speed"),
     Parameter("phi0", "rad", *_ANY, 1.0, r"\varphi_0", "initial angle"),
     Parameter(
-        "omega0", "rad/s", -100.0, 100.0, 1.0, r"\omega_0", "initial spin, counter-clockwise"
+        "omega0",
+        "rad/s",
+        -100.0,
+        100.0,
+        1.0,
+        r"\omega_0",
+        "initial spin, counter-clockwise",
     ),
 )
 
@@ -45,7 +53,8 @@ def parameter_names(law: type[Law]) -> list[str]:
 class ParameterSet:
     """All parameters of a fit in order, and the values of fixed ones.
 
-    Coefficients come first, then the conditions that are parameters, then the initial state.
+    Coefficients come first, then the conditions that are parameters, then the
+    initial state.
     """
 
     parameters: tuple[Parameter, ...]
@@ -68,25 +77,26 @@ class ParameterSet:
     ) -> ParameterSet:
         """Parameters of a fit of `law`.
 
-        Optional coefficients are held at their default, and conditions (slope of the ice and so
-        on, see `curlfit.inference.conditions`) at their assumed values, unless they are named in
-        one of the arguments.
+        Optional coefficients are held at their default, and conditions (slope of the
+        ice and so on, see `curlfit.inference.conditions`) at their assumed values,
+        unless they are named in one of the arguments.
 
         Parameters
         ----------
         fix : parameters held at a value.
         bounds : (lower, upper) by name, in place of the law's own.
-        unbounded : let coefficients be negative, within [-upper, upper]; exponents and the like
-            keep their bounds.
+        unbounded : let coefficients be negative, within [-upper, upper]; exponents and
+            the like keep their bounds.
         free : optional coefficients and conditions that are estimated.
-        priors : prior densities by name, see `curlfit.inference.priors`; these parameters are
-            estimated.
+        priors : prior densities by name, see `curlfit.inference.priors`; these
+            parameters are estimated.
         swept : whether the stone is swept for a while; `sweep` is then a parameter.
 
         Raises
         ------
-        InputError : an unknown name, a name both fixed and free, a text that is not a prior, an
-            empty interval, a fixed value outside its bounds, or nothing left to fit.
+        InputError : an unknown name, a name both fixed and free, a text that is not a
+            prior, an empty interval, a fixed value outside its bounds, or nothing
+            left to fit.
         """
         known = parse_priors(priors or {})
         fixed = {name: float(value) for name, value in (fix or {}).items()}
@@ -95,8 +105,8 @@ class ParameterSet:
         _require_named(law, named)
         if "sweep" in named and not swept:
             raise InputError(
-                "sweep is a parameter only of a swept stone; expected also `swept`, the two "
-                "times in s between which it was swept"
+                "sweep is a parameter only of a swept stone; expected also `swept`, "
+                "the two times in s between which it was swept"
             )
         for name in fixed.keys() & estimated:
             other = "has a prior" if name in known else "is free"
@@ -119,12 +129,13 @@ class ParameterSet:
     def for_throw(cls, law: type[Law], throw: Throw, **choices: Any) -> ParameterSet:
         """Parameters of a fit of `law` to a throw; `choices` as in `build`.
 
-        What no measurement can determine of the initial state is fixed, at zero or at the value
-        that the throw assumes: a coordinate that was not measured, the heading unless both were,
-        the angle where it was not measured. Where only timed events were measured, the spin is
-        fixed too unless it or an angle was measured or it was named, and the heading if only the
-        curl was measured, which is counted from its direction, of a law that can curl, or if there
-        are fewer events than parameters.
+        What no measurement can determine of the initial state is fixed, at zero or at
+        the value that the throw assumes: a coordinate that was not measured, the
+        heading unless both were, the angle where it was not measured. Where only timed
+        events were measured, the spin is fixed too unless it or an angle was measured
+        or it was named, and the heading if only the curl was measured, which is
+        counted from its direction, of a law that can curl, or if there are fewer
+        events than parameters.
 
         Raises
         ------
@@ -134,16 +145,26 @@ class ParameterSet:
         unseen = [f"{name}0" for name in ("x", "y", "phi") if name not in throw.seen]
         if throw.has_path and ("x" not in throw.seen or "y" not in throw.seen):
             unseen.append("heading")
-        named = {name for key in ("bounds", "free", "priors") for name in choices.get(key) or ()}
+        named = {
+            name
+            for key in ("bounds", "free", "priors")
+            for name in choices.get(key) or ()
+        }
         measured = {event.quantity for event in throw.events}
-        if not throw.has_path and not {"phi", "omega"} & measured and "omega0" not in named:
+        if (
+            not throw.has_path
+            and not {"phi", "omega"} & measured
+            and "omega0" not in named
+        ):
             unseen.append("omega0")
         for name in unseen:
             if name not in parameters.fixed:
                 parameters = parameters.with_fixed(name, throw.assumed.get(name, 0.0))
         free = int(parameters.free.sum())
         if not throw.has_path and parameters.free[parameters.index("heading")]:
-            places = [one for one in throw.events if one.quantity == "x" and one.since is None]
+            places = [
+                one for one in throw.events if one.quantity == "x" and one.since is None
+            ]
             # mypy takes a class for one of its instances, which have no hash.
             curls = can_curl(law, "uniform", Stone())  # type: ignore[arg-type]
             straight = not places and ("x" not in measured or curls)
@@ -157,8 +178,8 @@ class ParameterSet:
             and not set(throw.seen) <= throw.sigma.keys()
         ):
             raise DataError(
-                f"{counted(rows, 'row')} for {counted(free, 'parameter')}; give more rows, or "
-                "sigmas, or fix parameters",
+                f"{counted(rows, 'row')} for {counted(free, 'parameter')}; "
+                "give more rows, or sigmas, or fix parameters",
                 file=throw.name,
             )
         return parameters
@@ -231,12 +252,15 @@ class ParameterSet:
         return dict(zip(self.names, map(float, values), strict=True))
 
     def shifted(self, by: Floats) -> ParameterSet:
-        """The same with values and bounds shifted, for instance to the coordinates of a problem."""
+        """The same with values and bounds shifted, for instance to the coordinates
+        of a problem."""
         moved = tuple(
             replace(item, lower=item.lower + shift, upper=item.upper + shift)
             for item, shift in zip(self.parameters, by, strict=True)
         )
-        fixed = {name: value + by[self.index(name)] for name, value in self.fixed.items()}
+        fixed = {
+            name: value + by[self.index(name)] for name, value in self.fixed.items()
+        }
         return replace(self, parameters=moved, fixed=fixed, offset=self.offset - by)
 
     def with_fixed(self, name: str, value: float) -> ParameterSet:
@@ -256,8 +280,8 @@ def _require_named(law: type[Law], names: Iterable[str]) -> None:
                 for items in ((*law.coefficients(), *START), CONDITIONS)
             )
             raise InputError(
-                f"law {law.name} has no parameter {quoted(name)}; it has {own}; conditions are "
-                f"{conditions}"
+                f"law {law.name} has no parameter {quoted(name)}; it has {own}; "
+                f"conditions are {conditions}"
             )
 
 
@@ -267,19 +291,25 @@ def _limited(
     priors: Mapping[str, Prior],
     fixed: Mapping[str, float],
 ) -> Parameter:
-    """A parameter with the bounds of a fit: those given, limited by its prior; its fixed value."""
+    """A parameter with the bounds of a fit: those given, limited by its prior; its
+    fixed value."""
     lower, upper = map(float, limits.get(item.name, (item.lower, item.upper)))
     if item.name in priors:
         lower, upper = priors[item.name].bounds(lower, upper)
     if not lower < upper:
-        raise InputError(f"bound of {item.name}: {lower:g}:{upper:g} is empty; expected LOW:HIGH")
+        raise InputError(
+            f"bound of {item.name}: {lower:g}:{upper:g} is empty; expected LOW:HIGH"
+        )
     if item.name in fixed:
         value = fixed[item.name]
         if item.name == "v0" and value == 0:
-            raise InputError("v0 is fixed at 0; expected the speed of a stone that moves")
+            raise InputError(
+                "v0 is fixed at 0; expected the speed of a stone that moves"
+            )
         if not lower <= value <= upper:
             raise InputError(
-                f"{item.name} is fixed at {value:g}, outside its bounds {lower:g}:{upper:g}"
+                f"{item.name} is fixed at {value:g}, outside its bounds "
+                f"{lower:g}:{upper:g}"
                 + ("" if item.name in limits else "; set others to fix it there")
             )
         lower = upper = value
@@ -298,8 +328,8 @@ def require_known(laws: Iterable[type[Law]], options: Options) -> None:
         for name in values:
             if name not in known:
                 raise InputError(
-                    f"{option}: none of the laws has a parameter {quoted(name)}; the parameters "
-                    "are " + ", ".join(known)
+                    f"{option}: none of the laws has a parameter {quoted(name)}; "
+                    "the parameters are " + ", ".join(known)
                 )
 
 

@@ -26,8 +26,9 @@ class Prior:
     Attributes
     ----------
     kind : "normal", "lognormal", "half-normal" or "uniform".
-    values : mean and standard deviation; median and standard deviation of the logarithm; standard
-        deviation (of the normal density whose upper half it is); lower and upper end.
+    values : mean and standard deviation; median and standard deviation of the
+        logarithm; standard deviation (of the normal density whose upper half it is);
+        lower and upper end.
     """
 
     kind: str
@@ -35,7 +36,8 @@ class Prior:
 
     @classmethod
     def parse(cls, name: str, text: str) -> Prior:
-        """A prior from text, in one of the `FORMS`. Raises `InputError` for anything else."""
+        """A prior from text, in one of the `FORMS`. Raises `InputError` for
+        anything else."""
         kind, _, rest = text.rpartition(":")
         kind = kind.strip() or "normal"
         try:
@@ -43,7 +45,9 @@ class Prior:
         except ValueError:
             values = ()
         if len(values) != _VALUES.get(kind):
-            raise InputError(f"prior of {name}: {quoted(text)} is no prior; expected {FORMS}")
+            raise InputError(
+                f"prior of {name}: {quoted(text)} is no prior; expected {FORMS}"
+            )
         found, fault = cls(kind, values), None
         if not all(map(is_size, values)):
             fault = f"expected finite numbers, {SIZES}"
@@ -69,7 +73,9 @@ class Prior:
         if self.kind == "lognormal":
             median, sigma = self.values
             return median * math.exp(-(sigma**2))
-        return {"half-normal": 0.0, "uniform": sum(self.values) / 2}.get(self.kind, self.values[0])
+        return {"half-normal": 0.0, "uniform": sum(self.values) / 2}.get(
+            self.kind, self.values[0]
+        )
 
     def bounds(self, lower: float, upper: float) -> tuple[float, float]:
         """The bounds of the parameter, limited to the support of the density."""
@@ -77,7 +83,8 @@ class Prior:
             return max(lower, self.values[0]), min(upper, self.values[1])
         if self.kind == "half-normal":
             return max(lower, 0.0), upper
-        if self.kind == "lognormal":  # a density of zero at zero, which no step may reach
+        # a density of zero at zero, which no step may reach
+        if self.kind == "lognormal":
             return max(lower, self.values[0] * 1e-9), upper
         return lower, upper
 
@@ -88,13 +95,16 @@ def parse_priors(given: Mapping[str, str]) -> dict[str, Prior]:
 
 
 class Penalty(NamedTuple):
-    """Twice the negative logarithm of priors, as squared residuals of single parameters.
+    """Twice the negative logarithm of priors, as squared residuals of
+    single parameters.
 
-    Works with NumPy and with JAX, for one parameter vector and for many along the leading axes.
+    Works with NumPy and with JAX, for one parameter vector and for many along the
+    leading axes.
     """
 
     location: Any
-    """of the parameter, or of its logarithm; shape (..., parameters), like the others"""
+    """of the parameter, or of its logarithm; shape (..., parameters),
+    like the others"""
     weight: Any
     """1 over the standard deviation, 0 where there is no prior"""
     logarithmic: Any
@@ -123,25 +133,29 @@ class Penalty(NamedTuple):
         return (self.residual_and_slope(values)[0] ** 2).sum(-1)
 
     def quadratic(self, values: Any) -> tuple[Any, Any, Any]:
-        """Half the sum of the squares, its gradient, and the diagonal of its Hessian, which is that
-        of Gauss and Newton."""
+        """Half the sum of the squares, its gradient, and the diagonal of its Hessian,
+        which is that of Gauss and Newton."""
         residual, slope = self.residual_and_slope(values)
         return (residual**2).sum(-1) / 2, slope * residual, slope**2
 
     def rows(self, values: Floats) -> Floats:
-        """The residuals linearized at some values: one row for each parameter, with the residual as
-        the last column."""
+        """The residuals linearized at some values: one row for each parameter, with the
+        residual as the last column."""
         residual, slope = self.residual_and_slope(values)
-        return np.concatenate([slope[..., None] * np.eye(slope.shape[-1]), residual[..., None]], -1)
+        return np.concatenate(
+            [slope[..., None] * np.eye(slope.shape[-1]), residual[..., None]], -1
+        )
 
 
 def penalty_of(
-    parameters: Iterable[Parameter], priors: Mapping[str, Prior], offset: Floats | float = 0.0
+    parameters: Iterable[Parameter],
+    priors: Mapping[str, Prior],
+    offset: Floats | float = 0.0,
 ) -> Penalty:
     """The penalty of some priors.
 
-    That of a lognormal density is quadratic about its mode: with u = ln(p/median) and s = sigma,
-    u^2/(2 s^2) + u = (u + s^2)^2/(2 s^2) - s^2/2.
+    That of a lognormal density is quadratic about its mode: with u = ln(p/median) and
+    s = sigma, u^2/(2 s^2) + u = (u + s^2)^2/(2 s^2) - s^2/2.
 
     Parameters
     ----------

@@ -1,7 +1,9 @@
-"""A throw as arrays for the compiled model, `Problem`, and the origin of these, `Origin`.
+"""A throw as arrays for the compiled model, `Problem`, and the origin of
+these, `Origin`.
 
-In a problem the first time is 0, and position and angle are relative to a reference near the first
-row, so that neither a clock nor a map grid with large numbers costs precision.
+In a problem the first time is 0, and position and angle are relative to a
+reference near the first row, so that neither a clock nor a map grid with large
+numbers costs precision.
 """
 
 from __future__ import annotations
@@ -23,7 +25,8 @@ from curlfit.throws.throw import CHANNELS, Throw
 ROWS_OF_DATA = (*CHANNELS, "event")
 """Quantities in the rows of a problem's arrays."""
 _EVENT = len(CHANNELS)  # the last of them
-_SHORTEST = 256  # data are padded to powers of two from here on, so that few shapes are compiled
+# data are padded to powers of two from here on, so that few shapes are compiled
+_SHORTEST = 256
 
 
 LEVEL_AND_STILL = Environment(*map(np.asarray, vars(Environment()).values()))
@@ -37,11 +40,12 @@ class Problem(NamedTuple):
     """
 
     times: Any
-    """s since the first row, shape (n,); None where friction was measured and no path"""
+    """s since the first row, shape (n,); None where friction was
+    measured and no path"""
     observed: Any
-    """x, y, phi relative to the origin, zero where not observed, shape (3, n); with speed and
-    omega, where these were measured, (5, n); with events, (6, n), the last row with one event per
-    column"""
+    """x, y, phi relative to the origin, zero where not observed, shape (3, n); with
+    speed and omega, where these were measured, (5, n); with events, (6, n), the last
+    row with one event per column"""
     weight: Any
     """1/sigma, 0 where not observed, of the same shape"""
     stone: Stone
@@ -53,8 +57,8 @@ class Problem(NamedTuple):
     whitener: Any = None
     """makes correlated noise independent, see `curlfit.inference.noise.whitening`"""
     states: Any = None
-    """speed and spin at which friction was measured, as the last row of the data, shape (2, n); a
-    speed of 0 where there is another observation"""
+    """speed and spin at which friction was measured, as the last row of the data, shape
+    (2, n); a speed of 0 where there is another observation"""
 
 
 class Origin(NamedTuple):
@@ -81,7 +85,8 @@ class Origin(NamedTuple):
         return {"time": self.t, "x": x, "y": y, "phi": phi}.get(event.quantity, 0.0)
 
     def offset(self, size: int) -> Floats:
-        """Added to a parameter vector of a problem, gives it in the coordinates of the data."""
+        """Added to a parameter vector of a problem, gives it in the coordinates
+        of the data."""
         offset, names = np.zeros(size), [item.name for item in START]
         places = [names.index(name) - len(names) for name in ("x0", "y0", "phi0")]
         offset[places] = self.place[:3]
@@ -112,7 +117,9 @@ def build_problem(
     times = np.full(rows, throw.t[-1] - origin.t)
     times[:n] = throw.t - origin.t
     observed, weight = np.zeros((channels, rows)), np.zeros((channels, rows))
-    observed[:seen, :n] = np.where(finite, throw.observed[:seen] - origin.place[:seen, None], 0)
+    observed[:seen, :n] = np.where(
+        finite, throw.observed[:seen] - origin.place[:seen, None], 0
+    )
     for row, name in enumerate(CHANNELS[:channels]):
         weight[row, :n] = np.where(finite[row], 1 / _sigma_of(throw, sigma, name), 0.0)
     events = None
@@ -144,7 +151,8 @@ def environment_of(swept: Sequence[float] | None, t0: float) -> Environment:
 
     Parameters
     ----------
-    swept : times at which sweeping began and ended, on the clock of the data in s; None without.
+    swept : times at which sweeping began and ended, on the clock of the data in s;
+        None without.
     t0 : the first time of the data.
     """
     if swept is None:

@@ -1,7 +1,8 @@
 """The stone and its surroundings, as a parameter vector describes them.
 
-A parameter vector contains the law's coefficients, then the conditions that are parameters of the
-fit, then `x0 y0 heading v0 phi0 omega0`, in the coordinates of a `Problem`.
+A parameter vector contains the law's coefficients, then the conditions that are
+parameters of the fit, then `x0 y0 heading v0 phi0 omega0`, in the coordinates of
+a `Problem`.
 """
 
 from __future__ import annotations
@@ -39,12 +40,17 @@ class System(NamedTuple):
     """ratio of measured to true times"""
 
     @classmethod
-    def of(cls, model: Model, values: Any, stone: Stone, environment: Environment) -> System:
-        """From a parameter vector; `stone` and `environment` give the other conditions."""
+    def of(
+        cls, model: Model, values: Any, stone: Stone, environment: Environment
+    ) -> System:
+        """From a parameter vector; `stone` and `environment` give the
+        other conditions."""
         k = len(model.law.coefficients())
         given = {name: values[k + index] for index, name in enumerate(model.conditions)}
         first = k + len(model.conditions)
-        x0, y0, heading, v0, phi0, omega0 = (values[first + index] for index in range(len(START)))
+        x0, y0, heading, v0, phi0, omega0 = (
+            values[first + index] for index in range(len(START))
+        )
         return cls(
             model.law.from_vector(values),
             _replaced(stone, given),
@@ -56,11 +62,14 @@ class System(NamedTuple):
 
 
 def _replaced(record: Any, values: dict[str, Any]) -> Any:
-    return replace(record, **{name: values[name] for name in vars(record) if name in values})
+    return replace(
+        record, **{name: values[name] for name in vars(record) if name in values}
+    )
 
 
 def assumed_conditions(model: Model, problems: Problem) -> Floats:
-    """Values of the model's conditions assumed for many throws, shape (throws, conditions)."""
+    """Values of the model's conditions assumed for many throws, shape
+    (throws, conditions)."""
     found = np.ones((len(problems.times), len(model.conditions)))
     known = vars(problems.stone) | vars(problems.environment)
     for column, name in enumerate(model.conditions):
@@ -71,8 +80,9 @@ def assumed_conditions(model: Model, problems: Problem) -> Floats:
 def motions(
     model: Model, values: Floats, stone: Stone, environment: Environment, times: Floats
 ) -> tuple[Floats, Floats]:
-    """Motions of many parameter vectors at times since the start: x, y, phi, vx, vy and omega, of
-    shape (vectors, 6, times), and times of rest. One program serves any number of vectors."""
+    """Motions of many parameter vectors at times since the start: x, y, phi, vx, vy and
+    omega, of shape (vectors, 6, times), and times of rest. One program serves any
+    number of vectors."""
     found: tuple[Floats, Floats] = in_batches(
         lambda some: _motions(model, some, stone, environment, times), (values,)
     )
@@ -93,9 +103,16 @@ def _motions(
     def one(values: Array) -> tuple[Array, Array]:
         system = System.of(model, values, stone, environment)
         path = simulate(
-            system.law, system.stone, system.start, times, load=model.load, t0=0.0,
+            system.law,
+            system.stone,
+            system.start,
+            times,
+            load=model.load,
+            t0=0.0,
             environment=system.environment,
-        )  # fmt: skip
-        return jnp.stack([path.x, path.y, path.phi, path.vx, path.vy, path.omega]), path.rest
+        )
+        return jnp.stack(
+            [path.x, path.y, path.phi, path.vx, path.vy, path.omega]
+        ), path.rest
 
     return jax.vmap(one)(values)

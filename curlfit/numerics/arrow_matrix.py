@@ -12,13 +12,15 @@ from numpy.typing import NDArray
 
 
 class ArrowMatrix(NamedTuple):
-    """A symmetric matrix of the shape of an arrow: nothing stands between the own parameters of two
-    blocks, so that all that is done with it costs as much for each further block."""
+    """A symmetric matrix of the shape of an arrow: nothing stands between the own
+    parameters of two blocks, so that all that is done with it costs as much for each
+    further block."""
 
     corner: Array
     """of the common parameters"""
     edges: Array
-    """between the own parameters of each block and the common ones, shape (blocks, own, common)"""
+    """between the own parameters of each block and the common ones, shape (blocks,
+    own, common)"""
     diagonals: Array
     """of the own parameters of each block"""
 
@@ -44,7 +46,8 @@ class ArrowMatrix(NamedTuple):
         return jnp.concatenate([first, other.ravel()])
 
     def scaled(self, by: Array, added: Array | float = 0.0) -> ArrowMatrix:
-        """Rows and columns multiplied by a vector, and another one added to the diagonal."""
+        """Rows and columns multiplied by a vector, and another one added to
+        the diagonal."""
         common, own = self.split(by)
         to_common, to_own = self.split(added + jnp.zeros_like(by))
         return ArrowMatrix(
@@ -55,7 +58,8 @@ class ArrowMatrix(NamedTuple):
         )
 
     def solve(self, right: Array) -> Array:
-        """Solution of the system of this matrix, positive definite, by block elimination."""
+        """Solution of the system of this matrix, positive definite, by
+        block elimination."""
         common, own = self.split(right)
         columns = jnp.concatenate([self.edges, own[..., None]], -1)
         inverse = jax.vmap(_solutions)(self.diagonals, columns) if own.size else columns
@@ -67,8 +71,9 @@ class ArrowMatrix(NamedTuple):
 
 
 class Blocks(NamedTuple):
-    """Which parameters each block of residuals depends on: some that all have in common, which are
-    the first of the vector, and its own, which follow block by block."""
+    """Which parameters each block of residuals depends on: some that all have
+    in common, which are the first of the vector, and its own, which follow
+    block by block."""
 
     index: Any
     """in the vector, shape (blocks, parameters of a block)"""
@@ -79,7 +84,8 @@ class Blocks(NamedTuple):
 
     @classmethod
     def of(cls, common: NDArray[np.bool_], count: int = 1) -> Blocks:
-        """Of `count` blocks; `common` says which parameters of a block are in common."""
+        """Of `count` blocks; `common` says which parameters of a block
+        are in common."""
         own = np.flatnonzero(~common)
         shape, places = (count, len(common)), np.flatnonzero(common)
         index = np.zeros(shape, int)
@@ -88,7 +94,8 @@ class Blocks(NamedTuple):
         return cls(index, places, own)
 
     def normal(self, columns: Array) -> ArrowMatrix:
-        """J^T J from the Jacobian of each block, shape (blocks, rows, parameters of a block)."""
+        """J^T J from the Jacobian of each block, shape (blocks, rows, parameters
+        of a block)."""
         square = columns.mT @ columns
         beside = square[:, self.own]
         corner = square[:, self.common][..., self.common].sum(0)
@@ -96,8 +103,9 @@ class Blocks(NamedTuple):
 
 
 def _solutions(matrix: Array, right: Array) -> Array:
-    """Solutions of a positive-definite system, one a column, by elimination without pivoting:
-    LAPACK, which JAX would otherwise call, takes a tenth of a second to load."""
+    """Solutions of a positive-definite system, one a column, by elimination
+    without pivoting: LAPACK, which JAX would otherwise call, takes a tenth of a
+    second to load."""
 
     def eliminated(k: Any, system: Array) -> Array:
         row = jax.lax.dynamic_index_in_dim(system, k, -2)

@@ -1,14 +1,16 @@
 """Least squares within bounds: a descent, a search and a solver of optimistix.
 
-Bounds are enforced by projection (Kanzow, Yamashita and Fukushima 2004). Damping is scaled by the
-columns of the Jacobian (Marquardt 1963), which makes the steps independent of units.
+Bounds are enforced by projection (Kanzow, Yamashita and Fukushima 2004). Damping is
+scaled by the columns of the Jacobian (Marquardt 1963), which makes the steps
+independent of units.
 
-A solve has converged when the residual is orthogonal to all changes that a step could make, by the
-relative offset of Bates and Watts (1981): the length of the part of the residual that the next step
-removes, relative to that of the residual. The reductions of the last two steps predict that of the
-next, so the last step needs no evaluation of its own. Near the end, steps gain less than the
-rounding error of the loss, which then shows neither whether a step was good nor when to stop.
-There, steps are taken as long as they become shorter.
+A solve has converged when the residual is orthogonal to all changes that a step could
+make, by the relative offset of Bates and Watts (1981): the length of the part of the
+residual that the next step removes, relative to that of the residual. The reductions of
+the last two steps predict that of the next, so the last step needs no evaluation of its
+own. Near the end, steps gain less than the rounding error of the loss, which then shows
+neither whether a step was good nor when to stop. There, steps are taken as long as they
+become shorter.
 """
 
 from __future__ import annotations
@@ -24,14 +26,17 @@ from jax import Array
 
 from curlfit.numerics.arrow_matrix import ArrowMatrix, Blocks
 
-_LEAST_DAMPING, _MOST_DAMPING = 1e-12, 1e8  # relative to the squared columns (Marquardt)
-_LESS, _MORE = 0.1, 3.0  # factors of the damping after a step as predicted, and a rejected one ...
+# relative to the squared columns (Marquardt)
+_LEAST_DAMPING, _MOST_DAMPING = 1e-12, 1e8
+# factors of the damping after a step as predicted, and a rejected one ...
+_LESS, _MORE = 0.1, 3.0
 _FASTER = 2.0  # ... and of that factor after each further rejection
 _ROUNDING = 1e-10  # share of the loss up to which a change may be rounding error
 _STEEPER = 30.0  # factor of the damping of a step that leads uphill
 _UPHILL = 1e-8  # share of the loss by which a projected step may lead uphill
 _HEAVY = 1.0  # damping above which a small reduction says nothing about the optimum
-_STALLED = 1e-6  # share of the loss, or of values, left to gain where no trial is accepted
+# share of the loss, or of values, left to gain where no trial is accepted
+_STALLED = 1e-6
 _SMALL = 1e-10  # negligible step, relative to the size of the values
 _REGULAR = 1e-14  # damping that keeps the normal matrix nonsingular on an exact ridge
 
@@ -43,8 +48,8 @@ Quadratic = Any
 class BoundedDescent(optx.AbstractDescent):
     """The damped step within the bounds, by active sets.
 
-    A parameter at a bound that is pushed against it is held there. One that would pass its bound
-    is set to the bound, and the others are solved for again.
+    A parameter at a bound that is pushed against it is held there. One that would pass
+    its bound is set to the bound, and the others are solved for again.
     """
 
     lower: Array
@@ -57,14 +62,21 @@ class BoundedDescent(optx.AbstractDescent):
         return y, f_info_struct
 
     def query(self, y: Array, f_info: Quadratic, state: Any) -> Any:
-        """The values, and the gradient and Hessian there in parameters over typical sizes."""
+        """The values, and the gradient and Hessian there in parameters over
+        typical sizes."""
         return y, f_info.grad * self.typical, f_info.hessian.scaled(self.typical)
 
     def step(self, step_size: Any, state: Any) -> tuple[Array, Any]:
         """The step whose damping is one over the step size."""
         values, gradient, hessian = state
-        lower, upper = ((end - values) / self.typical for end in (self.lower, self.upper))
-        held = (lower >= 0) & (gradient >= 0) | (upper <= 0) & (gradient <= 0) | (lower >= upper)
+        lower, upper = (
+            (end - values) / self.typical for end in (self.lower, self.upper)
+        )
+        held = (
+            (lower >= 0) & (gradient >= 0)
+            | (upper <= 0) & (gradient <= 0)
+            | (lower >= upper)
+        )
         square = jnp.where(held, 0.0, hessian.diagonal())
         size = jnp.sqrt(jnp.maximum(square, 1e-24 * square.max() + 1e-300))
 
@@ -76,7 +88,9 @@ class BoundedDescent(optx.AbstractDescent):
             step = jnp.where(held, jnp.clip(step, lower, upper), 0.0)
             free = jnp.where(held, 0.0, 1 / size)
             # Scaled to unit diagonal, so that the damping keeps it nonsingular.
-            matrix = hessian.scaled(free, jnp.where(held, 1.0, 1 / step_size + _REGULAR))
+            matrix = hessian.scaled(
+                free, jnp.where(held, 1.0, 1 / step_size + _REGULAR)
+            )
             right = -(gradient + hessian.mv(step)) * free
             return held, jnp.where(held, step, matrix.solve(right) * free)
 
@@ -113,23 +127,32 @@ class GainRatio(optx.AbstractSearch):
         return Damping(*map(jnp.asarray, (self.first, _MORE, jnp.inf)))
 
     def predicted(self, change: Array, f_info: Quadratic) -> Array:
-        """Reduction of the loss by a step, not as a difference of two losses, which is lost to
-        rounding near the optimum."""
+        """Reduction of the loss by a step, not as a difference of two losses, which is
+        lost to rounding near the optimum."""
         return -(f_info.grad @ change) - f_info.hessian.mv(change) @ change / 2
 
     def step(
-        self, first_step: Array, y: Array, y_eval: Array, f_info: Quadratic,
-        f_eval_info: Quadratic, state: Damping,
-    ) -> tuple[Array, Array, Any, Damping]:  # fmt: skip
+        self,
+        first_step: Array,
+        y: Array,
+        y_eval: Array,
+        f_info: Quadratic,
+        f_eval_info: Quadratic,
+        state: Damping,
+    ) -> tuple[Array, Array, Any, Damping]:
         """Judge the trial; the reduction becomes inf where it is rejected."""
         before, now = f_info.f, f_eval_info.f
-        rounding = (state.reduction <= _ROUNDING * before) & (now <= (1 + _ROUNDING) * before)
+        rounding = (state.reduction <= _ROUNDING * before) & (
+            now <= (1 + _ROUNDING) * before
+        )
         accept = (now <= before) | rounding
         accept &= jnp.isfinite(now) & f_eval_info.hessian.is_finite()
         known = jnp.isfinite(before) & jnp.isfinite(now) & ~rounding
         fall = jnp.where(known, before, 1.0) - jnp.where(known, now, 0.0)
         gain = jnp.where(known, fall / jnp.maximum(state.reduction, 1e-300), 1.0)
-        factor = jnp.where(accept, jnp.clip(1 - (2 * gain - 1) ** 3, _LESS, 2.0), state.growth)
+        factor = jnp.where(
+            accept, jnp.clip(1 - (2 * gain - 1) ** 3, _LESS, 2.0), state.growth
+        )
         found = Damping(
             jnp.maximum(state.damping * factor, _LEAST_DAMPING),
             jnp.where(accept, _MORE, state.growth * _FASTER),
@@ -149,7 +172,8 @@ class SolverState(eqx.Module):
     """shape (*residual, parameters of a block)"""
     search: Damping
     settled: Array
-    """whether the first, least damped step from the best values was predicted to gain little"""
+    """whether the first, least damped step from the best values was predicted
+    to gain little"""
     evaluations: Array
     done: Array
     success: Array
@@ -158,25 +182,31 @@ class SolverState(eqx.Module):
 class BoundedLeastSquares(optx.AbstractLeastSquaresSolver):
     """The Levenberg-Marquardt method within bounds.
 
-    The Jacobian may consist of blocks of rows, each of which depends on some of the parameters, so
-    that one tangent serves a parameter of every block.
+    The Jacobian may consist of blocks of rows, each of which depends on some of the
+    parameters, so that one tangent serves a parameter of every block.
     """
 
     descent: BoundedDescent
     search: GainRatio
     control: Any
-    """with `extrapolated`, the share of the loss that the last step, which is not evaluated, may
-    gain; `remaining`, the share that the step after it might gain; and the `most` evaluations"""
+    """with `extrapolated`, the share of the loss that the last step, which is not
+    evaluated, may gain; `remaining`, the share that the step after it might gain; and
+    the `most` evaluations"""
     blocks: Blocks
     penalty: Any
-    """adds its `quadratic(values)` to the loss: terms of the loss, of its gradient and of the
-    diagonal of its Hessian"""
+    """adds its `quadratic(values)` to the loss: terms of the loss, of its gradient and
+    of the diagonal of its Hessian"""
     rtol: float
     atol: float
     norm: Callable[..., Any]
 
     def __init__(
-        self, descent: BoundedDescent, search: GainRatio, control: Any, blocks: Blocks, penalty: Any
+        self,
+        descent: BoundedDescent,
+        search: GainRatio,
+        control: Any,
+        blocks: Blocks,
+        penalty: Any,
     ) -> None:
         self.descent, self.search, self.control = descent, search, control
         self.blocks, self.penalty = blocks, penalty
@@ -184,17 +214,34 @@ class BoundedLeastSquares(optx.AbstractLeastSquaresSolver):
         self.norm = optx.max_norm
 
     def init(
-        self, fn: Any, y: Array, args: Any, options: Any, f_struct: Any, aux_struct: Any, tags: Any
+        self,
+        fn: Any,
+        y: Array,
+        args: Any,
+        options: Any,
+        f_struct: Any,
+        aux_struct: Any,
+        tags: Any,
     ) -> SolverState:
         """Required by optimistix."""
         count, width = self.blocks.index.shape
         nothing = self.blocks.normal(jnp.zeros((count, 0, width)))
         model = _quadratic(jnp.full((), jnp.inf), jnp.zeros_like(y), nothing)
-        no, unknown = jnp.zeros((), bool), jnp.full((*f_struct.shape, 1 + width), jnp.nan)
+        no, unknown = (
+            jnp.zeros((), bool),
+            jnp.full((*f_struct.shape, 1 + width), jnp.nan),
+        )
         return SolverState(
-            self.descent.moved(y, jnp.zeros_like(y)), model, unknown[..., 0], unknown[..., 1:],
-            self.search.init(y, model), no, jnp.zeros((), int), no, no,
-        )  # fmt: skip
+            self.descent.moved(y, jnp.zeros_like(y)),
+            model,
+            unknown[..., 0],
+            unknown[..., 1:],
+            self.search.init(y, model),
+            no,
+            jnp.zeros((), int),
+            no,
+            no,
+        )
 
     def step(
         self, fn: Any, y: Array, args: Any, options: Any, state: SolverState, tags: Any
@@ -207,8 +254,9 @@ class BoundedLeastSquares(optx.AbstractLeastSquaresSolver):
         best = state.trial, *here
         y, model, residual, jacobian = jax.tree.map(
             lambda new, old: jnp.where(accept, new, old),
-            best, (y, state.model, state.residual, state.jacobian),
-        )  # fmt: skip
+            best,
+            (y, state.model, state.residual, state.jacobian),
+        )
         evaluations, loss = state.evaluations + 1, model.f
         failed = ~jnp.isfinite(loss) | (evaluations >= self.control.most)
         descent = self.descent.query(y, model, None)
@@ -216,8 +264,12 @@ class BoundedLeastSquares(optx.AbstractLeastSquaresSolver):
         def uphill(damping: Array, _: Array, reduction: Array) -> Array:
             return ~failed & (reduction < -_UPHILL * loss) & (damping <= _MOST_DAMPING)
 
-        def shorter(damping: Array, change: Array, reduction: Array) -> tuple[Array, Array, Array]:
-            damping = jnp.where(uphill(damping, change, reduction), damping * _STEEPER, damping)
+        def shorter(
+            damping: Array, change: Array, reduction: Array
+        ) -> tuple[Array, Array, Array]:
+            damping = jnp.where(
+                uphill(damping, change, reduction), damping * _STEEPER, damping
+            )
             change, _ = self.descent.step(1 / damping, descent)
             return damping, change, self.search.predicted(change, model)
 
@@ -228,30 +280,43 @@ class BoundedLeastSquares(optx.AbstractLeastSquaresSolver):
 
         light = damping <= _HEAVY
         previous = search.reduction
-        ratio = jnp.where(jnp.isfinite(previous), reduction / jnp.maximum(previous, 1e-300), 1.0)
+        ratio = jnp.where(
+            jnp.isfinite(previous), reduction / jnp.maximum(previous, 1e-300), 1.0
+        )
         after = reduction * jnp.where(ratio < 1, ratio, 1.0)
         last = reduction <= self.control.extrapolated * loss
         last &= (after <= self.control.remaining * loss) & light & ~failed
         not_shrinking = (previous <= _ROUNDING * loss) & (reduction >= previous)
         share = jnp.abs(change) / (self.descent.typical + jnp.abs(y))
         small = (share <= _SMALL).all() & (damping <= self.search.first)
-        # If the model is not smooth, trials may be rejected however short the steps are.
+        # If the model is not smooth, trials may be rejected however short
+        # the steps are.
         negligible = (reduction <= _STALLED * loss) | (share <= _STALLED).all()
         settled = jnp.where(accept, negligible, state.settled)
         stalled = (damping > _MOST_DAMPING) & settled
         success = (~failed & (last | (not_shrinking & light) | small)) | stalled
 
         step = jnp.where(last, change, 0.0)
-        along = step[self.blocks.index].reshape(-1, *(1,) * (residual.ndim - 1), jacobian.shape[-1])
+        along = step[self.blocks.index].reshape(
+            -1, *(1,) * (residual.ndim - 1), jacobian.shape[-1]
+        )
         residual = residual + (jacobian * along).sum(-1)
         state = SolverState(
-            self.descent.moved(y, change), model, residual, jacobian,
-            Damping(damping, search.growth, reduction), settled, evaluations,
-            failed | success, success,
-        )  # fmt: skip
+            self.descent.moved(y, change),
+            model,
+            residual,
+            jacobian,
+            Damping(damping, search.growth, reduction),
+            settled,
+            evaluations,
+            failed | success,
+            success,
+        )
         return self.descent.moved(y, step), state, aux
 
-    def _evaluated(self, function: Any, values: Array) -> tuple[Quadratic, Array, Array, Any]:
+    def _evaluated(
+        self, function: Any, values: Array
+    ) -> tuple[Quadratic, Array, Array, Any]:
         index, (count, width) = self.blocks.index, self.blocks.index.shape
         seeds = jnp.zeros((values.size, width)).at[index, jnp.arange(width)].set(1.0)
 
@@ -280,9 +345,16 @@ class BoundedLeastSquares(optx.AbstractLeastSquaresSolver):
         return state.done, result
 
     def postprocess(
-        self, fn: Any, y: Array, aux: Any, args: Any, options: Any, state: SolverState, tags: Any,
+        self,
+        fn: Any,
+        y: Array,
+        aux: Any,
+        args: Any,
+        options: Any,
+        state: SolverState,
+        tags: Any,
         result: Any,
-    ) -> tuple[Array, Any, dict[str, Any]]:  # fmt: skip
+    ) -> tuple[Array, Any, dict[str, Any]]:
         """Required by optimistix."""
         return y, aux, {}
 
@@ -291,9 +363,11 @@ def _quadratic(loss: Array, gradient: Array, hessian: ArrowMatrix) -> Quadratic:
     return optx.FunctionInfo.EvalGradHessian(loss, gradient, hessian)
 
 
-def _repeated(body: Callable[..., Any], condition: Callable[..., Any], carry: Any) -> Any:
-    """Run the body once, and again as long as the condition holds. The program contains the body
-    only once; a first run before the loop would duplicate it."""
+def _repeated(
+    body: Callable[..., Any], condition: Callable[..., Any], carry: Any
+) -> Any:
+    """Run the body once, and again as long as the condition holds. The program contains
+    the body only once; a first run before the loop would duplicate it."""
     _, carry = jax.lax.while_loop(
         lambda state: state[0] | condition(*state[1]),
         lambda state: (jnp.zeros((), bool), body(*state[1])),

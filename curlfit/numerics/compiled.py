@@ -1,10 +1,11 @@
 """Compiled programs that outlive the process.
 
-A new process would have to trace, lower and compile the model, each of which takes longer than a
-fit. The machine code of a `compiled` function is therefore stored in the user's cache folder. The
-file name is a hash of all the program depends on: curlfit's sources, JAX, the processor, the law
-and the shapes of the arrays. A law of the user may change from run to run, so that its programs are
-traced each time and found by their operations.
+A new process would have to trace, lower and compile the model, each of which takes
+longer than a fit. The machine code of a `compiled` function is therefore stored in the
+user's cache folder. The file name is a hash of all the program depends on: curlfit's
+sources, JAX, the processor, the law and the shapes of the arrays. A law of the user
+may change from run to run, so that its programs are traced each time and found by
+their operations.
 """
 
 from __future__ import annotations
@@ -46,14 +47,16 @@ def compiled(
 
     Parameters
     ----------
-    static : names of arguments that are laws (classes), strings or tuples of these, not arrays.
+    static : names of arguments that are laws (classes), strings or tuples of
+        these, not arrays.
     optimize : whether a faster program is worth a longer compilation, with more memory.
     """
     return lambda function: _CompiledFunction(function, static, optimize)
 
 
 class _Call(NamedTuple):
-    """The arguments of a call: those that are fixed in the program, and trees of arrays."""
+    """The arguments of a call: those that are fixed in the program, and
+    trees of arrays."""
 
     fixed: tuple[Any, ...]
     arrays: tuple[Any, ...]
@@ -72,7 +75,9 @@ class _CompiledFunction:
         functools.update_wrapper(self, function)
         self.name = f"{function.__module__}.{function.__qualname__}"
         self.optimize = optimize
-        self.static = [name in static for name in inspect.signature(function).parameters]
+        self.static = [
+            name in static for name in inspect.signature(function).parameters
+        ]
         self.jitted = jax.jit(function, static_argnames=static)
 
     def __call__(self, *args: Any) -> Any:
@@ -94,7 +99,8 @@ class _CompiledFunction:
 
     def _call(self, args: tuple[Any, ...]) -> _Call:
         named = list(zip(self.static, args, strict=True))
-        # Lists and Python numbers become arrays, so that not every type is compiled separately.
+        # Lists and Python numbers become arrays, so that not every type is
+        # compiled separately.
         arrays = jax.tree.map(
             lambda leaf: leaf if isinstance(leaf, jax.Array) else np.asarray(leaf),
             tuple(value for static, value in named if not static),
@@ -131,14 +137,18 @@ class _CompiledFunction:
         if found is None:
             found = _compile(lowered or self._lowered(call), self.optimize)
             if file is not None:
-                # Some devices cannot serialize programs, and none can once they have been run: JAX
-                # returns such a one if the same function is compiled again.
-                with suppress(ValueError, NotImplementedError, jax.errors.JaxRuntimeError):
+                # Some devices cannot serialize programs, and none can once they
+                # have been run: JAX returns such a one if the same function is
+                # compiled again.
+                with suppress(
+                    ValueError, NotImplementedError, jax.errors.JaxRuntimeError
+                ):
                     cache.write(file, pickle.dumps(serialize(found)))
         return found
 
     def _identity(self, call: _Call) -> str | None:
-        """Text that tells the program from all others of these sources; None with a user's law."""
+        """Text that tells the program from all others of these sources; None with
+        a user's law."""
         words = [self.name, repr(call.key[1:])]
         for value in jax.tree.leaves(call.fixed):
             if isinstance(value, type):
@@ -150,9 +160,11 @@ class _CompiledFunction:
 
     def _lowered(self, call: _Call) -> Any:
         fixed, arrays = iter(call.fixed), iter(call.arrays)
-        lowered = self.jitted.lower(*(next(fixed if static else arrays) for static in self.static))
-        # The place in Python's sources of each operation takes a sixth of the time to compile, a
-        # tenth of the time to load, and two fifths of the file.
+        lowered = self.jitted.lower(
+            *(next(fixed if static else arrays) for static in self.static)
+        )
+        # The place in Python's sources of each operation takes a sixth of the time to
+        # compile, a tenth of the time to load, and two fifths of the file.
         module: Any = lowered.compiler_ir()
         with module.context:
             PassManager.parse("builtin.module(strip-debuginfo)").run(module.operation)
@@ -162,19 +174,20 @@ class _CompiledFunction:
 def _compile(lowered: Any, optimize: bool) -> Any:
     """Compile for a fast program if `optimize`, else for fast compilation.
 
-    XLA's older kernel emitters take half the time and half the memory of the new ones, for programs
-    that are slower by a quarter to a half. The fewer parts the code is split into, the less time it
-    takes in total.
-    `xla_cpu_prefer_vector_width` is left at its default: with 512 bits, trajectories take a tenth
-    less time, but XLA in jaxlib 0.10 silently miscompiled the law `debris` summed by quadrature
-    (`tests/inference/test_many.py` has the case).
+    XLA's older kernel emitters take half the time and half the memory of the new ones,
+    for programs that are slower by a quarter to a half. The fewer parts the code is
+    split into, the less time it takes in total.
+    `xla_cpu_prefer_vector_width` is left at its default: with 512 bits, trajectories
+    take a tenth less time, but XLA in jaxlib 0.10 silently miscompiled the law `debris`
+    summed by quadrature (`tests/inference/test_many.py` has the case).
     """
     if not optimize and jax.default_backend() == "cpu":
         options = {
             "xla_cpu_use_fusion_emitters": False,
             "xla_cpu_parallel_codegen_split_count": min(cores(), _MOST_PARTS),
         }
-        with suppress(jax.errors.JaxRuntimeError):  # of a version without such an option
+        # of a version without such an option
+        with suppress(jax.errors.JaxRuntimeError):
             return lowered.compile(compiler_options=options)
     return lowered.compile()
 
@@ -200,7 +213,8 @@ def _initialize_lapack() -> None:
 def _file(identity: str) -> Path | None:
     """The file of a program; None where there is no cache."""
     folder = cache.folder()
-    # A program that JAX takes from a cache of its own, named by the user, cannot be serialized.
+    # A program that JAX takes from a cache of its own, named by the user, cannot
+    # be serialized.
     if folder is None or jax.config.values["jax_compilation_cache_dir"] is not None:
         return None
     return folder / hashlib.sha256(f"{_fingerprint()}\n{identity}".encode()).hexdigest()
@@ -210,12 +224,19 @@ def _file(identity: str) -> Path | None:
 def _fingerprint() -> str:
     """What all programs depend on: sources, JAX, the machine and its settings."""
     sources = sorted(Path(__file__).parents[1].rglob("*.py"))
-    digest = hashlib.sha256(b"\0".join(source.read_bytes() for source in sources)).hexdigest()
+    digest = hashlib.sha256(
+        b"\0".join(source.read_bytes() for source in sources)
+    ).hexdigest()
     device = jax.devices()[0]
     cpu = platform.processor() or platform.machine()
     with suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text().splitlines()
         cpu += next((line for line in lines if line.startswith("flags")), "")
     versions = (jax.__version__, jaxlib_version.__version__)
-    settings = (os.environ.get("XLA_FLAGS", ""), str(jax.config.values["jax_enable_x64"]))
-    return "\n".join((digest, *versions, device.platform, device.device_kind, cpu, *settings))
+    settings = (
+        os.environ.get("XLA_FLAGS", ""),
+        str(jax.config.values["jax_enable_x64"]),
+    )
+    return "\n".join(
+        (digest, *versions, device.platform, device.device_kind, cpu, *settings)
+    )

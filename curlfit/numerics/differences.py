@@ -1,5 +1,6 @@
-"""Derivatives by finite differences, where no program for the exact ones is compiled anyway: one of
-a path takes ten times as long to compile as the differences to evaluate."""
+"""Derivatives by finite differences, where no program for the exact ones is
+compiled anyway: one of a path takes ten times as long to compile as the differences
+to evaluate."""
 
 from __future__ import annotations
 
@@ -23,13 +24,15 @@ def slopes(
 ) -> Floats:
     """Derivatives of a function by its arguments, or by those at `where`.
 
-    Central differences, one-sided at a bound. With steps h their error is h^2/6 times the third
-    derivative (one-sided h/2 times the second), and the error of the function over h.
+    Central differences, one-sided at a bound. With steps h their error is h^2/6 times
+    the third derivative (one-sided h/2 times the second), and the error of the
+    function over h.
 
     Parameters
     ----------
     function : of an array of numbers; its value is an array of any shape.
-    at, step, lower, upper : arguments, steps and bounds; arrays of one shape (p,), or numbers.
+    at, step, lower, upper : arguments, steps and bounds; arrays of one shape
+        (p,), or numbers.
     where : mask or indices of arguments.
     value : of the function there; with it, differences are one-sided, at half the cost.
 

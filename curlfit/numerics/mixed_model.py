@@ -2,12 +2,13 @@
 
 The observations of block i are
 
-    z_i = A_i (m + D (E x_i + u_i)) + noise of unit variance,    u_i ~ N(0, diag(variances)),
+    z_i = A_i (m + D (E x_i + u_i)) + noise of unit variance,
+    u_i ~ N(0, diag(variances)),
 
-for the mean m, effects E of covariates x_i (with mean zero), and deviations u_i in some directions
-D. m and E are estimated by generalised least squares given the variances, these by restricted
-maximum likelihood (Patterson and Thompson 1971, Biometrika 58, 545). All costs are linear in the
-number of blocks.
+for the mean m, effects E of covariates x_i (with mean zero), and deviations u_i in some
+directions D. m and E are estimated by generalised least squares given the variances,
+these by restricted maximum likelihood (Patterson and Thompson 1971, Biometrika 58,
+545). All costs are linear in the number of blocks.
 """
 
 from __future__ import annotations
@@ -20,11 +21,14 @@ import numpy as np
 
 from curlfit.numerics.arrays import Floats
 
-_UNSEEN = 1e-3, 1e-7  # singular values, also over the largest, below which nothing is determined
-_DIFFUSE = 1e-10  # information on effects over the largest, so that undetermined ones are zero
+# singular values, also over the largest, below which nothing is determined
+_UNSEEN = 1e-3, 1e-7
+# information on effects over the largest, so that undetermined ones are zero
+_DIFFUSE = 1e-10
 _RANGE = np.log([1e-6, 1e6])  # of variances over their initial values
 _STEP = 1e-4  # of differences of the logarithm: the likelihood has rounding errors
-_ZERO = 1e-4  # of a variance over that of a typical block, below which it counts as zero
+# of a variance over that of a typical block, below which it counts as zero
+_ZERO = 1e-4
 _OUTSIDE = 1e-9  # beyond a bound, by rounding
 
 
@@ -38,9 +42,11 @@ class MixedModel(NamedTuple):
     covariates: Floats
     """x_i, shape (blocks, covariates)"""
     null: Floats
-    """directions of the mean that nothing determines, where it is held, as orthonormal columns"""
+    """directions of the mean that nothing determines, where it is held, as
+    orthonormal columns"""
     prior: Floats
-    """the same of what is known of the mean besides, without the columns of deviations"""
+    """the same of what is known of the mean besides, without the columns
+    of deviations"""
 
     @classmethod
     def of(
@@ -51,8 +57,8 @@ class MixedModel(NamedTuple):
         covariates: Floats,
         prior: tuple[Floats, Floats] | None = None,
     ) -> Self:
-        """From A_i, shape (blocks, rows, mean), and z_i, shape (blocks, rows); a prior is such rows
-        of the mean, and z."""
+        """From A_i, shape (blocks, rows, mean), and z_i, shape (blocks, rows); a prior
+        is such rows of the mean, and z."""
         size = rows.shape[-1]
         besides = np.zeros((0, size + 1)) if prior is None else np.column_stack(prior)
         known = np.concatenate([rows.reshape(-1, size), besides[:, :-1]])
@@ -63,16 +69,19 @@ class MixedModel(NamedTuple):
         directions = directions - null @ (null.T @ directions)
         along = rows @ directions
         effects = along[:, :, None, :] * covariates[:, None, :, None]
-        flat = effects.reshape(*along.shape[:2], covariates.shape[1] * directions.shape[1])
+        flat = effects.reshape(
+            *along.shape[:2], covariates.shape[1] * directions.shape[1]
+        )
         whole = np.concatenate([along, rows, flat, target[..., None]], -1)
         of_mean = np.zeros((len(besides), whole.shape[-1] - directions.shape[1]))
         of_mean[:, :size], of_mean[:, -1] = besides[:, :-1], besides[:, -1]
         return cls(whole.mT @ whole, directions, covariates, null, of_mean.T @ of_mean)
 
     def marginal(self, variances: Floats) -> tuple[Floats, Floats]:
-        """The products of each block with the deviations integrated out, without their columns, and
-        the logarithm of the determinant of the covariance of its observations; for variances of
-        shape (..., deviations), with the blocks after these axes."""
+        """The products of each block with the deviations integrated out, without
+        their columns, and the logarithm of the determinant of the covariance of its
+        observations; for variances of shape (..., deviations), with the blocks
+        after these axes."""
         k = variances.shape[-1]
         cross, solved, determinants = self._integrated(variances)
         return self.products[:, k:, k:] - cross.mT @ solved, determinants
@@ -81,7 +90,9 @@ class MixedModel(NamedTuple):
         """The sums of these over the blocks, without those of each."""
         k = variances.shape[-1]
         cross, solved, determinants = self._integrated(variances)
-        left, right = (one.reshape(*one.shape[:-3], -1, one.shape[-1]) for one in (cross, solved))
+        left, right = (
+            one.reshape(*one.shape[:-3], -1, one.shape[-1]) for one in (cross, solved)
+        )
         return self.products[:, k:, k:].sum(0) - left.mT @ right, determinants.sum(-1)
 
     def _integrated(self, variances: Floats) -> tuple[Floats, Floats, Floats]:
@@ -96,12 +107,14 @@ class MixedModel(NamedTuple):
         products, determinants = self.marginal_sum(variances)
         normal, right, square = self.parts(products)
         value = determinants + np.linalg.slogdet(normal)[1] + square
-        found: Floats = value - (right * np.linalg.solve(normal, right[..., None])[..., 0]).sum(-1)
+        found: Floats = value - (
+            right * np.linalg.solve(normal, right[..., None])[..., 0]
+        ).sum(-1)
         return found
 
     def parts(self, products: Floats) -> tuple[Floats, Floats, Any]:
-        """Normal matrix and right side of the mean and the effects, and the sum of squares, from
-        the sum of the products of blocks and the prior."""
+        """Normal matrix and right side of the mean and the effects, and the sum of
+        squares, from the sum of the products of blocks and the prior."""
         products = products + self.prior
         normal = products[..., :-1, :-1].copy()
         size = len(self.null)
@@ -112,8 +125,8 @@ class MixedModel(NamedTuple):
         return normal, products[..., :-1, -1], products[..., -1, -1]
 
     def fitted(self, guess: Floats, lower: Floats, upper: Floats) -> MixedFit:
-        """The estimate; `guess` is of the variances, the bounds are those of the means of all
-        blocks."""
+        """The estimate; `guess` is of the variances, the bounds are those of the means
+        of all blocks."""
         return MixedFit(self, self.variances(guess), lower, upper)
 
     def variances(self, guess: Floats) -> Floats:
@@ -124,30 +137,38 @@ class MixedModel(NamedTuple):
             return float(self.criterion(guess * np.exp(v)))
 
         found = minimize(
-            of_logarithm, np.zeros(len(guess)), bounds=[_RANGE] * len(guess),
+            of_logarithm,
+            np.zeros(len(guess)),
+            bounds=[_RANGE] * len(guess),
             options={"eps": _STEP, "ftol": 1e-14, "gtol": 1e-6},
-        )  # fmt: skip
+        )
         variances: Floats = guess * np.exp(found.x)
         information = np.diagonal(self.products, axis1=1, axis2=2)[:, : len(guess)]
         typical = 1 / np.maximum(np.median(information, axis=0), 1e-300)
         small = variances < _ZERO * typical
-        if small.any() and self.criterion(np.where(small, 0.0, variances)) < found.fun + _ZERO:
+        if (
+            small.any()
+            and self.criterion(np.where(small, 0.0, variances)) < found.fun + _ZERO
+        ):
             variances = np.where(small, 0.0, variances)
         return variances
 
 
 def to_mean(directions: Floats, covariates: Floats) -> Floats:
-    """Matrix from the mean of all blocks and the effects, by covariate and direction, to the mean
-    where the covariates have some values, of shape (..., covariates)."""
+    """Matrix from the mean of all blocks and the effects, by covariate and direction,
+    to the mean where the covariates have some values, of shape (..., covariates)."""
     by_effect = covariates[..., None, :, None] * directions[:, None, :]
     flat = by_effect.reshape(*by_effect.shape[:-2], -1 if by_effect.size else 0)
     mean = np.broadcast_to(np.eye(len(directions)), (*flat.shape[:-1], len(directions)))
     return np.concatenate([mean, flat], -1)
 
 
-def within(free: Floats, root: Floats, sides: Floats, limits: Floats) -> tuple[Floats, Floats]:
-    """The x nearest to `free`, by the length of root (x - free), where sides x >= limits, and the
-    sides at their limit: least distance programming (Lawson and Hanson 1974, ch. 23)."""
+def within(
+    free: Floats, root: Floats, sides: Floats, limits: Floats
+) -> tuple[Floats, Floats]:
+    """The x nearest to `free`, by the length of root (x - free), where sides x >=
+    limits, and the sides at their limit: least distance programming (Lawson and Hanson
+    1974, ch. 23)."""
     from scipy.optimize import nnls  # slow to load
 
     violated = limits - sides @ free
@@ -162,9 +183,11 @@ def within(free: Floats, root: Floats, sides: Floats, limits: Floats) -> tuple[F
     return free + np.linalg.solve(root, step), sides[weights > 0]
 
 
-def bounded(free: Floats, root: Floats, to: Floats, lower: Floats, upper: Floats) -> Floats:
-    """The x nearest to `free`, by the length of root (x - free), where `to` x is within bounds,
-    which contain zero but for rounding."""
+def bounded(
+    free: Floats, root: Floats, to: Floats, lower: Floats, upper: Floats
+) -> Floats:
+    """The x nearest to `free`, by the length of root (x - free), where `to` x is within
+    bounds, which contain zero but for rounding."""
     sides, limits = _sides(to[None], lower, upper)
     return within(free, root, sides, np.minimum(limits, 0.0))[0]
 
@@ -204,11 +227,14 @@ class MixedFit:
 
     @cached_property
     def covariance(self) -> Floats:
-        """Of the estimate along what is determined, while what is at a bound stays there."""
+        """Of the estimate along what is determined, while what is at a bound
+        stays there."""
         normal = self.model.parts(self._each.sum(0))[0]
         found: Any = np.linalg.inv(normal)
         to_held = self._bounded[1] @ found
-        found = found - to_held.T @ np.linalg.pinv(to_held @ self._bounded[1].T) @ to_held
+        found = (
+            found - to_held.T @ np.linalg.pinv(to_held @ self._bounded[1].T) @ to_held
+        )
         size, null = len(self.model.null), self.model.null
         found[:size] -= null @ (null.T @ found[:size])
         found[:, :size] -= (found[:, :size] @ null) @ null.T
@@ -216,19 +242,20 @@ class MixedFit:
 
     @property
     def unbounded(self) -> tuple[Floats, Floats]:
-        """The estimate without bounds, and its covariance, one along the null directions."""
+        """The estimate without bounds, and its covariance, one along the
+        null directions."""
         normal, right, _ = self.model.parts(self._each.sum(0))
         matrix: Any = np.linalg.inv(normal)
         return matrix @ right, matrix
 
     def at(self, covariates: Floats) -> Floats:
-        """Matrix from the estimate to the mean where the covariates have some values, each of shape
-        (..., covariates)."""
+        """Matrix from the estimate to the mean where the covariates have some values,
+        each of shape (..., covariates)."""
         return to_mean(self.model.directions, covariates)
 
     def predicted_by_others(self) -> tuple[Floats, Floats]:
-        """Mean and covariance of the vector of each block before its own observations; along the
-        null directions the variance is one."""
+        """Mean and covariance of the vector of each block before its own observations;
+        along the null directions the variance is one."""
         normal, right, _ = self.model.parts(self._each.sum(0) - self._each)
         to = self.at(self.model.covariates)
         mean = to @ np.linalg.solve(normal, right[..., None])

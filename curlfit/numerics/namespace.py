@@ -11,5 +11,6 @@ import numpy as np
 
 
 def namespace(array: Any) -> ModuleType:
-    """The module whose functions apply to an array: `jax.numpy`, or `numpy` for all else."""
+    """The module whose functions apply to an array: `jax.numpy`, or `numpy`
+    for all else."""
     return jnp if isinstance(array, jax.Array) else np

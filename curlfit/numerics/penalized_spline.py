@@ -1,8 +1,8 @@
 """A smooth function of time under noisy values, and its derivatives, with their errors.
 
-A spline of order 5 whose third derivative is penalised; smoothness and noise by restricted maximum
-likelihood. As the mean of a Gaussian process (Wahba 1983, Journal of the Royal Statistical Society
-B 45, 133) its errors contain what smoothing may hide.
+A spline of order 5 whose third derivative is penalised; smoothness and noise by
+restricted maximum likelihood. As the mean of a Gaussian process (Wahba 1983, Journal of
+the Royal Statistical Society B 45, 133) its errors contain what smoothing may hide.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ _PENALISED = 3  # the derivative; a parabola is free
 _MOST = 30  # intervals
 _ROWS = 6  # per interval, at least
 _POINTS = 8  # per interval, for the integral of the penalty
-_RANGE = np.linspace(-30.0, 30.0, 121)  # of the logarithm of the penalty, about its scale
+# of the logarithm of the penalty, about its scale
+_RANGE = np.linspace(-30.0, 30.0, 121)
 
 
 @dataclass(frozen=True)
@@ -32,15 +33,22 @@ class PenalizedSpline:
 
     @classmethod
     def of(cls, t: Floats, values: Floats) -> Self:
-        """From values at times that increase; at least 20, with independent errors of one size."""
+        """From values at times that increase; at least 20, with independent errors
+        of one size."""
         from scipy.optimize import minimize_scalar  # slow to load
 
         intervals = min(_MOST, len(t) // _ROWS)
         ends = np.full(_DEGREE, t[0]), np.full(_DEGREE, t[-1])
-        knots = np.concatenate([ends[0], np.linspace(t[0], t[-1], intervals + 1), ends[1]])
-        rows, fine = _basis(knots, t, 0), np.linspace(t[0], t[-1], _POINTS * intervals + 1)
+        knots = np.concatenate(
+            [ends[0], np.linspace(t[0], t[-1], intervals + 1), ends[1]]
+        )
+        rows, fine = (
+            _basis(knots, t, 0),
+            np.linspace(t[0], t[-1], _POINTS * intervals + 1),
+        )
         bent = _basis(knots, (fine[1:] + fine[:-1]) / 2, _PENALISED)
-        # Both matrices diagonal: independent amplitudes z, of which `rough` are the penalties.
+        # Both matrices diagonal: independent amplitudes z, of which `rough` are
+        # the penalties.
         normal = rows.T @ rows
         normal += 1e-10 * np.trace(normal) / len(normal) * np.eye(len(normal))
         root = np.linalg.inv(np.linalg.cholesky(normal))
@@ -59,7 +67,9 @@ class PenalizedSpline:
 
         around = _RANGE - np.log(np.median(rough[_PENALISED:]))
         near = min(around, key=criterion)
-        log = minimize_scalar(criterion, bounds=(near - 1, near + 1), method="bounded").x
+        log = minimize_scalar(
+            criterion, bounds=(near - 1, near + 1), method="bounded"
+        ).x
         kept = 1 / (1 + np.exp(log) * rough)
         return cls(knots, back @ (kept * z), variance(log) * (back * kept) @ back.T)
 

@@ -12,8 +12,9 @@ _EQUAL = 1e-6  # relative difference of components that are equal but for roundi
 def principal_axes(matrix: Floats) -> tuple[Floats, Floats]:
     """Eigenvalues of a symmetric matrix, greatest first, and eigenvectors as rows.
 
-    An eigenvector is defined up to its sign, which rounding would choose. Here the first of its
-    largest components is positive, so that random draws along it are the same on every processor.
+    An eigenvector is defined up to its sign, which rounding would choose. Here the
+    first of its largest components is positive, so that random draws along it are the
+    same on every processor.
     """
     values, vectors = np.linalg.eigh(matrix)
     rows = vectors.T[::-1]

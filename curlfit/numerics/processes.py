@@ -14,7 +14,8 @@ from typing import Any
 class _Pool(ProcessPoolExecutor):
     def submit(self, *task: Any, **options: Any) -> Future[Any]:
         hold = getattr(signal, "pthread_sigmask", lambda *_: None)  # Windows has none
-        hold(signal.SIG_BLOCK, {signal.SIGINT})  # in a process that this may start, for good
+        # in a process that this may start, for good
+        hold(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             return super().submit(*task, **options)
         finally:
@@ -22,10 +23,13 @@ class _Pool(ProcessPoolExecutor):
 
 
 def worker_processes(count: int) -> ProcessPoolExecutor:
-    """A pool of processes that leave Ctrl-C to this one and end when it ends, even if killed."""
+    """A pool of processes that leave Ctrl-C to this one and end when it ends,
+    even if killed."""
     # Python's own process that clears up after a kill does so without a word.
     os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker")
-    return _Pool(count, get_context("spawn"), initializer=_begin, initargs=gc.get_threshold())
+    return _Pool(
+        count, get_context("spawn"), initializer=_begin, initargs=gc.get_threshold()
+    )
 
 
 def end_workers() -> None:

@@ -1,10 +1,12 @@
-"""The user's cache folder of compiled programs: whose it is, what it holds and how much.
+"""The user's cache folder of compiled programs: whose it is, what it holds
+and how much.
 
-Loading a compiled program means running it. The folder is therefore used only if nobody else may
-write to it or to the folders above it, and each file begins with the SHA-256 of the rest: a damaged
-file would crash the process or compute other numbers. Above `LIMIT` the least recently used files
-are deleted. Any number of processes may read, write and delete concurrently: files appear
-atomically, and a missing one is compiled again.
+Loading a compiled program means running it. The folder is therefore used only if
+nobody else may write to it or to the folders above it, and each file begins with the
+SHA-256 of the rest: a damaged file would crash the process or compute other numbers.
+Above `LIMIT` the least recently used files are deleted. Any number of processes may
+read, write and delete concurrently: files appear atomically, and a missing one is
+compiled again.
 """
 
 from __future__ import annotations
@@ -41,8 +43,8 @@ def folder() -> Path | None:
         return None
     if writable is not None:
         warn_once(
-            f"compiled programs are not kept in {root}, since others may write to {writable}; "
-            "let CURLFIT_CACHE name a folder of your own, or be off"
+            f"compiled programs are not kept in {root}, since others may write to "
+            f"{writable}; let CURLFIT_CACHE name a folder of your own, or be off"
         )
         return None
     return path if os.access(path, os.W_OK) else None
@@ -61,7 +63,8 @@ def _root() -> Path | None:
 
 
 def _open_to_others(path: Path) -> bool:
-    """Whether anybody but the user and root may change what the folder or file holds."""
+    """Whether anybody but the user and root may change what the folder
+    or file holds."""
     if not hasattr(os, "geteuid"):  # Windows, where a user's folders are private
         return False
     status = path.stat()
@@ -72,7 +75,8 @@ def _open_to_others(path: Path) -> bool:
 
 
 def read(file: Path) -> bytes | None:
-    """What was written to a file, which is marked as used; None if it is missing or damaged."""
+    """What was written to a file, which is marked as used; None if it is
+    missing or damaged."""
     try:
         if _open_to_others(file):
             return None
@@ -85,10 +89,13 @@ def read(file: Path) -> bytes | None:
 
 
 def write(file: Path, content: bytes) -> None:
-    """Write a file, and make room for it; nothing happens where that is not possible."""
+    """Write a file, and make room for it; nothing happens where that is
+    not possible."""
     with suppress(InputError, OSError):
         atomic_write(file, sha256(content).digest() + content, private=True)
-        used = sorted(((p.stat().st_mtime_ns, p) for p in file.parent.iterdir()), reverse=True)
+        used = sorted(
+            ((p.stat().st_mtime_ns, p) for p in file.parent.iterdir()), reverse=True
+        )
         total = 0
         for _, path in used:
             total += path.stat().st_size

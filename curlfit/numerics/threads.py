@@ -1,6 +1,7 @@
 """Independent computations in parallel threads.
 
-Python runs in one thread at a time, but XLA compiles, loads and runs programs concurrently.
+Python runs in one thread at a time, but XLA compiles, loads and runs
+programs concurrently.
 """
 
 from __future__ import annotations

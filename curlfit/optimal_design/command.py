@@ -39,9 +39,12 @@ def _quantity(name: str) -> Form:
         return value
 
     return Form(
-        "a number in SI", lambda value: value, parse, "a number, followed by its unit unless in SI",
+        "a number in SI",
+        lambda value: value,
+        parse,
+        "a number, followed by its unit unless in SI",
         lambda value: "none" if math.isnan(value) else f"{value:.10g}",
-    )  # fmt: skip
+    )
 
 
 @Parameter(name="*", group=Group("Assumed values", sort_key=0))
@@ -65,8 +68,8 @@ class Grid(Choices):
     Attributes
     ----------
     v0 : Speeds, m/s. [default: 1.6,1.9,2.2]
-    omega0 : Spins, rad/s, counter-clockwise positive. [default: 0.5,1,2,5,10, from a draw to a hard
-        spinner]
+    omega0 : Spins, rad/s, counter-clockwise positive. [default: 0.5,1,2,5,10, from a
+        draw to a hard spinner]
     rate : Rows per second, Hz. [default: 30]
     """
 
@@ -84,11 +87,12 @@ class Record(Choices):
     ----------
     until : Length of the record, s. [default: until the stone is at rest]
     sigma_xy : Noise of x, y: 0.005, 5mm, 0.2in. `none`: not measured. [default: 5mm]
-    sigma_phi : Noise of the angle: 0.01, 10mrad, 0.5deg. `none`: not measured. [default: 10mrad]
+    sigma_phi : Noise of the angle: 0.01, 10mrad, 0.5deg. `none`: not measured.
+        [default: 10mrad]
     sigma_speed : Noise of a directly measured speed. [default: not measured]
     sigma_omega : Noise of a directly measured spin. [default: not measured]
-    discrepancy : Size of the accelerations that the law may lack, over the friction, such as 0.05.
-        [default: 0, an exact law]
+    discrepancy : Size of the accelerations that the law may lack, over the friction,
+        such as 0.05. [default: 0, an exact law]
     """
 
     until: Annotated[float | None, option(TIME, "S")] = None
@@ -101,11 +105,16 @@ class Record(Choices):
     def sigma(self) -> dict[str, float]:
         """Noise of each channel that is measured."""
         each = {
-            "x": self.sigma_xy, "y": self.sigma_xy, "phi": self.sigma_phi,
-            "speed": self.sigma_speed, "omega": self.sigma_omega,
-        }  # fmt: skip
+            "x": self.sigma_xy,
+            "y": self.sigma_xy,
+            "phi": self.sigma_phi,
+            "speed": self.sigma_speed,
+            "omega": self.sigma_omega,
+        }
         return {
-            name: value for name, value in each.items() if not (value is None or math.isnan(value))
+            name: value
+            for name, value in each.items()
+            if not (value is None or math.isnan(value))
         }
 
 
@@ -116,10 +125,10 @@ class Separated(Choices):
 
     Attributes
     ----------
-    separate : Two coefficients to be separated. [default: two of which only the sum is determined
-        under uniform load]
-    relative_error : Required, of their difference, or of their mean where they are equal. [default:
-        0.2]
+    separate : Two coefficients to be separated. [default: two of which only the sum is
+        determined under uniform load]
+    relative_error : Required, of their difference, or of their mean where they are
+        equal. [default: 0.2]
     """
 
     separate: Annotated[Sequence[str], option(NAMES, "A,B")] = ()
@@ -141,49 +150,63 @@ def design(
     pair: Separated = Separated(),
     output: Output = Output(),
 ) -> Saved:
-    """Optimal design: the expected errors of a law's coefficients, and the best choice of throws.
+    """Optimal design: the expected errors of a law's coefficients, and the best
+    choice of throws.
 
-    Every combination of speed and spin is a candidate. Each throw has its own unknown initial
-    state; the coefficients are common to all. Errors are those of least squares (from the exact
-    derivatives of the trajectory), for noise that is independent from row to row. Where only the
-    sum of two coefficients is determined, the report gives the precision, the throws or the changes
-    of the stone that would separate them.
-    With `--between`, the throws that decide between laws: how many, and which. The first law has
-    the coefficients of `--set` or `--fit`, the others those that fit an ordinary draw of it.
-    Writes `design.json`, `design-map.png`, `design-errors.png` and, where two coefficients are
-    separable, `design-separate.png`; with `--between`, `discrimination.json` and
-    `discrimination.png`.
+    Every combination of speed and spin is a candidate. Each throw has its own unknown
+    initial state; the coefficients are common to all. Errors are those of least squares
+    (from the exact derivatives of the trajectory), for noise that is independent from
+    row to row. Where only the sum of two coefficients is determined, the report gives
+    the precision, the throws or the changes of the stone that would separate them. With
+    `--between`, the throws that decide between laws: how many, and which. The first law
+    has the coefficients of `--set` or `--fit`, the others those that fit an ordinary
+    draw of it. Writes `design.json`, `design-map.png`, `design-errors.png` and, where
+    two coefficients are separable, `design-separate.png`; with `--between`,
+    `discrimination.json` and `discrimination.png`.
 
     Examples:
 
-    `curlfit design`: the front-back law, a camera over the ice, throws from draws to hard spinners
+    `curlfit design`: the front-back law, a camera over the ice, throws from draws to
+    hard spinners
 
-    `curlfit design --rate 60 --sigma-xy 2mm --sigma-phi 0.2deg --v0 2.0,2.2 --omega0=-1.5,1.5`
+    `curlfit design --rate 60 --sigma-xy 2mm --sigma-phi 0.2deg --v0
+    2.0,2.2 --omega0=-1.5,1.5`
 
     `curlfit design --load consistent --separate mu1_eta,mu2_eta --stone h=0.1`
 
     `curlfit design --fit throw-fit --until 12`: for the ice of a fitted throw
 
-    `curlfit design --between front-back,pivot,sideways`: which throws decide between three laws
+    `curlfit design --between front-back,pivot,sideways`: which throws decide
+    between three laws
 
     Parameters
     ----------
     throws
-        Number of throws, chosen among the candidates, with repetition. [default: 3; with
-        `--between`, the least that decides at odds of 100 to 1]
+        Number of throws, chosen among the candidates, with repetition. [default: 3;
+        with `--between`, the least that decides at odds of 100 to 1]
     between
-        Laws to decide between. A mechanism that does not brake, such as `pivot`, stands for its sum
-        with the power law, `power+pivot`. The candidates have both senses of spin.
+        Laws to decide between. A mechanism that does not brake, such as `pivot`,
+        stands for its sum with the power law, `power+pivot`. The candidates have both
+        senses of spin.
     """
     from curlfit.output.document import command_line
     from curlfit.output.files import prepare_folder
 
     drawn, throws = output.drawn(), throws if between else throws or 3
-    others = {"separate": pair.separate, "law": assumed.law, "discrepancy": record.discrepancy}
+    others = {
+        "separate": pair.separate,
+        "law": assumed.law,
+        "discrepancy": record.discrepancy,
+    }
     _require_only(between, others)
     first, chosen = _assumed(assumed, between[0] if between else assumed.law)
     drawn.draw_beside()
-    chosen |= {"until": record.until, "sigma": record.sigma(), "throws": throws, **grid.given()}
+    chosen |= {
+        "until": record.until,
+        "sigma": record.sigma(),
+        "throws": throws,
+        **grid.given(),
+    }
     words = [*assumed.words(), *grid.words(), *record.words()]
     words += [f"--throws={throws}"] * (throws is not None)
     words += [f"--between={','.join(LAWS.words(between))}"] if between else pair.words()
@@ -207,17 +230,21 @@ def _assumed(assumed: Assumed, law: Any) -> tuple[Any, dict[str, Any]]:
     if assumed.fit is not None:
         if (kind := s.kind_of(assumed.fit)) != "fit":
             raise InputError(
-                f"{assumed.fit}: a result of curlfit {kind}; expected the fit of one throw"
+                f"{assumed.fit}: a result of curlfit {kind}; expected the "
+                "fit of one throw"
             )
         law = load_fit(assumed.fit).with_law(law)
         stone = law.stone
     return law, {
-        "coefficients": dict(assumed.coefficients), "load": assumed.load,
+        "coefficients": dict(assumed.coefficients),
+        "load": assumed.load,
         "stone": stone.with_values(dict(assumed.stone)),
-    }  # fmt: skip
+    }
 
 
-def _computed(first: Any, between: Sequence[Any], chosen: dict[str, Any], output: Output) -> Any:
+def _computed(
+    first: Any, between: Sequence[Any], chosen: dict[str, Any], output: Output
+) -> Any:
     if between:
         with output.status(f"Fitting each law to the throws of the others {COMPILES}"):
             from curlfit.optimal_design.discriminate import discriminate

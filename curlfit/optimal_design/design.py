@@ -1,13 +1,14 @@
 """Optimal design: the expected errors of planned throws, and the best choice of throws.
 
-Standard errors are the Cramer-Rao bound (J^T W J)^-1 at the assumed values, with a separate initial
-state for each throw and common coefficients. They are valid for noise that is independent from row
-to row and a correct law; the discrepancy of a law does not average out.
+Standard errors are the Cramer-Rao bound (J^T W J)^-1 at the assumed values, with a
+separate initial state for each throw and common coefficients. They are valid for noise
+that is independent from row to row and a correct law; the discrepancy of a law does not
+average out.
 
-Where the ice slopes, throws with opposite spins or in opposite directions are affected in opposite
-ways. For throws as planned, and with equal shares of them thrown otherwise, the shift of the
-coefficients by each condition is that of the joint least-squares fit, to first order
-(`curlfit.inference.fit.systematics`).
+Where the ice slopes, throws with opposite spins or in opposite directions are affected
+in opposite ways. For throws as planned, and with equal shares of them thrown otherwise,
+the shift of the coefficients by each condition is that of the joint least-squares fit,
+to first order (`curlfit.inference.fit.systematics`).
 """
 
 from __future__ import annotations
@@ -26,9 +27,18 @@ from curlfit.foreign import quoted
 from curlfit.friction import Law, check_load
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.systematics import shifts, widths_of
-from curlfit.inference.identifiability import Identifiability, analyse, classify, r_factor
+from curlfit.inference.identifiability import (
+    Identifiability,
+    analyse,
+    classify,
+    r_factor,
+)
 from curlfit.numerics.arrays import Floats
-from curlfit.optimal_design.information import Assumptions, PlannedThrow, record_information
+from curlfit.optimal_design.information import (
+    Assumptions,
+    PlannedThrow,
+    record_information,
+)
 from curlfit.optimal_design.result import Candidate, Design, ExpectedErrors, Scenario
 from curlfit.optimal_design.selection import (
     CandidateSet,
@@ -58,7 +68,8 @@ SCENARIOS = {
 """Sense of spin and heading (rad) of equal shares of the throws."""
 _MAX_CANDIDATES = 500
 _MAX_THROWS = 1000
-_FACTORS = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)  # factors on the noise, for the curves
+# factors on the noise, for the curves
+_FACTORS = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 _RATES = (1.0, 3.0, 10.0, 30.0, 100.0)  # Hz
 _COUNTS = (1, 2, 3, 4, 6, 8, 12, 16)  # throws
 _POSITION, _ANGLE = {"x", "y", "speed"}, {"phi", "omega"}
@@ -90,21 +101,22 @@ def design(
     v0, omega0 : speeds (m/s) and spins (rad/s): all combinations are candidates.
     rate : rows per second.
     until : end of the records in s; the time of rest if not given.
-    sigma : noise by channel (m, rad, m/s, rad/s) of x, y, phi, speed, omega; other channels are
-        not measured. 5 mm and 10 mrad if not given.
-    discrepancy : size of the accelerations that the law may lack, relative to the friction, such as
-        0.05; they are functions of speed, see `curlfit.inference.noise.accelerations`. Not included
-        in the separation of two coefficients.
+    sigma : noise by channel (m, rad, m/s, rad/s) of x, y, phi, speed, omega; other
+        channels are not measured. 5 mm and 10 mrad if not given.
+    discrepancy : size of the accelerations that the law may lack, relative to the
+        friction, such as 0.05; they are functions of speed, see
+        `curlfit.inference.noise.accelerations`. Not included in the separation of
+        two coefficients.
     throws : number of throws, chosen optimally among the candidates, with repetition.
-    separate : two coefficients to be separated; if not given, two of which the candidates under
-        uniform load determine only the sum.
-    relative_error : required error of their difference, relative to it (or to their mean if they
-        are equal).
+    separate : two coefficients to be separated; if not given, two of which the
+        candidates under uniform load determine only the sum.
+    relative_error : required error of their difference, relative to it (or to their
+        mean if they are equal).
 
     Raises
     ------
-    InputError : an invalid value, an unknown law, load, channel or coefficient, or throws that
-        determine nothing.
+    InputError : an invalid value, an unknown law, load, channel or coefficient, or
+        throws that determine nothing.
 
     Examples
     --------
@@ -118,7 +130,9 @@ def design(
     require_positive(**{"relative error": relative_error})
     pair = None if separate is None else CoefficientPair(assumed, separate)
     if not 0 <= discrepancy < math.inf:
-        raise InputError(f"discrepancy = {discrepancy:g}; expected 0 or more, over the friction")
+        raise InputError(
+            f"discrepancy = {discrepancy:g}; expected 0 or more, over the friction"
+        )
     assumed = replace(assumed, discrepancy=discrepancy)
     return _designed(assumed, pair, planned, throws, relative_error)
 
@@ -153,7 +167,9 @@ def _designed(
     curves = _curves(assumed, made, candidates, quantities)
     found, separation = scenarios(assumed, made, quantities), None
     if pair is not None:
-        separation = analyse_separation(assumed.by_load, pair, planned, throws, relative_error)
+        separation = analyse_separation(
+            assumed.by_load, pair, planned, throws, relative_error
+        )
     items = {item.name: item for item in law.coefficients()}
     return Design(
         law=law.name,
@@ -168,7 +184,11 @@ def _designed(
         throws=throws,
         candidates=tuple(
             Candidate(
-                *throw[:3], one.rows, one.last, one.rest, one.distance,
+                *throw[:3],
+                one.rows,
+                one.last,
+                one.rest,
+                one.distance,
                 assumed.errors(factor, quantities),
             )
             for throw, one, factor in zip(planned, records, factors, strict=True)
@@ -182,18 +202,25 @@ def _designed(
         notes=_notes(assumed.discrepancy),
         discrepancy=assumed.discrepancy,
         scenarios=found,
-    )  # fmt: skip
+    )
 
 
 def _identifiability(assumed: Assumptions, factor: Floats) -> Identifiability:
     """What an R factor of information determines."""
     typical, bounded = assumed.typical, assumed.bounded
-    return analyse(factor / typical, assumed.names, bounded.values, typical, bounded=bounded)
+    return analyse(
+        factor / typical, assumed.names, bounded.values, typical, bounded=bounded
+    )
 
 
-def _best(assumed: Assumptions, candidates: CandidateSet, throws: int) -> dict[str, ExpectedErrors]:
+def _best(
+    assumed: Assumptions, candidates: CandidateSet, throws: int
+) -> dict[str, ExpectedErrors]:
     """The optimal throws and their errors by criterion."""
-    criteria = {"D": d_criterion, "A": error_criterion(candidates, np.eye(len(assumed.free)))}
+    criteria = {
+        "D": d_criterion,
+        "A": error_criterion(candidates, np.eye(len(assumed.free))),
+    }
     best = {
         name: _expected(assumed, indices, candidates.together(indices))
         for name, criterion in criteria.items()
@@ -201,13 +228,15 @@ def _best(assumed: Assumptions, candidates: CandidateSet, throws: int) -> dict[s
     }
     if not best:
         raise InputError(
-            f"no {throws} of these throws determine what all of them together do; increase "
-            "the number of throws, or give other candidates"
+            f"no {throws} of these throws determine what all of them together do; "
+            "increase the number of throws, or give other candidates"
         )
     return best
 
 
-def _expected(assumed: Assumptions, indices: tuple[int, ...], factor: Floats) -> ExpectedErrors:
+def _expected(
+    assumed: Assumptions, indices: tuple[int, ...], factor: Floats
+) -> ExpectedErrors:
     """The errors expected from some candidates, with their information together."""
     found = _identifiability(assumed, factor)
     every = [item.name for item in assumed.law.coefficients()]
@@ -220,17 +249,22 @@ def _expected(assumed: Assumptions, indices: tuple[int, ...], factor: Floats) ->
         indices,
         stderr | {item.expression: item.stderr for item in found.combinations},
         {name: verdict for name, (_, verdict) in judged.items()},
-        found.combinations, found.rank, tuple(found.singular_values.tolist()),
+        found.combinations,
+        found.rank,
+        tuple(found.singular_values.tolist()),
         found.null_directions,
-    )  # fmt: skip
+    )
 
 
 def planned_throws(
     assumed: tuple[Any, Mapping[str, float] | None, str | None, Stone | None],
     grid: tuple[Sequence[float], Sequence[float], float],
-    sigma: Mapping[str, float] | None, until: float | None, throws: int,
-    *, either: bool = False,
-) -> tuple[Assumptions, list[PlannedThrow]]:  # fmt: skip
+    sigma: Mapping[str, float] | None,
+    until: float | None,
+    throws: int,
+    *,
+    either: bool = False,
+) -> tuple[Assumptions, list[PlannedThrow]]:
     """What is assumed, and the candidates, with `either` sense of spin.
 
     Parameters
@@ -250,7 +284,9 @@ def planned_throws(
     exact = law_with(law, coefficients or {}, others=fitted)
     if not sigma or (unknown := [name for name in sigma if name not in CHANNELS]):
         what = f"no channel {quoted(unknown[0])}" if sigma else "nothing is measured"
-        raise InputError(f"sigma: {what}; expected noise of some of {', '.join(CHANNELS)}")
+        raise InputError(
+            f"sigma: {what}; expected noise of some of {', '.join(CHANNELS)}"
+        )
     ends = {} if until is None else {"until": until}
     noise = {f"sigma of {name}": value for name, value in sigma.items()}
     require_positive(v0=v0, rate=rate, **ends, **noise)
@@ -258,18 +294,29 @@ def planned_throws(
         raise InputError("omega0: expected finite numbers")
     if (count := len(v0) * len(omega0)) > _MAX_CANDIDATES:
         raise InputError(
-            f"{len(v0)} speeds and {len(omega0)} spins make {count} candidates; expected at "
-            f"most {_MAX_CANDIDATES}"
+            f"{len(v0)} speeds and {len(omega0)} spins make {count} candidates; "
+            f"expected at most {_MAX_CANDIDATES}"
         )
-    if isinstance(throws, bool) or not isinstance(throws, int) or not 1 <= throws <= _MAX_THROWS:
-        raise InputError(f"throws = {throws}: expected a whole number from 1 to {_MAX_THROWS}")
-    values = np.array([float(getattr(exact, item.name)) for item in exact.coefficients()])
+    if (
+        isinstance(throws, bool)
+        or not isinstance(throws, int)
+        or not 1 <= throws <= _MAX_THROWS
+    ):
+        raise InputError(
+            f"throws = {throws}: expected a whole number from 1 to {_MAX_THROWS}"
+        )
+    values = np.array(
+        [float(getattr(exact, item.name)) for item in exact.coefficients()]
+    )
     measured = {name: float(sigma[name]) for name in CHANNELS if name in sigma}
     spins = [float(w) for w in omega0]
     if either:
         spins = sorted({*spins, *(-w for w in spins)}, key=lambda w: (abs(w), w < 0))
-    return Assumptions(type(exact), check_load(load or "uniform"), values, measured, until), [
-        PlannedThrow(float(v), w, float(rate), stone or Stone()) for v, w in product(v0, spins)
+    return Assumptions(
+        type(exact), check_load(load or "uniform"), values, measured, until
+    ), [
+        PlannedThrow(float(v), w, float(rate), stone or Stone())
+        for v, w in product(v0, spins)
     ]
 
 
@@ -298,7 +345,8 @@ def _curves(
     candidates: CandidateSet,
     quantities: Mapping[str, Mapping[str, float]],
 ) -> dict[str, dict[str, list[float | None]]]:
-    """Standard errors against noise of position, noise of angle, rate and number of throws."""
+    """Standard errors against noise of position, noise of angle, rate and
+    number of throws."""
     records, factors = assumed.records(made), {}
     for name, channels in (("place", _POSITION), ("angle", _ANGLE)):
         if noisy := assumed.sigma.keys() & channels:
@@ -320,7 +368,9 @@ def _curves(
     for name, by_place in factors.items():
         rows = [assumed.errors(factor, quantities) for factor in by_place.values()]
         found[name] = {"at": [*by_place]}
-        found[name] |= {quantity: [row[quantity] for row in rows] for quantity in quantities}
+        found[name] |= {
+            quantity: [row[quantity] for row in rows] for quantity in quantities
+        }
     return found
 
 
@@ -328,12 +378,13 @@ def _notes(discrepancy: float) -> tuple[str, ...]:
     if discrepancy:
         return (
             "these errors allow for accelerations that the law lacks, of "
-            f"{100 * discrepancy:.2g} % of what friction does and independent from throw to throw; "
-            "where they recur, more throws help less",
+            f"{100 * discrepancy:.2g} % of what friction does and independent from "
+            "throw to throw; where they recur, more throws help less",
         )
     return (
-        "these errors hold if the law is correct and noise is independent from row to row; the "
-        "discrepancy of a law does not average out: `--discrepancy 0.05` allows for one",
+        "these errors hold if the law is correct and noise is independent "
+        "from row to row; the discrepancy of a law does not average out: "
+        "`--discrepancy 0.05` allows for one",
     )
 
 
@@ -342,7 +393,8 @@ def scenarios(
     throws: Sequence[PlannedThrow],
     quantities: Mapping[str, Mapping[str, float]],
 ) -> tuple[Scenario, ...]:
-    """Expected errors of throws as planned, and with equal shares of them thrown otherwise.
+    """Expected errors of throws as planned, and with equal shares of them
+    thrown otherwise.
 
     `quantities` are coefficients and combinations as weights.
     """
@@ -364,13 +416,20 @@ def scenarios(
         own = each[:, [ways.index(way) for way in chosen]]
         share = np.sqrt(np.array([*count.values()]) / len(chosen))
         whole = r_factor((share[:, None, None, None] * own).reshape(-1, len(columns)))
-        factor, by_condition = whole[:, :n], whole[:, :n].T @ whole[:, n:] / typical[:, None]
+        factor, by_condition = (
+            whole[:, :n],
+            whole[:, :n].T @ whole[:, n:] / typical[:, None],
+        )
         gradients = dict(zip(widths, by_condition.T, strict=True))
         moved = shifts(factor / typical, gradients, typical)
         by_quantity = {
-            quantity: {key: float(row @ (shift / typical)) for key, shift in moved.items()}
+            quantity: {
+                key: float(row @ (shift / typical)) for key, shift in moved.items()
+            }
             for quantity, row in rows.items()
         }
-        stderr = {quantity: standard_error(factor, row) for quantity, row in rows.items()}
+        stderr = {
+            quantity: standard_error(factor, row) for quantity, row in rows.items()
+        }
         found.append(Scenario(name, stderr, by_quantity))
     return tuple(found)

@@ -36,9 +36,12 @@ class Pair:
     Attributes
     ----------
     truth, rival : names.
-    chi_squared : left by the rival, without noise. relative : the same as rms over the noise.
-    log_odds, sd : expected log odds for the true law by BIC, and their standard deviation.
-    wins, decides : probability that the true law has the better BIC, and that it leads by `ODDS`.
+    chi_squared : left by the rival, without noise. relative : the same as rms
+        over the noise.
+    log_odds, sd : expected log odds for the true law by BIC, and their
+        standard deviation.
+    wins, decides : probability that the true law has the better BIC, and that it
+        leads by `ODDS`.
     """
 
     truth: str
@@ -50,8 +53,11 @@ class Pair:
     written: ClassVar[tuple[str, ...]] = ("wins", "decides")
 
     @classmethod
-    def of(cls, truth: str, rival: str, left: float, ranks: tuple[int, int], values: int) -> Pair:
-        """From the chi squared that is left, the ranks of both, and the number of values."""
+    def of(
+        cls, truth: str, rival: str, left: float, ranks: tuple[int, int], values: int
+    ) -> Pair:
+        """From the chi squared that is left, the ranks of both, and the
+        number of values."""
         true, other = ranks
         mean = (left + (other - true) * (math.log(values) - 1)) / 2
         sd = math.sqrt(left + (true + other) / 2)
@@ -80,7 +86,8 @@ class PossibleThrow:
     ----------
     v0, omega0 : initial speed (m/s) and spin (rad/s).
     rest, distance : time of rest (s) and distance (m) under the first law.
-    log_odds : expected log odds for the true law from this throw alone, in the order of the pairs.
+    log_odds : expected log odds for the true law from this throw alone, in the order
+        of the pairs.
     """
 
     v0: float
@@ -103,12 +110,14 @@ class Discrimination(Record):
     ----------
     laws : assumed coefficients by the name of the law.
     load, stone : of all throws. sigma : noise by measured channel (SI).
-    rate, until : rows per second, Hz, and end of the records in s; the time of rest if None.
+    rate, until : rows per second, Hz, and end of the records in s; the time of
+        rest if None.
     candidates : from which the throws are chosen.
     throws : indices of the chosen candidates, repeated for repeated throws.
     pairs : of a true law and its rival.
     asked : number of throws that was asked for; None if it is the least that decides.
-    left_out : speeds and spins of throws that leave the sheet or that a law cannot follow.
+    left_out : speeds and spins of throws that leave the sheet or that a law
+        cannot follow.
     command : that made it; empty if it was made in Python.
 
     Examples
@@ -136,7 +145,8 @@ class Discrimination(Record):
 
     @property
     def by_size(self) -> dict[tuple[float, float], float]:
-        """The log odds of the hardest pair by speed and size of the spin, of the worse sense."""
+        """The log odds of the hardest pair by speed and size of the spin, of the
+        worse sense."""
         found: dict[tuple[float, float], float] = {}
         for one in self.candidates:
             key = one.v0, abs(one.omega0)
@@ -150,28 +160,35 @@ class Discrimination(Record):
 
     @property
     def decided(self) -> bool:
-        """Whether the throws decide with the required probability, whichever law is true."""
+        """Whether the throws decide with the required probability, whichever
+        law is true."""
         return self.worst.decides >= PROBABILITY
 
     def require_consistent(self) -> None:
         """Raise `ValueError` where what was read contradicts itself."""
         count = len(self.candidates)
-        require("throws", all(0 <= one < count for one in self.throws), "indices of candidates")
+        require(
+            "throws",
+            all(0 <= one < count for one in self.throws),
+            "indices of candidates",
+        )
         each = all(len(one.log_odds) == len(self.pairs) for one in self.candidates)
         require("candidates", each, "log odds of every pair")
         named = all({one.truth, one.rival} <= self.laws.keys() for one in self.pairs)
         require("pairs", bool(self.pairs) and named, "pairs of the laws")
 
     def to_frame(self) -> Any:
-        """The candidates as a pandas DataFrame, one per row: the throw, and the log odds of each
-        pair from it alone.
+        """The candidates as a pandas DataFrame, one per row: the throw, and the log
+        odds of each pair from it alone.
 
         Raises
         ------
         InputError : pandas is not installed.
         """
         names = ("v0", "omega0", "rest", "distance")
-        columns = {name: [getattr(one, name) for one in self.candidates] for name in names}
+        columns = {
+            name: [getattr(one, name) for one in self.candidates] for name in names
+        }
         for place, pair in enumerate(self.pairs):
             name = f"{pair.truth} over {pair.rival}"
             columns[name] = [one.log_odds[place] for one in self.candidates]
@@ -183,7 +200,8 @@ def load_discrimination(file: str | PathLike[str]) -> Discrimination:
 
     Raises
     ------
-    DataError : missing, not a file of curlfit, or of a schema that this version cannot read.
+    DataError : missing, not a file of curlfit, or of a schema that this version
+        cannot read.
 
     Examples
     --------
@@ -220,10 +238,14 @@ def document(found: Discrimination) -> Document:
         lines=[what, *others],
         sections=(
             Section(
-                "pairs", "Expected log odds", (Said(finding), *map(Said, others), _pairs(found))
+                "pairs",
+                "Expected log odds",
+                (Said(finding), *map(Said, others), _pairs(found)),
             ),
             Section("laws", "The laws", (_laws(found),), titled=True, brief=False),
-            Section("single", "A single throw", (_single(found),), titled=True, brief=False),
+            Section(
+                "single", "A single throw", (_single(found),), titled=True, brief=False
+            ),
         ),
         notes=_notes(found),
         title=f"Throws that decide between {laws}",
@@ -249,12 +271,13 @@ def _summary(found: Discrimination) -> list[str]:
     if found.decided:
         alone = sum(value > DECISIVE for value in found.by_size.values())
         lines = [
-            f"{counted(count, 'throw')} decide{'s' * (count == 1)}: {which}. Whichever law is "
-            f"true, it {odds} at least {_percent(worst.decides)}."
+            f"{counted(count, 'throw')} decide{'s' * (count == 1)}: {which}. "
+            f"Whichever law is true, it {odds} at least {_percent(worst.decides)}."
         ]
         if count == 1 and alone > 1:
             lines.append(
-                f"In expectation, {alone} of the {len(found.by_size)} speeds and spins do so alone."
+                f"In expectation, {alone} of the {len(found.by_size)} speeds and "
+                "spins do so alone."
             )
         return lines
     if found.asked is None:
@@ -262,13 +285,14 @@ def _summary(found: Discrimination) -> list[str]:
     else:
         start = f"{counted(count, 'throw')} of this precision do not decide"
     lines = [
-        f"{start}: if {worst.truth} is true, it {odds} only {_percent(worst.decides)} over "
-        f"{worst.rival}, after {counted(count, 'throw')}, {which}."
+        f"{start}: if {worst.truth} is true, it {odds} only {_percent(worst.decides)} "
+        f"over {worst.rival}, after {counted(count, 'throw')}, {which}."
     ]
     if worst.chi_squared < count:
         lines.append(
-            f"{worst.rival} follows these throws of {worst.truth} to within the noise: with these "
-            "coefficients it contains that law, or their paths agree."
+            f"{worst.rival} follows these throws of {worst.truth} to within "
+            "the noise: with these coefficients it contains that law, "
+            "or their paths agree."
         )
     return lines
 
@@ -285,12 +309,19 @@ def _pairs(found: Discrimination) -> PlainTable:
         }
         for one in found.pairs
     ]
-    return PlainTable(rows, "Expected log odds of these throws, and probabilities", keys=2)
+    return PlainTable(
+        rows, "Expected log odds of these throws, and probabilities", keys=2
+    )
 
 
 def _laws(found: Discrimination) -> PlainTable:
     rows = [
-        {"law": law, "coefficients": ", ".join(f"{name} = {v:.4g}" for name, v in values.items())}
+        {
+            "law": law,
+            "coefficients": ", ".join(
+                f"{name} = {v:.4g}" for name, v in values.items()
+            ),
+        }
         for law, values in found.laws.items()
     ]
     return PlainTable(rows, "The laws: the same ordinary draw, 2 m/s and 1 rad/s")
@@ -300,27 +331,31 @@ def _single(found: Discrimination) -> PlainTable:
     shown = {(one.v0, abs(one.omega0)): one for one in found.candidates}
     rows = [
         {
-            ">v0\n(m/s)": f"{v0:g}", ">omega0\n(rad/s)": f"{spin:g}",
+            ">v0\n(m/s)": f"{v0:g}",
+            ">omega0\n(rad/s)": f"{spin:g}",
             ">at rest\n(s)": f"{shown[v0, spin].rest:.1f}",
             ">after\n(m)": f"{shown[v0, spin].distance:.1f}",
             ">log odds,\nhardest pair": f"{least:.1f}",
         }
         for (v0, spin), least in found.by_size.items()
-    ]  # fmt: skip
+    ]
     return PlainTable(rows, "A single throw of either sense of spin", keys=2)
 
 
 def _notes(found: Discrimination) -> tuple[str, ...]:
     notes = [
-        f"log odds are natural logarithms, by BIC; odds of {ODDS} to 1 are {DECISIVE:.1f}. The "
-        "slope of the ice, the air, the stone and the scales have their usual uncertainties, the "
-        "same in all throws; laws are taken to be exact and noise to be independent from row to "
-        "row. What a rival leaves far below the noise decides only if nothing else is that large"
+        f"log odds are natural logarithms, by BIC; odds of {ODDS} to 1 are "
+        f"{DECISIVE:.1f}. The slope of the ice, the air, the stone and the scales "
+        "have their usual uncertainties, the same in all throws; laws are taken to "
+        "be exact and noise to be independent from row to row. What a rival leaves "
+        "far below the noise decides only if nothing else is that large"
     ]
     if found.left_out:
-        which = ", ".join(f"{v0:g} m/s with {spin:g} rad/s" for v0, spin in found.left_out)
+        which = ", ".join(
+            f"{v0:g} m/s with {spin:g} rad/s" for v0, spin in found.left_out
+        )
         notes.append(
-            "left out, since such a stone leaves the sheet or a law cannot be fitted to it: "
-            f"{which}"
+            "left out, since such a stone leaves the sheet or a law cannot be "
+            f"fitted to it: {which}"
         )
     return tuple(notes)

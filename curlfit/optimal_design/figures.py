@@ -23,15 +23,18 @@ _PLANNED: dict[str, Any] = {"color": "0.5", "lw": 0.9, "ls": ":"}
 
 @draw.style()
 def design_figures(design: Design) -> dict[str, Figure]:
-    """The figures by name: a map of single throws, errors against noise, rate and number of throws,
-    and, where two coefficients are separable, what that takes.
+    """The figures by name: a map of single throws, errors against noise, rate and
+    number of throws, and, where two coefficients are separable, what that takes.
 
     Examples
     --------
     >>> sorted(curlfit.design_figures(plan))
     ['design-errors', 'design-map', 'design-separate']
     """
-    found: dict[str, Figure] = {"design-map": _map(design), "design-errors": _errors(design)}
+    found: dict[str, Figure] = {
+        "design-map": _map(design),
+        "design-errors": _errors(design),
+    }
     separation = design.separation
     if separation is not None and separation.scenario("consistent").stderr is not None:
         found["design-separate"] = _separation(design, separation)
@@ -42,15 +45,20 @@ def _quantity(design: Design, name: str) -> str:
     """A quantity in its symbols, with its unit."""
     units = {design.units[parameter] for parameter in design.quantities[name]}
     unit = "" if units == {"1"} else f" ({'; '.join(sorted(units))})"
-    return draw.in_symbols(name, design.symbols) + unit.replace("^2", "\N{SUPERSCRIPT TWO}")
+    return draw.in_symbols(name, design.symbols) + unit.replace(
+        "^2", "\N{SUPERSCRIPT TWO}"
+    )
 
 
 def _cells(
-    axes: Any, values: Mapping[tuple[float, float], float], framed: Iterable[tuple[float, float]],
-    number: Callable[[float], str], unknown: str = "",
-) -> None:  # fmt: skip
-    """A cell for each speed and spin, dark where the value is small; those of the selected throws
-    are framed."""
+    axes: Any,
+    values: Mapping[tuple[float, float], float],
+    framed: Iterable[tuple[float, float]],
+    number: Callable[[float], str],
+    unknown: str = "",
+) -> None:
+    """A cell for each speed and spin, dark where the value is small; those of the
+    selected throws are framed."""
     speeds, spins = (sorted(set(of)) for of in zip(*values, strict=True))
     cells = np.full((len(spins), len(speeds)), np.nan)
     for (v0, omega0), value in values.items():
@@ -69,7 +77,9 @@ def _cells(
             if np.isfinite(value):
                 text = number(value)
                 color = "white" if value <= 0 or norm(value) < 0.6 else "black"
-            axes.text(column, row, text, ha="center", va="center", fontsize=6, color=color)
+            axes.text(
+                column, row, text, ha="center", va="center", fontsize=6, color=color
+            )
     else:
         axes.figure.colorbar(shown, ax=axes)
     for axis, numbers, most in ((axes.xaxis, speeds, 6), (axes.yaxis, spins, 12)):
@@ -78,7 +88,9 @@ def _cells(
     axes.set_xlabel("initial speed (m/s)")
     for v0, omega0 in set(framed):
         corner = speeds.index(v0) - 0.47, spins.index(omega0) - 0.47
-        axes.add_patch(Rectangle(corner, 0.94, 0.94, fill=False, ec=draw.REFERENCE_COLOR, lw=2.2))
+        axes.add_patch(
+            Rectangle(corner, 0.94, 0.94, fill=False, ec=draw.REFERENCE_COLOR, lw=2.2)
+        )
 
 
 def _number(value: float) -> str:
@@ -90,7 +102,9 @@ def _map(design: Design) -> draw.Picture:
     columns = 2 if len(names) == 4 else min(len(names), 3)
     rows = -(-len(names) // columns)
     tall = 0.8 + 0.28 * len({one.omega0 for one in design.candidates})
-    figure, grid = draw.panels(max(tall, 1.9) * rows + 0.5, rows, columns, squeeze=False)
+    figure, grid = draw.panels(
+        max(tall, 1.9) * rows + 0.5, rows, columns, squeeze=False
+    )
     panels, starts = grid.flat, [(one.v0, one.omega0) for one in design.candidates]
     framed = [starts[index] for index in next(iter(design.best.values())).throws]
     for axes, name in zip(panels, names, strict=False):
@@ -120,12 +134,18 @@ def discrimination_figure(found: Discrimination) -> Figure:
     >>> curlfit.discrimination_figure(between).savefig("discrimination.png")
     """
     values = found.by_size
-    framed = [(one.v0, abs(one.omega0)) for one in (found.candidates[k] for k in found.throws)]
+    framed = [
+        (one.v0, abs(one.omega0)) for one in (found.candidates[k] for k in found.throws)
+    ]
     height = 1.6 + 0.28 * len({spin for _, spin in values})
     figure, axes = draw.panels(height, 1, 1, 0.72 * draw.WIDTH)
-    _cells(axes, values, framed, lambda value: f"{value:.{0 if abs(value) >= 10 else 1}f}")
+    _cells(
+        axes, values, framed, lambda value: f"{value:.{0 if abs(value) >= 10 else 1}f}"
+    )
     axes.set_ylabel("initial spin, either sense (rad/s)")
-    axes.set_title("log odds for the true law from one throw, hardest pair", loc="center")
+    axes.set_title(
+        "log odds for the true law from one throw, hardest pair", loc="center"
+    )
     laws = ", ".join(map(draw.literal, found.laws))
     figure.suptitle(
         f"{laws}; odds of {ODDS} to 1: {DECISIVE:.1f}\n"
@@ -148,7 +168,14 @@ def _errors(design: Design) -> draw.Picture:
         curve, styles = design.curves[name], draw.line_styles(len(design.quantities))
         for quantity, style in zip(design.quantities, styles, strict=True):
             values = np.array(curve[quantity], float)
-            axes.plot(curve["at"], values, ".", ms=4, **style, label=_quantity(design, quantity))
+            axes.plot(
+                curve["at"],
+                values,
+                ".",
+                ms=4,
+                **style,
+                label=_quantity(design, quantity),
+            )
         axes.set(xscale="log", yscale="log", xlabel=about[name])
         axes.axvline(planned[name], **_PLANNED)
         if name == "throws":
@@ -166,7 +193,9 @@ def _errors(design: Design) -> draw.Picture:
 
 
 def _noise_of(design: Design, channels: Sequence[str]) -> str:
-    return noise_text({name: value for name, value in design.sigma.items() if name in channels})
+    return noise_text(
+        {name: value for name, value in design.sigma.items() if name in channels}
+    )
 
 
 def _separation(design: Design, separation: Separation) -> draw.Picture:
@@ -175,18 +204,26 @@ def _separation(design: Design, separation: Separation) -> draw.Picture:
     one, other = separation.pair
     difference = draw.in_symbols(f"{one} - {other}", design.symbols)
     scenario, count = separation.scenario("consistent"), design.throws
-    throw, plain = design.candidates[separation.ordinary], scenario.each[separation.ordinary]
+    throw, plain = (
+        design.candidates[separation.ordinary],
+        scenario.each[separation.ordinary],
+    )
     ordinary = f"{count} x ({throw.v0:g} m/s, {throw.omega0:g} rad/s)"
     black, blue, green = draw.PALETTE[6], draw.PALETTE[0], draw.PALETTE[2]
     several = None if plain is None else plain / np.sqrt(count)
     framed = f"the optimal {counted(count, 'throw')}"
-    lines = [(several, ordinary, black, "-", 1.6), (scenario.stderr, framed, blue, "-", 2.2)]
+    lines = [
+        (several, ordinary, black, "-", 1.6),
+        (scenario.stderr, framed, blue, "-", 2.2),
+    ]
     changes = [item for item in separation.changes if item.name == "h"]
     values = sorted(item.value for item in changes)
     extreme = [item for item in changes if item.value in (*values[:1], *values[-2:])]
     dashed = [*zip(draw.DASHES[1:], extreme, strict=False)]
     for dash, item in dashed:
-        lines.append((item.all, f"the same, h = {1000 * item.value:.3g} mm", blue, dash, 1.1))
+        lines.append(
+            (item.all, f"the same, h = {1000 * item.value:.3g} mm", blue, dash, 1.1)
+        )
     for dash, item in dashed:
         half = f"{ordinary}, half with h = {1000 * item.value:.3g} mm"
         lines.append((item.half, half, green, dash, 1.4))
@@ -196,13 +233,18 @@ def _separation(design: Design, separation: Separation) -> draw.Picture:
             errors = 100 * factors * stderr / separation.size
             axes.plot(factors, errors, label=label, color=color, ls=dash, lw=lw)
     axes.axhline(wanted, color=draw.REFERENCE_COLOR, lw=1.4)
-    axes.text(1.2e-4, 1.15 * wanted, f"required: {wanted:g} %", color=draw.REFERENCE_COLOR)
+    axes.text(
+        1.2e-4, 1.15 * wanted, f"required: {wanted:g} %", color=draw.REFERENCE_COLOR
+    )
     axes.axvline(1.0, **_PLANNED)
     axes.set(
-        xscale="log", yscale="log", xlim=(1e-4, 1e1), ylim=(1e-1, 1e6),
+        xscale="log",
+        yscale="log",
+        xlim=(1e-4, 1e1),
+        ylim=(1e-1, 1e6),
         xlabel=f"noise, times {noise_text(design.sigma)} (dotted: as planned)",
         ylabel=f"error of {difference}, % of {separation.size:g}",
-    )  # fmt: skip
+    )
     if separation.proof.hidden:
         said = "uniform load: not separable, at any noise, with any number of throws"
         axes.set_title(said, color=draw.REFERENCE_COLOR, fontsize=7, loc="center")

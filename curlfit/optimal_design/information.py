@@ -1,13 +1,14 @@
 """Fisher information of planned throws, from exact derivatives.
 
-The information is J^T W J, with J the derivatives of the trajectory with respect to coefficients
-and initial state, and W = 1/sigma^2 of independent Gaussian noise. It is stored as its factor R, an
-upper triangular matrix with R^T R = J^T W J, by QR of J itself: forming the product would lose half
-the digits, and with them the distinction between weakly determined and undetermined directions.
-The QR of the stacked factors of several throws or channels gives the factor of the sum of their
-information.
+The information is J^T W J, with J the derivatives of the trajectory with respect to
+coefficients and initial state, and W = 1/sigma^2 of independent Gaussian noise. It is
+stored as its factor R, an upper triangular matrix with R^T R = J^T W J, by QR of J
+itself: forming the product would lose half the digits, and with them the distinction
+between weakly determined and undetermined directions. The QR of the stacked factors of
+several throws or channels gives the factor of the sum of their information.
 
-Columns are scaled by typical sizes of the parameters, as in `curlfit.inference.identifiability`.
+Columns are scaled by typical sizes of the parameters, as in
+`curlfit.inference.identifiability`.
 """
 
 from __future__ import annotations
@@ -40,12 +41,14 @@ from curlfit.stone import Stone
 from curlfit.throws.throw import CHANNELS
 
 LONGEST = 120.0
-"""Seconds within which a stone must come to rest if the end of the record is not given."""
+"""Seconds within which a stone must come to rest if the end of the record
+is not given."""
 MOST_ROWS = 50_000
 """Maximum number of rows of one throw."""
 
 _ROWS = 256  # in a column of a batch
-_ROUNDING = 1e-13  # relative to the largest singular value of the columns of the initial state
+# relative to the largest singular value of the columns of the initial state
+_ROUNDING = 1e-13
 
 
 class PlannedThrow(NamedTuple):
@@ -73,25 +76,26 @@ class RecordInformation(NamedTuple):
     distance: float
     """from the first row to rest, m"""
     factors: Floats
-    """by channel, for noise of 1 m, 1 rad ...: R factor of the information on coefficients and
-    initial state, scaled by typical sizes, on the conditions examined, scaled by their widths, and
-    on the shapes of a model discrepancy, scaled by their sizes; shape (channels, parameters,
-    parameters)"""
+    """by channel, for noise of 1 m, 1 rad ...: R factor of the information on
+    coefficients and initial state, scaled by typical sizes, on the conditions examined,
+    scaled by their widths, and on the shapes of a model discrepancy, scaled by their
+    sizes; shape (channels, parameters, parameters)"""
     shapes: int = 0
     """number of shapes of a model discrepancy"""
 
 
 @dataclass(frozen=True, eq=False)
 class Assumptions:
-    """A law with assumed values of its coefficients, and what is measured of its throws.
+    """A law with assumed values of its coefficients, and what is measured
+    of its throws.
 
     Attributes
     ----------
     values : of all coefficients, shape (k,).
     sigma : noise by channel (SI); channels without one are not measured.
     until : end of the records in s; the time of rest if None.
-    discrepancy : size of the accelerations that the law may lack, relative to the friction; see
-        `curlfit.inference.noise.accelerations`.
+    discrepancy : size of the accelerations that the law may lack, relative to the
+        friction; see `curlfit.inference.noise.accelerations`.
     """
 
     law: type[Law]
@@ -133,29 +137,42 @@ class Assumptions:
 
     @property
     def bounded(self) -> Bounded:
-        """Their values and bounds; one beyond which the value lies was not that of its fit."""
+        """Their values and bounds; one beyond which the value lies was not
+        that of its fit."""
         known = self.parameters
-        values, lower, upper = (part[self.free] for part in (self.values, known.lower, known.upper))
+        values, lower, upper = (
+            part[self.free] for part in (self.values, known.lower, known.upper)
+        )
         return Bounded(
-            values, np.where(values > lower, lower, -np.inf),
+            values,
+            np.where(values > lower, lower, -np.inf),
             np.where(values < upper, upper, np.inf),
-        )  # fmt: skip
+        )
 
     def weights(self, combination: Mapping[str, float]) -> Floats:
         """A combination of free coefficients as `standard_error` takes it."""
-        return np.array([combination.get(name, 0.0) for name in self.names]) * self.typical
+        return (
+            np.array([combination.get(name, 0.0) for name in self.names]) * self.typical
+        )
 
     def errors(
         self, factor: Floats, quantities: Mapping[str, Mapping[str, float]]
     ) -> dict[str, float | None]:
         """Standard errors of combinations within the bounds, by name."""
-        factor = confined(factor / self.typical, self.bounded, self.typical) * self.typical
-        return {name: standard_error(factor, self.weights(of)) for name, of in quantities.items()}
+        factor = (
+            confined(factor / self.typical, self.bounded, self.typical) * self.typical
+        )
+        return {
+            name: standard_error(factor, self.weights(of))
+            for name, of in quantities.items()
+        }
 
     def noisier(self, channels: Iterable[str], factor: float) -> Assumptions:
         """The same with the noise of some channels multiplied."""
         sigma = dict(self.sigma)
-        return replace(self, sigma=sigma | {name: factor * sigma[name] for name in channels})
+        return replace(
+            self, sigma=sigma | {name: factor * sigma[name] for name in channels}
+        )
 
     @cached_property
     def by_load(self) -> dict[Load, Assumptions]:
@@ -170,7 +187,9 @@ class Assumptions:
 
     def records(self, throws: Sequence[PlannedThrow]) -> list[RecordInformation]:
         """The information of each of several throws, computed once."""
-        if new := [throw for throw in dict.fromkeys(throws) if throw not in self._known]:
+        if new := [
+            throw for throw in dict.fromkeys(throws) if throw not in self._known
+        ]:
             self._known.update(zip(new, record_information(self, new), strict=True))
         return [self._known[throw] for throw in throws]
 
@@ -178,12 +197,15 @@ class Assumptions:
         """R factor of the information of each throw on the free coefficients."""
         return [self.marginal(one) for one in self.records(throws)]
 
-    def marginal(self, record: RecordInformation, columns: Indices | None = None) -> Floats:
-        """R factor of the information on some columns of a record, marginal over the initial state.
+    def marginal(
+        self, record: RecordInformation, columns: Indices | None = None
+    ) -> Floats:
+        """R factor of the information on some columns of a record, marginal over the
+        initial state.
 
-        The Schur complement: the columns are projected onto the orthogonal complement of those of
-        the initial state. Initial values that only channels without noise determine are fixed, as
-        in a fit.
+        The Schur complement: the columns are projected onto the orthogonal complement
+        of those of the initial state. Initial values that only channels without noise
+        determine are fixed, as in a fit.
 
         Parameters
         ----------
@@ -205,7 +227,9 @@ class Assumptions:
         needed = {"x0": {"x"}, "y0": {"y"}, "phi0": {"phi"}, "heading": {"x", "y"}}
         names = self.parameters.names
         state = [
-            names.index(item.name) for item in START if needed.get(item.name, set()) <= {*sigma}
+            names.index(item.name)
+            for item in START
+            if needed.get(item.name, set()) <= {*sigma}
         ]
         wanted = everything[:, self.free if columns is None else columns]
         wanted = apart_from(everything[:, [*state, *lacking]], wanted)
@@ -214,7 +238,8 @@ class Assumptions:
 
 
 def apart_from(columns: Floats, wanted: Floats) -> Floats:
-    """Other columns, projected onto the orthogonal complement of some; or those of each of many."""
+    """Other columns, projected onto the orthogonal complement of some; or those of
+    each of many."""
     left, singular, _ = np.linalg.svd(columns, full_matrices=False)
     left = left * (singular > _ROUNDING * singular[..., :1])[..., None, :]
     for _ in range(2):  # twice, against rounding errors
@@ -235,16 +260,25 @@ def record_information(
 
     Raises
     ------
-    InputError : a stone that does not come to rest, or for which there is no motion; a record
-        with fewer than two rows or more than `MOST_ROWS`.
+    InputError : a stone that does not come to rest, or for which there is no motion; a
+        record with fewer than two rows or more than `MOST_ROWS`.
     """
-    model, channels, ends = assumed.model, range(assumed.channels), ends_of(assumed, throws)
-    clocks = [clock_of(assumed, throw, rest) for throw, (rest, _) in zip(throws, ends, strict=True)]
+    model, channels, ends = (
+        assumed.model,
+        range(assumed.channels),
+        ends_of(assumed, throws),
+    )
+    clocks = [
+        clock_of(assumed, throw, rest)
+        for throw, (rest, _) in zip(throws, ends, strict=True)
+    ]
     responses: list[Responses] = []
     if assumed.discrepancy:  # to accelerations of the size of the friction
         even = [np.linspace(0.0, clock[-1], _ROWS) for clock in clocks]
         about = zip(even, paths_of(assumed, throws, even), throws, strict=True)
-        responses = [Responses.of(times, path, throw.stone) for times, path, throw in about]
+        responses = [
+            Responses.of(times, path, throw.stone) for times, path, throw in about
+        ]
     # Long records are split into several columns of a batch.
     columns = [
         (index, clock[first : first + _ROWS])
@@ -257,16 +291,23 @@ def record_information(
         own = [throws[index] for index in owner[some]]
         values = _vectors(assumed, own)
         problems = _problems(own, [columns[place][1] for place in some], len(channels))
-        jacobian = np.asarray(linearize(model, values, problems)[1]) * assumed.parameters.typical
+        jacobian = (
+            np.asarray(linearize(model, values, problems)[1])
+            * assumed.parameters.typical
+        )
         if widths:
             paths = predict_many(model, values, problems, FEW)
             changes = residual_changes(model, problems, values, paths, widths, FEW)
-            jacobian = np.concatenate([jacobian, np.stack(list(changes.values()), -1)], -1)
+            jacobian = np.concatenate(
+                [jacobian, np.stack(list(changes.values()), -1)], -1
+            )
         if (lost := ~np.isfinite(jacobian).all((1, 2, 3))).any():
             raise _no_motion(assumed, own[int(np.argmax(lost))])
         if responses:
             about = zip(owner[some], problems.times, strict=True)
-            lacking = [[responses[one].at(t, row) for row in channels] for one, t in about]
+            lacking = [
+                [responses[one].at(t, row) for row in channels] for one, t in about
+            ]
             scale = assumed.discrepancy * problems.weight[..., None]
             jacobian = np.concatenate([jacobian, scale * lacking], -1)
         return r_factor(jacobian)
@@ -275,11 +316,17 @@ def record_information(
     shapes = responses[0].by_channel.shape[-1] if responses else 0
     return [
         RecordInformation(
-            len(clock), float(clock[-1]), rest, distance,
-            r_factor(np.concatenate(factors[owner == index], 1)), shapes,
+            len(clock),
+            float(clock[-1]),
+            rest,
+            distance,
+            r_factor(np.concatenate(factors[owner == index], 1)),
+            shapes,
         )
-        for index, (clock, (rest, distance)) in enumerate(zip(clocks, ends.tolist(), strict=True))
-    ]  # fmt: skip
+        for index, (clock, (rest, distance)) in enumerate(
+            zip(clocks, ends.tolist(), strict=True)
+        )
+    ]
 
 
 def clock_of(assumed: Assumptions, throw: PlannedThrow, rest: float) -> Floats:
@@ -288,8 +335,8 @@ def clock_of(assumed: Assumptions, throw: PlannedThrow, rest: float) -> Floats:
     rows = math.floor(end * throw.rate + 1e-9) + 1
     if not 2 <= rows <= MOST_ROWS:
         raise InputError(
-            f"{end:.4g} s at {throw.rate:g} Hz make {counted(rows, 'row')}; expected 2 to "
-            f"{MOST_ROWS}"
+            f"{end:.4g} s at {throw.rate:g} Hz make {counted(rows, 'row')}; "
+            f"expected 2 to {MOST_ROWS}"
         )
     return np.arange(rows) / throw.rate
 
@@ -297,7 +344,8 @@ def clock_of(assumed: Assumptions, throw: PlannedThrow, rest: float) -> Floats:
 def paths_of(
     assumed: Assumptions, throws: Sequence[PlannedThrow], clocks: Sequence[Floats]
 ) -> Floats:
-    """Paths at up to `_ROWS` times of each throw, the last repeated, (throws, 5, _ROWS)."""
+    """Paths at up to `_ROWS` times of each throw, the last repeated,
+    (throws, 5, _ROWS)."""
     problems = _problems(throws, clocks, 3)
     return predict_many(assumed.model, _vectors(assumed, throws), problems, FEW)
 
@@ -305,19 +353,28 @@ def paths_of(
 def _vectors(assumed: Assumptions, throws: Sequence[PlannedThrow]) -> Floats:
     """Parameter vectors of throws from the origin."""
     return np.array(
-        [[*assumed.values, *(getattr(throw, item.name, 0.0) for item in START)] for throw in throws]
+        [
+            [*assumed.values, *(getattr(throw, item.name, 0.0) for item in START)]
+            for throw in throws
+        ]
     )
 
 
-def _problems(throws: Sequence[PlannedThrow], clocks: Sequence[Floats], channels: int) -> Problem:
-    """Problems with unit noise, whose residuals have the derivatives of the trajectory, of throws
-    at times of each."""
-    times = np.stack([np.pad(clock, (0, _ROWS - len(clock)), mode="edge") for clock in clocks])
+def _problems(
+    throws: Sequence[PlannedThrow], clocks: Sequence[Floats], channels: int
+) -> Problem:
+    """Problems with unit noise, whose residuals have the derivatives of the trajectory,
+    of throws at times of each."""
+    times = np.stack(
+        [np.pad(clock, (0, _ROWS - len(clock)), mode="edge") for clock in clocks]
+    )
     seen = np.arange(_ROWS) < np.array([len(clock) for clock in clocks])[:, None]
     weight = np.repeat(seen[:, None].astype(float), channels, axis=1)
     stone = stacked([jax.tree.map(float, throw.stone) for throw in throws])
     level = jax.tree.map(lambda value: np.full(len(throws), value), LEVEL_AND_STILL)
-    return Problem(times, np.zeros_like(weight), weight, stone, level, np.zeros(len(throws), int))
+    return Problem(
+        times, np.zeros_like(weight), weight, stone, level, np.zeros(len(throws), int)
+    )
 
 
 def ends_of(assumed: Assumptions, throws: Sequence[PlannedThrow]) -> Floats:
@@ -325,7 +382,10 @@ def ends_of(assumed: Assumptions, throws: Sequence[PlannedThrow]) -> Floats:
     ends = np.empty((len(throws), 2))
     for stone in {throw.stone for throw in throws}:
         own = [row for row, throw in enumerate(throws) if throw.stone == stone]
-        values, whole = _vectors(assumed, [throws[row] for row in own]), np.array([0.0, LONGEST])
+        values, whole = (
+            _vectors(assumed, [throws[row] for row in own]),
+            np.array([0.0, LONGEST]),
+        )
         state, rest = motions(assumed.model, values, stone, LEVEL_AND_STILL, whole)
         ends[own] = np.column_stack([rest, np.hypot(*state[:, :2, -1].T)])
     for throw, (rest, distance) in zip(throws, ends, strict=True):
@@ -333,14 +393,15 @@ def ends_of(assumed: Assumptions, throws: Sequence[PlannedThrow]) -> Floats:
             raise _no_motion(assumed, throw)
         if assumed.until is None and not 0 < rest <= LONGEST:
             raise InputError(
-                f"a stone of {throw.v0:g} m/s and {throw.omega0:g} rad/s does not come to rest "
-                f"within {LONGEST:g} s; give the length of the record (--until)"
+                f"a stone of {throw.v0:g} m/s and {throw.omega0:g} rad/s does "
+                f"not come to rest within {LONGEST:g} s; give the length of the "
+                "record (--until)"
             )
     return ends
 
 
 def _no_motion(assumed: Assumptions, throw: PlannedThrow) -> InputError:
     return InputError(
-        f"law {assumed.law.name} with {assumed.load} load admits no motion from {throw.v0:g} m/s "
-        f"and {throw.omega0:g} rad/s{no_motion_because(assumed.load)}"
+        f"law {assumed.law.name} with {assumed.load} load admits no motion from "
+        f"{throw.v0:g} m/s and {throw.omega0:g} rad/s{no_motion_because(assumed.load)}"
     )

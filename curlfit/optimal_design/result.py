@@ -24,7 +24,8 @@ class Candidate:
     rate : rows per second, Hz.
     rows, last, rest : number of rows, time of the last row and of rest (s).
     distance : from the start to rest (m).
-    stderr : standard error by quantity, None where this throw alone does not determine it.
+    stderr : standard error by quantity, None where this throw alone does not
+        determine it.
     """
 
     v0: float
@@ -44,9 +45,11 @@ class ExpectedErrors:
     Attributes
     ----------
     throws : indices of the candidates, repeated for repeated throws.
-    stderr : standard error by coefficient (None where it is not determined) and combination.
+    stderr : standard error by coefficient (None where it is not determined)
+        and combination.
     verdicts : by coefficient, as in `FitResult`; "fixed" for one that is not free.
-    combinations : determined combinations of coefficients that are not determined individually.
+    combinations : determined combinations of coefficients that are not
+        determined individually.
     rank, singular_values, null_directions : see `curlfit.inference.identifiability`.
     """
 
@@ -61,15 +64,15 @@ class ExpectedErrors:
 
 @dataclass(frozen=True)
 class Scenario:
-    """Errors of the best throws, thrown in equal shares with one or both senses of spin, and in one
-    or both directions of the sheet.
+    """Errors of the best throws, thrown in equal shares with one or both senses of
+    spin, and in one or both directions of the sheet.
 
     Attributes
     ----------
     name : such as "both spins".
     stderr : standard error by quantity.
-    shifts : by quantity and by condition that a fit holds fixed, for one width of the condition
-        (see `curlfit.inference.conditions`).
+    shifts : by quantity and by condition that a fit holds fixed, for one width of the
+        condition (see `curlfit.inference.conditions`).
     """
 
     name: str
@@ -79,7 +82,9 @@ class Scenario:
     @property
     def systematic(self) -> dict[str, float]:
         """Systematic error by quantity: the shifts in quadrature."""
-        return {name: math.hypot(*shifts.values()) for name, shifts in self.shifts.items()}
+        return {
+            name: math.hypot(*shifts.values()) for name, shifts in self.shifts.items()
+        }
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -95,17 +100,20 @@ class Design(Record):
     throws : number of throws.
     candidates : the throws from which these are selected.
     quantities : coefficients and combinations determined by all candidates, as weights.
-    rank, free : numbers of directions determined by all candidates, and of free coefficients.
+    rank, free : numbers of directions determined by all candidates, and of
+        free coefficients.
     best : the optimal selection of `throws` candidates by criterion "D" and "A".
-    curves : standard errors of the D-optimal throws, for figures: against "place", "angle" (factor
-        on that noise alone), "rate" (Hz) and "throws" (number, the optimal ones for each); each has
-        the abscissa, "at", and the errors by quantity.
+    curves : standard errors of the D-optimal throws, for figures: against "place",
+        "angle" (factor on that noise alone), "rate" (Hz) and "throws" (number, the
+        optimal ones for each); each has the abscissa, "at", and the errors by quantity.
     separation : separability of two coefficients, if requested or if only their sum is
         determined.
     notes : caveats, as sentences.
     command : that made it; empty if it was made in Python.
-    discrepancy : size of the accelerations that the law may lack, relative to the friction.
-    scenarios : systematic errors of the D-optimal throws, as planned and in other scenarios.
+    discrepancy : size of the accelerations that the law may lack, relative to
+        the friction.
+    scenarios : systematic errors of the D-optimal throws, as planned and in
+        other scenarios.
 
     Examples
     --------
@@ -145,15 +153,18 @@ class Design(Record):
         return self.candidates[0].rate
 
     def to_frame(self) -> Any:
-        """The candidates as a pandas DataFrame, one per row: the throw, and the standard error of
-        each quantity from it alone, NaN where it does not determine the quantity.
+        """The candidates as a pandas DataFrame, one per row: the throw, and the
+        standard error of each quantity from it alone, NaN where it does not determine
+        the quantity.
 
         Raises
         ------
         InputError : pandas is not installed.
         """
         names = ("v0", "omega0", "rate", "rows", "last", "rest", "distance")
-        columns = {name: [getattr(one, name) for one in self.candidates] for name in names}
+        columns = {
+            name: [getattr(one, name) for one in self.candidates] for name in names
+        }
         for name in self.quantities:
             errors = [one.stderr[name] for one in self.candidates]
             columns[f"{name} stderr"] = [math.nan if e is None else e for e in errors]
@@ -163,9 +174,10 @@ class Design(Record):
         """Raise `ValueError` where what was read contradicts itself."""
         names = self.quantities.keys()
         for place, all_ in (
-            ("candidates", self.candidates), ("scenarios", self.scenarios),
+            ("candidates", self.candidates),
+            ("scenarios", self.scenarios),
             ("best", self.best.values()),
-        ):  # fmt: skip
+        ):
             known = all(names <= one.stderr.keys() for one in all_)
             require(place, known, f"the standard errors of {', '.join(names)}")
         count = len(self.candidates)
@@ -181,7 +193,8 @@ def load_design(file: str | PathLike[str]) -> Design:
 
     Raises
     ------
-    DataError : missing, not a file of curlfit, or of a schema that this version cannot read.
+    DataError : missing, not a file of curlfit, or of a schema that this version
+        cannot read.
 
     Examples
     --------
@@ -194,16 +207,18 @@ def load_design(file: str | PathLike[str]) -> Design:
 
 @dataclass(frozen=True)
 class Proof:
-    """Effect of the difference of two coefficients on force and moment under uniform load.
+    """Effect of the difference of two coefficients on force and moment under
+    uniform load.
 
     Attributes
     ----------
     states : number of random speeds and spins.
-    by_difference, by_sum : largest derivative, over these, of T_xi/(m g), T_eta/(m g) and
-        M/(m g R) when one coefficient grows and the other falls, and when both grow.
+    by_difference, by_sum : largest derivative, over these, of T_xi/(m g),
+        T_eta/(m g) and M/(m g R) when one coefficient grows and the other falls,
+        and when both grow.
     throws : number of throws, of various speeds and spins, taken together.
-    singular_values : of the R factor of their information on the coefficients, largest first,
-        scaled by typical sizes, noise as planned.
+    singular_values : of the R factor of their information on the coefficients, largest
+        first, scaled by typical sizes, noise as planned.
     hidden : whether the effect of the difference is zero to rounding error in both.
     because : explanation, where known.
     """
@@ -224,11 +239,13 @@ class LoadScenario:
     Attributes
     ----------
     load : "uniform" or "consistent".
-    each : standard error of the difference from each candidate alone, None if undetermined.
-    throws : indices of the optimal candidates, as many as planned; None if undetermined.
+    each : standard error of the difference from each candidate alone, None
+        if undetermined.
+    throws : indices of the optimal candidates, as many as planned; None
+        if undetermined.
     stderr : standard error of the difference from these.
-    steady : relative change of the sum of both coefficients between these throws that has the
-        same effect as the required error; None if no change does.
+    steady : relative change of the sum of both coefficients between these throws that
+        has the same effect as the required error; None if no change does.
     """
 
     load: str
@@ -246,10 +263,10 @@ class StoneChange:
     ----------
     name, value : the changed property and its value (m).
     all : from the optimal throws, all with the changed stone; None if undetermined.
-    half : from the same number of ordinary throws, half with the original stone and half with the
-        changed one.
-    steady : relative change of the sum of both coefficients between the halves that has the same
-        effect as the required error of the difference.
+    half : from the same number of ordinary throws, half with the original stone and
+        half with the changed one.
+    steady : relative change of the sum of both coefficients between the halves that has
+        the same effect as the required error of the difference.
     """
 
     name: str
@@ -266,8 +283,8 @@ class Separation:
     Attributes
     ----------
     pair : the coefficients.
-    size, of : the reference of relative errors: the assumed "difference", or the "mean" of both
-        where they are equal.
+    size, of : the reference of relative errors: the assumed "difference", or the "mean"
+        of both where they are equal.
     wanted : required relative error.
     proof : for the uniform load.
     ways : scenarios by load.
@@ -289,9 +306,11 @@ class Separation:
         return next(scenario for scenario in self.ways if scenario.load == load)
 
     def noise_factor(self, stderr: float) -> float:
-        """Factor on all noise that gives the required error; errors are proportional to noise."""
+        """Factor on all noise that gives the required error; errors are
+        proportional to noise."""
         return self.wanted * self.size / stderr
 
     def throws_needed(self, stderr: float, throws: int) -> float:
-        """Number of throws that gives the required error, if `throws` of them give `stderr`."""
+        """Number of throws that gives the required error, if `throws` of them
+        give `stderr`."""
         return throws / self.noise_factor(stderr) ** 2

@@ -1,9 +1,10 @@
 """Laws as rivals: each fitted to throws that another one makes, and what is left then.
 
-A throw is made without noise. Its rival has an initial state of its own for each throw; in common
-are its coefficients and the conditions that a fit holds fixed, which have their usual widths
-(`curlfit.inference.fit.systematics`). About the optimum of a throw, or of throws together, what is
-left is linear in these: rows of a small problem of least squares.
+A throw is made without noise. Its rival has an initial state of its own for each
+throw; in common are its coefficients and the conditions that a fit holds fixed, which
+have their usual widths (`curlfit.inference.fit.systematics`). About the optimum of a
+throw, or of throws together, what is left is linear in these: rows of a small problem
+of least squares.
 """
 
 from __future__ import annotations
@@ -63,8 +64,12 @@ class Truth(NamedTuple):
         InputError : as in `record_information`.
         """
         ends = ends_of(assumed, planned)
-        clocks = [clock_of(assumed, *each) for each in zip(planned, ends[:, 0], strict=True)]
-        times = [np.linspace(0.0, clock[-1], min(_POINTS, len(clock))) for clock in clocks]
+        clocks = [
+            clock_of(assumed, *each) for each in zip(planned, ends[:, 0], strict=True)
+        ]
+        times = [
+            np.linspace(0.0, clock[-1], min(_POINTS, len(clock))) for clock in clocks
+        ]
         throws = []
         for one, clock, t, path in zip(
             planned, clocks, times, paths_of(assumed, planned, times), strict=True
@@ -87,7 +92,9 @@ class Truth(NamedTuple):
 
     def at(self, which: Indices) -> Truth:
         """Some of the throws."""
-        throws, rows = zip(*((self.throws[one], self.rows[one]) for one in which), strict=True)
+        throws, rows = zip(
+            *((self.throws[one], self.rows[one]) for one in which), strict=True
+        )
         return Truth(self.assumed, [*throws], [*rows], self.ends[which])
 
     def plausible(self) -> Booleans:
@@ -110,7 +117,10 @@ class Rival:
     """
 
     def __init__(
-        self, assumed: Assumptions, stone: Stone, systematics: Mapping[str, float] | None = None
+        self,
+        assumed: Assumptions,
+        stone: Stone,
+        systematics: Mapping[str, float] | None = None,
     ) -> None:
         """Of a law and load; `systematics` as in `widths_of`."""
         self.model = assumed.model
@@ -118,18 +128,26 @@ class Rival:
         own = ParameterSet.build(assumed.law)
         self.size = len(assumed.law.coefficients())
         self.typical = own.typical[: self.size]
-        self.bounds = tuple(end[: self.size] / self.typical for end in (own.lower, own.upper))
+        self.bounds = tuple(
+            end[: self.size] / self.typical for end in (own.lower, own.upper)
+        )
         self._chosen = {
-            "law": assumed.law, "load": assumed.load, "stone": stone.as_dict(),
-        }  # fmt: skip
+            "law": assumed.law,
+            "load": assumed.load,
+            "stone": stone.as_dict(),
+        }
 
     def alone(self, throws: Sequence[Throw]) -> tuple[Floats, Floats]:
         """The coefficients that fit each throw, and its rows; NaN where none do."""
         chosen = Fitting.of(**self._chosen)
         prepared = [PreparedThrow.of(_accepted(throw), chosen) for throw in throws]
-        channels, rows = zip(*(problem_shape(one.throw) for one in prepared), strict=True)
+        channels, rows = zip(
+            *(problem_shape(one.throw) for one in prepared), strict=True
+        )
         shape = max(channels), max(rows)
-        rounds = Rounds(self.model, prepared, shape=shape, batch=side_by_side(len(throws)))
+        rounds = Rounds(
+            self.model, prepared, shape=shape, batch=side_by_side(len(throws))
+        )
         each = []
         for one in fitted(rounds, None):
             if isinstance(one, CurlfitError):
@@ -141,20 +159,22 @@ class Rival:
         return solutions.values[:, : self.size], found
 
     def together(self, throws: Sequence[Throw], start: Floats) -> tuple[Floats, bool]:
-        """The rows of throws about the coefficients that fit all of them, found from a `start` over
-        typical sizes, and whether this fit converged."""
+        """The rows of throws about the coefficients that fit all of them, found from a
+        `start` over typical sizes, and whether this fit converged."""
         names = [item.name for item in self.model.law.coefficients()]
         first = dict(zip(names, (start * self.typical).tolist(), strict=True))
         chosen = [Fitting.of(**self._chosen, start=first)] * len(throws)
         none = Covariates.of([("", {})] * len(throws), (), ())
         found = solved_together([*map(_accepted, throws)], chosen, names, none, None)
-        return self._reduced(found.rounds, found.solution), bool(np.all(found.solution.success))
+        return self._reduced(found.rounds, found.solution), bool(
+            np.all(found.solution.success)
+        )
 
     def _reduced(self, rounds: Rounds, solutions: Solution) -> Floats:
         """What is left of the residuals of each throw whatever its initial state.
 
-        Shape (throws, rows, columns). Columns are coefficients over typical sizes, conditions over
-        widths, and the residual where all of these are zero.
+        Shape (throws, rows, columns). Columns are coefficients over typical sizes,
+        conditions over widths, and the residual where all of these are zero.
         """
         parameters, values = rounds.throws[0].parameters, solutions.values
         paths = predict_many(self.model, values, rounds.problems, rounds.batch)
@@ -170,8 +190,8 @@ class Rival:
         return apart_from(whole[..., own], np.delete(whole, own, -1))
 
     def fit(self, rows: Floats) -> tuple[float, Floats]:
-        """Chi squared of throws together, and the coefficients over typical sizes, within bounds;
-        conditions contribute to it by their widths."""
+        """Chi squared of throws together, and the coefficients over typical sizes,
+        within bounds; conditions contribute to it by their widths."""
         from scipy.optimize import lsq_linear  # slow to load
 
         whole = r_factor(rows.reshape(-1, rows.shape[-1]))

@@ -1,10 +1,10 @@
 """The best choice of throws, and what they determine together.
 
-Throws are chosen with repetition. D: largest determinant of the information, that is the smallest
-volume of the confidence ellipsoid. A: smallest sum of squared standard errors over typical sizes
-(Atkinson, Donev and Tobias 2007). C: smallest standard error of one linear combination. Where all
-candidates together do not determine all directions, D and A refer to the subspace that they
-determine.
+Throws are chosen with repetition. D: largest determinant of the information, that is
+the smallest volume of the confidence ellipsoid. A: smallest sum of squared standard
+errors over typical sizes (Atkinson, Donev and Tobias 2007). C: smallest standard error
+of one linear combination. Where all candidates together do not determine all
+directions, D and A refer to the subspace that they determine.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from curlfit.inference.identifiability import r_factor, stderr_of, visible
 from curlfit.numerics.arrays import Booleans, Floats
 
 _MAX_ROUNDS = 50
-_SINGULAR = 1e-12  # share of the information of all candidates in an undetermined direction
+# share of the information of all candidates in an undetermined direction
+_SINGULAR = 1e-12
 
 Criterion = Callable[[Floats], Floats]
 
@@ -29,7 +30,8 @@ def combined(factors: Sequence[Floats]) -> Floats:
 
 
 def standard_error(factor: Floats, weights: Floats) -> float | None:
-    """Standard error of a linear combination of coefficients; None where it is undetermined.
+    """Standard error of a linear combination of coefficients; None where it
+    is undetermined.
 
     Parameters
     ----------
@@ -45,9 +47,11 @@ class CandidateSet(NamedTuple):
     """The information of candidates, whitened by that of all of them together."""
 
     information: Floats
-    """of each candidate, shape (candidates, rank, rank); their sum is the identity matrix"""
+    """of each candidate, shape (candidates, rank, rank); their sum is the
+    identity matrix"""
     basis: Floats
-    """whitened directions in coefficients over their typical sizes, shape (free, rank)"""
+    """whitened directions in coefficients over their typical sizes, shape
+    (free, rank)"""
     factors: Sequence[Floats]
     """R factor of the information of each candidate"""
 
@@ -77,8 +81,8 @@ def d_criterion(information: Floats) -> Floats:
 
 
 def error_criterion(candidates: CandidateSet, weights: Floats) -> Criterion:
-    """Sum of the squared standard errors of linear combinations (rows of weights by typical sizes):
-    A for the coefficients themselves, C for one combination."""
+    """Sum of the squared standard errors of linear combinations (rows of weights by
+    typical sizes): A for the coefficients themselves, C for one combination."""
     along = np.atleast_2d(weights) @ candidates.basis
     return lambda information: _trace(information, along.T @ along)
 
@@ -89,13 +93,17 @@ def _nonsingular(information: Floats) -> Booleans:
 
 def _trace(information: Floats, of: Floats) -> Floats:
     nonsingular = _nonsingular(information)
-    safe = np.where(nonsingular[..., None, None], information, np.eye(information.shape[-1]))
-    return np.where(nonsingular, np.trace(np.linalg.solve(safe, of), axis1=-2, axis2=-1), np.inf)
+    safe = np.where(
+        nonsingular[..., None, None], information, np.eye(information.shape[-1])
+    )
+    return np.where(
+        nonsingular, np.trace(np.linalg.solve(safe, of), axis1=-2, axis2=-1), np.inf
+    )
 
 
 def exchanged(throws: Sequence[int], best: Callable[[list[int]], int]) -> list[int]:
-    """Throws, one at a time exchanged for the best beside the others, until that changes none
-    (Fedorov 1972); sorted."""
+    """Throws, one at a time exchanged for the best beside the others, until that
+    changes none (Fedorov 1972); sorted."""
     found = [*throws]
     for _ in range(_MAX_ROUNDS if len(found) > 1 else 0):
         before = sorted(found)
@@ -109,7 +117,8 @@ def exchanged(throws: Sequence[int], best: Callable[[list[int]], int]) -> list[i
 def select_design(
     candidates: CandidateSet, criterion: Criterion, throws: int
 ) -> tuple[int, ...] | None:
-    """Indices of the optimal throws, sorted; None if no choice determines all directions.
+    """Indices of the optimal throws, sorted; None if no choice determines
+    all directions.
 
     They are exchanged from a greedy start.
     """

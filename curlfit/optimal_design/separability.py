@@ -1,12 +1,13 @@
 """Separability of two coefficients of which a trajectory determines the sum.
 
-For `mu1_eta` and `mu2_eta` of the front-back law this is the question that Ivanov and Shuvalov
-(2012) leave open. Under uniform load no throw separates them: see `HIDDEN`. Under the consistent
-load (eq. 8-9) the front carries more, so the difference changes the deceleration slightly, and a
-change of the sum compensates nearly all of it. The remainder depends on the spin, and on how much
-this compensation differs between two throws: it differs for two stones with different heights of
-the centre of mass, which together separate the coefficients. (A non-uniform load fixed to the stone
-would rotate with it; it is not modelled.)
+For `mu1_eta` and `mu2_eta` of the front-back law this is the question that Ivanov and
+Shuvalov (2012) leave open. Under uniform load no throw separates them: see `HIDDEN`.
+Under the consistent load (eq. 8-9) the front carries more, so the difference changes
+the deceleration slightly, and a change of the sum compensates nearly all of it. The
+remainder depends on the spin, and on how much this compensation differs between two
+throws: it differs for two stones with different heights of the centre of mass, which
+together separate the coefficients. (A non-uniform load fixed to the stone would rotate
+with it; it is not modelled.)
 """
 
 from __future__ import annotations
@@ -38,39 +39,52 @@ from curlfit.optimal_design.selection import (
 from curlfit.stone import GRAVITY, Stone
 
 HIDDEN = (
-    "Why (eq. 16, 25-26): the ring points at alpha and -alpha, one in front and one behind, have "
-    "the same xi = R cos(alpha), the same v_eta = v + omega xi and the same sliding speed, and "
-    "under uniform load the same weight. So int v_eta/|v| dalpha (in T_eta) and "
-    "int xi v_eta/|v| dalpha (in M) are equal over both halves, whatever v and omega are, and "
-    "multiply only mu1_eta + mu2_eta; T_xi contains neither. The motion is the same for every "
-    "division of that sum, and no precision, no number of throws and no R, rho or h changes this"
+    "Why (eq. 16, 25-26): the ring points at alpha and -alpha, one in front and "
+    "one behind, have the same xi = R cos(alpha), the same v_eta = v + omega "
+    "xi and the same sliding speed, and under uniform load the same weight. "
+    "So int v_eta/|v| dalpha (in T_eta) and int xi v_eta/|v| dalpha (in M) are equal "
+    "over both halves, whatever v and omega are, and multiply only mu1_eta + mu2_eta; "
+    "T_xi contains neither. The motion is the same for every division of that sum, "
+    "and no precision, no number of throws and no R, rho or h changes this"
 )
 _STATES = 400
 _SLOWEST, _FASTEST, _MAX_SPIN = 0.01, 4.0, 60.0  # m/s, m/s, rad/s of the random states
-_PROOF = tuple((v0, omega0) for v0 in (1.5, 2.0, 2.5) for omega0 in (-1.0, 0.5, 3.0, 10.0))
+_PROOF = tuple(
+    (v0, omega0) for v0 in (1.5, 2.0, 2.5) for omega0 in (-1.0, 0.5, 3.0, 10.0)
+)
 _PROOF_RATE = 10.0  # Hz
 _ORDINARY = (2.0, 1.0)  # m/s, rad/s: a draw
 _ROUNDING = 1e-9  # of the largest singular value: an undetermined direction
-_EQUAL_RATIOS = 1e-9  # relative difference below which the compensations of two throws are equal
+# relative difference below which the compensations of two throws are equal
+_EQUAL_RATIOS = 1e-9
 _NO_EFFECT = 1e-12  # relative to the effect of the sum: rounding error
 _CHANGES = (
-    ("h", 0.5), ("h", 1.5), ("h", 2.0), ("h", 3.0), ("R", 0.75), ("R", 1.25), ("rho", 0.75),
+    ("h", 0.5),
+    ("h", 1.5),
+    ("h", 2.0),
+    ("h", 3.0),
+    ("R", 0.75),
+    ("R", 1.25),
+    ("rho", 0.75),
     ("rho", 1.25),
-)  # fmt: skip
+)
 
 
 class CoefficientPair:
-    """Two coefficients of a law that are to be separated, with their sum and difference.
+    """Two coefficients of a law that are to be separated, with their sum
+    and difference.
 
     Raises
     ------
-    InputError : a name that is not of a free coefficient, equal names, different units, or both
-        values zero.
+    InputError : a name that is not of a free coefficient, equal names, different units,
+        or both values zero.
     """
 
     def __init__(self, assumed: Assumptions, pair: Sequence[str]) -> None:
         law, items = assumed.law, assumed.law.coefficients()
-        values = dict(zip([item.name for item in items], assumed.values.tolist(), strict=True))
+        values = dict(
+            zip([item.name for item in items], assumed.values.tolist(), strict=True)
+        )
         units = {item.name: item.unit for item in items if item.name in assumed.names}
         if len(pair) != 2 or pair[0] == pair[1]:
             raise InputError(
@@ -79,33 +93,38 @@ class CoefficientPair:
         for name in pair:
             if name not in units:
                 raise InputError(
-                    f"separate: law {law.name} has no free coefficient {quoted(name)}; it has "
-                    + ", ".join(units)
+                    f"separate: law {law.name} has no free coefficient "
+                    f"{quoted(name)}; it has " + ", ".join(units)
                 )
         self.names = one, other = pair[0], pair[1]
         if units[one] != units[other]:
             raise InputError(
-                f"separate: {one} ({units[one]}) and {other} ({units[other]}) have different "
-                "units, and no difference"
+                f"separate: {one} ({units[one]}) and {other} ({units[other]}) have "
+                "different units, and no difference"
             )
         self.difference = assumed.weights({one: 1.0, other: -1.0})
         self.sum = assumed.weights({one: 1.0, other: 1.0})
         a, b = values[one], values[other]
         self.total, differ = a + b, abs(a - b) > 1e-9 * (abs(a) + abs(b))
-        self.of, self.size = ("difference", abs(a - b)) if differ else ("mean", abs(a + b) / 2)
+        self.of, self.size = (
+            ("difference", abs(a - b)) if differ else ("mean", abs(a + b) / 2)
+        )
         if not self.size > 0:
             raise InputError(
-                f"separate: {one} and {other} are both zero; --set them, so that an error can be "
-                "relative to them"
+                f"separate: {one} and {other} are both zero; --set them, "
+                "so that an error can be relative to them"
             )
 
-    def tolerated_change(self, factors: Sequence[Floats], required: float) -> float | None:
-        """Relative change of the sum between throws with the same effect as the required error of
-        the difference; None if no change has it."""
+    def tolerated_change(
+        self, factors: Sequence[Floats], required: float
+    ) -> float | None:
+        """Relative change of the sum between throws with the same effect as the
+        required error of the difference; None if no change has it."""
         _, singular, right = np.linalg.svd(np.stack(factors))
         if (singular[:, -1] < _ROUNDING * singular[:, 0]).any():
             return None
-        # the change of the sum that compensates a unit difference, from a column of the covariance
+        # the change of the sum that compensates a unit difference, from a column of
+        # the covariance
         column = (((right @ self.difference) / singular**2)[:, None] @ right)[:, 0]
         ratios = (column @ self.sum) / (column @ self.difference)
         spread = float(np.ptp(ratios))
@@ -116,9 +135,15 @@ class CoefficientPair:
 
 @compiled("law")
 def _force_derivative(
-    law: type[Law], coefficients: Array, along: Array, stone: Stone, v: Array, omega: Array
+    law: type[Law],
+    coefficients: Array,
+    along: Array,
+    stone: Stone,
+    v: Array,
+    omega: Array,
 ) -> Any:
-    """Derivative of force and moment along a direction of the coefficients, uniform load."""
+    """Derivative of force and moment along a direction of the coefficients,
+    uniform load."""
 
     def force(coefficients: Array) -> Any:
         return accelerations(law.from_vector(coefficients), stone, "uniform", v, omega)
@@ -147,15 +172,27 @@ def prove_unidentifiable(
         found = _force_derivative(assumed.law, assumed.values, along, bodies, v, omega)
         return tuple((units * np.abs(found).max(1)).tolist())
 
-    by_difference, by_sum, whole = largest(pair.difference), largest(pair.sum), combined(factors)
+    by_difference, by_sum, whole = (
+        largest(pair.difference),
+        largest(pair.sum),
+        combined(factors),
+    )
     hidden = max(by_difference) < _NO_EFFECT * max(by_sum)
     hidden &= standard_error(whole, pair.difference) is None
-    is_front_back = assumed.law.name == "front-back" and set(pair.names) == {"mu1_eta", "mu2_eta"}
+    is_front_back = assumed.law.name == "front-back" and set(pair.names) == {
+        "mu1_eta",
+        "mu2_eta",
+    }
     singular = np.linalg.svd(whole, compute_uv=False).tolist()
     return Proof(
-        _STATES, by_difference, by_sum, len(factors), tuple(singular), hidden,
+        _STATES,
+        by_difference,
+        by_sum,
+        len(factors),
+        tuple(singular),
+        hidden,
         HIDDEN if is_front_back and hidden else "",
-    )  # fmt: skip
+    )
 
 
 def analyse_separation(
@@ -205,18 +242,33 @@ def analyse_separation(
             )
         changes.append(StoneChange(name, value, *errors))
     return Separation(
-        pair.names, pair.size, pair.of, required, proof, tuple(scenarios),
-        candidates.index(ordinary), tuple(changes),
-    )  # fmt: skip
+        pair.names,
+        pair.size,
+        pair.of,
+        required,
+        proof,
+        tuple(scenarios),
+        candidates.index(ordinary),
+        tuple(changes),
+    )
 
 
 def _load_scenario(
-    pair: CoefficientPair, load: Load, factors: Sequence[Floats], throws: int, required: float
+    pair: CoefficientPair,
+    load: Load,
+    factors: Sequence[Floats],
+    throws: int,
+    required: float,
 ) -> LoadScenario:
-    each, best = tuple(standard_error(factor, pair.difference) for factor in factors), None
+    each, best = (
+        tuple(standard_error(factor, pair.difference) for factor in factors),
+        None,
+    )
     candidates = CandidateSet.from_factors(factors)
     if standard_error(combined(factors), pair.difference) is not None:
-        best = select_design(candidates, error_criterion(candidates, pair.difference), throws)
+        best = select_design(
+            candidates, error_criterion(candidates, pair.difference), throws
+        )
     if best is None:
         return LoadScenario(load, each, None, None, None)
     stderr = standard_error(candidates.together(best), pair.difference)

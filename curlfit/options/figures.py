@@ -1,4 +1,5 @@
-"""Which figures a verb writes: their formats, their files, and the process that draws them."""
+"""Which figures a verb writes: their formats, their files, and the process
+that draws them."""
 
 from __future__ import annotations
 
@@ -24,17 +25,21 @@ FORMATS = ("png", "pdf", "svg")
 
 
 class FigureFiles:
-    """The figures of a verb and the formats in which they are written; none if nothing is
-    drawn."""
+    """The figures of a verb and the formats in which they are written; none if
+    nothing is drawn."""
 
     def __init__(self, formats: tuple[str, ...]) -> None:
         self.formats = formats
         self._second: ProcessPoolExecutor | None = None
-        self._tasks: list[tuple[Future[list[Path]] | None, Callable[[], list[Path]]]] = []
+        self._tasks: list[
+            tuple[Future[list[Path]] | None, Callable[[], list[Path]]]
+        ] = []
         self._files: list[Path] = []
 
     @classmethod
-    def of(cls, text: str | None, flag: str = "--figures", *, none: bool = False) -> FigureFiles:
+    def of(
+        cls, text: str | None, flag: str = "--figures", *, none: bool = False
+    ) -> FigureFiles:
         """Formats from a list separated by commas; PNG if none is given.
 
         Raises
@@ -43,18 +48,24 @@ class FigureFiles:
         """
         if none:
             if text is not None:
-                raise InputError(f"{flag} {text}: --no-figures draws nothing; give one of them")
+                raise InputError(
+                    f"{flag} {text}: --no-figures draws nothing; give one of them"
+                )
             return cls(())
-        names = [name.strip().lower() for name in (FORMATS[0] if text is None else text).split(",")]
+        names = [
+            name.strip().lower()
+            for name in (FORMATS[0] if text is None else text).split(",")
+        ]
         if not set(names) <= set(FORMATS):
             raise InputError(
-                f"{flag} {text}: expected {', '.join(FORMATS[:-1])} or {FORMATS[-1]}, or several "
-                "separated by commas"
+                f"{flag} {text}: expected {', '.join(FORMATS[:-1])} or {FORMATS[-1]}, "
+                "or several separated by commas"
             )
         return cls(tuple(dict.fromkeys(names)))
 
     def draw_beside(self) -> None:
-        """From now on, draw in a second process, which loads matplotlib while this one loads JAX.
+        """From now on, draw in a second process, which loads matplotlib while this
+        one loads JAX.
 
         Figures are drawn here if there is only one core, or if JAX is loaded already.
         """
@@ -65,13 +76,14 @@ class FigureFiles:
             self._second.submit(_load_matplotlib)
 
     def replace(self, folder: Path, names: Sequence[str], draw: Draw) -> None:
-        """Draw figures, by name, and write them in place of all those of an earlier result;
-        `written` waits for the files.
+        """Draw figures, by name, and write them in place of all those of an earlier
+        result; `written` waits for the files.
 
         Parameters
         ----------
         names : names of all possible figures.
-        draw : a module-level function with its arguments, so that another process can call it.
+        draw : a module-level function with its arguments, so that another process
+            can call it.
         """
         task = partial(_replace, folder, names, self.formats, draw)
         if self._second is None:
@@ -83,18 +95,22 @@ class FigureFiles:
         self._tasks.append((sent, task))
 
     def written(self) -> list[Path]:
-        """The files of all figures, once they are written; raises what drawing them raised."""
+        """The files of all figures, once they are written; raises what drawing
+        them raised."""
         for sent, task in self._tasks:
             files = None
             if sent is not None:
-                with suppress(Exception):  # a law that it does not know, or it was killed
+                # a law that it does not know, or it was killed
+                with suppress(Exception):
                     files = sent.result()
             self._files += task() if files is None else files
         self._tasks = []
         return self._files
 
 
-def _replace(folder: Path, names: Sequence[str], formats: Sequence[str], draw: Draw) -> list[Path]:
+def _replace(
+    folder: Path, names: Sequence[str], formats: Sequence[str], draw: Draw
+) -> list[Path]:
     written = write_figures(folder, draw(), formats) if formats else []
     for name in names:
         remove_figure(folder, name, keep=written)
@@ -102,7 +118,8 @@ def _replace(folder: Path, names: Sequence[str], formats: Sequence[str], draw: D
 
 
 def _unpickled(task: bytes) -> list[Path]:
-    # here, where an error is the task's, and not in the pool, where it would end the process
+    # here, where an error is the task's, and not in the pool, where it would
+    # end the process
     return pickle.loads(task)()
 
 
@@ -121,7 +138,9 @@ def write_figures(
     """Write figures, by name, in each format; returns the files."""
     from curlfit.output.figures import save_figure
 
-    files = {folder / f"{name}.{format}": name for name in figures for format in formats}
+    files = {
+        folder / f"{name}.{format}": name for name in figures for format in formats
+    }
     for file, name in files.items():
         save_figure(figures[name], file)
     return list(files)

@@ -1,4 +1,5 @@
-"""What the verbs share of their output: its folder and figures, a progress line, the last words."""
+"""What the verbs share of their output: its folder and figures, a progress line,
+the last words."""
 
 from __future__ import annotations
 
@@ -27,7 +28,8 @@ COMPILES = "(a first run on a machine compiles the model)"
 
 
 class Saved(NamedTuple):
-    """What remains to be done after a verb: the page of its saved result, and its exit status."""
+    """What remains to be done after a verb: the page of its saved result, and its
+    exit status."""
 
     page: Path | None
     quiet: bool = False
@@ -41,13 +43,13 @@ class Output(Choices):
 
     Attributes
     ----------
-    out : Folder for the results. [default: the name of DATA or FIT, with the numbers given by
-        --shot and --stone-index, and the verb; of several files joint-fit]
-    figures : Format of the figures, `png`, `pdf` or `svg`; several separated by commas. [default:
-        png]
+    out : Folder for the results. [default: the name of DATA or FIT, with the numbers
+        given by --shot and --stone-index, and the verb; of several files joint-fit]
+    figures : Format of the figures, `png`, `pdf` or `svg`; several separated by commas.
+        [default: png]
     no_figures : Draw no figures.
-    report : Also write `report.html`, the result as one self-contained page, as `curlfit report`
-        does.
+    report : Also write `report.html`, the result as one self-contained page, as
+        `curlfit report` does.
     quiet : Print nothing but errors.
     """
 
@@ -99,7 +101,11 @@ class Output(Choices):
         if kind.with_corner:
             written += saved_chain(folder, result.chain)
         names = kind.figures or (result.kind,)
-        drawn.replace(folder, [*names, *["corner"] * kind.with_corner], partial(figures_of, result))
+        drawn.replace(
+            folder,
+            [*names, *["corner"] * kind.with_corner],
+            partial(figures_of, result),
+        )
         console = self.console()
         console.print(document_of(result))
         for remark in remarks:
@@ -109,7 +115,8 @@ class Output(Choices):
     def written(
         self, folder: Path, files: Sequence[Path], console: Console, more: str = ""
     ) -> Saved:
-        """Say which files were written; an earlier page of another result is removed."""
+        """Say which files were written; an earlier page of another
+        result is removed."""
         console.print("Written: " + ", ".join(map(str, files)) + more, soft_wrap=True)
         if not self.report:
             (folder / "report.html").unlink(missing_ok=True)
@@ -117,8 +124,8 @@ class Output(Choices):
 
 
 def saved_chain(folder: Path, chain: Any) -> list[Path]:
-    """The file of a chain that was saved in a folder; without one, that of an earlier result is
-    removed."""
+    """The file of a chain that was saved in a folder; without one, that of an earlier
+    result is removed."""
     file = folder / "chain.h5"
     if chain is None:
         file.unlink(missing_ok=True)
@@ -127,11 +134,14 @@ def saved_chain(folder: Path, chain: Any) -> list[Path]:
 
 @contextmanager
 def progress_line(console: Console, *columns: str | ProgressColumn) -> Iterator[Show]:
-    """A line of progress, on a terminal, and a function that shows a text and how much is done."""
+    """A line of progress, on a terminal, and a function that shows a text and how
+    much is done."""
     from rich.progress import Progress
 
     hidden = console.quiet or not console.is_terminal
-    with Progress(*columns, console=console, disable=hidden, transient=True) as progress:
+    with Progress(
+        *columns, console=console, disable=hidden, transient=True
+    ) as progress:
         task = progress.add_task("", total=None)
 
         def show(text: str = "", done: float = 0, total: float | None = None) -> None:

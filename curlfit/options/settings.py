@@ -1,4 +1,5 @@
-"""Choices of a verb: those of the data file, overridden by a configuration, then by flags."""
+"""Choices of a verb: those of the data file, overridden by a configuration,
+then by flags."""
 
 from __future__ import annotations
 
@@ -37,15 +38,24 @@ if TYPE_CHECKING:
     from curlfit.throws.throw import Throw
 
 _FORMS = {**Fitting.forms(), **Comparing.forms(), **Reading.forms(), "seed": SEED}
-_KEYS = {FLAGS.get(name, name).removeprefix("--"): name for name in _FORMS} | {"swept": "swept"}
+_KEYS = {FLAGS.get(name, name).removeprefix("--"): name for name in _FORMS} | {
+    "swept": "swept"
+}
 Chosen = TypeVar("Chosen", bound=Estimation)
 ModelChoices = TypeVar("ModelChoices", bound=Modelling)
 LawOfFit = Annotated[
-    Any, option(LAW, "FILE.py:CLASS", help="The law of the saved fit, if it is one of your own.")
+    Any,
+    option(
+        LAW, "FILE.py:CLASS", help="The law of the saved fit, if it is one of your own."
+    ),
 ]
 Config = Annotated[
     Path | None,
-    option(PATH, "TOML", help="TOML file of settings, by the names of flags; flags override it."),
+    option(
+        PATH,
+        "TOML",
+        help="TOML file of settings, by the names of flags; flags override it.",
+    ),
 ]
 
 
@@ -63,7 +73,9 @@ class LawValues(Choices):
     """
 
     law: Annotated[Any, option(LAW, "NAME")] = None
-    coefficients: Annotated[Named, option(VALUES, "NAME=V")] = field(default_factory=dict)
+    coefficients: Annotated[Named, option(VALUES, "NAME=V")] = field(
+        default_factory=dict
+    )
     load: Annotated[str | None, option(LOAD, "NAME")] = None
     stone: Annotated[Named, option(VALUES, "R=V,rho=V")] = field(default_factory=dict)
 
@@ -107,7 +119,8 @@ def read_config(file: Path | None) -> dict[str, Any]:
     for key, value in found.items():
         if key not in _KEYS:
             raise DataError(
-                f"unknown setting {quoted(key)}; the settings are {', '.join(_KEYS)}", file=file
+                f"unknown setting {quoted(key)}; the settings are {', '.join(_KEYS)}",
+                file=file,
             )
         try:
             _FORMS[_KEYS[key]].checked(key, value)
@@ -141,7 +154,9 @@ class ConfiguredThrow(Generic[Chosen]):
 
         return fit(self.throw, **vars(self.chosen))
 
-    def problem(self: ConfiguredThrow[ModelChoices]) -> tuple[Model, ParameterSet, Problem]:
+    def problem(
+        self: ConfiguredThrow[ModelChoices],
+    ) -> tuple[Model, ParameterSet, Problem]:
         """The initial problem of the fit, for programs compiled alongside it."""
         from curlfit.friction import find_law
         from curlfit.inference.fit.prepared import PreparedThrow
@@ -160,7 +175,8 @@ class ConfiguredThrow(Generic[Chosen]):
 def prepare(
     data: Path, config: Path | None, reading: Reading, flags: Chosen
 ) -> ConfiguredThrow[Chosen]:
-    """The throw and its choices: its own, overridden by the configuration, then by the flags.
+    """The throw and its choices: its own, overridden by the configuration, then
+    by the flags.
 
     Raises
     ------
@@ -178,24 +194,30 @@ def apply_settings(
 ) -> ConfiguredThrow[Chosen]:
     """`prepare` for a throw that has already been read."""
     chosen = type(flags).of(throw.settings, configured, vars(flags))
-    return ConfiguredThrow(throw, chosen, configured.get("seed", throw.defaults.get("seed")))
+    return ConfiguredThrow(
+        throw, chosen, configured.get("seed", throw.defaults.get("seed"))
+    )
 
 
 def result_folder(data: Path, kind: str, reading: Reading) -> Path:
-    """Default folder for the results of a data file, or of the throw that is chosen from it."""
+    """Default folder for the results of a data file, or of the throw that is
+    chosen from it."""
     chosen = filter(None, (reading.worksheet, reading.shot, reading.stone_index))
-    return Path("-".join([*(safe_name(str(name)) for name in (data.stem, *chosen)), kind]))
+    return Path(
+        "-".join([*(safe_name(str(name)) for name in (data.stem, *chosen)), kind])
+    )
 
 
 def prepare_all(
     files: Sequence[Path], config: Path | None, reading: Reading, flags: Chosen
 ) -> dict[str, ConfiguredThrow[Chosen]]:
-    """The throws of files and their choices, by file name; from a table of stopwatch times, those
-    of all rows unless one is selected.
+    """The throws of files and their choices, by file name; from a table of stopwatch
+    times, those of all rows unless one is selected.
 
     Raises
     ------
-    InputError : as `prepare`; two files have the same name; no throw determines friction.
+    InputError : as `prepare`; two files have the same name; no throw
+        determines friction.
     """
     from curlfit.inference.joint.result import folder_names
     from curlfit.throws.load import load_throws
@@ -204,11 +226,13 @@ def prepare_all(
     chosen = Reading.of(configured, vars(reading))
     throws = load_throws(*files, **vars(chosen))
     found: dict[str, ConfiguredThrow[Chosen]] = {}
-    for name, throw in zip(folder_names([one.name for one in throws]), throws, strict=True):
+    for name, throw in zip(
+        folder_names([one.name for one in throws]), throws, strict=True
+    ):
         if name in found:
             raise InputError(
-                f"{found[name].throw.name}, {throw.name}: two files of the same name; results are "
-                "stored by name"
+                f"{found[name].throw.name}, {throw.name}: two files of the same name; "
+                "results are stored by name"
             )
         found[name] = apply_settings(throw, configured, flags)
     return found
@@ -217,8 +241,8 @@ def prepare_all(
 def checked_parameters(
     chosen: Modelling, throw: Throw | None = None, *, others_swept: bool = False
 ) -> ParameterSet:
-    """The parameters of a fit of the rows to be used (of any throw, without one), before slow
-    modules are loaded.
+    """The parameters of a fit of the rows to be used (of any throw, without one),
+    before slow modules are loaded.
 
     Raises
     ------
@@ -243,8 +267,8 @@ def checked_parameters(
 
 
 def checked(job: ConfiguredThrow[ModelChoices]) -> ConfiguredThrow[ModelChoices]:
-    """The same throw. Raises `InputError` if it cannot be fitted, before slow modules are
-    loaded."""
+    """The same throw. Raises `InputError` if it cannot be fitted, before slow
+    modules are loaded."""
     from curlfit.throws.plausibility import require_plausible
 
     require_plausible(job.cut)
@@ -266,7 +290,9 @@ def kind_of(folder: Path) -> str:
             return kind
     if folder.is_dir():
         names = ", ".join(f"{kind}.json" for kind in KINDS)
-        raise InputError(f"{folder}: no saved result; expected a folder with one of {names}")
+        raise InputError(
+            f"{folder}: no saved result; expected a folder with one of {names}"
+        )
     return "fit"
 
 
@@ -275,22 +301,32 @@ def chain_beside(folder: Path) -> Path:
     return (folder if folder.is_dir() else folder.parent) / "chain.h5"
 
 
-def load_fit_and_chain(folder: Path, law: str | None = None) -> tuple[FitResult, Chain | None]:
-    """A saved fit, whose law may be that of a user's file, and its chain if sampling was completed.
+def load_fit_and_chain(
+    folder: Path, law: str | None = None
+) -> tuple[FitResult, Chain | None]:
+    """A saved fit, whose law may be that of a user's file, and its chain if sampling
+    was completed.
 
     Raises
     ------
-    InputError : no fit of one throw is there, its chain is of another fit, or its law is another.
+    InputError : no fit of one throw is there, its chain is of another fit, or its
+        law is another.
     """
     from curlfit.inference.fit.result import load_fit
 
     kind = kind_of(folder)
     if kind != "fit":
-        what = {"joint": "a joint fit of several throws", "compare": "a comparison of laws"}
-        throws = sorted((folder if folder.is_dir() else folder.parent).glob("*/fit.json"))
+        what = {
+            "joint": "a joint fit of several throws",
+            "compare": "a comparison of laws",
+        }
+        throws = sorted(
+            (folder if folder.is_dir() else folder.parent).glob("*/fit.json")
+        )
         raise InputError(
-            f"{folder}: {what.get(kind, f'a result of curlfit {kind}')}; expected the fit of one "
-            "throw" + (f", such as {throws[0].parent}" if kind == "joint" and throws else "")
+            f"{folder}: {what.get(kind, f'a result of curlfit {kind}')}; "
+            "expected the fit of one throw"
+            + (f", such as {throws[0].parent}" if kind == "joint" and throws else "")
         )
     result = load_fit(folder).with_law(law)
     file = chain_beside(folder)

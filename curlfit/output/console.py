@@ -9,7 +9,13 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
-from rich.console import Console, ConsoleOptions, ConsoleRenderable, RenderHook, RenderResult
+from rich.console import (
+    Console,
+    ConsoleOptions,
+    ConsoleRenderable,
+    RenderHook,
+    RenderResult,
+)
 from rich.measure import Measurement
 from rich.segment import Segment
 from rich.table import Table
@@ -23,22 +29,30 @@ _UNLIMITED = 10_000
 _GAP = "   "
 _RUNS = re.compile(r"(?: *[^ \n])+| +|\n")
 _PLAIN: dict[str, Any] = {
-    "box": None, "pad_edge": False, "padding": (0, 2, 0, 0), "show_edge": False,
-}  # fmt: skip
+    "box": None,
+    "pad_edge": False,
+    "padding": (0, 2, 0, 0),
+    "show_edge": False,
+}
 
 
 def terminal(*, quiet: bool = False, highlight: bool = True) -> Console:
-    """The console of the command line: width of the terminal or of `COLUMNS`, else 110."""
+    """The console of the command line: width of the terminal or of
+    `COLUMNS`, else 110."""
     from_terminal = sys.stdout.isatty() or "COLUMNS" in os.environ
     width = None if from_terminal else _DEFAULT_WIDTH
     # Names of files are no markup.
-    console = Console(quiet=quiet, highlight=highlight, width=width, markup=False, emoji=False)
+    console = Console(
+        quiet=quiet, highlight=highlight, width=width, markup=False, emoji=False
+    )
     console.push_render_hook(_Trimmer())
     return console
 
 
 class _Trimmer(RenderHook):
-    def process_renderables(self, renderables: list[ConsoleRenderable]) -> list[ConsoleRenderable]:
+    def process_renderables(
+        self, renderables: list[ConsoleRenderable]
+    ) -> list[ConsoleRenderable]:
         return [_TrimmedLines(item) for item in renderables]
 
 
@@ -46,12 +60,15 @@ class _TrimmedLines:
     def __init__(self, item: ConsoleRenderable) -> None:
         self.item = item
 
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+    def __rich_console__(
+        self, console: Console, options: ConsoleOptions
+    ) -> RenderResult:
         yield from _trim(console.render(self.item, options))
 
 
 def _trim(segments: Iterable[Segment]) -> Iterator[Segment]:
-    """The segments without trailing blanks, and without control characters of foreign text."""
+    """The segments without trailing blanks, and without control characters of
+    foreign text."""
     blanks: list[Segment] = []
     for segment in segments:
         runs = [segment.text] if segment.control else _RUNS.findall(segment.text)
@@ -74,7 +91,9 @@ class Items:
     def __init__(self, items: Iterable[Text]) -> None:
         self.items = list(items)
 
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+    def __rich_console__(
+        self, console: Console, options: ConsoleOptions
+    ) -> RenderResult:
         line = Text()
         for item in self.items:
             if line and line.cell_len + len(_GAP) + item.cell_len > options.max_width:
@@ -83,7 +102,9 @@ class Items:
             line.append(_GAP if line else "").append_text(item)
         yield line
 
-    def __rich_measure__(self, console: Console, options: ConsoleOptions) -> Measurement:
+    def __rich_measure__(
+        self, console: Console, options: ConsoleOptions
+    ) -> Measurement:
         whole = sum(item.cell_len + len(_GAP) for item in self.items)
         words = [Measurement.get(console, options, item).minimum for item in self.items]
         least = max(words, default=0)
@@ -91,14 +112,15 @@ class Items:
 
 
 class PlainTable(Table):
-    """A table without rules that is never truncated: if it is wider than the terminal, its columns
-    are printed in blocks, one below the other, each repeating the first `keys` columns.
+    """A table without rules that is never truncated: if it is wider than the terminal,
+    its columns are printed in blocks, one below the other, each repeating the first
+    `keys` columns.
 
     Parameters
     ----------
-    rows : cells by heading, "-" for None. Columns whose heading begins with > are aligned to the
-        right, cells of those that begin with ~ may be wrapped; columns without content, or with
-        None alone, are left out.
+    rows : cells by heading, "-" for None. Columns whose heading begins with > are
+        aligned to the right, cells of those that begin with ~ may be wrapped; columns
+        without content, or with None alone, are left out.
     caption : what the table shows, for pages; a terminal and a notebook do without.
     note : a text directly below.
     """
@@ -115,10 +137,16 @@ class PlainTable(Table):
         self.keys, self.called, self.note = keys, caption, note
         rows = list(rows)
         heads = dict.fromkeys(head for row in rows for head in row)
-        shown = [head for head in heads if any(row.get(head, "") not in ("", None) for row in rows)]
+        shown = [
+            head
+            for head in heads
+            if any(row.get(head, "") not in ("", None) for row in rows)
+        ]
         for head in shown:
             side: Any = "right" if head.startswith(">") else "left"
-            self.add_column(head.lstrip(">~ "), justify=side, no_wrap=not head.startswith("~"))
+            self.add_column(
+                head.lstrip(">~ "), justify=side, no_wrap=not head.startswith("~")
+            )
         for row in rows:
             cells = (row.get(head, "") for head in shown)
             self.add_row(*("-" if cell is None else cell for cell in cells))
@@ -126,7 +154,9 @@ class PlainTable(Table):
     def __bool__(self) -> bool:
         return bool(self.columns)
 
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+    def __rich_console__(
+        self, console: Console, options: ConsoleOptions
+    ) -> RenderResult:
         """The table, or its blocks."""
         widths = self._widths(console, options)
         blocks = self._blocks(widths, options.max_width)
@@ -136,12 +166,19 @@ class PlainTable(Table):
             fits = _total_width(widths, block) <= options.max_width
             part = Table(
                 *(
-                    replace(column, no_wrap=column.no_wrap and fits, overflow="fold", _cells=[])
+                    replace(
+                        column,
+                        no_wrap=column.no_wrap and fits,
+                        overflow="fold",
+                        _cells=[],
+                    )
                     for column in (self.columns[index] for index in block)
                 ),
                 **_PLAIN,
             )
-            for row in zip(*(self.columns[index].cells for index in block), strict=True):
+            for row in zip(
+                *(self.columns[index].cells for index in block), strict=True
+            ):
                 if len(blocks) == 1 or any(map(str, row[self.keys :])):
                     part.add_row(*row)
             yield part
@@ -152,7 +189,10 @@ class PlainTable(Table):
         """Width that each column needs, in characters."""
         wide, widths = options.update_width(_UNLIMITED), []
         for column in self.columns:
-            sizes = [console.measure(cell, options=wide) for cell in (column.header, *column.cells)]
+            sizes = [
+                console.measure(cell, options=wide)
+                for cell in (column.header, *column.cells)
+            ]
             whole = max(size.maximum for size in sizes)
             words = max(size.minimum for size in sizes)
             least = whole if column.no_wrap else min(whole, max(words, _MIN_TEXT_WIDTH))

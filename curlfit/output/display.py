@@ -1,4 +1,5 @@
-"""Kinds of results, and how each is shown: a few lines of text, and tables in a notebook."""
+"""Kinds of results, and how each is shown: a few lines of text, and tables
+in a notebook."""
 
 from __future__ import annotations
 
@@ -15,8 +16,8 @@ class Kind(NamedTuple):
     Attributes
     ----------
     report : module of its function `document`.
-    noun : of the public names of what loads, prints and draws it, such as `load_fit`, `print_fit`
-        and `fit_figure`.
+    noun : of the public names of what loads, prints and draws it, such as `load_fit`,
+        `print_fit` and `fit_figure`.
     figures : names of all its figures, where it has several.
     with_corner : whether it holds its draws, for one more.
     """
@@ -35,7 +36,9 @@ KINDS = {
     "friction": Kind("friction_tables.report", "friction"),
     "profile": Kind("profile_likelihood.report", "profile"),
     "design": Kind(
-        "optimal_design.report", "design", ("design-map", "design-errors", "design-separate")
+        "optimal_design.report",
+        "design",
+        ("design-map", "design-errors", "design-separate"),
     ),
     "discrimination": Kind("optimal_design.discrimination", "discrimination"),
 }

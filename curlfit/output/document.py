@@ -1,4 +1,5 @@
-"""What a result says, once: sections of texts and tables, for a terminal, a notebook or a page."""
+"""What a result says, once: sections of texts and tables, for a terminal, a
+notebook or a page."""
 
 from __future__ import annotations
 
@@ -18,7 +19,8 @@ LONG = 110  # maximum number of characters in a first line
 
 
 class Said(Text):
-    """A text whose content is also in the finding or the lines, which a page shows first."""
+    """A text whose content is also in the finding or the lines, which a page
+    shows first."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,9 @@ class Section:
 
     def __iter__(self) -> Iterator[Text | Table]:
         """The parts that are not empty."""
-        return (Text(part) if isinstance(part, str) else part for part in self.parts if part)
+        return (
+            Text(part) if isinstance(part, str) else part for part in self.parts if part
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,12 +91,16 @@ class Document:
         """The same without what the finding or the lines say."""
         return [str(line) for line in self.heading if not isinstance(line, Said)]
 
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+    def __rich_console__(
+        self, console: Console, options: ConsoleOptions
+    ) -> RenderResult:
         """The whole on a terminal."""
         yield from map(_text, (*self.heading, ""))
         for section in self.sections:
             parts = list(section)
-            title = [Text(section.heading, style="bold")] * (section.titled and bool(parts))
+            title = [Text(section.heading, style="bold")] * (
+                section.titled and bool(parts)
+            )
             for part in (*title, *parts):
                 yield part
                 yield Text("")
@@ -107,9 +115,13 @@ class Document:
         yield from (Text(f"Note: {note}.", style="dim") for note in self.notes)
 
     def as_text(self, name: str, more: str) -> str:
-        """A few lines; `name` is that of the class, `more` that of what shows everything."""
+        """A few lines; `name` is that of the class, `more` that of what
+        shows everything."""
         gap = " " if len(f"{name}{self.finding}{self.subject}") < LONG else "\n"
-        lines = [f"{name}, {self.finding}:{gap}{self.subject}", *filter(None, self.lines)]
+        lines = [
+            f"{name}, {self.finding}:{gap}{self.subject}",
+            *filter(None, self.lines),
+        ]
         if self.warnings:
             count = len(self.warnings)
             also = f", see {more}" if more else ""

@@ -1,7 +1,7 @@
 """Style of the figures: sizes, colours, axes, units, saving.
 
-Figures are as wide as two journal columns and have journal font sizes. A colour has one meaning
-everywhere; markers, dashes and lightness convey the same without colour.
+Figures are as wide as two journal columns and have journal font sizes. A colour has one
+meaning everywhere; markers, dashes and lightness convey the same without colour.
 """
 
 from __future__ import annotations
@@ -37,18 +37,34 @@ DPI = 220
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Colours distinguishable with colour-vision deficiency (Okabe and Ito 2008)."""
-FIT_COLOR, REFERENCE_COLOR, _, POSTERIOR_COLOR, COVARIANCE_COLOR, PREDICTION_COLOR, _ = PALETTE
-"""of the fitted law; of published or true values, goals and requirements; of samples; of the
-covariance; of bands and regions of a prediction"""
+(
+    FIT_COLOR,
+    REFERENCE_COLOR,
+    _,
+    POSTERIOR_COLOR,
+    COVARIANCE_COLOR,
+    PREDICTION_COLOR,
+    _,
+) = PALETTE
+"""of the fitted law; of published or true values, goals and requirements; of samples;
+of the covariance; of bands and regions of a prediction"""
 DATA_COLOR = "#737373"
 QUIET = "0.35"
 """of notes"""
 
 DATA_STYLE: dict[str, Any] = {
-    "color": DATA_COLOR, "marker": "o", "markersize": 2.0, "markeredgewidth": 0,
-    "linestyle": "none", "zorder": 1,
-}  # fmt: skip
-LATER_STYLE = DATA_STYLE | {"markeredgewidth": 0.5, "markerfacecolor": "white", "markersize": 2.6}
+    "color": DATA_COLOR,
+    "marker": "o",
+    "markersize": 2.0,
+    "markeredgewidth": 0,
+    "linestyle": "none",
+    "zorder": 1,
+}
+LATER_STYLE = DATA_STYLE | {
+    "markeredgewidth": 0.5,
+    "markerfacecolor": "white",
+    "markersize": 2.6,
+}
 """of data that were not fitted"""
 RINGS = ("#e8ecf0", "#ffffff", "#f5e4e0", "#ffffff")
 """of the rings of a house, from the twelve-foot circle to the button"""
@@ -57,9 +73,18 @@ LINE: dict[str, Any] = {"color": "0.6", "lw": 0.6, "zorder": 1}
 ZERO_LINE: dict[str, Any] = {"color": "0.6", "lw": 0.7, "zorder": 0.9}
 
 DASHES = ("-", "--", "-.", ":")
-CHANNEL_LABEL = {"x": "x", "y": "y", "phi": r"\varphi", "speed": "v", "omega": r"\omega"}
+CHANNEL_LABEL = {
+    "x": "x",
+    "y": "y",
+    "phi": r"\varphi",
+    "speed": "v",
+    "omega": r"\omega",
+}
 RATE_LABEL = {"speed": "speed (m/s)", "omega": r"spin $\omega$ (rad/s)"}
-_UNDATED: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
+_UNDATED: dict[str, dict[str, Any]] = {
+    "pdf": {"CreationDate": None},
+    "svg": {"Date": None},
+}
 
 _MIN_FONT_SIZE = 1.0  # points
 _SLOPES = 40  # maximum number estimated from a measured series
@@ -68,7 +93,8 @@ MAX_POINTS = 2000  # maximum number drawn of a series
 
 @lru_cache(1)
 def _settings() -> dict[str, Any]:
-    """The style sheet, with those of its fonts, one for each script, that are installed."""
+    """The style sheet, with those of its fonts, one for each script, that
+    are installed."""
     file = FilePath(__file__).with_suffix(".mplstyle")
     settings = dict(rc_params_from_file(file, use_default_template=False))
     installed = fontManager.get_font_names()
@@ -79,22 +105,27 @@ def _settings() -> dict[str, Any]:
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Draw in the common style, whatever the user's matplotlib settings; also as a decorator."""
+    """Draw in the common style, whatever the user's matplotlib settings; also as
+    a decorator."""
     with rc_context(cast("Any", _settings())), catch_warnings():
         filterwarnings("ignore", message="Glyph .* missing from")
         yield
 
 
 class Picture(Figure):
-    """A matplotlib figure in the common style, which notebooks display without pyplot."""
+    """A matplotlib figure in the common style, which notebooks display
+    without pyplot."""
 
     def draw(self, renderer: Any) -> None:
         """Draw in the common style: ticks are made only now."""
         with style():
             super().draw(renderer)
 
-    def savefig(self, fname: Any, *, transparent: bool | None = None, **options: Any) -> None:
-        """As in `Figure`; PDF files have their fonts embedded, and no file has a date."""
+    def savefig(
+        self, fname: Any, *, transparent: bool | None = None, **options: Any
+    ) -> None:
+        """As in `Figure`; PDF files have their fonts embedded, and no
+        file has a date."""
         format = options.get("format") or FilePath(str(fname)).suffix[1:].lower()
         if format in _UNDATED:
             options["metadata"] = _UNDATED[format] | (options.get("metadata") or {})
@@ -110,7 +141,8 @@ class Picture(Figure):
 def panels(
     height: float, rows: int, columns: int, width: float = WIDTH, **options: Any
 ) -> tuple[Picture, Any]:
-    """A figure of some height in inches with axes in a grid, as large as their labels permit."""
+    """A figure of some height in inches with axes in a grid, as large as their
+    labels permit."""
     figure = Picture(figsize=(width, height), layout="constrained")
     return figure, figure.subplots(rows, columns, **options)
 
@@ -125,12 +157,14 @@ def row(
     right: float = 0.12,
     gap: float = 0.62,
 ) -> list[Any]:
-    """Axes side by side at fixed positions, all lengths in inches from the edges of the figure:
-    ten times as fast as a layout that measures text."""
+    """Axes side by side at fixed positions, all lengths in inches from the edges of the
+    figure: ten times as fast as a layout that measures text."""
     across, tall = figure.get_size_inches()
     width = (across - left - right - gap * (count - 1)) / count
     return [
-        figure.add_axes((x / across, 1 - (top + height) / tall, width / across, height / tall))
+        figure.add_axes(
+            (x / across, 1 - (top + height) / tall, width / across, height / tall)
+        )
         for x in left + (width + gap) * np.arange(count)
     ]
 
@@ -141,30 +175,47 @@ def some_rows(n: int, most: int = MAX_POINTS) -> Any:
 
 
 def measured_slopes(t: Floats, *series: Floats) -> tuple[Floats, Floats, float]:
-    """Slopes of straight lines through groups of successive rows: measured speeds and spins.
+    """Slopes of straight lines through groups of successive rows: measured
+    speeds and spins.
 
     Returns
     -------
-    mean times of the groups, slopes of each series there, and the duration of a group, s. There are
-    at most 40 groups of at least three rows; rows with a gap in any series are left out.
+    mean times of the groups, slopes of each series there, and the duration of a group,
+    s. There are at most 40 groups of at least three rows; rows with a gap in any series
+    are left out.
     """
     there = np.isfinite(series).all(0)
     t, values = t[there], np.array(series)[:, there]
     number = min(_SLOPES, len(t) // 3)
     if number < 2:
         return np.zeros(0), np.zeros((len(series), 0)), 0.0
-    groups = [rows for rows in np.array_split(np.arange(len(t)), number) if np.ptp(t[rows]) > 0]
+    groups = [
+        rows
+        for rows in np.array_split(np.arange(len(t)), number)
+        if np.ptp(t[rows]) > 0
+    ]
     middles = np.array([t[rows].mean() for rows in groups])
     slopes = []
     for rows, middle in zip(groups, middles, strict=True):
         dt = t[rows] - middle
         slopes.append(values[:, rows] @ dt / (dt @ dt))
-    return middles, np.transpose(slopes), float(np.median([np.ptp(t[rows]) for rows in groups]))
+    return (
+        middles,
+        np.transpose(slopes),
+        float(np.median([np.ptp(t[rows]) for rows in groups])),
+    )
 
 
-def plot_rate(axes: Any, rows: Mapping[str, Floats], name: str, style: Any = DATA_STYLE) -> None:
-    """Plot the speed or the spin of measured rows, or else the slopes of the path or angle."""
-    path = [rows[one] for one in ({"speed": ("x", "y"), "omega": ("phi",)}[name]) if one in rows]
+def plot_rate(
+    axes: Any, rows: Mapping[str, Floats], name: str, style: Any = DATA_STYLE
+) -> None:
+    """Plot the speed or the spin of measured rows, or else the slopes of the
+    path or angle."""
+    path = [
+        rows[one]
+        for one in ({"speed": ("x", "y"), "omega": ("phi",)}[name])
+        if one in rows
+    ]
     if name in rows:
         axes.plot(rows["t"], rows[name], **style)
     elif path:
@@ -176,7 +227,8 @@ def plot_rate(axes: Any, rows: Mapping[str, Floats], name: str, style: Any = DAT
 
 
 def x_along_y(axes: Any, y_label: str = "along the sheet, y (m)") -> None:
-    """Label axes with x along the sheet, as seen from above, thrown to the right; also in feet."""
+    """Label axes with x along the sheet, as seen from above, thrown to the right;
+    also in feet."""
     axes.set(xlabel=y_label, ylabel="to the right, x (m)")
     axes.invert_yaxis()
     feet(axes)
@@ -199,12 +251,16 @@ def plot_house(axes: Any, centre: tuple[float, float]) -> None:
         axes.add_patch(Circle(centre, radius, fc=color, ec="0.55", lw=0.6, zorder=0.5))
 
 
-def sheet_axes(axes: Any, names: Mapping[str, str], beyond: float, lw: float = 0.6) -> None:
-    """The lines of the sheet to scale, thrown to the right, and the names of some within the ends
-    of the axes, which reach `beyond` the centre line."""
+def sheet_axes(
+    axes: Any, names: Mapping[str, str], beyond: float, lw: float = 0.6
+) -> None:
+    """The lines of the sheet to scale, thrown to the right, and the names of some
+    within the ends of the axes, which reach `beyond` the centre line."""
     half = sheet.WIDTH / 2
     lines = [y for name, y in sheet.LINES.items() if name not in ("hack", "centre")]
-    axes.vlines([*lines, sheet.TEE + sheet.TEE_TO_BACK], -half, half, **LINE | {"lw": lw})
+    axes.vlines(
+        [*lines, sheet.TEE + sheet.TEE_TO_BACK], -half, half, **LINE | {"lw": lw}
+    )
     axes.set_aspect("equal")
     axes.set_ylim(beyond + 0.1, -beyond - 0.1)
     named = {sheet.LINES[line]: name for line, name in names.items()}
@@ -218,7 +274,8 @@ def sheet_axes(axes: Any, names: Mapping[str, str], beyond: float, lw: float = 0
 def literal(text: str) -> str:
     """Text from outside, for a figure: cut, and no mathematics."""
     shown = cut(printable(text)).replace("$", r"\$")
-    return f" {shown}" if shown.startswith("_") else shown  # legends omit labels that begin so
+    # legends omit labels that begin so
+    return f" {shown}" if shown.startswith("_") else shown
 
 
 def file_name(file: str) -> str:
@@ -238,14 +295,18 @@ def heading_of(result: Any) -> str:
 
 @lru_cache
 def math_symbol(symbol: str) -> str:
-    """A symbol, without its dollar signs, of which TeX and matplotlib do nothing but draw it; the
-    letters alone of any other."""
+    """A symbol, without its dollar signs, of which TeX and matplotlib do nothing but
+    draw it; the letters alone of any other."""
     try:
         MathTextParser("path").parse(f"${symbol}$")
         drawn = re.search(r"[%&#~$\n]|\^\^", symbol) is None
     except ValueError:
         drawn = False
-    return symbol if drawn else rf"\mathrm{{{re.sub('[^A-Za-z0-9]+', ' ', symbol).strip() or '?'}}}"
+    return (
+        symbol
+        if drawn
+        else rf"\mathrm{{{re.sub('[^A-Za-z0-9]+', ' ', symbol).strip() or '?'}}}"
+    )
 
 
 def symbol_of(item: Any) -> str:
@@ -267,54 +328,87 @@ def weighted_sum(weights: Mapping[str, float], parameters: Mapping[str, Any]) ->
     text = ""
     for name, weight in weights.items():
         size = "" if abs(weight) == 1 else f"{abs(weight):.3g}\\,"
-        text += f"{'-' if weight < 0 else '+'}{size}{math_symbol(parameters[name].symbol)}"
+        text += (
+            f"{'-' if weight < 0 else '+'}{size}{math_symbol(parameters[name].symbol)}"
+        )
     return text.removeprefix("+")
 
 
 def legend_above(axes: Any, ncols: int | None = None) -> None:
-    """A legend above the right end of the axes, where no curve runs, if any; in one line."""
+    """A legend above the right end of the axes, where no curve runs, if any;
+    in one line."""
     if count := len(axes.get_legend_handles_labels()[1]):
         axes.legend(
-            loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=ncols or count, borderaxespad=0.1,
-            borderpad=0.2, columnspacing=1.2, handletextpad=0.5,
-        )  # fmt: skip
+            loc="lower right",
+            bbox_to_anchor=(1.0, 1.0),
+            ncols=ncols or count,
+            borderaxespad=0.1,
+            borderpad=0.2,
+            columnspacing=1.2,
+            handletextpad=0.5,
+        )
 
 
 def note(axes: Any, x: float, y: float, text: str, **style: Any) -> Any:
     """Text inside axes, of which (1, 1) is the upper right corner."""
     style = {"color": QUIET, "ha": "right" if x > 0.5 else "left"} | style
     return axes.text(
-        x, y, text, transform=axes.transAxes, va="top" if y > 0.5 else "baseline", **style
+        x,
+        y,
+        text,
+        transform=axes.transAxes,
+        va="top" if y > 0.5 else "baseline",
+        **style,
     )
 
 
 def letters(
     panels: Iterable[Any], aside: float = 0.5, up: float = 4, names: str = "abcdef"
 ) -> None:
-    """Letters of panels, `aside` inches left of and `up` points above their upper left corners."""
+    """Letters of panels, `aside` inches left of and `up` points above their upper
+    left corners."""
     for axes, name in zip(panels, names, strict=False):
         axes.annotate(
-            name, (0, 1), (-72 * aside, up), xycoords="axes fraction", textcoords="offset points",
-            fontsize=9, fontweight="bold", va="bottom", annotation_clip=False,
-        )  # fmt: skip
+            name,
+            (0, 1),
+            (-72 * aside, up),
+            xycoords="axes fraction",
+            textcoords="offset points",
+            fontsize=9,
+            fontweight="bold",
+            va="bottom",
+            annotation_clip=False,
+        )
 
 
 def title(
-    axes: Any, text: str, *, columns: int = 1, margin: float = 1.0, loc: str | None = None
+    axes: Any,
+    text: str,
+    *,
+    columns: int = 1,
+    margin: float = 1.0,
+    loc: str | None = None,
 ) -> None:
-    """A title that fits the width of one of `columns` columns, minus a margin in inches."""
+    """A title that fits the width of one of `columns` columns, minus a
+    margin in inches."""
     figure = axes.get_figure()
-    shrink(axes.set_title(text, loc=loc), figure.bbox.width / columns - margin * figure.dpi)
+    shrink(
+        axes.set_title(text, loc=loc), figure.bbox.width / columns - margin * figure.dpi
+    )
 
 
 def shrink(text: Any, max_width: float) -> None:
     """Reduce the font size of a text until it is at most `max_width` pixels wide."""
-    while text.get_window_extent().width > max_width and text.get_fontsize() > _MIN_FONT_SIZE:
+    while (
+        text.get_window_extent().width > max_width
+        and text.get_fontsize() > _MIN_FONT_SIZE
+    ):
         text.set_fontsize(0.95 * text.get_fontsize())
 
 
 def note_stretch(axes: Any) -> None:
-    """Note in the label of the horizontal axis by what factor the vertical scale is larger."""
+    """Note in the label of the horizontal axis by what factor the vertical
+    scale is larger."""
     spans = np.ptp([axes.get_xlim(), axes.get_ylim()], axis=1)
     along, across = axes.get_window_extent().size / spans
     if across > 1.5 * along:

@@ -14,7 +14,8 @@ _PREFIX = ".curlfit-"  # of temporary names
 
 
 def atomic_write(file: Path, content: str | bytes, *, private: bool = False) -> None:
-    """Write a file, text as UTF-8, under another name beside it first: whole or not at all.
+    """Write a file, text as UTF-8, under another name beside it first: whole
+    or not at all.
 
     The permissions of the file follow the umask; a `private` one is for its owner only.
 
@@ -24,7 +25,9 @@ def atomic_write(file: Path, content: str | bytes, *, private: bool = False) -> 
     """
     temporary = None
     try:
-        handle, name = tempfile.mkstemp(prefix=_PREFIX, suffix=f"-{file.name}", dir=file.parent)
+        handle, name = tempfile.mkstemp(
+            prefix=_PREFIX, suffix=f"-{file.name}", dir=file.parent
+        )
         temporary = Path(name)
         with open(handle, "wb") as stream:
             stream.write(content.encode() if isinstance(content, str) else content)
@@ -32,7 +35,9 @@ def atomic_write(file: Path, content: str | bytes, *, private: bool = False) -> 
             temporary.chmod(0o666 & ~_umask())
         temporary.replace(file)
     except OSError as error:
-        raise InputError(f"{file}: cannot be written ({error.strerror or error})") from error
+        raise InputError(
+            f"{file}: cannot be written ({error.strerror or error})"
+        ) from error
     finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
@@ -43,7 +48,8 @@ def require_replaceable(file: Path, what: str, mark: str) -> None:
 
     Parameters
     ----------
-    what, mark : the kind of file that is to be written, and a text that each of them contains.
+    what, mark : the kind of file that is to be written, and a text that each of
+        them contains.
     """
     if file.is_dir():
         raise InputError(f"{file}: this is a folder, expected the name of {what}")
@@ -55,8 +61,8 @@ def require_replaceable(file: Path, what: str, mark: str) -> None:
         found = ""
     if mark not in found:
         raise InputError(
-            f"{file}: this file exists and is not {what} that curlfit wrote; give another name, or "
-            "delete it"
+            f"{file}: this file exists and is not {what} that curlfit wrote; "
+            "give another name, or delete it"
         )
 
 
@@ -74,7 +80,9 @@ def prepare_folder(folder: Path) -> Path:
             pass
         _remove_stale_files(folder)
     except FileExistsError:
-        raise InputError(f"{folder}: this is a file, expected a folder for the results") from None
+        raise InputError(
+            f"{folder}: this is a file, expected a folder for the results"
+        ) from None
     except OSError as error:
         raise InputError(
             f"{folder}: the output folder cannot be written ({error.strerror or error})"

@@ -21,7 +21,9 @@ def optional(module: str, extra: str) -> Any:
     except ModuleNotFoundError as error:
         if error.name != module:
             raise
-        raise InputError(f"{module} is not installed: pip install 'curlfit[{extra}]'") from None
+        raise InputError(
+            f"{module} is not installed: pip install 'curlfit[{extra}]'"
+        ) from None
 
 
 def frame(columns: Mapping[str, Any], index: Any = None) -> Any:

@@ -1,7 +1,7 @@
 """Reports as HTML: texts and tables of rich, in the colours of the surrounding page.
 
-Colours have a contrast above 4 on both white and black, where 4.58 is the maximum; all else is
-inherited. Every text is escaped.
+Colours have a contrast above 4 on both white and black, where 4.58 is the maximum; all
+else is inherited. Every text is escaped.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ _STYLES = Console()  # nothing is printed on it
 
 
 def brief(document: Document, name: str) -> str:
-    """The main sections of a document as one self-contained block of HTML, the finding first;
-    `name` is that of the class."""
+    """The main sections of a document as one self-contained block of HTML, the finding
+    first; `name` is that of the class."""
     parts = [
         Text(f"{name}, ", style="bold").append(document.finding, style=document.style),
         *(Text(line, style="dim") for line in document.introduction),
@@ -78,10 +78,14 @@ def _table(table: Table) -> str:
     columns = table.columns
     head = "".join(_cell(item.header, item.justify, "th") for item in columns)
     rows = [
-        "".join(_cell(cell, item.justify) for cell, item in zip(cells, columns, strict=True))
+        "".join(
+            _cell(cell, item.justify) for cell, item in zip(cells, columns, strict=True)
+        )
         for cells in zip(*(item.cells for item in columns), strict=True)
     ]
-    body = "".join(f'<tr style="background-color: transparent">{row}</tr>' for row in rows)
+    body = "".join(
+        f'<tr style="background-color: transparent">{row}</tr>' for row in rows
+    )
     return (
         '<table style="border-collapse: collapse; margin: 0.5em 0; color: inherit">'
         f'<thead><tr style="border-bottom: {_LINE}">{head}</tr></thead>'

@@ -21,9 +21,11 @@ STYLE = {
 }
 
 _OTHER_SIDE = {
-    "to the right": "to the left", "right of": "left of", "counter-clockwise": "clockwise",
+    "to the right": "to the left",
+    "right of": "left of",
+    "counter-clockwise": "clockwise",
     "beyond": "before",
-}  # fmt: skip
+}
 _LEAST_P = 0.001
 
 _HUGE = 1e9  # numbers from this size on are written with a power of ten
@@ -47,15 +49,20 @@ def labelled(name: str, unit: str) -> str:
 def stone_text(stone: Stone, *, mass: bool = True) -> str:
     """Constants of a stone."""
     names = ("R", "rho", "h", *["m"] * mass)
-    return ", ".join(f"{name} = {getattr(stone, name):g} {UNITS[name]}" for name in names)
+    return ", ".join(
+        f"{name} = {getattr(stone, name):g} {UNITS[name]}" for name in names
+    )
 
 
 def rows_text(data: Mapping[str, Any]) -> str:
-    """Number of the rows used of a file, and the times that they span; empty without rows."""
-    said = [f"{counted(data['rows'], 'row')}, t = {data['from']:g} .. {data['to']:g} s"] * bool(
-        data["rows"]
+    """Number of the rows used of a file, and the times that they span; empty
+    without rows."""
+    said = [
+        f"{counted(data['rows'], 'row')}, t = {data['from']:g} .. {data['to']:g} s"
+    ] * bool(data["rows"])
+    return ", ".join(
+        [*said, *(f"without {a:g} .. {b:g} s" for a, b in data.get("exclude") or ())]
     )
-    return ", ".join([*said, *(f"without {a:g} .. {b:g} s" for a, b in data.get("exclude") or ())])
 
 
 def format_estimate(value: float, stderr: float | None) -> tuple[str, str]:
@@ -72,7 +79,8 @@ def format_estimate(value: float, stderr: float | None) -> tuple[str, str]:
 
 
 def compact(value: float, stderr: float | None) -> str:
-    """A value with the error of its last two digits, as 0.0556(12); the value alone without one."""
+    """A value with the error of its last two digits, as 0.0556(12); the value alone
+    without one."""
     shown, error = format_estimate(value, stderr)
     if "e" in error:
         return f"{shown} +- {error}"
@@ -81,7 +89,8 @@ def compact(value: float, stderr: float | None) -> str:
 
 
 def from_to(low: float, high: float, scale: float | None = None) -> str:
-    """Ends of an interval, rounded to two digits of a scale, by default a third of its width."""
+    """Ends of an interval, rounded to two digits of a scale, by default a third
+    of its width."""
     scale = (high - low) / 3 if scale is None else scale
     return f"{format_estimate(low, scale)[0]} .. {format_estimate(high, scale)[0]}"
 
@@ -94,7 +103,8 @@ def decimals(size: float) -> int:
 
 
 def sided(meaning: str, value: float) -> tuple[str, float]:
-    """The meaning of a signed quantity with its side in words, and the sign that makes it positive.
+    """The meaning of a signed quantity with its side in words, and the sign that makes
+    it positive.
 
     For a negative value whose meaning names a side these are the opposite side and -1.
     """
@@ -112,7 +122,9 @@ def p_text(p_value: float) -> str:
 
 def join_words(words: Sequence[str], last: str = "and") -> str:
     """Words as in "a, b and c"."""
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}"
+    return (
+        words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}"
+    )
 
 
 def capital(text: str) -> str:

@@ -1,4 +1,5 @@
-"""Numbers on the axes of figures: units suited to a size, few ticks with short labels."""
+"""Numbers on the axes of figures: units suited to a size, few ticks with
+short labels."""
 
 from __future__ import annotations
 
@@ -11,21 +12,31 @@ from matplotlib.ticker import MaxNLocator
 from curlfit.output.figures import Floats, literal
 
 _LENGTHS = ((1e3, "km"), (1.0, "m"), (1e-3, "mm"), (1e-6, "\N{MICRO SIGN}m"))
-_ANGLES = ((2 * np.pi, "turns"), (1.0, "rad"), (1e-3, "mrad"), (1e-6, "\N{MICRO SIGN}rad"))
+_ANGLES = (
+    (2 * np.pi, "turns"),
+    (1.0, "rad"),
+    (1e-3, "mrad"),
+    (1e-6, "\N{MICRO SIGN}rad"),
+)
 _MIN_IN_UNIT = 0.1  # size in a unit below which the next smaller unit is used
 _LETTER_WIDTH = 0.065  # inches, in a tick label
-_MAX_RATIO = 1e4  # of a tick to the step; above it, an offset is subtracted from all ticks
+# of a tick to the step; above it, an offset is subtracted from all ticks
+_MAX_RATIO = 1e4
 
 
 def unit_for(size: float, channel: str) -> tuple[float, str]:
     """The unit suited to a size of a channel: its factor to SI and its name."""
     units = _ANGLES if channel in ("phi", "omega") else _LENGTHS
-    suited = (one for one in units if size >= one[0] * (1.0 if one[0] >= 1 else _MIN_IN_UNIT))
+    suited = (
+        one for one in units if size >= one[0] * (1.0 if one[0] >= 1 else _MIN_IN_UNIT)
+    )
     factor, unit = next(suited, units[-1])
     return factor, f"{unit}/s" if channel in ("speed", "omega") else unit
 
 
-def neat_axis(axis: Any, label: str, unit: str = "", *, neighbours: bool = False) -> None:
+def neat_axis(
+    axis: Any, label: str, unit: str = "", *, neighbours: bool = False
+) -> None:
     """Few ticks with short numbers; a common offset and power of ten go into the label.
 
     With `neighbours`, no tick label extends beyond the ends of the axis.
@@ -51,7 +62,9 @@ def neat_axis(axis: Any, label: str, unit: str = "", *, neighbours: bool = False
     ten = f"$10^{{{power}}}$" if power else ""
     in_brackets = " ".join(part for part in (ten, unit) if part)
     between = "\n" if start else " "
-    axis.set_label_text(label + start + (f"{between}({in_brackets})" if in_brackets else ""))
+    axis.set_label_text(
+        label + start + (f"{between}({in_brackets})" if in_brackets else "")
+    )
 
 
 def _tick_labels(ticks: Floats, step: float) -> tuple[list[str], str, int]:

@@ -14,7 +14,11 @@ from curlfit.output.text import lower
 
 Verdict = Literal["holds", "holds with a correction", "does not hold"]
 
-_STYLE = {"holds": "green", "holds with a correction": "yellow", "does not hold": "bold red"}
+_STYLE = {
+    "holds": "green",
+    "holds with a correction": "yellow",
+    "does not hold": "bold red",
+}
 
 
 @dataclass(frozen=True)
@@ -31,7 +35,9 @@ class Claim:
 
     Examples
     --------
-    >>> claim = curlfit.Claim("eq13", "speed at t = 0", "2 m/s", "2.06 m/s", "holds", "as computed")
+    >>> claim = curlfit.Claim(
+    ...     "eq13", "speed at t = 0", "2 m/s", "2.06 m/s", "holds", "as computed"
+    ... )
     >>> claim.as_dict()["verdict"]
     'holds'
     """
@@ -49,7 +55,8 @@ class Claim:
 
 
 class Judged(NamedTuple):
-    """The verdict on a claim, and the numbers that its words name besides those of the studies."""
+    """The verdict on a claim, and the numbers that its words name besides those of
+    the studies."""
 
     verdict: Verdict
     numbers: dict[str, Any]
@@ -62,14 +69,21 @@ def judged(holds: Any, *, corrected: Any = False, **numbers: Any) -> Judged:
     return Judged("holds with a correction" if corrected else "holds", numbers)
 
 
-def claims_of(studies: Mapping[str, Any], found: Mapping[str, Judged]) -> tuple[Claim, ...]:
+def claims_of(
+    studies: Mapping[str, Any], found: Mapping[str, Judged]
+) -> tuple[Claim, ...]:
     """The claims in the words of `claims.toml`, with the numbers found."""
-    words = tomllib.loads(files("curlfit.paper").joinpath("claims.toml").read_text("utf-8"))
+    words = tomllib.loads(
+        files("curlfit.paper").joinpath("claims.toml").read_text("utf-8")
+    )
     return tuple(
         Claim(
             id=name,
             verdict=found[name].verdict,
-            **{key: text.format(**studies, **found[name].numbers) for key, text in said.items()},
+            **{
+                key: text.format(**studies, **found[name].numbers)
+                for key, text in said.items()
+            },
         )
         for name, said in words.items()
     )
@@ -82,14 +96,20 @@ def claims_table(claims: tuple[Claim, ...]) -> Any:
     from rich.text import Text
 
     table = Table(
-        box=box.SIMPLE_HEAD, show_lines=False, pad_edge=False, padding=(0, 1, 1, 0), expand=True
+        box=box.SIMPLE_HEAD,
+        show_lines=False,
+        pad_edge=False,
+        padding=(0, 1, 1, 0),
+        expand=True,
     )
     table.add_column("", no_wrap=True, style="bold")
     for name, ratio in (("claim, and why", 33), ("printed", 27), ("computed", 30)):
         table.add_column(name, ratio=ratio, overflow="fold")
     table.add_column("verdict", width=12)
     for one in claims:
-        what = Text(one.claim + "\n", style="bold").append(one.why, style="not bold dim")
+        what = Text(one.claim + "\n", style="bold").append(
+            one.why, style="not bold dim"
+        )
         judged = Text(one.verdict, style=_STYLE[one.verdict])
         table.add_row(one.id, what, Text(one.printed), Text(one.computed), judged)
     return table
@@ -100,8 +120,9 @@ def verdicts(claims: tuple[Claim, ...]) -> str:
     count = Counter(claim.verdict for claim in claims)
     failed = count["does not hold"]
     return (
-        f"Of {len(claims)} claims {count['holds']} hold, {count['holds with a correction']} hold "
-        f"with a correction, {failed} {'does' if failed == 1 else 'do'} not hold."
+        f"Of {len(claims)} claims {count['holds']} hold, "
+        f"{count['holds with a correction']} hold with a correction, "
+        f"{failed} {'does' if failed == 1 else 'do'} not hold."
     )
 
 
@@ -119,14 +140,16 @@ def document(found: Any) -> Document:
 
 
 def page(found: Any, format: str = "png") -> str:
-    """`claims.md`: the claims of a `Reproduction`, and what is behind them, with figures of a
-    format."""
+    """`claims.md`: the claims of a `Reproduction`, and what is behind them, with
+    figures of a format."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     pages = Environment(
-        loader=PackageLoader("curlfit.paper", ""), undefined=StrictUndefined, trim_blocks=True,
+        loader=PackageLoader("curlfit.paper", ""),
+        undefined=StrictUndefined,
+        trim_blocks=True,
         keep_trailing_newline=True,
-    )  # fmt: skip
+    )
     pages.filters["as"] = lambda value, form: f"{value:{form}}"
     pages.filters["each"] = lambda values, form, between=" | ": between.join(
         f"{value:{form}}" for value in values

@@ -17,9 +17,11 @@ if TYPE_CHECKING:
 
 
 _FIGURES = {
-    "path": ("eq14", "prop5"), "isotropic": ("isotropic",), "eq28": ("eq28",),
+    "path": ("eq14", "prop5"),
+    "isotropic": ("isotropic",),
+    "eq28": ("eq28",),
     "ring": ("eq24", "split"),
-}  # fmt: skip
+}
 """Figures, by the last study that each shows."""
 
 
@@ -30,10 +32,11 @@ def reproduce(
     quiet: Annotated[bool, option(SWITCH, name=["--quiet", "-q"])] = False,
     as_json: Annotated[bool, option(SWITCH, name="--json")] = False,
 ) -> None:
-    """Recompute every numbered claim of Ivanov and Shuvalov (2012) and give a verdict on each.
+    """Recompute every numbered claim of Ivanov and Shuvalov (2012) and give a
+    verdict on each.
 
-    Eq. 12 is differentiated, friction is integrated over the ring, and the laws are fitted.
-    Takes about a minute on the first run of a machine.
+    Eq. 12 is differentiated, friction is integrated over the ring, and the laws are
+    fitted. Takes about a minute on the first run of a machine.
 
     Parameters
     ----------
@@ -49,7 +52,9 @@ def reproduce(
     from curlfit.output.files import atomic_write, prepare_folder
 
     if quiet and as_json:
-        raise InputError("--json prints the claims, and --quiet prints nothing; give one of them")
+        raise InputError(
+            "--json prints the claims, and --quiet prints nothing; give one of them"
+        )
     drawn = FigureFiles.of(figures)
     folder = prepare_folder(out)
 
@@ -64,7 +69,9 @@ def reproduce(
 
     from rich.progress import BarColumn, TimeElapsedColumn
 
-    with progress_line(console, "{task.description}", BarColumn(), TimeElapsedColumn()) as show:
+    with progress_line(
+        console, "{task.description}", BarColumn(), TimeElapsedColumn()
+    ) as show:
         show("compiling")
         from curlfit.paper.reproduce import reproduce as recompute
 
@@ -74,7 +81,9 @@ def reproduce(
 
     claims = json.dumps([claim.as_dict() for claim in result.claims], indent=1)
     written = [folder / "claims.json", folder / "claims.md"]
-    for file, text in zip(written, (claims + "\n", page(result, drawn.formats[0])), strict=True):
+    for file, text in zip(
+        written, (claims + "\n", page(result, drawn.formats[0])), strict=True
+    ):
         atomic_write(file, text)
     if as_json:
         print(claims)

@@ -1,4 +1,5 @@
-"""Figures of the recomputed claims, each of a `Reproduction`. Only units are converted here."""
+"""Figures of the recomputed claims, each of a `Reproduction`. Only units are
+converted here."""
 
 from __future__ import annotations
 
@@ -14,15 +15,20 @@ from curlfit.paper.printed import HALF_DIGIT, PRINTED
 _BLUE, _RED, _, _PINK, _, _, _CORRECT = draw.PALETTE
 _PLAIN: dict[str, Any] = {"color": _CORRECT, "lw": 1.4}
 _AS_PRINTED: dict[str, Any] = {
-    "color": draw.REFERENCE_COLOR, "lw": 1.5, "ls": "--", "label": "eq. 14 as printed",
-}  # fmt: skip
+    "color": draw.REFERENCE_COLOR,
+    "lw": 1.5,
+    "ls": "--",
+    "label": "eq. 14 as printed",
+}
 _FAINT: dict[str, Any] = {"color": "0.6", "lw": 0.8}
 _AXIS: dict[str, Any] = {"color": "0.4", "lw": 0.8}
 _UNIT: dict[str, Any] = {"color": "0.6", "lw": 1, "ls": "--"}
 _SPLIT_NAME = r"$(\mu_{1\eta}, \mu_{2\eta})$"
 
 
-def _note(axes: Any, text: str, place: Any, offset: Any = (-8, 9), **style: Any) -> None:
+def _note(
+    axes: Any, text: str, place: Any, offset: Any = (-8, 9), **style: Any
+) -> None:
     """Text to the left of a point, at an offset in points."""
     axes.annotate(text, place, offset, textcoords="offset points", ha="right", **style)
 
@@ -37,8 +43,9 @@ def eq_14_figure(found: Any) -> draw.Picture:
     """Second derivatives of eq. 12 and eq. 14 as printed."""
     path, (figure, (across, along)) = found.path, draw.panels(2.7, 1, 2)
     for axes, right, printed, name in (
-        (across, path.ax, path.ax_printed, "x"), (along, path.ay, path.ay_printed, "y"),
-    ):  # fmt: skip
+        (across, path.ax, path.ax_printed, "x"),
+        (along, path.ay, path.ay_printed, "y"),
+    ):
         axes.plot(path.t, 1000 * right, **_PLAIN, label="derivative of eq. 12")
         axes.plot(path.t, 1000 * printed, **_AS_PRINTED)
         axes.set(xlabel="t (s)", ylabel=rf"$d^2{name}/dt^2$ (mm/s$^2$)", xlim=(0, 20))
@@ -54,31 +61,57 @@ def eq_14_figure(found: Any) -> draw.Picture:
 @draw.style()
 def isotropic_figure(found: Any) -> draw.Picture:
     """Force across and along the motion against spin, under consistent load."""
-    figure, (across, along) = draw.panels(5.5, 2, 1, sharex=True, height_ratios=(1.35, 1.0))
+    figure, (across, along) = draw.panels(
+        5.5, 2, 1, sharex=True, height_ratios=(1.35, 1.0)
+    )
     small, large = 1e-8, 3e-4
     for (label, omega, t_xi, t_eta, least), color in zip(
         found.isotropic.curves, (_CORRECT, *draw.PALETTE[:5]), strict=True
     ):
         for axes, series in ((across, t_xi), (along, t_eta)):
             axes.plot(omega, series, color=color, lw=1, ls=":")
-            axes.plot(omega, np.where(least > 0, series, np.nan), color=color, lw=1.4, label=label)
-    across.plot([], [], color="0.6", lw=1, ls=":", label=r"dotted: $\mu<0$ somewhere on the ring")
+            axes.plot(
+                omega,
+                np.where(least > 0, series, np.nan),
+                color=color,
+                lw=1.4,
+                label=label,
+            )
+    across.plot(
+        [],
+        [],
+        color="0.6",
+        lw=1,
+        ls=":",
+        label=r"dotted: $\mu<0$ somewhere on the ring",
+    )
     across.set_yscale("symlog", linthresh=small, linscale=0.5)
     across.set(ylim=(-large, large), yticks=[-1e-4, -1e-6, 0, 1e-6, 1e-4])
-    for side, sign, color, alpha in (("right", 1, _BLUE, 0.06), ("left", -1, _RED, 0.07)):
+    for side, sign, color, alpha in (
+        ("right", 1, _BLUE, 0.06),
+        ("left", -1, _RED, 0.07),
+    ):
         across.axhspan(0, sign * large, color=color, alpha=alpha, lw=0)
-        across.text(0.32, sign * 1.2e-4, f"deviates to the {side}", color=color, va="center")
+        across.text(
+            0.32, sign * 1.2e-4, f"deviates to the {side}", color=color, va="center"
+        )
     across.set_ylabel(r"force to the right over weight, $T_\xi/mg$")
     across.set_title("Counter-clockwise stone at 2 m/s, consistent load")
     along.axhspan(0, 1, color="0.5", alpha=0.1, lw=0)
     along.text(0.32, 0.0072, "speeds up", color=draw.QUIET, va="center")
-    along.set(ylabel=r"force along over weight, $T_\eta/mg$", xlabel=r"spin $\omega$ (1/s)")
+    along.set(
+        ylabel=r"force along over weight, $T_\eta/mg$", xlabel=r"spin $\omega$ (1/s)"
+    )
     along.set(xscale="log", xlim=(0.3, 200), ylim=(-0.021, 0.009))
     for axes in (across, along):
         axes.axvline(2 / 0.065, **_UNIT)
         axes.axhline(0, **_AXIS)
-    along.text(2 / 0.065 * 0.96, -0.0205, r"$\varepsilon = 1$", color=draw.QUIET, ha="right")
-    figure.legend(*across.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    along.text(
+        2 / 0.065 * 0.96, -0.0205, r"$\varepsilon = 1$", color=draw.QUIET, ha="right"
+    )
+    figure.legend(
+        *across.get_legend_handles_labels(), loc="outside lower center", ncols=3
+    )
     return figure
 
 
@@ -90,10 +123,19 @@ def prop_5_figure(found: Any) -> draw.Picture:
     moving.fill_between(t, 0, path.limit, color=_BLUE, alpha=0.15, lw=0)
     moving.plot(t, path.limit, color=_BLUE, lw=1.5)
     moving.plot(t, path.ratio, **_PLAIN)
-    _note(moving, r"required by eq. 12: $a_\xi/a_\eta$", (11, path.ratio[110]), (-6, 14))
-    words = "range of isotropic friction:\nat most " r"$\varepsilon/\sqrt{1-\varepsilon^2}$"
+    _note(
+        moving, r"required by eq. 12: $a_\xi/a_\eta$", (11, path.ratio[110]), (-6, 14)
+    )
+    words = (
+        "range of isotropic friction:\nat most " r"$\varepsilon/\sqrt{1-\varepsilon^2}$"
+    )
     moving.text(1.0, 0.010, words, color=_BLUE)
-    moving.set(xlabel="t (s)", ylabel="force across over force along", xlim=(0, 20), ylim=(0, None))
+    moving.set(
+        xlabel="t (s)",
+        ylabel="force across over force along",
+        xlim=(0, 20),
+        ylim=(0, None),
+    )
     moving.set_title("moving frame: Prop. 5 stands")
     ice.axhline(0, **_FAINT)
     ice.axhline(0.1, color=_PINK, lw=1.2)
@@ -112,7 +154,11 @@ def eq_24_figure(found: Any) -> draw.Picture:
     ring, (figure, axes) = found.ring, draw.panels(3.2, 1, 1, width=0.8 * draw.WIDTH)
     axes.axhspan(-0.05, 0, color=_RED, alpha=0.07, lw=0)
     axes.axhline(0, **_AXIS)
-    names = r"$l_1 = \mu_1 + \mu_2$", r"$l_2 = \mu_3 + \mu_4$", r"$l_3 = \mu_1 + 2\mu_3$"
+    names = (
+        r"$l_1 = \mu_1 + \mu_2$",
+        r"$l_2 = \mu_3 + \mu_4$",
+        r"$l_3 = \mu_1 + 2\mu_3$",
+    )
     for series, fitted, name, color in zip(
         ring.l, ring.fitted_l, names, (_CORRECT, _BLUE, _RED), strict=False
     ):
@@ -122,8 +168,16 @@ def eq_24_figure(found: Any) -> draw.Picture:
     axes.text(20.9, 0.045, "fit of the trajectory", ha="right", color=draw.QUIET)
     if ring.l1_zero is not None:
         _sign_change(axes, ring.l1_zero, "$l_1$ ")
-    axes.text(10, -0.0465, "no friction: some coefficient is negative", color=_RED, ha="center")
-    axes.set(xlabel="t (s)", ylabel="eq. 24, R = 0.065 m", xlim=(0, 21), ylim=(-0.05, 0.05))
+    axes.text(
+        10,
+        -0.0465,
+        "no friction: some coefficient is negative",
+        color=_RED,
+        ha="center",
+    )
+    axes.set(
+        xlabel="t (s)", ylabel="eq. 24, R = 0.065 m", xlim=(0, 21), ylim=(-0.05, 0.05)
+    )
     axes.set_xticks(range(0, 21, 5))
     return figure
 
@@ -135,7 +189,8 @@ def eq_28_figure(found: Any) -> draw.Picture:
     posterior, heights = found.eq28.posterior, np.arange(len(rows))[::-1]
     figure, panels = draw.panels(6.2, 2, 3, height_ratios=(3.2, 1.0), sharex="col")
     limits = ((-0.0042, 0.0042), (0.0405, 0.0605), (0.0148, 0.0186))
-    marks = {True: ("o", _CORRECT), False: ("s", _BLUE)}  # whether the trajectory is fitted
+    # whether the trajectory is fitted
+    marks = {True: ("o", _CORRECT), False: ("s", _BLUE)}
     for column, (dots, below) in enumerate(panels.T):
         low, high = PRINTED[column] + HALF_DIGIT[column] * np.array([-1, 1])
         for axes in (dots, below):
@@ -147,15 +202,25 @@ def eq_28_figure(found: Any) -> draw.Picture:
             dots.plot(row.mu[column], height, marker, ms=4, zorder=3, color=color)
         dots.set_title(f"printed: {PRINTED[column]:g}", loc="center")
         dots.set(ylim=(-0.7, len(rows) - 0.3), yticks=[])
-        below.hist(posterior.mu[:, column], bins=40, color=draw.POSTERIOR_COLOR, density=True)
+        below.hist(
+            posterior.mu[:, column], bins=40, color=draw.POSTERIOR_COLOR, density=True
+        )
         for end in posterior.interval[column]:
             below.axvline(end, color=_CORRECT, lw=1, ls=":")
         below.set(yticks=[], xlim=limits[column])
-    posteriors = r"posterior over R 0.0535..0.0545 m, $\rho$ 0.095..0.105 m (dotted: 95 %)"
+    posteriors = (
+        r"posterior over R 0.0535..0.0545 m, $\rho$ 0.095..0.105 m (dotted: 95 %)"
+    )
     handles = [
-        *panels[0, 0].plot([], [], "s", color=_BLUE, ms=6, label="eq. 27 solved at each t"),
-        *panels[0, 0].plot([], [], "o", color=_CORRECT, ms=6, label="fit of the trajectory"),
-        Patch(color=draw.REFERENCE_COLOR, alpha=0.35, label="eq. 28 within its rounding"),
+        *panels[0, 0].plot(
+            [], [], "s", color=_BLUE, ms=6, label="eq. 27 solved at each t"
+        ),
+        *panels[0, 0].plot(
+            [], [], "o", color=_CORRECT, ms=6, label="fit of the trajectory"
+        ),
+        Patch(
+            color=draw.REFERENCE_COLOR, alpha=0.35, label="eq. 28 within its rounding"
+        ),
         Patch(color=draw.POSTERIOR_COLOR, label=posteriors),
     ]
     figure.legend(handles=handles, loc="outside upper center", ncols=2)
@@ -180,12 +245,19 @@ def split_figure(found: Any) -> draw.Picture:
     """Effect of exchanging mu1_eta and mu2_eta, and singular values of the fit."""
     ring, (figure, (change, spectrum)) = found.ring, draw.panels(2.8, 1, 2)
     for series, marker, color, label in (
-        (np.maximum(ring.split_uniform, 5e-17), "o-", _CORRECT, "uniform load: rounding or less"),
+        (
+            np.maximum(ring.split_uniform, 5e-17),
+            "o-",
+            _CORRECT,
+            "uniform load: rounding or less",
+        ),
         (np.abs(ring.split_consistent), "s-", _RED, r"consistent load ($T_\eta$)"),
     ):
         change.loglog(ring.split_epsilon, series, marker, color=color, label=label)
     change.axvline(1, **_UNIT)
-    change.set(xlabel=r"$\varepsilon = R\omega/v$", ylabel="relative change of the force")
+    change.set(
+        xlabel=r"$\varepsilon = R\omega/v$", ylabel="relative change of the force"
+    )
     change.set_ylim(1e-17, 1)
     change.set_title(_SPLIT_NAME + " = (0.012, 0.006) exchanged")
     change.legend(loc="center left")
@@ -194,16 +266,24 @@ def split_figure(found: Any) -> draw.Picture:
     spectrum.semilogy(order[:-1], values[:-1], "o", color=_CORRECT)
     spectrum.semilogy(order[-1:], values[-1:], "o", color=_RED)
     spectrum.axhline(1, **_UNIT)
-    spectrum.text(1, 0.3, "below 1 a direction is not determined", color=draw.QUIET, va="top")
+    spectrum.text(
+        1, 0.3, "below 1 a direction is not determined", color=draw.QUIET, va="top"
+    )
     named, last = _SPLIT_NAME + " along $(1, -1)$", (order[-1], values[-1])
     _note(spectrum, named, last, (-10, 0), va="center", color=_RED)
-    spectrum.set(xlabel="direction in parameter space", ylabel="singular value", xticks=order)
+    spectrum.set(
+        xlabel="direction in parameter space", ylabel="singular value", xticks=order
+    )
     spectrum.set_title("singular values, path of eq. 12 (front-back law)")
     return figure
 
 
 FIGURES = {
-    "eq14": eq_14_figure, "isotropic": isotropic_figure, "prop5": prop_5_figure,
-    "eq24": eq_24_figure, "eq28": eq_28_figure, "split": split_figure,
-}  # fmt: skip
+    "eq14": eq_14_figure,
+    "isotropic": isotropic_figure,
+    "prop5": prop_5_figure,
+    "eq24": eq_24_figure,
+    "eq28": eq_28_figure,
+    "split": split_figure,
+}
 """Figures of the page by file name."""

@@ -1,4 +1,5 @@
-"""Printed results of Ivanov and Shuvalov (2012): trajectory, coefficients, first-order model.
+"""Printed results of Ivanov and Shuvalov (2012): trajectory, coefficients,
+first-order model.
 
 A. P. Ivanov, N. D. Shuvalov, "Friction in curling game"; equation numbers are theirs.
 """
@@ -63,12 +64,14 @@ class Configuration(NamedTuple):
 
 
 def jensen_shegelski(t: ArrayLike) -> Configuration:
-    """The fitted trajectory of Jensen and Shegelski (2004), eq. 12, for t in s on [0, 23]."""
+    """The fitted trajectory of Jensen and Shegelski (2004), eq. 12, for t in
+    s on [0, 23]."""
     return eq_12(np.asarray(t, float))
 
 
 def eq_12(t: Any) -> Configuration:
-    """The formula of eq. 12 itself, for a number or array of any library, differentiable by JAX."""
+    """The formula of eq. 12 itself, for a number or array of any library,
+    differentiable by JAX."""
     rest = 1 - t / 23
     return Configuration(
         x=-(0.004 * t**2 - 0.185 * t + 2.98 * (1 - rest**1.43)),
@@ -78,7 +81,8 @@ def eq_12(t: Any) -> Configuration:
 
 
 def jensen_shegelski_throw() -> Throw:
-    """Eq. 12 every 0.1 s on 0..22.9 s, with the settings of sect. 4 and eq. 28 as reference."""
+    """Eq. 12 every 0.1 s on 0..22.9 s, with the settings of sect. 4 and eq. 28
+    as reference."""
     t = np.arange(230) / 10
     return Throw.from_arrays(
         t,
@@ -90,8 +94,10 @@ def jensen_shegelski_throw() -> Throw:
             EQ_28,
             stone={"rho": SOLID_RHO},
             rounding={"R": 0.0005, "rho": 0.0025},
-            note="rho is printed rounded, as 0.1 m; that of a solid cylinder of the printed "
-            "diameter, 29 cm, is 0.1025 m",
+            note=(
+                "rho is printed rounded, as 0.1 m; that of a solid cylinder of the "
+                "printed diameter, 29 cm, is 0.1025 m"
+            ),
         ),
         defaults={
             "until": EQ_28_UNTIL,
@@ -103,14 +109,16 @@ def jensen_shegelski_throw() -> Throw:
 def write_jensen_shegelski(file: str | Path) -> None:
     """Write eq. 12 as the data file that ships with curlfit."""
     head = (
-        "# Eq. 12 of Ivanov and Shuvalov (2012): a formula fitted by Jensen and Shegelski (2004)\n"
+        "# Eq. 12 of Ivanov and Shuvalov (2012): a formula fitted by Jensen and "
+        "Shegelski (2004)\n"
         "# to measured throws. See README.md beside this file.\n"
     )
     atomic_write(Path(file), head + write_table(jensen_shegelski_throw()))
 
 
 class FirstOrderMotion(NamedTuple):
-    """Motion under eq. 27: x, y in m, phi and heading in rad, v in m/s, omega in rad/s."""
+    """Motion under eq. 27: x, y in m, phi and heading in rad, v in m/s,
+    omega in rad/s."""
 
     x: Floats
     y: Floats
@@ -123,20 +131,24 @@ class FirstOrderMotion(NamedTuple):
 def first_order_motion(
     law: FrontBackFirstOrder, stone: Stone, v0: float, omega0: float, t: ArrayLike
 ) -> FirstOrderMotion:
-    """Eq. 27 in closed form, from the origin along +y, for times before the stone stops.
+    """Eq. 27 in closed form, from the origin along +y, for times before the
+    stone stops.
 
     With `a = g (mu1_eta + mu2_eta)/2` and `k = g R^2 (mu1_xi + mu2_xi)/(4 rho^2)`:
-    `v = v0 - a t`, `omega = omega0 (v/v0)^(k/a)`; the angle turned and the heading are powers of
-    `v` as well. x and y are integrals of these closed forms, by 64-point Gauss quadrature.
+    `v = v0 - a t`, `omega = omega0 (v/v0)^(k/a)`; the angle turned and the heading are
+    powers of `v` as well. x and y are integrals of these closed forms, by 64-point
+    Gauss quadrature.
 
     Raises
     ------
-    ValueError : a time is not before the stop at `v0/a`, where the first-order law has no meaning.
+    ValueError : a time is not before the stop at `v0/a`, where the first-order law
+        has no meaning.
     """
     t = np.asarray(t, float)
     a = GRAVITY * (law.mu1_eta + law.mu2_eta) / 2
     p = GRAVITY * stone.R**2 * (law.mu1_xi + law.mu2_xi) / (4 * stone.rho**2) / a
-    turning = GRAVITY * stone.R * (law.mu1_xi - law.mu2_xi) / np.pi  # d(heading)/dt v^2/omega
+    # d(heading)/dt v^2/omega
+    turning = GRAVITY * stone.R * (law.mu1_xi - law.mu2_xi) / np.pi
     if np.any(a * t >= v0):
         raise ValueError(f"the stone stops at {v0 / a:.6g} s; give earlier times")
 

@@ -22,13 +22,27 @@ STUDIES: dict[str, tuple[str, Callable[[], SimpleNamespace]]] = {
 """What each study is about, and its function."""
 
 CLAIMS: dict[str, Callable[[Any], Judged]] = {
-    "eq13": path.eq_13, "eq14x": path.eq_14_x, "eq14y": path.eq_14_y, "prop1": path.prop_1,
-    "prop2": path.prop_2, "prop3": path.prop_3, "prop4": path.prop_4, "stribeck": path.stribeck,
-    "prop5": path.prop_5, "eq15-17": path.eq_15_to_17, "load": ring.uniform_load,
-    "eq22": ring.eq_22, "eq23": ring.eq_23, "eq24-l1": ring.eq_24_l1, "eq24-l2": ring.eq_24_l2,
-    "eq24-l3": ring.eq_24_l3, "eq27": ring.eq_27, "eq28": ring.eq_28, "ratio": ring.ratio,
+    "eq13": path.eq_13,
+    "eq14x": path.eq_14_x,
+    "eq14y": path.eq_14_y,
+    "prop1": path.prop_1,
+    "prop2": path.prop_2,
+    "prop3": path.prop_3,
+    "prop4": path.prop_4,
+    "stribeck": path.stribeck,
+    "prop5": path.prop_5,
+    "eq15-17": path.eq_15_to_17,
+    "load": ring.uniform_load,
+    "eq22": ring.eq_22,
+    "eq23": ring.eq_23,
+    "eq24-l1": ring.eq_24_l1,
+    "eq24-l2": ring.eq_24_l2,
+    "eq24-l3": ring.eq_24_l3,
+    "eq27": ring.eq_27,
+    "eq28": ring.eq_28,
+    "ratio": ring.ratio,
     "split": ring.split,
-}  # fmt: skip
+}
 """A function of all studies for each claim."""
 
 
@@ -64,9 +78,10 @@ def reproduce(
 
     Parameters
     ----------
-    progress : called before each part with its name, the number of parts done and the total.
-    arrived : called with the name of each study as soon as it is known, and an object that has it
-        and those before it as attributes, named as in the result.
+    progress : called before each part with its name, the number of parts done
+        and the total.
+    arrived : called with the name of each study as soon as it is known, and an object
+        that has it and those before it as attributes, named as in the result.
 
     Examples
     --------
@@ -76,13 +91,17 @@ def reproduce(
     """
     progress = progress or (lambda part, done, total: None)
     found = SimpleNamespace()
-    with in_threads(lambda study: study(), [(study,) for _, study in STUDIES.values()]) as results:
+    with in_threads(
+        lambda study: study(), [(study,) for _, study in STUDIES.values()]
+    ) as results:
         for done, (name, (part, _)) in enumerate(STUDIES.items()):
             progress(part, done, len(STUDIES))
             setattr(found, name, next(results))
             if arrived is not None:
                 arrived(name, found)
     progress("done", len(STUDIES), len(STUDIES))
-    with in_threads(lambda claim: claim(found), [(claim,) for claim in CLAIMS.values()]) as claims:
+    with in_threads(
+        lambda claim: claim(found), [(claim,) for claim in CLAIMS.values()]
+    ) as claims:
         judged = dict(zip(CLAIMS, claims, strict=True))
     return Reproduction(claims_of(vars(found), judged), **vars(found))

@@ -24,7 +24,8 @@ _CHECK = Group("Comparison with measured rows", sort_key=1)
 
 
 @Parameter(
-    name="*", group=Group("Another throw: its goal (speed and heading are found)", sort_key=0)
+    name="*",
+    group=Group("Another throw: its goal (speed and heading are found)", sort_key=0),
 )
 @dataclass(frozen=True, kw_only=True)
 class Goal(Choices):
@@ -33,12 +34,12 @@ class Goal(Choices):
     Attributes
     ----------
     to_tee : Come to rest on the tee.
-    weight : `draw`: rests on the tee line; `guard`: rests halfway between hog line and house, 4.115
-        m before the tee line; `takeout`: passes the tee line at 1.5 m/s. On the centre line, or at
-        any x with --heading.
+    weight : `draw`: rests on the tee line; `guard`: rests halfway between hog line and
+        house, 4.115 m before the tee line; `takeout`: passes the tee line at 1.5 m/s.
+        On the centre line, or at any x with --heading.
     tee_speed : Speed of a takeout at the tee line, m/s. [default: 1.5]
-    target : Come to rest at this point: m to the right of the tee and m beyond it. Write
-        --target=-0.5,1 if the first number is negative.
+    target : Come to rest at this point: m to the right of the tee and m beyond it.
+        Write --target=-0.5,1 if the first number is negative.
     """
 
     to_tee: Annotated[bool, option(SWITCH)] = False
@@ -57,14 +58,16 @@ class Called(Choices):
     Attributes
     ----------
     hog_to_hog : Weight: time between the hog lines, s.
-    broom : Where the broom is, seen from the thrower, at the far tee: `4 ft left`, `1.2 m right`.
-    thrower_sd : Scatter of the thrower, standard deviations of weight and broom: `0.15 s, 4 in`.
-        [default: none]
-    turn : `clockwise` or `counter-clockwise`; `in` or `out` of a right-hander; `both`, whose
-        `--broom` is that of the in-turn.
+    broom : Where the broom is, seen from the thrower, at the far tee: `4 ft left`,
+        `1.2 m right`.
+    thrower_sd : Scatter of the thrower, standard deviations of weight and broom:
+        `0.15 s, 4 in`. [default: none]
+    turn : `clockwise` or `counter-clockwise`; `in` or `out` of a right-hander; `both`,
+        whose `--broom` is that of the in-turn.
     sheet : Sheet of ice, of a joint fit by sheets.
-    group : Group of a joint fit, by the labels of `--by`: `thrower=Anna`; or the place along a
-        trend: `start=21:30`. [default: the mean of the groups; the end of the trend]
+    group : Group of a joint fit, by the labels of `--by`: `thrower=Anna`; or the
+        place along a trend: `start=21:30`. [default: the mean of the groups; the end
+        of the trend]
     """
 
     hog_to_hog: Annotated[float | None, option(NUMBER, "S")] = None
@@ -79,20 +82,30 @@ class Called(Choices):
         from curlfit.prediction.result import Call
         from curlfit.throws.readers.notation import parse_quantity
 
-        labels = dict(self.group) | ({} if self.sheet is None else {"sheet": self.sheet})
+        labels = dict(self.group) | (
+            {} if self.sheet is None else {"sheet": self.sheet}
+        )
         broom = None
         if self.broom is not None:
             found = parse_quantity(self.broom, "x")
-            if math.isnan(found.value) or not (found.words <= _SIDES and len(found.words) < 2):
-                raise InputError(f"--broom {self.broom}: expected a length, left or right")
+            if math.isnan(found.value) or not (
+                found.words <= _SIDES and len(found.words) < 2
+            ):
+                raise InputError(
+                    f"--broom {self.broom}: expected a length, left or right"
+                )
             if found.value and not (found.words or found.signed):
-                raise InputError(f"--broom {self.broom}: to which side? Expected 4 ft left")
+                raise InputError(
+                    f"--broom {self.broom}: to which side? Expected 4 ft left"
+                )
             broom = -found.value if "left" in found.words else found.value
         thrower = None
         if self.thrower_sd is not None:
             time, comma, length = self.thrower_sd.partition(",")
             if not comma:
-                raise InputError(f"--thrower-sd {self.thrower_sd}: expected TIME, LENGTH")
+                raise InputError(
+                    f"--thrower-sd {self.thrower_sd}: expected TIME, LENGTH"
+                )
             thrower = parse_quantity(time, "t").value, parse_quantity(length, "x").value
         return Call(labels, self.hog_to_hog, broom, thrower, self.turn)
 
@@ -114,9 +127,10 @@ def predict(
 ) -> Saved:
     """Predict a throw: path and resting position, with their uncertainties.
 
-    Without options: the fitted throw, extrapolated to rest. With a start or a goal: another throw
-    on the same ice, by default from the near hog line with the spin of the fitted one. Bands
-    include the errors of the parameters and the model discrepancy.
+    Without options: the fitted throw, extrapolated to rest. With a start or a
+    goal: another throw on the same ice, by default from the near hog line with the
+    spin of the fitted one. Bands include the errors of the parameters and the
+    model discrepancy.
     Writes `predict.json`, `predict.csv` (the path with its bands) and `predict.png`.
 
     Examples:
@@ -127,19 +141,22 @@ def predict(
 
     `curlfit predict throw-fit --target=-0.6,0.3`: to rest left of the tee and behind it
 
-    `curlfit predict evening-fit --sheet 2 --hog-to-hog 13.9 --broom "4 ft left" --turn in`: the
-    next stone on the ice of a joint fit
+    `curlfit predict evening-fit --sheet 2 --hog-to-hog 13.9 --broom "4 ft left" --turn
+    in`: the next stone on the ice of a joint fit
 
-    `curlfit fit a.csv --until 12`, then `curlfit predict a-fit --check a.csv`: was it right?
+    `curlfit fit a.csv --until 12`, then `curlfit predict a-fit --check a.csv`:
+    was it right?
 
     Parameters
     ----------
     fit
-        A saved fit, also of several throws or of a season: its folder, or the file in it.
+        A saved fit, also of several throws or of a season: its folder, or
+        the file in it.
     line
-        Line on which the throw starts: `hack`, `back`, `tee`, `hog` (the near ones), `centre` or
-        `far-hog`; or `data`: at the start of the data, with y from the hack. [default: hog; data
-        for the fitted throw where its file states its zero of y]
+        Line on which the throw starts: `hack`, `back`, `tee`, `hog` (the near
+        ones), `centre` or `far-hog`; or `data`: at the start of the data, with y
+        from the hack. [default: hog; data for the fitted throw where its file
+        states its zero of y]
     check
         The data of the fitted throw; rows after the fitted ones are compared.
     draws
@@ -170,15 +187,25 @@ def predict(
         from curlfit.prediction.predict import predict as prediction_of
 
         found = prediction_of(
-            result, chain, start=start.given(), call=called.call(), line=line,
-            target=(0.0, 0.0) if goal.to_tee else goal.target, weight=goal.weight,
-            tee_speed=goal.tee_speed, draws=draws, seed=seed, check=throw,
-        )  # fmt: skip
+            result,
+            chain,
+            start=start.given(),
+            call=called.call(),
+            line=line,
+            target=(0.0, 0.0) if goal.to_tee else goal.target,
+            weight=goal.weight,
+            tee_speed=goal.tee_speed,
+            draws=draws,
+            seed=seed,
+            check=throw,
+        )
     words = [*start.words(), *goal.words(), *called.words(), *reading.words()]
     words += [f"--from={line}"] * bool(line) + [f"--check={check}"] * bool(check)
     words += [f"--draws={draws}", f"--seed={seed}"]
     found = replace(found, command=command_line("predict", str(fit), *words))
-    name = "-".join([s.name_of(fit), *map(safe_name, found.call.labels.values()), "predict"])
+    name = "-".join(
+        [s.name_of(fit), *map(safe_name, found.call.labels.values()), "predict"]
+    )
     folder = prepare_folder(output.out or Path(name))
     table = folder / "predict.csv"
     atomic_write(table, found.table())

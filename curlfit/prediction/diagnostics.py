@@ -1,4 +1,5 @@
-"""Diagnostics of a prediction: extrapolation, null directions, discrepancy, held-out rows."""
+"""Diagnostics of a prediction: extrapolation, null directions, discrepancy,
+held-out rows."""
 
 from __future__ import annotations
 
@@ -11,68 +12,92 @@ from curlfit.inference.fit.advice import curl_warnings
 from curlfit.inference.fit.result import FitResult
 from curlfit.numerics.arrays import Floats
 from curlfit.prediction.request import PlannedThrow
-from curlfit.prediction.result import COMPONENT_LABELS, DETECTION, PREDICTED, Discrepancy, HeldOut
+from curlfit.prediction.result import (
+    COMPONENT_LABELS,
+    DETECTION,
+    PREDICTED,
+    Discrepancy,
+    HeldOut,
+)
 from curlfit.prediction.simulation import Simulation
 from curlfit.sheet import STONE_RADIUS, TEE, WIDTH
 from curlfit.throws.throw import Throw
 
 MOST_ROWS = 2000
 """Measured rows that a prediction contains, at most."""
-_EXTRAPOLATION = 1.02  # of the fitted range of speed or spin, beyond which a warning is given
+# of the fitted range of speed or spin, beyond which a warning is given
+_EXTRAPOLATION = 1.02
 _RELEVANT = 1e-3  # m and rad; smaller effects of null directions at rest are negligible
 
 
-def remarks(throw: PlannedThrow, found: Simulation, anywhere: bool) -> tuple[list[str], list[str]]:
-    """Warnings and notes; `anywhere` is where neither user nor data say where the throw starts."""
+def remarks(
+    throw: PlannedThrow, found: Simulation, anywhere: bool
+) -> tuple[list[str], list[str]]:
+    """Warnings and notes; `anywhere` is where neither user nor data say where the
+    throw starts."""
     fit, new = throw.fit, throw.new
     null_warnings, null_notes = _null_direction_effects(fit, found)
     law_warnings, law_notes = _discrepancy_remarks(found.discrepancy)
     notes = {
-        "the data do not state where on the sheet y = 0 lies; the throw is assumed to start on the "
-        "near hog line, which affects the resting position but not the motion":
-            anywhere and throw.line == "hog" and not new,
-        "the variation of the ice from throw to throw cannot be estimated from a single throw":
-            new and found.discrepancy is not None,
-    }  # fmt: skip
+        "the data do not state where on the sheet y = 0 lies; the throw is "
+        "assumed to start on the near hog line, which affects the resting position "
+        "but not the motion": anywhere and throw.line == "hog" and not new,
+        "the variation of the ice from throw to throw cannot be estimated "
+        "from a single throw": new and found.discrepancy is not None,
+    }
     return [
-        *_extrapolation(fit, found, new), *null_warnings, *law_warnings,
-        *curl_warnings([fit]), *_off_the_sheet(found),
-    ], [*null_notes, *law_notes, *(note for note, holds in notes.items() if holds)]  # fmt: skip
+        *_extrapolation(fit, found, new),
+        *null_warnings,
+        *law_warnings,
+        *curl_warnings([fit]),
+        *_off_the_sheet(found),
+    ], [*null_notes, *law_notes, *(note for note, holds in notes.items() if holds)]
 
 
 def _extrapolation(fit: FitResult, found: Simulation, new: bool) -> list[str]:
     """Warnings where the throw leaves the fitted range of speed or spin."""
     seen, spins = fit.fitted["speed"], np.abs(fit.fitted["omega"])
-    speed, omega, y = found.best.speed[0], found.best.state[0, 5, 0], found.best.state[0, 1]
+    speed, omega, y = (
+        found.best.speed[0],
+        found.best.state[0, 5, 0],
+        found.best.state[0, 1],
+    )
     warnings = []
     for name, unit, first, lowest, highest in (
         ("speed", "m/s", speed[0], 0.0, seen.max()),
         ("spin", "rad/s", abs(omega) * new, spins.min(), spins.max()),
     ):
-        above, below = first > _EXTRAPOLATION * highest, 0 < first < lowest / _EXTRAPOLATION
+        above, below = (
+            first > _EXTRAPOLATION * highest,
+            0 < first < lowest / _EXTRAPOLATION,
+        )
         if above or below:
             side = "above" if above else "below"
             end = f"up to {highest:.3g}" if above else f"from {lowest:.3g}"
             warnings.append(
-                f"the initial {name} of {first:.3g} {unit} is {side} the fitted range, {end} "
-                f"{unit}: an extrapolation"
+                f"the initial {name} of {first:.3g} {unit} is {side} the fitted "
+                f"range, {end} {unit}: an extrapolation"
             )
     slow = np.flatnonzero(speed < seen.min() / _EXTRAPOLATION)
     distance = float(y[-1] - y[slow[0]]) if len(slow) else 0.0
     if distance > 0.01:
         warnings.append(
-            f"the last {distance:.2g} m, below {seen.min():.2g} m/s, are slower than the fitted "
-            "range: an extrapolation"
+            f"the last {distance:.2g} m, below {seen.min():.2g} m/s, "
+            "are slower than the fitted range: an extrapolation"
         )
     if new and (omega * fit.fitted["omega"] < 0).all():
         warnings.append(
-            "it turns the opposite way to what was fitted: mirror symmetry of the ice is assumed"
+            "it turns the opposite way to what was fitted: mirror symmetry of "
+            "the ice is assumed"
         )
     return warnings
 
 
-def _null_direction_effects(fit: FitResult, found: Simulation) -> tuple[list[str], list[str]]:
-    """Warnings about null directions of the fit that affect the throw, and notes on the others."""
+def _null_direction_effects(
+    fit: FitResult, found: Simulation
+) -> tuple[list[str], list[str]]:
+    """Warnings about null directions of the fit that affect the throw, and notes
+    on the others."""
     warnings: list[str] = []
     notes: list[str] = []
     for index, direction in enumerate(fit.null_directions):
@@ -82,7 +107,8 @@ def _null_direction_effects(fit: FitResult, found: Simulation) -> tuple[list[str
         what += " individually" if len(direction) > 1 else ""
         if not ends.good.all():
             warnings.append(
-                f"{what}; at the ends of the allowed range the stone does not come to rest"
+                f"{what}; at the ends of the allowed range the stone does "
+                "not come to rest"
             )
             continue
         off = ends.end - found.best.end
@@ -95,44 +121,47 @@ def _null_direction_effects(fit: FitResult, found: Simulation) -> tuple[list[str
             )
         else:
             warnings.append(
-                f"{what}, which affects this throw: the resting position may change by {moved:.2g} "
-                f"m and the final angle by {turned:.2g} rad; the bands include this, uniformly "
-                "over the allowed range"
+                f"{what}, which affects this throw: the resting position may "
+                f"change by {moved:.2g} m and the final angle by {turned:.2g} rad; "
+                "the bands include this, uniformly over the allowed range"
             )
     return warnings, notes
 
 
-def _discrepancy_remarks(discrepancy: Discrepancy | None) -> tuple[list[str], list[str]]:
+def _discrepancy_remarks(
+    discrepancy: Discrepancy | None,
+) -> tuple[list[str], list[str]]:
     """Warnings and notes on the model discrepancy, without one of a joint fit."""
     if discrepancy is None:
         return [], [
-            "the bands contain the spread between the throws of the joint fit, and with it what "
-            "the law lacks at the speeds and spins of these"
+            "the bands contain the spread between the throws of the joint fit, "
+            "and with it what the law lacks at the speeds and spins of these"
         ]
     found = {name for name, excess in discrepancy.excess.items() if excess > DETECTION}
 
     def listing(shown: Collection[str]) -> str:
         return ", ".join(
-            f"{discrepancy.sizes[name]:.2g} {'rad' if name == 'turning' else 'm'}/s^2 {label}"
+            f"{discrepancy.sizes[name]:.2g} {'rad' if name == 'turning' else 'm'}/s^2 "
+            f"{label}"
             for name, label in COMPONENT_LABELS.items()
             if name in shown
         )
 
     if not discrepancy.estimated:
         return [
-            "too few rows were fitted to estimate the model discrepancy; the bands use its prior "
-            f"alone: {listing(COMPONENT_LABELS)}"
+            "too few rows were fitted to estimate the model discrepancy; "
+            f"the bands use its prior alone: {listing(COMPONENT_LABELS)}"
         ], []
     warnings = [
-        "the law does not describe the fitted rows: the residuals show a missing acceleration of "
-        f"about {listing(found)}. The bands include it, to the side of the path of the law that "
-        "the residuals indicate; beyond the fitted speeds and spins the error of the law may be "
-        "larger"
+        "the law does not describe the fitted rows: the residuals show a "
+        f"missing acceleration of about {listing(found)}. The bands include it, "
+        "to the side of the path of the law that the residuals indicate; "
+        "beyond the fitted speeds and spins the error of the law may be larger"
     ]
     notes = [
-        "the bands include accelerations too small to be detected in the fitted rows, about "
-        f"{listing(COMPONENT_LABELS.keys() - found)}; the prior is truncated at what friction does "
-        f"to this throw (mu = {discrepancy.friction:.2g})"
+        "the bands include accelerations too small to be detected in the fitted rows, "
+        f"about {listing(COMPONENT_LABELS.keys() - found)}; the prior is truncated at "
+        f"what friction does to this throw (mu = {discrepancy.friction:.2g})"
     ]
     return warnings[: len(found)], notes[: len(COMPONENT_LABELS) - len(found)]
 
@@ -157,22 +186,26 @@ def compare_held_out(
     later = np.flatnonzero(throw.t > last)
     if not len(later):
         raise InputError(
-            f"{throw.name}: no rows after t = {last:g} s, the last one fitted; fit with a smaller "
-            "--until"
+            f"{throw.name}: no rows after t = {last:g} s, the last one fitted; "
+            "fit with a smaller --until"
         )
     later = later[:: len(later) // MOST_ROWS + 1]
     observed = {"t": throw.t[later] - fit.data["from"]}
     predicted = found.full.positions_at(observed["t"]).swapaxes(0, 1)
     best = found.best.positions_at(observed["t"])[0]
     channels = {}
-    for row, (name, shift) in enumerate(zip(PREDICTED, (*begun.shift, 0.0), strict=True)):
+    for row, (name, shift) in enumerate(
+        zip(PREDICTED, (*begun.shift, 0.0), strict=True)
+    ):
         values = observed[name] = getattr(throw, name)[later] + shift
         seen = np.isfinite(values)
         if not seen.any():
             continue
         noise = _noise(throw, fit, found.discrepancy, name)[later]
         noisy = predicted[row] + noise * random.standard_normal(predicted[row].shape)
-        low95, low68, high68, high95 = np.quantile(noisy, [0.025, 0.16, 0.84, 0.975], axis=0)
+        low95, low68, high68, high95 = np.quantile(
+            noisy, [0.025, 0.16, 0.84, 0.975], axis=0
+        )
         off = (values - best[row])[seen]
         numbers = {
             "rows": seen.sum(),
@@ -189,7 +222,9 @@ def compare_held_out(
     return HeldOut(throw.name, first, last, channels, observed)
 
 
-def _noise(throw: Throw, fit: FitResult, discrepancy: Discrepancy | None, name: str) -> Floats:
+def _noise(
+    throw: Throw, fit: FitResult, discrepancy: Discrepancy | None, name: str
+) -> Floats:
     """Standard deviation of the noise of a channel in each row."""
     if (given := throw.sigma.get(name)) is not None:
         return given

@@ -1,19 +1,23 @@
-"""Model discrepancy of a fit: accelerations missing from the law, for the bands of predictions.
+"""Model discrepancy of a fit: accelerations missing from the law, for the bands
+of predictions.
 
-The accelerations, the prior of their sizes, their effect on a path and the noise beside them are
-those of the noise model "discrepancy", estimated as there (`curlfit.inference.noise`). The
-components across the velocity and of the rotation are proportional to the spin of the throw: the
-mirror image of a throw is a throw, and proportionality is the first order of an odd function. Sizes
-are drawn from their posterior, which retains sizes that the data could not have revealed. Without
-any information it is the prior.
+The accelerations, the prior of their sizes, their effect on a path and the noise beside
+them are those of the noise model "discrepancy", estimated as there
+(`curlfit.inference.noise`). The components across the velocity and of the rotation are
+proportional to the spin of the throw: the mirror image of a throw is a throw, and
+proportionality is the first order of an odd function. Sizes are drawn from their
+posterior, which retains sizes that the data could not have revealed. Without any
+information it is the prior.
 
-Beyond the fitted speeds the data contain no information: the discrepancy there is a process of the
-same covariance, conditioned to be zero at the fitted speeds, with sizes drawn from the prior. Below
-them its components by rotation grow, to all of the friction at most, as 1/v^2: with 1/v, which is
-rotation relative to translation, simulated resting places under another law are not covered.
+Beyond the fitted speeds the data contain no information: the discrepancy there is a
+process of the same covariance, conditioned to be zero at the fitted speeds, with sizes
+drawn from the prior. Below them its components by rotation grow, to all of the friction
+at most, as 1/v^2: with 1/v, which is rotation relative to translation, simulated
+resting places under another law are not covered.
 
-A prediction is the path of the law; its bands extend to the side that the residuals indicate: each
-draw contains the posterior mean times a random factor, uniform between 0 and 2.
+A prediction is the path of the law; its bands extend to the side that the residuals
+indicate: each draw contains the posterior mean times a random factor, uniform
+between 0 and 2.
 """
 
 from __future__ import annotations
@@ -57,11 +61,16 @@ class MissingAccelerations(NamedTuple):
     change: Floats
     """first-order correction of the parameters for it, shape (draws, parameters)"""
 
-    def applied_to(self, ensemble: TrajectoryEnsemble, spin: float = 1.0) -> TrajectoryEnsemble:
-        """Each trajectory under one draw; `spin` is relative to that of the fitted throw."""
+    def applied_to(
+        self, ensemble: TrajectoryEnsemble, spin: float = 1.0
+    ) -> TrajectoryEnsemble:
+        """Each trajectory under one draw; `spin` is relative to that of the
+        fitted throw."""
         log_speed = np.log(np.maximum(ensemble.mean_speed, SPEEDS[0]))
         draws, grid = zip(log_speed, self.acceleration, strict=True), np.log(SPEEDS)
-        found = np.array([[np.interp(at, grid, one) for one in draw] for at, draw in draws])
+        found = np.array(
+            [[np.interp(at, grid, one) for one in draw] for at, draw in draws]
+        )
         return ensemble.with_accelerations(found * np.array([spin, 1.0, spin])[:, None])
 
 
@@ -74,7 +83,8 @@ class DiscrepancyPosterior:
     _data: Linearized
     _estimate: Estimate
     _unseen_shapes: Floats
-    """functions of speed that are zero at the fitted speeds, shape (3, functions, speeds)"""
+    """functions of speed that are zero at the fitted speeds, shape (3,
+    functions, speeds)"""
 
     def draw(self, draws: int, random: np.random.Generator) -> MissingAccelerations:
         """Draws of missing accelerations."""
@@ -86,25 +96,34 @@ class DiscrepancyPosterior:
         right = factor * white[which] + random.standard_normal((draws, lower.shape[-1]))
         inner = np.linalg.solve(lower.mT[which], right[..., None])
         amplitudes = (root[which] @ inner)[..., 0]
-        change = -amplitudes @ (self._data.from_standard @ np.asarray(self._data.coupling)).T
+        change = (
+            -amplitudes @ (self._data.from_standard @ np.asarray(self._data.coupling)).T
+        )
         ceilings = np.array([*self.summary.ceilings.values()])
         fitted = amplitudes.reshape(draws, len(COMPONENTS), -1) * ceilings[:, None]
         prior = np.exp(log_prior(SIZES[:, None]))
-        sizes = random.choice(SIZES, (draws, len(COMPONENTS)), p=prior / prior.sum()) * ceilings
+        sizes = (
+            random.choice(SIZES, (draws, len(COMPONENTS)), p=prior / prior.sum())
+            * ceilings
+        )
         normal = random.standard_normal((draws, *self._unseen_shapes.shape[:2]))
-        unseen = sizes[..., None] * np.einsum("dcf,cfs->dcs", normal, self._unseen_shapes)
+        unseen = sizes[..., None] * np.einsum(
+            "dcf,cfs->dcs", normal, self._unseen_shapes
+        )
         return MissingAccelerations(fitted @ shapes() + unseen, change)
 
     def shift_parameters(self, values: Floats, missing: MissingAccelerations) -> Floats:
-        """Draws of the parameters corrected for the missing accelerations, with errors enlarged
-        where a fit with independent noise has correlated residuals."""
+        """Draws of the parameters corrected for the missing accelerations, with errors
+        enlarged where a fit with independent noise has correlated residuals."""
         found, data = values + missing.change, self._data
         if self._fit.noise.kind == "white":
             t = self._fit.observed["t"]
             noise, scale = self._estimate.noise, self._estimate.scale
             times = np.append(t - t[0], np.full(len(data.gaps) - len(t), t[-1] - t[0]))
             squares, axes = np.linalg.eigh(data.covariance(noise, times, scale))
-            stretch = (axes * np.sqrt(np.maximum(squares, 1.0))) @ axes.T - np.eye(len(axes))
+            stretch = (axes * np.sqrt(np.maximum(squares, 1.0))) @ axes.T - np.eye(
+                len(axes)
+            )
             offset = (values - self._fit.values) @ data.to_standard.T
             found += offset @ stretch @ data.from_standard.T
         bounds = self._fit.parameter_set
@@ -138,12 +157,15 @@ def discrepancy_posterior(fit: FitResult) -> DiscrepancyPosterior:
         span=float(data.span),
         noise={
             name: float(fit.sigma[name] * scale)
-            for name, scale, enough in zip(channels, found.scale, data.enough, strict=True)
+            for name, scale, enough in zip(
+                channels, found.scale, data.enough, strict=True
+            )
             if enough and name in fit.sigma
         },
         excess=by_component(excess) if data.enough.any() else {},
-        ceilings=by_component(responses.size), friction=responses.friction,
-    )  # fmt: skip
+        ceilings=by_component(responses.size),
+        friction=responses.friction,
+    )
     unseen = _unseen_shapes(fit.fitted["speed"], responses.size / responses.largest)
     return DiscrepancyPosterior(summary, fit, data, found, unseen)
 
@@ -165,11 +187,15 @@ def _unseen_shapes(speed: Floats, share: Floats) -> Floats:
 
 
 def _response_of_events(fit: FitResult, responses: Responses) -> Floats:
-    """Derivatives of the events with respect to accelerations, shape (events, 3 * SHAPES)."""
+    """Derivatives of the events with respect to accelerations, shape (events,
+    3 * SHAPES)."""
     since = fit.observed["t"] - fit.observed["t"][0]
-    path = np.array([np.interp(responses.t, since, fit.fitted[name]) for name in CHANNELS])
+    path = np.array(
+        [np.interp(responses.t, since, fit.fitted[name]) for name in CHANNELS]
+    )
     events, by_amplitude = fit.throw.events, responses.by_channel
     return slopes(
         lambda a: along_path(events, responses.t, *(path + by_amplitude @ a)),
-        np.zeros(by_amplitude.shape[-1]), _SMALL,
-    )  # fmt: skip
+        np.zeros(by_amplitude.shape[-1]),
+        _SMALL,
+    )

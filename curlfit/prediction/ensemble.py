@@ -23,11 +23,15 @@ from curlfit.sheet import HOUSE, LINES, TEE, TEE_TO_HACK
 from curlfit.stone import Stone
 
 VARIED = {"v0": 0.01, "omega0": 0.1}
-"""Changes of the initial state for the sensitivity of the resting position, in m/s and rad/s."""
+"""Changes of the initial state for the sensitivity of the resting position, in
+m/s and rad/s."""
 _PLACES = {
-    "guard": GUARD, "front of the house": -HOUSE, "tee": 0.0, "back of the house": HOUSE,
+    "guard": GUARD,
+    "front of the house": -HOUSE,
+    "tee": 0.0,
+    "back of the house": HOUSE,
     "hack": TEE_TO_HACK,
-}  # fmt: skip
+}
 _GRID = np.arange(301.0)
 _GRID_STEPS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)  # s between times
 _MAX_FILLED = 0.8  # fraction of the time grid within which throws come to rest
@@ -82,14 +86,14 @@ class TrajectoryEnsemble(NamedTuple):
     def with_accelerations(self, missing: Floats) -> TrajectoryEnsemble:
         """The same throws under additional accelerations, to rest.
 
-        The friction is taken as a function of speed: a stone passes through the same speeds at
-        different times. A deceleration D becomes D - a down to D/2, and D/(2 sqrt(4 a/D - 1)) below
-        that, since friction does not accelerate.
+        The friction is taken as a function of speed: a stone passes through the same
+        speeds at different times. A deceleration D becomes D - a down to D/2, and D/(2
+        sqrt(4 a/D - 1)) below that, since friction does not accelerate.
 
         Parameters
         ----------
-        missing : accelerations to the right of the velocity, along it, and angular, at the speed
-            of each interval, shape (paths, 3, times - 1).
+        missing : accelerations to the right of the velocity, along it, and angular, at
+            the speed of each interval, shape (paths, 3, times - 1).
         """
         across, along, angular = missing.swapaxes(0, 1)
         x, y, phi, vx, vy, omega = self.state.swapaxes(0, 1)
@@ -99,14 +103,19 @@ class TrajectoryEnsemble(NamedTuple):
             ratio = np.where(loss > 0, along * step / loss, 0.0)
             turn_rate = np.where(mean_speed > 0, across / mean_speed, 0.0)
         low, high = np.minimum(ratio, 0.5), np.maximum(ratio, 0.5)
-        new_step = step * np.where(ratio < 0.5, 1 / (1 - low), 2 * np.sqrt(4 * high - 1))
+        new_step = step * np.where(
+            ratio < 0.5, 1 / (1 - low), 2 * np.sqrt(4 * high - 1)
+        )
         heading = np.unwrap(_forward_filled(np.arctan2(vx, vy), speed > 0))
         extension = new_step / np.where(step > 0, step, 1.0) - 1
-        new_heading = heading + _running_sum(extension * np.diff(heading) + turn_rate * new_step)
+        new_heading = heading + _running_sum(
+            extension * np.diff(heading) + turn_rate * new_step
+        )
         spin = omega + _running_sum(extension * np.diff(omega) + angular * new_step)
 
         def displaced(position: Floats, rate: Floats, new_rate: Floats) -> Floats:
-            """A coordinate, changed relative to this path by the sum over the intervals."""
+            """A coordinate, changed relative to this path by the sum over
+            the intervals."""
             return position + _running_sum(new_rate * new_step - rate * step)
 
         old, new = _means(heading), _means(new_heading)
@@ -136,7 +145,8 @@ class TrajectoryEnsemble(NamedTuple):
         return found
 
     def crossing(self, level: float) -> tuple[Floats, Floats]:
-        """Time and speed at which each throw first crosses a given y; NaN where it does not.
+        """Time and speed at which each throw first crosses a given y; NaN where
+        it does not.
 
         A throw that starts within `_AT_START` beyond it is taken to start on it.
         """
@@ -148,10 +158,14 @@ class TrajectoryEnsemble(NamedTuple):
         k = np.maximum(np.argmax(beyond, 1), 1)
         ends = self.state[rows, :, [k - 1, k]]
         step = self.t[rows, k] - self.t[rows, k - 1]
-        path = CubicHermiteSpline([0.0, 1.0], ends[..., :2], ends[..., 3:5] * step[:, None])
+        path = CubicHermiteSpline(
+            [0.0, 1.0], ends[..., :2], ends[..., 3:5] * step[:, None]
+        )
         height, rates = path.c[:, 0, :, 1], path.derivative().c[:, 0]
         height[-1] -= level
-        part = find_root(lambda s, *cubic: np.polyval(cubic, s), (0.0, 1.0), args=(*height,)).x
+        part = find_root(
+            lambda s, *cubic: np.polyval(cubic, s), (0.0, 1.0), args=(*height,)
+        ).x
         velocity = np.polyval(rates, part[:, None]) / step[:, None]
         crosses = beyond.any(1) & ~beyond[:, 0]
         time = np.where(crosses, self.t[rows, k - 1] + step * part, np.nan)
@@ -181,14 +195,18 @@ class ThrowFamily:
         self.spin_ratio = throw.values["omega0"] / fitted_spin if known else 1.0
         self.environment = LEVEL_AND_STILL  # a new throw is not swept
         if not throw.new:
-            self.environment = environment_of(fit.data["swept"], float(fit.observed["t"][0]))
+            self.environment = environment_of(
+                fit.data["swept"], float(fit.observed["t"][0])
+            )
 
-    def with_start(self, values: Floats, call: Call = CENTRED, random: Any = None) -> Floats:
+    def with_start(
+        self, values: Floats, call: Call = CENTRED, random: Any = None
+    ) -> Floats:
         """Parameter vectors with the initial state of this throw.
 
-        A spin that was not given has the error of the fitted one. Where the call gives the time
-        between hog lines, each has the speed at which it takes that time; with `random`, time and
-        broom have the thrower's scatter.
+        A spin that was not given has the error of the fitted one. Where the call gives
+        the time between hog lines, each has the speed at which it takes that time; with
+        `random`, time and broom have the thrower's scatter.
         """
         own, throw = values.copy(), self.throw
         if throw.new:
@@ -208,13 +226,16 @@ class ThrowFamily:
                 own[:, self._first] += off * own[0, self._first + 1]
                 own[:, self._first + 2] += off
             if time is not None:
-                own[:, self._first + 3] = draw.speeds(own[:, : self._first], own[:, -1], time)
+                own[:, self._first + 3] = draw.speeds(
+                    own[:, : self._first], own[:, -1], time
+                )
         else:
             own[:, self._first : self._first + 2] += throw.shift
         return own
 
     def probes(self) -> dict[str, Floats]:
-        """The best estimate varied in speed, in spin, and to both ends of each null direction."""
+        """The best estimate varied in speed, in spin, and to both ends of each
+        null direction."""
         best, names = self.fit.values, list(self.fit.parameters)
         found = {}
         for name, by in VARIED.items():
@@ -224,17 +245,22 @@ class ThrowFamily:
         for index, direction in enumerate(self.fit.null_directions):
             along = np.array([direction.get(name, 0.0) for name in names])
             with np.errstate(all="ignore"):
-                ends = np.stack([parameters.lower - best, parameters.upper - best]) / along
+                ends = (
+                    np.stack([parameters.lower - best, parameters.upper - best]) / along
+                )
             ends = np.sort(ends[:, (along != 0) & np.isfinite(ends).all(0)], axis=0)
             limits = [max(ends[0], default=0.0), min(ends[1], default=0.0)]
             found[f"null {index}"] = self.with_start(best + np.outer(limits, along))
         return found
 
     def simulate(self, values: Floats) -> TrajectoryEnsemble:
-        """Trajectories of parameter vectors from `with_start`, at the same times in all calls."""
+        """Trajectories of parameter vectors from `with_start`, at the same times
+        in all calls."""
 
         def at(t: Floats, values: Floats) -> TrajectoryEnsemble:
-            return simulate_ensemble(self.fit.model, values, self.fit.stone, self.environment, t)
+            return simulate_ensemble(
+                self.fit.model, values, self.fit.stone, self.environment, t
+            )
 
         if not len(self.t):
             rest = at(_GRID * _GRID_STEPS[-1], values[:BATCH]).rest
@@ -246,7 +272,9 @@ class ThrowFamily:
 
 def prepare_ensemble(fit: FitResult) -> None:
     """Begin compiling the program for the trajectories of parameter vectors."""
-    prepare_motions(fit.model, len(fit.values), fit.stone, LEVEL_AND_STILL, np.zeros(len(_GRID)))
+    prepare_motions(
+        fit.model, len(fit.values), fit.stone, LEVEL_AND_STILL, np.zeros(len(_GRID))
+    )
 
 
 def simulate_ensemble(
@@ -258,21 +286,26 @@ def simulate_ensemble(
 
 
 def weights_of(fit: FitResult, spin: float) -> tuple[Weight, ...]:
-    """What to throw for places from guard to hack, with a spin in rad/s of either sense, on the ice
-    of a fit. A place that no throw reaches is left out."""
+    """What to throw for places from guard to hack, with a spin in rad/s of either
+    sense, on the ice of a fit. A place that no throw reaches is left out."""
     spin, start, found = abs(spin), LINES["hog"], []
     for name, y in _PLACES.items():
         try:
             throws = [
-                aimed(fit, (0.0, TEE + y), omega, start=(0.0, start)) for omega in (-spin, spin)
+                aimed(fit, (0.0, TEE + y), omega, start=(0.0, start))
+                for omega in (-spin, spin)
             ]
         except InputError:
             continue
         right, left = (math.tan(one.heading) * (TEE - start) for one in throws)
         state = 0.0, start, throws[1].heading, throws[1].v0, 0.0, spin
         values = np.array([[*fit.values[: -len(START)], *state]])
-        path = simulate_ensemble(fit.model, values, fit.stone, LEVEL_AND_STILL, 0.2 * _GRID)
-        hog, tee = (float(path.crossing(LINES[line])[0][0]) for line in ("far-hog", "far-tee"))
+        path = simulate_ensemble(
+            fit.model, values, fit.stone, LEVEL_AND_STILL, 0.2 * _GRID
+        )
+        hog, tee = (
+            float(path.crossing(LINES[line])[0][0]) for line in ("far-hog", "far-tee")
+        )
         found.append(Weight(name, y, hog, tee if y > 0 else None, (right, left)))
     return tuple(found)
 

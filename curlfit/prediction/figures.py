@@ -1,4 +1,5 @@
-"""Figure of a prediction: sheet and house to scale, ellipses from the intervals of the table."""
+"""Figure of a prediction: sheet and house to scale, ellipses from the intervals
+of the table."""
 
 from __future__ import annotations
 
@@ -17,13 +18,18 @@ _UNITS = {"x": (100.0, "cm"), "y": (100.0, "cm"), "phi": (1000.0, "mrad")}
 _REST = ("rest_x", "rest_y")
 _LEVELS = (("2.5", "97.5", 0.3, "95 %"), ("16", "84", 0.6, "68 %"))
 """Percentiles at the ends of the bands, opacity and label."""
-_OTHER: dict[str, Any] = {"color": draw.REFERENCE_COLOR, "lw": 0.9, "ls": "--", "zorder": 4}
+_OTHER: dict[str, Any] = {
+    "color": draw.REFERENCE_COLOR,
+    "lw": 0.9,
+    "ls": "--",
+    "zorder": 4,
+}
 
 
 @draw.style()
 def prediction_figure(prediction: Prediction) -> draw.Picture:
-    """The path on the sheet, the resting position in the house, bands of path and measured rows,
-    speed and spin.
+    """The path on the sheet, the resting position in the house, bands of path and
+    measured rows, speed and spin.
 
     Examples
     --------
@@ -45,18 +51,27 @@ def prediction_figure(prediction: Prediction) -> draw.Picture:
         for axes, name in zip(below, check.channels, strict=True):
             _residuals(prediction, axes, name)
     file = draw.file_name(prediction.fit["file"])
-    of = "extrapolated to rest" if prediction.of == "fitted" else "another throw on this ice"
-    draw.title(top, f"{draw.literal(prediction.law)} law fitted to {file}, {of}", margin=0.6)
+    of = (
+        "extrapolated to rest"
+        if prediction.of == "fitted"
+        else "another throw on this ice"
+    )
+    draw.title(
+        top, f"{draw.literal(prediction.law)} law fitted to {file}, {of}", margin=0.6
+    )
     draw.letters([top], 0.38, 5)
     draw.letters((house, across, rates[0], *figure.axes[5:6]), names="bcde")
     return figure
 
 
 def _sheet_view(prediction: Prediction, axes: Any) -> None:
-    """The sheet from above, thrown toward the right: right of the centre line is below."""
+    """The sheet from above, thrown toward the right: right of the centre
+    line is below."""
     length, half = sheet.TEE + sheet.LINES["tee"], sheet.WIDTH / 2
     axes.add_patch(
-        Rectangle((0, -half), length, 2 * half, fc="#f6fafc", ec="0.55", lw=0.8, zorder=0)
+        Rectangle(
+            (0, -half), length, 2 * half, fc="#f6fafc", ec="0.55", lw=0.8, zorder=0
+        )
     )
     for tee in (sheet.LINES["tee"], sheet.TEE):
         draw.plot_house(axes, (tee, 0.0))
@@ -72,20 +87,32 @@ def _sheet_view(prediction: Prediction, axes: Any) -> None:
         other = prediction.other.series
         axes.plot(other["y"], other["x"], **_OTHER)
         _stone(axes, (other["y"][-1], other["x"][-1]))
-    axes.set_xlim(min(float(series["y"][0]), 0.0) - 0.5, max(float(series["y"][-1]), length) + 0.5)
+    axes.set_xlim(
+        min(float(series["y"][0]), 0.0) - 0.5, max(float(series["y"][-1]), length) + 0.5
+    )
     names = {"hog": "hog line", "far-hog": "hog line", "tee": "tee", "far-tee": "tee"}
     draw.sheet_axes(axes, names, max(half, float(np.abs(series["x"]).max()) + 0.3))
     axes.spines[:].set_visible(False)
 
 
-def _plot_bands(axes: Any, across: Floats, edge: Callable[[str], Floats], **style: Any) -> None:
+def _plot_bands(
+    axes: Any, across: Floats, edge: Callable[[str], Floats], **style: Any
+) -> None:
     for low, high, alpha, label in _LEVELS:
-        style |= {"alpha": alpha, "color": draw.PREDICTION_COLOR, "lw": 0, "label": label}
+        style |= {
+            "alpha": alpha,
+            "color": draw.PREDICTION_COLOR,
+            "lw": 0,
+            "label": label,
+        }
         axes.fill_between(across, edge(low), edge(high), **style)
 
 
 def _stone(axes: Any, position: tuple[float, float], hollow: bool = False) -> None:
-    style: dict[str, Any] = {"fc": "none" if hollow else draw.FIT_COLOR, "ec": draw.FIT_COLOR}
+    style: dict[str, Any] = {
+        "fc": "none" if hollow else draw.FIT_COLOR,
+        "ec": draw.FIT_COLOR,
+    }
     axes.add_patch(Circle(position, sheet.STONE_RADIUS, lw=0.8, zorder=6, **style))
 
 
@@ -101,9 +128,14 @@ def _resting_place(prediction: Prediction, axes: Any) -> None:
     axes.plot(series["x"], series["y"] - sheet.TEE, color=draw.FIT_COLOR, zorder=4)
     band = prediction.band
     axes.fill_betweenx(
-        band["y"] - sheet.TEE, band["x_2.5"], band["x_97.5"], color=draw.PREDICTION_COLOR,
-        alpha=0.2, lw=0, zorder=2,
-    )  # fmt: skip
+        band["y"] - sheet.TEE,
+        band["x_2.5"],
+        band["x_97.5"],
+        color=draw.PREDICTION_COLOR,
+        alpha=0.2,
+        lw=0,
+        zorder=2,
+    )
     rest = prediction.rest
     for first, last, alpha, _ in _LEVELS:
         style = {"fc": draw.PREDICTION_COLOR, "alpha": alpha, "ec": "none", "zorder": 3}
@@ -117,13 +149,23 @@ def _resting_place(prediction: Prediction, axes: Any) -> None:
         _ellipse(axes, *place, other.rest["both"], **style, label=label)
     own = 1.96 * np.array([prediction.quantities[name].parameter_sd for name in _REST])
     _ellipse(
-        axes, np.array([x, y]), own, rest["parameter"], fc="none", ec=draw.FIT_COLOR,
-        lw=0.8, ls="--", zorder=5, label="95 %, parameter uncertainty only",
-    )  # fmt: skip
+        axes,
+        np.array([x, y]),
+        own,
+        rest["parameter"],
+        fc="none",
+        ec=draw.FIT_COLOR,
+        lw=0.8,
+        ls="--",
+        zorder=5,
+        label="95 %, parameter uncertainty only",
+    )
     _stone(axes, (x, y), hollow=True)
     if prediction.goal is not None:
         target = prediction.goal["x"] or 0.0, prediction.goal["y"]
-        axes.plot(*target, "+", color=draw.REFERENCE_COLOR, markersize=9, mew=1.5, zorder=7)
+        axes.plot(
+            *target, "+", color=draw.REFERENCE_COLOR, markersize=9, mew=1.5, zorder=7
+        )
     for rows, style, _ in _measured_rows(prediction):
         axes.plot(rows["x"], rows["y"] - sheet.TEE, **style | {"zorder": 3.5})
     edge, sides = sheet.HOUSE + 0.5, max(half, abs(x) + reach[0])
@@ -146,13 +188,17 @@ def _equal_scales(axes: Any, x: tuple[float, float], y: tuple[float, float]) -> 
 def _interval(prediction: Prediction, low: str, high: str) -> tuple[Any, Any]:
     """Centre and half width of an interval of the resting position, from the tee, m."""
     ends = np.array(
-        [[prediction.quantities[name].quantiles[level] for level in (low, high)] for name in _REST]
+        [
+            [prediction.quantities[name].quantiles[level] for level in (low, high)]
+            for name in _REST
+        ]
     )
     return ends.mean(1), np.diff(ends)[:, 0] / 2
 
 
 def _ellipse(axes: Any, centre: Any, size: Any, covariance: Any, **style: Any) -> None:
-    """Draw an ellipse of given half width and height, with the correlation of a covariance."""
+    """Draw an ellipse of given half width and height, with the correlation of
+    a covariance."""
     scale = size / np.sqrt(np.maximum(np.diag(covariance), 1e-30))
     squares, vectors = np.linalg.eigh(covariance * np.outer(scale, scale))
     short, long = 2 * np.sqrt(np.maximum(squares, 0.0))
@@ -183,7 +229,8 @@ def _cross_track(prediction: Prediction, axes: Any) -> None:
 
 
 def _rate(prediction: Prediction, axes: Any, name: str) -> None:
-    """Speed or spin, with those measured, directly or as slopes of the measured path."""
+    """Speed or spin, with those measured, directly or as slopes of the
+    measured path."""
     series = prediction.series
     for rows, style, _ in _measured_rows(prediction):
         draw.plot_rate(axes, rows, name, style)
@@ -194,19 +241,27 @@ def _rate(prediction: Prediction, axes: Any, name: str) -> None:
 
 
 def _residuals(prediction: Prediction, axes: Any, name: str) -> None:
-    """Measured minus predicted, with the bands of the path (without measurement noise)."""
+    """Measured minus predicted, with the bands of the path (without
+    measurement noise)."""
     assert prediction.check is not None
     factor, unit = _UNITS[name]
     series, measured = prediction.series, prediction.check.observed
     step = series["t"][1] - series["t"][0]
-    shown = (series["t"] >= measured["t"][0] - 1) & (series["t"] <= measured["t"][-1] + step)
+    shown = (series["t"] >= measured["t"][0] - 1) & (
+        series["t"] <= measured["t"][-1] + step
+    )
     _plot_bands(
-        axes, series["t"][shown],
+        axes,
+        series["t"][shown],
         lambda level: factor * (series[f"{name}_{level}"] - series[name])[shown],
-    )  # fmt: skip
+    )
     axes.axhline(0, **draw.ZERO_LINE)
-    off = factor * (measured[name] - np.interp(measured["t"], series["t"], series[name]))
+    off = factor * (
+        measured[name] - np.interp(measured["t"], series["t"], series[name])
+    )
     axes.plot(measured["t"], off, **draw.LATER_STYLE)
     axes.set(xlabel="t (s)", ylabel=unit)
-    axes.set_title(f"${draw.CHANNEL_LABEL[name]}$, measured \N{MINUS SIGN} predicted", loc="center")
+    axes.set_title(
+        f"${draw.CHANNEL_LABEL[name]}$, measured \N{MINUS SIGN} predicted", loc="center"
+    )
     axes.margins(x=0.02)

@@ -1,18 +1,20 @@
-"""Prediction of a throw: the fitted one extrapolated to rest, or another one on the same ice.
+"""Prediction of a throw: the fitted one extrapolated to rest, or another one on
+the same ice.
 
-Two errors are propagated separately. The error of the parameters: each draw from the posterior (the
-chain or, without one, the covariance of the fit: Gaussian along determined directions, uniform
-within the bounds along the others) is simulated to rest. The error of the law, the model
-discrepancy (see `curlfit.prediction.discrepancy`): each draw is simulated again with missing
-accelerations. Neither contains measurement noise, which is added where a prediction is compared
-with measured rows.
+Two errors are propagated separately. The error of the parameters: each draw from the
+posterior (the chain or, without one, the covariance of the fit: Gaussian along
+determined directions, uniform within the bounds along the others) is simulated to rest.
+The error of the law, the model discrepancy (see `curlfit.prediction.discrepancy`): each
+draw is simulated again with missing accelerations. Neither contains measurement noise,
+which is added where a prediction is compared with measured rows.
 
-A given initial state is taken as exact, a spin that is not given has the errors of the fit. Without
-any the throw is the fitted one, whose initial state has the errors of the fit.
+A given initial state is taken as exact, a spin that is not given has the errors of
+the fit. Without any the throw is the fitted one, whose initial state has the
+errors of the fit.
 
-Positions are on the sheet: x to the right of the centre line, y from the hack that the stone is
-thrown from (`curlfit.sheet`). The origin of the data is arbitrary, so the initial position is
-placed on a line of the sheet, by default the near hog line.
+Positions are on the sheet: x to the right of the centre line, y from the hack that the
+stone is thrown from (`curlfit.sheet`). The origin of the data is arbitrary, so the
+initial position is placed on a line of the sheet, by default the near hog line.
 """
 
 from __future__ import annotations
@@ -60,25 +62,26 @@ def predict(
 ) -> Prediction:
     """Predict a throw, from a fit of a throw on the same ice.
 
-    Without `start`, `target` and `weight` it is the fitted throw, extrapolated to rest. Otherwise
-    it is another one: along the centre line from `line`, with the speed and spin of the fitted one
-    unless these are given.
+    Without `start`, `target` and `weight` it is the fitted throw, extrapolated to rest.
+    Otherwise it is another one: along the centre line from `line`, with the speed and
+    spin of the fitted one unless these are given.
 
     Parameters
     ----------
-    fit, chain : a converged fit and, if there is one, its posterior sample. A joint fit of throws
-        that vary, or that of a season, predicts another one of them: the bands contain the spread
-        between throws.
+    fit, chain : a converged fit and, if there is one, its posterior sample. A joint fit
+        of throws that vary, or that of a season, predicts another one of them: the
+        bands contain the spread between throws.
     call : the throw in curlers' terms, and its group in a joint fit.
-    start : any of x0, y0 (m on the sheet), heading (rad), v0 (m/s), phi0 (rad), omega0 (rad/s);
-        taken as exact.
-    line : where the throw starts: "hack", "back", "tee", "hog", "centre" or "far-hog"; "data" is
-        the start of the data, whose y must then be measured from the hack. By default "hog", or
-        "data" for the fitted throw if its file states that y is measured from the hack.
-    target : (x, y), m to the right of the tee and beyond it, where the stone is to rest; speed and
-        heading are found.
-    weight : "draw", "guard" or "takeout" (see `WEIGHTS`); the speed and, unless it is given, the
-        heading to the centre line are found.
+    start : any of x0, y0 (m on the sheet), heading (rad), v0 (m/s), phi0 (rad), omega0
+        (rad/s); taken as exact.
+    line : where the throw starts: "hack", "back", "tee", "hog", "centre" or "far-hog";
+        "data" is the start of the data, whose y must then be measured from the hack. By
+        default "hog", or "data" for the fitted throw if its file states that y is
+        measured from the hack.
+    target : (x, y), m to the right of the tee and beyond it, where the stone is to
+        rest; speed and heading are found.
+    weight : "draw", "guard" or "takeout" (see `WEIGHTS`); the speed and, unless it is
+        given, the heading to the centre line are found.
     tee_speed : speed in m/s at which a takeout passes the tee.
     draws : number of draws from the posterior. seed : of the draws.
     check : the fitted throw with later rows; not with `start`, `target` or `weight`.
@@ -89,10 +92,11 @@ def predict(
 
     Raises
     ------
-    InputError : an unknown name, contradictory arguments, a target that no throw reaches, a fit
-        that does not determine the spin where none is given, a `check` that is another throw or has
-        no later rows.
-    UnusableFitError : the fit did not converge, or its law does not bring the stone to rest.
+    InputError : an unknown name, contradictory arguments, a target that no throw
+        reaches, a fit that does not determine the spin where none is given, a `check`
+        that is another throw or has no later rows.
+    UnusableFitError : the fit did not converge, or its law does not bring the
+        stone to rest.
 
     Examples
     --------
@@ -102,9 +106,14 @@ def predict(
     """
     if call.turn == "both":
         common: dict[str, Any] = {
-            "line": line, "target": target, "weight": weight, "tee_speed": tee_speed,
-            "draws": draws, "seed": seed, "check": check,
-        }  # fmt: skip
+            "line": line,
+            "target": target,
+            "weight": weight,
+            "tee_speed": tee_speed,
+            "draws": draws,
+            "seed": seed,
+            "check": check,
+        }
         first, other = (
             predict(fit, chain, start=own, call=one, **common)
             for one, own in both_turns(call, start or {})
@@ -122,15 +131,21 @@ def predict(
     throw = planned(fit, call, start or {}, line, target, weight, tee_speed)
     _require_alike(throw, together, check)
     prepare_ensemble(fit)
-    found = Simulation.of(ThrowFamily(throw), values, random, call if together else None)
+    found = Simulation.of(
+        ThrowFamily(throw), values, random, call if together else None
+    )
     warned, noted = diagnostics.remarks(throw, found, line is None)
     if (used := len(found.plain.t)) < draws:
-        warned.append(f"{1 - used / draws:.1%} of the draws do not come to rest and are left out")
+        warned.append(
+            f"{1 - used / draws:.1%} of the draws do not come to rest and are left out"
+        )
     comparison = None
     if check is not None:
         comparison = diagnostics.compare_held_out(check, throw, found, random)
     return Prediction(
-        law=fit.law, load=fit.load, stone=fit.stone,
+        law=fit.law,
+        load=fit.load,
+        stone=fit.stone,
         fit={key: fit.data[key] for key in ("file", "rows", "from", "to")},
         start={
             item.name: {"value": float(throw.values[item.name]), "unit": item.unit}
@@ -138,12 +153,17 @@ def predict(
             for item in START
         },
         of="new" if throw.new else "fitted",
-        line="" if throw.origins["y0"] == "given" else throw.line, goal=throw.goal,
-        draws={"number": draws, "used": used, "source": source, "seed": seed}, call=call,
+        line="" if throw.origins["y0"] == "given" else throw.line,
+        goal=throw.goal,
+        draws={"number": draws, "used": used, "source": source, "seed": seed},
+        call=call,
         weights=weights_of(fit, throw.values["omega0"]) if together else (),
-        measured={} if together else _measured_rows(throw), warnings=tuple(warned),
-        notes=(*notes, *noted), check=comparison, **found.summary(),
-    )  # fmt: skip
+        measured={} if together else _measured_rows(throw),
+        warnings=tuple(warned),
+        notes=(*notes, *noted),
+        check=comparison,
+        **found.summary(),
+    )
 
 
 def _with_white_noise(
@@ -153,46 +173,50 @@ def _with_white_noise(
 
     Raises
     ------
-    InputError, UnusableFitError : it is no such fit, or cannot be used; groups, which it lacks.
+    InputError, UnusableFitError : it is no such fit, or cannot be used; groups,
+        which it lacks.
     """
     require_fit(fit)
     if call.labels:
         raise InputError(
-            f"{', '.join(call.labels)}: the fit of one throw has no groups; leave it out"
+            f"{', '.join(call.labels)}: the fit of one throw has no "
+            "groups; leave it out"
         )
     _require_predictable(fit, draws)
     if "discrepancy" not in fit.noise.kind:
         return fit, chain, []
     note = (
-        "the path is that of the least-squares coefficients; the discrepancy that the fit has as "
-        "noise is here in the bands"
+        "the path is that of the least-squares coefficients; the discrepancy that the "
+        "fit has as noise is here in the bands"
     )
     return refit(fit, "white"), None, [note]
 
 
 def _require_alike(throw: PlannedThrow, together: bool, check: Throw | None) -> None:
-    """Raise `InputError` for the throw itself of a joint fit, or for another to be checked."""
+    """Raise `InputError` for the throw itself of a joint fit, or for another
+    to be checked."""
     if together and not throw.new:
         raise InputError(
-            "a joint fit predicts another throw: give its weight as hog to hog time or v0, or "
-            "where it is to rest"
+            "a joint fit predicts another throw: give its weight as hog to hog time "
+            "or v0, or where it is to rest"
         )
     if check is not None and throw.new:
         raise InputError(
-            "measured rows are compared with the fitted throw; leave out the start, target or "
-            "weight"
+            "measured rows are compared with the fitted throw; leave out the start, "
+            "target or weight"
         )
 
 
 def _require_predictable(fit: FitResult, draws: int) -> None:
-    """Raise `UnusableFitError` or `InputError` if no throw can be predicted from a fit."""
+    """Raise `UnusableFitError` or `InputError` if no throw can be
+    predicted from a fit."""
     if not fit.converged:
         raise UnusableFitError(f"nothing can be predicted from this fit: {fit.status}")
     for name in ("length_scale", "time_scale"):
         if name in fit.conditions and fit.parameters[name].value != 1.0:
             raise InputError(
-                f"{name} of this fit is not 1: measured lengths or times differ from the true "
-                "ones; use a fit of corrected data"
+                f"{name} of this fit is not 1: measured lengths or times differ from "
+                "the true ones; use a fit of corrected data"
             )
     if draws < 100:
         raise InputError(f"{draws} draws: expected at least 100")
@@ -207,7 +231,8 @@ def held_out(
     seed: int = 0,
     **options: Any,
 ) -> Prediction:
-    """Fit the first rows of a throw, predict the rest, and compare (`check` of the result).
+    """Fit the first rows of a throw, predict the rest, and compare (`check` of
+    the result).
 
     Parameters
     ----------
@@ -252,8 +277,8 @@ def _drawn_values(
 
 
 def _measured_rows(throw: PlannedThrow) -> dict[str, Floats]:
-    """The fitted rows on the sheet, if x and y were measured, translated and rotated to the initial
-    position and heading of the throw."""
+    """The fitted rows on the sheet, if x and y were measured, translated and rotated to
+    the initial position and heading of the throw."""
     fit, begun, measured = throw.fit, throw.values, throw.fit.observed
     if not all(np.isfinite(measured.get(name, np.nan)).any() for name in ("x", "y")):
         return {}

@@ -21,23 +21,41 @@ from curlfit.output.text import (
     sided,
     stone_text,
 )
-from curlfit.prediction.result import OUTCOMES, QUANTITIES, HeldOut, Prediction, Quantity
+from curlfit.prediction.result import (
+    OUTCOMES,
+    QUANTITIES,
+    HeldOut,
+    Prediction,
+    Quantity,
+)
 from curlfit.sheet import FOOT, STONE_RADIUS, TEE, TEE_TO_BACK
 
 _LINES = {
-    "hack": "at the hack", "back": "on the near back line", "tee": "on the near tee line",
-    "hog": "on the near hog line", "centre": "in the middle of the sheet",
-    "far-hog": "on the far hog line", "data": "at the start of the data",
+    "hack": "at the hack",
+    "back": "on the near back line",
+    "tee": "on the near tee line",
+    "hog": "on the near hog line",
+    "centre": "in the middle of the sheet",
+    "far-hog": "on the far hog line",
+    "data": "at the start of the data",
     "": "at the given position",
-}  # fmt: skip
+}
 _START = {
-    "v0": "speed", "omega0": "spin", "heading": "heading", "x0": "x", "y0": "y", "phi0": "angle",
-}  # fmt: skip
+    "v0": "speed",
+    "omega0": "spin",
+    "heading": "heading",
+    "x0": "x",
+    "y0": "y",
+    "phi0": "angle",
+}
 _PLACE = ("x0", "y0", "phi0")
 _CHANGES = {
-    "v0": "m/s more speed", "heading": "rad of heading", "omega0": "rad/s more spin",
-    "hog_to_hog": "s longer hog to hog", "broom": "m (1 ft) of broom to the right",
-}  # fmt: skip
+    "v0": "m/s more speed",
+    "heading": "rad of heading",
+    "omega0": "rad/s more spin",
+    "hog_to_hog": "s longer hog to hog",
+    "broom": "m (1 ft) of broom to the right",
+}
 _ALONG = ("beyond", "before")
 _SIDES = ("right of", "left of")
 
@@ -58,14 +76,21 @@ def document(prediction: Prediction) -> Document:
     fit, draws, check = prediction.fit, prediction.draws, prediction.check
     rest, curl = describe_rest(prediction)
     fitted = prediction.of == "fitted"
-    what = "the fitted throw, extrapolated to rest" if fitted else "another throw on this ice"
+    what = (
+        "the fitted throw, extrapolated to rest"
+        if fitted
+        else "another throw on this ice"
+    )
     aim = [] if prediction.goal is None else [_aim(prediction)]
     aim += [] if fitted else [_called(prediction)]
     source = (
-        "the throws of the joint fit, by Student's t" if draws["source"] == "throws" else
-        "the chain" if draws["source"] == "chain" else "the covariance of the fit (there is no "
+        "the throws of the joint fit, by Student's t"
+        if draws["source"] == "throws"
+        else "the chain"
+        if draws["source"] == "chain"
+        else "the covariance of the fit (there is no "
         "chain.h5): Gaussian along determined directions, uniform along the others"
-    )  # fmt: skip
+    )
     return Document(
         finding=lower(rest).rstrip("."),
         subject=Text.assemble(
@@ -73,25 +98,37 @@ def document(prediction: Prediction) -> Document:
             f", {prediction.load} load, fitted to {fit['file']}: {what}",
         ),
         about=(
-            _start(prediction), *(Said(line, style="bold") for line in aim),
+            _start(prediction),
+            *(Said(line, style="bold") for line in aim),
             f"Bands from {draws['used']} draws of {source}",
         ),
         lines=[*aim, curl],
         sections=(
             Section(
-                "predicted", "What is predicted",
-                (_quantities(prediction), Said(f"{rest} {curl}"), _outcomes(prediction),
-                 _sensitivity(prediction)),
+                "predicted",
+                "What is predicted",
+                (
+                    _quantities(prediction),
+                    Said(f"{rest} {curl}"),
+                    _outcomes(prediction),
+                    _sensitivity(prediction),
+                ),
             ),
             *([] if prediction.other is None else [_other(prediction.other)]),
             Section("weights", "Weights and brooms", (_weights(prediction),)),
             Section(
-                "held-out", "Rows that were not fitted", _check(check) if check else (), brief=False
+                "held-out",
+                "Rows that were not fitted",
+                _check(check) if check else (),
+                brief=False,
             ),
         ),
         warnings=prediction.warnings,
         notes=prediction.notes,
-        title=f"{Path(fit['file']).name}: {'the throw to rest' if fitted else 'another throw'}",
+        title=(
+            f"{Path(fit['file']).name}: "
+            f"{'the throw to rest' if fitted else 'another throw'}"
+        ),
         settings={
             "Law, load": f"{prediction.law}, {prediction.load}",
             "Fit": f"{fit['file']}, {rows_text(fit)}",
@@ -104,7 +141,7 @@ def document(prediction: Prediction) -> Document:
         },
         command=prediction.command,
         names=prediction.start,
-    )  # fmt: skip
+    )
 
 
 def _other(prediction: Prediction) -> Section:
@@ -112,7 +149,9 @@ def _other(prediction: Prediction) -> Section:
     rest, curl = describe_rest(prediction)
     turn = capital(f"{prediction.call.turn}-turn")
     said = f"{turn}: {lower(_called(prediction))} {rest} {curl} {_outcomes(prediction)}"
-    return Section("other", f"The {turn.lower()}", (_quantities(prediction), Said(said)))
+    return Section(
+        "other", f"The {turn.lower()}", (_quantities(prediction), Said(said))
+    )
 
 
 def describe_rest(prediction: Prediction) -> tuple[str, str]:
@@ -130,7 +169,10 @@ def describe_rest(prediction: Prediction) -> tuple[str, str]:
     side = "right" if curl > 0 else "left"
     if abs(curl) < 0.005:
         return text, "It does not curl."
-    return text, f"It curls {abs(curl):.2f} m ({abs(curl) / FOOT:.2f} ft) to the {side}."
+    return (
+        text,
+        f"It curls {abs(curl):.2f} m ({abs(curl) / FOOT:.2f} ft) to the {side}.",
+    )
 
 
 def _off(value: float, sides: tuple[str, str]) -> str:
@@ -155,8 +197,9 @@ def _aim(prediction: Prediction) -> str:
     if start["heading"]["origin"] == "found":
         heading = start["heading"]["value"]
         found += (
-            f" and a heading of {1000 * heading:.2f} mrad ({abs(math.degrees(heading)):.2f} "
-            f"degrees to the {'right' if heading > 0 else 'left'})"
+            f" and a heading of {1000 * heading:.2f} mrad "
+            f"({abs(math.degrees(heading)):.2f} degrees to the "
+            f"{'right' if heading > 0 else 'left'})"
         )
     x, y = goal["x"], goal["y"]
     place = "the tee line" if x is None else "the tee"
@@ -185,16 +228,20 @@ def _weights(prediction: Prediction) -> PlainTable:
     return PlainTable(
         [
             {
-                "rests": f"{one.rests}, {_off(one.y, _ALONG)} the tee" if one.y
+                "rests": f"{one.rests}, {_off(one.y, _ALONG)} the tee"
+                if one.y
                 else "tee",
                 ">hog to hog (s)": f"{one.hog_to_hog:.2f}",
-                ">hog to tee (s)": "" if one.hog_to_tee is None else f"{one.hog_to_tee:.2f}",
-                "broom, in-turn": _broom(one.brooms[0]), "broom, out-turn": _broom(one.brooms[1]),
+                ">hog to tee (s)": ""
+                if one.hog_to_tee is None
+                else f"{one.hog_to_tee:.2f}",
+                "broom, in-turn": _broom(one.brooms[0]),
+                "broom, out-turn": _broom(one.brooms[1]),
             }
             for one in prediction.weights
         ],
         "Weights and brooms, at the far tee; turns of a right-hander",
-    )  # fmt: skip
+    )
 
 
 def _broom(place: float) -> str:
@@ -210,18 +257,27 @@ def _quantities(prediction: Prediction) -> PlainTable:
         meaning, unit = QUANTITIES[name]
         meaning, sign = sided(meaning, item.value)
         share = "" if item.share == 1 else f"{100 * item.share:.3g} %"
-        rows.append({"": labelled(meaning, unit), **_row(item, sign, both), "of draws": share})
-    errors = "standard deviations by the errors of the parameters and by the model discrepancy"
+        rows.append(
+            {"": labelled(meaning, unit), **_row(item, sign, both), "of draws": share}
+        )
+    errors = (
+        "standard deviations by the errors of the parameters and by the "
+        "model discrepancy"
+    )
     return PlainTable(
         rows,
         "Predicted quantities: best estimate, "
-        + (f"{errors}, intervals by both" if both else "standard deviation and intervals"),
+        + (
+            f"{errors}, intervals by both"
+            if both
+            else "standard deviation and intervals"
+        ),
     )
 
 
 def _row(item: Quantity, sign: float, both: bool) -> dict[str, str]:
-    """Best value, both errors or the one of a joint fit, and the intervals, to two digits of the
-    larger error."""
+    """Best value, both errors or the one of a joint fit, and the intervals, to two
+    digits of the larger error."""
     size = max(item.parameter_sd, item.model_sd)
     known = size >= 1e-9
     digits = min(decimals(size), 4)
@@ -230,12 +286,16 @@ def _row(item: Quantity, sign: float, both: bool) -> dict[str, str]:
         for part in (item.parameter_sd, item.model_sd)
     )
     ends = sorted(sign * value for value in item.quantiles.values())
-    q = {level: f"{value:.{digits}f}" for level, value in zip(item.quantiles, ends, strict=True)}
+    q = {
+        level: f"{value:.{digits}f}"
+        for level, value in zip(item.quantiles, ends, strict=True)
+    }
     return {
         ">best": "-" if math.isnan(item.value) else f"{sign * item.value:.{digits}f}",
         **({">parameters": own, ">model": model} if both else {">std. dev.": own}),
-        "68 %": f"{q['16']} .. {q['84']}" * known, "95 %": f"{q['2.5']} .. {q['97.5']}" * known,
-    }  # fmt: skip
+        "68 %": f"{q['16']} .. {q['84']}" * known,
+        "95 %": f"{q['2.5']} .. {q['97.5']}" * known,
+    }
 
 
 def _outcomes(prediction: Prediction) -> str:
@@ -256,12 +316,15 @@ def _sensitivity(prediction: Prediction) -> str:
         moves = [
             f"{abs(size):.2g} m {sides[size < 0]}"
             for size, sides in (
-                (item["along"], ("farther", "shorter")), (item["right"], ("right", "left")),
+                (item["along"], ("farther", "shorter")),
+                (item["right"], ("right", "left")),
             )
             if abs(size) >= 0.001
-        ]  # fmt: skip
+        ]
         changes.append(f"{item['by']:.3g} {words}: {', '.join(moves) or 'no change'}")
-    return f"Sensitivity of the resting position: {'; '.join(changes)}." if changes else ""
+    return (
+        f"Sensitivity of the resting position: {'; '.join(changes)}." if changes else ""
+    )
 
 
 def _check(check: HeldOut) -> tuple[PlainTable, str]:
@@ -271,15 +334,18 @@ def _check(check: HeldOut) -> tuple[PlainTable, str]:
         rows.append(
             {
                 "held out": f"{name} ({'rad' if name == 'phi' else 'm'})",
-                ">rows": f"{item['rows']:.0f}", ">rms": f"{item['rms']:.3g}",
+                ">rows": f"{item['rows']:.0f}",
+                ">rms": f"{item['rms']:.3g}",
                 ">within 68 %": f"{item['inside_68']:.0%}",
                 ">within 95 %": f"{item['inside_95']:.0%}",
-                ">error at end": off, ">std. dev.": expected,
+                ">error at end": off,
+                ">std. dev.": expected,
             }
-        )  # fmt: skip
+        )
     remark = (
-        f"Rows of {check.file} from t = {check.first:g} to {check.last:g} s were not fitted; "
-        "the bands include noise. Differences within one throw are correlated: a path that is off "
-        "by one standard deviation has hardly a row within 68 %."
+        f"Rows of {check.file} from t = {check.first:g} to {check.last:g} s were "
+        "not fitted; the bands include noise. Differences within one throw are "
+        "correlated: a path that is off by one standard deviation has hardly a "
+        "row within 68 %."
     )
     return PlainTable(rows, "Rows that were not fitted"), remark

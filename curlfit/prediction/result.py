@@ -12,7 +12,16 @@ from curlfit.inference.fit.result import Extent, LoadName
 from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Floats
 from curlfit.output.frames import frame
-from curlfit.records import SERIES, Arrays, Choice, Names, Record, keys, require, require_rows
+from curlfit.records import (
+    SERIES,
+    Arrays,
+    Choice,
+    Names,
+    Record,
+    keys,
+    require,
+    require_rows,
+)
 from curlfit.sheet import TEE
 from curlfit.stone import Stone
 
@@ -32,8 +41,8 @@ QUANTITIES = {
     "speed_at_far_hog": ("speed at far hog line", "m/s"),
     "speed_at_tee": ("speed at tee line", "m/s"),
 }
-"""Predicted quantities: meaning and unit by name. Curl is the distance of the resting position from
-the line of delivery, the straight line along the initial velocity."""
+"""Predicted quantities: meaning and unit by name. Curl is the distance of the resting
+position from the line of delivery, the straight line along the initial velocity."""
 OUTCOMES = {
     "on the button": "rests on the button or touches it",
     "in the house": "rests in the house or touches it",
@@ -45,9 +54,16 @@ OUTCOMES = {
 _ALWAYS = ("rest_x", "rest_y", "curl", "turns", "time")
 _AROUND = [f"_{level}" for level in LEVELS if level != "50"]
 _SERIES = (
-    "t", *PREDICTED, "speed", "omega",
-    *(f"{name}{end}" for name in PREDICTED for end in ("_parameter_sd", "_model_sd", *_AROUND)),
-)  # fmt: skip
+    "t",
+    *PREDICTED,
+    "speed",
+    "omega",
+    *(
+        f"{name}{end}"
+        for name in PREDICTED
+        for end in ("_parameter_sd", "_model_sd", *_AROUND)
+    ),
+)
 _BAND = ("y", "x", *(f"x{end}" for end in _AROUND))
 
 
@@ -59,12 +75,12 @@ class Call:
     ----------
     labels : its group in a joint fit, such as the sheet.
     hog_to_hog : s between the hog lines, which gives the speed.
-    broom : m to the right of the centre line at the far tee, where the stone is aimed from the
-        hack.
-    thrower : standard deviations of the time between hog lines in s, and of the aim at the broom
-        in m.
-    turn : "clockwise" or "counter-clockwise"; "in" and "out" as of a right-hander; "both" for one
-        throw of each.
+    broom : m to the right of the centre line at the far tee, where the stone is aimed
+        from the hack.
+    thrower : standard deviations of the time between hog lines in s, and of the aim at
+        the broom in m.
+    turn : "clockwise" or "counter-clockwise"; "in" and "out" as of a right-hander;
+        "both" for one throw of each.
 
     Examples
     --------
@@ -91,9 +107,10 @@ class Weight:
     Attributes
     ----------
     rests : the name of the place, and `y`, m beyond the far tee.
-    hog_to_hog, hog_to_tee : s from the near hog line; the latter None if it stops short.
-    brooms : m to the right of the centre line at the far tee, of a stone that turns clockwise and
-        of one that turns counter-clockwise.
+    hog_to_hog, hog_to_tee : s from the near hog line; the latter None if it
+        stops short.
+    brooms : m to the right of the centre line at the far tee, of a stone that turns
+        clockwise and of one that turns counter-clockwise.
     """
 
     rests: str
@@ -109,7 +126,8 @@ class Quantity:
 
     Attributes
     ----------
-    value : for the best estimate; NaN where it has none (the throw does not reach the line).
+    value : for the best estimate; NaN where it has none (the throw does not
+        reach the line).
     parameter_sd : standard deviation due to the errors of the parameters.
     model_sd : root mean square difference due to the model discrepancy.
     quantiles : with both errors, keys "2.5", "16", "50", "84", "97.5".
@@ -135,10 +153,12 @@ class HeldOut:
 
     Attributes
     ----------
-    file, first, last : the file of the rows, first and last time (s, on the clock of the data).
-    channels : by channel "rows", "rms" of measured - predicted, "inside_68" and "inside_95" (share
-        of rows within the bands, noise included), "end" (measured - predicted at the last row) and
-        "end_sd" (standard deviation predicted for that difference).
+    file, first, last : the file of the rows, first and last time (s, on the clock
+        of the data).
+    channels : by channel "rows", "rms" of measured - predicted, "inside_68" and
+        "inside_95" (share of rows within the bands, noise included), "end"
+        (measured - predicted at the last row) and "end_sd" (standard deviation
+        predicted for that difference).
     observed : t (s since the start) and the channels, on the sheet.
     """
 
@@ -156,7 +176,12 @@ _Draws = Annotated[dict[str, Any], keys(number=int, used=int, source=str, seed=i
 _Covariance = tuple[tuple[float, float], tuple[float, float]]
 _Rest = Annotated[
     dict[str, Any],
-    keys(mean=tuple[float, float], parameter=_Covariance, model=_Covariance, both=_Covariance),
+    keys(
+        mean=tuple[float, float],
+        parameter=_Covariance,
+        model=_Covariance,
+        both=_Covariance,
+    ),
 ]
 _Sensitivity = Annotated[dict[str, Any], keys(by=float, right=float, along=float)]
 
@@ -168,35 +193,38 @@ class Prediction(Record):
     Attributes
     ----------
     law, load, stone, fit : of the fit; `fit` has "file", "rows", "from", "to".
-    start : initial state, by name (x0 y0 heading v0 phi0 omega0) "value", "unit" and "origin"
-        ("given", "call", "fitted", "default", "found").
+    start : initial state, by name (x0 y0 heading v0 phi0 omega0) "value", "unit" and
+        "origin" ("given", "call", "fitted", "default", "found").
     of : "fitted" for the fitted throw, extrapolated to rest, "new" for another one.
-    line : the line on which it starts, "data" for the start of the data, "" for a given position.
+    line : the line on which it starts, "data" for the start of the data, "" for a
+        given position.
     goal : None, or "words", "x", "y" (m from the tee; x None where free), "speed".
-    draws : "number", "used", "source" ("chain", "covariance" or "throws" of a joint fit), "seed".
+    draws : "number", "used", "source" ("chain", "covariance" or "throws" of a joint
+        fit), "seed".
     call : the throw in curlers' terms, as asked for.
     command : that made it; empty if it was made in Python.
     weights : what to throw for several places, on the ice of a joint fit.
-    misfit : the model discrepancy; None where the throws of a joint fit contain its effect.
-    series : t (s since the start) and x, y, phi, speed, omega of the best estimate; of x, y, phi
-        also "x_parameter_sd", "x_model_sd" and the quantiles "x_2.5" ...
-    band : x as a function of y: "y", "x" and "x_2.5" ..., up to the y that half of the draws
-        reach.
-    rest : "mean" of the resting position and its covariances (m^2) due to the errors of the
-        parameters, "parameter", to the model discrepancy, "model" (about zero), and to both,
-        "both".
+    misfit : the model discrepancy; None where the throws of a joint fit
+        contain its effect.
+    series : t (s since the start) and x, y, phi, speed, omega of the best estimate; of
+        x, y, phi also "x_parameter_sd", "x_model_sd" and the quantiles "x_2.5" ...
+    band : x as a function of y: "y", "x" and "x_2.5" ..., up to the y that half of the
+        draws reach.
+    rest : "mean" of the resting position and its covariances (m^2) due to the errors of
+        the parameters, "parameter", to the model discrepancy, "model" (about zero), and
+        to both, "both".
     quantities : by name, see `QUANTITIES`.
     chances : fractions of the draws by outcome.
-    sensitivity : change of the resting position, "right" and "along" (m), when a component of the
-        initial state changes by "by"; by name of the component.
+    sensitivity : change of the resting position, "right" and "along" (m), when a
+        component of the initial state changes by "by"; by name of the component.
     warnings, notes : for the reader.
     other : the same throw with the other turn, where both were asked for.
     check : None, or the comparison with measured rows.
-    measured : t (s since the start) and the measured channels of the fitted rows, on the sheet; for
-        a new throw translated and rotated to its initial state.
-    sample : the first draws, both errors included: "t" (s since the start, shape (times,)), "x",
-        "y", "phi" (shape (draws, times)), constant after rest, and "rest", the time of rest, shape
-        (draws,).
+    measured : t (s since the start) and the measured channels of the fitted rows, on
+        the sheet; for a new throw translated and rotated to its initial state.
+    sample : the first draws, both errors included: "t" (s since the start, shape
+        (times,)), "x", "y", "phi" (shape (draws, times)), constant after rest, and
+        "rest", the time of rest, shape (draws,).
 
     Examples
     --------
@@ -224,7 +252,9 @@ class Prediction(Record):
     series: Annotated[dict[str, Floats], Names(_SERIES)] = field(metadata=SERIES)
     band: Annotated[dict[str, Floats], Names(_BAND)] = field(metadata=SERIES)
     rest: _Rest
-    quantities: Annotated[dict[Annotated[str, Choice(QUANTITIES)], Quantity], Names(_ALWAYS)]
+    quantities: Annotated[
+        dict[Annotated[str, Choice(QUANTITIES)], Quantity], Names(_ALWAYS)
+    ]
     chances: Annotated[dict[str, float], keys(**dict.fromkeys(OUTCOMES, float))]
     sensitivity: dict[str, _Sensitivity]
     warnings: tuple[str, ...]
@@ -254,7 +284,8 @@ class Prediction(Record):
             require("sample", shapes == {shape}, f"arrays of the shape {shape}")
 
     def to_frame(self) -> Any:
-        """The path with its bands as a pandas DataFrame, the columns of `series` (SI, rad).
+        """The path with its bands as a pandas DataFrame, the columns of
+        `series` (SI, rad).
 
         Raises
         ------
@@ -268,8 +299,8 @@ class Prediction(Record):
         lines = [
             f"# {self.law} law fitted to {self.fit['file']}, "
             + ("extrapolated to rest" if self.of == "fitted" else "another throw"),
-            "# t in s since the start, lengths in m, angles in rad; x to the right of the centre "
-            f"line, y from the hack thrown from (far tee at {TEE:.3f})",
+            "# t in s since the start, lengths in m, angles in rad; x to the right of "
+            f"the centre line, y from the hack thrown from (far tee at {TEE:.3f})",
             "# _parameter_sd: standard deviation; _model_sd: rms effect of the model "
             "discrepancy; _2.5 .. _97.5: percentiles including both",
             ",".join(names),
@@ -300,7 +331,8 @@ COMPONENT_LABELS = {
     "along": "along the path",
     "turning": "in the spin",
 }
-"""Components of missing accelerations: to the right of the velocity, along it, and angular."""
+"""Components of missing accelerations: to the right of the velocity, along it,
+and angular."""
 
 DETECTION = 3.0
 """Standard deviations above which a missing acceleration is detected."""
@@ -314,9 +346,11 @@ class Discrepancy:
     ----------
     sizes : posterior root mean square of the size, m/s^2 (rad/s^2 for "turning").
     span : time from the first fitted row to the last in which the stone moves, s.
-    noise : independent noise by channel, SI; only channels with enough rows to estimate it.
-    excess : significance of a missing acceleration in standard deviations (square root of
-        twice the logarithm of the likelihood ratio); empty where no channel has enough rows.
+    noise : independent noise by channel, SI; only channels with enough rows to
+        estimate it.
+    excess : significance of a missing acceleration in standard deviations (square root
+        of twice the logarithm of the likelihood ratio); empty where no channel has
+        enough rows.
     ceilings : upper limit of the prior, in the unit of `sizes`.
     friction : coefficient of friction mu from the mean deceleration of the fitted rows.
     """

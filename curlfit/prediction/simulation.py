@@ -1,4 +1,5 @@
-"""A throw simulated for draws of the parameters and of the model discrepancy, in numbers."""
+"""A throw simulated for draws of the parameters and of the model
+discrepancy, in numbers."""
 
 from __future__ import annotations
 
@@ -13,13 +14,21 @@ from curlfit.inference.derived import LEVELS, quantiles_of
 from curlfit.numerics.arrays import Floats
 from curlfit.prediction.discrepancy import discrepancy_posterior
 from curlfit.prediction.ensemble import VARIED, ThrowFamily, TrajectoryEnsemble
-from curlfit.prediction.result import CENTRED, PREDICTED, QUANTITIES, Call, Discrepancy, Quantity
+from curlfit.prediction.result import (
+    CENTRED,
+    PREDICTED,
+    QUANTITIES,
+    Call,
+    Discrepancy,
+    Quantity,
+)
 from curlfit.sheet import CIRCLES, END, FOOT, HOUSE, LINES, STONE_RADIUS, TEE
 
 _BAND_POINTS = 121
 _SAMPLED, _SAMPLE_TIMES = 60, 30  # draws kept, and times of each
 _DIGITS = 4  # decimals of these: 0.1 mm
-_HEADING_CHANGE, _WEIGHT_CHANGE = 0.001, 0.1  # for sensitivities of the resting position, rad and s
+# for sensitivities of the resting position, rad and s
+_HEADING_CHANGE, _WEIGHT_CHANGE = 0.001, 0.1
 
 
 class Simulation(NamedTuple):
@@ -45,14 +54,17 @@ class Simulation(NamedTuple):
         random: np.random.Generator,
         call: Call | None = None,
     ) -> Self:
-        """Simulate a throw for drawn parameter vectors; with a call, those of a joint fit, which
-        contain the error of the law.
+        """Simulate a throw for drawn parameter vectors; with a call, those of a joint
+        fit, which contain the error of the law.
 
         Raises
         ------
         UnusableFitError : it, or most of the draws, do not come to rest.
         """
-        fit, plain = throws.fit, throws.simulate(throws.with_start(values, call or CENTRED, random))
+        fit, plain = (
+            throws.fit,
+            throws.simulate(throws.with_start(values, call or CENTRED, random)),
+        )
         best = throws.simulate(throws.with_start(fit.values[None]))
         probed = {name: throws.simulate(some) for name, some in throws.probes().items()}
         if not best.good[0]:
@@ -63,14 +75,17 @@ class Simulation(NamedTuple):
         full, summary = plain, None
         if call is None:
             discrepancy = discrepancy_posterior(fit)
-            missing, summary = discrepancy.draw(len(values), random), discrepancy.summary
+            missing, summary = (
+                discrepancy.draw(len(values), random),
+                discrepancy.summary,
+            )
             shifted = throws.with_start(discrepancy.shift_parameters(values, missing))
             full = missing.applied_to(throws.simulate(shifted), throws.spin_ratio)
         use = plain.good & full.good
         if use.mean() < 0.5:
             raise UnusableFitError(
-                f"only {use.mean():.0%} of the draws come to rest; the fit is too uncertain for "
-                "this throw"
+                f"only {use.mean():.0%} of the draws come to rest; "
+                "the fit is too uncertain for this throw"
             )
         return cls(throws.t, best, plain.select(use), full.select(use), probed, summary)
 
@@ -106,7 +121,9 @@ class Simulation(NamedTuple):
         return found
 
     def _series(self, path: Floats) -> dict[str, Floats]:
-        duration = max(float(self.best.rest[0]), float(np.quantile(self.full.rest, 0.975)))
+        duration = max(
+            float(self.best.rest[0]), float(np.quantile(self.full.rest, 0.975))
+        )
         n = min(int(np.searchsorted(self.t, duration)) + 1, len(self.t))
         best = self.best.state[0, :, :n]
         found = {"t": self.t[:n], **dict(zip(PREDICTED, best, strict=False))}
@@ -130,7 +147,9 @@ class Simulation(NamedTuple):
     def _band(self, path: Floats) -> dict[str, Floats]:
         """x as a function of y, up to the y that half of the draws reach."""
         best = self.best.state[0]
-        y = np.linspace(float(best[1, 0]), float(np.median(path[:, 1].max(1))), _BAND_POINTS)
+        y = np.linspace(
+            float(best[1, 0]), float(np.median(path[:, 1].max(1))), _BAND_POINTS
+        )
         at = np.array([_across(one, y) for one in path])
         return {"y": y, "x": _across(best, y)} | _around("x", at)
 
@@ -165,11 +184,15 @@ class Simulation(NamedTuple):
         } | {"heading": (_HEADING_CHANGE, right, -along, 0.0)}
         if self.discrepancy is None and "v0" in changes:  # another throw of a joint fit
             hog = [
-                _throw_quantities(one)["hog_to_hog"][0] for one in (self.best, self.probed["v0"])
+                _throw_quantities(one)["hog_to_hog"][0]
+                for one in (self.best, self.probed["v0"])
             ]
             slower = _WEIGHT_CHANGE / (hog[1] - hog[0])
             if np.isfinite(slower):
-                changes["hog_to_hog"] = (_WEIGHT_CHANGE, *(slower * np.array(changes["v0"][1:])))
+                changes["hog_to_hog"] = (
+                    _WEIGHT_CHANGE,
+                    *(slower * np.array(changes["v0"][1:])),
+                )
             across = FOOT * end[1] / TEE  # about the hack, from which it is aimed
             changes["broom"] = (FOOT, across, 0.0, 0.0)
         return {
@@ -182,7 +205,9 @@ def _throw_quantities(ensemble: TrajectoryEnsemble) -> dict[str, Floats]:
     """The quantities of each throw; NaN where it has none."""
     x, y, phi = ensemble.end.T
     x0, y0, phi0, vx, vy, _ = ensemble.state[..., 0].T
-    hog, far_hog, tee = (ensemble.crossing(LINES[name]) for name in ("hog", "far-hog", "far-tee"))
+    hog, far_hog, tee = (
+        ensemble.crossing(LINES[name]) for name in ("hog", "far-hog", "far-tee")
+    )
     return {
         "rest_x": x,
         "rest_y": y - TEE,
@@ -218,5 +243,7 @@ def _across(state: Floats, y: Floats) -> Floats:
     """x of a trajectory at given y; NaN beyond its end."""
     rising = np.maximum.accumulate(state[1])
     new = np.diff(rising, prepend=-np.inf) > 0
-    found: Floats = np.interp(y, rising[new], state[0, new], left=state[0, 0], right=np.nan)
+    found: Floats = np.interp(
+        y, rising[new], state[0, new], left=state[0, 0], right=np.nan
+    )
     return found

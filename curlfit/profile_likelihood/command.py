@@ -22,17 +22,20 @@ def profile(
     *,
     param: Annotated[Sequence[str], option(NAMES, "NAME")],
     points: Annotated[int | None, option(COUNT, "N")] = None,
-    ranges: Annotated[Sequence[tuple[float, float]], option(_RANGES, "LO,HI", name="--range")] = (),
+    ranges: Annotated[
+        Sequence[tuple[float, float]], option(_RANGES, "LO,HI", name="--range")
+    ] = (),
     flags: Modelling = Modelling(),
     reading: Reading = Reading(),
     config: s.Config = None,
     output: Output = Output(),
 ) -> Saved:
-    """Profile likelihood: a parameter is fixed at many values, all others are fitted at each.
+    """Profile likelihood: a parameter is fixed at many values, all others are
+    fitted at each.
 
-    The increase of chi squared gives intervals that are valid where it is not quadratic, and shows
-    what the path does not determine. The noise is that of the fit. The posterior of a saved fit is
-    drawn too. Writes `profile.json` and `profile.png`.
+    The increase of chi squared gives intervals that are valid where it is not
+    quadratic, and shows what the path does not determine. The noise is that of the fit.
+    The posterior of a saved fit is drawn too. Writes `profile.json` and `profile.png`.
 
     Examples:
 
@@ -45,13 +48,13 @@ def profile(
     data
         Data as for `curlfit fit`; or a saved fit: its folder, or the fit.json in it.
     param
-        A fitted parameter: a coefficient, or one of x0 y0 heading v0 phi0 omega0. Given twice: two
-        parameters jointly.
+        A fitted parameter: a coefficient, or one of x0 y0 heading v0 phi0 omega0. Given
+        twice: two parameters jointly.
     points
         Values of each parameter. [default: 41; 25 of each of two]
     ranges
-        Range; given twice, of the first and the second parameter. [default: 4 standard errors to
-        either side; where there are none, up to the limits]
+        Range; given twice, of the first and the second parameter. [default: 4 standard
+        errors to either side; where there are none, up to the limits]
     """
     from curlfit.output.document import command_line
     from curlfit.output.files import prepare_folder
@@ -59,14 +62,18 @@ def profile(
 
     drawn = output.drawn()
     if len(ranges) > len(param):
-        raise InputError(f"--range is given {len(ranges)} times; expected one of each --param")
+        raise InputError(
+            f"--range is given {len(ranges)} times; expected one of each --param"
+        )
     limits, kind = dict(zip(param, ranges, strict=False)), f"profile-{'-'.join(param)}"
     fitted, parameters, chosen, usual = _known(data, kind, flags, reading, config)
     require_usable(parameters, param, points, limits)
     drawn.draw_beside()
     with output.status(f"Fitting {COMPILES}"):
         fit, chain = fitted()
-        require_usable(parameters, param, points, limits, parameters.values_of(fit.values))
+        require_usable(
+            parameters, param, points, limits, parameters.values_of(fit.values)
+        )
         folder = prepare_folder(output.out or usual)
         from curlfit.profile_likelihood.profile import profile as compute_profile
 
@@ -81,13 +88,19 @@ def profile(
 def _known(
     data: Path, kind: str, flags: Modelling, reading: Reading, config: Path | None
 ) -> tuple[Callable[[], Any], Any, Modelling, Path]:
-    """What gives the fit and its chain, if it is saved or when it is made; its parameters and
-    choices, and the usual folder."""
+    """What gives the fit and its chain, if it is saved or when it is made; its
+    parameters and choices, and the usual folder."""
     if data.is_dir() or data.name == "fit.json":
-        own = *replace(flags, law=None).words(), *reading.words(), *["--config"] * bool(config)
+        own = (
+            *replace(flags, law=None).words(),
+            *reading.words(),
+            *["--config"] * bool(config),
+        )
         if own:
             option_of = own[0].partition("=")[0]
-            raise InputError(f"{option_of}: a saved fit has its own; give the data to fit again")
+            raise InputError(
+                f"{option_of}: a saved fit has its own; give the data to fit again"
+            )
         saved = s.load_fit_and_chain(data, flags.law)
         folder = Path(f"{s.name_of(data)}-{kind}")
         return lambda: saved, saved[0].parameter_set, flags, folder

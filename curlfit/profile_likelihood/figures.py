@@ -19,17 +19,24 @@ _MOVES = 0.05  # smallest change of another parameter that is shown, standard er
 
 @draw.style()
 def profile_figure(profile: Profile | PairProfile) -> draw.Picture:
-    """Chi squared along one parameter and the response of the others, or regions of two.
+    """Chi squared along one parameter and the response of the others, or
+    regions of two.
 
     Examples
     --------
     >>> curlfit.profile_figure(profile).savefig("profile.png")
     """
-    return _single_figure(profile) if isinstance(profile, Profile) else _pair_figure(profile)
+    return (
+        _single_figure(profile)
+        if isinstance(profile, Profile)
+        else _pair_figure(profile)
+    )
 
 
 def _single_figure(profile: Profile) -> draw.Picture:
-    figure, (above, below) = draw.panels(5.6, 2, 1, sharex=True, height_ratios=(1.6, 1.0))
+    figure, (above, below) = draw.panels(
+        5.6, 2, 1, sharex=True, height_ratios=(1.6, 1.0)
+    )
     _chi_squared(profile, above)
     _others(profile, below)
     draw.title(above, draw.heading_of(profile))
@@ -47,12 +54,19 @@ def _chi_squared(profile: Profile, axes: Any) -> None:
     for level in profile.levels:
         axes.axhline(level.delta_chi2, color="0.6", lw=0.8, ls=":")
         axes.annotate(
-            level.name, (1.0, level.delta_chi2), xycoords=("axes fraction", "data"), xytext=(4, 0),
-            textcoords="offset points", va="center", color=draw.QUIET,
-        )  # fmt: skip
+            level.name,
+            (1.0, level.delta_chi2),
+            xycoords=("axes fraction", "data"),
+            xytext=(4, 0),
+            textcoords="offset points",
+            va="center",
+            color=draw.QUIET,
+        )
     if limited:
         for interval, alpha in zip(profile.intervals, (0.16, 0.08), strict=True):
-            axes.axvspan(interval.low, interval.high, color=draw.FIT_COLOR, alpha=alpha, lw=0)
+            axes.axvspan(
+                interval.low, interval.high, color=draw.FIT_COLOR, alpha=alpha, lw=0
+            )
     if item.stderr is not None:
         fine = np.linspace(at[0], at[-1], 400)
         parabola = ((fine - item.value) / item.stderr) ** 2
@@ -62,9 +76,16 @@ def _chi_squared(profile: Profile, axes: Any) -> None:
     axes.plot(at, profile.delta, ".-", ms=4, lw=1.5, label="profile", **style)
     if found is not None:
         axes.errorbar(
-            found["at"], found["height"], found["error"], fmt="o", color=draw.POSTERIOR_COLOR,
-            markersize=3, lw=0.9, label=r"posterior, $-2\,\ln$ density", zorder=2,
-        )  # fmt: skip
+            found["at"],
+            found["height"],
+            found["error"],
+            fmt="o",
+            color=draw.POSTERIOR_COLOR,
+            markersize=3,
+            lw=0.9,
+            label=r"posterior, $-2\,\ln$ density",
+            zorder=2,
+        )
     style = {"color": draw.FIT_COLOR, "markersize": 5, "zorder": 5}
     axes.plot(profile.best, 0, "v", clip_on=False, mec="white", **style)
     axes.set(xlim=_widened(at[0], at[-1], 0.02), ylim=(-0.04 * top, top))
@@ -92,7 +113,10 @@ def _others(profile: Profile, axes: Any) -> None:
     shown = np.isfinite(profile.delta) & (profile.delta < _HIGH + 2)
     if profile.verdict != "limited":  # beyond, a bound causes the changes
         shown &= (profile.at >= profile.free[0]) & (profile.at <= profile.free[1])
-    at, others = profile.at[shown], {name: profile.parameters[name] for name in profile.others}
+    at, others = (
+        profile.at[shown],
+        {name: profile.parameters[name] for name in profile.others},
+    )
     symbols = {name: draw.symbol_of(item) for name, item in others.items()}
     moves = {
         name: (profile.others[name][shown] - item.value) / item.stderr
@@ -100,7 +124,9 @@ def _others(profile: Profile, axes: Any) -> None:
         if item.stderr
     }
     partners = {name for item in profile.combinations for name in item.weights}
-    values = [name for name, item in others.items() if not item.stderr and name in partners]
+    values = [
+        name for name, item in others.items() if not item.stderr and name in partners
+    ]
     kept = [name for name, move in moves.items() if np.abs(move).max() > _MOVES]
     axes.axhline(0, **draw.ZERO_LINE)
     lines: list[Any] = []
@@ -125,14 +151,17 @@ def _others(profile: Profile, axes: Any) -> None:
         draw.note(axes, 0.02, 0.05, said)
     if lines:
         axes.get_figure().legend(
-            handles=lines, loc="outside lower center", ncols=min(len(lines), 9),
+            handles=lines,
+            loc="outside lower center",
+            ncols=min(len(lines), 9),
             title="the other parameters, refitted",
-        )  # fmt: skip
+        )
 
 
 def _label(item: Estimate, name: str) -> tuple[str, str]:
     """Label and unit of an axis."""
-    named = item.symbol in (name, rf"\mathrm{{{name}}}")  # the latter has no symbol of its own
+    # the latter has no symbol of its own
+    named = item.symbol in (name, rf"\mathrm{{{name}}}")
     return (name if named else f"{draw.symbol_of(item)}, {name}"), item.unit
 
 
@@ -140,9 +169,14 @@ def _pair_figure(profile: PairProfile) -> draw.Picture:
     figure, axes = draw.panels(4.2, 1, 1, 0.72 * draw.WIDTH)
     along, valley = profile.each[0], profile.valley
     near = np.isfinite(profile.delta)
-    near &= profile.delta < max(_HIGH, 2 * float(profile.delta[near].min(initial=np.inf)))
+    near &= profile.delta < max(
+        _HIGH, 2 * float(profile.delta[near].min(initial=np.inf))
+    )
     _regions(profile, axes)
-    for values, set_limits in ((profile.first, axes.set_xlim), (profile.second, axes.set_ylim)):
+    for values, set_limits in (
+        (profile.first, axes.set_xlim),
+        (profile.second, axes.set_ylim),
+    ):
         set_limits(_widened(values[near].min(), values[near].max(), 0.04))
     draw.title(axes, draw.heading_of(along), margin=0.5)
     handles = [
@@ -151,7 +185,10 @@ def _pair_figure(profile: PairProfile) -> draw.Picture:
     ] + axes.get_legend_handles_labels()[0]
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
     if along.verdict in ("flat", "hardly"):
-        sums = [draw.weighted_sum(item.weights, profile.parameters) for item in along.combinations]
+        sums = [
+            draw.weighted_sum(item.weights, profile.parameters)
+            for item in along.combinations
+        ]
         said = [f"along the valley {_rise(along)}"]
         said += [f"only ${sum_}$ is determined" for sum_ in sums]
         x = 0.95 if valley[-1] < valley[0] else 0.05
@@ -168,10 +205,23 @@ def _regions(profile: PairProfile, axes: Any) -> None:
     edges = [level.delta_chi2_pair for level in profile.levels]
     axes.contourf(*surface, levels=[-1, *edges], colors=_REGIONS, zorder=1)
     if (profile.delta < edges[-1]).any():
-        axes.contour(*surface, levels=edges, colors=draw.FIT_COLOR, linewidths=0.9, zorder=3)
+        axes.contour(
+            *surface, levels=edges, colors=draw.FIT_COLOR, linewidths=0.9, zorder=3
+        )
     if len(profile.samples):
-        style: dict[str, Any] = {"color": draw.POSTERIOR_COLOR, "markersize": 2.6, "mew": 0}
-        axes.plot(*profile.samples.T, ".", rasterized=True, label="posterior", zorder=2, **style)
+        style: dict[str, Any] = {
+            "color": draw.POSTERIOR_COLOR,
+            "markersize": 2.6,
+            "mew": 0,
+        }
+        axes.plot(
+            *profile.samples.T,
+            ".",
+            rasterized=True,
+            label="posterior",
+            zorder=2,
+            **style,
+        )
     refitted = f"{draw.symbol_of(profile.parameters[profile.names[1]])} refitted"
     style = {"color": draw.FIT_COLOR, "lw": 1.2, "zorder": 4}
     axes.plot(profile.each[0].at, profile.valley, "-.", label=refitted, **style)
@@ -180,6 +230,10 @@ def _regions(profile: PairProfile, axes: Any) -> None:
         angle = np.linspace(0, 2 * np.pi, 361)
         circle = np.linalg.cholesky(profile.covariance) @ [np.cos(angle), np.sin(angle)]
         style = {"color": draw.COVARIANCE_COLOR, "lw": 1.3, "zorder": 5}
-        for edge, label in zip(edges, ("68 %, 95 % of the covariance", None), strict=True):
-            axes.plot(*(best[:, None] + np.sqrt(edge) * circle), "--", label=label, **style)
+        for edge, label in zip(
+            edges, ("68 %, 95 % of the covariance", None), strict=True
+        ):
+            axes.plot(
+                *(best[:, None] + np.sqrt(edge) * circle), "--", label=label, **style
+            )
     axes.plot(*best, "+", color="black", markersize=7, mew=1.2, zorder=6)

@@ -1,9 +1,10 @@
-"""Constrained fits: some parameters fixed, all others fitted again with the same law and noise.
+"""Constrained fits: some parameters fixed, all others fitted again with the same
+law and noise.
 
-The fits run as one batch, each started from the nearest known one along the linear response of the
-other parameters. Whether neighbours belong to one valley is checked by the envelope theorem: the
-slope of the profile is the partial derivative of chi squared, known at each point, whose integral
-has to match the difference of chi squared.
+The fits run as one batch, each started from the nearest known one along the linear
+response of the other parameters. Whether neighbours belong to one valley is checked by
+the envelope theorem: the slope of the profile is the partial derivative of chi squared,
+known at each point, whose integral has to match the difference of chi squared.
 """
 
 from __future__ import annotations
@@ -59,7 +60,10 @@ class Refit:
         self.first = self.best.chi_squared  # of the fit as it was given
 
     def _take(self, solution: Solution) -> None:
-        self.best, self.jacobian = self._optimum(solution), np.asarray(solution.jacobian)
+        self.best, self.jacobian = (
+            self._optimum(solution),
+            np.asarray(solution.jacobian),
+        )
 
     def _solved(
         self, held: list[int], points: Floats, starts: Sequence[Floats]
@@ -78,8 +82,8 @@ class Refit:
     def optima(
         self, held: list[int], points: Floats, starts: Sequence[Floats]
     ) -> list[Optimum | None]:
-        """The optima with the parameters `held` at each of the points; None where there is no
-        path."""
+        """The optima with the parameters `held` at each of the points; None where
+        there is no path."""
         found = [
             None if solution is None else self._optimum(solution)
             for solution in self._solved(held, points, starts)
@@ -93,7 +97,9 @@ class Refit:
         half = np.einsum("cn,cni->i", solution.residual, solution.jacobian)
         half = half + self._penalty.quadratic(values)[1]
         chi_squared = float(solution.objective)
-        return Optimum(chi_squared, values + self._offset, 2 * half, bool(solution.success))
+        return Optimum(
+            chi_squared, values + self._offset, 2 * half, bool(solution.success)
+        )
 
     def improved(self) -> bool:
         """Whether a better fit was found, which then replaces the fit."""
@@ -114,10 +120,12 @@ class Refit:
         return self.parameters.free & ((values <= low + near) | (values >= high - near))
 
     def response(self, held: list[int]) -> tuple[Floats, Floats]:
-        """Response of other parameters to fixed ones, shape (parameters, fixed), and of residuals.
+        """Response of other parameters to fixed ones, shape (parameters, fixed), and
+        of residuals.
 
-        The second is the norm of the derivative of the residuals by each fixed one, the others
-        responding; its inverse is the standard error with the other fixed ones held.
+        The second is the norm of the derivative of the residuals by each fixed one,
+        the others responding; its inverse is the standard error with the other
+        fixed ones held.
         """
         moving = self.parameters.free & ~self.at_bound(self.best.values)
         moving[held] = False
@@ -125,7 +133,9 @@ class Refit:
         others, own = jacobian[:, moving], jacobian[:, held]
         size = np.linalg.norm(others, axis=0)
         size[size == 0] = 1.0
-        follow = -np.linalg.lstsq(others / size, own, rcond=_ROUNDING)[0] / size[:, None]
+        follow = (
+            -np.linalg.lstsq(others / size, own, rcond=_ROUNDING)[0] / size[:, None]
+        )
         rows = np.zeros((len(self.parameters), len(held)))
         rows[moving], rows[held] = follow, np.eye(len(held))
         return rows, np.linalg.norm(own + others @ follow, axis=0)
@@ -139,7 +149,9 @@ class ConstrainedFits:
         self.index = [refit.parameters.index(name) for name in names]
         self.levels = levels_for(names, refit.fit.parameters)
         self.best = refit.best.values[self.index]
-        self.known: dict[Point, Optimum | None] = {tuple(self.best.tolist()): refit.best}
+        self.known: dict[Point, Optimum | None] = {
+            tuple(self.best.tolist()): refit.best
+        }
         self._response, stiffness = refit.response(self.index)
         self.stiffness = stiffness
         self._typical = refit.parameters.typical[self.index]
@@ -151,10 +163,13 @@ class ConstrainedFits:
         return parameters.lower[last], parameters.upper[last]
 
     def at(self, points: Floats) -> list[Optimum | None]:
-        """The fits at points, shape (..., held), each made from the nearest that was known."""
+        """The fits at points, shape (..., held), each made from the nearest
+        that was known."""
         keys = list(map(tuple, points.reshape(-1, len(self.names)).tolist()))
         if new := [key for key in dict.fromkeys(keys) if key not in self.known]:
-            good = [fit for fit in self.known.values() if fit is not None and fit.finished]
+            good = [
+                fit for fit in self.known.values() if fit is not None and fit.finished
+            ]
             good = good or [self.refit.best]
             held = np.stack([fit.values[self.index] for fit in good])
             nearest = [
@@ -164,55 +179,81 @@ class ConstrainedFits:
             self.known |= dict(zip(new, self._fitted(new, nearest), strict=True))
         return [self.known[key] for key in keys]
 
-    def _fitted(self, points: Sequence[Point], near: Sequence[Optimum]) -> list[Optimum | None]:
+    def _fitted(
+        self, points: Sequence[Point], near: Sequence[Optimum]
+    ) -> list[Optimum | None]:
         """The fits at points, each started from another."""
         low, high = self.refit.parameters.lower, self.refit.parameters.upper
         wanted = np.array(points)
         starts = [
-            np.clip(fit.values + self._response @ (point - fit.values[self.index]), low, high)
+            np.clip(
+                fit.values + self._response @ (point - fit.values[self.index]),
+                low,
+                high,
+            )
             for point, fit in zip(wanted, near, strict=True)
         ]
         return self.refit.optima(self.index, wanted, starts)
 
     def delta(self, points: Floats) -> Floats:
         """Delta chi squared at points, shape (..., held); NaN without a path."""
-        found = [math.nan if fit is None else fit.chi_squared for fit in self.at(points)]
+        found = [
+            math.nan if fit is None else fit.chi_squared for fit in self.at(points)
+        ]
         return np.reshape(found, points.shape[:-1]) - self.refit.best.chi_squared
 
     def settle(self, grid: Floats) -> None:
-        """Fit on a grid, shape (n, m, held), and again where neighbours are not in one valley, each
-        started from the other."""
+        """Fit on a grid, shape (n, m, held), and again where neighbours are not in one
+        valley, each started from the other."""
         self.at(grid)
         neighbours = _neighbours(grid)
         for _ in range(_ROUNDS):
             tries = [
                 (point, near)
                 for pair in neighbours
-                for point, near in ((pair[1], self.known[pair[0]]), (pair[0], self.known[pair[1]]))
+                for point, near in (
+                    (pair[1], self.known[pair[0]]),
+                    (pair[0], self.known[pair[1]]),
+                )
                 if near is not None and not self._agree(self.known[point], near)
             ]
             if not tries:
                 return
             better = False
-            for (point, _), fit in zip(tries, self._fitted(*zip(*tries, strict=True)), strict=True):
+            for (point, _), fit in zip(
+                tries, self._fitted(*zip(*tries, strict=True)), strict=True
+            ):
                 known = self.known[point]
-                if fit and (known is None or fit.chi_squared < known.chi_squared - BETTER):
+                if fit and (
+                    known is None or fit.chi_squared < known.chi_squared - BETTER
+                ):
                     self.known[point], better = fit, True
             if not better:
                 return
 
     def _agree(self, one: Optimum | None, other: Optimum) -> bool:
-        """Whether the slopes of chi squared integrate to its difference (trapezoidal rule)."""
+        """Whether the slopes of chi squared integrate to its difference
+        (trapezoidal rule)."""
         if one is None:
             return False
         slope, step = one.gradient + other.gradient, other.values - one.values
-        difference = other.chi_squared - one.chi_squared - slope[self.index] @ step[self.index] / 2
+        difference = (
+            other.chi_squared
+            - one.chi_squared
+            - slope[self.index] @ step[self.index] / 2
+        )
         large = max(one.chi_squared, other.chi_squared) - self.refit.best.chi_squared
-        return one.finished and other.finished and bool(abs(difference) <= 0.1 + 0.1 * large)
+        return (
+            one.finished
+            and other.finished
+            and bool(abs(difference) <= 0.1 + 0.1 * large)
+        )
 
 
 def _neighbours(grid: Floats) -> list[tuple[Point, Point]]:
     """Pairs of neighbouring points of a grid, along rows and columns."""
     points = [list(map(tuple, row)) for row in grid.tolist()]
     lines = [*points, *zip(*points, strict=True)]
-    return [(one, other) for line in lines for one, other in pairwise(line) if one != other]
+    return [
+        (one, other) for line in lines for one, other in pairwise(line) if one != other
+    ]

@@ -35,7 +35,9 @@ _VERDICTS = {
 """What each verdict says, and its style."""
 
 
-def print_profile(profile: Profile | PairProfile, console: Console | None = None) -> None:
+def print_profile(
+    profile: Profile | PairProfile, console: Console | None = None
+) -> None:
     """Print the report of a profile.
 
     Examples
@@ -63,18 +65,26 @@ def document(profile: Profile | PairProfile) -> Document:
     loss = "" if one.loss == "linear" else f", {one.loss} loss"
     fitted = f"{one.law} law, {one.load} load{loss}, fitted to {one.data['file']}"
     return Document(
-        finding=", ".join(f"{item.name} {_VERDICTS[item.verdict][0]}" for item in profile.each),
+        finding=", ".join(
+            f"{item.name} {_VERDICTS[item.verdict][0]}" for item in profile.each
+        ),
         subject=fitted,
-        headline=Text.assemble((f"Profile of {' and '.join(names)}", "bold"), f": {fitted}"),
+        headline=Text.assemble(
+            (f"Profile of {' and '.join(names)}", "bold"), f": {fitted}"
+        ),
         about=_about(profile),
         lines=lines,
         sections=(Section("intervals", "Intervals", (_table(profile), *remarks)),),
-        warnings=list(dict.fromkeys(line for item in profile.each for line in item.warnings)),
+        warnings=list(
+            dict.fromkeys(line for item in profile.each for line in item.warnings)
+        ),
         notes=_notes(profile.each),
         title=f"{Path(one.data['file']).name}: profile of {join_words(names)}",
         settings={
             "Law, load": f"{one.law}, {one.load}",
-            "Data": f"{one.data['file']}, {rows_text(one.data) or 'timed events alone'}",
+            "Data": (
+                f"{one.data['file']}, {rows_text(one.data) or 'timed events alone'}"
+            ),
             "Loss": one.loss,
         },
         command=profile.command,
@@ -87,25 +97,30 @@ def describe_undetermined(profile: Profile) -> str:
     span, name, rise = _span(profile, *profile.free), profile.name, profile.rise
     if profile.verdict == "narrow":
         return (
-            f"The range is too narrow: within {span} chi squared rises by no more than {rise:.2g}."
+            f"The range is too narrow: within {span} chi squared rises by no more "
+            f"than {rise:.2g}."
         )
     if profile.verdict == "flat":
         text = (
-            f"{name} is not identifiable, its profile is flat: chi squared is the same to "
-            f"{max(rise, _EXACT):.0e} over the whole range {span}."
+            f"{name} is not identifiable, its profile is flat: chi squared is the "
+            f"same to {max(rise, _EXACT):.0e} over the whole range {span}."
         )
     else:
         less, least = map(profile.quieter, (1.0, profile.levels[-1].delta_chi2))
         text = (
-            f"{name} is weakly determined: chi squared changes by no more than {rise:.2g} over "
-            f"{span}. For a limit at 68 % the noise would have to be {two_digits(less)} times "
-            f"smaller, or the rows {two_digits(less**2)} times as many; at 95 %, "
+            f"{name} is weakly determined: chi squared changes by no "
+            f"more than {rise:.2g} over {span}. For a limit at 68 % the "
+            f"noise would have to be {two_digits(less)} times smaller, "
+            f"or the rows {two_digits(less**2)} times as many; at 95 %, "
             f"{two_digits(least)} times and {two_digits(least**2)} times."
         )
     if known := [
-        f"{item.expression} = {compact(item.value, item.stderr)}" for item in profile.combinations
+        f"{item.expression} = {compact(item.value, item.stderr)}"
+        for item in profile.combinations
     ]:
-        text += f" Only {join_words(known)} {'are' if len(known) > 1 else 'is'} determined."
+        text += (
+            f" Only {join_words(known)} {'are' if len(known) > 1 else 'is'} determined."
+        )
     for end, names in zip(profile.free, profile.stops, strict=True):
         if names:
             come = "reaches its bound" if len(names) == 1 else "reach their bounds"
@@ -121,16 +136,17 @@ def describe_pair(profile: PairProfile) -> str:
     else:
         agrees = profile.ellipse <= _AGREE_PAIR
         text = (
-            f"The 95 % confidence ellipse from the covariance is {'' if agrees else 'not '}"
-            "accurate: within it, chi squared differs from its quadratic approximation by up to "
+            "The 95 % confidence ellipse from the covariance "
+            f"is {'' if agrees else 'not '}accurate: within it, "
+            "chi squared differs from its quadratic approximation by up to "
             f"{profile.ellipse:.2g}.{'' if agrees else ' Use the contours.'}"
         )
     if profile.across is None:
         text += f" {other} is not identifiable even with {one} fixed."
     elif profile.each[0].verdict in ("flat", "hardly"):
         text += (
-            f" Both lie in a valley, drawn as a line: with {one} fixed, the standard error of "
-            f"{other} is {profile.across:.2g}."
+            f" Both lie in a valley, drawn as a line: with {one} fixed, "
+            f"the standard error of {other} is {profile.across:.2g}."
         )
     return text
 
@@ -140,7 +156,10 @@ def _about(profile: Profile | PairProfile) -> tuple[str, str]:
     one, values = profile.each[0], f"{profile.delta.size} values"
     if one is profile:
         values += f", {_span(one, one.at[0], one.at[-1])}"
-    fitted = f"chi squared of the best fit {one.chi_squared:.4g}, of {one.n_observations} values"
+    fitted = (
+        f"chi squared of the best fit {one.chi_squared:.4g}, "
+        f"of {one.n_observations} values"
+    )
     return (
         "; ".join(filter(None, (rows_text(one.data), fitted))),
         f"All other parameters fitted again at {values}",
@@ -162,7 +181,9 @@ def _table(profile: Profile | PairProfile) -> PlainTable | None:
         rows = [
             {"region spans": labelled(one.name, one.estimate.unit)}
             | {
-                name: _ends(extent[index], _scale(one)) if one.verdict == "limited" else "-"
+                name: _ends(extent[index], _scale(one))
+                if one.verdict == "limited"
+                else "-"
                 for name, extent in profile.extent.items()
             }
             for index, one in enumerate(profile.each)
@@ -177,10 +198,15 @@ def _table(profile: Profile | PairProfile) -> PlainTable | None:
     }
     if found:
         ends = (level.quantiles for level in levels)
-        sources["posterior"] = [from_to(found[low], found[high], scale) for low, high in ends]
+        sources["posterior"] = [
+            from_to(found[low], found[high], scale) for low, high in ends
+        ]
     heads = labelled(profile.name, item.unit), *(level.name for level in levels)
     return PlainTable(
-        (dict(zip(heads, (source, *cells), strict=True)) for source, cells in sources.items()),
+        (
+            dict(zip(heads, (source, *cells), strict=True))
+            for source, cells in sources.items()
+        ),
         "Intervals of the profile, the covariance and the posterior",
     )
 
@@ -190,13 +216,14 @@ def _limits(profile: Profile) -> list[str]:
     far, widest = max(profile.departure.values(), default=None), profile.intervals[-1]
     if far is None:
         remark = (
-            f"The covariance has no standard error for it ({profile.estimate.verdict}); the "
-            "profile needs none."
+            "The covariance has no standard error for it "
+            f"({profile.estimate.verdict}); the profile needs none."
         )
     elif profile.loss != "linear":
         remark = (
-            f"Profile and covariance differ by up to {far:.2g} standard errors: the covariance "
-            "uses the scatter of the residuals, the profile the noise implied by the loss."
+            f"Profile and covariance differ by up to {far:.2g} standard errors: "
+            "the covariance uses the scatter of the residuals, the profile the noise "
+            "implied by the loss."
         )
     elif far <= _AGREE:
         remark = (
@@ -213,11 +240,14 @@ def _limits(profile: Profile) -> list[str]:
     for side, end, by in ends:
         if by == "bound":
             remarks.append(
-                f"No {side} limit from these data: its {side} bound, {end:.4g}, is within 95 %."
+                f"No {side} limit from these data: its {side} bound, "
+                f"{end:.4g}, is within 95 %."
             )
         elif by == "range":
             way = "down" if side == "lower" else "up"
-            remarks.append(f"No {side} limit within the range examined, {way} to {end:.4g}.")
+            remarks.append(
+                f"No {side} limit within the range examined, {way} to {end:.4g}."
+            )
     return remarks
 
 
@@ -225,11 +255,14 @@ def _notes(each: Sequence[Profile]) -> list[str]:
     found = []
     if any(one.estimate.verdict == "at bound" for one in each):
         found.append(
-            "at a bound the thresholds of chi squared are too high, and the limits have more than "
-            "the stated confidence"
+            "at a bound the thresholds of chi squared are too high, "
+            "and the limits have more than the stated confidence"
         )
     if each[0].loss != "linear":
-        found.append(f"chi squared means minus twice the log-likelihood of the {each[0].loss} loss")
+        found.append(
+            "chi squared means minus twice the log-likelihood of the "
+            f"{each[0].loss} loss"
+        )
     return found
 
 
@@ -240,7 +273,9 @@ def _scale(profile: Profile) -> float:
 
 
 def _ends(interval: Interval, scale: float) -> str:
-    low, high = ("" if end is None else format_estimate(end, scale)[0] for end in interval.limits)
+    low, high = (
+        "" if end is None else format_estimate(end, scale)[0] for end in interval.limits
+    )
     if low and high:
         return f"{low} .. {high}"
     return f"below {high}" if high else f"above {low}" if low else "no limit"

@@ -25,8 +25,8 @@ _MIN_POINTS, _MAX_POINTS = 5, 2001  # of a parameter
 class Level(NamedTuple):
     """A level of confidence and its thresholds of delta chi squared.
 
-    These are the quantiles of Wilks (1938) where sigma was given; where it was estimated, those of
-    Student's t and Fisher's F (Bates and Watts 1988, sect. 6.1).
+    These are the quantiles of Wilks (1938) where sigma was given; where it was
+    estimated, those of Student's t and Fisher's F (Bates and Watts 1988, sect. 6.1).
     """
 
     name: str
@@ -41,23 +41,30 @@ class Level(NamedTuple):
 
 
 def levels_of(dof: float | None) -> tuple[Level, ...]:
-    """68 % and 95 % for standard errors of `dof` degrees of freedom; None where sigma was given."""
+    """68 % and 95 % for standard errors of `dof` degrees of freedom; None where
+    sigma was given."""
     found = []
     for name, level, quantiles in (
-        ("68 %", math.erf(math.sqrt(0.5)), ("16", "84")), ("95 %", 0.95, ("2.5", "97.5")),
-    ):  # fmt: skip
+        ("68 %", math.erf(math.sqrt(0.5)), ("16", "84")),
+        ("95 %", 0.95, ("2.5", "97.5")),
+    ):
         sigmas = student_quantile(level, dof)
         beyond = math.log(1 - level)
-        # twice the quantile of F with 2 and dof degrees of freedom; of chi squared with 2
+        # twice the quantile of F with 2 and dof degrees of freedom; of chi
+        # squared with 2
         two = -2 * beyond if dof is None else dof * math.expm1(-2 * beyond / dof)
         found.append(Level(name, sigmas**2, two, sigmas, quantiles))
     return tuple(found)
 
 
-def levels_for(names: Sequence[str], parameters: Mapping[str, Estimate]) -> tuple[Level, ...]:
-    """The levels for some parameters of a fit, by the fewest degrees of freedom of their standard
-    errors, or of all parameters where these have none."""
-    known = [item.dof for name, item in parameters.items() if name in names and item.dof]
+def levels_for(
+    names: Sequence[str], parameters: Mapping[str, Estimate]
+) -> tuple[Level, ...]:
+    """The levels for some parameters of a fit, by the fewest degrees of freedom of
+    their standard errors, or of all parameters where these have none."""
+    known = [
+        item.dof for name, item in parameters.items() if name in names and item.dof
+    ]
     known = known or [item.dof for item in parameters.values() if item.dof]
     return levels_of(min(known, default=None))
 
@@ -73,9 +80,9 @@ class Interval:
     ----------
     level : "68 %" or "95 %".
     low, high : its ends.
-    low_by, high_by : what limits it: "data" (chi squared), "others" (chi squared beyond a value
-        where other parameters reach their bounds), "bound" (the parameter's own), "range" (nothing
-        up to the end of the range).
+    low_by, high_by : what limits it: "data" (chi squared), "others" (chi squared beyond
+        a value where other parameters reach their bounds), "bound" (the parameter's
+        own), "range" (nothing up to the end of the range).
     """
 
     level: Annotated[str, Choice(("68 %", "95 %"))]
@@ -94,29 +101,35 @@ class Interval:
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Profile(Record):
-    """The minimum of chi squared at fixed values of one parameter, all others fitted again.
+    """The minimum of chi squared at fixed values of one parameter, all others
+    fitted again.
 
     Attributes
     ----------
     name : of the parameter. best : its value in the fit.
     law, load, loss, data : of the fit; `data` has "file", "rows", "from", "to".
     parameters : of the fit, by name.
-    chi_squared : of the fit, of `n_observations` values and its priors. Under a robust loss it is
-        minus twice the logarithm of the likelihood of that loss, and of the priors.
-    at : values of the parameter, increasing, shape (n,), denser where the profile is steep.
+    chi_squared : of the fit, of `n_observations` values and its priors. Under a
+        robust loss it is minus twice the logarithm of the likelihood of that loss,
+        and of the priors.
+    at : values of the parameter, increasing, shape (n,), denser where the
+        profile is steep.
     delta : chi squared there minus that of the fit; NaN where the law admits no motion.
     others : by name, the other free parameters there.
     intervals : at its `levels`, 68 % and 95 %.
-    free : (low, high), the part of the range in which no other parameter reaches a bound.
+    free : (low, high), the part of the range in which no other parameter
+        reaches a bound.
     stops : the names of those that reach one, beyond either end of it.
     rise : the largest delta chi squared within that part.
-    verdict : "limited" (the data set limits), "hardly" (delta chi squared is below 1 within the
-        free part, which is most of the interval: weakly determined), "flat" (the same, and zero to
-        rounding: not identifiable), "narrow" (the given range is too narrow for a verdict).
+    verdict : "limited" (the data set limits), "hardly" (delta chi squared is below 1
+        within the free part, which is most of the interval: weakly determined), "flat"
+        (the same, and zero to rounding: not identifiable), "narrow" (the given range is
+        too narrow for a verdict).
     combinations : those of the fit that contain the parameter.
-    posterior : None, or "at", "height" (-2 log of the marginal density, shifted onto the profile),
-        "error" (its standard deviation), by bin of the chain.
-    quantiles : of the posterior by level, keys "2.5", "16", "50", "84", "97.5"; empty without one.
+    posterior : None, or "at", "height" (-2 log of the marginal density, shifted onto
+        the profile), "error" (its standard deviation), by bin of the chain.
+    quantiles : of the posterior by level, keys "2.5", "16", "50", "84", "97.5"; empty
+        without one.
     warnings : for the reader.
     command : that made it; empty if it was made in Python.
 
@@ -151,9 +164,10 @@ class Profile(Record):
     rise: float
     verdict: Annotated[str, Choice(("limited", "hardly", "flat", "narrow"))]
     combinations: tuple[Combination, ...]
-    posterior: Annotated[dict[str, Floats], keys(at=Floats, height=Floats, error=Floats)] | None = (
-        field(metadata=SERIES)
-    )
+    posterior: (
+        Annotated[dict[str, Floats], keys(at=Floats, height=Floats, error=Floats)]
+        | None
+    ) = field(metadata=SERIES)
     quantiles: Quantiles
     warnings: tuple[str, ...]
     command: str = ""
@@ -194,7 +208,8 @@ class Profile(Record):
         return found
 
     def to_frame(self) -> Any:
-        """The profile as a pandas DataFrame: the parameter, `delta_chi2` and all others.
+        """The profile as a pandas DataFrame: the parameter, `delta_chi2`
+        and all others.
 
         Raises
         ------
@@ -203,7 +218,8 @@ class Profile(Record):
         return frame({self.name: self.at, "delta_chi2": self.delta} | self.others)
 
     def quieter(self, rise: float) -> float:
-        """Factor by which the noise would have to be smaller for a delta chi squared of `rise`.
+        """Factor by which the noise would have to be smaller for a delta chi
+        squared of `rise`.
 
         Chi squared is proportional to the inverse square of sigma.
         """
@@ -224,24 +240,26 @@ class Profile(Record):
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class PairProfile(Record):
-    """The minimum of chi squared at fixed values of two parameters, all others fitted again.
+    """The minimum of chi squared at fixed values of two parameters, all others
+    fitted again.
 
-    The points follow the valley: in each row the first parameter is fixed, and the second varies
-    about its value in the profile of the first.
+    The points follow the valley: in each row the first parameter is fixed, and the
+    second varies about its value in the profile of the first.
 
     Attributes
     ----------
     names : of both parameters.
-    each : the profile of each alone. That of the first is chi squared along the bottom of the
-        valley, with the second in its `others`.
-    first, second : values of both, shape (n, m). Points beyond a bound of the second lie on it.
+    each : the profile of each alone. That of the first is chi squared along the bottom
+        of the valley, with the second in its `others`.
+    first, second : values of both, shape (n, m). Points beyond a bound of the
+        second lie on it.
     delta : chi squared there minus that of the fit; NaN where the law admits no motion.
-    across : standard error of the second with the first fixed, at the best fit; None where the
-        data do not determine it.
+    across : standard error of the second with the first fixed, at the best fit; None
+        where the data do not determine it.
     extent : by level, the extent of its region in each parameter.
     covariance : of both, shape (2, 2); None where one of them has no standard error.
-    ellipse : the largest difference of `delta` from the quadratic form of the covariance within its
-        95 % ellipse; None without one.
+    ellipse : the largest difference of `delta` from the quadratic form of the
+        covariance within its 95 % ellipse; None without one.
     samples : of the posterior, shape (samples, 2); empty without a chain.
     warnings : for the reader.
     command : that made it; empty if it was made in Python.
@@ -293,7 +311,9 @@ class PairProfile(Record):
         """
         columns = (*self.names, "delta_chi2")
         series = (self.first, self.second, self.delta)
-        return frame({name: one.ravel() for name, one in zip(columns, series, strict=True)})
+        return frame(
+            {name: one.ravel() for name, one in zip(columns, series, strict=True)}
+        )
 
     @property
     def valley(self) -> Floats:
@@ -303,10 +323,16 @@ class PairProfile(Record):
     def require_consistent(self) -> None:
         """Raise `ValueError` where what was read contradicts itself."""
         names = [one.name for one in self.each]
-        require("names", [*self.names] == names and names[0] != names[1], "those of the profiles")
+        require(
+            "names",
+            [*self.names] == names and names[0] != names[1],
+            "those of the profiles",
+        )
         require("each", self.names[1] in self.each[0].others, "the valley")
         shapes = {self.first.shape, self.second.shape, self.delta.shape}
-        require("delta", len(shapes) == 1 and self.delta.size > 1, "arrays of one shape")
+        require(
+            "delta", len(shapes) == 1 and self.delta.size > 1, "arrays of one shape"
+        )
         require("samples", self.samples.shape[1] == 2, "pairs of values")
 
 
@@ -315,7 +341,8 @@ def load_profile(file: str | PathLike[str]) -> Profile | PairProfile:
 
     Raises
     ------
-    DataError : it is missing, is not a profile, or has a schema this version cannot read.
+    DataError : it is missing, is not a profile, or has a schema this version
+        cannot read.
 
     Examples
     --------
@@ -335,7 +362,8 @@ def require_usable(
     ranges: Mapping[str, tuple[float, float]],
     best: Mapping[str, float] | None = None,
 ) -> None:
-    """Raise `InputError` where names, points or ranges are not valid for these parameters.
+    """Raise `InputError` where names, points or ranges are not valid for
+    these parameters.
 
     `best` are the fitted values, if known; a range must contain them.
     """
@@ -345,8 +373,8 @@ def require_usable(
     for name in names:
         if name in parameters.fixed:
             raise InputError(
-                f"--param {name}: it is fixed at {parameters.fixed[name]:g}; expected one that is "
-                "fitted"
+                f"--param {name}: it is fixed at {parameters.fixed[name]:g}; "
+                "expected one that is fitted"
             )
     if len(set(names)) < len(names):
         raise InputError(f"--param {names[0]} is given twice")
@@ -359,7 +387,9 @@ def require_usable(
             raise InputError(f"--range of {name}: expected one of {', '.join(names)}")
         item = parameters.parameters[parameters.index(name)]
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
-            raise InputError(f"--range {low:g},{high:g} of {name} is empty; expected LOW,HIGH")
+            raise InputError(
+                f"--range {low:g},{high:g} of {name} is empty; expected LOW,HIGH"
+            )
         if low < item.lower or high > item.upper:
             raise InputError(
                 f"--range {low:g},{high:g} of {name} exceeds its bounds "
@@ -367,5 +397,6 @@ def require_usable(
             )
         if best is not None and not low <= best[name] <= high:
             raise InputError(
-                f"--range {low:g},{high:g} of {name} excludes the best estimate, {best[name]:.6g}"
+                f"--range {low:g},{high:g} of {name} excludes the best estimate, "
+                f"{best[name]:.6g}"
             )

@@ -39,9 +39,10 @@ class _Shown(NamedTuple):
 
 @draw.style()
 def corner_figure(fit: FitResult | JointResult, chain: Chain) -> draw.Picture:
-    """Corner plot of the posterior of the law's coefficients and the estimated conditions: regions
-    that contain 68 and 95 % of the samples, with reference values marked. Of a joint fit, that of
-    the mean of the throws, of what groups and trends change, and of the spreads between throws.
+    """Corner plot of the posterior of the law's coefficients and the estimated
+    conditions: regions that contain 68 and 95 % of the samples, with reference values
+    marked. Of a joint fit, that of the mean of the throws, of what groups and trends
+    change, and of the spreads between throws.
 
     Examples
     --------
@@ -54,7 +55,9 @@ def corner_figure(fit: FitResult | JointResult, chain: Chain) -> draw.Picture:
     names = list(shown)
     samples = np.stack([chain.of({name: 1.0}) for name in names])
     samples = samples[:, draw.some_rows(samples.shape[1], _MOST)]
-    extents = [_extent(*pair) for pair in zip(samples, map(known.get, names), strict=True)]
+    extents = [
+        _extent(*pair) for pair in zip(samples, map(known.get, names), strict=True)
+    ]
     figure, grid = _panels(len(names))
     for (row, column), axes in grid.items():
         axes.grid(visible=False)
@@ -83,15 +86,21 @@ def corner_figure(fit: FitResult | JointResult, chain: Chain) -> draw.Picture:
 
 
 def _of_fit(fit: FitResult) -> tuple[Any, ...]:
-    """What is drawn by name, ridges by row and column, reference values, heading and words."""
+    """What is drawn by name, ridges by row and column, reference values,
+    heading and words."""
     require_fit(fit)
     names = _names(fit)
     items = {name: fit.parameters[name] for name in names}
     return (
-        {name: _Shown(draw.symbol_of(one), one.unit, one.verdict) for name, one in items.items()},
-        _ridges(fit, names), {} if fit.reference is None else fit.reference.values,
-        draw.heading_of(fit), _said(fit),
-    )  # fmt: skip
+        {
+            name: _Shown(draw.symbol_of(one), one.unit, one.verdict)
+            for name, one in items.items()
+        },
+        _ridges(fit, names),
+        {} if fit.reference is None else fit.reference.values,
+        draw.heading_of(fit),
+        _said(fit),
+    )
 
 
 def _of_joint(result: JointResult, chain: Chain) -> tuple[Any, ...]:
@@ -99,7 +108,8 @@ def _of_joint(result: JointResult, chain: Chain) -> tuple[Any, ...]:
     items = result.coefficients
     symbols = {name: draw.symbol_of(one) for name, one in items.items()}
     symbols |= {
-        one.expression: f"${draw.weighted_sum(one.weights, items)}$" for one in result.combinations
+        one.expression: f"${draw.weighted_sum(one.weights, items)}$"
+        for one in result.combinations
     }
     units = {name: one.unit for name, one in items.items()}
     shown = {}
@@ -113,14 +123,16 @@ def _of_joint(result: JointResult, chain: Chain) -> tuple[Any, ...]:
             label = f"{draw.literal(change)}:\n{label}"
         if spread != name:
             label, varies = f"spread of\n{symbols.get(spread, spread)}", spread
-        verdict = "weak" if spread != name else "determined"  # its density leans to one side
+        # its density leans to one side
+        verdict = "weak" if spread != name else "determined"
         shown[name] = _Shown(label, units.get(varies, "1"), verdict)
     heading = f"{draw.law_and_load(result)}: {result.count} throws together"
     return shown, {}, {}, heading, [(draw.QUIET, [_LEGEND])]
 
 
 def _panels(number: int) -> tuple[draw.Picture, dict[tuple[int, int], Any]]:
-    """The figure, and its panels by row and column; those of a parameter share its axis."""
+    """The figure, and its panels by row and column; those of a parameter
+    share its axis."""
     count = max(number, 2)
     width = max(draw.WIDTH, _LEFT + _RIGHT + count * (_SMALLEST + _GAP) - _GAP)
     side = (width - _LEFT - _RIGHT + _GAP) / count
@@ -128,28 +140,43 @@ def _panels(number: int) -> tuple[draw.Picture, dict[tuple[int, int], Any]]:
     figure = draw.Picture(figsize=(width, height))
     gap = _GAP / (side - _GAP)
     places = figure.add_gridspec(
-        number, count, wspace=gap, hspace=gap, left=_LEFT / width, right=1 - _RIGHT / width,
-        bottom=_BOTTOM / height, top=1 - _TOP / height,
-    )  # fmt: skip
+        number,
+        count,
+        wspace=gap,
+        hspace=gap,
+        left=_LEFT / width,
+        right=1 - _RIGHT / width,
+        bottom=_BOTTOM / height,
+        top=1 - _TOP / height,
+    )
     grid: dict[tuple[int, int], Any] = {}
     for row in range(number):
         for column in range(row + 1):
-            across, up = grid.get((column, column)), grid.get((row, 0)) if column < row else None
-            grid[row, column] = figure.add_subplot(places[row, column], sharex=across, sharey=up)
+            across, up = (
+                grid.get((column, column)),
+                grid.get((row, 0)) if column < row else None,
+            )
+            grid[row, column] = figure.add_subplot(
+                places[row, column], sharex=across, sharey=up
+            )
     return figure, grid
 
 
 def _names(fit: FitResult) -> list[str]:
-    """Coefficients and conditions that are not fixed; if fewer than two, the initial state too."""
+    """Coefficients and conditions that are not fixed; if fewer than two, the
+    initial state too."""
     start = ("v0", "omega0", "heading")
     wanted = [*fit.coefficients, *fit.conditions]
-    free = [name for name in (*wanted, *start) if fit.parameters[name].verdict != "fixed"]
+    free = [
+        name for name in (*wanted, *start) if fit.parameters[name].verdict != "fixed"
+    ]
     found = [name for name in free if name in wanted]
     return found if len(found) > 1 else free
 
 
 def _extent(values: Floats, mark: float | None) -> tuple[float, float]:
-    """Axis limits that enclose the samples, and a reference value if it is near them."""
+    """Axis limits that enclose the samples, and a reference value if it
+    is near them."""
     low, high = map(float, np.quantile(values, [0.001, 0.999]))
     if mark is not None:
         reach = 3 * (high - low)
@@ -162,21 +189,33 @@ def _extent(values: Floats, mark: float | None) -> tuple[float, float]:
 def _histogram(axes: Any, verdict: str, values: Floats) -> None:
     """Histogram of one parameter with its median and 68 % interval."""
     counts, *_ = axes.hist(
-        values, _BINS, range=axes.get_xlim(), histtype="stepfilled", fc=_SHADES[0],
-        ec=draw.POSTERIOR_COLOR, lw=1,
-    )  # fmt: skip
+        values,
+        _BINS,
+        range=axes.get_xlim(),
+        histtype="stepfilled",
+        fc=_SHADES[0],
+        ec=draw.POSTERIOR_COLOR,
+        lw=1,
+    )
     quantiles = low, middle, high = np.quantile(values, [0.16, 0.5, 0.84]).tolist()
     axes.vlines(
-        quantiles, 0, 1, transform=axes.get_xaxis_transform(), colors="black",
-        linestyles=["--", "-", "--"], lw=0.7,
-    )  # fmt: skip
+        quantiles,
+        0,
+        1,
+        transform=axes.get_xaxis_transform(),
+        colors="black",
+        linestyles=["--", "-", "--"],
+        lw=0.7,
+    )
     axes.set(ylim=(0, 1.1 * counts.max()), yticks=[])
     said = f"{low:.3g} .. {high:.3g}"
     if verdict == "not identifiable":
         said = verdict
     elif verdict in ("determined", "prior"):
         said = " \N{PLUS-MINUS SIGN} ".join(format_estimate(middle, (high - low) / 2))
-    text = axes.set_title(said.replace("-", "\N{MINUS SIGN}"), fontsize=7, pad=3, loc="center")
+    text = axes.set_title(
+        said.replace("-", "\N{MINUS SIGN}"), fontsize=7, pad=3, loc="center"
+    )
     draw.shrink(text, axes.get_window_extent().width)
 
 
@@ -184,20 +223,28 @@ def _density(axes: Any, samples: Floats) -> None:
     """Smallest regions that contain 68 and 95 % of the samples."""
     limits = axes.get_xlim(), axes.get_ylim()
     counts, *edges = np.histogram2d(samples[0], samples[1], _BINS, limits)
-    kernel = np.exp(-(np.subtract.outer(range(_BINS), range(_BINS)) ** 2) / (2 * _SMOOTH**2))
+    kernel = np.exp(
+        -(np.subtract.outer(range(_BINS), range(_BINS)) ** 2) / (2 * _SMOOTH**2)
+    )
     kernel /= kernel.sum(1, keepdims=True)
     density = np.pad(kernel @ counts @ kernel.T, 1)  # closes the contours
     falling = np.sort(density, axis=None)[::-1]
     share = np.cumsum(falling) / falling.sum()
-    levels = falling[[*np.searchsorted(share, _LEVELS), 0]] * (1 + 1e-6 * np.arange(3))  # rise
-    middles = [np.append(edge, 2 * edge[-1] - edge[-2]) - np.diff(edge[:2]) / 2 for edge in edges]
+    # rise
+    levels = falling[[*np.searchsorted(share, _LEVELS), 0]] * (1 + 1e-6 * np.arange(3))
+    middles = [
+        np.append(edge, 2 * edge[-1] - edge[-2]) - np.diff(edge[:2]) / 2
+        for edge in edges
+    ]
     axes.contourf(*middles, density.T, levels=levels, colors=_SHADES)
     axes.contour(*middles, density.T, levels=levels[:2], colors="0.3", linewidths=0.5)
 
 
-def _ridges(fit: FitResult, names: list[str]) -> dict[tuple[int, int], tuple[Combination, str]]:
-    """By row and column, the combination of pairs of which only that is determined, and its
-    symbols."""
+def _ridges(
+    fit: FitResult, names: list[str]
+) -> dict[tuple[int, int], tuple[Combination, str]]:
+    """By row and column, the combination of pairs of which only that is determined, and
+    its symbols."""
     found = {}
     for item in fit.combinations:
         if len(item.weights) == 2 and item.weights.keys() <= set(names):
@@ -211,7 +258,9 @@ def _ridge(
 ) -> None:
     """Draw a pair of which only a combination is determined, as points along a line."""
     some = samples[:, :: max(1, samples.shape[1] // _DOTS)]
-    axes.plot(*some, ".", color=draw.POSTERIOR_COLOR, markersize=1.5, mew=0, rasterized=True)
+    axes.plot(
+        *some, ".", color=draw.POSTERIOR_COLOR, markersize=1.5, mew=0, rasterized=True
+    )
     x = 0.95 if weights[0] * weights[1] > 0 else 0.05
     said = f"only\n${said}$\nis determined"
     draw.shrink(
@@ -241,8 +290,11 @@ def _mark(line: Callable[..., Any], value: float | None) -> None:
         line(value, color=draw.REFERENCE_COLOR, lw=1)
 
 
-def _say_in_corner(figure: draw.Picture, heading: str, said: list[tuple[str, list[str]]]) -> None:
-    """Write what was fitted, combinations and references into the corner free of panels."""
+def _say_in_corner(
+    figure: draw.Picture, heading: str, said: list[tuple[str, list[str]]]
+) -> None:
+    """Write what was fitted, combinations and references into the corner
+    free of panels."""
     width, height = figure.get_size_inches()
     text = figure.text(_LEFT / width, 1 - 0.06 / height, heading, va="top")
     draw.shrink(text, (width - _LEFT - _RIGHT) * figure.dpi)
@@ -250,7 +302,13 @@ def _say_in_corner(figure: draw.Picture, heading: str, said: list[tuple[str, lis
     room = end * figure.bbox.width - figure.axes[0].get_window_extent().x1
     for color, lines in said:
         text = figure.text(
-            end, top, "\n".join(lines), color=color, ha="right", va="top", linespacing=1.5
+            end,
+            top,
+            "\n".join(lines),
+            color=color,
+            ha="right",
+            va="top",
+            linespacing=1.5,
         )
         draw.shrink(text, room)
         top -= text.get_window_extent().height / figure.bbox.height + 0.1 / height
@@ -272,6 +330,10 @@ def _said(fit: FitResult) -> list[tuple[str, list[str]]]:
     if fit.reference is not None:
         symbols = {name: item.symbol for name, item in fit.parameters.items()}
         known = fit.reference.values.items()
-        values = [draw.in_symbols(f"{name} = {value:g}", symbols) for name, value in known]
-        said.append((draw.REFERENCE_COLOR, [draw.literal(fit.reference.source), *values]))
+        values = [
+            draw.in_symbols(f"{name} = {value:g}", symbols) for name, value in known
+        ]
+        said.append(
+            (draw.REFERENCE_COLOR, [draw.literal(fit.reference.source), *values])
+        )
     return said

@@ -11,9 +11,24 @@ if TYPE_CHECKING:
     from curlfit.inference.fit.result import FitResult
 
 _WORDS = {
-    "x": "x", "y": "y", "phi": "the angle", "speed": "the speed", "omega": "the spin",
-}  # fmt: skip
-_NUMBERS = ("No", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine")
+    "x": "x",
+    "y": "y",
+    "phi": "the angle",
+    "speed": "the speed",
+    "omega": "the spin",
+}
+_NUMBERS = (
+    "No",
+    "One",
+    "Two",
+    "Three",
+    "Four",
+    "Five",
+    "Six",
+    "Seven",
+    "Eight",
+    "Nine",
+)
 
 
 def identifiability(fit: FitResult) -> str:
@@ -29,8 +44,9 @@ def identifiability(fit: FitResult) -> str:
         what += " determine" + "s" * (bool(fit.rms) or number == 1)
     if not fit.rms and fit.rank == len(free) and len(fit.coefficients) == 1:
         return (
-            f"{what} one coefficient of friction and the initial state ({', '.join(free[1:])}): a "
-            f"mean friction, as in the {fit.law} law. Use `--law` to fit another law."
+            f"{what} one coefficient of friction and the initial state "
+            f"({', '.join(free[1:])}): a mean friction, as in the {fit.law} law. "
+            "Use `--law` to fit another law."
         )
     but = f" ({', '.join(held)} at a bound not counted)" if held else ""
     said = [f"{what} {fit.rank} of {counted(len(free) - len(held), 'parameter')}{but}."]
@@ -41,15 +57,15 @@ def identifiability(fit: FitResult) -> str:
     if unseen:
         changes = "; or when ".join(map(_change, fit.null_directions))
         said.append(
-            f"{_with_verb(unseen, 'is', 'are')} not identifiable: the path stays the same when "
-            f"{changes}."
+            f"{_with_verb(unseen, 'is', 'are')} not identifiable: "
+            f"the path stays the same when {changes}."
         )
         said += _instead(fit, unseen)
     if by_prior:
         it = "them" if len(by_prior) > 1 else "it"
         said.append(
-            f"{_with_verb(by_prior, 'rests', 'rest')} on the priors: the path alone does not "
-            f"determine {it}."
+            f"{_with_verb(by_prior, 'rests', 'rest')} on the priors: "
+            f"the path alone does not determine {it}."
         )
     for reason in dict.fromkeys(fit.parameters[name].reason for name in weak):
         alike = [name for name in weak if fit.parameters[name].reason == reason]
@@ -66,7 +82,9 @@ def _with_verb(names: list[str], one: str, several: str) -> str:
 
 def _instead(fit: FitResult, names: list[str]) -> list[str]:
     """The combinations of some parameters that are determined, as a sentence."""
-    what = [item.expression for item in fit.combinations if set(item.weights) & set(names)]
+    what = [
+        item.expression for item in fit.combinations if set(item.weights) & set(names)
+    ]
     return [f"Only {_with_verb(what, 'is', 'are')} determined."] if what else []
 
 
@@ -80,7 +98,10 @@ def _remedy(fit: FitResult, remedy: dict[str, Any]) -> str:
     own = [name for name in names if name in fit.coefficients]
     if fit.data["law_file"] or len(own) != 2:
         return text + "."
-    return text + f"; `curlfit design --separate {own[0]},{own[1]}` searches for throws that would."
+    return (
+        text + f"; `curlfit design --separate {own[0]},{own[1]}` searches for "
+        "throws that would."
+    )
 
 
 def _change(direction: dict[str, float]) -> str:

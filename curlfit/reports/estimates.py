@@ -24,8 +24,8 @@ _NOTABLE = 0.1  # systematic shift that is reported, over the standard error
 
 
 def about(result: Any, warnings: Sequence[str], line: str = "") -> tuple[Said, ...]:
-    """Whether a fit, of one throw or several, converged, a line of numbers, and what the warnings
-    of one that may be used are about."""
+    """Whether a fit, of one throw or several, converged, a line of numbers, and what
+    the warnings of one that may be used are about."""
     heads = dict.fromkeys(re.split(r" \(|[;:,] ", one)[0] for one in warnings)
     caution = f"Caution: {'; '.join(heads)}." if heads else "No warnings."
     status = Said(capital(result.status), style=style_of(result))
@@ -38,7 +38,8 @@ def style_of(result: Any) -> str:
 
 
 def lines_of(result: Any) -> list[str]:
-    """Coefficients and determined combinations in a line, and what is not identifiable."""
+    """Coefficients and determined combinations in a line, and what is
+    not identifiable."""
     known, unseen = [], []
     for name, item in result.coefficients.items():
         if item.verdict == "not identifiable":
@@ -46,8 +47,14 @@ def lines_of(result: Any) -> list[str]:
             continue
         how = f" ({item.verdict})" * (item.verdict != "determined")
         known.append(f"{name} = {compact(item.value, item.stderr)}{how}")
-    known += [f"{one.expression} = {compact(one.value, one.stderr)}" for one in result.combinations]
-    return [", ".join(known), f"not identifiable: {', '.join(unseen)}" if unseen else ""]
+    known += [
+        f"{one.expression} = {compact(one.value, one.stderr)}"
+        for one in result.combinations
+    ]
+    return [
+        ", ".join(known),
+        f"not identifiable: {', '.join(unseen)}" if unseen else "",
+    ]
 
 
 def row_of(
@@ -79,13 +86,17 @@ def of_posterior(quantiles: Quantiles | None) -> dict[str, str]:
 
 def reported(result: Any) -> dict[str, tuple[float, float | None]]:
     """Value and standard error of coefficients and determined combinations."""
-    found = {name: (item.value, item.stderr) for name, item in result.coefficients.items()}
-    return found | {item.expression: (item.value, item.stderr) for item in result.combinations}
+    found = {
+        name: (item.value, item.stderr) for name, item in result.coefficients.items()
+    }
+    return found | {
+        item.expression: (item.value, item.stderr) for item in result.combinations
+    }
 
 
 def systematics(result: Any) -> str:
-    """The largest systematic error of each coefficient or combination, and that due to the
-    calibration of a camera, in sentences."""
+    """The largest systematic error of each coefficient or combination, and that due to
+    the calibration of a camera, in sentences."""
     found, named, calibration = result.systematics, dict[str, list[str]](), []
     for name, (_, stderr) in reported(result).items():
         shifts = {
@@ -94,7 +105,10 @@ def systematics(result: Any) -> str:
             if not condition.startswith(CALIBRATION)
         }
         condition = max(shifts, key=lambda one: abs(shifts[one]), default="")
-        shift, of_camera = shifts.get(condition, 0.0), found.of_calibration.get(name, 0.0)
+        shift, of_camera = (
+            shifts.get(condition, 0.0),
+            found.of_calibration.get(name, 0.0),
+        )
         if stderr is not None and abs(shift) >= _NOTABLE * stderr and shift:
             off = f"{name} is {abs(shift):.2g} {'higher' if shift > 0 else 'lower'}"
             named.setdefault(condition, []).append(off)
@@ -103,18 +117,20 @@ def systematics(result: Any) -> str:
     sentences = []
     if named:
         largest = "; ".join(
-            f"{if_off(condition, found.widths[condition])}, the true {join_words(parts)}"
+            f"{if_off(condition, found.widths[condition])}, "
+            f"the true {join_words(parts)}"
             for condition, parts in named.items()
         )
         sentences.append(
-            "Systematic errors come from conditions that the fit holds fixed; the largest: "
-            f"{largest}. `--systematic` sets the standard uncertainties of the conditions; "
-            "`--prior` or `--free` estimates them with the coefficients."
+            "Systematic errors come from conditions that the fit holds fixed; "
+            f"the largest: {largest}. `--systematic` sets the standard uncertainties "
+            "of the conditions; `--prior` or `--free` estimates them with "
+            "the coefficients."
         )
     if calibration:
         sentences.append(
-            f"The calibration of the camera contributes {join_words(calibration)}, according to "
-            "the residual of its known points."
+            f"The calibration of the camera contributes {join_words(calibration)}, "
+            "according to the residual of its known points."
         )
     return " ".join(sentences)
 
@@ -122,6 +138,9 @@ def systematics(result: Any) -> str:
 def derived_table(items: Sequence[Derived]) -> PlainTable:
     """Derived quantities with their errors."""
     return PlainTable(
-        (row_of("derived", one.expression, one, one.systematic, one.quantiles) for one in items),
+        (
+            row_of("derived", one.expression, one, one.systematic, one.quantiles)
+            for one in items
+        ),
         "Derived quantities",
     )

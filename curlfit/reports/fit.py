@@ -47,7 +47,8 @@ if TYPE_CHECKING:
 
 _MOST_NAMED = 6  # outliers that the report lists
 _UNFINISHED = (
-    "Sampling is unfinished; repeat the `curlfit fit` command with --resume to continue it."
+    "Sampling is unfinished; repeat the `curlfit fit` command with "
+    "--resume to continue it."
 )
 _FEW = 30.0  # degrees of freedom from which Student's t is Gaussian to within 4 %
 _SEEN = ("determined", "prior", "fixed")
@@ -74,27 +75,31 @@ def document(fit: FitResult) -> Document:
     numbers, line = lines_of(fit), quantities_line(fit)
     sections = (
         Section(
-            "coefficients", "Coefficients",
+            "coefficients",
+            "Coefficients",
             (_estimates(fit), _few_values(fit), derived_table(fit.derived)),
         ),
         Section("path", "The path", (_quantities(fit), _draw(fit))),
         Section(
-            "quality", "Systematic errors and residuals",
+            "quality",
+            "Systematic errors and residuals",
             (systematics(fit), _beside_reference(fit), _quality(fit), _events(fit)),
             brief=False,
         ),
         Section(
-            "determined", f"What the path {'does not determine' if hidden else 'determines'}",
+            "determined",
+            f"What the path {'does not determine' if hidden else 'determines'}",
             (identifiability(fit),),
         ),
         Section("posterior", "The posterior", (_posterior(fit), unfinished)),
         Section("outliers", "Outliers", (outliers(fit),), brief=False),
-    )  # fmt: skip
+    )
     return Document(
         finding=lower(fit.status),
         style=style_of(fit),
         subject=Text.assemble(
-            (f"{fit.law} law", "bold"), f", {fit.load} load{loss}{noise}, fitted to {data['file']}"
+            (f"{fit.law} law", "bold"),
+            f", {fit.load} load{loss}{noise}, fitted to {data['file']}",
         ),
         about=(
             f"{extent(fit)}; stone {stone_text(fit.stone)}",
@@ -113,7 +118,9 @@ def document(fit: FitResult) -> Document:
 
 def extent(fit: FitResult) -> str:
     """Number of data, and the time that they span."""
-    events = f"{counted(len(fit.events), 'event')} at lines and at rest" * bool(fit.events)
+    events = f"{counted(len(fit.events), 'event')} at lines and at rest" * bool(
+        fit.events
+    )
     return "; ".join(filter(None, (rows_text(fit.data), events)))
 
 
@@ -127,7 +134,9 @@ def _estimates(fit: FitResult) -> PlainTable:
         items[name] = item
     rows = []
     for name, item in items.items():
-        row = row_of("parameter", name, item, fit.systematics.errors.get(name), sampled.get(name))
+        row = row_of(
+            "parameter", name, item, fit.systematics.errors.get(name), sampled.get(name)
+        )
         if fit.reference is not None:
             known = fit.reference.of(name, getattr(item, "weights", {name: 1.0}))
             row[f">{fit.reference.source}"] = "" if known is None else f"{known:g}"
@@ -138,31 +147,39 @@ def _estimates(fit: FitResult) -> PlainTable:
 def _few_values(fit: FitResult) -> str:
     """How far intervals of 95 % extend where sigma was estimated from few values."""
     items = (*fit.coefficients.values(), *fit.combinations)
-    degrees = min((one.dof for one in items if one.stderr and one.dof), default=math.inf)
+    degrees = min(
+        (one.dof for one in items if one.stderr and one.dof), default=math.inf
+    )
     if degrees >= _FEW:
         return ""
     from scipy.special import stdtrit
 
     text = (
-        "Sigma is estimated from few values: an interval of 95 % (Student's t) extends up to "
-        f"{stdtrit(degrees, 0.975):.2f} standard errors to each side, with {degrees:.0f} degrees "
-        "of freedom."
+        "Sigma is estimated from few values: an interval of 95 % (Student's t) "
+        f"extends up to {stdtrit(degrees, 0.975):.2f} standard errors to each side, "
+        f"with {degrees:.0f} degrees of freedom."
     )
     if fit.posterior is not None:
-        text += " The posterior holds sigma fixed; its intervals are correspondingly too narrow."
+        text += (
+            " The posterior holds sigma fixed; its intervals are "
+            "correspondingly too narrow."
+        )
     return text
 
 
 def _quantities(fit: FitResult) -> PlainTable:
-    """Quantities of the fitted path within the record, or of that of the law without the model
-    discrepancy."""
+    """Quantities of the fitted path within the record, or of that of the law without
+    the model discrepancy."""
     discrepancy, rows = bool(fit.noise.sizes), []
     along = f"along the {'path of the law' if discrepancy else 'fitted path'}"
     for name, item in fit.quantities.items():
         item = to_its_side(item)
-        units = [item, scaled(replace(item, unit="ft"), 1 / FOOT)][: 1 + (name == "curl")]
+        units = [item, scaled(replace(item, unit="ft"), 1 / FOOT)][
+            : 1 + (name == "curl")
+        ]
         rows += [
-            row_of(along, one.meaning, one, one.systematic, one.quantiles) | {"verdict": ""}
+            row_of(along, one.meaning, one, one.systematic, one.quantiles)
+            | {"verdict": ""}
             for one in units
         ]
     return PlainTable(rows, capital(along) + ", without the discrepancy" * discrepancy)
@@ -174,7 +191,10 @@ def _draw(fit: FitResult) -> str:
     if not {"draw_time", "curl"} <= known.keys():
         return ""
     time, curl = known["draw_time"].value, abs(known["curl"].value) / FOOT
-    return f"{time:.1f} s / {curl:.1f} ft: time of the draw from the near hog line, and its curl."
+    return (
+        f"{time:.1f} s / {curl:.1f} ft: time of the draw from the near hog "
+        "line, and its curl."
+    )
 
 
 def quantities_line(fit: FitResult) -> str:
@@ -184,18 +204,24 @@ def quantities_line(fit: FitResult) -> str:
         if item := fit.quantities.get(name):
             one = to_its_side(item)
             unit = "" if item.unit in ("", "1") else f" {item.unit}"
-            parts.append(f"{one.meaning.partition(',')[0]} {compact(one.value, one.stderr)}{unit}")
+            parts.append(
+                f"{one.meaning.partition(',')[0]} "
+                f"{compact(one.value, one.stderr)}{unit}"
+            )
     return ", ".join(parts)
 
 
 def _beside_reference(fit: FitResult) -> PlainTable | None:
-    """How the estimates vary with the stone's constants if those of a reference are rounded."""
+    """How the estimates vary with the stone's constants if those of a reference
+    are rounded."""
     reference, fits, now = fit.reference, fit.reference_fits, fit.stone.as_dict()
     if reference is None or not fits:
         return None
     places = max(map(_places, reference.values.values()))
     first, agree = fits[0], True
-    constants = ", ".join(f"{k} = {value:g} {UNIT[k]}" for k, value in first["stone"].items())
+    constants = ", ".join(
+        f"{k} = {value:g} {UNIT[k]}" for k, value in first["stone"].items()
+    )
     there, rows = [], []
     for name, (value, stderr) in reported(fit).items():
         known = reference.values.get(name)
@@ -205,19 +231,26 @@ def _beside_reference(fit: FitResult) -> PlainTable | None:
         row[">std. error"] = format_estimate(value, stderr)[1]
         shifts = [one["values"][name] - value for one in fits]
         for one, shift in zip(fits, shifts, strict=True):
-            by = ", ".join(f"{k} {new - now[k]:+g} {UNIT[k]}" for k, new in one["stone"].items())
+            by = ", ".join(
+                f"{k} {new - now[k]:+g} {UNIT[k]}" for k, new in one["stone"].items()
+            )
             row[f">shift, {by}"] = f"{round(shift, places + 1) + 0.0:+.{places + 1}f}"
         there.append(f"{again:.{places}f}")
-        rows.append(row | {f">with {constants}": there[-1], f">{reference.source}": f"{known:g}"})
-        agree &= abs(again - known) <= 0.5 * 10.0 ** -_places(known) + sum(map(abs, shifts[1:]))
+        rows.append(
+            row
+            | {f">with {constants}": there[-1], f">{reference.source}": f"{known:g}"}
+        )
+        agree &= abs(again - known) <= 0.5 * 10.0 ** -_places(known) + sum(
+            map(abs, shifts[1:])
+        )
     if not rows:
         return None
     flags = ",".join(f"{name}={value:g}" for name, value in first["stone"].items())
     verdict = f"which do not all agree with {reference.source}"
     if agree:
         verdict = (
-            f"which agree with {reference.source} within the rounding of its digits and of the "
-            "stone's constants"
+            f"which agree with {reference.source} within the rounding of its digits "
+            "and of the stone's constants"
         )
     text = f"{reference.source}: {reference.note}. " if reference.note else ""
     text += f"`--stone {flags}` gives {join_words(there)}, {verdict}."
@@ -234,10 +267,13 @@ def _quality(fit: FitResult) -> PlainTable:
     rows = []
     for name, rms in fit.rms.items():
         row = {
-            "channel": name, ">rms": f"{rms:.3g}", "unit": UNITS[name],
-            "noise assumed": _sigma(fit, name), "": fit.data["sigma"][name],
+            "channel": name,
+            ">rms": f"{rms:.3g}",
+            "unit": UNITS[name],
+            "noise assumed": _sigma(fit, name),
+            "": fit.data["sigma"][name],
             "lag-1 correlation": f"{fit.lag1[name]:.2f}" if name in fit.lag1 else "",
-        }  # fmt: skip
+        }
         if fit.noise.kind != "white":
             after = fit.independence.get(name)
             row["noise model"] = _memory(fit, name)
@@ -272,11 +308,14 @@ def _events(fit: FitResult) -> PlainTable:
         off = (event.value - fitted) / event.sigma
         rows.append(
             {
-                "measured": event.name, ">value": f"{event.value:.{digits}f}",
-                ">sigma": f"{event.sigma:.2g}", "unit": event.unit,
-                ">fit": f"{fitted:.{digits}f}", ">measured - fit": f"{off + 0.0:.1f} sigma",
+                "measured": event.name,
+                ">value": f"{event.value:.{digits}f}",
+                ">sigma": f"{event.sigma:.2g}",
+                "unit": event.unit,
+                ">fit": f"{fitted:.{digits}f}",
+                ">measured - fit": f"{off + 0.0:.1f} sigma",
             }
-        )  # fmt: skip
+        )
     return PlainTable(rows, "Timed events")
 
 
@@ -292,7 +331,10 @@ def outliers(fit: FitResult) -> str:
             f"{UNITS[item['channel']]} ({two_digits(item['sigmas'])} robust sigma)"
         )
     more = len(fit.outliers) - len(named)
-    return f"Outliers: {'; '.join(named)}{f'; and {more} more (all in fit.json)' * bool(more)}."
+    return (
+        "Outliers: "
+        f"{'; '.join(named)}{f'; and {more} more (all in fit.json)' * bool(more)}."
+    )
 
 
 def _posterior(fit: FitResult) -> Text | None:
@@ -300,7 +342,9 @@ def _posterior(fit: FitResult) -> Text | None:
     if (found := fit.posterior) is None:
         return None
     return Text.assemble(
-        "Posterior: ", (found.status, posterior.style(found)), f"; {posterior.sampled(found)}"
+        "Posterior: ",
+        (found.status, posterior.style(found)),
+        f"; {posterior.sampled(found)}",
     )
 
 
@@ -309,7 +353,9 @@ def settings_of(fit: FitResult) -> dict[str, str]:
     known, sampled = fit.parameters, fit.posterior
     held = {name: item for name, item in known.items() if item.verdict == "fixed"}
     listed = {
-        "Sigma": {name: f"{_sigma(fit, name)} ({fit.data['sigma'][name]})" for name in fit.rms},
+        "Sigma": {
+            name: f"{_sigma(fit, name)} ({fit.data['sigma'][name]})" for name in fit.rms
+        },
         "Held": {name: f"= {item.value:g}" for name, item in held.items()},
         "Priors": {name: item.prior for name, item in known.items() if item.prior},
         "Bounds": {
@@ -318,7 +364,9 @@ def settings_of(fit: FitResult) -> dict[str, str]:
             if name not in held
         },
         "Standard uncertainty of what is held": {
-            name: f"{value:g}" for name, value in fit.systematics.settings.items() if value
+            name: f"{value:g}"
+            for name, value in fit.systematics.settings.items()
+            if value
         },
     }
     found = {
@@ -332,7 +380,10 @@ def settings_of(fit: FitResult) -> dict[str, str]:
         },
     }
     if sampled is not None:
-        size = f"{sampled.samples} samples, {sampled.walkers} walkers, {sampled.steps} steps"
+        size = (
+            f"{sampled.samples} samples, {sampled.walkers} walkers, "
+            f"{sampled.steps} steps"
+        )
         found["Posterior"] = f"{size}, seed {sampled.seed}"
     return found
 
@@ -349,7 +400,11 @@ def command_of(fit: FitResult) -> str:
 
 def with_derived(flags: Sequence[str], result: Any) -> list[str]:
     """The flags, with those of quantities that were derived later."""
-    return list(dict.fromkeys([*flags, *(f"--derive={one.expression}" for one in result.derived)]))
+    return list(
+        dict.fromkeys(
+            [*flags, *(f"--derive={one.expression}" for one in result.derived)]
+        )
+    )
 
 
 def file_of(fit: FitResult) -> str:

@@ -47,8 +47,9 @@ _CHANCE = 0.05  # probability above which an effect is within the errors
 _EFFICIENCY = 0.05  # of importance weights, below which a few draws weigh all
 _R_HAT = 1.05  # of a sample that ended without the 1.01 that it aims at
 _FIRST_ORDER = (
-    "each throw counts as the quadratic about its own optimum; errors due to conditions, which all "
-    "throws have in common, are not contained: see the fit of a throw"
+    "each throw counts as the quadratic about its own optimum; "
+    "errors due to conditions, which all throws have in common, are not contained: "
+    "see the fit of a throw"
 )
 _HIDDEN = ("x0", "y0", "phi0", "heading")
 
@@ -65,21 +66,28 @@ def print_joint(result: JointResult, console: Console | None = None) -> None:
 
 
 def document(result: JointResult) -> Document:
-    """Shared coefficients, how the throws differ in them, and each throw's own parameters."""
+    """Shared coefficients, how the throws differ in them, and each throw's
+    own parameters."""
     throws, effects = f"{result.count} throws together", effect_lines(result)
-    differing = ", ".join(item.expression for item in result.variation if item.significant)
+    differing = ", ".join(
+        item.expression for item in result.variation if item.significant
+    )
     hidden = result.rank < result.parameters
-    determined = f"The throws determine {result.rank} of {result.parameters} parameters."
+    determined = (
+        f"The throws determine {result.rank} of {result.parameters} parameters."
+    )
     of_throws = {*warnings_of(result.throws)}
     warned = [one for one in result.warnings if one not in of_throws]
     warned += [one for throw in result.throws for one in throw.warnings]
     unconverged = []
     if result.r_hat is not None and result.r_hat >= _R_HAT:
-        unconverged = [f"the posterior of the spreads has not converged (R-hat {result.r_hat:.3f})"]
+        unconverged = [
+            f"the posterior of the spreads has not converged (R-hat {result.r_hat:.3f})"
+        ]
     if result.importance is not None and result.importance < _EFFICIENCY:
         unconverged += [
-            f"the posterior rests on {result.importance:.1%} of its draws, since the likelihood of "
-            "throws is far from quadratic: its quantiles are rough"
+            f"the posterior rests on {result.importance:.1%} of its draws, since the "
+            "likelihood of throws is far from quadratic: its quantiles are rough"
         ]
     return Document(
         finding=lower(result.status),
@@ -93,27 +101,43 @@ def document(result: JointResult) -> Document:
         lines=[
             *effects,
             *lines_of(result),
-            f"Differs between throws: {differing}." if differing and not result.varies else "",
+            f"Differs between throws: {differing}."
+            if differing and not result.varies
+            else "",
         ],
         sections=(
             Section(
-                "coefficients", "Coefficients",
+                "coefficients",
+                "Coefficients",
                 (
-                    *effects, _shared(result), _effects(result), derived_table(result.derived),
+                    *effects,
+                    _shared(result),
+                    _effects(result),
+                    derived_table(result.derived),
                     _throws(result),
                 ),
             ),
-            Section("determined", f"What the throws{' do not' * hidden} determine", (determined,)),
-            Section("quality", "Systematic errors", (systematics(result),), brief=False),
+            Section(
+                "determined",
+                f"What the throws{' do not' * hidden} determine",
+                (determined,),
+            ),
+            Section(
+                "quality", "Systematic errors", (systematics(result),), brief=False
+            ),
         ),
         warnings=(*result.warnings, *unconverged),
         notes=_notes(result),
         title=f"{throws}: {result.law} law",
         settings=(settings_of(result.throws[0]) if result.throws else {})
-        | {"Data": ", ".join(_files(result)), "Sigma": "", "In common": ", ".join(result.share)},
+        | {
+            "Data": ", ".join(_files(result)),
+            "Sigma": "",
+            "In common": ", ".join(result.share),
+        },
         command=_command(result),
         names=result.throws[0].parameters if result.throws else result.coefficients,
-    )  # fmt: skip
+    )
 
 
 def _shared(result: JointResult) -> PlainTable:
@@ -133,12 +157,18 @@ def _shared(result: JointResult) -> PlainTable:
 def _said(item: Variation, varies: bool) -> Text | str:
     """How a coefficient varies between throws."""
     if varies:
-        share = f", {abs(100 * item.spread / item.mean):.2g} %" if item.mean and item.spread else ""
+        share = (
+            f", {abs(100 * item.spread / item.mean):.2g} %"
+            if item.mean and item.spread
+            else ""
+        )
         return f"{item.spread:.2g}{share} ({item.p_text})"
     if not item.significant:
         return Text(f"no ({item.p_text})", style="green")
     mean = compact(item.mean, item.stderr)
-    return Text(f"yes ({item.p_text}): spread {item.spread:.2g}, mean {mean}", style="yellow")
+    return Text(
+        f"yes ({item.p_text}): spread {item.spread:.2g}, mean {mean}", style="yellow"
+    )
 
 
 def effect_lines(result: JointResult) -> list[str]:
@@ -163,14 +193,21 @@ def effect_lines(result: JointResult) -> list[str]:
         head = f"{capital(by)} {group} against {first.against}"
         if not group:
             head = f"Per {per}" + f" of {by}" * (by != per)
-        percent = compact(*(100 * abs(one) / friction.value for one in (first.value, first.stderr)))
+        percent = compact(
+            *(100 * abs(one) / friction.value for one in (first.value, first.stderr))
+        )
         parts = [f"friction {percent} % {'higher' if first.value > 0 else 'lower'}"]
         for name, (said, more, less, unit) in _WORDS.items():
             if effect := mine.get(name):
                 size = compact(abs(effect.value), effect.stderr)
-                parts.append(f"{said} {size} {unit} {more if effect.value > 0 else less}")
-        chance = [said for name, (said, *_) in _DRAWN.items()
-                  if name in mine and (mine[name].p or 0) > _CHANCE]  # fmt: skip
+                parts.append(
+                    f"{said} {size} {unit} {more if effect.value > 0 else less}"
+                )
+        chance = [
+            said
+            for name, (said, *_) in _DRAWN.items()
+            if name in mine and (mine[name].p or 0) > _CHANCE
+        ]
         within = f" ({join_words(chance)} within the errors)" if chance else ""
         found.append(f"{head}: {', '.join(parts)}{within}.")
     return found
@@ -181,15 +218,25 @@ def _effects(result: JointResult) -> PlainTable:
     for one in (*result.groups, *result.differences, *result.trend):
         if one.parameter in _DRAWN or not one.by:
             continue
-        what = f"{one.by} {one.group}".strip() + (f" - {one.against}" if one.against else "")
+        what = f"{one.by} {one.group}".strip() + (
+            f" - {one.against}" if one.against else ""
+        )
         value, error = format_estimate(one.value, one.stderr)
         rows.append(
-            {"": what, "quantity": labelled(one.parameter, one.unit), ">estimate": value}
+            {
+                "": what,
+                "quantity": labelled(one.parameter, one.unit),
+                ">estimate": value,
+            }
             | {">std. error": error, "p": "" if one.p is None else p_text(one.p)}
             | of_posterior(one.quantiles)
         )
     rows += [
-        {"": "between throws", "quantity": item.expression, ">estimate": two_digits(item.spread)}
+        {
+            "": "between throws",
+            "quantity": item.expression,
+            ">estimate": two_digits(item.spread),
+        }
         | of_posterior(item.quantiles)
         for item in result.variation
         if item.quantiles
@@ -206,7 +253,9 @@ def _throws(result: JointResult) -> PlainTable:
                 row[f">{name}"] = format_estimate(item.value, item.stderr)[0]
         for difference in result.variation:
             alone = difference.each[place]
-            row[f">{difference.expression} alone"] = "" if alone is None else compact(*alone)
+            row[f">{difference.expression} alone"] = (
+                "" if alone is None else compact(*alone)
+            )
         for name, rms in one.rms.items():
             row[f">{name}\n(m{UNITS[name]})"] = f"{1000 * rms:.3g}"
         rows.append(row)
@@ -222,7 +271,11 @@ def _notes(result: JointResult) -> list[str]:
 
 def _of_all(lists: Sequence[Sequence[str]]) -> list[str]:
     """What is in all of some lists."""
-    return [one for one in lists[0] if all(one in other for other in lists)] if lists else []
+    return (
+        [one for one in lists[0] if all(one in other for other in lists)]
+        if lists
+        else []
+    )
 
 
 def _files(result: JointResult) -> list[str]:

@@ -28,7 +28,9 @@ def of_posterior(posterior: Posterior) -> Document:
         style=style(posterior),
         subject=counted(len(posterior.ess), "parameter"),
         lines=[said],
-        sections=[Section("quantiles", "Quantiles", (_table(posterior.quantiles), said))],
+        sections=[
+            Section("quantiles", "Quantiles", (_table(posterior.quantiles), said))
+        ],
     )
 
 
@@ -43,8 +45,11 @@ def of_chain(chain: Chain) -> Document:
     shown = ", ".join(f"{name} {_middle(known[name])}" for name in list(known)[:_SHOWN])
     return Document(
         finding=f"{len(chain.flat)} samples",
-        subject=f"{counted(chain.ensembles, 'ensemble')}, {counted(walkers, 'walker')}, "
-        f"{counted(steps, 'step')}, of which the first {chain.discarded} are left out",
+        subject=(
+            f"{counted(chain.ensembles, 'ensemble')}, {counted(walkers, 'walker')}, "
+            f"{counted(steps, 'step')}, of which the first "
+            f"{chain.discarded} are left out"
+        ),
         lines=[f"68 %: {shown}{' ...' * (len(known) > _SHOWN)}"],
         sections=[Section("quantiles", "Quantiles", [_table(known)])],
     )
@@ -53,11 +58,12 @@ def of_chain(chain: Chain) -> Document:
 def _table(quantiles: Mapping[str, Quantiles]) -> PlainTable:
     return PlainTable(
         {
-            "parameter": name, ">68 %": _middle(one),
+            "parameter": name,
+            ">68 %": _middle(one),
             ">95 %": from_to(one["2.5"], one["97.5"], (one["84"] - one["16"]) / 3),
         }
         for name, one in quantiles.items()
-    )  # fmt: skip
+    )
 
 
 def _middle(quantiles: Quantiles) -> str:
@@ -78,8 +84,9 @@ def sampled(posterior: Posterior) -> str:
             least = min(ess, key=ess.__getitem__)
             sizes.append(f"{ess[least]:.0f} in the {part} ({least})")
     return (
-        f"{posterior.samples} samples ({posterior.ensembles} ensembles, {posterior.walkers} "
-        f"walkers, {posterior.steps} steps), effective sample size at least "
-        f"{' and '.join(sizes)}, R-hat at most {posterior.r_hat[worst]:.4f} ({worst}), acceptance "
-        f"{posterior.acceptance:.0%}."
+        f"{posterior.samples} samples ({posterior.ensembles} ensembles, "
+        f"{posterior.walkers} walkers, {posterior.steps} steps), "
+        f"effective sample size at least {' and '.join(sizes)}, "
+        f"R-hat at most {posterior.r_hat[worst]:.4f} ({worst}), "
+        f"acceptance {posterior.acceptance:.0%}."
     )

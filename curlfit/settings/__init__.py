@@ -1,1 +1,2 @@
-"""Choices of a verb: one dataclass each, from which flags, settings and keywords are made."""
+"""Choices of a verb: one dataclass each, from which flags, settings and
+keywords are made."""

@@ -1,8 +1,9 @@
 """The choices that verbs share.
 
-A field is one choice: its form, its help and, by its name, its flag, its key in a file of settings
-and its keyword in Python. None, or nothing in a table or list, means that it is not given; the
-default is then that of the data file, or the one that its help states.
+A field is one choice: its form, its help and, by its name, its flag, its key in a
+file of settings and its keyword in Python. None, or nothing in a table or list, means
+that it is not given; the default is then that of the data file, or the one that its
+help states.
 """
 
 from __future__ import annotations
@@ -14,7 +15,16 @@ from functools import cache
 from inspect import Parameter as Sign, cleandoc, signature
 from os import fspath
 from textwrap import fill
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeVar, get_type_hints
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    Self,
+    TypeVar,
+    get_type_hints,
+)
 
 from cyclopts import Group, Parameter
 
@@ -51,20 +61,28 @@ FLAGS = {
 UNSET: Any = None
 if TYPE_CHECKING:
     Named = Mapping[str, Any]
-else:  # values by name; cyclopts passes several words only to what is declared a collection
+else:
+    # values by name; cyclopts passes several words only to what is declared
+    # a collection
     Named = Collection[str]
 COUNT = whole(1)
 LINES = Several(COUNT, "a list of line numbers", "line numbers with commas between")
-FILE = Form("a name of a file", lambda file: TEXT.checked("", fspath(file)), written="a word")
+FILE = Form(
+    "a name of a file", lambda file: TEXT.checked("", fspath(file)), written="a word"
+)
 LOAD = OneOf("load", ("uniform", "consistent"))
 LOSS = OneOf("loss", ("linear", "huber", "soft-l1", "cauchy", "student"))
-NOISE = OneOf("noise", ("white", "ar1", "discrepancy"), **{"ar1+discrepancy": "discrepancy"})
+NOISE = OneOf(
+    "noise", ("white", "ar1", "discrepancy"), **{"ar1+discrepancy": "discrepancy"}
+)
 NOISES = Several(NOISE, "noise models", "noise models with commas between", text=True)
 LOADS = OneOf("load", (*LOAD.names, "both"))
 LAW = Form(
-    "the name or the class of a law", lambda law: law, written="a name, or FILE.py:CLASS",
+    "the name or the class of a law",
+    lambda law: law,
+    written="a name, or FILE.py:CLASS",
     words=lambda law: getattr(law, "name", law),
-)  # fmt: skip
+)
 LAWS = Several(LAW, "names or classes of laws", "names with commas between", text=True)
 SEED = whole(0, 2**32 - 1)
 
@@ -81,11 +99,17 @@ def takes(kind: type[Choices], *without: str) -> Callable[[Function], Function]:
     def documented(function: Function) -> Function:
         names = [name for name in kind.forms() if name not in without]
         own = signature(function)
-        keywords = [Sign(name, Sign.KEYWORD_ONLY, default=kind.usual.get(name)) for name in names]
-        first = [one for one in own.parameters.values() if one.kind is not Sign.VAR_KEYWORD]
+        keywords = [
+            Sign(name, Sign.KEYWORD_ONLY, default=kind.usual.get(name))
+            for name in names
+        ]
+        first = [
+            one for one in own.parameters.values() if one.kind is not Sign.VAR_KEYWORD
+        ]
         function.__signature__ = own.replace(parameters=[*first, *keywords])  # type: ignore[attr-defined]
         text = "\n".join(
-            fill(f"{name} : {kind.help(name)}", 96, subsequent_indent="    ") for name in names
+            fill(f"{name} : {kind.help(name)}", 96, subsequent_indent="    ")
+            for name in names
         )
         function.__doc__ = cleandoc(function.__doc__ or "").replace("{choices}", text)
         return function
@@ -95,23 +119,31 @@ def takes(kind: type[Choices], *without: str) -> Callable[[Function], Function]:
 
 def given(value: Any) -> bool:
     """Whether a value gives a choice."""
-    return not (value is None or value is False or (hasattr(value, "__len__") and not len(value)))
+    return not (
+        value is None
+        or value is False
+        or (hasattr(value, "__len__") and not len(value))
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Choices:
-    """Base of the choices of a verb; the help of a choice is its entry in the class's docstring."""
+    """Base of the choices of a verb; the help of a choice is its entry in the
+    class's docstring."""
 
     def __init_subclass__(cls) -> None:
         own, hints = cls.__annotations__, get_type_hints(cls, include_extras=True)
-        _, _, entries = cleandoc(cls.__doc__ or "").partition("Attributes\n----------\n")
+        _, _, entries = cleandoc(cls.__doc__ or "").partition(
+            "Attributes\n----------\n"
+        )
         for name, text in re.findall(r"^(\w+) : (.+(?:\n +.+)*)", entries, re.M):
             if hasattr(hints.get(name), "__metadata__") and name in own:
                 flag: Parameter = hints[name].__metadata__[0]
                 called = FLAGS.get(name) or flag.name or None
                 helpful = Parameter(help=" ".join(text.split()), name=called)
                 kind = hints[name].__origin__
-                if getattr(cls, name) is UNSET:  # cyclopts checks it if Pydantic is loaded
+                # cyclopts checks it if Pydantic is loaded
+                if getattr(cls, name) is UNSET:
                     kind = kind | None
                 own[name] = Annotated[kind, Parameter.combine(flag, helpful)]
 
@@ -144,9 +176,11 @@ class Choices:
 
     @classmethod
     def of(cls, *layers: Mapping[str, Any], **keywords: Any) -> Self:
-        """Choices from layers, of which the later override the earlier, tables entry by entry.
+        """Choices from layers, of which the later override the earlier, tables
+        entry by entry.
 
-        Layers may have more than these choices, `keywords` only these; they are the last layer.
+        Layers may have more than these choices, `keywords` only these; they are
+        the last layer.
 
         Raises
         ------
@@ -154,7 +188,9 @@ class Choices:
         """
         forms = cls.forms()
         for name in keywords.keys() - forms.keys():
-            raise TypeError(f"unexpected keyword argument {name!r}; there are {', '.join(forms)}")
+            raise TypeError(
+                f"unexpected keyword argument {name!r}; there are {', '.join(forms)}"
+            )
         found: dict[str, Any] = dict(cls.usual)
         for layer in (*layers, keywords):
             for name in forms.keys() & layer.keys():
@@ -181,7 +217,9 @@ class Choices:
         for name, value in self.given().items():
             flag = FLAGS.get(name, f"--{name.replace('_', '-')}")
             found += (
-                [flag] if value is True else [f"{flag}={word}" for word in forms[name].words(value)]
+                [flag]
+                if value is True
+                else [f"{flag}={word}" for word in forms[name].words(value)]
             )
         return found
 
@@ -196,28 +234,29 @@ class Reading(Choices):
 
     Attributes
     ----------
-    format : `table`, `tracker` (export of Tracker), `digitalcurling` (log of DigitalCurling 3)
-        or `timings` (stopwatch). [default: detected from the file]
-    axes : The file's axes, words separated by commas: `x-along`, `x-back`, `x-right`, `x-left`
-        and the same for y say where an axis points, seen along the throw; `from-hack`,
-        `from-back`, `from-tee`, `from-hog`, `from-centre`, `from-far-hog`, `from-far-tee` where
-        its zero lies; `clockwise` or `counter-clockwise` how angles count, seen from above
-        (else from +x to +y). [default: x-right,y-along]
+    format : `table`, `tracker` (export of Tracker), `digitalcurling` (log of
+        DigitalCurling 3) or `timings` (stopwatch). [default: detected from the file]
+    axes : The file's axes, words separated by commas: `x-along`, `x-back`, `x-right`,
+        `x-left` and the same for y say where an axis points, seen along the throw;
+        `from-hack`, `from-back`, `from-tee`, `from-hog`, `from-centre`, `from-far-hog`,
+        `from-far-tee` where its zero lies; `clockwise` or `counter-clockwise` how
+        angles count, seen from above (else from +x to +y). [default: x-right,y-along]
     units : Units in place of those of the header: t, x, y, length, angle, speed, spin.
-    columns : Headings of the columns t, x, y, angle, speed, spin ... that are not understood by
-        their names.
-    reference : Positions are in pixels: table of four or more known points u,v (pixels), x,y
-        (m).
-    worksheet : Worksheet of a workbook (.xlsx, .ods), by its name. [default: the first with data]
-    stone_index : Object of a Tracker export, stone of a shot or throw of a table, from 1.
-        [default: the first object; the stone thrown; with `batch`, each]
+    columns : Headings of the columns t, x, y, angle, speed, spin ... that are not
+        understood by their names.
+    reference : Positions are in pixels: table of four or more known points u,v
+        (pixels), x,y (m).
+    worksheet : Worksheet of a workbook (.xlsx, .ods), by its name. [default: the
+        first with data]
+    stone_index : Object of a Tracker export, stone of a shot or throw of a table,
+        from 1. [default: the first object; the stone thrown; with `batch`, each]
     shot : Shot of a log with several, from 1. [with `batch`: each]
-    handle : Object of a Tracker export, from 1, that marks the handle or any other point of the
-        same stone: its direction from the stone is the angle.
-    keep : Rows of a table of stopwatch times, by their lines in the file, that a joint fit uses
-        although their values are odd beside those of the others.
-    throws : Table with a column `file` (or `track`) and labels of these throws, such as `sheet`,
-        `stone`, `thrower`, `start`.
+    handle : Object of a Tracker export, from 1, that marks the handle or any other
+        point of the same stone: its direction from the stone is the angle.
+    keep : Rows of a table of stopwatch times, by their lines in the file, that a joint
+        fit uses although their values are odd beside those of the others.
+    throws : Table with a column `file` (or `track`) and labels of these throws, such as
+        `sheet`, `stone`, `thrower`, `start`.
     as_given : Accept data that are implausible for a curling stone, with a warning.
     """
 
@@ -246,8 +285,8 @@ class Rows(Choices):
     ----------
     since : Use only rows from this time on, in s.
     until : Use only rows up to this time, in s.
-    exclude : Leave out the rows between the times A and B, in s. The motion continues through
-        them under the same friction.
+    exclude : Leave out the rows between the times A and B, in s. The motion continues
+        through them under the same friction.
     """
 
     since: Annotated[float | None, option(TIME, metavar="S")] = None
@@ -267,35 +306,48 @@ class Estimation(Rows):
 
     Attributes
     ----------
-    swept : The stone was swept between the times A and B, in s; the parameter `sweep` is the
-        ratio of the friction during sweeping to that otherwise.
+    swept : The stone was swept between the times A and B, in s; the parameter `sweep`
+        is the ratio of the friction during sweeping to that otherwise.
     fix : Hold a parameter at a value.
     bounds : Bounds of a parameter, in place of the default ones.
     unbounded : Allow negative coefficients.
-    free : Estimate what is otherwise held: `slope_x`, `slope_y` (downward slope of the ice,
-        m/m), `drag` (of the air), `R`, `rho`, `h` (of the stone), `length_scale`, `time_scale`
-        (ratio of measured to true), or an optional coefficient of the law.
+    free : Estimate what is otherwise held: `slope_x`, `slope_y` (downward slope of the
+        ice, m/m), `drag` (of the air), `R`, `rho`, `h` (of the stone), `length_scale`,
+        `time_scale` (ratio of measured to true), or an optional coefficient of the law.
     priors : Prior of a parameter, which is then estimated: `rho=0.1+-0.0025`,
-        `mu2_xi=lognormal:0.05,0.3` (median, sigma of the logarithm), `drag=half-normal:0.8`,
-        `h=uniform:0.05,0.065`.
+        `mu2_xi=lognormal:0.05,0.3` (median, sigma of the logarithm),
+        `drag=half-normal:0.8`, `h=uniform:0.05,0.065`.
     start : Initial value; derived from the data if not given.
-    sigma : Noise of a channel: x=0.005,y=0.005,phi=0.01 (m, m, rad); estimated if not given.
-    loss : `linear` is least squares; `huber`, `soft-l1`, `cauchy`, `student` (4 degrees of
-        freedom) are robust to outliers. [default: linear]
-    stone : The stone: ring radius R, radius of gyration rho, height h of the centre of mass
-        (m), mass m (kg).
+    sigma : Noise of a channel: x=0.005,y=0.005,phi=0.01 (m, m, rad); estimated
+        if not given.
+    loss : `linear` is least squares; `huber`, `soft-l1`, `cauchy`, `student` (4 degrees
+        of freedom) are robust to outliers. [default: linear]
+    stone : The stone: ring radius R, radius of gyration rho, height h of the centre of
+        mass (m), mass m (kg).
     """
 
     swept: Annotated[tuple[float, float] | None, option(PERIOD, metavar="A:B")] = None
-    fix: Annotated[Named, option(VALUES, metavar="NAME=V")] = field(default_factory=dict)
-    bounds: Annotated[Named, option(LIMITS, metavar="NAME=LO:HI")] = field(default_factory=dict)
+    fix: Annotated[Named, option(VALUES, metavar="NAME=V")] = field(
+        default_factory=dict
+    )
+    bounds: Annotated[Named, option(LIMITS, metavar="NAME=LO:HI")] = field(
+        default_factory=dict
+    )
     unbounded: Annotated[bool, option(SWITCH)] = False
     free: Annotated[Sequence[str], option(NAMES, metavar="NAME,...")] = ()
-    priors: Annotated[Named, option(PRIORS, metavar="NAME=PRIOR")] = field(default_factory=dict)
-    start: Annotated[Named, option(VALUES, metavar="NAME=V")] = field(default_factory=dict)
-    sigma: Annotated[Named, option(VALUES, metavar="NAME=V")] = field(default_factory=dict)
+    priors: Annotated[Named, option(PRIORS, metavar="NAME=PRIOR")] = field(
+        default_factory=dict
+    )
+    start: Annotated[Named, option(VALUES, metavar="NAME=V")] = field(
+        default_factory=dict
+    )
+    sigma: Annotated[Named, option(VALUES, metavar="NAME=V")] = field(
+        default_factory=dict
+    )
     loss: Annotated[str, option(LOSS, metavar="NAME")] = UNSET
-    stone: Annotated[Named, option(VALUES, metavar="R=V,rho=V")] = field(default_factory=dict)
+    stone: Annotated[Named, option(VALUES, metavar="R=V,rho=V")] = field(
+        default_factory=dict
+    )
 
     usual: ClassVar = {"loss": "linear"}
 
@@ -307,18 +359,21 @@ class Estimation(Rows):
     @property
     def by_parameter(self) -> dict[str, Any]:
         """The choices that name parameters, except their initial values."""
-        return {name: getattr(self, name) for name in ("fix", "bounds", "free", "priors")}
+        return {
+            name: getattr(self, name) for name in ("fix", "bounds", "free", "priors")
+        }
 
     def check(self) -> None:
-        """Raise `InputError` for no stone, and for a robust loss with correlated noise."""
+        """Raise `InputError` for no stone, and for a robust loss with
+        correlated noise."""
         Stone().with_values(dict(self.stone))
         noise = getattr(self, "noise", ())
         kinds = [noise] if isinstance(noise, str) else list(noise)
         for kind in kinds:
             if kind != "white" and self.loss != "linear":
                 raise InputError(
-                    f"noise {kind} and loss {self.loss} cannot be combined: a robust loss takes "
-                    "each value by itself"
+                    f"noise {kind} and loss {self.loss} cannot be combined: "
+                    "a robust loss takes each value by itself"
                 )
 
 
@@ -331,8 +386,8 @@ class Comparing(Estimation):
     ----------
     laws : Laws to compare; FILE.py:CLASS for your own. [default: all]
     load : `uniform`, `consistent` (eq. 8-9) or `both`. [default: uniform]
-    noise : Noise models, as in `curlfit fit`; with several, every law is fitted under each of
-        them, and all fits are ranked together. [default: white]
+    noise : Noise models, as in `curlfit fit`; with several, every law is fitted under
+        each of them, and all fits are ranked together. [default: white]
     """
 
     laws: Annotated[Sequence[Any], option(LAWS, metavar="A,B,...")] = ()
@@ -349,21 +404,28 @@ class Modelling(Estimation):
 
     Attributes
     ----------
-    law : Friction law; `curlfit laws` lists them; FILE.py:CLASS for one of your own. [default:
-        front-back; for stopwatch times what they determine]
-    load : Distribution of the load on the ring: `uniform`, or `consistent` with the friction
-        (eq. 8-9). [default: uniform]
-    noise : Correlation of the noise from row to row: `white` has none; `ar1` has independent
-        and exponentially correlated noise, as from a filter or a swaying camera; `discrepancy`
-        also accelerations that an inexact law lacks, as functions of speed. Estimated from the
-        residuals. [default: white]
+    law : Friction law; `curlfit laws` lists them; FILE.py:CLASS for one of your own.
+        [default: front-back; for stopwatch times what they determine]
+    load : Distribution of the load on the ring: `uniform`, or `consistent` with the
+        friction (eq. 8-9). [default: uniform]
+    noise : Correlation of the noise from row to row: `white` has none; `ar1` has
+        independent and exponentially correlated noise, as from a filter or a swaying
+        camera; `discrepancy` also accelerations that an inexact law lacks, as functions
+        of speed. Estimated from the residuals. [default: white]
     """
 
     law: Annotated[Any, option(LAW, metavar="NAME")] = None
-    load: Annotated[Literal["uniform", "consistent"], option(LOAD, metavar="NAME")] = UNSET
+    load: Annotated[Literal["uniform", "consistent"], option(LOAD, metavar="NAME")] = (
+        UNSET
+    )
     noise: Annotated[str, option(NOISE, metavar="white|ar1|discrepancy")] = UNSET
 
-    usual: ClassVar = {**Estimation.usual, "law": "front-back", "load": "uniform", "noise": "white"}
+    usual: ClassVar = {
+        **Estimation.usual,
+        "law": "front-back",
+        "load": "uniform",
+        "noise": "white",
+    }
 
 
 @Parameter(name="*")
@@ -373,14 +435,16 @@ class Fitting(Modelling):
 
     Attributes
     ----------
-    systematics : Standard uncertainty of a condition that is held fixed, for the systematic
-        errors: `slope_x=2e-4`; 0 if it is known exactly, `all=0` for no systematic errors,
-        `calibration=0` for none of the map from pixels to metres. `curlfit laws --conditions`
-        lists the defaults.
+    systematics : Standard uncertainty of a condition that is held fixed, for the
+        systematic errors: `slope_x=2e-4`; 0 if it is known exactly, `all=0` for no
+        systematic errors, `calibration=0` for none of the map from pixels to metres.
+        `curlfit laws --conditions` lists the defaults.
     derive : A quantity derived from the parameters, with its errors: `mu2_xi - mu1_xi`,
-        `R*omega0/v0`, `sqrt(mu1_eta + mu2_eta)`; arithmetic of parameters, of R, rho, h, m, g,
-        pi, and sqrt, exp, log, sin, cos, tan, atan, abs, hypot, min, max.
+        `R*omega0/v0`, `sqrt(mu1_eta + mu2_eta)`; arithmetic of parameters, of R, rho,
+        h, m, g, pi, and sqrt, exp, log, sin, cos, tan, atan, abs, hypot, min, max.
     """
 
-    systematics: Annotated[Named, option(VALUES, metavar="NAME=V")] = field(default_factory=dict)
+    systematics: Annotated[Named, option(VALUES, metavar="NAME=V")] = field(
+        default_factory=dict
+    )
     derive: Annotated[Sequence[str], option(TEXTS, metavar="EXPRESSION")] = ()

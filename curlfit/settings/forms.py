@@ -1,4 +1,5 @@
-"""How the value of a choice is written: on the command line, in a file of settings, in Python."""
+"""How the value of a choice is written: on the command line, in a file of
+settings, in Python."""
 
 from __future__ import annotations
 
@@ -37,11 +38,14 @@ class Form:
         self.check, self._parse, self._words = check, parse, words
 
     def checked(self, name: str, value: Any) -> Any:
-        """A value of a file or of Python. Raises `InputError` if it is of another kind."""
+        """A value of a file or of Python. Raises `InputError` if it is of
+        another kind."""
         try:
             return self.check(value)
         except (TypeError, ValueError, OverflowError, AttributeError):
-            raise InputError(f"{name} = {quoted(value)}; expected {self.expected}") from None
+            raise InputError(
+                f"{name} = {quoted(value)}; expected {self.expected}"
+            ) from None
 
     def __call__(self, _: Any, tokens: Sequence[Any]) -> Any:
         """The value of the words after a flag, as cyclopts passes them."""
@@ -55,7 +59,9 @@ class Form:
         except InputError as error:
             raise InputError(f"{flag}{cut(word.strip())}: {error}") from None
         except (TypeError, ValueError, OverflowError):
-            raise InputError(f"{flag}{cut(word.strip())}: expected {self.written}") from None
+            raise InputError(
+                f"{flag}{cut(word.strip())}: expected {self.written}"
+            ) from None
 
     def words(self, value: Any) -> list[str]:
         """The words after a flag that give a value."""
@@ -63,10 +69,13 @@ class Form:
 
 
 class Table(Form):
-    """Values by name, `NAME=VALUE`, any number of times; with commas between if `many`."""
+    """Values by name, `NAME=VALUE`, any number of times; with commas
+    between if `many`."""
 
     def __init__(self, value: Form, written: str, *, many: bool = False) -> None:
-        super().__init__(f"a table of names, each with {value.expected}", dict, written=written)
+        super().__init__(
+            f"a table of names, each with {value.expected}", dict, written=written
+        )
         self.value, self.many = value, many
 
     def checked(self, name: str, value: Any) -> dict[str, Any]:
@@ -74,9 +83,13 @@ class Table(Form):
         value = value.as_dict() if hasattr(value, "as_dict") else value
         if not isinstance(value, Mapping):
             raise InputError(
-                f"{name} = {quoted(value)}; expected {name}.NAME = {self.value.expected}"
+                f"{name} = {quoted(value)}; expected "
+                f"{name}.NAME = {self.value.expected}"
             )
-        return {str(key): self.value.checked(f"{name}.{key}", one) for key, one in value.items()}
+        return {
+            str(key): self.value.checked(f"{name}.{key}", one)
+            for key, one in value.items()
+        }
 
     def __call__(self, _: Any, tokens: Sequence[Any]) -> dict[str, Any]:
         """All words together."""
@@ -85,10 +98,14 @@ class Table(Form):
             for part in token.value.split(",") if self.many else [token.value]:
                 name, equals, text = (one.strip() for one in part.partition("="))
                 if not equals or not name or not text:
-                    raise InputError(f"{token.keyword} {cut(token.value)}: expected {self.written}")
+                    raise InputError(
+                        f"{token.keyword} {cut(token.value)}: expected {self.written}"
+                    )
                 if name in found:
                     raise InputError(f"{token.keyword}: {cut(name)} is given twice")
-                found[name] = self.value.read_word(f"{token.keyword} {cut(name)}=", text)
+                found[name] = self.value.read_word(
+                    f"{token.keyword} {cut(name)}=", text
+                )
         return found
 
     def words(self, value: Mapping[str, Any]) -> list[str]:
@@ -100,7 +117,13 @@ class Several(Form):
     """Values with commas between, any number of times."""
 
     def __init__(
-        self, value: Form, expected: str, written: str, *, commas: bool = True, text: bool = False
+        self,
+        value: Form,
+        expected: str,
+        written: str,
+        *,
+        commas: bool = True,
+        text: bool = False,
     ) -> None:
         """`text` allows one text with commas in a file and in Python too."""
         super().__init__(expected, tuple, written=written)
@@ -130,9 +153,12 @@ class Several(Form):
 
 
 class Interval(Form):
-    """Two numbers with a colon between, in order; an end may be infinite if `open_ended`."""
+    """Two numbers with a colon between, in order; an end may be infinite
+    if `open_ended`."""
 
-    def __init__(self, expected: str, written: str, *, open_ended: bool = False) -> None:
+    def __init__(
+        self, expected: str, written: str, *, open_ended: bool = False
+    ) -> None:
         def parse(word: str) -> tuple[float, float]:
             low, colon, high = word.partition(":")
             if not colon:
@@ -192,7 +218,9 @@ class OneOf(Form):
     """One of some names; `others` are further names of these."""
 
     def __init__(self, what: str, names: Sequence[str], **others: str) -> None:
-        expected = " or ".join(names) if len(names) < 3 else f"one of {', '.join(names)}"
+        expected = (
+            " or ".join(names) if len(names) < 3 else f"one of {', '.join(names)}"
+        )
 
         def check(value: Any) -> str:
             text = others.get(TEXT.check(value), value)
@@ -217,12 +245,17 @@ def numbers(count: int, written: str) -> Form:
         return found
 
     return Form(
-        f"{count} numbers", check, lambda word: map(float, word.split(",")), written,
+        f"{count} numbers",
+        check,
+        lambda word: map(float, word.split(",")),
+        written,
         words=lambda value: ",".join(f"{one:.10g}" for one in value),
-    )  # fmt: skip
+    )
 
 
-PATH = Form("a name of a file or folder", lambda one: Path(one), Path, "a file or folder")
+PATH = Form(
+    "a name of a file or folder", lambda one: Path(one), Path, "a file or folder"
+)
 NUMBER = Form(f"a number, {SIZES}", _finite, float)
 TIME = Form("a time in s", _finite, float)
 SWITCH = Form("true or false", _of_type(bool))
@@ -230,12 +263,17 @@ VALUES = Table(NUMBER, "NAME=VALUE", many=True)
 LABELS = Table(TEXT, "LABEL=NAME", many=True)
 HEADINGS = Table(TEXT, "QUANTITY=HEADING", many=True)
 LIMITS = Table(Interval("[low, high]", "LOW:HIGH", open_ended=True), "NAME=LOW:HIGH")
-PERIOD = Interval("two times in s, the earlier first", "A:B, times in s with A before B")
+PERIOD = Interval(
+    "two times in s, the earlier first", "A:B, times in s with A before B"
+)
 PERIODS = Several(PERIOD, "[[A, B], ...], times in s with A before B", "A:B")
 NAMES = Several(TEXT, "a list of names", "NAME,...")
 NUMBERS = Several(NUMBER, "a list of numbers", "numbers separated by commas")
 PRIORS = Table(
-    Form("a string such as '1+-0.1'", lambda one: one if hasattr(one, "kind") else TEXT.check(one)),
+    Form(
+        "a string such as '1+-0.1'",
+        lambda one: one if hasattr(one, "kind") else TEXT.check(one),
+    ),
     "NAME=PRIOR",
 )
 TEXTS = Several(TEXT, "a list of strings", "a text", commas=False)
@@ -249,6 +287,10 @@ def option(form: Form, metavar: str = "", **others: Any) -> Parameter:
     if form is SWITCH:
         return Parameter(**others)
     return Parameter(
-        metavar=metavar or None, converter=form, n_tokens=1, accepts_keys=False,
-        allow_repeating=True, **others,
-    )  # fmt: skip
+        metavar=metavar or None,
+        converter=form,
+        n_tokens=1,
+        accepts_keys=False,
+        allow_repeating=True,
+        **others,
+    )

@@ -1,4 +1,5 @@
-"""The channels of a throw, and what their rows alone tell: noise, last motion, means."""
+"""The channels of a throw, and what their rows alone tell: noise, last
+motion, means."""
 
 from __future__ import annotations
 
@@ -19,26 +20,30 @@ _REST_DISTANCE = 0.003  # m; this close to its last position a stone is at rest
 
 
 def scatter(values: Floats) -> Any:
-    """Standard deviation of the noise on smooth series along the last axis, from third differences.
+    """Standard deviation of the noise on smooth series along the last axis, from
+    third differences.
 
-    Second differences would count the curvature of the path as noise. 0 where there are too few
-    rows.
+    Second differences would count the curvature of the path as noise. 0 where there are
+    too few rows.
     """
     if values.shape[-1] < _MIN_ROWS:
         return np.zeros(values.shape[:-1])[()]
-    bend = values[..., 3:] - values[..., :-3] + 3 * (values[..., 1:-2] - values[..., 2:-1])
+    bend = (
+        values[..., 3:] - values[..., :-3] + 3 * (values[..., 1:-2] - values[..., 2:-1])
+    )
     return _median(np.abs(bend)) / (0.6745 * math.sqrt(20))
 
 
 def _median(values: Floats) -> Any:
-    """Median along the last axis; several times faster than NumPy's for a few hundred values."""
+    """Median along the last axis; several times faster than NumPy's for a few
+    hundred values."""
     ordered, n = np.sort(values, -1), values.shape[-1]
     return (ordered[..., (n - 1) // 2] + ordered[..., n // 2]) / 2
 
 
 def block_means(values: Floats, starts: NDArray[np.int64]) -> tuple[Floats, Floats]:
-    """Means over blocks of rows, which begin at `starts`, of the values that are measured (NaN
-    where none is), and the number of these."""
+    """Means over blocks of rows, which begin at `starts`, of the values that are
+    measured (NaN where none is), and the number of these."""
     finite = np.isfinite(values)
     count = np.add.reduceat(finite.astype(float), starts)
     total = np.add.reduceat(np.where(finite, values, 0.0), starts)
@@ -61,22 +66,29 @@ def last_motion(t: Floats, x: Floats, y: Floats) -> float:
 def condensed(throw: Any, most: int) -> dict[str, Any]:
     """The fields of a throw condensed to at most about `most` rows.
 
-    Mean time, position and angle of a block lie on the path except for its curvature within
-    the block. The noise and given sigmas decrease as for any mean. Rows after the stone has
-    come to rest, which repeat one measurement, are averaged over long blocks.
+    Mean time, position and angle of a block lie on the path except for its
+    curvature within the block. The noise and given sigmas decrease as for any mean.
+    Rows after the stone has come to rest, which repeat one measurement, are
+    averaged over long blocks.
     """
     n, names = len(throw.t), ("t", *CHANNELS)
-    rest = int(np.searchsorted(throw.t, last_motion(throw.t, throw.x, throw.y), side="right"))
+    rest = int(
+        np.searchsorted(throw.t, last_motion(throw.t, throw.x, throw.y), side="right")
+    )
     block = max(1, -(-rest // (most - _REST_ROWS)))
     rest_block = max(block, -(-(n - rest) // _REST_ROWS))  # not noisier than the others
     moving, still = -(-rest // block), -(-(n - rest) // rest_block)
     pieces = (0, rest, moving), (rest, n, still)
-    starts = np.concatenate([np.linspace(*piece, endpoint=False).astype(int) for piece in pieces])
+    starts = np.concatenate(
+        [np.linspace(*piece, endpoint=False).astype(int) for piece in pieces]
+    )
     found = {name: block_means(getattr(throw, name), starts) for name in names}
 
     def of_means(sigma: dict[str, Floats]) -> dict[str, Floats]:
         return {
-            name: np.sqrt(block_means(values**2, starts)[0] / np.maximum(found[name][1], 1))
+            name: np.sqrt(
+                block_means(values**2, starts)[0] / np.maximum(found[name][1], 1)
+            )
             for name, values in sigma.items()
         }
 
@@ -87,12 +99,16 @@ def condensed(throw: Any, most: int) -> dict[str, Any]:
     )
     if rest < n:
         note += (
-            f", over {counted(rest_block, 'row')} after that, when the stone was at rest and every "
-            f"row repeats one measurement, which counts as {still}"
+            f", over {counted(rest_block, 'row')} after that, when the stone was at "
+            f"rest and every row repeats one measurement, which counts as {still}"
         )
-    # A deceleration a = 0.2 m/s^2, twice the usual, displaces a mean over T by a T^2/24.
+    # A deceleration a = 0.2 m/s^2, twice the usual, displaces a mean over T
+    # by a T^2/24.
     bend = 0.2 * length**2 / 24
-    note += f"; means of moving rows lie off the path by some {bend:.1g} m, which is negligible"
+    note += (
+        f"; means of moving rows lie off the path by some {bend:.1g} m, "
+        "which is negligible"
+    )
     return {
         **{name: means for name, (means, _) in found.items()},
         "sigma": of_means(throw.sigma),

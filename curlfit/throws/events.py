@@ -1,7 +1,8 @@
 """Timed events of a throw: when or where the stone crosses a line or comes to rest.
 
-Such a measurement is not a row of a path. A time between two lines is the difference of two
-crossing times, with the error of a stopwatch; the resting position is measured with a tape.
+Such a measurement is not a row of a path. A time between two lines is the difference
+of two crossing times, with the error of a stopwatch; the resting position is measured
+with a tape.
 """
 
 from __future__ import annotations
@@ -17,36 +18,47 @@ from curlfit.errors import InputError
 from curlfit.foreign import counted, quoted
 from curlfit.numerics.arrays import Floats
 
-QUANTITIES = {"time": "s", "x": "m", "y": "m", "phi": "rad", "speed": "m/s", "omega": "rad/s"}
+QUANTITIES = {
+    "time": "s",
+    "x": "m",
+    "y": "m",
+    "phi": "rad",
+    "speed": "m/s",
+    "omega": "rad/s",
+}
 """Quantities measured at an event, with their units."""
 RATES = ("speed", "omega")
 """Those of the motion at a line."""
 SIGMA_TIME = 0.1
-"""Standard deviation in s of a hand-timed interval between two events. Each press of the button
-scatters by 0.07 s about a delay common to both, as 4304 reaction times of timekeepers show (Manual
-timing in physics experiments: error and uncertainty, Am. J. Phys. 87 (2019) 110)."""
+"""Standard deviation in s of a hand-timed interval between two events. Each press of
+the button scatters by 0.07 s about a delay common to both, as 4304 reaction times of
+timekeepers show (Manual timing in physics experiments: error and uncertainty, Am. J.
+Phys. 87 (2019) 110)."""
 MOST_LINES, MOST_EVENTS = 6, 9
-_TIMES = [*range(MOST_LINES), 3 * MOST_LINES]  # columns of weights, of lines and at rest
+# columns of weights, of lines and at rest
+_TIMES = [*range(MOST_LINES), 3 * MOST_LINES]
 _X, _Y = [*range(MOST_LINES, 2 * MOST_LINES), 3 * MOST_LINES + 1], [3 * MOST_LINES + 2]
 _FARTHEST = 200.0  # m; largest distance to rest in the search for a first motion
 _ROWS = 200  # number of times of a throw without a path
 _LONGER = 1.25  # ratio of the last of these times to the expected time to rest
-_TYPICAL_TIME, _TYPICAL_LENGTH = 25.0, 28.0  # s and m to rest, where neither was measured
+# s and m to rest, where neither was measured
+_TYPICAL_TIME, _TYPICAL_LENGTH = 25.0, 28.0
 
 
 @dataclass(frozen=True)
 class Event:
-    """One measured time, position or angle at a line or at rest, or the motion at a line.
+    """One measured time, position or angle at a line or at rest, or the
+    motion at a line.
 
     Attributes
     ----------
     name : name of the measurement, such as "hog_to_hog".
-    quantity : "time" (s), "x", "y" (m) or "phi" (rad); "y" only at rest; "speed" (m/s) or "omega"
-        (the spin, rad/s), only at a line.
+    quantity : "time" (s), "x", "y" (m) or "phi" (rad); "y" only at rest; "speed" (m/s)
+        or "omega" (the spin, rad/s), only at a line.
     value, sigma : measured value and standard deviation of its error, SI.
     at : y of the line that the stone's centre crosses, m; None at rest.
-    since : y of an earlier line, m, relative to which a time, x or an angle is measured. If None,
-        times are on the throw's clock, x and angles in its axes.
+    since : y of an earlier line, m, relative to which a time, x or an angle is
+        measured. If None, times are on the throw's clock, x and angles in its axes.
 
     Raises
     ------
@@ -63,15 +75,28 @@ class Event:
     def __post_init__(self) -> None:
         q, sigma = self.quantity, self.sigma
         for sound, fault in (
-            (q in QUANTITIES, f"{quoted(q)} found, expected one of {', '.join(QUANTITIES)}"),
-            (q != "y" or self.since is None,
-             "`since` is given, expected none: y is measured from the hack"),
-            (q != "y" or self.at is None, "`at` is given, expected none: y is measured at rest"),
-            (q not in RATES or (self.at is not None and self.since is None),
-             "expected `at` and no `since`: speed and spin are those at a line"),
-            (math.isfinite(self.value), f"{self.value} found, expected a finite number"),
+            (
+                q in QUANTITIES,
+                f"{quoted(q)} found, expected one of {', '.join(QUANTITIES)}",
+            ),
+            (
+                q != "y" or self.since is None,
+                "`since` is given, expected none: y is measured from the hack",
+            ),
+            (
+                q != "y" or self.at is None,
+                "`at` is given, expected none: y is measured at rest",
+            ),
+            (
+                q not in RATES or (self.at is not None and self.since is None),
+                "expected `at` and no `since`: speed and spin are those at a line",
+            ),
+            (
+                math.isfinite(self.value),
+                f"{self.value} found, expected a finite number",
+            ),
             (0 < sigma < math.inf, f"sigma = {sigma:g}, expected a positive number"),
-        ):  # fmt: skip
+        ):
             if not sound:
                 raise InputError(f"event {self.name}: {fault}")
 
@@ -82,7 +107,8 @@ class Event:
 
 
 class EventArrays(NamedTuple):
-    """Events as weighted sums of predictions at lines and at rest, for the compiled model.
+    """Events as weighted sums of predictions at lines and at rest, for the
+    compiled model.
 
     With many throws, the first axis of each array is that of the throws.
     """
@@ -90,8 +116,9 @@ class EventArrays(NamedTuple):
     lines: Any
     """y of the lines crossed, m, ascending, shape (lines,)"""
     weights: Any
-    """shape (events, 5 lines + 4): weights of the times of crossing, of x and of phi there, then
-    of the time, x, y and phi at rest, then of the speed and the spin at the lines"""
+    """shape (events, 5 lines + 4): weights of the times of crossing, of x and of
+    phi there, then of the time, x, y and phi at rest, then of the speed and the
+    spin at the lines"""
 
     def with_clock(self, rate: float) -> EventArrays:
         """The same events with all measured times longer by a factor."""
@@ -100,7 +127,8 @@ class EventArrays(NamedTuple):
         return self._replace(weights=weights)
 
     def with_lengths(self, scale: float, y0: Any) -> EventArrays:
-        """The same events with all measured lengths longer by a factor, about y0 and x = 0."""
+        """The same events with all measured lengths longer by a factor, about
+        y0 and x = 0."""
         weights = self.weights.copy()
         weights[..., _X + _Y] *= scale
         return EventArrays(y0 + (self.lines - y0) / scale, weights)
@@ -112,7 +140,9 @@ class EventArrays(NamedTuple):
 
 def lines_of(events: Sequence[Event]) -> list[float]:
     """y of the lines that events refer to, m, ascending."""
-    return sorted({y for event in events for y in (event.at, event.since) if y is not None})
+    return sorted(
+        {y for event in events for y in (event.at, event.since) if y is not None}
+    )
 
 
 def event_arrays(events: Sequence[Event], y0: float) -> EventArrays:
@@ -125,16 +155,20 @@ def event_arrays(events: Sequence[Event], y0: float) -> EventArrays:
     lines = lines_of(events)
     if len(events) > MOST_EVENTS or len(lines) > MOST_LINES:
         raise InputError(
-            f"{counted(len(events), 'event')} at {counted(len(lines), 'line')}; expected at most "
-            f"{MOST_EVENTS} at {MOST_LINES}"
+            f"{counted(len(events), 'event')} at {counted(len(lines), 'line')}; "
+            f"expected at most {MOST_EVENTS} at {MOST_LINES}"
         )
     weights = np.zeros((MOST_EVENTS, 5 * MOST_LINES + 4))
     of_line = {"time": 0, "x": MOST_LINES, "phi": 2 * MOST_LINES}
     at_rest = {name: 3 * MOST_LINES + index for index, name in enumerate(QUANTITIES)}
-    of_line |= {name: at_rest["phi"] + 1 + k * MOST_LINES for k, name in enumerate(RATES)}
+    of_line |= {
+        name: at_rest["phi"] + 1 + k * MOST_LINES for k, name in enumerate(RATES)
+    }
     for row, event in enumerate(events):
         q = event.quantity
-        weights[row, at_rest[q] if event.at is None else of_line[q] + lines.index(event.at)] += 1
+        weights[
+            row, at_rest[q] if event.at is None else of_line[q] + lines.index(event.at)
+        ] += 1
         if event.since is not None:
             weights[row, of_line[q] + lines.index(event.since)] -= 1
     padded = np.full(MOST_LINES, lines[-1] if lines else y0)
@@ -143,16 +177,23 @@ def event_arrays(events: Sequence[Event], y0: float) -> EventArrays:
 
 
 def along_path(
-    events: Sequence[Event], t: Floats, x: Floats, y: Floats, phi: Floats, speed: Floats,
+    events: Sequence[Event],
+    t: Floats,
+    x: Floats,
+    y: Floats,
+    phi: Floats,
+    speed: Floats,
     omega: Floats,
-) -> Floats:  # fmt: skip
+) -> Floats:
     """Values of events on a path, from its rows up to rest; shape (events,).
 
-    Rows are interpolated linearly; the time of rest is extrapolated at constant deceleration from
-    the first row below a tenth of the initial speed.
+    Rows are interpolated linearly; the time of rest is extrapolated at constant
+    deceleration from the first row below a tenth of the initial speed.
     """
     late = int(np.argmax(speed < speed[0] / 10)) or len(t) - 1
-    rest = t[late] + 2 * math.hypot(x[-1] - x[late], y[-1] - y[late]) / max(speed[late], 1e-9)
+    rest = t[late] + 2 * math.hypot(x[-1] - x[late], y[-1] - y[late]) / max(
+        speed[late], 1e-9
+    )
     series = {"time": np.append(t[:-1], rest), "x": x, "y": y, "phi": phi}
     series |= {"speed": speed, "omega": omega}
 
@@ -160,7 +201,9 @@ def along_path(
         if line is None:
             return float(series[quantity][-1])
         time = float(np.interp(line, y, t))
-        return time if quantity == "time" else float(np.interp(time, t, series[quantity]))
+        return (
+            time if quantity == "time" else float(np.interp(time, t, series[quantity]))
+        )
 
     return np.array(
         [
@@ -174,12 +217,14 @@ def along_path(
 def _even_motion(
     events: Sequence[Event], assumed: Mapping[str, float]
 ) -> tuple[float, float, float]:
-    """The constant deceleration from the first line to rest that best fits measured times, speeds
-    and the resting position: y of that line (m), distance (m) and time (s) to rest.
+    """The constant deceleration from the first line to rest that best fits measured
+    times, speeds and the resting position: y of that line (m), distance (m) and time
+    (s) to rest.
 
-    If the stone comes to rest after a distance s in a time T, it crosses a line at a distance d at
-    T (1 - sqrt(1 - d/s)): all times are proportional to T, which is found in closed form for each s
-    of a fine grid. A speed v there says that T is 2 s sqrt(1 - d/s)/v.
+    If the stone comes to rest after a distance s in a time T, it crosses a line at a
+    distance d at T (1 - sqrt(1 - d/s)): all times are proportional to T, which is found
+    in closed form for each s of a fine grid. A speed v there says that T is 2 s
+    sqrt(1 - d/s)/v.
     """
     lines = lines_of(events)
     y0 = min(lines, default=assumed.get("y0", 0.0))
@@ -192,7 +237,11 @@ def _even_motion(
     rest = [event for event in events if event.quantity == "y"]
     total = sum((((y0 + s - e.value) / e.sigma) ** 2 for e in rest), np.zeros_like(s))
     told: list[tuple[Any, Any, Any]] = [
-        (crossing(e.at) - (0.0 if e.since is None else crossing(e.since)), e.value, e.sigma)
+        (
+            crossing(e.at) - (0.0 if e.since is None else crossing(e.since)),
+            e.value,
+            e.sigma,
+        )
         for e in events
         if e.quantity == "time"
     ]
@@ -203,8 +252,12 @@ def _even_motion(
     t = np.full_like(s, _TYPICAL_TIME)
     if told:
         parts = zip(*told, strict=True)
-        shares, value, sigma = (np.stack([one + 0 * s for one in part]) for part in parts)
-        t = np.maximum((shares * value / sigma**2).sum(0) / (shares**2 / sigma**2).sum(0), 1e-3)
+        shares, value, sigma = (
+            np.stack([one + 0 * s for one in part]) for part in parts
+        )
+        t = np.maximum(
+            (shares * value / sigma**2).sum(0) / (shares**2 / sigma**2).sum(0), 1e-3
+        )
         total = total + (((t * shares - value) / sigma) ** 2).sum(0)
     elif not rest:
         total = abs(s - _TYPICAL_LENGTH)
@@ -215,7 +268,8 @@ def _even_motion(
 def sketch(
     events: Sequence[Event], assumed: Mapping[str, float]
 ) -> tuple[Floats, dict[str, Floats]]:
-    """Times that cover the motion to rest, with a rough x, y, phi there as a first guess.
+    """Times that cover the motion to rest, with a rough x, y, phi there as a
+    first guess.
 
     `assumed` is as in `Throw`.
     """

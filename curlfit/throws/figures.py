@@ -22,8 +22,8 @@ def throw_figure(throw: Throw) -> draw.Picture:
 
 @draw.style()
 def motion_figures(throw: Throw) -> dict[str, draw.Picture]:
-    """Path from above, speed and spin, as measured or from slopes of the data: half as wide as
-    others, by what they show."""
+    """Path from above, speed and spin, as measured or from slopes of the data: half as
+    wide as others, by what they show."""
     rows = {"t": throw.t} | {name: getattr(throw, name) for name in throw.seen}
     needs = {"path": "x", "speed": "x", "spin": "phi"}
     measured = {"speed": "speed", "spin": "omega"}

@@ -1,4 +1,5 @@
-"""Tables of measured friction against speed, as of a sledge or of a stone without a path."""
+"""Tables of measured friction against speed, as of a sledge or of a stone
+without a path."""
 
 from __future__ import annotations
 
@@ -32,7 +33,8 @@ class FrictionTable:
     ----------
     name : of the file.
     speed : m/s, of the centre of the stone. mu : braking force over the weight.
-    omega : spin, rad/s; 0 where the table has none. sigma : standard errors of mu, if given.
+    omega : spin, rad/s; 0 where the table has none. sigma : standard errors of
+        mu, if given.
     note : on what of the file was read, if it has more.
 
     Examples
@@ -69,12 +71,16 @@ def is_friction_table(file: Path, worksheet: str | None = None) -> bool:
     except InputError:  # told where it is read as what it should be
         return False
     times = [
-        header for header in table.names if (found := parse_header(header)) and found.base == "t"
+        header
+        for header in table.names
+        if (found := parse_header(header)) and found.base == "t"
     ]
     return {"speed", "mu"} <= _columns(table).keys() and not times
 
 
-def load_friction_table(file: str | PathLike[str], worksheet: str | None = None) -> FrictionTable:
+def load_friction_table(
+    file: str | PathLike[str], worksheet: str | None = None
+) -> FrictionTable:
     """Read a table with the columns speed and mu, and if possible sigma_mu and omega.
 
     Parameters
@@ -83,8 +89,8 @@ def load_friction_table(file: str | PathLike[str], worksheet: str | None = None)
 
     Raises
     ------
-    DataError : a column is missing, a value is not such a number, or there are fewer than three
-        rows.
+    DataError : a column is missing, a value is not such a number, or there are fewer
+        than three rows.
 
     Examples
     --------
@@ -98,7 +104,8 @@ def load_friction_table(file: str | PathLike[str], worksheet: str | None = None)
     places = _columns(table)
     if missing := {"speed", "mu"} - places.keys():
         raise DataError(
-            f"no column {' and '.join(sorted(missing))}; expected speed and mu", file=path
+            f"no column {' and '.join(sorted(missing))}; expected speed and mu",
+            file=path,
         )
     names = [name for name in ("speed", "mu", "omega", "sigma") if name in places]
     numbers = table.numbers([places[name] for name in names])
@@ -109,16 +116,26 @@ def load_friction_table(file: str | PathLike[str], worksheet: str | None = None)
     lines = table.rows
     limits = {"speed": (0.0, 10.0), "mu": (0.0, _MOST), "sigma": (0.0, _MOST)}
     for name, (low, high) in limits.items():
-        if name in values and (wrong := ~((values[name] > low) & (values[name] <= high))).any():
+        if (
+            name in values
+            and (wrong := ~((values[name] > low) & (values[name] <= high))).any()
+        ):
             row = int(np.argmax(wrong))
             raise DataError(
-                f"{values[name][row]:g} found, expected a number above {low:g}, up to {high:g}",
-                file=path, line=lines[row] + 1, column=table.names[places[name]],
-            )  # fmt: skip
+                f"{values[name][row]:g} found, expected a number above "
+                f"{low:g}, up to {high:g}",
+                file=path,
+                line=lines[row] + 1,
+                column=table.names[places[name]],
+            )
     if len(values["mu"]) < _LEAST_ROWS:
         fault = f"{counted(len(values['mu']), 'row')}, expected at least {_LEAST_ROWS}"
         raise DataError(fault, file=path)
     return FrictionTable(
-        path.name, values["speed"], values["mu"],
-        values.get("omega", np.zeros(len(values["mu"]))), values.get("sigma"), text.note,
-    )  # fmt: skip
+        path.name,
+        values["speed"],
+        values["mu"],
+        values.get("omega", np.zeros(len(values["mu"]))),
+        values.get("sigma"),
+        text.note,
+    )

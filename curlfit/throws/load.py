@@ -39,12 +39,12 @@ _MOST_ASIDES, _HEAD = 200, 30  # lines that show the format, with and without co
 def load_throw(file: str | PathLike[str], **choices: Any) -> Throw:
     """Read a throw from a file.
 
-    A table has a header and one row for each time. Columns are `t` and any of `x`, `y`, `phi`,
-    `speed`, `omega`, and `sigma_x` and so on. Common names and units are recognised
-    (`time`, `y_ft`, `angle [deg]`, `phi_rev`), as are separate clocks of channels (`t_phi`).
-    Separators are commas, semicolons, tabs or spaces; decimal commas are read where the separator
-    is not a comma. Empty cells are gaps. Leading lines `# key = value` set defaults of this throw.
-    Wrapped angles are unwrapped.
+    A table has a header and one row for each time. Columns are `t` and any of `x`, `y`,
+    `phi`, `speed`, `omega`, and `sigma_x` and so on. Common names and units are
+    recognised (`time`, `y_ft`, `angle [deg]`, `phi_rev`), as are separate clocks of
+    channels (`t_phi`). Separators are commas, semicolons, tabs or spaces; decimal
+    commas are read where the separator is not a comma. Empty cells are gaps. Leading
+    lines `# key = value` set defaults of this throw. Wrapped angles are unwrapped.
 
     Parameters
     ----------
@@ -70,7 +70,8 @@ class Part(NamedTuple):
 
     Attributes
     ----------
-    shot, stone_index : arguments of `load_throw` that select it; None if the file has only one.
+    shot, stone_index : arguments of `load_throw` that select it; None if the file
+        has only one.
     throw : the throw, or the error if it cannot be read.
     alone : why a throw determines nothing without others; None if it does.
     left_out : whether a joint fit leaves it out, as the notes of the others say.
@@ -85,9 +86,9 @@ class Part(NamedTuple):
 
 @takes(Reading)
 def load_throws(*files: str | PathLike[str], **choices: Any) -> list[Throw]:
-    """Read the throws of a joint fit: one from each file, all of a table that holds several and,
-    from a table with a throw in each row, all but the odd ones, which are named in the notes of
-    the others.
+    """Read the throws of a joint fit: one from each file, all of a table that holds
+    several and, from a table with a throw in each row, all but the odd ones, which are
+    named in the notes of the others.
 
     Parameters
     ----------
@@ -95,8 +96,8 @@ def load_throws(*files: str | PathLike[str], **choices: Any) -> list[Throw]:
 
     Raises
     ------
-    DataError : a throw cannot be read; no throw determines friction. InputError : an argument that
-        cannot be used.
+    DataError : a throw cannot be read; no throw determines friction. InputError : an
+        argument that cannot be used.
 
     Examples
     --------
@@ -114,18 +115,26 @@ def load_throws(*files: str | PathLike[str], **choices: Any) -> list[Throw]:
         of_table = part.stone_index is not None and reading.stone_index is None
         name = part.throw.name + f" throw {part.stone_index}" * of_table
         throws.append(replace(part.throw, name=name))
-    if parts and (fault := parts[0].alone) is not None and all(part.alone for part in parts):
+    if (
+        parts
+        and (fault := parts[0].alone) is not None
+        and all(part.alone for part in parts)
+    ):
         raise fault
     return throws
 
 
-def parts_of(file: str | PathLike[str], reading: Reading, *, jointly: bool = False) -> list[Part]:
-    """Every throw in a file: shots of a log, objects of a Tracker export, throws of a table;
-    `shot` or `stone_index` selects a single one. For a joint fit every one of a table alone.
+def parts_of(
+    file: str | PathLike[str], reading: Reading, *, jointly: bool = False
+) -> list[Part]:
+    """Every throw in a file: shots of a log, objects of a Tracker export, throws of a
+    table; `shot` or `stone_index` selects a single one. For a joint fit every one of a
+    table alone.
 
     Raises
     ------
-    DataError : the file as a whole cannot be read. InputError : an argument that cannot be used.
+    DataError : the file as a whole cannot be read. InputError : an argument that
+        cannot be used.
     """
     path, format, contents = _open(file, reading)
     key = format.selected_by
@@ -134,9 +143,14 @@ def parts_of(file: str | PathLike[str], reading: Reading, *, jointly: bool = Fal
     parses: list[tuple[int | None, Callable[[], ParsedFile]]] = [(number, whole)]
     every = format in (TIMINGS, TABLE) if jointly else True
     if every and number is None and len(contents.labels) > 1:
-        among = range(len(contents.labels)) if contents.among is None else contents.among
+        among = (
+            range(len(contents.labels)) if contents.among is None else contents.among
+        )
         parses = [(k + 1, partial(contents.parse, k)) for k in among]
-    own: dict[str, int | None] = {"shot": reading.shot, "stone_index": reading.stone_index}
+    own: dict[str, int | None] = {
+        "shot": reading.shot,
+        "stone_index": reading.stone_index,
+    }
     parts = []
     for k, parse in parses:
         alone = None
@@ -147,13 +161,18 @@ def parts_of(file: str | PathLike[str], reading: Reading, *, jointly: bool = Fal
         except CurlfitError as error:
             throw = error
         left_out = number is None and k is not None and k - 1 in contents.left_out
-        parts.append(Part(**own | {key: k}, throw=throw, alone=alone, left_out=left_out))
+        parts.append(
+            Part(**own | {key: k}, throw=throw, alone=alone, left_out=left_out)
+        )
     return parts
 
 
 def throw_of(parsed: ParsedFile, reading: Reading) -> Throw:
-    """The throw in a parsed file. Raises `DataError` or `InputError` with the place of a fault."""
-    make: Callable[..., Throw] = Throw.from_events if parsed.events else Throw.from_arrays
+    """The throw in a parsed file. Raises `DataError` or `InputError` with the
+    place of a fault."""
+    make: Callable[..., Throw] = (
+        Throw.from_events if parsed.events else Throw.from_arrays
+    )
     given = Reading(**{name: getattr(reading, name) for name in Reading.forms()})
     throw = replace(make(**assemble(parsed, reading)), read_with=tuple(given.words()))
     if reading.throws is None:
@@ -161,14 +180,16 @@ def throw_of(parsed: ParsedFile, reading: Reading) -> Throw:
     labels, events, note = said_in(Path(reading.throws), throw.name)
     if events and not counts_from_hack(throw.notes):
         note += (
-            "; its measurements are not used, as they are at lines of the sheet: `--axes "
-            "from-hack` says that y begins there"
+            "; its measurements are not used, as they are at lines of the sheet: "
+            "`--axes from-hack` says that y begins there"
         )
         events = []
     return replace(
-        throw, labels=throw.labels | labels, events=(*throw.events, *events),
+        throw,
+        labels=throw.labels | labels,
+        events=(*throw.events, *events),
         notes=(*throw.notes, note),
-    )  # fmt: skip
+    )
 
 
 def _text_if_any(file: str | PathLike[str], reading: Reading) -> TextFile:
@@ -187,7 +208,9 @@ def states_sweeping(file: str | PathLike[str], reading: Reading) -> bool:
 def check_reading(reading: Reading) -> None:
     """Raise `InputError` if no file could be read with these choices."""
     if reading.format is not None and reading.format not in FORMATS:
-        raise InputError(f"format {quoted(reading.format)}: expected one of {', '.join(FORMATS)}")
+        raise InputError(
+            f"format {quoted(reading.format)}: expected one of {', '.join(FORMATS)}"
+        )
     parse_units(reading.units)
     parse_axes(reading.axes)
     if reading.reference is not None:
@@ -213,7 +236,8 @@ def _open(file: str | PathLike[str], reading: Reading) -> tuple[Path, Format, Co
 
 
 def usual_law(file: str | PathLike[str], reading: Reading) -> str:
-    """The law if none is given: for a stopwatch record, the one that its values determine."""
+    """The law if none is given: for a stopwatch record, the one that its
+    values determine."""
     if format_of(file, reading) == TIMINGS.name:
         with suppress(DataError):  # reported where the file is read
             return law_of_timings(_text_if_any(file, reading))
@@ -222,7 +246,9 @@ def usual_law(file: str | PathLike[str], reading: Reading) -> str:
 
 def detect_format(lines: list[str]) -> str:
     """The format of a file, from its first lines."""
-    head = [line for line in lines[:_MOST_ASIDES] if not is_aside(line)][:_HEAD] or ["t"]
+    head = [line for line in lines[:_MOST_ASIDES] if not is_aside(line)][:_HEAD] or [
+        "t"
+    ]
     return next(reader.name for reader in _READERS if reader.recognizes(head))
 
 
@@ -232,7 +258,8 @@ def format_of(file: str | PathLike[str], reading: Reading) -> str:
 
 
 def found_files(wanted: Sequence[str], besides: Collection[Path] = ()) -> list[Path]:
-    """Data files from folders, patterns and names, each once, sorted, except those in `besides`.
+    """Data files from folders, patterns and names, each once, sorted, except those
+    in `besides`.
 
     Raises
     ------
@@ -243,11 +270,21 @@ def found_files(wanted: Sequence[str], besides: Collection[Path] = ()) -> list[P
     for text in wanted:
         place = Path(text)
         if place.is_dir():
-            here = {file for file in place.iterdir() if file.suffix.lower() in _SUFFIXES}
+            here = {
+                file for file in place.iterdir() if file.suffix.lower() in _SUFFIXES
+            }
         else:
-            here = {Path(name) for name in glob(text, recursive=True) if Path(name).is_file()}
+            here = {
+                Path(name)
+                for name in glob(text, recursive=True)
+                if Path(name).is_file()
+            }
         if not (here := {file for file in here if file.resolve() not in left_out}):
-            what = f"no file that ends in {', '.join(_SUFFIXES)}" if place.is_dir() else "no file"
+            what = (
+                f"no file that ends in {', '.join(_SUFFIXES)}"
+                if place.is_dir()
+                else "no file"
+            )
             raise InputError(f"{text}: {what} found")
         found |= here
     return sorted(found)

@@ -1,5 +1,6 @@
-"""The motion of a stone from its rows alone, without a model: velocities from straight lines
-through blocks of rows, mean friction, curl, rotation, the largest jump in velocity, and rest."""
+"""The motion of a stone from its rows alone, without a model: velocities from straight
+lines through blocks of rows, mean friction, curl, rotation, the largest jump in
+velocity, and rest."""
 
 from __future__ import annotations
 
@@ -19,16 +20,19 @@ FEWEST = 10
 """Smallest number of positions from which a motion is estimated."""
 _BRAKING = 0.3  # m/s^2; three times the deceleration by friction on ice
 _BLOCKS = 24
-_REST = 0.03  # m/s; at a deceleration of 0.1 m/s^2 the stone then stops within 0.3 s and 5 mm
+# m/s; at a deceleration of 0.1 m/s^2 the stone then stops within 0.3 s and 5 mm
+_REST = 0.03
 MIN_POSITIONS = 4
 """Positions needed to determine a speed."""
-_MIN_REST_ROWS, _MIN_REST_TIME = 4, 0.2  # rows and time (s) at rest needed to detect rest
+# rows and time (s) at rest needed to detect rest
+_MIN_REST_ROWS, _MIN_REST_TIME = 4, 0.2
 _CAMERA_DRIFT = 0.001  # m, in addition to the scatter from row to row
 _CONFIDENCE = 3.0  # in standard errors
 _TURNED = 2.5  # rad, from the first angle; the stone is then turning freely
 _HELD, _ONSET = 0.4, 0.4  # s; shortest time in the hand, longest onset of the spin
 _STILL = 0.15  # ratio of the spin in the hand to that after the release
-_END_ROWS, _END_TIME = 6, 1.0  # rows and time (s) from which the final speed is estimated
+# rows and time (s) from which the final speed is estimated
+_END_ROWS, _END_TIME = 6, 1.0
 
 
 class MeasuredMotion(NamedTuple):
@@ -39,11 +43,11 @@ class MeasuredMotion(NamedTuple):
     t, begin, end : middle, first and last time of each block in s, shape (k,).
     speed, error : speed and its standard error in m/s, shape (k,).
     velocity : in m/s, shape (2, k).
-    length : extent of the path, m. friction, friction_error : mean deceleration over g, and its
-        standard error.
-    curl, curl_error : deviation at the end from the initial direction in m, positive to the left of
-        the motion in right-handed axes, and its standard error. direction : unit vector (x, y) of
-        the motion.
+    length : extent of the path, m. friction, friction_error : mean deceleration over g,
+        and its standard error.
+    curl, curl_error : deviation at the end from the initial direction in m, positive to
+        the left of the motion in right-handed axes, and its standard error. direction :
+        unit vector (x, y) of the motion.
     """
 
     t: Floats
@@ -66,7 +70,8 @@ class MeasuredMotion(NamedTuple):
 
 
 def path_of(throw: Throw) -> tuple[Floats, Floats]:
-    """Times and positions, shape (n,) and (2, n), of the rows that have both x and y."""
+    """Times and positions, shape (n,) and (2, n), of the rows that have
+    both x and y."""
     complete = np.isfinite(throw.x) & np.isfinite(throw.y)
     return throw.t[complete], np.stack([throw.x, throw.y])[:, complete]
 
@@ -83,15 +88,30 @@ def motion_of(throw: Throw) -> MeasuredMotion | None:
         rough = np.abs(speed[2:] - 2 * speed[1:-1] + speed[:-2])
         error = np.maximum(error, float(np.median(rough)) / (0.6745 * math.sqrt(6)))
     length = float(np.hypot(*np.ptp(positions, axis=1)))
-    friction, (curl, off, direction) = _friction(middle, speed, error), _curl(t, positions)
+    friction, (curl, off, direction) = (
+        _friction(middle, speed, error),
+        _curl(t, positions),
+    )
     return MeasuredMotion(
-        middle, begin, end, speed, error, velocity, length, *friction, curl, off, direction
+        middle,
+        begin,
+        end,
+        speed,
+        error,
+        velocity,
+        length,
+        *friction,
+        curl,
+        off,
+        direction,
     )
 
 
 def _without_outliers(t: Floats, positions: Floats) -> tuple[Floats, Floats]:
     """Rows as near the running median of five as noise and friction explain."""
-    five = np.sort(np.lib.stride_tricks.sliding_window_view(positions, 5, axis=1), axis=-1)
+    five = np.sort(
+        np.lib.stride_tricks.sliding_window_view(positions, 5, axis=1), axis=-1
+    )
     bend = 0.5 * _BRAKING * (2 * float(np.median(np.diff(t)))) ** 2
     limit = 0.02 + bend + 6 * scatter(positions)[:, None]
     near = np.ones(len(t), bool)
@@ -100,7 +120,8 @@ def _without_outliers(t: Floats, positions: Floats) -> tuple[Floats, Floats]:
 
 
 def _block_slopes(t: Floats, values: Floats) -> tuple[Floats, ...]:
-    """First, last and mean time, slopes, and the standard error of their magnitude, by block."""
+    """First, last and mean time, slopes, and the standard error of their
+    magnitude, by block."""
     blocks = max(min(4, len(t) // 2), min(_BLOCKS, len(t) // 5))
     first = np.arange(blocks) * len(t) // blocks
     last = np.append(first[1:], len(t)) - 1
@@ -129,16 +150,19 @@ def _friction(t: Floats, speed: Floats, error: Floats) -> tuple[float, float]:
     slope = float(speed[moving] @ at) / spread
     rest = speed[moving] - speed[moving].mean() - slope * at
     noise = max(
-        float(np.median(error[moving])), float(np.sqrt((rest @ rest) / max(len(at) - 2, 1)))
+        float(np.median(error[moving])),
+        float(np.sqrt((rest @ rest) / max(len(at) - 2, 1))),
     )
     return -slope / GRAVITY, noise / math.sqrt(spread) / GRAVITY
 
 
 def _curl(t: Floats, positions: Floats) -> tuple[float, float, tuple[float, float]]:
-    """Deviation from the initial direction, its standard error, and the direction of the motion.
+    """Deviation from the initial direction, its standard error, and the direction
+    of the motion.
 
-    The initial direction is the tangent, at the first rows, to a parabola fitted to the first half
-    of the path; the end is a mean over a fortieth of the rows, since the curl grows fastest there.
+    The initial direction is the tangent, at the first rows, to a parabola fitted to the
+    first half of the path; the end is a mean over a fortieth of the rows, since the
+    curl grows fastest there.
     """
     few = max(2, len(t) // 10)
     begin, end = positions[:, :few].mean(1), positions[:, -few:].mean(1)
@@ -167,8 +191,8 @@ def _curl(t: Floats, positions: Floats) -> tuple[float, float, tuple[float, floa
 
 
 def turning(throw: Throw) -> tuple[float, float]:
-    """Angle turned in rad and mean rate in rad/s over all rows, in motion or at rest; NaN if there
-    are too few angles and spins."""
+    """Angle turned in rad and mean rate in rad/s over all rows, in motion or at rest;
+    NaN if there are too few angles and spins."""
     for name in ("phi", "omega"):
         values = getattr(throw, name)
         seen = np.isfinite(values)
@@ -185,12 +209,12 @@ def turning(throw: Throw) -> tuple[float, float]:
 
 
 def release(throw: Throw) -> float | None:
-    """Time of the first row after the release by a hand that kept the stone from turning; None if
-    the stone turns from the beginning, or too few angles are measured.
+    """Time of the first row after the release by a hand that kept the stone from
+    turning; None if the stone turns from the beginning, or too few angles are measured.
 
-    The spin is 0, then grows linearly in an onset of up to `_ONSET`, and is a linear function of
-    time after that. Of the releases that least squares allow, within two standard errors, the last
-    one is taken: what is left out too much is hardly missed.
+    The spin is 0, then grows linearly in an onset of up to `_ONSET`, and is a linear
+    function of time after that. Of the releases that least squares allow, within two
+    standard errors, the last one is taken: what is left out too much is hardly missed.
     """
     seen = np.isfinite(throw.phi)
     if seen.sum() < 4 * FEWEST:
@@ -211,11 +235,13 @@ def release(throw: Throw) -> float | None:
         return None
     if abs(_slope(t[:best], phi[:best])) > _STILL * abs(spin):
         return None
-    ends = np.array([
-        (start + onset, _misfit(t, phi, start, onset))
-        for onset in np.linspace(0, _ONSET, 9)
-        for start in t[np.abs(t + onset / 2 - t[best]) < _ONSET]
-    ])  # fmt: skip
+    ends = np.array(
+        [
+            (start + onset, _misfit(t, phi, start, onset))
+            for onset in np.linspace(0, _ONSET, 9)
+            for start in t[np.abs(t + onset / 2 - t[best]) < _ONSET]
+        ]
+    )
     least = ends[:, 1].min()
     end = ends[ends[:, 1] <= least * (1 + 4 / n) + 1e-12, 0].max()
     return float(throw.t[throw.t > end + 1e-9][0])
@@ -238,9 +264,9 @@ def _slope(t: Floats, values: Floats) -> float:
 def velocity_jump(throw: Throw, motion: MeasuredMotion) -> tuple[float, float] | None:
     """Time in s and size in m/s of the largest jump in velocity; None if there is none.
 
-    At a jump, the slopes of straight lines through some rows before and after it differ by more
-    than noise and friction explain. If no velocity changes that much from block to block, none does
-    from row to row.
+    At a jump, the slopes of straight lines through some rows before and after it differ
+    by more than noise and friction explain. If no velocity changes that much from block
+    to block, none does from row to row.
     """
     velocity = motion.velocity
     if not np.hypot(*(velocity[:, 2:] - velocity[:, :-2])).max(initial=0.0) > _JUMP:
@@ -250,8 +276,11 @@ def velocity_jump(throw: Throw, motion: MeasuredMotion) -> tuple[float, float] |
         return None
     noise = float(np.hypot(*scatter(positions)))
     dt = float(np.median(np.diff(t)))
-    # as many rows m as make the error of a slope about 0.03 m/s: its variance is 12 s^2/(m^3 dt^2)
-    rows = int(np.clip(math.ceil((12 * (noise / (0.03 * dt)) ** 2) ** (1 / 3)), 5, len(t) // 3))
+    # as many rows m as make the error of a slope about 0.03 m/s: its variance is 12
+    # s^2/(m^3 dt^2)
+    rows = int(
+        np.clip(math.ceil((12 * (noise / (0.03 * dt)) ** 2) ** (1 / 3)), 5, len(t) // 3)
+    )
     every = np.vstack([t, positions])
     every = np.lib.stride_tricks.sliding_window_view(every, rows, axis=1)
     mean = every.mean(-1)
@@ -264,7 +293,9 @@ def velocity_jump(throw: Throw, motion: MeasuredMotion) -> tuple[float, float] |
     size = np.hypot(*change) - SURE * error - _BRAKING * elapsed
     # An outlier tilts a line, which then does not fit its own rows.
     residual = np.abs(np.stack(parts) - slope[..., None] * at).max((0, 2))
-    straight = residual < 0.02 + 6 * noise + 0.5 * _BRAKING * (at[:, -1] - at[:, 0]) ** 2 / 4
+    straight = (
+        residual < 0.02 + 6 * noise + 0.5 * _BRAKING * (at[:, -1] - at[:, 0]) ** 2 / 4
+    )
     size[~(straight[rows:] & straight[:-rows])] = -math.inf
     # During a pause anything may have happened.
     gap = t[rows : rows + len(size)] - t[rows - 1 : rows - 1 + len(size)]
@@ -276,38 +307,52 @@ def velocity_jump(throw: Throw, motion: MeasuredMotion) -> tuple[float, float] |
 
 
 def first_row_at_rest(t: Floats, positions: Floats) -> int | None:
-    """First of those final rows whose regression line excludes all but a negligible speed.
+    """First of those final rows whose regression line excludes all but a
+    negligible speed.
 
-    A slowly moving stone may stay within the noise of its last position, but the line through those
-    rows then has a slope, or a standard error that allows for one. Of all numbers of final rows,
-    the one with the smallest upper limit on the speed is taken.
+    A slowly moving stone may stay within the noise of its last position, but the line
+    through those rows then has a slope, or a standard error that allows for one. Of all
+    numbers of final rows, the one with the smallest upper limit on the speed is taken.
     """
     late = t - t[-1]
     position = positions - positions[:, -1:]
     # Sums over the rows from each one to the last.
     n, st, stt, sp, stp, spp = (
         np.cumsum(part[..., ::-1], -1)[..., ::-1]
-        for part in (np.ones_like(t), late, late**2, position, late * position, position**2)
+        for part in (
+            np.ones_like(t),
+            late,
+            late**2,
+            position,
+            late * position,
+            position**2,
+        )
     )
     enough = (n >= _MIN_REST_ROWS) & (late < -_MIN_REST_TIME)
     if not enough.any():
         return None
-    n, st, stt, sp, stp, spp = (part[..., enough] for part in (n, st, stt, sp, stp, spp))
+    n, st, stt, sp, stp, spp = (
+        part[..., enough] for part in (n, st, stt, sp, stp, spp)
+    )
     spread = stt - st**2 / n
     slope = (stp - st * sp / n) / spread
     variance = np.maximum(spp - sp**2 / n - slope**2 * spread, 0.0) / (n - 2)
     noise = np.maximum(variance, np.reshape(scatter(positions), (2, 1)) ** 2)
     error = np.sqrt(noise / spread + (_CAMERA_DRIFT / late[enough]) ** 2)
     compatible = (np.abs(slope) < _CONFIDENCE * error).all(0)
-    limit = np.where(compatible, np.hypot(*(np.abs(slope) + _CONFIDENCE * error)), np.inf)
+    limit = np.where(
+        compatible, np.hypot(*(np.abs(slope) + _CONFIDENCE * error)), np.inf
+    )
     best = int(np.argmin(limit))
     return int(np.flatnonzero(enough)[best]) if limit[best] < _REST else None
 
 
 def final_speed(t: Floats, positions: Floats) -> tuple[float, float]:
-    """Speed at the last row and its standard error, from a parabola fitted to the last rows.
+    """Speed at the last row and its standard error, from a parabola fitted to
+    the last rows.
 
-    A difference from the speed given by a cubic that noise does not explain adds to the error.
+    A difference from the speed given by a cubic that noise does not explain adds
+    to the error.
     """
     last = max(min(len(t), _END_ROWS), int((t > t[-1] - _END_TIME).sum()))
     late, positions = t[-last:] - t[-1], positions[:, -last:]
@@ -315,17 +360,24 @@ def final_speed(t: Floats, positions: Floats) -> tuple[float, float]:
     (velocity, variance), (other, its_variance) = (
         _final_slope(late, positions, min(degree, last - 2), noise) for degree in (2, 3)
     )
-    bias = np.maximum((other - velocity) ** 2 - np.maximum(its_variance - variance, 0.0), 0.0)
+    bias = np.maximum(
+        (other - velocity) ** 2 - np.maximum(its_variance - variance, 0.0), 0.0
+    )
     speed = float(np.hypot(*velocity))
     along = velocity**2 / speed**2 if speed > 0 else np.full(2, 0.5)
-    return speed, float(np.sqrt(along @ (variance + bias) + (_CAMERA_DRIFT / late[0]) ** 2))
+    return speed, float(
+        np.sqrt(along @ (variance + bias) + (_CAMERA_DRIFT / late[0]) ** 2)
+    )
 
 
 def _final_slope(
     late: Floats, positions: Floats, degree: int, noise: Floats
 ) -> tuple[Floats, Floats]:
-    """Slopes of polynomials at 0 and their variances, for noise of at least the given size."""
+    """Slopes of polynomials at 0 and their variances, for noise of at least
+    the given size."""
     powers = np.vander(late, degree + 1, increasing=True)
     found, *_ = np.linalg.lstsq(powers, positions.T, rcond=None)
     residual = ((positions.T - powers @ found) ** 2).sum(0) / (len(late) - degree - 1)
-    return found[1], np.linalg.inv(powers.T @ powers)[1, 1] * np.maximum(residual, noise**2)
+    return found[1], np.linalg.inv(powers.T @ powers)[1, 1] * np.maximum(
+        residual, noise**2
+    )

@@ -1,9 +1,11 @@
-"""Whether data and fit are plausible for a curling stone: findings, each with its remedy.
+"""Whether data and fit are plausible for a curling stone: findings, each
+with its remedy.
 
-What is impossible (a stone that speeds up, a path longer than the sheet, friction a million times
-too small) is refused before a fit and makes it unusable after it; what is merely unusual gives a
-warning. Data that are implausible but correct are accepted with `as_given`. `_STAGES` lists the
-checks of the data. Limits without a source are judgement.
+What is impossible (a stone that speeds up, a path longer than the sheet, friction a
+million times too small) is refused before a fit and makes it unusable after it;
+what is merely unusual gives a warning. Data that are implausible but correct are
+accepted with `as_given`. `_STAGES` lists the checks of the data. Limits without a
+source are judgement.
 """
 
 from __future__ import annotations
@@ -44,15 +46,17 @@ from curlfit.throws.remedies import (
 from curlfit.throws.throw import Throw, scatter
 
 FRICTION = (0.002, 0.1)
-"""Limits of the mean coefficient of friction; published values are 0.006 to 0.02 (Penner 2001,
-Denny 2002), several times as much on frosted ice."""
+"""Limits of the mean coefficient of friction; published values are 0.006 to 0.02
+(Penner 2001, Denny 2002), several times as much on frosted ice."""
 SPEED = 6.0
-"""Limit in m/s. The fastest throws take 6 to 7 s from hog line to hog line (21.9 m): 3.5 m/s."""
+"""Limit in m/s. The fastest throws take 6 to 7 s from hog line to hog line (21.9
+m): 3.5 m/s."""
 _LENGTH = 1.05 * LENGTH  # 5 % for an error in scale
 _MOST_TURNS = 10.0  # a thrown stone makes two to four
 _GROWTH = 0.1  # m/s; largest growth of a speed, that of friction 0.01 in 1 s
 _CLEAR_CURL, _CLEAR_TURN = 0.2, 0.5  # m, rad; above these their senses are compared
-_AGREE = 0.8, 1.25  # ratio of a measured rate to that of the path: calibration is within 20 %
+# ratio of a measured rate to that of the path: calibration is within 20 %
+_AGREE = 0.8, 1.25
 _MOST_ROWS = 1500  # for speed; more are condensed
 
 
@@ -63,7 +67,8 @@ class Finding:
     Attributes
     ----------
     kind : keyword for programs, such as "units", "axes", "growing speed".
-    says : what was found, with the evidence. remedy : what to type, as a clause; may be empty.
+    says : what was found, with the evidence. remedy : what to type, as a clause;
+        may be empty.
     refused : whether it is impossible for a curling stone, not merely unusual.
     """
 
@@ -80,8 +85,8 @@ class Finding:
 def examine(throw: Throw) -> tuple[Finding, ...]:
     """Implausible features of a throw before it is fitted, the most serious first.
 
-    Consequences of a fault are not examined: a stone that was hit may have any curl, and in wrong
-    units any stone seems to have been hit.
+    Consequences of a fault are not examined: a stone that was hit may have any curl,
+    and in wrong units any stone seems to have been hit.
     """
     one = throw.condensed(_MOST_ROWS)
     found = [*_wrapped(one), *_turns(one)]
@@ -99,8 +104,8 @@ def require_plausible(throw: Throw) -> tuple[Finding, ...]:
 
     Raises
     ------
-    InputError : the stone never moves, or the data cannot be those of a curling stone; the latter
-        is accepted if `as_given` is among the throw's defaults.
+    InputError : the stone never moves, or the data cannot be those of a curling stone;
+        the latter is accepted if `as_given` is among the throw's defaults.
     """
     require_motion(throw)
     found = examine(throw)
@@ -114,7 +119,8 @@ def require_plausible(throw: Throw) -> tuple[Finding, ...]:
             else "`--as-given`"
         )
         raise InputError(
-            f"{throw.name}: {'. '.join(refused)}. To accept the data as they are: {right}"
+            f"{throw.name}: {'. '.join(refused)}. To accept the data as "
+            f"they are: {right}"
         )
     return found
 
@@ -125,12 +131,19 @@ def require_motion(throw: Throw) -> None:
     # Independent noise has the same spread over the whole throw as from row to row.
     moves = (len(v) > 1 and np.ptp(v) > 1e-6 and v.std() > 3 * scatter(v) for v in seen)
     if any(map(len, seen)) and not any(moves):
-        fault = "the stone never moves by more than the scatter of the data; nothing can be fitted"
+        fault = (
+            "the stone never moves by more than the scatter of the data; "
+            "nothing can be fitted"
+        )
         raise DataError(fault, file=throw.name)
 
 
 def examine_fit(
-    throw: Throw, t: Floats, speed: Floats, start_speed: float, start_error: float | None
+    throw: Throw,
+    t: Floats,
+    speed: Floats,
+    start_speed: float,
+    start_error: float | None,
 ) -> tuple[Finding, ...]:
     """Implausible features of a fitted motion.
 
@@ -143,10 +156,15 @@ def examine_fit(
     said: dict[str, str] = {}
     remedy = f"if units are wrong, set them as in {some_units(throw)}"
     if not set(throw.seen) & {"x", "y", "speed"} and not throw.events:
-        remedy = "angles alone hardly determine the speed; measure it as well, or fix v0"
+        remedy = (
+            "angles alone hardly determine the speed; measure it as well, or fix v0"
+        )
     error = start_error or 0.0
     if start_speed - 3 * error > SPEED:
-        speeds = f"the fitted initial speed of {start_speed:.3g} m/s is more than anyone throws "
+        speeds = (
+            f"the fitted initial speed of {start_speed:.3g} m/s is more "
+            "than anyone throws "
+        )
         said["fitted speed"] = f"{speeds}(about 4 m/s)"
     moving = speed > 1e-3
     if moving.sum() > 2:
@@ -190,11 +208,13 @@ def _turns(throw: Throw) -> Iterator[Finding]:
     turned, mean = turning(throw)
     if not abs(turned) > 2 * math.pi * _MOST_TURNS:
         return
-    what, unit = ("angles", "angle=deg") if "phi" in throw.seen else ("spins", "spin=deg/s")
+    what, unit = (
+        ("angles", "angle=deg") if "phi" in throw.seen else ("spins", "spin=deg/s")
+    )
     yield Finding(
         "turns",
-        f"the stone turns {abs(turned) / (2 * math.pi):.3g} times, at {abs(mean):.3g} rad/s; "
-        "stones turn at most about 10 times",
+        f"the stone turns {abs(turned) / (2 * math.pi):.3g} times, "
+        f"at {abs(mean):.3g} rad/s; stones turn at most about 10 times",
         f"if {what} are in degrees: {option(throw, 'units', unit)}",
         abs(mean) > MAX_SPIN,
     )
@@ -210,16 +230,19 @@ def _scale(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
     sure = fastest - 3 * float(motion.error[motion.speed.argmax()])
     slows = not (mu < 0 and motion.speed[-1] > motion.speed[0])
     long = motion.length > _LENGTH
-    # A stone of usual speed and friction needs no other unit to slide so far: a simulator may
-    # have no back line.
+    # A stone of usual speed and friction needs no other unit to slide so far: a
+    # simulator may have no back line.
     usual = fastest < USUAL_SPEED and least < mu < most
     moves = f"the stone moves at {fastest:.3g} m/s, and"
     path = f"the path is {motion.length:.3g} m long, and a sheet {LENGTH:.1f} m"
     braking = (
-        f"it decelerates at {mu * GRAVITY:.2g} m/s^2, a coefficient of friction of {mu:.2g} "
-        f"(on ice {low:g} to {high:g})"
+        f"it decelerates at {mu * GRAVITY:.2g} m/s^2, a coefficient of friction of "
+        f"{mu:.2g} (on ice {low:g} to {high:g})"
     )
-    mean = f"its mean coefficient of friction is {mu:.2g}, and published ones are 0.006 to 0.02"
+    mean = (
+        f"its mean coefficient of friction is {mu:.2g}, and published ones "
+        "are 0.006 to 0.02"
+    )
     impossible = (
         (sure > SPEED, f"{moves} none is thrown at more than about 4 m/s"),
         (long and not usual, path),
@@ -240,14 +263,18 @@ def _curl(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
     """A curl impossible for a stone: a wrong unit across the sheet."""
     sure = abs(motion.curl) - 3 * motion.curl_error
     if sure > USUAL_CURL:
-        most = f"a sheet is {WIDTH:.1f} m wide" if sure > WIDTH else "few curl more than 2 m"
+        most = (
+            f"a sheet is {WIDTH:.1f} m wide"
+            if sure > WIDTH
+            else "few curl more than 2 m"
+        )
         text = f"the stone curls {abs(motion.curl):.3g} m, and {most}"
         yield Finding("units", text, unit_remedy(throw), sure > WIDTH)
 
 
 class _Touch(NamedTuple):
-    """A change of the motion that friction does not cause: its finding, and the time that since or
-    until cuts it off at; neither, if it is not cut off."""
+    """A change of the motion that friction does not cause: its finding, and the time
+    that since or until cuts it off at; neither, if it is not cut off."""
 
     kind: str
     says: str
@@ -257,7 +284,8 @@ class _Touch(NamedTuple):
 
 
 def _push(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
-    """The hand that holds a stone before the release, or the touch of a hand or another stone."""
+    """The hand that holds a stone before the release, or the touch of a hand or
+    another stone."""
     let_go, touch = release(throw), _touch(throw, motion)
     early, late = (touch, None) if touch and touch.cut == "since" else (None, touch)
     if let_go is not None and (early is None or _clear(throw, let_go) == let_go):
@@ -269,12 +297,17 @@ def _push(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
         early = early._replace(time=_clear(throw, early.time))
     for one in filter(None, (early, late)):
         # to a hundredth of a second
-        cut = option(throw, one.cut, f"{_rounded(one.cut, one.time):g}") if one.cut else ""
+        cut = (
+            option(throw, one.cut, f"{_rounded(one.cut, one.time):g}")
+            if one.cut
+            else ""
+        )
         yield Finding(one.kind, one.says, ": ".join(filter(None, (one.remedy, cut))))
 
 
 def _clear(throw: Throw, time: float) -> float:
-    """The time, from one on, after which no touch is left that is cut off at the beginning."""
+    """The time, from one on, after which no touch is left that is cut off at
+    the beginning."""
     later = throw.select_rows(since=_rounded("since", time))
     motion = motion_of(later)
     touch = None if motion is None else _touch(later, motion)
@@ -288,8 +321,8 @@ def _touch(throw: Throw, motion: MeasuredMotion) -> _Touch | None:
         at, change = jump
         early = at - throw.t[0] < throw.t[-1] - at
         says = (
-            f"the velocity jumps by {change:.2g} m/s at t = {at:.4g} s, as in a collision or at "
-            "the touch of a hand"
+            f"the velocity jumps by {change:.2g} m/s at t = {at:.4g} s, "
+            "as in a collision or at the touch of a hand"
         )
         remedy = "leave out what is " + ("before" if early else "after")
         if early and "phi" not in throw.seen:
@@ -312,29 +345,37 @@ def _touch(throw: Throw, motion: MeasuredMotion) -> _Touch | None:
         remedy = "leave out what is before the release"
         cut, time = "since", float(motion.end[peak]) + 1e-9
     says = (
-        f"the speed grows from {speed[trough]:.2g} to {speed[peak]:.2g} m/s between t = "
-        f"{begin:.3g} and {end:.3g} s, which friction cannot do: {why}"
+        f"the speed grows from {speed[trough]:.2g} to {speed[peak]:.2g} m/s between "
+        f"t = {begin:.3g} and {end:.3g} s, which friction cannot do: {why}"
     )
     return _Touch("growing speed", says, remedy, cut, time)
 
 
 def _axes(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
-    """A motion across the sheet, or curl and spin of opposite sense. A stone curls to the side to
-    which its front turns (Penner 2001): to the left if it turns counter-clockwise from above."""
+    """A motion across the sheet, or curl and spin of opposite sense. A stone curls to
+    the side to which its front turns (Penner 2001): to the left if it turns
+    counter-clockwise from above."""
     words = "" if throw.conventions is None else throw.conventions.axes
     x, y = motion.direction
     along_x = abs(x) > 2 * abs(y)
     forward = 1 if (x if along_x else y) > 0 else -1
 
     def axes(across: int, along: int, turn: int = 1) -> str:
-        return option(throw, "axes", corrected(words, across, along, turn, exchanged=along_x))
+        return option(
+            throw, "axes", corrected(words, across, along, turn, exchanged=along_x)
+        )
 
     turned, _ = turning(throw)
     certain = abs(motion.curl) - SURE * motion.curl_error > _CLEAR_CURL
     if certain and abs(turned) > _CLEAR_TURN and motion.curl * turned < 0:
-        sense, side = ("clockwise", "left") if motion.curl > 0 else ("counter-clockwise", "right")
+        sense, side = (
+            ("clockwise", "left") if motion.curl > 0 else ("counter-clockwise", "right")
+        )
         if along_x:
-            first, axis = axes(forward, forward), "x runs along the sheet and y across it"
+            first, axis = (
+                axes(forward, forward),
+                "x runs along the sheet and y across it",
+            )
         elif forward > 0:
             first, axis = axes(-1, 1), "x points to the left"
         else:
@@ -342,14 +383,17 @@ def _axes(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
         other = option(throw, "axes", corrected(words, 1, 1, -1))
         yield Finding(
             "axes",
-            f"the stone turns {sense} and curls {abs(motion.curl):.2g} m to the {side}, and stones "
-            "on ice curl to the side to which they turn: unless the ice slopes, an axis or the "
-            "angle is mirrored, and the fit would interchange the friction of front and back",
+            f"the stone turns {sense} and curls {abs(motion.curl):.2g} m to the "
+            f"{side}, and stones on ice curl to the side to which they turn: "
+            "unless the ice slopes, an axis or the angle is mirrored, "
+            "and the fit would interchange the friction of front and back",
             f"if {axis}: {first}; if angles count the other way: {other}",
             refused=False,
         )
     elif along_x:
-        text = "the stone moves along x, and x is taken as the direction across the sheet"
+        text = (
+            "the stone moves along x, and x is taken as the direction across the sheet"
+        )
         if words:
             text = f"with axes {words} the stone moves across the sheet"
         remedy = f"if it moves along the sheet: {axes(-forward, forward)}"  # a rotation
@@ -357,7 +401,8 @@ def _axes(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
 
 
 def _rates(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
-    """A measured speed that disagrees with the path, a spin that disagrees with the angle."""
+    """A measured speed that disagrees with the path, a spin that disagrees
+    with the angle."""
     ratios = {}
     seen = np.isfinite(throw.speed)
     fast = motion.speed > max(0.3 * motion.fastest, 10 * float(np.median(motion.error)))
@@ -365,7 +410,11 @@ def _rates(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
         own = np.interp(motion.t, throw.t[seen], throw.speed[seen])
         ratios["speed", "the path"] = float(np.median(own[fast] / motion.speed[fast]))
     angle, rate = np.isfinite(throw.phi), np.isfinite(throw.omega)
-    if angle.sum() >= FEWEST and rate.sum() >= 4 and abs(turned := turning(throw)[0]) > 1.0:
+    if (
+        angle.sum() >= FEWEST
+        and rate.sum() >= 4
+        and abs(turned := turning(throw)[0]) > 1.0
+    ):
         t = throw.t[angle]
         by_rate = np.trapezoid(np.interp(t, throw.t[rate], throw.omega[rate]), t)
         ratios["spin", "the angle"] = float(by_rate) / turned
@@ -377,7 +426,10 @@ def _rates(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
         remedy = f"rename or remove the column of the {name}"
         opposite = low < -ratio < high
         units = factors(throw, "speed" if name == "speed" else "omega").items()
-        unit = next((u for u, f in units if ratio * f > 0 and abs(math.log(ratio * f)) < 0.1), "")
+        unit = next(
+            (u for u, f in units if ratio * f > 0 and abs(math.log(ratio * f)) < 0.1),
+            "",
+        )
         if unit:
             remedy = f"if it is in {unit}: {option(throw, 'units', f'{name}={unit}')}"
         elif opposite:
@@ -387,9 +439,12 @@ def _rates(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
 
 
 def _rounded(name: str, time: float) -> float:
-    hundredths = math.ceil(100 * time) if name == "since" else math.floor(100 * time - 1e-9)
+    hundredths = (
+        math.ceil(100 * time) if name == "since" else math.floor(100 * time - 1e-9)
+    )
     return hundredths / 100
 
 
 _STAGES = ((_scale,), (_push,), (_curl,), (_axes, _rates))
-"""Checks of the motion, by stages; a stage is examined only if the one before refuses nothing."""
+"""Checks of the motion, by stages; a stage is examined only if the one before
+refuses nothing."""

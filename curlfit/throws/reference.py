@@ -1,4 +1,5 @@
-"""What belongs to a throw besides its measurements: published values and the file's conventions."""
+"""What belongs to a throw besides its measurements: published values and the
+file's conventions."""
 
 from __future__ import annotations
 
@@ -20,8 +21,8 @@ class Reference:
     ----------
     source : name of the source, such as "eq. 28". law : the law of the coefficients.
     values : values by name, or by expression such as "mu1_eta + mu2_eta".
-    stone : constants of the stone (R, rho, h in m, m in kg) on which the values are based, where
-        these differ from the constants printed beside them.
+    stone : constants of the stone (R, rho, h in m, m in kg) on which the values are
+        based, where these differ from the constants printed beside them.
     rounding : rounding error (half a unit) of the printed constants, in the same units.
     note : reason for the difference, as a clause.
     """
@@ -48,8 +49,8 @@ class Conventions:
 
     Attributes
     ----------
-    factors : of the units to SI, by quantity ("t", "x", ...). axes : words as for `--axes`; empty
-        for curlfit's own.
+    factors : of the units to SI, by quantity ("t", "x", ...). axes : words as for
+        `--axes`; empty for curlfit's own.
     """
 
     factors: Mapping[str, float] = field(default_factory=dict)

@@ -11,25 +11,36 @@ from curlfit.throws.readers.columns import in_unit
 from curlfit.throws.throw import Conventions, Throw
 
 USUAL_FRICTION = (0.003, 0.04)
-"""Mean coefficient of friction: the published values with a factor of two on either side."""
+"""Mean coefficient of friction: the published values with a factor of two on
+either side."""
 USUAL_SPEED = 4.5
 """m/s; 3.5 m/s with a margin for the slowing down before the hog line."""
 USUAL_CURL = 4.0
 """m; ordinary throws curl 0.5 to 2 m."""
 _READ = ("60/30fps", "120/30fps", "240/30fps", "30/60fps")  # filmed and read
 _UNITS = {
-    "t": ("s", "ms", "us", "min", "30fps", *_READ), "phi": ("rad", "deg", "mrad"),
-    "omega": ("rad/s", "deg/s", "rpm"), "speed": ("m/s", "km/h", "ft/s", "mph", "cm/s", "mm/s"),
+    "t": ("s", "ms", "us", "min", "30fps", *_READ),
+    "phi": ("rad", "deg", "mrad"),
+    "omega": ("rad/s", "deg/s", "rpm"),
+    "speed": ("m/s", "km/h", "ft/s", "mph", "cm/s", "mm/s"),
     "x": ("m", "cm", "mm", "ft", "in"),
-}  # fmt: skip
+}
 _NAMES = {
-    "ms": "milliseconds", "us": "microseconds", "min": "minutes", "cm": "centimetres",
-    "mm": "millimetres", "ft": "feet", "in": "inches", "s": "seconds", "m": "metres",
-}  # fmt: skip
+    "ms": "milliseconds",
+    "us": "microseconds",
+    "min": "minutes",
+    "cm": "centimetres",
+    "mm": "millimetres",
+    "ft": "feet",
+    "in": "inches",
+    "s": "seconds",
+    "m": "metres",
+}
 
 
 def option(throw: Throw, name: str, value: str) -> str:
-    """An option as written on the command line, or in Python for a throw from arrays."""
+    """An option as written on the command line, or in Python for a throw
+    from arrays."""
     if not value:
         return f"leave out `{name if throw.conventions is None else f'--{name}'}`"
     if throw.conventions is not None:
@@ -45,19 +56,25 @@ def some_units(throw: Throw) -> str:
 
 
 def factors(throw: Throw, quantity: str) -> dict[str, float]:
-    """Units that a column may really be in, with the factors by which its values would change."""
+    """Units that a column may really be in, with the factors by which its values
+    would change."""
     now = (throw.conventions or Conventions()).factors.get(quantity, 1.0)
     found = {unit: in_unit(quantity, unit).factor / now for unit in _UNITS[quantity]}
     return {unit: factor for unit, factor in found.items() if factor != 1}
 
 
 def _candidates(throw: Throw) -> dict[str, dict[str, float]]:
-    """Units that may be the right ones, with the factors by which the channels would change."""
+    """Units that may be the right ones, with the factors by which the channels
+    would change."""
     times, lengths = factors(throw, "t"), factors(throw, "x")
     found = {f"t={unit}": {"t": factor} for unit, factor in times.items()}
     for unit, factor in lengths.items():
         both = {"x": factor, "y": factor}
-        found |= {f"length={unit}": both, f"x={unit}": {"x": factor}, f"y={unit}": {"y": factor}}
+        found |= {
+            f"length={unit}": both,
+            f"x={unit}": {"x": factor},
+            f"y={unit}": {"y": factor},
+        }
         found |= {
             f"t={time},length={unit}": {"t": of_time, **both}
             for time, of_time in times.items()
@@ -67,10 +84,14 @@ def _candidates(throw: Throw) -> dict[str, dict[str, float]]:
 
 
 def unit_remedy(throw: Throw) -> str:
-    """The fewest changes of units that make this the least odd throw, as an option to type."""
+    """The fewest changes of units that make this the least odd throw, as an
+    option to type."""
     best, units = math.inf, ""
     for name, changes in _candidates(throw).items():
-        scaled = {channel: factor * getattr(throw, channel) for channel, factor in changes.items()}
+        scaled = {
+            channel: factor * getattr(throw, channel)
+            for channel, factor in changes.items()
+        }
         alone = len(changes) == 1 and "t" not in changes  # rare
         odd = _oddity(replace(throw, sigma={}, **scaled), alone) + name.count(",")
         odd += alone * (1 + name.endswith(("in", "ft"))) + 2 * name.endswith(_READ)
@@ -86,13 +107,15 @@ def unit_remedy(throw: Throw) -> str:
         return f"if t counts frames: {flag}, with the frame rate of the camera"
     what = {"t": "the time is", "length": "lengths are"}
     parts = [part.partition("=") for part in units.split(",")]
-    said = [f"{what.get(name, f'{name} is')} in {_NAMES.get(u, u)}" for name, _, u in parts]
+    said = [
+        f"{what.get(name, f'{name} is')} in {_NAMES.get(u, u)}" for name, _, u in parts
+    ]
     return f"if {' and '.join(said)}: {flag}"
 
 
 def _oddity(throw: Throw, alone: bool) -> float:
-    """How far a throw is from a draw of 2 m/s, friction 0.01 and, where one axis alone is scaled,
-    a curl of 1 m; infinite if it is not usual."""
+    """How far a throw is from a draw of 2 m/s, friction 0.01 and, where one axis alone
+    is scaled, a curl of 1 m; infinite if it is not usual."""
     motion = motion_of(throw)
     if (
         motion is None

@@ -32,9 +32,11 @@ def print_inspection(
     settings: Mapping[str, Any],
     console: Console,
 ) -> None:
-    """Print the columns of a file, the findings on its throw, the reader's notes and curves.
+    """Print the columns of a file, the findings on its throw, the reader's
+    notes and curves.
 
-    `settings` are those that a fit of the file would use; those of how it is read are left out.
+    `settings` are those that a fit of the file would use; those of how it is read
+    are left out.
     """
     write = console.print
     if throw.has_path:
@@ -71,10 +73,14 @@ def _columns(parsed: ParsedFile) -> PlainTable:
         finite = values[np.isfinite(values)] / column.factor
         span = f"{finite.min():.6g} .. {finite.max():.6g}" if len(finite) else "-"
         cells = {
-            "column": header, "quantity": column.quantity, "unit": column.unit,
-            ">factor": f"{column.factor:.6g}", ">rows": str(len(values)),
-            ">gaps": str(int((~np.isfinite(values)).sum())), "range in the file": span,
-        }  # fmt: skip
+            "column": header,
+            "quantity": column.quantity,
+            "unit": column.unit,
+            ">factor": f"{column.factor:.6g}",
+            ">rows": str(len(values)),
+            ">gaps": str(int((~np.isfinite(values)).sum())),
+            "range in the file": span,
+        }
         rows.append({head: Text(cell) for head, cell in cells.items()})
     return PlainTable(rows)
 
@@ -82,12 +88,15 @@ def _columns(parsed: ParsedFile) -> PlainTable:
 def _events(throw: Throw) -> PlainTable:
     return PlainTable(
         {
-            "measured": event.name, ">value": f"{event.value:.6g}", ">sigma": f"{event.sigma:.3g}",
-            "unit": event.unit, ">at y (m)": "rest" if event.at is None else f"{event.at:.3f}",
+            "measured": event.name,
+            ">value": f"{event.value:.6g}",
+            ">sigma": f"{event.sigma:.3g}",
+            "unit": event.unit,
+            ">at y (m)": "rest" if event.at is None else f"{event.at:.3f}",
             ">since y (m)": "" if event.since is None else f"{event.since:.3f}",
         }
         for event in throw.events
-    )  # fmt: skip
+    )
 
 
 def facts(throw: Throw, settings: Mapping[str, Any]) -> Iterator[str]:
@@ -97,16 +106,28 @@ def facts(throw: Throw, settings: Mapping[str, Any]) -> Iterator[str]:
             yield from _clock(throw.t)
         for name, row in (("first row", 0), ("last row", -1)):
             found = ((c, getattr(throw, c)[row] + 0.0) for c in throw.seen)
-            values = (f"{c} {value:.6g} {UNITS[c]}" for c, value in found if np.isfinite(value))
+            values = (
+                f"{c} {value:.6g} {UNITS[c]}"
+                for c, value in found
+                if np.isfinite(value)
+            )
             yield ", ".join([f"{name:<10} t {throw.t[row]:.6g} s", *values])
         measured = {c: getattr(throw, c) for c in throw.seen}
-        noise = {c: scatter(values[np.isfinite(values)]) for c, values in measured.items()}
-        if seen := [f"{c} {size:.2g} {UNITS[c]}" for c, size in noise.items() if size > 1e-12]:
+        noise = {
+            c: scatter(values[np.isfinite(values)]) for c, values in measured.items()
+        }
+        if seen := [
+            f"{c} {size:.2g} {UNITS[c]}" for c, size in noise.items() if size > 1e-12
+        ]:
             yield f"scatter    {', '.join(seen)} (from row to row)"
         if throw.sigma:
-            yield "sigma      given for " + ", ".join(c for c in CHANNELS if c in throw.sigma)
+            yield "sigma      given for " + ", ".join(
+                c for c in CHANNELS if c in throw.sigma
+            )
         yield "rest       " + _rest(throw)
-    others = {key: value for key, value in settings.items() if key not in Reading.forms()}
+    others = {
+        key: value for key, value in settings.items() if key not in Reading.forms()
+    }
     if others:
         listed = (f"{key} = {value}" for key, value in others.items() if value)
         yield "settings   " + ", ".join(listed)

@@ -1,4 +1,5 @@
-"""Synthetic throws: the path under a law with Gaussian noise, as arrays or as a data file."""
+"""Synthetic throws: the path under a law with Gaussian noise, as arrays or as
+a data file."""
 
 from __future__ import annotations
 
@@ -39,8 +40,8 @@ def law_with(
 
     Raises
     ------
-    InputError : an unknown law or coefficient, a value that is not finite or outside its bounds, or
-        values that do not describe friction.
+    InputError : an unknown law or coefficient, a value that is not finite or outside
+        its bounds, or values that do not describe friction.
 
     Examples
     --------
@@ -52,16 +53,21 @@ def law_with(
     for name, value in coefficients.items():
         if name not in known:
             raise InputError(
-                f"law {kind.name} has no coefficient {quoted(name)}; it has {', '.join(known)}"
+                f"law {kind.name} has no coefficient {quoted(name)}; "
+                f"it has {', '.join(known)}"
             )
         if not math.isfinite(value):
             raise InputError(f"{name} = {value}: expected a finite number")
         item, wider = known[name], known[name].unbounded()
         if not (wider if unbounded else item).lower <= value <= item.upper:
             raise InputError(
-                f"{name} = {value:g}: expected {item.lower:g} .. {item.upper:g}, the bounds of law "
-                f"{kind.name}"
-                + ("; `unbounded` lets it be negative" if wider.lower <= value < item.lower else "")
+                f"{name} = {value:g}: expected {item.lower:g} .. {item.upper:g}, "
+                f"the bounds of law {kind.name}"
+                + (
+                    "; `unbounded` lets it be negative"
+                    if wider.lower <= value < item.lower
+                    else ""
+                )
             )
     made = kind(**{**(others or {}), **coefficients})
     fault = made.fault()
@@ -95,41 +101,64 @@ def synthetic_throw(
     Parameters
     ----------
     v0, omega0, heading, x0, y0, phi0 : initial state (m/s, rad/s, rad, m, m, rad).
-    environment : slope of the ice, drag of the air, sweeping (times since the first row); none of
-        them by default.
+    environment : slope of the ice, drag of the air, sweeping (times since the first
+        row); none of them by default.
     until, dt : last time and time between rows, s.
 
     Raises
     ------
-    InputError : an impossible value, or a law that admits no motion from this initial state.
+    InputError : an impossible value, or a law that admits no motion from this
+        initial state.
 
     Examples
     --------
     >>> law = curlfit.law_with("front-back", {"mu2_xi": 0.055})
-    >>> made = curlfit.synthetic_throw(law, curlfit.Stone(), until=20, dt=5, noise_xy=0.005)
+    >>> made = curlfit.synthetic_throw(
+    ...     law, curlfit.Stone(), until=20, dt=5, noise_xy=0.005
+    ... )
     >>> len(made), made.reference.values["mu2_xi"]
     (5, 0.055)
     """
     conditions = _conditions(environment)
-    state = {"x0": x0, "y0": y0, "heading": heading, "v0": v0, "phi0": phi0, "omega0": omega0}
+    state = {
+        "x0": x0,
+        "y0": y0,
+        "heading": heading,
+        "v0": v0,
+        "phi0": phi0,
+        "omega0": omega0,
+    }
     _require("positive", math.ulp(0.0), {"until": until, "dt": dt})
-    _require("non-negative", 0.0, {"v0": v0, "noise-xy": noise_xy, "noise-phi": noise_phi})
+    _require(
+        "non-negative", 0.0, {"v0": v0, "noise-xy": noise_xy, "noise-phi": noise_phi}
+    )
     _require("finite", -math.inf, state | conditions)
     t, checked = _times(until, dt), check_load(load)
     noise = np.random.default_rng(seed).standard_normal((3, len(t)))
     sizes = np.array([[noise_xy], [noise_xy], [noise_phi]])
-    x, y, phi = _path(law, stone, list(state.values()), t, checked, environment) + sizes * noise
+    x, y, phi = (
+        _path(law, stone, list(state.values()), t, checked, environment) + sizes * noise
+    )
     values = {item.name: float(getattr(law, item.name)) for item in law.coefficients()}
     return Throw(
-        t, x, y, phi, name="synthetic throw",
+        t,
+        x,
+        y,
+        phi,
+        name="synthetic throw",
         reference=Reference(_SOURCE, law.name, values | conditions),
         defaults={"stone": stone.as_dict(), "load": checked}
         | ({} if law.origin else {"law": law.name}),
-    )  # fmt: skip
+    )
 
 
 def _path(
-    law: Law, stone: Stone, state: Sequence[float], t: Floats, load: Any, environment: Any
+    law: Law,
+    stone: Stone,
+    state: Sequence[float],
+    t: Floats,
+    load: Any,
+    environment: Any,
 ) -> Floats:
     """x, y and phi under a law from an initial state, shape (3, n)."""
     from curlfit.dynamics.trajectory import InitialState, simulate
@@ -147,7 +176,9 @@ def _path(
 def _times(until: float, dt: float) -> Floats:
     rows = math.floor(until / dt + 1e-9) + 1
     if not 2 <= rows <= _MOST_ROWS:
-        raise InputError(f"until = {until:g} s in steps of {dt:g} s makes {counted(rows, 'row')}")
+        raise InputError(
+            f"until = {until:g} s in steps of {dt:g} s makes {counted(rows, 'row')}"
+        )
     return np.arange(rows, dtype=np.float64) * dt
 
 
@@ -163,14 +194,19 @@ def _conditions(environment: Environment | None) -> dict[str, float]:
         return {}
     usual, names = Environment(), ("slope_x", "slope_y", "drag", "wear", "sweep")
     found = {name: float(getattr(environment, name)) for name in names}
-    return {name: value for name, value in found.items() if value != getattr(usual, name)}
+    return {
+        name: value for name, value in found.items() if value != getattr(usual, name)
+    }
 
 
 def write_table(throw: Throw) -> str:
-    """A throw as text in curlfit's own format, with its defaults and reference in `#` lines."""
+    """A throw as text in curlfit's own format, with its defaults and reference
+    in `#` lines."""
     settings: dict[str, Any] = dict(throw.defaults)
     if throw.reference is not None:
-        settings["reference"] = {key: v for key, v in asdict(throw.reference).items() if v != ""}
+        settings["reference"] = {
+            key: v for key, v in asdict(throw.reference).items() if v != ""
+        }
     lines = [*_settings("", settings), "t,x,y,phi"]
     for time, *position in zip(throw.t, throw.x, throw.y, throw.phi, strict=True):
         cells = ["" if math.isnan(value) else f"{value:.9f}" for value in position]

@@ -24,9 +24,19 @@ from curlfit.throws.events import Event, lines_of, sketch
 from curlfit.throws.reference import Conventions, Reference, StoneValues
 
 __all__ = [
-    "CHANNELS", "MOST_ROWS", "UNITS", "Conventions", "Reference", "StoneValues", "Throw",
-    "check_sigma", "last_motion", "require_path", "require_throw", "scatter",
-]  # fmt: skip
+    "CHANNELS",
+    "MOST_ROWS",
+    "UNITS",
+    "Conventions",
+    "Reference",
+    "StoneValues",
+    "Throw",
+    "check_sigma",
+    "last_motion",
+    "require_path",
+    "require_throw",
+    "scatter",
+]
 
 MOST_ROWS = 6000
 """Number of rows above which a fit condenses its data."""
@@ -35,7 +45,8 @@ MOST_ROWS = 6000
 def counts_from_hack(notes: Iterable[str]) -> bool:
     """Whether y is measured from the hack, according to the notes of a reader."""
     return any(
-        note.startswith("y from the hack") or (note.startswith("axes:") and "from-" in note)
+        note.startswith("y from the hack")
+        or (note.startswith("axes:") and "from-" in note)
         for note in notes
     )
 
@@ -44,42 +55,49 @@ def counts_from_hack(notes: Iterable[str]) -> bool:
 class Throw(Displayed):
     """Measured path of one stone.
 
-    Axes and signs: y along the sheet, x to the right, phi counter-clockwise. Two throws are equal
-    if their values, sigmas, reference and defaults are equal, whatever their origin (`name`,
-    `notes`, `lines`, `labels`).
+    Axes and signs: y along the sheet, x to the right, phi counter-clockwise. Two throws
+    are equal if their values, sigmas, reference and defaults are equal, whatever their
+    origin (`name`, `notes`, `lines`, `labels`).
 
     Attributes
     ----------
     t : times in s, shape (n,), strictly increasing; the origin does not matter.
     x, y : position of the stone's centre in m, shape (n,); NaN where not measured.
     phi : angle of the stone in rad, unwrapped, shape (n,); NaN where not measured.
-    speed, omega : speed of the centre in m/s (>= 0) and spin in rad/s where measured directly (by
-        radar, gyroscope), shape (n,); NaN where not. All NaN if not given.
-    sigma : standard deviation of the noise by channel, each of shape (n,); that of other
-        channels is unknown and is estimated by a fit.
-    relative_sigma : of channels without a sigma, its course over the rows where this is known, up
-        to a factor that a fit estimates; each of shape (n,).
-    calibration : independent errors of the map from pixels to metres, one standard deviation each,
-        as of `curlfit.throws.readers.camera.Homography`, shape (errors, 3, 3); None without.
+    speed, omega : speed of the centre in m/s (>= 0) and spin in rad/s where measured
+        directly (by radar, gyroscope), shape (n,); NaN where not. All NaN if not given.
+    sigma : standard deviation of the noise by channel, each of shape (n,); that of
+        other channels is unknown and is estimated by a fit.
+    relative_sigma : of channels without a sigma, its course over the rows where this is
+        known, up to a factor that a fit estimates; each of shape (n,).
+    calibration : independent errors of the map from pixels to metres, one standard
+        deviation each, as of `curlfit.throws.readers.camera.Homography`, shape (errors,
+        3, 3); None without.
     name : name of the throw, for instance a file name.
     reference : values to show beside a fit.
-    defaults : settings in the data file (`since`, `until`, `exclude`, `stone`, `law`, `load`;
-        `as_given`: implausible data only give warnings, see `curlfit.throws.plausibility`).
+    defaults : settings in the data file (`since`, `until`, `exclude`,
+        `stone`, `law`, `load`; `as_given`: implausible data only give
+        warnings, see `curlfit.throws.plausibility`).
     conventions : units and axes of the file; None for arrays, which are in SI units.
     notes : remarks of the reader (ignored columns and the like).
     lines : line of each row in the file, for messages.
-    events : measured times and positions at lines and at rest (`curlfit.throws.events`).
-    assumed : values, by name, at which a fit fixes unmeasured components of the initial state.
-    labels : what a table says of the throw besides measurements, as text by name: `sheet`,
-        `stone`, `thrower`, `start` ...
+    events : measured times and positions at lines and at rest
+        (`curlfit.throws.events`).
+    assumed : values, by name, at which a fit fixes unmeasured components of the
+        initial state.
+    labels : what a table says of the throw besides measurements, as text by name:
+        `sheet`, `stone`, `thrower`, `start` ...
 
     Raises
     ------
-    DataError : shapes differ, a value is infinite, a time is missing, or times do not increase.
+    DataError : shapes differ, a value is infinite, a time is missing, or times do
+        not increase.
 
     Examples
     --------
-    >>> short = curlfit.Throw.from_arrays([0.0, 0.1, 0.2], x=[0, 0, 0], y=[0.0, 0.21, 0.41])
+    >>> short = curlfit.Throw.from_arrays(
+    ...     [0.0, 0.1, 0.2], x=[0, 0, 0], y=[0.0, 0.21, 0.41]
+    ... )
     >>> short.name, short.n_observations
     ('throw', 6)
     >>> short == curlfit.Throw.from_frame(short.to_frame())
@@ -117,14 +135,20 @@ class Throw(Displayed):
             if values.shape != (n,):
                 raise self._error(f"{name} has shape {values.shape}, t has {(n,)}")
             bad = np.isinf(values) | (np.isnan(values) & (name == "t"))
-            self._require(~bad, name, "expected a finite number" + ", or NaN" * (name != "t"))
+            self._require(
+                ~bad, name, "expected a finite number" + ", or NaN" * (name != "t")
+            )
         for name, values in self.sigma.items():
             sound = (np.isfinite(values) & (values > 0)) | np.isnan(getattr(self, name))
-            self._require(sound, f"sigma_{name}", "expected a positive standard deviation")
+            self._require(
+                sound, f"sigma_{name}", "expected a positive standard deviation"
+            )
         order = "times must increase from row to row (`Throw.from_frame` sorts rows)"
         self._require(np.append(True, np.diff(self.t) > 0), "t", order)
         if not self.finite.any() and not self.events:
-            raise self._error(f"no value is given; expected some of {', '.join(CHANNELS)}")
+            raise self._error(
+                f"no value is given; expected some of {', '.join(CHANNELS)}"
+            )
 
     def _require(self, sound: Booleans, column: str, expected: str) -> None:
         if not sound.all():
@@ -133,7 +157,9 @@ class Throw(Displayed):
             value = (self.sigma[name] if name != column else getattr(self, name))[row]
             raise self._error(f"{value:g} found; {expected}", row, column)
 
-    def _error(self, message: str, row: int | None = None, column: str | None = None) -> DataError:
+    def _error(
+        self, message: str, row: int | None = None, column: str | None = None
+    ) -> DataError:
         line = None if row is None or self.lines is None else int(self.lines[row])
         if row is not None and line is None:
             message = f"row {row}: {message}"
@@ -156,36 +182,53 @@ class Throw(Displayed):
     ) -> Throw:
         """A throw from arrays or lists; channels that were not measured are omitted.
 
-        `sigma` values may be single numbers, in the units of their channels. `units` and `axes`
-        are as for `load_throw`; without them, values are in SI units and in curlfit's axes, with
-        angles unwrapped. `more` are other attributes, for instance `name`.
+        `sigma` values may be single numbers, in the units of their channels. `units`
+        and `axes` are as for `load_throw`; without them, values are in SI units and in
+        curlfit's axes, with angles unwrapped. `more` are other attributes, for
+        instance `name`.
         """
-        require_kind(sigma or {}, Mapping, "sigma", "a mapping by channel, such as {'x': 0.005}")
+        require_kind(
+            sigma or {}, Mapping, "sigma", "a mapping by channel, such as {'x': 0.005}"
+        )
         t = np.asarray(t, float)
         channels = {"x": x, "y": y, "phi": phi, "speed": speed, "omega": omega}
-        arrays = {name: np.asarray(v, float) for name, v in channels.items() if v is not None}
+        arrays = {
+            name: np.asarray(v, float) for name, v in channels.items() if v is not None
+        }
         given = {
             name: np.broadcast_to(np.asarray(values, float), t.shape)
             for name, values in (sigma or {}).items()
         }
         if units or axes:
-            columns = {"t": t, **arrays, **{f"sigma_{name}": v for name, v in given.items()}}
-            made = cls.from_frame(columns, more.get("name", "table"), units=units, axes=axes)
+            columns = {
+                "t": t,
+                **arrays,
+                **{f"sigma_{name}": v for name, v in given.items()},
+            }
+            made = cls.from_frame(
+                columns, more.get("name", "table"), units=units, axes=axes
+            )
             return replace(made, **more)
         blank: Any = {name: np.full_like(t, np.nan) for name in CHANNELS}
         return cls(t=t, **blank | arrays, sigma=given, **more)
 
     @classmethod
     def from_events(
-        cls, events: Sequence[Event], *, assumed: Mapping[str, float] | None = None, **more: Any
+        cls,
+        events: Sequence[Event],
+        *,
+        assumed: Mapping[str, float] | None = None,
+        **more: Any,
     ) -> Throw:
         """A throw of which only events were measured, such as stopwatch times.
 
-        Its clock starts at the first line; `t` contains the times at which a fit is shown.
+        Its clock starts at the first line; `t` contains the times at which a
+        fit is shown.
 
         Parameters
         ----------
-        assumed : as the attribute; the stone starts at the first line with x = 0 and phi = 0.
+        assumed : as the attribute; the stone starts at the first line with x = 0
+            and phi = 0.
         more : other attributes.
 
         Raises
@@ -193,7 +236,9 @@ class Throw(Displayed):
         InputError : no line is crossed.
         """
         if not (lines := lines_of(events)):
-            raise InputError("no event is timed at a line; expected one such as hog_to_hog")
+            raise InputError(
+                "no event is timed at a line; expected one such as hog_to_hog"
+            )
         known = {"y0": lines[0], **(assumed or {})}
         t, _ = sketch(events, known)
         return cls.from_arrays(t, events=tuple(events), assumed=known, **more)
@@ -201,12 +246,13 @@ class Throw(Displayed):
     @classmethod
     @takes(Reading, "format", "worksheet", "shot", "handle", "keep", "throws")
     def from_frame(cls, table: Any, name: str = "table", **choices: Any) -> Throw:
-        """A throw from a pandas or polars DataFrame, an xarray Dataset or a mapping of arrays.
+        """A throw from a pandas or polars DataFrame, an xarray Dataset or a
+        mapping of arrays.
 
-        Columns are named as in files (`t`, `y_ft`, `angle_deg` ...), with units in the names; the
-        `attrs["units"]` of a variable take precedence. An index that is named `time` or has dates,
-        or the coordinate of a dataset, is taken as `t` where no column is. Times may be dates or
-        durations.
+        Columns are named as in files (`t`, `y_ft`, `angle_deg` ...), with units in the
+        names; the `attrs["units"]` of a variable take precedence. An index that is
+        named `time` or has dates, or the coordinate of a dataset, is taken as `t` where
+        no column is. Times may be dates or durations.
 
         Parameters
         ----------
@@ -222,15 +268,17 @@ class Throw(Displayed):
         return cls.from_arrays(**values_of(table, Reading.of(**choices), name))
 
     def to_frame(self) -> Any:
-        """The rows as a pandas DataFrame that `from_frame` reads: `t`, the measured channels and,
-        where given, `sigma_x`, `sigma_y` ... (SI, rad).
+        """The rows as a pandas DataFrame that `from_frame` reads: `t`, the measured
+        channels and, where given, `sigma_x`, `sigma_y` ... (SI, rad).
 
         Raises
         ------
         InputError : pandas is not installed.
         """
         columns = {"t": self.t} | {name: getattr(self, name) for name in self.seen}
-        return frame(columns | {f"sigma_{name}": values for name, values in self.sigma.items()})
+        return frame(
+            columns | {f"sigma_{name}": values for name, values in self.sigma.items()}
+        )
 
     def __len__(self) -> int:
         return len(self.t)
@@ -238,21 +286,26 @@ class Throw(Displayed):
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Throw):
             return NotImplemented
-        return all(_same(getattr(self, name), getattr(other, name)) for name in _CONTENT)
+        return all(
+            _same(getattr(self, name), getattr(other, name)) for name in _CONTENT
+        )
 
     __hash__ = None  # type: ignore[assignment]  # arrays are mutable
 
     def _document(self) -> Document:
         rows = [
             {
-                "channel": name, "unit": UNITS[name],
+                "channel": name,
+                "unit": UNITS[name],
                 ">values": str(np.isfinite(getattr(self, name)).sum()),
                 ">from": f"{np.nanmin(getattr(self, name)):.5g}",
                 ">to": f"{np.nanmax(getattr(self, name)):.5g}",
-                ">sigma": f"{np.nanmedian(self.sigma[name]):.3g}" if name in self.sigma else "",
+                ">sigma": f"{np.nanmedian(self.sigma[name]):.3g}"
+                if name in self.sigma
+                else "",
             }
             for name in ("t", *self.seen)
-        ]  # fmt: skip
+        ]
         given = ", ".join(name for name in CHANNELS if name in self.sigma)
         said = f"sigma given for {given}" if given else "no sigma given"
         return Document(
@@ -276,7 +329,9 @@ class Throw(Displayed):
     @cached_property
     def seen(self) -> tuple[str, ...]:
         """Channels with at least one value."""
-        return tuple(name for name in CHANNELS if np.isfinite(getattr(self, name)).any())
+        return tuple(
+            name for name in CHANNELS if np.isfinite(getattr(self, name)).any()
+        )
 
     @cached_property
     def n_observations(self) -> int:
@@ -284,8 +339,8 @@ class Throw(Displayed):
         return int(np.count_nonzero(self.finite)) + len(self.events)
 
     def sigma_over_smallest(self, name: str) -> Floats:
-        """The course of a channel's sigma over its rows where only this is known, with a smallest
-        value of 1 among the measured ones; 1 for all others. Shape (n,)."""
+        """The course of a channel's sigma over its rows where only this is known, with
+        a smallest value of 1 among the measured ones; 1 for all others. Shape (n,)."""
         there, known = np.isfinite(getattr(self, name)), self.relative_sigma.get(name)
         if known is None or not there.any():
             return np.ones(len(self))
@@ -297,14 +352,16 @@ class Throw(Displayed):
         return bool(self.seen)
 
     def sketched(self) -> Throw:
-        """The throw without events; if there is nothing else, a rough path replaces them."""
+        """The throw without events; if there is nothing else, a rough path
+        replaces them."""
         if not self.events:
             return self
         channels: Any = {} if self.has_path else sketch(self.events, self.assumed)[1]
         return replace(self, events=(), **channels)
 
     def condensed(self, most: int = MOST_ROWS) -> Throw:
-        """The throw condensed to at most about `most` rows, means over blocks, with a note."""
+        """The throw condensed to at most about `most` rows, means over blocks,
+        with a note."""
         return self if len(self) <= most else replace(self, **condensed(self, most))
 
     def select_rows(
@@ -322,26 +379,36 @@ class Throw(Displayed):
         if since is None and until is None and not len(exclude):
             return self
         if not self.has_path:
-            raise InputError(f"{self.name}: timed events only; there are no rows to choose")
+            raise InputError(
+                f"{self.name}: timed events only; there are no rows to choose"
+            )
         limits = {"since": since, "until": until}
         given = {name: limit for name, limit in limits.items() if limit is not None}
         low, high = given.get("since", -math.inf), given.get("until", math.inf)
         keep = (self.t >= low - 1e-9) & (self.t <= high + 1e-9)
         if not keep.any():
-            said = " and ".join(f"{name} = {limit:g} s" for name, limit in given.items())
+            said = " and ".join(
+                f"{name} = {limit:g} s" for name, limit in given.items()
+            )
             raise InputError(
-                f"no row of {self.name} remains with {said}; its times are {self.t[0]:g} .. "
-                f"{self.t[-1]:g} s"
+                f"no row of {self.name} remains with {said}; its times are "
+                f"{self.t[0]:g} .. {self.t[-1]:g} s"
             )
         for begin, end in exclude:
             if not begin < end:
-                raise InputError(f"exclude {begin:g}:{end:g}: expected A:B with A before B")
+                raise InputError(
+                    f"exclude {begin:g}:{end:g}: expected A:B with A before B"
+                )
             keep &= (self.t < begin - 1e-9) | (self.t > end + 1e-9)
         if not keep.any():
             raise InputError(f"the excluded intervals leave no row of {self.name}")
-        every: dict[str, Any] = {name: getattr(self, name)[keep] for name in ("t", *CHANNELS)}
+        every: dict[str, Any] = {
+            name: getattr(self, name)[keep] for name in ("t", *CHANNELS)
+        }
         for name in ("sigma", "relative_sigma"):
-            every[name] = {channel: v[keep] for channel, v in getattr(self, name).items()}
+            every[name] = {
+                channel: v[keep] for channel, v in getattr(self, name).items()
+            }
         every["lines"] = None if self.lines is None else self.lines[keep]
         return replace(self, **every)
 
@@ -357,14 +424,20 @@ class Throw(Displayed):
         return {**self.defaults, "sigma": unknown}
 
     def with_sigma(self, sigma: dict[str, float]) -> Throw:
-        """The throw with one standard deviation for all rows of a channel, or for all times of
-        events ("time"); SI units."""
+        """The throw with one standard deviation for all rows of a channel, or for all
+        times of events ("time"); SI units."""
         check_sigma(sigma)
         if not sigma:
             return self
-        filled = {name: np.full_like(self.t, sigma[name]) for name in CHANNELS if name in sigma}
+        filled = {
+            name: np.full_like(self.t, sigma[name])
+            for name in CHANNELS
+            if name in sigma
+        }
         events = tuple(
-            replace(one, sigma=sigma.get("time", one.sigma)) if one.quantity == "time" else one
+            replace(one, sigma=sigma.get("time", one.sigma))
+            if one.quantity == "time"
+            else one
             for one in self.events
         )
         return replace(self, sigma={**self.sigma, **filled}, events=events)
@@ -376,15 +449,22 @@ _CONTENT = ("t", *CHANNELS, "sigma", "reference", "defaults")  # compared for eq
 def _same(one: Any, other: Any) -> bool:
     """Equality; arrays are compared by value, with NaN equal to NaN."""
     if isinstance(one, dict) and isinstance(other, dict):
-        return one.keys() == other.keys() and all(_same(one[key], other[key]) for key in one)
+        return one.keys() == other.keys() and all(
+            _same(one[key], other[key]) for key in one
+        )
     if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
-        return np.array_equal(np.asarray(one, float), np.asarray(other, float), equal_nan=True)
+        return np.array_equal(
+            np.asarray(one, float), np.asarray(other, float), equal_nan=True
+        )
     return bool(one == other)
 
 
 def require_throw(throw: object) -> None:
     """Raise `InputError` for anything but a throw, such as a file name."""
-    expected = "a Throw, as from curlfit.load_throw(file) or curlfit.Throw.from_arrays(t, x, y)"
+    expected = (
+        "a Throw, as from curlfit.load_throw(file) or "
+        "curlfit.Throw.from_arrays(t, x, y)"
+    )
     require_kind(throw, Throw, "throw", expected)
 
 
@@ -392,13 +472,14 @@ def require_path(throw: Throw) -> None:
     """Raise `InputError` for a throw of timed events alone."""
     if not throw.has_path:
         raise InputError(
-            f"{throw.name}: laws cannot be ranked by {len(throw.events)} timed events; expected a "
-            "path. `curlfit fit --law NAME` fits one law to them"
+            f"{throw.name}: laws cannot be ranked by {len(throw.events)} timed "
+            "events; expected a path. `curlfit fit --law NAME` fits one law to them"
         )
 
 
 def check_sigma(sigma: Mapping[str, float]) -> None:
-    """Raise `InputError` if a standard deviation is not positive or its channel is unknown."""
+    """Raise `InputError` if a standard deviation is not positive or its
+    channel is unknown."""
     for name, value in sigma.items():
         if name not in (*CHANNELS, "time"):
             known = f"{', '.join(CHANNELS)}, and `time` of events"

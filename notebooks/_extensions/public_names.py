@@ -1,7 +1,8 @@
-"""The API page: docstrings of the public names, in the form in which curlfit writes them.
+"""The API page: docstrings of the public names, in the form in which curlfit
+writes them.
 
-A section such as Parameters has items `names : what they are`, with further lines indented; single
-back quotes stand for code.
+A section such as Parameters has items `names : what they are`, with further lines
+indented; single back quotes stand for code.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ def items(lines: list[str]) -> list[str]:
 
 def rewrite(
     app: Any, what: str, name: str, obj: Any, options: Any, lines: list[str]
-) -> None:  # fmt: skip
+) -> None:
     """A docstring as reStructuredText."""
     found: list[str] = []
     for title, body in sections(lines):
@@ -67,7 +68,13 @@ _CALLED = ("Stone", "InitialState")
 
 
 def without_fields(
-    app: Any, what: str, name: str, obj: Any, options: Any, signature: Any, returned: Any
+    app: Any,
+    what: str,
+    name: str,
+    obj: Any,
+    options: Any,
+    signature: Any,
+    returned: Any,
 ) -> Any:
     """No signature for records that are not made by hand: their attributes follow."""
     made = what != "class" or not signature or name.rpartition(".")[2] in _CALLED

@@ -1,4 +1,5 @@
-"""The pictures of the gallery, by its own commands: `python notebooks/pictures/draw_gallery.py`.
+"""The pictures of the gallery, by its own commands: `python
+notebooks/pictures/draw_gallery.py`.
 
 It takes some minutes, and works in a folder of its own.
 """
@@ -27,7 +28,10 @@ PICTURES = {
     "flat": "consistent/profile",
     "pair": f"{PROFILE}-mu1_eta-mu2_eta/profile",
     "predict": "jensen_shegelski_2004-predict/predict",
-    **{name: f"design/{name}" for name in ("design-map", "design-errors", "design-separate")},
+    **{
+        name: f"design/{name}"
+        for name in ("design-map", "design-errors", "design-separate")
+    },
 }
 """Names of the pictures, and the files that the commands write."""
 COLOURS = 128  # a third of the size

@@ -1,4 +1,5 @@
-"""The page of `curlfit app` in Chromium: files are dropped, mended, fitted, compared and saved."""
+"""The page of `curlfit app` in Chromium: files are dropped, mended, fitted,
+compared and saved."""
 
 from __future__ import annotations
 
@@ -28,7 +29,11 @@ def served(tmp_path_factory):
     pytest.importorskip("nicegui", reason="NiceGUI is not installed")
     folder = tmp_path_factory.mktemp("served")
     # NiceGUI does not tidy up where it finds itself in a test
-    env = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST")}
+    env = {
+        name: value
+        for name, value in os.environ.items()
+        if not name.startswith("PYTEST")
+    }
     page = started("app", "--no-browser", cwd=folder, stderr=subprocess.STDOUT, env=env)
     address = re.search(r"http://\S+/", page.stdout.readline())[0]
     yield page, address, folder
@@ -48,7 +53,10 @@ def page(browser, served):
 
 def drop(browser, *files, onto=".drop"):
     """Drop files, and wait until nothing is shown that was there before them."""
-    before = "document.querySelectorAll('main section').forEach(one => one.classList.add('before'))"
+    before = (
+        "document.querySelectorAll('main section')"
+        ".forEach(one => one.classList.add('before'))"
+    )
     browser.execute_script(before)
     area = browser.find_element("css selector", f"{onto} input[type=file]")
     area.send_keys("\n".join(map(str, files)))
@@ -60,14 +68,21 @@ def said(browser):
 
 
 def button(browser, label, act):
-    """What a script makes of the `button` with a label; found and used at once, since the page
-    changes."""
-    find = "[...document.querySelectorAll('button')].find(one => one.innerText == arguments[0])"
+    """What a script makes of the `button` with a label; found and used at once, since
+    the page changes."""
+    find = (
+        "[...document.querySelectorAll('button')]"
+        ".find(one => one.innerText == arguments[0])"
+    )
     return browser.execute_script(f"const button = {find}; return {act}", label)
 
 
 def press(browser, label):
-    wait_for(lambda: button(browser, label, "!!button && !button.disabled && !button.click()"))
+    wait_for(
+        lambda: button(
+            browser, label, "!!button && !button.disabled && !button.click()"
+        )
+    )
 
 
 def put(browser, flag, text):
@@ -111,7 +126,9 @@ def save(browser, name):
 
 def status(address, *request):
     try:
-        with urllib.request.urlopen(urllib.request.Request(address, *request)) as answer:
+        with urllib.request.urlopen(
+            urllib.request.Request(address, *request)
+        ) as answer:
             return answer.status
     except urllib.error.HTTPError as error:
         with error:
@@ -138,10 +155,17 @@ def contents(folder):
 def test_only_who_knows_the_address_sees_the_page(served):
     running, address, _ = served
     root = address.rsplit("/", 2)[0]
-    for path in ("/", "/wrong/", "/_nicegui_ws/socket.io/?EIO=4&transport=polling", "/results/"):
+    for path in (
+        "/",
+        "/wrong/",
+        "/_nicegui_ws/socket.io/?EIO=4&transport=polling",
+        "/results/",
+    ):
         assert status(root + path) == 404
     listening = psutil.Process(running.pid).net_connections("inet")
-    assert {one.laddr.ip for one in listening if one.status == "LISTEN"} == {"127.0.0.1"}
+    assert {one.laddr.ip for one in listening if one.status == "LISTEN"} == {
+        "127.0.0.1"
+    }
     assert status(address) == 200
     port = address.split(":")[2].split("/")[0]
     refused = process("app", "--no-browser", "--port", port, cwd=served[2])
@@ -163,7 +187,9 @@ def test_a_good_file_is_fitted_and_saved_as_the_command_would(page, served, tmp_
     frame, inner = page.find_element("css selector", "iframe").rect["height"], 0
     wait_for(lambda: in_report(page, "return document.body.offsetHeight") > 3000)
     inner = in_report(page, "return document.body.offsetHeight")
-    wait_for(lambda: page.find_element("css selector", "iframe").rect["height"] >= inner)
+    wait_for(
+        lambda: page.find_element("css selector", "iframe").rect["height"] >= inner
+    )
     assert frame > 0
     save(page, "mine")
     wait_for(lambda: f"Written: {folder / 'mine'}" in said(page))
@@ -175,12 +201,16 @@ def test_a_good_file_is_fitted_and_saved_as_the_command_would(page, served, tmp_
     assert done.returncode == 0
     assert contents(folder / "mine") == contents(tmp_path / f"{DATA.stem}-fit")
     script = "return performance.getEntriesByType('resource').map(one => one.name)"
-    assert {one.split("/")[2] for one in page.execute_script(script) if one.startswith("http")} == {
-        served[1].split("/")[2]
-    }
+    assert {
+        one.split("/")[2]
+        for one in page.execute_script(script)
+        if one.startswith("http")
+    } == {served[1].split("/")[2]}
 
 
-def test_wrong_units_are_refused_in_the_words_of_the_command_and_mended_by_a_button(page, tmp_path):
+def test_wrong_units_are_refused_in_the_words_of_the_command_and_mended_by_a_button(
+    page, tmp_path
+):
     lines = DATA.read_text().splitlines()
     head = lines.index("t,x,y,phi")
     rows = [list(map(float, line.split(","))) for line in lines[head + 1 :]]
@@ -209,10 +239,14 @@ def test_pixels_ask_for_the_points_and_take_them(page, tmp_path):
     # a camera that looks straight down: 40 pixels to the metre, seen from the side
     t, x, y, phi = np.loadtxt(DATA, delimiter=",", comments=("#", "t")).T
     pixels = np.column_stack([t, 100 + 40 * y, 300 + 40 * x, phi])
-    np.savetxt(tmp_path / "clip.csv", pixels, delimiter=",", header="t,u,v,phi", comments="")
+    np.savetxt(
+        tmp_path / "clip.csv", pixels, delimiter=",", header="t,u,v,phi", comments=""
+    )
     corners = [(0, -2), (25, -2), (25, 2), (0, 2), (12, 0)]
     points = [(100 + 40 * b, 300 + 40 * a, a, b) for b, a in corners]
-    np.savetxt(tmp_path / "points.csv", points, delimiter=",", header="u,v,x,y", comments="")
+    np.savetxt(
+        tmp_path / "points.csv", points, delimiter=",", header="u,v,x,y", comments=""
+    )
     drop(page, tmp_path / "clip.csv")
     wait_for(lambda: "positions are in pixels" in said(page))
     drop(page, tmp_path / "points.csv", onto=".bad .beside")
@@ -240,16 +274,24 @@ def test_laws_are_compared_for_a_table_of_friction(page):
     drop(page, DATA.parent / "sutor_1988_friction.csv")
     wait_for(lambda: "13 values of friction" in said(page))
     fitted(page, "Compare laws")
-    wait_for(lambda: "stribeck" in (in_report(page, "return document.body.innerText") or ""))
+    wait_for(
+        lambda: "stribeck" in (in_report(page, "return document.body.innerText") or "")
+    )
 
 
 def test_a_bad_file_is_refused_and_a_second_one_replaces_it(page, served, tmp_path):
     (tmp_path / "bad.csv").write_text("t,x,y\n0,0,0\n1,zero,2\n")
-    refused = process("fit", "bad.csv", cwd=tmp_path).stderr.strip().removeprefix("curlfit: ")
+    refused = (
+        process("fit", "bad.csv", cwd=tmp_path).stderr.strip().removeprefix("curlfit: ")
+    )
     drop(page, tmp_path / "bad.csv")
     wait_for(lambda: refused in " ".join(said(page).split()))
     assert "Traceback" not in said(page)
-    (kept,) = [one for one in psutil.Process(served[0].pid).cwd().split() if "curlfit-app" in one]
+    (kept,) = [
+        one
+        for one in psutil.Process(served[0].pid).cwd().split()
+        if "curlfit-app" in one
+    ]
     assert os.listdir(kept) == ["bad.csv"]
     drop(page, DATA)
     wait_for(lambda: "230 rows" in said(page))
@@ -266,13 +308,15 @@ def test_the_page_fits_the_screen(page, width, scheme):
     page.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     drop(page, DATA)
     wait_for(lambda: "230 rows" in said(page))
-    page.execute_script("document.querySelectorAll('details').forEach(one => one.open = true)")
+    page.execute_script(
+        "document.querySelectorAll('details').forEach(one => one.open = true)"
+    )
     scrolled = page.execute_script("return document.documentElement.scrollWidth")
     assert scrolled <= width
     script = (
         "return [document.body, document.querySelector('main p')].map((one, k) => "
-        "getComputedStyle(one)[k ? 'color' : 'backgroundColor'].match(/[0-9]+/g).slice(0, 3)"
-        ".reduce((sum, one) => sum + +one, 0) / 3)"
+        "getComputedStyle(one)[k ? 'color' : 'backgroundColor'].match(/[0-9]+/g)"
+        ".slice(0, 3).reduce((sum, one) => sum + +one, 0) / 3)"
     )
     paper, ink = page.execute_script(script)
     assert (paper > ink + 100) == (scheme == "light")

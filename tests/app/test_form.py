@@ -16,15 +16,23 @@ from curlfit.errors import InputError
 
 FIT, COMPARE = fields_of(app, "fit"), fields_of(app, "compare")
 WRITTEN = {
-    "--units": "t=ms,x=cm", "--until": "18", "--sweep": "6:11", "--fix": "phi0=0,x0=1",
-    "--bound": "mu1_xi=0:0.05 mu2_xi=:1", "--unbounded": "yes", "--free": "slope_x,drag",
-    "--derive": "mu2_xi - mu1_xi", "--noise": "ar1", "--keep": "3,5",
-}  # fmt: skip
+    "--units": "t=ms,x=cm",
+    "--until": "18",
+    "--sweep": "6:11",
+    "--fix": "phi0=0,x0=1",
+    "--bound": "mu1_xi=0:0.05 mu2_xi=:1",
+    "--unbounded": "yes",
+    "--free": "slope_x,drag",
+    "--derive": "mu2_xi - mu1_xi",
+    "--noise": "ar1",
+    "--keep": "3,5",
+}
 
 
 def test_the_form_has_the_flags_that_the_command_lists():
     text = command("fit", "--help", cwd=DATA.parent).stdout
-    listed = set(re.findall(r"--(?!empty)[a-z-]+", text)) - {"--conditions"}  # of another command
+    # of another command
+    listed = set(re.findall(r"--(?!empty)[a-z-]+", text)) - {"--conditions"}
     beside = {"--out", "--figures", "--no-figures", "--report", "--quiet", "--resume"}
     assert beside <= listed
     assert set(FIT) == listed - beside
@@ -48,14 +56,20 @@ def test_a_comparison_takes_the_flags_that_it_has():
 @pytest.mark.parametrize(
     ("sentence", "found"),
     [
-        ("in feet: `--units length=ft`. As they are: `--as-given`",
-         [("--units", "length=ft"), ("--as-given", "yes")]),
+        (
+            "in feet: `--units length=ft`. As they are: `--as-given`",
+            [("--units", "length=ft"), ("--as-given", "yes")],
+        ),
         ("`--noise ar1` or `--law power`", [("--noise", "ar1"), ("--law", "power")]),
         ("give points with --reference FILE (columns u,v,x,y)", [("--reference", "")]),
-        ("`--systematic` sets, `--stone-index N` selects, `curlfit design --separate a,b`", []),
+        (
+            "`--systematic` sets, `--stone-index N` selects, "
+            "`curlfit design --separate a,b`",
+            [],
+        ),
         ("`--rm /`", []),
     ],
-)  # fmt: skip
+)
 def test_proposals(sentence, found):
     assert proposals(FIT, sentence) == found
 
@@ -72,7 +86,10 @@ def test_what_is_seen_of_a_throw_is_what_the_command_says(write):
     assert (seen.fault, seen.oddities) == ("", [])
     throw = load_throw(DATA)
     assert "230 rows in 22.9 s" in seen.finding
-    assert f"turns {throw.phi[-1] / (2 * 3.14159265):.2g} times counter-clockwise" in seen.finding
+    assert (
+        f"turns {throw.phi[-1] / (2 * 3.14159265):.2g} times counter-clockwise"
+        in seen.finding
+    )
     curl = re.search(r"curls ([\d.]+) m to the left", seen.finding)[1]
     assert float(curl) == pytest.approx(-throw.x[-1], abs=0.1)  # thrown along y
     assert seen.shown.count("<svg") == 3
@@ -84,7 +101,10 @@ def test_what_is_seen_of_a_throw_is_what_the_command_says(write):
     rows = [line.split(",") for line in lines[head + 1 :]]
     text = "\n".join(
         [lines[head]]
-        + [f"{t},{float(x) / 0.3048},{float(y) / 0.3048},{phi}" for t, x, y, phi in rows]
+        + [
+            f"{t},{float(x) / 0.3048},{float(y) / 0.3048},{phi}"
+            for t, x, y, phi in rows
+        ]
     )
     file = write(text, "feet.csv")
     said = str(invoke(["fit", file, "--no-sample"]).exception)

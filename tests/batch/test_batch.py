@@ -35,19 +35,31 @@ RING = family_of(law for law, _ in laws_under(None, "uniform"))
 
 @pytest.fixture(scope="module")
 def season(tmp_path_factory):
-    """Six throws, two of them without an angle or long at rest, and two files of no use."""
+    """Six throws, two of them without an angle or long at rest, and two
+    files of no use."""
     folder = tmp_path_factory.mktemp("season")
     random = np.random.default_rng(3)
     for place in range(6):
         law = law_with(
             "front-back",
-            {"mu1_xi": 0.0006, "mu2_xi": 0.055 * random.uniform(0.8, 1.2), "mu1_eta": 0.0085},
+            {
+                "mu1_xi": 0.0006,
+                "mu2_xi": 0.055 * random.uniform(0.8, 1.2),
+                "mu1_eta": 0.0085,
+            },
         )
         throw = synthetic_throw(
-            law, STONE, v0=random.uniform(1.9, 2.3), omega0=random.choice([-1.5, 1.2]),
-            heading=0.02, until=28.0 if place == 1 else 20.0, dt=0.2, noise_xy=0.005,
-            noise_phi=0.01, seed=place,
-        )  # fmt: skip
+            law,
+            STONE,
+            v0=random.uniform(1.9, 2.3),
+            omega0=random.choice([-1.5, 1.2]),
+            heading=0.02,
+            until=28.0 if place == 1 else 20.0,
+            dt=0.2,
+            noise_xy=0.005,
+            noise_phi=0.01,
+            seed=place,
+        )
         text = write_table(throw)
         if place == 2:
             text = "\n".join(
@@ -56,7 +68,9 @@ def season(tmp_path_factory):
             )
         (folder / f"throw{place}.csv").write_text(text)
     (folder / "broken.csv").write_text("t,x,y,phi\n0,0,0,0\n1,a,b,c\n")
-    (folder / "cannot.csv").write_text("t,x,y\n" + "".join(f"{k},1,2\n" for k in range(30)))
+    (folder / "cannot.csv").write_text(
+        "t,x,y\n" + "".join(f"{k},1,2\n" for k in range(30))
+    )
     (folder / "notes.md").write_text("not a throw")
     return folder
 
@@ -70,19 +84,24 @@ def table(file):
 def done(season, tmp_path_factory):
     """The season's table, and what the command said."""
     out = tmp_path_factory.mktemp("done") / "season.csv"
-    run = command("batch", str(season), "--out", str(out), "--workers", "1", cwd=out.parent)
+    run = command(
+        "batch", str(season), "--out", str(out), "--workers", "1", cwd=out.parent
+    )
     assert run.returncode == 0, run.stderr
     return out, run
 
 
 @pytest.fixture
 def logs(tmp_path):
-    """A log of three shots, the second of which never moves, and an export of two objects."""
+    """A log of three shots, the second of which never moves, and an export of
+    two objects."""
     folder = tmp_path / "logs"
     folder.mkdir()
     entries = [shot(0, k) for k in range(3)]
     entries[1]["log"]["trajectory"]["frames"].clear()
-    (folder / "a.jsonl").write_text("".join(json.dumps(entry) + "\n" for entry in entries))
+    (folder / "a.jsonl").write_text(
+        "".join(json.dumps(entry) + "\n" for entry in entries)
+    )
     (folder / "b.txt").write_text(two_masses())
     (folder / "c.jsonl").write_text(log(2))
     return folder
@@ -92,7 +111,9 @@ def test_each_row_is_the_fit_of_that_throw(season, done):
     """In plain CSV, with columns of what is determined together, and with reasons."""
     out, run = done
     rows = table(out)
-    assert [row["file"] for row in rows] == [str(file) for file in sorted(season.glob("*.csv"))]
+    assert [row["file"] for row in rows] == [
+        str(file) for file in sorted(season.glob("*.csv"))
+    ]
     total = "mu1_eta + mu2_eta"
     for row in rows[2:]:
         alone = curlfit.fit(curlfit.load_throw(row["file"]), details=False)
@@ -100,22 +121,34 @@ def test_each_row_is_the_fit_of_that_throw(season, done):
         for name, item in alone.parameters.items():
             assert row[f"{name}_verdict"] == item.verdict, (row["file"], name)
             scale = item.stderr or 1e-3
-            assert float(row[name]) == pytest.approx(item.value, abs=1e-3 * scale + 1e-7), name
+            assert float(row[name]) == pytest.approx(
+                item.value, abs=1e-3 * scale + 1e-7
+            ), name
             if item.stderr is not None:
-                assert float(row[f"{name}_stderr"]) == pytest.approx(item.stderr, rel=1e-3), name
+                assert float(row[f"{name}_stderr"]) == pytest.approx(
+                    item.stderr, rel=1e-3
+                ), name
         assert float(row["rms_y"]) == pytest.approx(alone.rms["y"], rel=1e-5)
         (combination,) = (c for c in alone.combinations if c.expression == total)
         assert float(row[total]) == pytest.approx(combination.value, rel=1e-5)
-        assert float(row[f"{total} stderr"]) == pytest.approx(combination.stderr, rel=1e-3)
-        assert f"{total} = {row[total]} +- {row[f'{total} stderr']}" in row["combinations"]
+        assert float(row[f"{total} stderr"]) == pytest.approx(
+            combination.stderr, rel=1e-3
+        )
+        assert (
+            f"{total} = {row[total]} +- {row[f'{total} stderr']}" in row["combinations"]
+        )
     broken, still = rows[:2]
-    assert (broken["status"], still["status"]) == ("failed", "not usable")  # read, though
+    # read, though
+    assert (broken["status"], still["status"]) == ("failed", "not usable")
     assert "line 3" in broken["reason"]
     assert "move" in still["reason"]
     assert broken["mu1_xi"] == broken[total] == still[total] == ""
     warned = sum(row["status"] == "ok" and row["warnings"] != "" for row in rows)
     assert warned
-    said = f"ok ({warned} with warnings, in the column of that name), 1 not usable, 1 failed"
+    said = (
+        f"ok ({warned} with warnings, in the column of that name), "
+        "1 not usable, 1 failed"
+    )
     assert said in run.stdout
 
 
@@ -129,7 +162,10 @@ def test_company_changes_not_a_digit(season):
 def test_a_table_cut_off_anywhere_is_completed_to_the_same_bytes(season, done):
     out, run = done
     words = ["batch", str(season), "--out", str(out), "--workers", "1"]
-    whole, settings = out.read_bytes(), out.with_name("season.settings.json").read_bytes()
+    whole, settings = (
+        out.read_bytes(),
+        out.with_name("season.settings.json").read_bytes(),
+    )
     for size in (10, len(whole) // 2, len(whole) - 3):
         out.write_bytes(whole[:size])
         assert command(*words, cwd=out.parent).returncode == 0
@@ -142,17 +178,22 @@ def test_a_table_cut_off_anywhere_is_completed_to_the_same_bytes(season, done):
 
 @pytest.mark.parametrize("name", [name for name, law in LAWS.items() if law.shipped()])
 def test_the_sums_that_laws_name_are_all_that_uniform_load_hides(name):
-    """Against the null space of forces and moment over many motions and coefficients."""
+    """Against the null space of forces and moment over many motions and
+    coefficients."""
     law, random = LAWS[name], np.random.default_rng(1)
     ranges = ((0.05, 4), (-20, 20), (0, 12), (0, 20))
     states = np.array([random.uniform(*ends, POINTS) for ends in ranges])
     names = [item.name for item in law.coefficients()]
-    default, typical = np.array([(item.default, item.typical) for item in law.coefficients()]).T
+    default, typical = np.array(
+        [(item.default, item.typical) for item in law.coefficients()]
+    ).T
     model, columns = Model(law, "uniform").within(RING), []
     for _ in range(3):
         values = default + typical * random.uniform(0.1, 0.5, len(names))
         some = values[None], typical, stacked([Stone()]), states[None], 1
-        columns.append(accelerations_and_slopes(model, *some)[1].reshape(-1, len(names)))
+        columns.append(
+            accelerations_and_slopes(model, *some)[1].reshape(-1, len(names))
+        )
     slopes = np.concatenate(columns) * typical
     _, size, rows = np.linalg.svd(slopes / np.abs(slopes).max(), full_matrices=False)
     hidden = rows[size < 1e-6 * size[0]]
@@ -168,9 +209,14 @@ def test_a_log_has_a_row_for_each_shot_and_an_export_one_for_each_object(logs):
     files = sorted(logs.iterdir())
     rows = fit_files(files, BatchSettings.of())
     assert [(row["file"][-7:], row["shot"], row["stone_index"]) for row in rows] == [
-        ("a.jsonl", 1, None), ("a.jsonl", 2, None), ("a.jsonl", 3, None),
-        ("s/b.txt", None, 1), ("s/b.txt", None, 2), ("c.jsonl", 1, None), ("c.jsonl", 2, None),
-    ]  # fmt: skip
+        ("a.jsonl", 1, None),
+        ("a.jsonl", 2, None),
+        ("a.jsonl", 3, None),
+        ("s/b.txt", None, 1),
+        ("s/b.txt", None, 2),
+        ("c.jsonl", 1, None),
+        ("c.jsonl", 2, None),
+    ]
     assert rows[1]["status"] == "failed"
     assert rows[1]["reason"].endswith("no stone moves in end 0 shot 1")
     for row in (rows[0], rows[3], rows[-1]):
@@ -189,10 +235,19 @@ def test_a_log_has_a_row_for_each_shot_and_an_export_one_for_each_object(logs):
         (["broken.csv"], 2, "no throw could be read; the column reason of"),
     ],
 )
-def test_the_exit_status_tells_what_became_of_the_throws(season, tmp_path, names, status, said):
+def test_the_exit_status_tells_what_became_of_the_throws(
+    season, tmp_path, names, status, said
+):
     out = tmp_path / "r.csv"
-    words = ["batch", *(str(season / name) for name in names), "--out", str(out), "--quiet",
-             "--workers", "1"]  # fmt: skip
+    words = [
+        "batch",
+        *(str(season / name) for name in names),
+        "--out",
+        str(out),
+        "--quiet",
+        "--workers",
+        "1",
+    ]
     for _ in range(2):  # the second time with everything in the table
         run = command(*words, cwd=tmp_path)
         assert run.returncode == status
@@ -206,7 +261,10 @@ def test_the_exit_status_tells_what_became_of_the_throws(season, tmp_path, names
     ("words", "said"),
     [
         (["--load", "even"], "even"),
-        (["--law", "coulomb"], 'made with other settings (law = "front-back", not "coulomb")'),
+        (
+            ["--law", "coulomb"],
+            'made with other settings (law = "front-back", not "coulomb")',
+        ),
     ],
 )
 def test_what_cannot_be_done_is_one_sentence(season, tmp_path, words, said):
@@ -228,11 +286,17 @@ def test_what_cannot_be_done_is_one_sentence(season, tmp_path, words, said):
     [
         ({"r.csv": "my own notes\n"}, "r.csv, line 1: not a table of `curlfit batch`"),
         ({"r.csv": "file,shot,status\na.csv,,ok\n"}, "r.settings.json is missing"),
-        ({"r.settings.json": '{"mine": 1}'}, "r.settings.json: not the settings of a table"),
-        ({"r.settings.json": "{"}, "r.settings.json: this is not JSON; expected the sett"),
+        (
+            {"r.settings.json": '{"mine": 1}'},
+            "r.settings.json: not the settings of a table",
+        ),
+        (
+            {"r.settings.json": "{"},
+            "r.settings.json: this is not JSON; expected the sett",
+        ),
         ({}, "no file that ends in .csv"),
     ],
-)  # fmt: skip
+)
 def test_what_is_not_a_table_of_batch_is_left_alone(season, tmp_path, files, said):
     for name, text in files.items():
         (tmp_path / name).write_text(text)
@@ -245,8 +309,15 @@ def test_what_is_not_a_table_of_batch_is_left_alone(season, tmp_path, files, sai
 
 
 def test_rows_of_other_settings_are_begun_anew_with_again(season, tmp_path):
-    words = ["batch", str(season / "throw0.csv"), "--out", str(tmp_path / "r.csv"), "--quiet",
-             "--workers", "1"]  # fmt: skip
+    words = [
+        "batch",
+        str(season / "throw0.csv"),
+        "--out",
+        str(tmp_path / "r.csv"),
+        "--quiet",
+        "--workers",
+        "1",
+    ]
     (tmp_path / "r.csv").write_text('# curlfit batch {"law": "coulomb"}\nfile,status\n')
     assert command(*words, "--again", cwd=tmp_path).returncode == 0
     first = (tmp_path / "r.csv").read_bytes()
@@ -274,11 +345,19 @@ def test_two_batches_do_not_write_one_table(season, tmp_path):
 @pytest.mark.slow
 def test_whoever_does_the_work_the_table_is_the_same(season, tmp_path):
     texts = []
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
-        crews = ["--workers", "1"], ["--workers", "2"], ["--dask", cluster.scheduler_address]
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None
+    ) as cluster:
+        crews = (
+            ["--workers", "1"],
+            ["--workers", "2"],
+            ["--dask", cluster.scheduler_address],
+        )
         for words in crews:
             out = tmp_path / "results.csv"
-            done = process("batch", str(season), "--again", "--out", str(out), *words, cwd=tmp_path)
+            done = process(
+                "batch", str(season), "--again", "--out", str(out), *words, cwd=tmp_path
+            )
             assert done.returncode == 0, done.stderr
             texts.append(out.read_bytes())
     assert texts[0] == texts[1] == texts[2]
@@ -301,18 +380,28 @@ def many(season, tmp_path):
         (signal.SIGINT, 130, "curlfit: stopped\n"),
         (signal.SIGTERM, 143, "curlfit: stopped\n"),
         (signal.SIGKILL, -signal.SIGKILL, ""),
-        (None, 1, "curlfit: a process was killed, perhaps for lack of memory; 0 of 400 files are "
-        "in results.csv, and the same command continues\n"),
+        (
+            None,
+            1,
+            "curlfit: a process was killed, perhaps for lack of memory; "
+            "0 of 400 files are in results.csv, and the same command continues\n",
+        ),
     ],
     ids=["ctrl-c", "terminated", "killed", "a worker killed"],
-)  # fmt: skip
-def test_a_stopped_batch_ends_at_once_with_all_its_processes(many, tmp_path, blow, status, said):
+)
+def test_a_stopped_batch_ends_at_once_with_all_its_processes(
+    many, tmp_path, blow, status, said
+):
     run = started("batch", many, "--workers", 2, cwd=tmp_path)
     workers = []
     while run.poll() is None and len(workers) < 2:
         children = psutil.Process(run.pid).children(recursive=True)
         with suppress(psutil.NoSuchProcess):
-            workers = [child for child in children if "--multiprocessing-fork" in child.cmdline()]
+            workers = [
+                child
+                for child in children
+                if "--multiprocessing-fork" in child.cmdline()
+            ]
         time.sleep(0.01)
     if blow == signal.SIGINT:
         os.killpg(run.pid, blow)  # as a terminal does

@@ -2,9 +2,9 @@
 
     python tests/benchmarks/commits.py COMMIT [--now COMMIT] [--keep FOLDER]
 
-Prints a table in Markdown: time and memory of an earlier commit and of a later one, that
-of this checkout, and their ratio. The programs are compiled anew for each first run.
-`--keep` keeps the environments for the next time.
+Prints a table in Markdown: time and memory of an earlier commit and of a later one,
+that of this checkout, and their ratio. The programs are compiled anew for each first
+run. `--keep` keeps the environments for the next time.
 """
 
 from __future__ import annotations

@@ -1,7 +1,9 @@
-"""What a user would write instead: the front-back law fitted with scipy, in one short script.
+"""What a user would write instead: the front-back law fitted with scipy, in one
+short script.
 
-The same model (uniform load, start free), the same data, 16 Gauss points on each half of the ring.
-Sigma is estimated as curlfit does: even weights first, then one sigma a channel.
+The same model (uniform load, start free), the same data, 16 Gauss points on each
+half of the ring. Sigma is estimated as curlfit does: even weights first, then one
+sigma a channel.
 
     python tests/benchmarks/peer_scipy.py data/jensen_shegelski_2004.csv
 """
@@ -47,25 +49,41 @@ def path(p, t):
     mu_eta = np.where(FRONT, p[2], p[3])
     start = [p[4], p[5], p[6], p[7], p[8], p[9]]
     run = solve_ivp(
-        rates, (0, t[-1]), start, method="DOP853", args=(mu_xi, mu_eta),
-        rtol=1e-8, atol=1e-9, dense_output=True, events=stopped,
-    )  # fmt: skip
+        rates,
+        (0, t[-1]),
+        start,
+        method="DOP853",
+        args=(mu_xi, mu_eta),
+        rtol=1e-8,
+        atol=1e-9,
+        dense_output=True,
+        events=stopped,
+    )
     return run.sol(np.minimum(t, run.t[-1]))[[0, 1, 4]]
 
 
 def main(file):
     """Fit a file with columns t, x, y, phi and print the coefficients."""
-    t, x, y, phi = np.loadtxt(file, delimiter=",", comments="#", skiprows=skipped(file)).T[:4]
+    t, x, y, phi = np.loadtxt(
+        file, delimiter=",", comments="#", skiprows=skipped(file)
+    ).T[:4]
     data = np.stack([x, y, phi])
     v0 = (y[1] - y[0]) / (t[1] - t[0])
-    start = np.array([0.01, 0.01, 0.01, 0.01, x[0], y[0], 0.0, v0, phi[0], phi[1] / t[1]])
+    start = np.array(
+        [0.01, 0.01, 0.01, 0.01, x[0], y[0], 0.0, v0, phi[0], phi[1] / t[1]]
+    )
     bounds = [0] * 4 + [-np.inf] * 6, [1] * 4 + [np.inf] * 6
     sigma = np.ones((3, 1))
     for _ in range(2):
         found = least_squares(
             lambda p, sigma=sigma: ((path(p, t) - data) / sigma).ravel(),
-            start, bounds=bounds, x_scale=TYPICAL, xtol=1e-10, ftol=1e-10, gtol=1e-10,
-        )  # fmt: skip
+            start,
+            bounds=bounds,
+            x_scale=TYPICAL,
+            xtol=1e-10,
+            ftol=1e-10,
+            gtol=1e-10,
+        )
         start = np.clip(found.x, [0] * 4 + [-1e9] * 6, [1] * 4 + [1e9] * 6)
         residual = found.fun.reshape(3, -1) * sigma
         sigma = residual.std(1, keepdims=True)

@@ -1,7 +1,7 @@
 """What a user would write instead: the friction of a draw by its times, with scipy.
 
-Constant deceleration in closed form, its standard errors, and a figure on request; a file of lines
-`hog_to_hog = 14.2`, `curl = 4 ft left` and `rest = 0.6`.
+Constant deceleration in closed form, its standard errors, and a figure on request; a
+file of lines `hog_to_hog = 14.2`, `curl = 4 ft left` and `rest = 0.6`.
 
     python tests/benchmarks/peer_stopwatch.py stopwatch.txt [stopwatch.png]
 """
@@ -17,14 +17,18 @@ SIGMA = np.array([0.1, 0.05, 0.05])
 
 
 def measured(file):
-    """Time between the hog lines (s), resting position from the near one and curl (m)."""
+    """Time between the hog lines (s), resting position from the near one
+    and curl (m)."""
     with open(file) as lines:
         found = {
-            key.strip(): text.split() for key, _, text in (line.partition("=") for line in lines)
+            key.strip(): text.split()
+            for key, _, text in (line.partition("=") for line in lines)
         }
     size, unit, side = found["curl"]
     curl = float(size) * (FOOT if unit == "ft" else 1.0) * (-1 if side == "left" else 1)
-    return np.array([float(found["hog_to_hog"][0]), HOG_TO_TEE + float(found["rest"][0]), curl])
+    return np.array(
+        [float(found["hog_to_hog"][0]), HOG_TO_TEE + float(found["rest"][0]), curl]
+    )
 
 
 def model(p):
@@ -40,7 +44,10 @@ def main(file, picture=None):
     """Fit a file, print mu, heading and speed with their errors."""
     data = measured(file)
     found = least_squares(
-        lambda p: (model(p) - data) / SIGMA, [0.01, 0.0, 2.4], x_scale=[0.01, 0.1, 1.0], xtol=1e-12
+        lambda p: (model(p) - data) / SIGMA,
+        [0.01, 0.0, 2.4],
+        x_scale=[0.01, 0.1, 1.0],
+        xtol=1e-12,
     )
     errors = np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)))
     if picture is not None:

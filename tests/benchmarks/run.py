@@ -1,8 +1,10 @@
 """Benchmarks: each against a peer in the same run, as ratios.
 
-    python tests/benchmarks/run.py [answering] [verbs] [stopwatch] [forward] [roof] [batch] ...
+    python tests/benchmarks/run.py [answering] [verbs] [stopwatch] [forward] [roof]
+        [batch] ...
 
-Prints a table in Markdown; `README.md` beside this keeps the tables with date and machine.
+Prints a table in Markdown; `README.md` beside this keeps the tables with date
+and machine.
 """
 
 from __future__ import annotations
@@ -26,8 +28,10 @@ import numpy as np
 
 HERE = Path(__file__).parent
 DATA = HERE.parent.parent / "data" / "jensen_shegelski_2004.csv"
-CURLFIT = [sys.executable, "-P", "-m", "curlfit"]  # the installed one, wherever this is run
-_SEASON = 4096  # throws of a batch; the time of the first quarter is taken off, as it starts up
+# the installed one, wherever this is run
+CURLFIT = [sys.executable, "-P", "-m", "curlfit"]
+# throws of a batch; the time of the first quarter is taken off, as it starts up
+_SEASON = 4096
 
 
 def row(*cells: Any) -> None:
@@ -44,7 +48,9 @@ def processes(
     for _ in range(times):
         for place, command in enumerate(commands):
             begin = time.perf_counter()
-            subprocess.run(command, capture_output=True, check=False, env=os.environ | (env or {}))
+            subprocess.run(
+                command, capture_output=True, check=False, env=os.environ | (env or {})
+            )
             taken[place].append(time.perf_counter() - begin)
     return [statistics.median(series) for series in taken]
 
@@ -76,7 +82,8 @@ def measured(command: list[str], env: dict[str, str] | None = None) -> Usage:
 
 
 def best(function: Callable[[], Any], seconds: float = 2.0) -> float:
-    """Least wall time of a call, s, of those in some seconds, after one that compiles."""
+    """Least wall time of a call, s, of those in some seconds, after one
+    that compiles."""
     import jax
 
     jax.block_until_ready(function())
@@ -96,25 +103,34 @@ def answering() -> None:
         bare = [*fit, "--no-figures"]
         whole = [*CURLFIT, "fit", str(DATA), "--out", f"{folder}/whole"]
         (first,) = processes(bare, times=1, env={"CURLFIT_CACHE": f"{folder}/cache"})
-        (first_whole,) = processes(whole, times=1, env={"CURLFIT_CACHE": f"{folder}/other"})
+        (first_whole,) = processes(
+            whole, times=1, env={"CURLFIT_CACHE": f"{folder}/other"}
+        )
         processes(whole, times=1)
         report = [*CURLFIT, "report", f"{folder}/whole"]
         commands = {
-            "fit, no figures": bare, "fit with fit.png": fit,
-            "fit, posterior and two figures": whole, "report of that": report,
+            "fit, no figures": bare,
+            "fit with fit.png": fit,
+            "fit, posterior and two figures": whole,
+            "report of that": report,
             "--help": [*CURLFIT, "--help"],
             "refusal of a bad file": [*CURLFIT, "fit", str(HERE / "run.py")],
-        }  # fmt: skip
+        }
         script, *ours = processes(peer, *commands.values())
     row("scipy script", f"{script:.2f} s", 1.0)
     for name, taken in zip(commands, ours, strict=True):
         row(name, f"{taken:.2f} s", taken / script)
     row("first run on a machine, no figures", f"{first:.2f} s", first / script)
-    row("first run, posterior and two figures", f"{first_whole:.2f} s", first_whole / script)
+    row(
+        "first run, posterior and two figures",
+        f"{first_whole:.2f} s",
+        first_whole / script,
+    )
 
 
 def verbs() -> None:
-    """The other commands, first with nothing compiled and then again, against the scipy script."""
+    """The other commands, first with nothing compiled and then again, against the
+    scipy script."""
     peer = [sys.executable, str(HERE / "peer_scipy.py"), str(DATA)]
     with tempfile.TemporaryDirectory() as folder:
         fit = f"{folder}/fit"
@@ -148,7 +164,10 @@ def stopwatch() -> None:
         fit = [*CURLFIT, "fit", str(file), "--no-sample", "--out", f"{folder}/fit"]
         processes(fit, times=1)
         bare, drawn, ours, with_figure = processes(
-            [*peer, str(file)], [*peer, str(file), f"{folder}/a.png"], [*fit, "--no-figures"], fit
+            [*peer, str(file)],
+            [*peer, str(file), f"{folder}/a.png"],
+            [*fit, "--no-figures"],
+            fit,
         )
     row("scipy script", f"{bare:.2f} s", 1.0)
     row("fit, no figures", f"{ours:.2f} s", ours / bare)
@@ -157,8 +176,8 @@ def stopwatch() -> None:
 
 
 def forward() -> None:
-    """One path of 201 times under vmap, against scipy and diffrax, compiled as curlfit's own
-    programs are.
+    """One path of 201 times under vmap, against scipy and diffrax, compiled as
+    curlfit's own programs are.
 
     The first-order law has the closed form of eq. 27 in place of the ring: the floor.
     """
@@ -177,27 +196,45 @@ def forward() -> None:
         peer_scipy.path(p, t)
     script = (time.perf_counter() - begin) / 5
     row("scipy, front-back", f"{script * 1e6:.0f} us a path", 1.0)
-    for name, load in (*((name, "uniform") for name in LAWS), ("front-back", "consistent")):
+    for name, load in (
+        *((name, "uniform") for name in LAWS),
+        ("front-back", "consistent"),
+    ):
         law, stone = LAWS[name](), Stone(R=0.054)
 
-        def places(v: Any, omega: Any, law: Any = law, stone: Any = stone, load: str = load) -> Any:
+        def places(
+            v: Any, omega: Any, law: Any = law, stone: Any = stone, load: str = load
+        ) -> Any:
             path = simulate(law, stone, InitialState(v=v, omega=omega), t, load=load)
             return path.x, path.y, path.phi
 
         function = jax.jit(jax.vmap(places))
         taken = best(lambda function=function: function(v, omega)) / lanes  # type: ignore[misc]
-        row(f"vmap of {lanes}, {name}, {load}", f"{taken * 1e6:.1f} us a path", taken / script)
+        row(
+            f"vmap of {lanes}, {name}, {load}",
+            f"{taken * 1e6:.1f} us a path",
+            taken / script,
+        )
     taken = _by_diffrax(v, omega, t) / lanes
-    row(f"diffrax, vmap of {lanes}, front-back", f"{taken * 1e6:.1f} us a path", taken / script)
+    row(
+        f"diffrax, vmap of {lanes}, front-back",
+        f"{taken * 1e6:.1f} us a path",
+        taken / script,
+    )
 
 
 def devices() -> None:
-    """One path of 201 times under vmap of more and more, on the processor and on a GPU."""
+    """One path of 201 times under vmap of more and more, on the processor
+    and on a GPU."""
     import jax
 
     from curlfit import LAWS, InitialState, Stone, simulate
 
-    t, random, law = np.linspace(0, 20, 201), np.random.default_rng(0), LAWS["front-back"]()
+    t, random, law = (
+        np.linspace(0, 20, 201),
+        np.random.default_rng(0),
+        LAWS["front-back"](),
+    )
 
     def places(v: Any, omega: Any) -> Any:
         path = simulate(law, Stone(R=0.054), InitialState(v=v, omega=omega), t)
@@ -211,7 +248,11 @@ def devices() -> None:
             with jax.default_device(device):
                 taken = best(lambda v=v, omega=omega: function(v, omega)) / lanes  # type: ignore[misc]
             first = first or taken
-            row(f"{lanes}, {device.device_kind}", f"{taken * 1e6:.3g} us a path", taken / first)
+            row(
+                f"{lanes}, {device.device_kind}",
+                f"{taken * 1e6:.3g} us a path",
+                taken / first,
+            )
 
 
 def _by_diffrax(v: Any, omega: Any, t: Any) -> float:
@@ -234,10 +275,15 @@ def _by_diffrax(v: Any, omega: Any, t: Any) -> float:
     def path(v: Any, omega: Any) -> Any:
         begin = jnp.array([0.0, 0.0, v, 0.0, 0.0, omega])
         return diffrax.diffeqsolve(
-            diffrax.ODETerm(rates), diffrax.Tsit5(), 0.0, float(t[-1]), 0.1, begin,
+            diffrax.ODETerm(rates),
+            diffrax.Tsit5(),
+            0.0,
+            float(t[-1]),
+            0.1,
+            begin,
             saveat=diffrax.SaveAt(ts=t),
             stepsize_controller=diffrax.PIDController(rtol=1e-8, atol=1e-8),
-        ).ys  # fmt: skip
+        ).ys
 
     function = jax.jit(jax.vmap(path))
     return best(lambda: function(v, omega))
@@ -255,11 +301,16 @@ def batch() -> None:
     law = law_with("front-back", {"mu1_xi": 6e-4, "mu2_xi": 0.055, "mu1_eta": 0.0087})
     throws = [
         synthetic_throw(
-            law, Stone(R=0.054), v0=random.uniform(1.9, 2.3), omega0=random.uniform(0.6, 3),
-            noise_xy=0.005, noise_phi=0.01, seed=seed,
+            law,
+            Stone(R=0.054),
+            v0=random.uniform(1.9, 2.3),
+            omega0=random.uniform(0.6, 3),
+            noise_xy=0.005,
+            noise_phi=0.01,
+            seed=seed,
         )
         for seed in range(512)
-    ]  # fmt: skip
+    ]
     begin = time.perf_counter()
     peer_scipy.main(DATA)
     script = 1 / (time.perf_counter() - begin)
@@ -282,7 +333,8 @@ def batch() -> None:
 
 
 def together() -> None:
-    """Joint fits of tracks of 201 rows from two sheets, against single fits of the same throws."""
+    """Joint fits of tracks of 201 rows from two sheets, against single fits of the
+    same throws."""
     import resource
 
     from curlfit import Stone, fit_together
@@ -297,25 +349,35 @@ def together() -> None:
             half = 0.009 * (1 + 0.05 * (sheet - 1.5) + 0.012 * random.standard_normal())
             split = {"mu1_xi": 0.004, "mu2_xi": 0.05, "mu1_eta": half, "mu2_eta": half}
             throw = synthetic_throw(
-                law_with("front-back", split), Stone(), v0=random.uniform(2.1, 2.3),
-                omega0=random.uniform(1, 2), noise_xy=0.005, noise_phi=0.01, seed=len(throws),
-            )  # fmt: skip
+                law_with("front-back", split),
+                Stone(),
+                v0=random.uniform(2.1, 2.3),
+                omega0=random.uniform(1, 2),
+                noise_xy=0.005,
+                noise_phi=0.01,
+                seed=len(throws),
+            )
             throws.append(replace(throw, labels={"sheet": str(sheet)}))
         alone = best(lambda: fit_throws(throws, curves=True, systematics={}), 1.0)
         jointly = best(lambda: fit_together(throws, by="sheet"), 1.0)
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        row(f"{number} tracks", f"{jointly:.2f} s, at most {memory:.0f} MB", jointly / alone)
+        row(
+            f"{number} tracks",
+            f"{jointly:.2f} s, at most {memory:.0f} MB",
+            jointly / alone,
+        )
 
 
 def posterior() -> None:
-    """Least effective samples a second over the parameters: peers on the same likelihood."""
+    """Least effective samples a second over the parameters: peers on the
+    same likelihood."""
     from curlfit import Stone, load_throw
     from curlfit.throws.synthetic import law_with, synthetic_throw
 
     law = law_with("front-back", {"mu1_xi": 6e-4, "mu2_xi": 0.055, "mu1_eta": 0.0087})
     short = synthetic_throw(
         law, Stone(R=0.054), until=2.5, noise_xy=0.02, noise_phi=0.05, seed=1
-    )  # fmt: skip
+    )
     _posterior("eq. 12", load_throw(DATA), nuts=True)
     _posterior("2.5 s with 2 cm of noise", short, nuts=False)
 
@@ -353,7 +415,9 @@ def _posterior(name: str, throw: Any, *, nuts: bool) -> None:
 
     def log_prob(values: Any) -> Any:
         model = Model(law, "uniform")
-        return np.asarray(log_posterior(model, values, local.lower, local.upper, problem, nothing))
+        return np.asarray(
+            log_posterior(model, values, local.lower, local.upper, problem, nothing)
+        )
 
     stock = emcee.EnsembleSampler(walkers, len(local), log_prob, vectorize=True)
     begin = time.perf_counter()
@@ -397,18 +461,23 @@ def _nuts(law: Any, problem: Any, local: Any, centre: Any) -> float:
         for place, inside in enumerate(bounded):
             whole = dist.constraints.real
             prior = (
-                dist.Uniform(low[place], high[place]) if inside
+                dist.Uniform(low[place], high[place])
+                if inside
                 else dist.ImproperUniform(whole, (), ())
-            )  # fmt: skip
+            )
             parts.append(numpyro.sample(f"z{place}", prior))
         values = centre + scale * jax.numpy.stack(parts)
         numpyro.factor("path", log_likelihood(Model(law, "uniform"), values, problem))
 
     near = np.where(bounded, np.clip(0.0, low + 1e-3, high - 1e-3), 0.0)
     kernel = NUTS(
-        model, dense_mass=True, max_tree_depth=8,
-        init_strategy=init_to_value(values={f"z{k}": value for k, value in enumerate(near)}),
-    )  # fmt: skip
+        model,
+        dense_mass=True,
+        max_tree_depth=8,
+        init_strategy=init_to_value(
+            values={f"z{k}": value for k, value in enumerate(near)}
+        ),
+    )
     run = MCMC(kernel, num_warmup=150, num_samples=150, progress_bar=False)
     run.warmup(jax.random.PRNGKey(0))
     begin = time.perf_counter()
@@ -416,11 +485,15 @@ def _nuts(law: Any, problem: Any, local: Any, centre: Any) -> float:
     jax.block_until_ready(run.get_samples())
     taken = time.perf_counter() - begin
     found = run.get_samples(group_by_chain=True).values()
-    return min(float(effective_sample_size(np.asarray(series))) for series in found) / taken
+    return (
+        min(float(effective_sample_size(np.asarray(series))) for series in found)
+        / taken
+    )
 
 
 def roof() -> None:
-    """Forward model under vmap against what the device can do: arithmetic and memory."""
+    """Forward model under vmap against what the device can do:
+    arithmetic and memory."""
     import jax
     import jax.numpy as jnp
 
@@ -429,7 +502,10 @@ def roof() -> None:
     from curlfit.dynamics.contact import accelerations
     from curlfit.dynamics.quadrature import node_clustering
 
-    t, lanes = np.linspace(0, 20, 201), 1024 if jax.default_backend() == "cpu" else 65536
+    t, lanes = (
+        np.linspace(0, 20, 201),
+        1024 if jax.default_backend() == "cpu" else 65536,
+    )
     random = np.random.default_rng(0)
     v, omega = random.uniform(2.05, 2.2, lanes), random.uniform(0.5, 3, lanes)
     law, stone = LAWS["front-back"](), Stone(R=0.054)
@@ -484,7 +560,17 @@ def roof() -> None:
 
 ALL = {
     f.__name__: f
-    for f in (answering, verbs, stopwatch, forward, devices, roof, batch, together, posterior)
+    for f in (
+        answering,
+        verbs,
+        stopwatch,
+        forward,
+        devices,
+        roof,
+        batch,
+        together,
+        posterior,
+    )
 }
 
 
@@ -503,14 +589,24 @@ def main() -> None:
     asked = parser.parse_args().benchmark
     unknown = set(asked) - set(ALL)
     if unknown:
-        parser.error(f"unknown benchmark {', '.join(sorted(unknown))}; expected {', '.join(ALL)}")
+        parser.error(
+            f"unknown benchmark {', '.join(sorted(unknown))}; expected {', '.join(ALL)}"
+        )
     import jax
 
     sys.path.insert(0, str(HERE))
-    packages = ", ".join(f"{name} {version(name)}" for name in ("jax", "scipy", "emcee"))
+    packages = ", ".join(
+        f"{name} {version(name)}" for name in ("jax", "scipy", "emcee")
+    )
     device = jax.devices()[0]
-    print(f"{date.today()}, {platform.processor() or platform.machine()}, {os.cpu_count()} cores, ")
-    print(f"{device.platform} {device.device_kind}, Python {platform.python_version()}, {packages}")
+    print(
+        f"{date.today()}, {platform.processor() or platform.machine()}, "
+        f"{os.cpu_count()} cores, "
+    )
+    print(
+        f"{device.platform} {device.device_kind}, "
+        f"Python {platform.python_version()}, {packages}"
+    )
     for name in asked or ALL:
         print(f"\n{about(name)}\n")
         row(name, "measured", "ratio")

@@ -51,8 +51,8 @@ CUBIC = gauss(300)
 def panels(swing: float) -> tuple[np.ndarray, np.ndarray]:
     """Nodes and weights for b in (0, pi/2), b = swing sinh(tau), in panels of tau.
 
-    Sliding turns round within b ~ swing; in tau that is as wide for every swing, and the nearest
-    singularity lies pi/2 off the axis.
+    Sliding turns round within b ~ swing; in tau that is as wide for every swing, and
+    the nearest singularity lies pi/2 off the axis.
     """
     width = np.longdouble(max(swing, 1e-17))
     reach = np.arcsinh(PI / 2 / width)
@@ -72,7 +72,8 @@ def cubic(_: float) -> tuple[np.ndarray, np.ndarray]:
 Ring = Callable[[float], tuple[np.ndarray, np.ndarray]]
 
 
-# Traction per unit load on one half of the ring, from unit vector and magnitude of sliding.
+# Traction per unit load on one half of the ring, from unit vector and
+# magnitude of sliding.
 
 
 def front_back(c: np.ndarray, front: bool, e: tuple, _: np.ndarray) -> tuple:
@@ -89,13 +90,18 @@ def power(c: np.ndarray, front: bool, e: tuple, speed: np.ndarray) -> tuple:
 
 
 def force(
-    traction: Callable, c: np.ndarray, v: np.ndarray, u: np.ndarray, lift: np.ndarray | None,
+    traction: Callable,
+    c: np.ndarray,
+    v: np.ndarray,
+    u: np.ndarray,
+    lift: np.ndarray | None,
     ring: Ring,
-) -> np.ndarray:  # fmt: skip
+) -> np.ndarray:
     """Force over m g to the right and forward, and moment over m g R, by lanes.
 
-    `b` is half the angle from the slowest point of the ring; `lift` is 2 h/R under the consistent
-    load 1 + p xi + q eta, (p, q) = -lift T (eq. 8-9 on a thin ring), None under the uniform one.
+    `b` is half the angle from the slowest point of the ring; `lift` is 2 h/R under the
+    consistent load 1 + p xi + q eta, (p, q) = -lift T (eq. 8-9 on a thin ring), None
+    under the uniform one.
     """
     side = 1 if u[0].real >= 0 else -1
     au = side * u
@@ -114,7 +120,9 @@ def force(
             ahead = 1 if front else -1
             t_xi, t_eta = traction(c, front, (ahead * e[0], e[1]), speed)
             n = load(xi, ahead * eta)
-            total += [w @ (n * t) for t in (t_xi, t_eta, xi * t_eta - ahead * eta * t_xi)]
+            total += [
+                w @ (n * t) for t in (t_xi, t_eta, xi * t_eta - ahead * eta * t_xi)
+            ]
         return total
 
     even = net(lambda xi, eta: 1)
@@ -123,8 +131,11 @@ def force(
     by_p, by_q = net(lambda xi, eta: xi), net(lambda xi, eta: eta)
     # (1 + lift by_p) p + lift by_q q = -lift even, and so on
     a, b_, c_, d = (
-        1 + lift * by_p[0], lift * by_q[0], lift * by_p[1], 1 + lift * by_q[1],
-    )  # fmt: skip
+        1 + lift * by_p[0],
+        lift * by_q[0],
+        lift * by_p[1],
+        1 + lift * by_q[1],
+    )
     f, g = -lift * even[0], -lift * even[1]
     p, q = (d * f - b_ * g) / (a * d - b_ * c_), (a * g - c_ * f) / (a * d - b_ * c_)
     return even + p * by_p + q * by_q
@@ -132,10 +143,12 @@ def force(
 
 @dataclass(frozen=True)
 class Case:
-    """A fit. Coefficients and start are those the data were made of, and where the fit begins.
+    """A fit. Coefficients and start are those the data were made of, and where
+    the fit begins.
 
-    `sums` are pairs of coefficients of which only the sum matters; the first is what is fitted,
-    with the second zero. `until`, `every`: time of the last row, and between rows, s.
+    `sums` are pairs of coefficients of which only the sum matters; the first is what
+    is fitted, with the second zero. `until`, `every`: time of the last row, and
+    between rows, s.
     """
 
     law: str
@@ -145,7 +158,9 @@ class Case:
     every: float
     sigma: dict[str, float]
     load: str = "uniform"
-    stone: dict[str, float] = field(default_factory=lambda: {"R": 0.065, "rho": 0.1, "h": 0.057})
+    stone: dict[str, float] = field(
+        default_factory=lambda: {"R": 0.065, "rho": 0.1, "h": 0.057}
+    )
     fix: tuple[str, ...] = ()
     sums: tuple[tuple[str, str], ...] = ()
     seed: int = 0
@@ -158,7 +173,9 @@ class Case:
     @property
     def values(self) -> list[float]:
         """Where the fit begins."""
-        values = dict(zip(self.names, [*self.coefficients.values(), *self.start], strict=True))
+        values = dict(
+            zip(self.names, [*self.coefficients.values(), *self.start], strict=True)
+        )
         for one, other in self.sums:
             values[one], values[other] = values[one] + values[other], 0.0
         return list(values.values())
@@ -178,7 +195,8 @@ TRACTIONS = {"front-back": front_back, "coulomb": coulomb, "power": power}
 
 
 def rates(case: Case, p: np.ndarray, y: np.ndarray, ring: Ring) -> np.ndarray:
-    """Time derivative of the states, shape (6, lanes), for parameters of shape (k, lanes)."""
+    """Time derivative of the states, shape (6, lanes), for parameters of
+    shape (k, lanes)."""
     v, beta, omega = y[:3]
     if case.law == "semi-empirical":
         a, c, p_, q, r = p[:5]
@@ -193,7 +211,9 @@ def rates(case: Case, p: np.ndarray, y: np.ndarray, ring: Ring) -> np.ndarray:
         lift = 2 * h / R if case.load == "consistent" else None
         t = force(TRACTIONS[case.law], p[:-6], v, R * omega, lift, ring)
         a_xi, a_eta, angular = g * t[0], g * t[1], g * R * t[2] / rho**2
-    return np.stack([a_eta, a_xi / v, angular, v * np.sin(beta), v * np.cos(beta), omega])
+    return np.stack(
+        [a_eta, a_xi / v, angular, v * np.sin(beta), v * np.cos(beta), omega]
+    )
 
 
 def begin(p: np.ndarray) -> np.ndarray:
@@ -208,8 +228,8 @@ def time_to_rest(case: Case, y: np.ndarray, f: np.ndarray) -> np.ndarray:
     return -(v**2 + inertia * omega**2) / (v * f[V] + inertia * omega * f[OMEGA])
 
 
-# Two integrations of the same equations, which share neither method, nor precision, nor places of
-# the ring. Both step to each row, so nothing is interpolated.
+# Two integrations of the same equations, which share neither method, nor precision, nor
+# places of the ring. Both step to each row, so nothing is interpolated.
 
 
 def by_extrapolation(
@@ -220,15 +240,21 @@ def by_extrapolation(
 
 
 def extrapolated(
-    case: Case, p: np.ndarray, times: np.ndarray, *, columns: int = 8, least: float = 1e-15,
+    case: Case,
+    p: np.ndarray,
+    times: np.ndarray,
+    *,
+    columns: int = 8,
+    least: float = 1e-15,
     share: float = 0.3,
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """x, y, phi at the times, shape (3, n, lanes), and the time of rest, or zero where that is
-    later, by the extrapolated midpoint rule (Gragg 1965, Bulirsch and Stoer 1966) of order
-    2 `columns` in extended precision.
+) -> tuple[np.ndarray, np.ndarray]:
+    """x, y, phi at the times, shape (3, n, lanes), and the time of rest, or zero where
+    that is later, by the extrapolated midpoint rule (Gragg 1965, Bulirsch and
+    Stoer 1966) of order 2 `columns` in extended precision.
 
-    Steps are a `share` of the time to rest and of that to |epsilon| = 1, where friction has a
-    logarithmic kink; what is shorter than `least` (s) is stepped over, or is the rest.
+    Steps are a `share` of the time to rest and of that to |epsilon| = 1, where
+    friction has a logarithmic kink; what is shorter than `least` (s) is stepped over,
+    or is the rest.
     """
     R = np.longdouble(str(case.stone["R"]))
     rungs = 2 * np.arange(1, columns + 1)
@@ -277,7 +303,8 @@ def extrapolated(
 
 
 def by_runge_kutta(case: Case, p: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """The same by scipy's DOP853 in double precision, on a ring crowded by a cubic map."""
+    """The same by scipy's DOP853 in double precision, on a ring crowded by
+    a cubic map."""
     lanes = p.shape[1]
     p = p.astype(complex)
 
@@ -290,7 +317,13 @@ def by_runge_kutta(case: Case, p: np.ndarray, times: np.ndarray) -> np.ndarray:
     for time in times.astype(float):
         if time > t and not resting:
             run = DOP853(
-                f, t, y.ravel(), time, rtol=1e-13, atol=1e-15, first_step=min(first, time - t)
+                f,
+                t,
+                y.ravel(),
+                time,
+                rtol=1e-13,
+                atol=1e-15,
+                first_step=min(first, time - t),
             )
             while run.status == "running":
                 run.step()
@@ -313,9 +346,11 @@ Method = Callable[[Case, np.ndarray, np.ndarray], np.ndarray]
 def solve(
     case: Case, data: np.ndarray, values: np.ndarray, method: Method, precise: type
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Parameters at the optimum, residuals (3, n), and their Jacobian (3, n, free), unweighted.
+    """Parameters at the optimum, residuals (3, n), and their Jacobian (3, n,
+    free), unweighted.
 
-    Gauss and Newton's method with the Jacobian by complex steps, which have no rounding.
+    Gauss and Newton's method with the Jacobian by complex steps, which have
+    no rounding.
     """
     free = case.free
     times, observed = data[0], data[1:]
@@ -345,8 +380,8 @@ def solve(
 
 
 def errors(case: Case, jacobian: np.ndarray) -> np.ndarray:
-    """Standard errors: square roots of the diagonal of (J^T J)^-1, by Gram and Schmidt's method
-    in extended precision, done twice."""
+    """Standard errors: square roots of the diagonal of (J^T J)^-1, by Gram and
+    Schmidt's method in extended precision, done twice."""
     sigma = np.array([case.sigma[name] for name in CHANNELS])[:, None, None]
     q = (jacobian / sigma).reshape(-1, jacobian.shape[-1])
     size = q.shape[1]
@@ -373,7 +408,9 @@ def certify(name: str, case: Case) -> dict:
         return by_extrapolation(case, p, times, columns=6, least=1e-13, share=0.2)
 
     coarse, _, _ = solve(case, data, other, coarser, np.clongdouble)
-    values, residual, jacobian = solve(case, data, coarse, by_extrapolation, np.clongdouble)
+    values, residual, jacobian = solve(
+        case, data, coarse, by_extrapolation, np.clongdouble
+    )
     stderr = errors(case, jacobian)
     squares = (residual**2).sum(1)
     free = case.free
@@ -398,43 +435,60 @@ def certify(name: str, case: Case) -> dict:
         "stderr": {case.label(k): shown(s) for k, s in zip(free, stderr, strict=True)},
         "sum_of_squares": {c: shown(s) for c, s in zip(CHANNELS, squares, strict=True)},
         "rms": {
-            c: shown(np.sqrt(s / data.shape[1])) for c, s in zip(CHANNELS, squares, strict=True)
+            c: shown(np.sqrt(s / data.shape[1]))
+            for c, s in zip(CHANNELS, squares, strict=True)
         },
         "digits": {"coarser": digits(coarse), "runge_kutta": digits(other)},
     }
 
 
 def read(file: Path) -> np.ndarray:
-    """t, x, y, phi from the first row on, shape (4, n), each the number nearest to the print."""
-    rows = [line.split(",") for line in file.read_text().splitlines() if not line.startswith("#")]
+    """t, x, y, phi from the first row on, shape (4, n), each the number nearest
+    to the print."""
+    rows = [
+        line.split(",")
+        for line in file.read_text().splitlines()
+        if not line.startswith("#")
+    ]
     table = np.array([[np.longdouble(cell) for cell in row[:4]] for row in rows[1:]]).T
     table[0] -= table[0, 0]
     return table
 
 
 def write(name: str, case: Case) -> None:
-    """Make a data file: the path of known coefficients, with noise, to 1e-6 m and rad."""
+    """Make a data file: the path of known coefficients, with noise, to
+    1e-6 m and rad."""
     count = round(case.until / case.every) + 1
     times = np.round(np.arange(count) * case.every, 6)
-    p = np.array([*case.coefficients.values(), *case.start]).astype(np.clongdouble)[:, None]
-    path = by_extrapolation(case, p, times.astype(np.longdouble), columns=5)[..., 0].real
+    p = np.array([*case.coefficients.values(), *case.start]).astype(np.clongdouble)[
+        :, None
+    ]
+    path = by_extrapolation(case, p, times.astype(np.longdouble), columns=5)[
+        ..., 0
+    ].real
     random = np.random.default_rng(case.seed)
     noise = np.array([case.sigma[c] for c in CHANNELS])[:, None]
     path = path.astype(float) + noise * random.standard_normal(path.shape)
     lines = [
-        f"# {name}: {case.law} law, {case.load} load, made by certify.py; see README.md",
-        *(["# as_given = true"] if abs(case.start[-1]) > 20 else []),  # more than stones turn
+        f"# {name}: {case.law} law, {case.load} load, "
+        "made by certify.py; see README.md",
+        # more than stones turn
+        *(["# as_given = true"] if abs(case.start[-1]) > 20 else []),
         f'# load = "{case.load}"',
         *(f"# stone.{key} = {value}" for key, value in case.stone.items()),
         *(f"# sigma.{key} = {value}" for key, value in case.sigma.items()),
         "t,x,y,phi",
-        *(f"{t:.6g},{x:.6f},{y:.6f},{phi:.6f}" for t, x, y, phi in zip(times, *path, strict=True)),
+        *(
+            f"{t:.6g},{x:.6f},{y:.6f},{phi:.6f}"
+            for t, x, y, phi in zip(times, *path, strict=True)
+        ),
     ]
     (HERE / f"{name}.csv").write_text("\n".join(lines) + "\n")
 
 
 def check_forces() -> float:
-    """Greatest error of the ring sums of Coulomb's law against complete elliptic integrals."""
+    """Greatest error of the ring sums of Coulomb's law against complete
+    elliptic integrals."""
     worst = 0.0
     for e in (0.03, 0.5, 0.98, 0.999999, 1.000001, 1.3, 40.0):
         K, E = ellipkm1(((1 - e) / (1 + e)) ** 2), ellipe(4 * e / (1 + e) ** 2)
@@ -453,59 +507,128 @@ PLACE = (0.3, 1.2, 0.1)  # x0, y0, heading
 
 CASES = {
     "front_back": Case(
-        "front-back", FRONT_BACK, (*PLACE, 2.1, 0.5, 1.2), 20, 0.2, CAMERA, sums=ETA, seed=1
+        "front-back",
+        FRONT_BACK,
+        (*PLACE, 2.1, 0.5, 1.2),
+        20,
+        0.2,
+        CAMERA,
+        sums=ETA,
+        seed=1,
     ),
     "front_back_rest": Case(
-        "front-back", FRONT_BACK, (*PLACE, 2.1, 0.5, -1.5), 40, 0.4, CAMERA, sums=ETA, seed=2
+        "front-back",
+        FRONT_BACK,
+        (*PLACE, 2.1, 0.5, -1.5),
+        40,
+        0.4,
+        CAMERA,
+        sums=ETA,
+        seed=2,
     ),
     "front_back_low_spin": Case(
-        "front-back", FRONT_BACK, (*PLACE, 2.0, 0.5, 0.06), 20, 0.2, CAMERA, sums=ETA, seed=3
+        "front-back",
+        FRONT_BACK,
+        (*PLACE, 2.0, 0.5, 0.06),
+        20,
+        0.2,
+        CAMERA,
+        sums=ETA,
+        seed=3,
     ),
     "front_back_high_spin": Case(
-        "front-back", FRONT_BACK, (*PLACE, 1.2, 0.5, 30.0), 20, 0.2, CAMERA, sums=ETA, seed=4
+        "front-back",
+        FRONT_BACK,
+        (*PLACE, 1.2, 0.5, 30.0),
+        20,
+        0.2,
+        CAMERA,
+        sums=ETA,
+        seed=4,
     ),
     "front_back_clip": Case(
-        "front-back", FRONT_BACK, (*PLACE, 1.1, 0.5, 3.0), 2, 0.02,
-        {"x": 0.0002, "y": 0.0002, "phi": 0.0004}, sums=ETA, seed=5,
+        "front-back",
+        FRONT_BACK,
+        (*PLACE, 1.1, 0.5, 3.0),
+        2,
+        0.02,
+        {"x": 0.0002, "y": 0.0002, "phi": 0.0004},
+        sums=ETA,
+        seed=5,
     ),
     "front_back_consistent": Case(
-        "front-back", FRONT_BACK, (*PLACE, 2.1, 0.5, 1.2), 20, 0.2, CAMERA, load="consistent",
-        fix=("mu1_eta",), seed=6,
+        "front-back",
+        FRONT_BACK,
+        (*PLACE, 2.1, 0.5, 1.2),
+        20,
+        0.2,
+        CAMERA,
+        load="consistent",
+        fix=("mu1_eta",),
+        seed=6,
     ),
     "front_back_consistent_split": Case(
-        "front-back", FRONT_BACK, (*PLACE, 1.5, 0.5, 25.0), 18, 0.18,
-        {"x": 0.00005, "y": 0.00005, "phi": 0.0001}, load="consistent",
-        stone={"R": 0.065, "rho": 0.1, "h": 0.114}, seed=7,
+        "front-back",
+        FRONT_BACK,
+        (*PLACE, 1.5, 0.5, 25.0),
+        18,
+        0.18,
+        {"x": 0.00005, "y": 0.00005, "phi": 0.0001},
+        load="consistent",
+        stone={"R": 0.065, "rho": 0.1, "h": 0.114},
+        seed=7,
     ),
     "coulomb": Case(
         "coulomb", {"mu": 0.0113}, (*PLACE, 1.9, 0.5, 1.6), 24, 0.24, CAMERA, seed=8
     ),
     "power": Case(
-        "power", {"c": 0.008, "k": -0.5}, (*PLACE, 2.0, 0.5, 1.4), 18, 0.18, CAMERA, seed=9
+        "power",
+        {"c": 0.008, "k": -0.5},
+        (*PLACE, 2.0, 0.5, 1.4),
+        18,
+        0.18,
+        CAMERA,
+        seed=9,
     ),
     "semi_empirical": Case(
-        "semi-empirical", {"a": 0.005, "c": 0.085, "p": -0.2, "q": 0.025, "r": -0.3},
-        (*PLACE, 2.0, 0.5, 1.3), 18, 0.18, CAMERA, seed=10,
+        "semi-empirical",
+        {"a": 0.005, "c": 0.085, "p": -0.2, "q": 0.025, "r": -0.3},
+        (*PLACE, 2.0, 0.5, 1.3),
+        18,
+        0.18,
+        CAMERA,
+        seed=10,
     ),
     "eq12": Case(
         "front-back",
         {"mu1_xi": 0.000415, "mu2_xi": 0.055542, "mu1_eta": 0.0173, "mu2_eta": 0.0},
-        (0.0, 0.0, 0.0, 2.06, 0.0, 1.005), 20, 0.1, {"x": 0.01, "y": 0.01, "phi": 0.01},
-        stone={"R": 0.054, "rho": 0.1, "h": 0.057}, sums=ETA, file=EQ12,
+        (0.0, 0.0, 0.0, 2.06, 0.0, 1.005),
+        20,
+        0.1,
+        {"x": 0.01, "y": 0.01, "phi": 0.01},
+        stone={"R": 0.054, "rho": 0.1, "h": 0.057},
+        sums=ETA,
+        file=EQ12,
     ),
-}  # fmt: skip
+}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("case", nargs="*", help=f"of {', '.join(CASES)}; all, if none is named")
-    parser.add_argument("--data", action="store_true", help="write the data files first")
+    parser.add_argument(
+        "case", nargs="*", help=f"of {', '.join(CASES)}; all, if none is named"
+    )
+    parser.add_argument(
+        "--data", action="store_true", help="write the data files first"
+    )
     asked = parser.parse_args()
     unknown = set(asked.case) - set(CASES)
     if unknown:
-        parser.error(f"unknown case {', '.join(sorted(unknown))}; expected {', '.join(CASES)}")
+        parser.error(
+            f"unknown case {', '.join(sorted(unknown))}; expected {', '.join(CASES)}"
+        )
     target = HERE / "certified.json"
     found = json.loads(target.read_text())["cases"] if target.exists() else {}
     gap = check_forces()
@@ -517,7 +640,9 @@ def main() -> None:
         found[name] = certify(name, case)
         print(name, json.dumps(found[name]["digits"]), flush=True)
         ordered = {key: found[key] for key in CASES if key in found}
-        target.write_text(json.dumps({"force_error": gap, "cases": ordered}, indent=1) + "\n")
+        target.write_text(
+            json.dumps({"force_error": gap, "cases": ordered}, indent=1) + "\n"
+        )
 
 
 if __name__ == "__main__":

@@ -23,14 +23,23 @@ def test_the_main_command_reports_and_writes_what_it_must(done):
     folder, run = done
     assert (run.returncode, run.stderr) == (0, "")
     for words in (
-        "mu1_xi", "eq. 28", "0.058", "not identifiable", "mu1_eta + mu2_eta",
-        "Only mu1_eta + mu2_eta is determined", "Posterior: converged", "no noise is that smooth",
+        "mu1_xi",
+        "eq. 28",
+        "0.058",
+        "not identifiable",
+        "mu1_eta + mu2_eta",
+        "Only mu1_eta + mu2_eta is determined",
+        "Posterior: converged",
+        "no noise is that smooth",
         "Converged",
-    ):  # fmt: skip
+    ):
         assert words in run.stdout, words
     assert sorted(file.name for file in (folder / "fit").iterdir()) == [
-        "chain.h5", "corner.png", "fit.json", "fit.png",
-    ]  # fmt: skip
+        "chain.h5",
+        "corner.png",
+        "fit.json",
+        "fit.png",
+    ]
     for name in ("fit.png", "corner.png"):
         assert (folder / "fit" / name).read_bytes().startswith(PNG)
     record = json.loads((folder / "fit" / "fit.json").read_text())
@@ -55,7 +64,10 @@ def test_saved_results_are_shown_and_drawn_again(done):
     again = curlfit("show", "fit", cwd=folder)
     assert again.returncode == 0
     assert again.stdout == run.stdout[: run.stdout.index("Written:")]
-    assert json.loads(curlfit("show", "fit", "--json", cwd=folder).stdout)["law"] == "front-back"
+    assert (
+        json.loads(curlfit("show", "fit", "--json", cwd=folder).stdout)["law"]
+        == "front-back"
+    )
     drawn = curlfit("plot", "fit", "--out", "pictures", "--format", "pdf", cwd=folder)
     assert drawn.returncode == 0, drawn.stderr
     for name in ("fit.pdf", "corner.pdf"):
@@ -64,15 +76,40 @@ def test_saved_results_are_shown_and_drawn_again(done):
 
 def test_a_simulated_throw_comes_back(tmp_path):
     made = curlfit(
-        "simulate", "--law", "front-back", "--set", "mu2_xi=0.06,mu1_eta=0.011", "--v0", 2.1,
-        "--omega0", -1.3, "--heading", 0.03, "--until", 22, "--dt", 0.1, "--noise-xy", 0.005,
-        "--noise-phi", 0.01, "--seed", 7, "--stone", "R=0.06", "--out", "a.csv", cwd=tmp_path,
-    )  # fmt: skip
+        "simulate",
+        "--law",
+        "front-back",
+        "--set",
+        "mu2_xi=0.06,mu1_eta=0.011",
+        "--v0",
+        2.1,
+        "--omega0",
+        -1.3,
+        "--heading",
+        0.03,
+        "--until",
+        22,
+        "--dt",
+        0.1,
+        "--noise-xy",
+        0.005,
+        "--noise-phi",
+        0.01,
+        "--seed",
+        7,
+        "--stone",
+        "R=0.06",
+        "--out",
+        "a.csv",
+        cwd=tmp_path,
+    )
     assert made.returncode == 0, made.stderr
     throw = load_throw(tmp_path / "a.csv")
     assert len(throw) == 221
     assert throw.reference.values["mu2_xi"] == 0.06
-    run = curlfit("fit", "a.csv", "--no-sample", "--no-figures", "--quiet", cwd=tmp_path)
+    run = curlfit(
+        "fit", "a.csv", "--no-sample", "--no-figures", "--quiet", cwd=tmp_path
+    )
     assert (run.returncode, run.stdout, run.stderr) == (0, "", "")
     result = load_fit(tmp_path / "a-fit")
     assert result.stone.R == 0.06
@@ -87,17 +124,24 @@ def test_a_simulated_throw_comes_back(tmp_path):
 
 def test_help_and_refusals_load_no_jax(tmp_path):
     each = (
-        ["--help"], ["fit", "--help"], ["check", "--help"], ["reproduce", "--help"],
-        ["fit", str(DATA), "--law", "ice"], ["laws"], ["check", str(DATA)],
-        ["check", str(DATA), "--axes", "q"], ["reproduce", f"--out={DATA}"],
-    )  # fmt: skip
+        ["--help"],
+        ["fit", "--help"],
+        ["check", "--help"],
+        ["reproduce", "--help"],
+        ["fit", str(DATA), "--law", "ice"],
+        ["laws"],
+        ["check", str(DATA)],
+        ["check", str(DATA), "--axes", "q"],
+        ["reproduce", f"--out={DATA}"],
+    )
     code = (
         "import sys\n"
         "from curlfit.cli import main\n"
         f"for words in {each!r}:\n"
         "    sys.argv[1:] = words\n"
         "    try:\n        main()\n    except SystemExit:\n        pass\n"
-        "    assert 'jax' not in sys.modules and 'matplotlib' not in sys.modules, words\n"
+        "    assert 'jax' not in sys.modules and 'matplotlib' not in "
+        "sys.modules, words\n"
         "    assert 'numpy' not in sys.modules or '--help' not in words, words\n"
     )
     run = python("-c", code, cwd=tmp_path)
@@ -111,7 +155,8 @@ def test_the_process_ends_with_the_status_of_the_command_and_all_it_printed(tmp_
         "import curlfit.cli\n"
         "from curlfit.__main__ import run\n"
         "def main():\n"
-        "    threading.Thread(target=lambda: (time.sleep(0.3), print('stored'))).start()\n"
+        "    threading.Thread(target=lambda: (time.sleep(0.3), "
+        "print('stored'))).start()\n"
         "    print('done')\n"
         "    sys.exit(2)\n"
         "curlfit.cli.main = main\n"
@@ -125,13 +170,26 @@ def test_check_shows_what_was_understood(tmp_path):
     (tmp_path / "points.csv").write_text(known_points())
     (tmp_path / "pixels.csv").write_text(PIXELS)
     run = curlfit(
-        "check", "pixels.csv", "--reference", "points.csv", "--out", "c.png", cwd=tmp_path
+        "check",
+        "pixels.csv",
+        "--reference",
+        "points.csv",
+        "--out",
+        "c.png",
+        cwd=tmp_path,
     )
     assert (run.returncode, run.stderr) == (0, "")
     for words in (
-        "pixels.csv: table, 60 rows, t = 0 .. 14.75 s", "px", "interval", "0.25 s", "first row",
-        "rest", "Notes", "pixels to metres by 6 points", "Written: c.png",
-    ):  # fmt: skip
+        "pixels.csv: table, 60 rows, t = 0 .. 14.75 s",
+        "px",
+        "interval",
+        "0.25 s",
+        "first row",
+        "rest",
+        "Notes",
+        "pixels to metres by 6 points",
+        "Written: c.png",
+    ):
         assert words in run.stdout, words
     assert (tmp_path / "c.png").read_bytes().startswith(PNG)
     shown = curlfit("check", DATA, cwd=tmp_path)
@@ -153,8 +211,10 @@ def test_the_seed_may_stand_in_the_file_and_in_the_configuration(tmp_path):
     (tmp_path / "c.toml").write_text("seed = 6\n")
     words = ("fit", "a.csv", "--effective", 100, "--no-figures")
     for more, seed in (
-        ((), 5), (("--config", "c.toml"), 6), (("--config", "c.toml", "--seed", 0), 0),
-    ):  # fmt: skip
+        ((), 5),
+        (("--config", "c.toml"), 6),
+        (("--config", "c.toml", "--seed", 0), 0),
+    ):
         run = curlfit(*words, *more, "--out", f"of-{seed}", cwd=tmp_path)
         assert run.returncode == 0, run.stderr
         assert load_chain(tmp_path / f"of-{seed}" / "chain.h5").seed == seed
@@ -164,5 +224,9 @@ def test_the_seed_may_stand_in_the_file_and_in_the_configuration(tmp_path):
 def test_laws(tmp_path):
     text = " ".join(curlfit("laws", cwd=tmp_path).stdout.split())
     for law in (law for law in LAWS.values() if law.shipped()):
-        for words in (law.name, law.source, *(item.meaning for item in law.coefficients())):
+        for words in (
+            law.name,
+            law.source,
+            *(item.meaning for item in law.coefficients()),
+        ):
             assert words in text

@@ -19,8 +19,13 @@ def test_data_and_notebooks_are_copied(tmp_path):
         originals = sorted((ROOT / part).glob(pattern))
         copies = sorted((tmp_path / "mine" / part).iterdir())
         assert [one.name for one in copies] == [one.name for one in originals]
-        assert all(a.read_bytes() == b.read_bytes() for a, b in zip(copies, originals, strict=True))
-    assert f"cd {tmp_path / 'mine'} && curlfit fit data/" in found.stdout.replace("\n", "")
+        assert all(
+            a.read_bytes() == b.read_bytes()
+            for a, b in zip(copies, originals, strict=True)
+        )
+    assert f"cd {tmp_path / 'mine'} && curlfit fit data/" in found.stdout.replace(
+        "\n", ""
+    )
 
 
 def test_what_is_there_is_left(tmp_path):

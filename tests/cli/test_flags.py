@@ -1,5 +1,5 @@
-"""Conditions, priors, systematic errors, rows and sweeping: in every verb that has their flags,
-in a configuration, and in the file of the data."""
+"""Conditions, priors, systematic errors, rows and sweeping: in every verb that has
+their flags, in a configuration, and in the file of the data."""
 
 from __future__ import annotations
 
@@ -27,7 +27,9 @@ SWEPT = ("--sweep", "6:11")
 CHOSEN = (*COULOMB, *ASSUMED, *ROWS, *SWEPT)
 KEPT = 171 - 6 - 11
 """Of 201 rows, ten a second."""
-OWN = "# since = 1\n# until = 18\n# exclude = [[3, 3.55], [12, 13]]\n# swept = [6, 11]\n"
+OWN = (
+    "# since = 1\n# until = 18\n# exclude = [[3, 3.55], [12, 13]]\n# swept = [6, 11]\n"
+)
 SETTINGS = """
 law = "coulomb"
 free = ["slope_x"]
@@ -72,10 +74,11 @@ def test_a_fit_says_what_was_chosen(typed, folder):
     shift = fit.systematics.shifts["mu"]["slope_y"]
     assert 9e-4 < shift < 1.01e-3
     for words in (
-        f"{KEPT} rows, t = 1 .. 18 s", "slope_x (m/m)",
+        f"{KEPT} rows, t = 1 .. 18 s",
+        "slope_x (m/m)",
         "The path and the priors determine 9 of 9 parameters",
         f"slopes down along the throw by 1 mm/m, the true mu is {shift:.2g} higher",
-    ):  # fmt: skip
+    ):
         assert words in said
     assert " ".join(typed("show", "a-fit").split()) == said
     record = json.loads(typed("show", "a-fit", "--json"))
@@ -88,7 +91,8 @@ def test_settings_of_files_mean_what_the_flags_mean(typed, folder):
     typed("fit", "a.csv", *CHOSEN, *SYSTEMATIC, *QUICK, "--out", "flags")
     typed("fit", "a.csv", "--config", "c.toml", *QUICK, "--out", "config")
     flags, config = (
-        json.loads((folder / name / "fit.json").read_text()) for name in ("flags", "config")
+        json.loads((folder / name / "fit.json").read_text())
+        for name in ("flags", "config")
     )
     assert config == flags
     typed("fit", "own.csv", *COULOMB, *ASSUMED, *SYSTEMATIC, *QUICK)
@@ -96,7 +100,17 @@ def test_settings_of_files_mean_what_the_flags_mean(typed, folder):
     assert own.data["rows"] == KEPT
     np.testing.assert_array_equal(own.values, load_fit(folder / "flags").values)
     # a flag is over the file, table by table
-    typed("fit", "a.csv", "--config", "c.toml", "--prior", "mu=0.02+-0.01", *QUICK, "--out", "both")
+    typed(
+        "fit",
+        "a.csv",
+        "--config",
+        "c.toml",
+        "--prior",
+        "mu=0.02+-0.01",
+        *QUICK,
+        "--out",
+        "both",
+    )
     assert load_fit(folder / "both").parameters["mu"].prior == "0.02+-0.01"
 
 
@@ -107,11 +121,15 @@ def alone(typed, folder):
 
 
 def test_profile_and_compare_have_the_flags(typed, folder, alone):
-    out = typed("profile", "a.csv", "--param", "slope_x", *CHOSEN, "--points", 9, "--no-figures")
+    out = typed(
+        "profile", "a.csv", "--param", "slope_x", *CHOSEN, "--points", 9, "--no-figures"
+    )
     found = load_profile(folder / "a-profile-slope_x")
     assert found.verdict == "limited"
     near = found.intervals[0]
-    assert (near.high - near.low) / 2 == pytest.approx(alone["slope_x"].stderr, rel=0.05)
+    assert (near.high - near.low) / 2 == pytest.approx(
+        alone["slope_x"].stderr, rel=0.05
+    )
     assert found.data["rows"] == KEPT
     said = " ".join(out[: out.index("Written:")].split())
     assert " ".join(typed("show", "a-profile-slope_x").split()) == said
@@ -132,7 +150,8 @@ def test_the_conditions_are_listed_with_their_widths(typed):
 
 @pytest.mark.parametrize("kind", [Comparing, Fitting, Reading])
 def test_a_choice_that_is_not_given_is_of_its_declared_type(kind):
-    """cyclopts checks defaults in a process that has loaded Pydantic, as the file of a law may."""
+    """cyclopts checks defaults in a process that has loaded Pydantic, as the file
+    of a law may."""
     hints = get_type_hints(kind)
     unset = [name for name in kind.forms() if getattr(kind, name, ()) is None]
     assert unset

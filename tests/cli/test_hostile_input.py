@@ -59,11 +59,17 @@ def test_a_name_is_no_formula_in_a_table_and_its_row_is_found_again(tmp_path):
 @pytest.mark.parametrize(
     ("name", "folder"),
     [
-        ("a throw.csv", "a throw"), ("日本.csv", "日本"), ("..csv", "_"), ("...csv", "__"),
-        ("-x.csv", "_x"), ("NUL.csv", "NUL_"), ("end. .csv", "end__"), ("n\nl.csv", "n_nl"),
+        ("a throw.csv", "a throw"),
+        ("日本.csv", "日本"),
+        ("..csv", "_"),
+        ("...csv", "__"),
+        ("-x.csv", "_x"),
+        ("NUL.csv", "NUL_"),
+        ("end. .csv", "end__"),
+        ("n\nl.csv", "n_nl"),
         ('a:b|"c.csv', "a_b__c"),
     ],
-)  # fmt: skip
+)
 def test_folders_of_results_have_safe_names(name, folder):
     assert folder_name(name) == folder
     assert str(result_folder(Path("in") / name, "fit", Reading())) == f"{folder}-fit"

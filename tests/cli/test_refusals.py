@@ -1,6 +1,8 @@
-"""What cannot be carried out is refused in one sentence, and everything stays as it was.
+"""What cannot be carried out is refused in one sentence, and everything
+stays as it was.
 
-Refusals of what a file holds are with the readers, those of a table of `batch` with that verb.
+Refusals of what a file holds are with the readers, those of a table of `batch`
+with that verb.
 """
 
 from __future__ import annotations
@@ -61,11 +63,16 @@ ROWS = "t,x,y\n0,0,0\n"
     ("text", "said"),
     [
         (f"# stone.{'a.' * 25000}a = 1\n{ROWS}", "line 1: a line of 50013 characters"),
-        (f"# {'x' * 1000}\n{ROWS}", "line 1: a line of 1002 characters; expected at most 1000"),
+        (
+            f"# {'x' * 1000}\n{ROWS}",
+            "line 1: a line of 1002 characters; expected at most 1000",
+        ),
         ("t,x,y" + ",a" * 500 + "\n", "line 1: a line of 1005 characters"),
         (f"{ROWS}1,2,{'3' * 20_000}\n", "line 3: a line of 20004 characters"),
-        ("".join(f"# reference.values.a{k} = 1\n" for k in range(501)) + ROWS,
-         "line 501: more than 500 settings"),
+        (
+            "".join(f"# reference.values.a{k} = 1\n" for k in range(501)) + ROWS,
+            "line 501: more than 500 settings",
+        ),
         (ROWS + "\n" * 2_000_000, "more than 2000000 lines"),
         (ROWS + "1,2,3\n" * 8_400_000, "larger than 50000 kB"),
         (f"# law = '{'x' * 900}'\n{ROWS}", "unknown law 'xxxxxx"),
@@ -73,7 +80,7 @@ ROWS = "t,x,y\n0,0,0\n"
         # a line of JSON may be long
         ('{"trajectory": [' + "[]," * 10_000 + "[]]}", "no trajectory found"),
     ],
-)  # fmt: skip
+)
 def test_data_beyond_any_throw_are_refused(text, said, tmp_path):
     (tmp_path / "a.csv").write_text(text)
     found = sentence(command("check", "a.csv", cwd=tmp_path))
@@ -91,7 +98,10 @@ WHOLE = "expected a whole number from 0 to 4294967295"
         ('fix = "x"', "fix = 'x'; expected fix.NAME = a number"),
         ("stone = 1", "stone = 1; expected stone.NAME = a number"),
         ("stone.R = [1]", "stone.R = [1]; expected a number"),
-        ("stone.R = 2026-01-05", "stone.R = datetime.date(2026, 1, 5); expected a number"),
+        (
+            "stone.R = 2026-01-05",
+            "stone.R = datetime.date(2026, 1, 5); expected a number",
+        ),
         ("start.v0 = 1" + "0" * 400, "expected a number, 0, or 1e-30 to 1e12"),
         ("until = nan", "until = nan; expected a time in s"),
         ("bound.v0 = ['a', 1]", "bound.v0 = ['a', 1]; expected [low, high]"),
@@ -101,14 +111,17 @@ WHOLE = "expected a whole number from 0 to 4294967295"
         ('systematic.rho = "much"', "systematic.rho = 'much'; expected a number"),
         ("unbounded = 1", "unbounded = 1; expected true or false"),
         ("shot = 1.5", "expected a whole number from 1"),
-        *((f"seed = {seed}", WHOLE) for seed in ("-1", "1.5", "true", "'a'", str(2**32))),
+        *(
+            (f"seed = {seed}", WHOLE)
+            for seed in ("-1", "1.5", "true", "'a'", str(2**32))
+        ),
         ("free = [\n" + "[\n" * 25_000, "nested too deeply"),
         (f"stone.{'a.' * 300}a = 1", "stone.a = {'a': "),
         ("#" * 1001, "line 1: a line of 1001 characters"),
         ("# comment\n" * 6_401, "larger than 64 kB"),
         ('"\\u001b[31m" = 1', r"unknown setting '\x1b[31m'"),
     ],
-)  # fmt: skip
+)
 def test_settings_of_wrong_types_are_refused(text, said, tmp_path):
     (tmp_path / "c.toml").write_text(text)
     found = sentence(command("check", DATA, "--config", "c.toml", cwd=tmp_path))

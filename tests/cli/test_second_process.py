@@ -107,7 +107,9 @@ for words in VERBS:
         pass
 """
     eq12_fit.save(tmp_path / "fit.json")
-    verbs = [verb.replace("DATA", str(DATA)).replace("FIT", str(tmp_path)) for verb in VERBS]
+    verbs = [
+        verb.replace("DATA", str(DATA)).replace("FIT", str(tmp_path)) for verb in VERBS
+    ]
     code = f"VERBS, FOLDER = {verbs!r}, {str(tmp_path)!r}\n{code}"
     done = python("-c", code)
     assert (done.stdout.split(), done.stderr) == (["False"] * len(VERBS), "")
@@ -130,7 +132,9 @@ def test_ctrl_c_is_answered_while_everything_is_loading(tmp_path, delay):
     "blow", [signal.SIGTERM, pytest.param(signal.SIGKILL, marks=pytest.mark.slow)]
 )
 def test_no_process_is_left_by_a_stopped_fit(tmp_path, blow):
-    run = started("fit", DATA, "--effective", 10**8, "--max-steps", 10**6, "--out", tmp_path)
+    run = started(
+        "fit", DATA, "--effective", 10**8, "--max-steps", 10**6, "--out", tmp_path
+    )
     while run.poll() is None and not (tmp_path / "chain.h5").exists():
         time.sleep(0.05)
     time.sleep(0.5)

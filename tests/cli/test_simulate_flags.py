@@ -19,12 +19,24 @@ def folder(tmp_path_factory):
     law = curlfit.law_with("coulomb", {"mu": 0.0085})
     stone = curlfit.Stone(R=0.06, m=19.0)
     made = curlfit.synthetic_throw(
-        law, stone, v0=2.1, omega0=1.5, heading=0.05, x0=0.4, y0=9.0, phi0=0.3, dt=1,
+        law,
+        stone,
+        v0=2.1,
+        omega0=1.5,
+        heading=0.05,
+        x0=0.4,
+        y0=9.0,
+        phi0=0.3,
+        dt=1,
         environment=curlfit.environment.Environment(slope_x=1e-3),
-    )  # fmt: skip
+    )
     t, sigma = made.t, {"x": 0.001, "y": 0.001, "phi": 0.001}
-    throw = curlfit.Throw.from_arrays(t + 5.0, made.x, made.y, made.phi, sigma=sigma, name="a")
-    fit = curlfit.fit(throw, "coulomb", stone=stone, free=["slope_x"], systematics={"all": 0})
+    throw = curlfit.Throw.from_arrays(
+        t + 5.0, made.x, made.y, made.phi, sigma=sigma, name="a"
+    )
+    fit = curlfit.fit(
+        throw, "coulomb", stone=stone, free=["slope_x"], systematics={"all": 0}
+    )
     (folder / "fit").mkdir()
     fit.save(folder / "fit" / "fit.json")
     return folder
@@ -37,16 +49,33 @@ def rows(text):
 
 def test_conditions_and_a_line_by_closed_form(typed, folder):
     text = typed(
-        "simulate", *STRAIGHT, *ROWS, "--v0", 2.4, "--line", "hog", "--slope-y=-0.001",
-        "--sweep", "4:8=0.5",
-    )  # fmt: skip
+        "simulate",
+        *STRAIGHT,
+        *ROWS,
+        "--v0",
+        2.4,
+        "--line",
+        "hog",
+        "--slope-y=-0.001",
+        "--sweep",
+        "4:8=0.5",
+    )
     t, x, y, _ = rows(text)
-    # uphill by 1 mm/m, with half the friction from 4 to 8 s: three constant decelerations
+    # uphill by 1 mm/m, with half the friction from 4 to 8 s: three
+    # constant decelerations
     slow, swept = G * 0.011, G * 0.006
-    v = 2.4 - slow * np.minimum(t, 4) - swept * np.clip(t - 4, 0, 4) - slow * np.clip(t - 8, 0, 99)
+    v = (
+        2.4
+        - slow * np.minimum(t, 4)
+        - swept * np.clip(t - 4, 0, 4)
+        - slow * np.clip(t - 8, 0, 99)
+    )
     assert v[-1] > 0
-    parts = [(np.minimum(t, 4), 2.4, slow), (np.clip(t - 4, 0, 4), 2.4 - 4 * slow, swept),
-             (np.clip(t - 8, 0, 99), 2.4 - 4 * slow - 4 * swept, slow)]  # fmt: skip
+    parts = [
+        (np.minimum(t, 4), 2.4, slow),
+        (np.clip(t - 4, 0, 4), 2.4 - 4 * slow, swept),
+        (np.clip(t - 8, 0, 99), 2.4 - 4 * slow - 4 * swept, slow),
+    ]
     distance = sum(speed * time - a * time**2 / 2 for time, speed, a in parts)
     np.testing.assert_allclose(y, LINES["hog"] + distance, atol=2e-8)
     assert np.ptp(x) == 0
@@ -73,16 +102,36 @@ def test_a_fit_is_simulated_as_it_was_fitted(typed, folder):
     text = typed("simulate", "--fit", "fit", "--dt", 1)
     t, *places = rows(text)
     np.testing.assert_allclose(t, fit.observed["t"] - 5.0, atol=1e-9)
-    np.testing.assert_allclose(places, [fit.fitted[n] for n in ("x", "y", "phi")], atol=1e-7)
+    np.testing.assert_allclose(
+        places, [fit.fitted[n] for n in ("x", "y", "phi")], atol=1e-7
+    )
     assert "# stone.R = 0.06\n" in text
     assert "# reference.values.slope_x = 0.00" in text
 
 
 def test_flags_go_before_the_fit(typed):
     text = typed(
-        "simulate", "--fit", "fit", *ROWS, "--set", "mu=0.02", "--stone", "R=0.05", "--line", "tee",
-        "--x0", 0, "--heading", 0, "--v0", 1, "--omega0", 0, "--slope-x", 0,
-    )  # fmt: skip
+        "simulate",
+        "--fit",
+        "fit",
+        *ROWS,
+        "--set",
+        "mu=0.02",
+        "--stone",
+        "R=0.05",
+        "--line",
+        "tee",
+        "--x0",
+        0,
+        "--heading",
+        0,
+        "--v0",
+        1,
+        "--omega0",
+        0,
+        "--slope-x",
+        0,
+    )
     t, x, y, _ = rows(text)
     stop = 1 / (0.02 * G)
     time = np.minimum(t, stop)

@@ -1,4 +1,5 @@
-"""Many laws on one throw: the paper's outcome on eq. 12, and the true law on synthetic throws."""
+"""Many laws on one throw: the paper's outcome on eq. 12, and the true law on
+synthetic throws."""
 
 from __future__ import annotations
 
@@ -20,10 +21,21 @@ from curlfit.comparison.result import load_comparison
 from curlfit.friction.registry import laws_under
 
 ISOTROPIC = {
-    "coulomb", "power", "power-angular", "pressure", "angular", "stribeck", "sutor", "debris",
-}  # fmt: skip
+    "coulomb",
+    "power",
+    "power-angular",
+    "pressure",
+    "angular",
+    "stribeck",
+    "sutor",
+    "debris",
+}
 RIVALS = ["front-back", "coulomb"]
-MANY = [law for law, _ in laws_under(None, "uniform") if law.name not in ("denny-1998", "fcv1")]
+MANY = [
+    law
+    for law, _ in laws_under(None, "uniform")
+    if law.name not in ("denny-1998", "fcv1")
+]
 """One law without a ring stands for three, each of which takes programs of its own."""
 
 
@@ -76,10 +88,12 @@ def test_criteria_are_those_of_a_gaussian(of_eq12):
     n, k = result.n_observations, item.n_parameters
     assert k == pytest.approx(result.rank + 3, abs=1e-3)
     # at the most likely sigma, -2 log L = n_c (log(2 pi rms^2) + 1) in each channel
-    each = {name: 201 * (np.log(2 * np.pi * rms**2) + 1) for name, rms in result.rms.items()}
+    each = {
+        name: 201 * (np.log(2 * np.pi * rms**2) + 1) for name, rms in result.rms.items()
+    }
     assert -2 * item.log_likelihood == pytest.approx(sum(each.values()), rel=1e-12)
-    # smooth residuals count by their effective number, less what the best fit spends on it: here
-    # next to nothing is left
+    # smooth residuals count by their effective number, less what the best fit spends on
+    # it: here next to nothing is left
     assert of_eq12.effective.keys() == {"x", "y", "phi"}
     assert all(1 <= count < 6 for count in of_eq12.effective.values())
     minus_two = sum(each.values()) / 201
@@ -90,7 +104,8 @@ def test_criteria_are_those_of_a_gaussian(of_eq12):
 
 
 def correlated_throw(seed, law):
-    """20 s at 10 Hz with noise of 5 mm and 10 mrad that forgets itself within a second."""
+    """20 s at 10 Hz with noise of 5 mm and 10 mrad that forgets itself
+    within a second."""
     random = np.random.default_rng(seed)
     root = np.linalg.cholesky(np.exp(-np.abs(TIMES[:, None] - TIMES)))
     exact = filmed(law, noise=dict.fromkeys(NOISE, 0.0), omega=1.3 * (-1) ** seed)
@@ -143,9 +158,15 @@ def test_given_noise_is_not_counted_and_not_estimated(eq12, clean):
 def test_true_law_is_found_among_all():
     law = "semi-empirical"
     throw = curlfit.synthetic_throw(
-        LAWS[law](), curlfit.Stone(), v0=2.1, omega0=-1.5, heading=0.02,
-        noise_xy=0.005, noise_phi=0.01, seed=1,
-    )  # fmt: skip
+        LAWS[law](),
+        curlfit.Stone(),
+        v0=2.1,
+        omega0=-1.5,
+        heading=0.02,
+        noise_xy=0.005,
+        noise_phi=0.01,
+        seed=1,
+    )
     found = compare(throw, MANY)
     item = found.of(law)
     assert item.follows
@@ -160,9 +181,15 @@ def test_true_law_is_found_among_all():
 @pytest.fixture(scope="module")
 def clean():
     return curlfit.synthetic_throw(
-        LAWS["front-back"](), curlfit.Stone(), v0=2.1, omega0=-1.3, heading=0.02,
-        noise_xy=0.005, noise_phi=0.01, seed=3,
-    )  # fmt: skip
+        LAWS["front-back"](),
+        curlfit.Stone(),
+        v0=2.1,
+        omega0=-1.3,
+        heading=0.02,
+        noise_xy=0.005,
+        noise_phi=0.01,
+        seed=3,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -181,13 +208,20 @@ def spoiled(clean):
 def test_outliers_change_neither_the_first_law_nor_its_coefficients(clean, spoiled):
     before, after = (compare(one, RIVALS, loss="student") for one in (clean, spoiled))
     for found in (before, after):
-        assert (found.best.law, found.best.rank, found.side) == ("front-back", 1, "right")
+        assert (found.best.law, found.best.rank, found.side) == (
+            "front-back",
+            1,
+            "right",
+        )
         assert found.best.follows
         assert not found.of("coulomb").follows
         assert found.of("coulomb").delta_bic > 6  # "strong", Kass and Raftery (1995)
     for name, one in before.best.coefficients.items():
         if one["stderr"] is not None:
-            assert abs(after.best.coefficients[name]["value"] - one["value"]) < one["stderr"], name
+            assert (
+                abs(after.best.coefficients[name]["value"] - one["value"])
+                < one["stderr"]
+            ), name
     assert after.best.residual_size["x"] == pytest.approx(0.005, rel=0.25)
     assert after.best.rms["x"] > 5 * 0.005
     assert "robust scale" in _text(after)

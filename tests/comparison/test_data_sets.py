@@ -1,4 +1,5 @@
-"""Several data sets under one set of coefficients: throws in a table and measured friction."""
+"""Several data sets under one set of coefficients: throws in a table and
+measured friction."""
 
 from __future__ import annotations
 
@@ -20,7 +21,8 @@ LAWS = ["coulomb", "power"]  # which have one program
 
 
 def speeds_of_rest(c, k, length):
-    """Initial speed of a stone without spin that rests after a length: dv/ds = -c g v^(k - 1)."""
+    """Initial speed of a stone without spin that rests after a length: dv/ds = -c
+    g v^(k - 1)."""
     return ((2 - k) * c * G * np.asarray(length)) ** (1 / (2 - k))
 
 
@@ -30,7 +32,11 @@ def throws(c=C, k=K, seed=1):
     for row, length in enumerate(np.linspace(15.0, 30.0, 6), 1):
         events = (
             Event(
-                "speed", "speed", speeds_of_rest(c, k, length) + random.normal(0, 0.01), 0.01, HOG
+                "speed",
+                "speed",
+                speeds_of_rest(c, k, length) + random.normal(0, 0.01),
+                0.01,
+                HOG,
             ),
             Event("spin", "omega", 0.0, 0.001, HOG),
             Event("rest", "y", HOG + length + random.normal(0, 0.05), 0.05),
@@ -46,18 +52,24 @@ def table(c=C, k=K, seed=2, sigma=2e-4):
 
 
 def peer(data, measured, start=(0.008, -0.3)):
-    """Residuals of both data sets, written anew; the resting place is that of the fitted speed."""
+    """Residuals of both data sets, written anew; the resting place is that of the
+    fitted speed."""
     values = np.array([[event.value for event in throw.events] for throw in data])
 
     def residual(p):
         c, k, v = p[0], p[1], p[2:]
         rest = HOG + v ** (2 - k) / ((2 - k) * c * G)
-        return np.concatenate([
-            (v - values[:, 0]) / 0.01, (rest - values[:, 2]) / 0.05,
-            (c * measured.speed**k - measured.mu) / measured.sigma,
-        ])  # fmt: skip
+        return np.concatenate(
+            [
+                (v - values[:, 0]) / 0.01,
+                (rest - values[:, 2]) / 0.05,
+                (c * measured.speed**k - measured.mu) / measured.sigma,
+            ]
+        )
 
-    return least_squares(residual, [*start, *values[:, 0]], x_scale=[0.01, 1, *[2] * 6], xtol=1e-14)
+    return least_squares(
+        residual, [*start, *values[:, 0]], x_scale=[0.01, 1, *[2] * 6], xtol=1e-14
+    )
 
 
 @pytest.fixture(scope="module")
@@ -71,10 +83,18 @@ def test_the_common_optimum_is_that_of_scipy(agreeing):
     for place, name in enumerate(("c", "k")):
         found = best.coefficients[name]
         assert found["value"] == pytest.approx(expected.x[place], rel=1e-4)
-        assert found["stderr"] == pytest.approx(covariance[place, place] ** 0.5, rel=1e-3)
-    assert sum(on.chi_squared for on in best.sets) == pytest.approx(2 * expected.cost, rel=1e-4)
-    assert sum(on.dof for on in best.sets) == pytest.approx(6 * 3 + 6 - (2 + 2 * 6), rel=1e-6)
-    assert best.bic == pytest.approx(2 * expected.cost + (2 + 12) * np.log(24), rel=1e-4)
+        assert found["stderr"] == pytest.approx(
+            covariance[place, place] ** 0.5, rel=1e-3
+        )
+    assert sum(on.chi_squared for on in best.sets) == pytest.approx(
+        2 * expected.cost, rel=1e-4
+    )
+    assert sum(on.dof for on in best.sets) == pytest.approx(
+        6 * 3 + 6 - (2 + 2 * 6), rel=1e-6
+    )
+    assert best.bic == pytest.approx(
+        2 * expected.cost + (2 + 12) * np.log(24), rel=1e-4
+    )
 
 
 def test_the_law_of_both_data_sets_is_first(agreeing):
@@ -92,9 +112,11 @@ def test_the_law_of_both_data_sets_is_first(agreeing):
 def test_the_friction_table_alone_is_as_scipy_fits_it(agreeing):
     measured = table()
     alone = least_squares(
-        lambda p: (p[0] * measured.speed ** p[1] - measured.mu) / measured.sigma, (C, K),
-        x_scale=[0.01, 1], xtol=1e-14,
-    )  # fmt: skip
+        lambda p: (p[0] * measured.speed ** p[1] - measured.mu) / measured.sigma,
+        (C, K),
+        x_scale=[0.01, 1],
+        xtol=1e-14,
+    )
     on = agreeing.of("power").sets[1]
     assert on.own_chi_squared == pytest.approx(2 * alone.cost, rel=1e-4)
     assert (on.own_dof, on.determined) == (pytest.approx(4.0), ("c", "k"))
@@ -143,7 +165,8 @@ def test_what_cannot_be_compared(items, choices, words):
 
 
 def test_what_the_laws_miss_of_a_path_is_not_its_noise():
-    """What they leave is smooth: 2 mm and 2 mrad under the best, as of a formula without noise."""
+    """What they leave is smooth: 2 mm and 2 mrad under the best, as of a formula
+    without noise."""
     exact = filmed(noise=dict.fromkeys(NOISE, 0.0))
     wave = 0.003 * np.sin(exact.t)
     path = replace(exact, x=exact.x + wave, y=exact.y + wave, phi=exact.phi + wave)
@@ -154,7 +177,9 @@ def test_what_the_laws_miss_of_a_path_is_not_its_noise():
     assert of_path["front-back"].own_follows
     assert not of_path["coulomb"].own_follows
     alone = curlfit.fit(path, "coulomb", sigma=found.sets[0].sigma, details=False)
-    assert of_path["coulomb"].own_chi_squared == pytest.approx(alone.chi_squared, rel=1e-4)
+    assert of_path["coulomb"].own_chi_squared == pytest.approx(
+        alone.chi_squared, rel=1e-4
+    )
 
 
 def test_tracks_alone_are_one_data_set_each():

@@ -23,37 +23,58 @@ from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.likelihood import chi_squared_of_many
 from curlfit.numerics.batches import BATCH, stacked
 
-FIXED = {"mu1_xi": 0.0018, "mu2_xi": 0.058, "x0": 0.0, "y0": 0.0, "heading": 0.0, "phi0": 0.0,
-         "omega0": 1.0}  # fmt: skip
+FIXED = {
+    "mu1_xi": 0.0018,
+    "mu2_xi": 0.058,
+    "x0": 0.0,
+    "y0": 0.0,
+    "heading": 0.0,
+    "phi0": 0.0,
+    "omega0": 1.0,
+}
 
 
 @pytest.mark.parametrize("width", [0.1, 1e-3, 1e-5])
 def test_a_ridge_within_a_box(width):
-    # a + b is known to `width`, each has a prior of mean 0.1 and standard deviation 0.3, in 0..1
+    # a + b is known to `width`, each has a prior of mean 0.1 and standard deviation
+    # 0.3, in 0..1
     information, prior = np.ones((2, 2)) / width**2, np.eye(2) / 0.3**2
     found = _log_integral(
-        prior @ [-0.1, -0.1], information + prior, np.full(2, -0.1), np.full(2, 0.9),
+        prior @ [-0.1, -0.1],
+        information + prior,
+        np.full(2, -0.1),
+        np.full(2, 0.9),
         np.zeros(2, bool),
-    )  # fmt: skip
+    )
 
     def along(difference):
         total = width * np.linspace(-8, 8, 4001)
         a, b = (total + difference) / 2, (total - difference) / 2
-        exponent = -(total**2) / (2 * width**2) - (a**2 + b**2 + 0.2 * (a + b)) / (2 * 0.3**2)
+        exponent = -(total**2) / (2 * width**2) - (a**2 + b**2 + 0.2 * (a + b)) / (
+            2 * 0.3**2
+        )
         inside = (a >= -0.1) & (b >= -0.1) & (a <= 0.9) & (b <= 0.9)
         return np.trapezoid(np.exp(exponent) * inside, total)
 
     differences = np.linspace(-1.0, 1.0, 4001)
     values = [along(one) for one in differences]
-    assert found == pytest.approx(np.log(np.trapezoid(values, differences) / 2), abs=2e-3)
+    assert found == pytest.approx(
+        np.log(np.trapezoid(values, differences) / 2), abs=2e-3
+    )
 
 
 @pytest.mark.parametrize("push", [0.1, 3.0, 300.0])
 def test_a_parameter_pushed_against_its_bound(push):
     found = _log_integral(
-        np.array([-push]), np.array([[4.0]]), np.zeros(1), np.full(1, np.inf), np.ones(1, bool)
+        np.array([-push]),
+        np.array([[4.0]]),
+        np.zeros(1),
+        np.full(1, np.inf),
+        np.ones(1, bool),
     )
-    expected = quad(lambda d: np.exp(-push * d - 2 * d**2), 0, 10 / push + 1e-9, limit=200)[0]
+    expected = quad(
+        lambda d: np.exp(-push * d - 2 * d**2), 0, 10 / push + 1e-9, limit=200
+    )[0]
     if push < 1:
         expected = quad(lambda d: np.exp(-push * d - 2 * d**2), 0, 10)[0]
     assert found == pytest.approx(np.log(expected), abs=1e-4)
@@ -64,7 +85,9 @@ def few():
     """A throw of which three parameters are unknown, two of them along a ridge."""
     law = curlfit.LAWS["front-back"](0.0018, 0.058, 0.009, 0.009)
     sigma = dict.fromkeys(("x", "y", "phi"), 0.3)
-    throw = filmed(law, 5, sigma, np.arange(0.0, 15.0, 0.1), v=2.0, omega=1.0).with_sigma(sigma)
+    throw = filmed(
+        law, 5, sigma, np.arange(0.0, 15.0, 0.1), v=2.0, omega=1.0
+    ).with_sigma(sigma)
     return curlfit.fit(throw, fix=FIXED, details=False)
 
 
@@ -73,9 +96,12 @@ def test_the_number_of_parameters_does_not_jump(few):
     for factor in 10.0 ** np.arange(-8, 3, 0.5):
         scaled = (factor * np.array(few.information["matrix"])).tolist()
         counts.append(
-            effective_parameters(replace(few, information={**few.information, "matrix": scaled}))
+            effective_parameters(
+                replace(few, information={**few.information, "matrix": scaled})
+            )
         )
-    # The initial speed, whose prior is flat, counts always, what is along the ridge never.
+    # The initial speed, whose prior is flat, counts always, what is along the
+    # ridge never.
     assert counts[0] == pytest.approx(1.0, abs=0.01)
     assert counts[-1] == pytest.approx(2.0, abs=1e-3)
     assert np.all(np.diff(counts) > -1e-9)
@@ -92,7 +118,9 @@ def test_the_number_of_parameters_does_not_jump(few):
         ("lognormal:0.05,0.5", lognorm(0.5, scale=0.05), 1000.0, 0),  # which decides
     ],
 )
-def test_the_prior_of_one_coefficient_against_quadrature(few, prior, density, sigma, by_data):
+def test_the_prior_of_one_coefficient_against_quadrature(
+    few, prior, density, sigma, by_data
+):
     throw = few.throw.with_sigma(dict.fromkeys(("x", "y", "phi"), sigma))
     fix = {**FIXED, "mu2_eta": 0.009, "v0": 2.0}
     one = curlfit.fit(throw, fix=fix, priors={"mu1_eta": prior}, details=False)
@@ -103,22 +131,32 @@ def test_the_prior_of_one_coefficient_against_quadrature(few, prior, density, si
     values = np.linspace(low, high, 64)
     points = np.tile(one.values - origin.offset(len(one.values)), (len(values), 1))
     points[:, list(one.parameters).index("mu1_eta")] = values
-    chi_squared = chi_squared_of_many(one.model, points, stacked([problem] * len(values)), BATCH)
+    chi_squared = chi_squared_of_many(
+        one.model, points, stacked([problem] * len(values)), BATCH
+    )
     likelihood = CubicSpline(values, -0.5 * (chi_squared - one.chi_squared))
     integral = quad(
-        lambda p: np.exp(likelihood(p)) * density.pdf(p), low, high, points=[value], limit=200
+        lambda p: np.exp(likelihood(p)) * density.pdf(p),
+        low,
+        high,
+        points=[value],
+        limit=200,
     )[0]
     given = sum(log_likelihood(one).values())
     assert log_evidence(one, given) - given == pytest.approx(np.log(integral), abs=0.02)
     assert effective_parameters(one) == pytest.approx(by_data, abs=0.01)
 
 
-@pytest.mark.parametrize("ends", [(0.0, np.inf), (-np.inf, -0.5), (3.0, np.inf), (-1.0, 2.0)])
+@pytest.mark.parametrize(
+    "ends", [(0.0, np.inf), (-np.inf, -0.5), (3.0, np.inf), (-1.0, 2.0)]
+)
 def test_the_probability_of_a_box_in_one_dimension_and_in_two(ends):
     low, high = np.array(ends)
     exact = np.log(norm.sf(low) - norm.sf(high))
     far = np.array([-np.inf, np.inf])
     one = _log_box(np.zeros(1), np.eye(1), low[None], high[None])
-    two = _log_box(np.array([0.0, 1.0]), np.eye(2), np.array([low, -1.0]), np.array([high, far[1]]))
+    two = _log_box(
+        np.array([0.0, 1.0]), np.eye(2), np.array([low, -1.0]), np.array([high, far[1]])
+    )
     assert one == pytest.approx(exact, rel=1e-12)
     assert two == pytest.approx(exact + norm.logsf(-2.0), rel=1e-6)

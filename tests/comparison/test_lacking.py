@@ -30,15 +30,23 @@ class Falling(FrontBack):
 def thrown(law, seed):
     random = np.random.default_rng(seed)
     return curlfit.synthetic_throw(
-        law, STONE, v0=random.uniform(2, 2.3), omega0=random.uniform(1, 2), dt=0.08,
-        noise_xy=0.005, noise_phi=0.01, seed=seed,
-    )  # fmt: skip
+        law,
+        STONE,
+        v0=random.uniform(2, 2.3),
+        omega0=random.uniform(1, 2),
+        dt=0.08,
+        noise_xy=0.005,
+        noise_phi=0.01,
+        seed=seed,
+    )
 
 
 def test_a_spline_has_the_derivatives_of_what_it_smooths():
     t, inside, random = np.linspace(0.0, 6.0, 200), [], np.random.default_rng(2)
     for _ in range(20):
-        spline = PenalizedSpline.of(t, np.sin(t) + 0.05 * random.standard_normal(len(t)))
+        spline = PenalizedSpline.of(
+            t, np.sin(t) + 0.05 * random.standard_normal(len(t))
+        )
         found, error = spline.at(t, 2)
         inside.append(np.mean(np.abs(found + np.sin(t)) < 1.96 * error))
         assert np.median(error) < 0.3
@@ -52,10 +60,15 @@ def test_the_bands_have_what_the_law_lacks():
     for seed in range(4):
         throw = thrown(Falling(**COEFFICIENTS), seed)
         found = lacking(
-            "front-back", curlfit.fit(throw, "front-back", stone=STONE, details=False), {}, None
+            "front-back",
+            curlfit.fit(throw, "front-back", stone=STONE, details=False),
+            {},
+            None,
         )
         whole = np.array(
-            accelerations(Falling(**COEFFICIENTS), STONE, "uniform", found.speed, found.omega)
+            accelerations(
+                Falling(**COEFFICIENTS), STONE, "uniform", found.speed, found.omega
+            )
         )
         off = (found.lacks - (whole - found.of_law)) / found.stderr
         inside.append(np.mean(np.abs(off) < 1.96, axis=1))
@@ -67,7 +80,8 @@ def test_the_bands_have_what_the_law_lacks():
 def test_what_is_lacking_is_what_the_right_law_adds():
     throw = thrown(curlfit.law_with("front-back", COEFFICIENTS), 3)
     alone, right = (
-        curlfit.fit(throw, law, stone=STONE, details=False) for law in ("coulomb", "front-back")
+        curlfit.fit(throw, law, stone=STONE, details=False)
+        for law in ("coulomb", "front-back")
     )
     found = lacking("coulomb", alone, {"front-back": right}, None)
     assert found.nearest == "front-back"
@@ -81,11 +95,15 @@ def test_a_law_that_lacks_nothing_is_told_so():
     throw = thrown(curlfit.law_with("front-back", COEFFICIENTS), 1)
     comparison = curlfit.compare(throw, ["front-back", "coulomb"], stone=STONE)
     curlfit.print_comparison(comparison, Console(file=(text := StringIO()), width=200))
-    assert "The path shows nothing that front-back, uniform load lacks" in text.getvalue()
+    assert (
+        "The path shows nothing that front-back, uniform load lacks" in text.getvalue()
+    )
     again = Comparison.from_json(comparison.to_json()).lacking
     np.testing.assert_allclose(again.lacks, comparison.lacking.lacks)
     assert again.others.keys() == {"coulomb, uniform load"}
     figure = curlfit.comparison_figure(comparison)
     assert any("in the spin" in axes.get_ylabel() for axes in figure.axes)
-    with_slope = curlfit.fit(throw, "coulomb", stone=STONE, free=["slope_x"], details=False)
+    with_slope = curlfit.fit(
+        throw, "coulomb", stone=STONE, free=["slope_x"], details=False
+    )
     assert lacking("coulomb", with_slope, {}, None) is None

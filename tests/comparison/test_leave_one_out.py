@@ -16,16 +16,30 @@ from curlfit.friction import LocalLaw
 from curlfit.friction.registry import laws_under
 
 SIGMA = {"x": 0.005, "y": 0.005, "phi": 0.01}
-START = {"x0": "x", "y0": "y", "heading": "heading", "v0": "v", "phi0": "phi", "omega0": "omega"}
+START = {
+    "x0": "x",
+    "y0": "y",
+    "heading": "heading",
+    "v0": "v",
+    "phi0": "phi",
+    "omega0": "omega",
+}
 
 
 @pytest.fixture(scope="module")
 def throw():
     """31 rows, so that a row matters, five of them without x."""
     made = curlfit.synthetic_throw(
-        curlfit.LAWS["coulomb"](0.009), curlfit.Stone(), v0=2.0, omega0=1.2, until=15.0, dt=0.5,
-        noise_xy=0.005, noise_phi=0.01, seed=3,
-    )  # fmt: skip
+        curlfit.LAWS["coulomb"](0.009),
+        curlfit.Stone(),
+        v0=2.0,
+        omega0=1.2,
+        until=15.0,
+        dt=0.5,
+        noise_xy=0.005,
+        noise_phi=0.01,
+        seed=3,
+    )
     x = made.x.copy()
     x[4:9] = np.nan
     return curlfit.Throw.from_arrays(made.t, x, made.y, made.phi, sigma=SIGMA)
@@ -44,25 +58,36 @@ def path_of(result, times):
 
 def path(value, times):
     start = curlfit.InitialState(**{START[name]: value[name] for name in START})
-    found = curlfit.simulate(curlfit.LAWS["coulomb"](value["mu"]), curlfit.Stone(), start, times)
+    found = curlfit.simulate(
+        curlfit.LAWS["coulomb"](value["mu"]), curlfit.Stone(), start, times
+    )
     return np.stack([found.x, found.y, found.phi], -1)
 
 
 def test_the_closed_form_against_fits_without_the_row(throw, fit):
-    # The first row stays: where it is left out, the initial state is that of another time.
+    # The first row stays: where it is left out, the initial state is that of
+    # another time.
     rows = np.arange(1, len(throw), 2)
     cut = [
         curlfit.Throw.from_arrays(
-            *(np.delete(series, row) for series in (throw.t, throw.x, throw.y, throw.phi)),
+            *(
+                np.delete(series, row)
+                for series in (throw.t, throw.x, throw.y, throw.phi)
+            ),
             sigma=SIGMA,
         )
         for row in rows
     ]
-    names, value = list(fit.parameters), {n: item.value for n, item in fit.parameters.items()}
+    names, value = (
+        list(fit.parameters),
+        {n: item.value for n, item in fit.parameters.items()},
+    )
     slopes = []
     for name in names:
         step = fit.parameters[name].stderr
-        up, down = (path({**value, name: value[name] + s}, throw.t) for s in (step, -step))
+        up, down = (
+            path({**value, name: value[name] + s}, throw.t) for s in (step, -step)
+        )
         slopes.append((up - down) / (2 * step))
     slopes = np.moveaxis(slopes, 0, -1)
     measured = np.stack([throw.x, throw.y, throw.phi], -1)
@@ -73,7 +98,9 @@ def test_the_closed_form_against_fits_without_the_row(throw, fit):
         covariance += np.diag(np.square(list(SIGMA.values())))
         off = measured[row] - path_of(other, throw.t)[row]
         there = np.isfinite(off)
-        return multivariate_normal.logpdf(off[there], cov=covariance[np.ix_(there, there)])
+        return multivariate_normal.logpdf(
+            off[there], cov=covariance[np.ix_(there, there)]
+        )
 
     found = leave_one_out(fit)
     others = [curlfit.fit(one, "coulomb", details=False) for one in cut]
@@ -96,12 +123,18 @@ def test_an_estimated_sigma_against_the_exact_integral():
         return gammaln(half) - spread / 2 - half * np.log(np.pi * squares[0])
 
     whole = np.arange(12)
-    expected = [log_marginal(whole) - log_marginal(np.delete(whole, row)) for row in whole]
+    expected = [
+        log_marginal(whole) - log_marginal(np.delete(whole, row)) for row in whole
+    ]
     residual = y - design @ np.linalg.lstsq(design, y, rcond=None)[0]
     found = densities(
-        2 * residual[None], 2 * design[None], np.full((1, 12), 2.0), np.zeros((0, 3)), np.zeros(0),
+        2 * residual[None],
+        2 * design[None],
+        np.full((1, 12), 2.0),
+        np.zeros((0, 3)),
+        np.zeros(0),
         np.array([True]),
-    )  # fmt: skip
+    )
     np.testing.assert_allclose(found.left_out, expected, rtol=1e-9)
 
 
@@ -119,7 +152,12 @@ def test_a_prior_counts_as_a_row_that_is_never_left_out():
         spread = covariance[row, row] - gain @ covariance[rest, row]
         expected.append(norm.logpdf(off[row], gain @ off[rest], np.sqrt(spread)))
     found = densities(
-        y[None], design[None], np.ones((1, 6)), np.diag(1 / sd), mean / sd, np.array([False])
+        y[None],
+        design[None],
+        np.ones((1, 6)),
+        np.diag(1 / sd),
+        mean / sd,
+        np.array([False]),
     )
     np.testing.assert_allclose(found.left_out, expected, rtol=1e-9)
 
@@ -127,7 +165,9 @@ def test_a_prior_counts_as_a_row_that_is_never_left_out():
 @pytest.fixture(scope="module")
 def of_ring(throw):
     every = laws_under(None, "uniform")
-    return curlfit.compare(throw, [law for law, _ in every if issubclass(law, LocalLaw)])
+    return curlfit.compare(
+        throw, [law for law, _ in every if issubclass(law, LocalLaw)]
+    )
 
 
 def test_a_ridge_is_no_parameter(of_ring):
@@ -135,7 +175,9 @@ def test_a_ridge_is_no_parameter(of_ring):
     coulomb, pressure = of_ring.of("coulomb"), of_ring.of("pressure")
     assert pressure.not_identifiable == ("k",)
     for name in ("elpd_loo", "p_loo", "delta_elpd", "delta_elpd_se"):
-        assert getattr(pressure, name) == pytest.approx(getattr(coulomb, name), abs=1e-4)
+        assert getattr(pressure, name) == pytest.approx(
+            getattr(coulomb, name), abs=1e-4
+        )
     assert coulomb.log_evidence == pytest.approx(pressure.log_evidence, abs=1e-3)
     assert coulomb.weight == pytest.approx(pressure.weight, abs=1e-3)
     assert 0.1 < coulomb.weight <= 0.5
@@ -146,11 +188,14 @@ def test_a_ridge_is_no_parameter(of_ring):
 def test_a_bound_has_the_mean_and_variance_of_what_it_leaves(push, inward):
     precision, gradient = np.array([[5.0, 1.0], [1.0, 4.0]]), np.array([0.5, 0.0])
     stiffness = 4.0 - 1 / 5
-    gradient[1] = 0.5 / 5 - inward * push * np.sqrt(stiffness)  # with the other integrated out
+    # with the other integrated out
+    gradient[1] = 0.5 / 5 - inward * push * np.sqrt(stiffness)
     found = _bound_factors(precision, gradient, np.array([0.0, inward]))
     assert (found.mean[0], found.precision[0]) == (0.0, 0.0)
     whole = stiffness + found.precision[1]
-    mean = (found.precision[1] * found.mean[1] - inward * push * np.sqrt(stiffness)) / whole
+    mean = (
+        found.precision[1] * found.mean[1] - inward * push * np.sqrt(stiffness)
+    ) / whole
     left = expon(scale=1 / push) if push > 100 else truncnorm(push, np.inf, loc=-push)
     assert inward * mean * np.sqrt(stiffness) == pytest.approx(left.mean(), rel=2e-3)
     assert stiffness / whole == pytest.approx(left.var(), rel=5e-3)

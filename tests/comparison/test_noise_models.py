@@ -23,9 +23,15 @@ def throw():
     """Its noise forgets itself within half a second."""
     random = np.random.default_rng(2)
     root = np.linalg.cholesky(np.exp(-np.abs(TIMES[:, None] - TIMES) / MEMORY))
-    exact = filmed(curlfit.LAWS["coulomb"](0.009), noise=dict.fromkeys(SIGMA, 0.0), omega=1.3)
-    noise = {name: size * root @ random.standard_normal(201) for name, size in SIGMA.items()}
-    return replace(exact, **{name: getattr(exact, name) + noise[name] for name in noise})
+    exact = filmed(
+        curlfit.LAWS["coulomb"](0.009), noise=dict.fromkeys(SIGMA, 0.0), omega=1.3
+    )
+    noise = {
+        name: size * root @ random.standard_normal(201) for name, size in SIGMA.items()
+    }
+    return replace(
+        exact, **{name: getattr(exact, name) + noise[name] for name in noise}
+    )
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +50,8 @@ def test_likelihoods_of_noise_models_are_densities_of_the_data(found):
             white = item.noise_model["white"].get(name, 1.0)
             correlation = (1 - white) * np.exp(-np.abs(t[:, None] - t) / memory)
             correlation += white * np.eye(len(t))
-            variance = off @ np.linalg.solve(correlation, off) / len(t)  # the most likely
+            # the most likely
+            variance = off @ np.linalg.solve(correlation, off) / len(t)
             total += multivariate_normal.logpdf(off, cov=variance * correlation)
         assert item.log_likelihood == pytest.approx(total, abs=1e-6)
 
@@ -60,7 +67,9 @@ def test_criteria_of_noise_models_are_comparable(found):
     assert white.delta_bic == pytest.approx(expected, rel=1e-9)
     assert white.delta_bic > 100
     assert all(0.2 < memory < 1.2 for memory in ar1.noise_model["memory"].values())
-    assert ar1.log_evidence is white.log_evidence is ar1.elpd_loo is white.elpd_loo is None
+    assert (
+        ar1.log_evidence is white.log_evidence is ar1.elpd_loo is white.elpd_loo is None
+    )
 
 
 def test_report_and_record_name_the_noise_of_each_fit(found, tmp_path):
@@ -79,7 +88,10 @@ def test_report_and_record_name_the_noise_of_each_fit(found, tmp_path):
     with pytest.raises(KeyError, match="discrepancy"):
         found.of("coulomb", noise="discrepancy")
     legend = curlfit.comparison_figure(found).axes[0].get_legend_handles_labels()[1]
-    assert legend[1:] == ["1. coulomb, uniform load, ar1 noise", "2. coulomb, uniform load"]
+    assert legend[1:] == [
+        "1. coulomb, uniform load, ar1 noise",
+        "2. coulomb, uniform load",
+    ]
 
 
 def test_correlated_residuals_count_effective_values_less_those_spent(throw):
@@ -95,7 +107,10 @@ def test_correlated_residuals_count_effective_values_less_those_spent(throw):
         minus_two += (np.log(2 * np.pi * rms**2) + 1) * (counts[name] - spent)
     expected = minus_two + k * np.log(sum(counts.values()))
     assert found.best.bic == pytest.approx(expected, rel=1e-9)
-    assert "which assume independent residuals, are not given" in document(found).warnings[0]
+    assert (
+        "which assume independent residuals, are not given"
+        in document(found).warnings[0]
+    )
 
 
 def test_what_a_prior_says_is_not_counted_as_what_the_data_determine(throw):
@@ -106,11 +121,14 @@ def test_what_a_prior_says_is_not_counted_as_what_the_data_determine(throw):
     )
     counts = [one.best.n_parameters for one in (free, prior, fixed)]
     assert counts == pytest.approx([10, 9, 9], abs=1e-3)
-    # nor in the correction of the correlation of residuals for the parameters of the fit
+    # nor in the correction of the correlation of residuals for the
+    # parameters of the fit
     assert prior.effective == pytest.approx(fixed.effective, rel=1e-4)
     assert prior.best.bic == pytest.approx(fixed.best.bic, abs=1e-3)
     assert prior.best.aicc == pytest.approx(fixed.best.aicc, abs=1e-3)
     half = curlfit.compare(
-        throw, ["coulomb"], priors={"mu": f"{mu}+-{free.best.coefficients['mu']['stderr']}"}
+        throw,
+        ["coulomb"],
+        priors={"mu": f"{mu}+-{free.best.coefficients['mu']['stderr']}"},
     )
     assert half.best.n_parameters == pytest.approx(9.5, abs=0.1)

@@ -1,7 +1,9 @@
-"""Check a built site: all internal links and anchors exist, and nothing comes from a network.
+"""Check a built site: all internal links and anchors exist, and nothing comes
+from a network.
 
-`python tests/documentation/check_site.py notebooks/_build/html`. Links to other sites are allowed,
-and not followed; resources of other sites (scripts, styles, pictures, fonts) are not.
+`python tests/documentation/check_site.py notebooks/_build/html`. Links to other sites
+are allowed, and not followed; resources of other sites (scripts, styles, pictures,
+fonts) are not.
 """
 
 from __future__ import annotations
@@ -12,8 +14,15 @@ from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
-LOADS = {"script": "src", "img": "src", "source": "src", "iframe": "src", "link": "href"}
-_NOT_LOADED = {"canonical", "index", "search", "next", "prev", "author"}  # of <link rel=...>
+LOADS = {
+    "script": "src",
+    "img": "src",
+    "source": "src",
+    "iframe": "src",
+    "link": "href",
+}
+# of <link rel=...>
+_NOT_LOADED = {"canonical", "index", "search", "next", "prev", "author"}
 _STYLE = re.compile(r"(?:url\(|@import)\s*['\"]?((?:https?:)?//[^)'\"]+)")
 
 
@@ -50,13 +59,17 @@ def faults(site: Path) -> list[str]:
                 if link in page.resources:
                     found.append(f"{name}: {link} comes from a network")
                 continue
-            there = (file.parent / unquote(parts.path)).resolve() if parts.path else file
+            there = (
+                (file.parent / unquote(parts.path)).resolve() if parts.path else file
+            )
             there = there / "index.html" if there.is_dir() else there
             ids = pages[there].ids | {""} if there in pages else {""}
             if not there.is_file():
                 found.append(f"{name}: no file {link}")
             elif (
-                link in page.links and there in pages and unquote(parts.fragment) not in ids | {""}
+                link in page.links
+                and there in pages
+                and unquote(parts.fragment) not in ids | {""}
             ):
                 found.append(f"{name}: no anchor {link}")
     for file in sorted(site.rglob("*.css")):
@@ -67,5 +80,8 @@ def faults(site: Path) -> list[str]:
 
 if __name__ == "__main__":
     wrong = faults(Path(sys.argv[1]))
-    print("\n".join(wrong) or "All internal links lead somewhere; nothing comes from a network.")
+    print(
+        "\n".join(wrong)
+        or "All internal links lead somewhere; nothing comes from a network."
+    )
     sys.exit(bool(wrong))

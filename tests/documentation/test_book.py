@@ -1,4 +1,5 @@
-"""What README and book tell to type is typed here, as it stands, and prints what they show.
+"""What README and book tell to type is typed here, as it stands, and prints
+what they show.
 
 All commands are typed in one folder, each once, in the order of the book.
 """
@@ -26,7 +27,9 @@ pytestmark = pytest.mark.documentation
 NOTEBOOKS = ROOT / "notebooks"
 ENTRIES = [
     entry
-    for tree in re.findall(r"```{toctree}\n(.*?)```", (NOTEBOOKS / "index.md").read_text(), re.S)
+    for tree in re.findall(
+        r"```{toctree}\n(.*?)```", (NOTEBOOKS / "index.md").read_text(), re.S
+    )
     for entry in tree.split("\n\n", 1)[1].split()
 ]
 PAGES = {"README": (ROOT / "README.md").read_text()} | {
@@ -37,7 +40,8 @@ PAGES = {"README": (ROOT / "README.md").read_text()} | {
 README, BOOK = PAGES["README"], "\n".join(PAGES.values())
 # These are done by .ci/run, each in an environment that has nothing yet.
 NOT_HERE = tuple(
-    re.search(rf"<!-- {name} -->\n```bash\n(.*)\n```", README)[1] for name in ("fit", "tests")
+    re.search(rf"<!-- {name} -->\n```bash\n(.*)\n```", README)[1]
+    for name in ("fit", "tests")
 )
 MAIN = "curlfit fit data/jensen_shegelski_2004.csv"
 BLOCKS = [
@@ -49,7 +53,9 @@ BLOCKS = [
 BASH = list(dict.fromkeys([MAIN, *(line for _, lines, _ in BLOCKS for line in lines)]))
 BASH.remove("curlfit reproduce")  # of which all is in tests/paper, and in a notebook
 OUTPUTS = [(name, lines, text) for name, lines, text in BLOCKS if text]
-TABLE = re.search(r"A text table with a header:\n\n```text\n(.*?)```", PAGES["data"], re.S)[1]
+TABLE = re.search(
+    r"A text table with a header:\n\n```text\n(.*?)```", PAGES["data"], re.S
+)[1]
 INLINE = set(re.findall(r"`(curlfit(?: [^`]+))`", BOOK)) - set(BASH)
 QUOTED = {
     name: re.search(r"```text\n((?:Time|draw)[^\n]*[;,].*?)```", PAGES[name], re.S)[1]
@@ -77,7 +83,8 @@ def test_every_block_is_known():
     assert NOT_HERE[0].endswith(f"/{MAIN}")
     assert len(BASH) > 45
     assert all(line.startswith("curlfit ") for line in BASH)
-    # output follows its commands; the others are of the README's first command, and nine files
+    # output follows its commands; the others are of the README's first command,
+    # and nine files
     assert len(re.findall(r"^```text$", BOOK, re.M)) == len(OUTPUTS) + 10
     assert len(OUTPUTS) > 30
 
@@ -91,8 +98,13 @@ def test_the_lines_of_a_file_are_those_of_the_file(page):
 @pytest.mark.parametrize(
     ("lines", "text"),
     [
-        pytest.param([MAIN], re.search(r"```text\n(.*?)```", README, re.S)[1], id="README"),
-        *(pytest.param(lines, text, id=f"{name}: {lines[-1]}") for name, lines, text in OUTPUTS),
+        pytest.param(
+            [MAIN], re.search(r"```text\n(.*?)```", README, re.S)[1], id="README"
+        ),
+        *(
+            pytest.param(lines, text, id=f"{name}: {lines[-1]}")
+            for name, lines, text in OUTPUTS
+        ),
     ],
 )
 def test_the_commands_print_what_is_shown(printed, lines, text):
@@ -116,22 +128,30 @@ def test_the_commands_write_what_the_book_says(printed, clone):
 def test_the_gallery_has_what_the_commands_write(printed, clone):
     drawn = _module(NOTEBOOKS / "pictures" / "draw_gallery.py")
     gallery = set(re.findall(r"pictures/([\w-]+)\.png", PAGES["gallery"]))
-    assert gallery == drawn.PICTURES.keys() == {f.stem for f in drawn.FOLDER.glob("*.png")}
+    assert (
+        gallery == drawn.PICTURES.keys() == {f.stem for f in drawn.FOLDER.glob("*.png")}
+    )
     assert all((clone / f"{file}.png").is_file() for file in drawn.PICTURES.values())
 
 
 def test_the_table_of_fit_json_has_its_fields(printed, clone):
     record = json.loads((clone / "jensen_shegelski_2004-fit" / "fit.json").read_text())
     table = PAGES["files"].split("| field | content |")[1].split("\n\n")[0]
-    first = [line.split(" | ")[0] for line in table.splitlines() if line.startswith("| `")]
+    first = [
+        line.split(" | ")[0] for line in table.splitlines() if line.startswith("| `")
+    ]
     told = {name for cell in first for name in re.findall(r"`(\w+)`", cell)}
     assert told == record.keys()
 
 
 def test_options_within_sentences_exist():
     verbs = [app[name] for name in app if not name.startswith("-")]
-    known = {name for verb in verbs for flag in verb.assemble_argument_collection()
-             for name in flag.names}  # fmt: skip
+    known = {
+        name
+        for verb in verbs
+        for flag in verb.assemble_argument_collection()
+        for name in flag.names
+    }
     told = set(re.findall(r"(?<=`)--[a-z0-9-]+", BOOK))
     assert len(told) > 40
     assert told <= known | {"--help", "--version"}, told - known
@@ -155,14 +175,20 @@ def test_commands_within_sentences(printed, clone, line):
         shown = {" ".join(known.split()[:2]) for known in BASH}
         assert line in shown | {"curlfit show", "curlfit app"}
         return
-    folders = [f"jensen_shegelski_2004-{kind}" for kind in ("fit", "compare", "predict")]
+    folders = [
+        f"jensen_shegelski_2004-{kind}" for kind in ("fit", "compare", "predict")
+    ]
     folders.append("jensen_shegelski_2004-profile-mu1_xi")
     for folder in folders if "DIR" in line else [""]:
         assert typed(re.sub(r"\bDIR\b", folder, line), clone) != ""
 
 
 def test_commands_within_sentences_are_found():
-    assert {"curlfit show DIR", "curlfit plot DIR --format pdf", "curlfit fit --help"} <= INLINE
+    assert {
+        "curlfit show DIR",
+        "curlfit plot DIR --format pdf",
+        "curlfit fit --help",
+    } <= INLINE
 
 
 def test_python(tmp_path):
@@ -173,9 +199,13 @@ def test_python(tmp_path):
     for index, block in enumerate(found):
         if "curlfit.sample(" in block:
             # in the next sentence, of what the block has defined
-            (line,) = set(re.findall(r"`(curlfit\.sample\([^`]*resume[^`]*\))`", PAGES["python"]))
+            (line,) = set(
+                re.findall(r"`(curlfit\.sample\([^`]*resume[^`]*\))`", PAGES["python"])
+            )
             found[index] += f"again = {line}[1], {line}[1]\n"
-            found[index] += "assert all((one.values == chain.values).all() for one in again)\n"
+            found[index] += (
+                "assert all((one.values == chain.values).all() for one in again)\n"
+            )
     (tmp_path / "blocks.json").write_text(json.dumps(found))
     (tmp_path / "all.py").write_text(
         "import json, pathlib\n"
@@ -283,23 +313,35 @@ def test_the_configuration_is_understood(tmp_path):
 
 def test_the_sheet_is_that_of_the_program():
     section = PAGES["conventions"].split("## The sheet")[1]
-    lines = [float(value) for value in re.findall(r"^\| [^|]* \| ([\d.]+) \|$", section, re.M)]
+    lines = [
+        float(value)
+        for value in re.findall(r"^\| [^|]* \| ([\d.]+) \|$", section, re.M)
+    ]
     assert lines == pytest.approx([y for y in LINES.values() if y > 0])
     assert ", ".join(f"{radius:.3f}" for radius in CIRCLES[:3]) in section
 
 
 def test_what_is_wrong_with_a_site_is_found(tmp_path):
     site = _module(Path(__file__).with_name("check_site.py"))
-    (tmp_path / "a.html").write_text('<p id="here"><a href="b.html#there"></a><a href="#here"></a>')
-    (tmp_path / "b.html").write_text('<p id="there"><a href="https://example.org">away</a>')
+    (tmp_path / "a.html").write_text(
+        '<p id="here"><a href="b.html#there"></a><a href="#here"></a>'
+    )
+    (tmp_path / "b.html").write_text(
+        '<p id="there"><a href="https://example.org">away</a>'
+    )
     assert site.faults(tmp_path) == []
     (tmp_path / "b.html").write_text(
-        '<a href="a.html#nowhere">a</a><a href="c.html">c</a><script src="https://x.org/y.js"></script>'
+        '<a href="a.html#nowhere">a</a><a href="c.html">c</a>'
+        '<script src="https://x.org/y.js"></script>'
     )
-    (tmp_path / "style.css").write_text("@import '//x.org/z.css'; b {background: url(own.png)}")
+    (tmp_path / "style.css").write_text(
+        "@import '//x.org/z.css'; b {background: url(own.png)}"
+    )
     assert site.faults(tmp_path) == [
-        "a.html: no anchor b.html#there", "b.html: no anchor a.html#nowhere",
-        "b.html: no file c.html", "b.html: https://x.org/y.js comes from a network",
+        "a.html: no anchor b.html#there",
+        "b.html: no anchor a.html#nowhere",
+        "b.html: no file c.html",
+        "b.html: https://x.org/y.js comes from a network",
         "style.css: //x.org/z.css comes from a network",
-    ]  # fmt: skip
+    ]
     assert site.faults(tmp_path / "empty") != []

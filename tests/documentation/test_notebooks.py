@@ -1,4 +1,5 @@
-"""The notebooks run from top to bottom, and what is stored in them came from such a run."""
+"""The notebooks run from top to bottom, and what is stored in them came
+from such a run."""
 
 from __future__ import annotations
 

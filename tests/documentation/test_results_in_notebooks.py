@@ -25,7 +25,11 @@ from scipy import stats
 import curlfit
 from curlfit.errors import InputError
 from curlfit.exploration.explore import describe
-from curlfit.inference.mcmc.arviz_export import draw_noise, log_likelihoods, whitening_matrix
+from curlfit.inference.mcmc.arviz_export import (
+    draw_noise,
+    log_likelihoods,
+    whitening_matrix,
+)
 from curlfit.inference.noise.models import Noise
 from curlfit.inference.noise.whitening import Whitener
 from curlfit.inference.problem import LEVEL_AND_STILL, Problem
@@ -35,20 +39,48 @@ from curlfit.stone import Stone
 pytestmark = pytest.mark.documentation
 
 ROOT = Path(__file__).parents[2]
-WITHOUT = {"LAWS", "__version__"}  # a dictionary and a text have no docstring of their own
-ELSEWHERE = {"reproduce", "Reproduction"}  # tests/paper, which has the computation at hand
-SHOWN = ("throw", "fit", "sampled", "posterior", "chain", "joint", "comparison", "prediction",
-         "plan", "between", "profile", "pair", "flat", "path", "friction")  # fmt: skip
+# a dictionary and a text have no docstring of their own
+WITHOUT = {"LAWS", "__version__"}
+# tests/paper, which has the computation at hand
+ELSEWHERE = {"reproduce", "Reproduction"}
+SHOWN = (
+    "throw",
+    "fit",
+    "sampled",
+    "posterior",
+    "chain",
+    "joint",
+    "comparison",
+    "prediction",
+    "plan",
+    "between",
+    "profile",
+    "pair",
+    "flat",
+    "path",
+    "friction",
+)
 
 
-FIRST = ("load_throw", "fit", "sample", "fit_together", "compare", "predict", "design",
-         "discriminate", "profile", "fit_friction")  # fmt: skip
+FIRST = (
+    "load_throw",
+    "fit",
+    "sample",
+    "fit_together",
+    "compare",
+    "predict",
+    "design",
+    "discriminate",
+    "profile",
+    "fit_friction",
+)
 """Names whose examples define what those of others use."""
 
 
 @pytest.fixture(scope="module")
 def known(tmp_path_factory):
-    """What the examples define, in the order of use, with the folder and what failed."""
+    """What the examples define, in the order of use, with the folder and
+    what failed."""
     folder = tmp_path_factory.mktemp("examples")
     shutil.copytree(ROOT / "data", folder / "data")
     namespace, failures = {"curlfit": curlfit, "np": np}, []
@@ -58,7 +90,13 @@ def known(tmp_path_factory):
             if name in WITHOUT | ELSEWHERE:
                 continue
             if name == "fit_season":
-                words = ["data/two_sheets.csv", "--law", "front-back", "--out", "season.csv"]
+                words = [
+                    "data/two_sheets.csv",
+                    "--law",
+                    "front-back",
+                    "--out",
+                    "season.csv",
+                ]
                 command("batch", *words, "--workers", 1, cwd=folder)
             if name == "load_joint":  # as `curlfit fit A B --out joint` leaves it
                 joint = namespace["joint"]
@@ -115,7 +153,18 @@ def test_a_result_is_a_few_lines_of_text_and_a_small_page(known, name):
     assert len(repr(result)) < 800
     page = Page(result._repr_html_())
     assert page.text.startswith(type(result).__name__)
-    assert set(page.tags) <= {"div", "p", "span", "br", "table", "thead", "tbody", "tr", "th", "td"}
+    assert set(page.tags) <= {
+        "div",
+        "p",
+        "span",
+        "br",
+        "table",
+        "thead",
+        "tbody",
+        "tr",
+        "th",
+        "td",
+    }
     assert ("table" in page.tags) == (name != "flat")  # which has no intervals
     assert len(page.text) < 4000
 
@@ -128,13 +177,19 @@ def test_what_a_fit_finds_comes_first_and_nothing_undetermined_has_an_error(know
         assert not re.search(r"mu1_eta (=|\d)|mu1_eta +[\d(]", shown)
         # as the README has it: 0.055627 +- 0.000025
         assert re.search(r"0\.055627(\(25\)| +0\.000025)", shown)
-        assert re.search(r"mu1_eta \+ mu2_eta +(= )?0\.017573(\(16\)| +0\.000016)", shown)
+        assert re.search(
+            r"mu1_eta \+ mu2_eta +(= )?0\.017573(\(16\)| +0\.000016)", shown
+        )
     assert "not identifiable: mu1_eta, mu2_eta" in text
     assert "1 warning, see curlfit.print_fit" in text
     assert "Only mu1_eta + mu2_eta is determined" in page
     assert f"Warning: {fit.warnings[0]}." in page
-    failed = replace(fit, converged=False, status="Did not converge: 200 steps were not enough")
-    assert repr(failed).startswith("FitResult, did not converge: 200 steps were not enough:")
+    failed = replace(
+        fit, converged=False, status="Did not converge: 200 steps were not enough"
+    )
+    assert repr(failed).startswith(
+        "FitResult, did not converge: 200 steps were not enough:"
+    )
     assert html.COLORS["red"] in failed._repr_html_().partition("<table")[0]
     assert "not identifiable" in repr(known["flat"]).splitlines()[0]
 
@@ -152,12 +207,17 @@ def test_pages_are_escaped(known):
 
 
 def test_colours_are_readable_on_white_and_on_black():
-    """Contrast of WCAG 2, which asks for 3 of large and bold text and 4.5 of small text."""
+    """Contrast of WCAG 2, which asks for 3 of large and bold text and 4.5
+    of small text."""
 
     def luminance(color):
         channels = np.array([int(color[k : k + 2], 16) for k in (1, 3, 5)]) / 255
         curved = ((channels + 0.055) / 1.055) ** 2.4
-        return np.where(channels <= 0.04045, channels / 12.92, curved) @ [0.2126, 0.7152, 0.0722]
+        return np.where(channels <= 0.04045, channels / 12.92, curved) @ [
+            0.2126,
+            0.7152,
+            0.0722,
+        ]
 
     for color in html.COLORS.values():
         light = luminance(color)
@@ -183,7 +243,8 @@ def test_a_traced_path_can_be_shown():
 
 
 def test_numbers_are_taken_by_name(known):
-    assert known["fit"] != pickle.loads(pickle.dumps(known["fit"]))  # compared by identity
+    # compared by identity
+    assert known["fit"] != pickle.loads(pickle.dumps(known["fit"]))
     fit, joint = known["fit"], known["joint"]
     assert fit["mu2_xi"] is fit.parameters["mu2_xi"]
     assert fit["mu1_eta + mu2_eta"] is fit.combinations[0]
@@ -216,13 +277,20 @@ def test_a_fit_as_a_table(known):
     assert hidden[["value", "stderr", "systematic", "low", "high"]].isna().all()
     assert hidden["verdict"] == "not identifiable"
     assert table.loc["v0", "unit"] == "m/s"
-    assert known["joint"].to_frame().index.tolist() == [*fit.coefficients, "mu1_eta + mu2_eta"]
+    assert known["joint"].to_frame().index.tolist() == [
+        *fit.coefficients,
+        "mu1_eta + mu2_eta",
+    ]
 
 
 def test_a_throw_as_a_table_and_back(known):
     t = np.linspace(0, 1, 5)
     throw = curlfit.Throw.from_arrays(
-        t, x=np.where(t == 0.5, np.nan, t), y=2 * t, omega=1 + t, sigma={"x": 0.01, "omega": 0.1}
+        t,
+        x=np.where(t == 0.5, np.nan, t),
+        y=2 * t,
+        omega=1 + t,
+        sigma={"x": 0.01, "omega": 0.1},
     )
     table = throw.to_frame()
     assert table.columns.tolist() == ["t", "x", "y", "omega", "sigma_x", "sigma_omega"]
@@ -249,7 +317,9 @@ def test_other_results_as_tables(known):
 
     prediction = known["prediction"]
     written = pandas.read_csv(io.StringIO(prediction.table()), comment="#")
-    pandas.testing.assert_frame_equal(prediction.to_frame(), written, rtol=1e-8, check_dtype=False)
+    pandas.testing.assert_frame_equal(
+        prediction.to_frame(), written, rtol=1e-8, check_dtype=False
+    )
     table = known["comparison"].to_frame()
     assert table["delta_bic"].tolist() == [
         item.delta_bic for item in known["comparison"].candidates
@@ -258,9 +328,15 @@ def test_other_results_as_tables(known):
     table = profile.to_frame()
     nearest = (table["mu1_xi"] - profile.best).abs().idxmin()
     assert table["v0"][nearest] == pytest.approx(known["fit"]["v0"].value, rel=1e-3)
-    assert known["pair"].to_frame().columns.tolist() == ["mu1_xi", "mu2_xi", "delta_chi2"]
+    assert known["pair"].to_frame().columns.tolist() == [
+        "mu1_xi",
+        "mu2_xi",
+        "delta_chi2",
+    ]
     errors = known["plan"].to_frame()["mu1_eta + mu2_eta stderr"]
-    assert errors.tolist() == [one.stderr["mu1_eta + mu2_eta"] for one in known["plan"].candidates]
+    assert errors.tolist() == [
+        one.stderr["mu1_eta + mu2_eta"] for one in known["plan"].candidates
+    ]
     path = known["path"].to_frame()
     np.testing.assert_allclose(path["speed"], np.hypot(path["vx"], path["vy"]))
 
@@ -285,7 +361,10 @@ def test_a_package_that_is_missing_is_named(known, monkeypatch, package, extra, 
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(InputError) as caught:
         use(known)
-    assert str(caught.value) == f"{package} is not installed: pip install 'curlfit[{extra}]'"
+    assert (
+        str(caught.value)
+        == f"{package} is not installed: pip install 'curlfit[{extra}]'"
+    )
 
 
 def test_throws_are_equal_by_content(known):
@@ -328,7 +407,9 @@ def test_arviz_has_the_chain(known, inference):
     one = posterior.isel(chain=1, draw=[7, kept.shape[2] + 1])
     walkers, steps = one["walker"].values, one["step"].values
     rows = chain.discarded + steps, chain.values.shape[1] // 4 + walkers
-    np.testing.assert_array_equal(one["v0"], chain.values[(*rows, chain.names.index("v0"))])
+    np.testing.assert_array_equal(
+        one["v0"], chain.values[(*rows, chain.names.index("v0"))]
+    )
     np.testing.assert_array_equal(
         inference.sample_stats["lp"].isel(chain=1, draw=[7, kept.shape[2] + 1]),
         chain.log_posterior[rows],
@@ -344,14 +425,18 @@ def test_arviz_has_the_chain(known, inference):
 def test_replicated_data_scatter_as_the_noise_does(known, inference):
     fit = known["fit"]
     for name in ("x", "y", "phi"):
-        off = (inference.posterior_predictive[name] - fit.fitted[name]) / fit.sigma[name]
-        assert float(off.std()) == pytest.approx(1.0, abs=0.03)  # the posterior adds 10 of 603
+        off = (inference.posterior_predictive[name] - fit.fitted[name]) / fit.sigma[
+            name
+        ]
+        # the posterior adds 10 of 603
+        assert float(off.std()) == pytest.approx(1.0, abs=0.03)
         assert stats.kstest(off.values[:, ::5].ravel()[::50], "norm").pvalue > 1e-3
 
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings(
-    "ignore:Passing a dict or None as alias_mapping"  # ArviZ's own, with matplotlib 3.11
+    # ArviZ's own, with matplotlib 3.11
+    "ignore:Passing a dict or None as alias_mapping"
 )
 def test_arviz_plots_compares_and_summarises(known, inference, monkeypatch):
     monkeypatch.setenv("MPLBACKEND", "agg")
@@ -369,7 +454,11 @@ def test_arviz_plots_compares_and_summarises(known, inference, monkeypatch):
     assert (summary["r_hat"] < 1.03).all()
     # thinned by so many, of which the sampler's own estimate knows nothing
     for name, ess in known["sampled"].posterior.ess.items():
-        assert 0.15 * ess < summary["ess_bulk"][name] < 1.2 * inference.posterior["v0"].size
+        assert (
+            0.15 * ess
+            < summary["ess_bulk"][name]
+            < 1.2 * inference.posterior["v0"].size
+        )
     mean, sd = known["posterior"].mean["mu2_xi"], known["posterior"].sd["mu2_xi"]
     assert summary["mean"]["mu2_xi"] == pytest.approx(mean, abs=0.15 * sd)
     found = arviz.loo(inference, var_name="phi")
@@ -407,18 +496,22 @@ def test_a_chain_without_its_fit_is_refused(known):
 
 
 def test_correlated_noise_is_that_of_the_covariance():
-    """Against the covariance in closed form: densities of each value given the others by Schur's
-    complement, and the covariance of what is drawn."""
+    """Against the covariance in closed form: densities of each value given the others
+    by Schur's complement, and the covariance of what is drawn."""
     t, memory = np.array([0.0, 0.1, 0.3, 0.4, 0.9, 1.0]), 0.4
     weight = np.zeros((3, 8))
     weight[0, :6] = 10.0
     times = np.append(t, [1.0, 1.0])
     noise = Noise("ar1", memory={"x": memory})
     whitener = Whitener.of(noise, times, weight, 0)
-    problem = Problem(times, weight * 0, weight, Stone(), LEVEL_AND_STILL, whitener=whitener)
+    problem = Problem(
+        times, weight * 0, weight, Stone(), LEVEL_AND_STILL, whitener=whitener
+    )
     whitening = whitening_matrix(problem)
     covariance = np.exp(-np.abs(t[:, None] - t) / memory)
-    np.testing.assert_allclose(np.linalg.inv(whitening.T @ whitening), covariance, atol=1e-12)
+    np.testing.assert_allclose(
+        np.linalg.inv(whitening.T @ whitening), covariance, atol=1e-12
+    )
 
     residual = np.random.default_rng(1).normal(size=(2, 6))
     expected = np.empty((2, 6))
@@ -426,7 +519,9 @@ def test_correlated_noise_is_that_of_the_covariance():
         rest = np.delete(np.arange(6), k)
         pull = np.linalg.solve(covariance[np.ix_(rest, rest)], covariance[rest, k])
         variance = 1 - covariance[rest, k] @ pull
-        expected[:, k] = stats.norm.logpdf(residual[:, k], residual[:, rest] @ pull, variance**0.5)
+        expected[:, k] = stats.norm.logpdf(
+            residual[:, k], residual[:, rest] @ pull, variance**0.5
+        )
     np.testing.assert_allclose(log_likelihoods(residual, whitening, "linear"), expected)
 
     drawn = draw_noise(np.random.default_rng(2), (40_000, 6), whitening, "linear")
@@ -452,8 +547,14 @@ def test_curves_follow_the_sliders(known):
     first = explorer._image.value
     assert explorer.curves.chi_squared == pytest.approx(fit.chi_squared, abs=1e-6)
     sliders = explorer.sliders
-    sliders["mu2_xi"].value, sliders["omega0"].value, sliders["x0"].value = 0.045, 0.9, 0.2
-    law = curlfit.law_with("front-back", {name: sliders[name].value for name in fit.coefficients})
+    sliders["mu2_xi"].value, sliders["omega0"].value, sliders["x0"].value = (
+        0.045,
+        0.9,
+        0.2,
+    )
+    law = curlfit.law_with(
+        "front-back", {name: sliders[name].value for name in fit.coefficients}
+    )
     start = curlfit.InitialState(
         **{name: sliders[name + "0"].value for name in ("x", "y", "v", "phi", "omega")},
         heading=sliders["heading"].value,
@@ -461,10 +562,15 @@ def test_curves_follow_the_sliders(known):
     some, curves = [0, 64, 128, 192, 255], explorer.curves
     path = curlfit.simulate(law, fit.stone, start, curves.t[some])
     for name in ("x", "y", "phi", "speed", "omega"):
-        np.testing.assert_allclose(curves.path[name][some], getattr(path, name), atol=1e-7)
-    np.testing.assert_array_equal(explorer._drawn.path.get_xydata()[:, 1], curves.path["x"])
+        np.testing.assert_allclose(
+            curves.path[name][some], getattr(path, name), atol=1e-7
+        )
+    np.testing.assert_array_equal(
+        explorer._drawn.path.get_xydata()[:, 1], curves.path["x"]
+    )
     total = sum(
-        np.sum((residual / fit.sigma[name]) ** 2) for name, residual in curves.residuals.items()
+        np.sum((residual / fit.sigma[name]) ** 2)
+        for name, residual in curves.residuals.items()
     )
     np.testing.assert_allclose(curves.chi_squared, total, rtol=1e-9)
     assert f"chi squared {total:.6g}" in explorer._text.value
@@ -479,7 +585,9 @@ def test_curves_follow_the_sliders(known):
 def test_sliders_keep_to_bounds(known):
     fit = known["fit"]
     item = replace(fit["mu2_xi"], value=0.0, stderr=None, verdict="at bound")
-    explorer = curlfit.explore(replace(fit, parameters=fit.parameters | {"mu2_xi": item}))
+    explorer = curlfit.explore(
+        replace(fit, parameters=fit.parameters | {"mu2_xi": item})
+    )
     slider = explorer.sliders["mu2_xi"]
     assert slider.min == item.lower == slider.value < slider.max
     for name, slider in explorer.sliders.items():
@@ -500,16 +608,37 @@ NO_THROW = "str 'a.csv' found, expected a Throw, as from curlfit"
         (lambda throw: curlfit.fit("a.csv"), NO_THROW),
         (lambda throw: curlfit.compare("a.csv"), NO_THROW),
         (lambda throw: curlfit.fit_together(["a.csv"]), NO_THROW),
-        (lambda throw: curlfit.fit(throw, 3), "law: int '3' found, expected the name of a law"),
-        (lambda throw: curlfit.fit(throw, stone=7), "stone = 7; expected stone.NAME = a number"),
-        (lambda throw: curlfit.fit(throw, stone={"r": 1}), "the stone has no property 'r'"),
-        (lambda throw: curlfit.fit(throw, fix="mu1_xi=1"), "fix = 'mu1_xi=1'; expected fix.NAME"),
-        (lambda throw: curlfit.fit(throw, bounds={"mu1_xi": 3}), "bounds.mu1_xi = 3; expected"),
-        (lambda throw: curlfit.Throw.from_arrays([0, 1], sigma=1), "sigma: int '1' found"),
+        (
+            lambda throw: curlfit.fit(throw, 3),
+            "law: int '3' found, expected the name of a law",
+        ),
+        (
+            lambda throw: curlfit.fit(throw, stone=7),
+            "stone = 7; expected stone.NAME = a number",
+        ),
+        (
+            lambda throw: curlfit.fit(throw, stone={"r": 1}),
+            "the stone has no property 'r'",
+        ),
+        (
+            lambda throw: curlfit.fit(throw, fix="mu1_xi=1"),
+            "fix = 'mu1_xi=1'; expected fix.NAME",
+        ),
+        (
+            lambda throw: curlfit.fit(throw, bounds={"mu1_xi": 3}),
+            "bounds.mu1_xi = 3; expected",
+        ),
+        (
+            lambda throw: curlfit.Throw.from_arrays([0, 1], sigma=1),
+            "sigma: int '1' found",
+        ),
         (curlfit.predict, NO_FIT),
         (curlfit.sample, NO_FIT),
         (curlfit.fit_figure, NO_FIT),
-        (lambda throw: curlfit.profile(3, "mu1_xi"), "fit: int '3' found, expected a fit"),
+        (
+            lambda throw: curlfit.profile(3, "mu1_xi"),
+            "fit: int '3' found, expected a fit",
+        ),
         (curlfit.fit_together, "throws: Throw .* found, expected a list of throws"),
         (lambda throw: curlfit.Stone(R="a"), "stone.R = 'a': expected a number in m"),
     ],

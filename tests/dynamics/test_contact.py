@@ -56,7 +56,14 @@ def test_coulomb_force_is_the_complete_elliptic_integral(epsilon):
 @pytest.mark.parametrize("load", ["uniform", "consistent"])
 @pytest.mark.parametrize(
     ("omega", "tolerance"),
-    [(0.3, 1e-12), (-1.0, 1e-12), (7.0, 1e-12), (-29.0, 1e-8), (31.5, 1e-7), (200.0, 1e-12)],
+    [
+        (0.3, 1e-12),
+        (-1.0, 1e-12),
+        (7.0, 1e-12),
+        (-29.0, 1e-8),
+        (31.5, 1e-7),
+        (200.0, 1e-12),
+    ],
 )
 def test_front_back_agrees_with_a_dense_ring(load, omega, tolerance):
     h = STONE.h if load == "consistent" else None
@@ -81,13 +88,25 @@ def _as_written(kind):
 
 CLOSED = {
     "uniform": {
-        "front-back", "tensor", "coulomb", "radial", "angular", "pressure", "stribeck", "debris",
+        "front-back",
+        "tensor",
+        "coulomb",
+        "radial",
+        "angular",
+        "pressure",
+        "stribeck",
+        "debris",
         "front-back+sideways",
     },
     "consistent": {
-        "front-back", "tensor", "coulomb", "stribeck", "debris", "front-back+sideways",
+        "front-back",
+        "tensor",
+        "coulomb",
+        "stribeck",
+        "debris",
+        "front-back+sideways",
     },
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("load", CLOSED)
@@ -120,8 +139,16 @@ def test_closed_form_and_quadrature_agree_with_all_derivatives(name, load):
         found = jnp.stack(accelerations(law.from_vector(p), stone, load, p[-2], p[-1]))
         return found, found
 
-    both = jax.jit(jax.jacfwd(felt, has_aux=True), static_argnames="law")  # derivatives, values
-    for v, omega in [(2.0, 0.3), (2.0, -1.0), (1.5, 7.0), (1.0, -12.0), (1.0, 22.0), (0.1, -40.0)]:
+    # derivatives, values
+    both = jax.jit(jax.jacfwd(felt, has_aux=True), static_argnames="law")
+    for v, omega in [
+        (2.0, 0.3),
+        (2.0, -1.0),
+        (1.5, 7.0),
+        (1.0, -12.0),
+        (1.0, 22.0),
+        (0.1, -40.0),
+    ]:
         p = np.array([*values, STONE.R, v, omega])
         for closed, summed in zip(both(p, kind), both(p, written), strict=True):
             np.testing.assert_allclose(closed, summed, rtol=1e-8, atol=1e-9)
@@ -129,7 +156,9 @@ def test_closed_form_and_quadrature_agree_with_all_derivatives(name, load):
 
 @numerical
 @pytest.mark.parametrize("front", [1.0, 0.0])
-@pytest.mark.parametrize("name", sorted(CLOSED["uniform"] - {"debris", "front-back+sideways"}))
+@pytest.mark.parametrize(
+    "name", sorted(CLOSED["uniform"] - {"debris", "front-back+sideways"})
+)
 def test_polynomials_are_the_traction_at_every_point(name, front):
     kind = LAWS[name]
     law = kind.from_vector([0.3 + 0.1 * k for k, _ in enumerate(kind.coefficients())])
@@ -195,8 +224,8 @@ def test_a_law_without_a_transverse_force_is_one_with_a_coefficient_of_zero():
         )
 
 
-# How friction departs from Coulomb's: share added to its coefficient, and a pull to the right and
-# forward.
+# How friction departs from Coulomb's: share added to its coefficient, and a pull to the
+# right and forward.
 UNEVEN = {
     "cubed": lambda p: (p.e_eta**2, 0.0, 0.0),
     "edged": lambda p: (1.0 * (p.angle < 1.0) * p.front, 0.0, 0.0),
@@ -234,10 +263,21 @@ def test_any_friction_is_summed(uneven):
     slide = -u * np.sin(a), v + u * np.cos(a)
     speed = np.hypot(*slide)
     point = RingPoint(
-        xi=np.cos(a), eta=np.sin(a), angle=a, front=1.0 * (a > 0), slide_xi=slide[0],
-        slide_eta=slide[1], speed=speed, e_xi=slide[0] / speed, e_eta=slide[1] / speed,
-        load=1.0, v=v, u=u, turned=0.0, time=0.0,
-    )  # fmt: skip
+        xi=np.cos(a),
+        eta=np.sin(a),
+        angle=a,
+        front=1.0 * (a > 0),
+        slide_xi=slide[0],
+        slide_eta=slide[1],
+        speed=speed,
+        e_xi=slide[0] / speed,
+        e_eta=slide[1] / speed,
+        load=1.0,
+        v=v,
+        u=u,
+        turned=0.0,
+        time=0.0,
+    )
     t_xi, t_eta = (part + 0 * a for part in Uneven(0.01).traction(point))
     exact = share @ np.stack([t_xi, t_eta, np.cos(a) * t_eta - np.sin(a) * t_xi], 1)
     found = over_weight(Uneven(0.01), "uniform", v, u / STONE.R)
@@ -253,13 +293,15 @@ def test_first_order_law_is_the_limit_of_the_ring():
     for epsilon in (0.1, 0.05, 0.025):
         omega = 2.0 * epsilon / STONE.R
         ring = over_weight(FRONT_BACK, "uniform", 2.0, omega)
-        gaps.append(np.abs(ring / over_weight(first_order, "uniform", 2.0, omega) - 1).max())
+        gaps.append(
+            np.abs(ring / over_weight(first_order, "uniform", 2.0, omega) - 1).max()
+        )
     assert gaps[0] < 3e-3
     assert gaps[0] / gaps[1] == pytest.approx(4, rel=0.05)  # second order in epsilon
     assert gaps[1] / gaps[2] == pytest.approx(4, rel=0.05)
 
 
-def test_rest_pure_spin_and_no_spin_are_finite_with_their_derivatives_under_a_consistent_load():
+def test_rest_pure_spin_and_no_spin_are_finite_with_derivatives_under_consistent_load():
     """Those under a uniform load are in test_derivatives.py."""
 
     def force(x):
@@ -272,13 +314,17 @@ def test_rest_pure_spin_and_no_spin_are_finite_with_their_derivatives_under_a_co
 
 @numerical
 def test_power_is_numpys_with_its_derivatives_and_nan_below_zero():
-    base = np.concatenate([np.logspace(-150, 150, 601), np.nextafter(np.sqrt([0.5, 2]), 0), [1.0]])
+    base = np.concatenate(
+        [np.logspace(-150, 150, 601), np.nextafter(np.sqrt([0.5, 2]), 0), [1.0]]
+    )
     slopes_of = jax.jit(jax.vmap(jax.grad(power, (0, 1)), (0, None)))
     for exponent in (-0.7, -0.25, 0.0, 0.5, 1.0):
         found = jax.jit(power)(base, exponent)
         np.testing.assert_allclose(found, base**exponent, rtol=1e-13)
         slopes = slopes_of(base, exponent)
-        np.testing.assert_allclose(slopes[0], exponent * base ** (exponent - 1), rtol=1e-13)
+        np.testing.assert_allclose(
+            slopes[0], exponent * base ** (exponent - 1), rtol=1e-13
+        )
         np.testing.assert_allclose(slopes[1], base**exponent * np.log(base), rtol=1e-13)
     assert np.isnan(jax.jit(power)(np.array([-1.0, np.nan]), 0.5)).all()
     assert power(4.0, 0.5) == 2.0
@@ -314,4 +360,6 @@ def test_second_derivatives_under_a_consistent_load(name, values):
         -1,
     )
     assert np.abs(difference).max() > 1
-    np.testing.assert_allclose(jax.jit(jax.jacfwd(jacobian))(at), difference, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(
+        jax.jit(jax.jacfwd(jacobian))(at), difference, rtol=0, atol=1e-7
+    )

@@ -1,5 +1,6 @@
-"""Derivatives of the path and of the time of rest: closed forms, an independent integration by
-complex steps, finite differences. One program has all of them, in both modes."""
+"""Derivatives of the path and of the time of rest: closed forms, an independent
+integration by complex steps, finite differences. One program has all of them,
+in both modes."""
 
 from __future__ import annotations
 
@@ -35,7 +36,10 @@ def rows(times):
 
 def path(p, times, load, xp=np):
     """x, y, phi at the times, then the time of rest."""
-    stone, law = Stone(20.0, *(p[k] for k in (10, 11, 12))), LAWS["front-back"].from_vector(p)
+    stone, law = (
+        Stone(20.0, *(p[k] for k in (10, 11, 12))),
+        LAWS["front-back"].from_vector(p),
+    )
     start = InitialState(*(p[4 + k] for k in range(6)))
     found = simulate(law, stone, start, times, load=load, t0=0.0)
     return xp.concatenate([found.x, found.y, found.phi, xp.asarray(found.rest)[None]])
@@ -43,10 +47,15 @@ def path(p, times, load, xp=np):
 
 @partial(jax.jit, static_argnames="load")
 def derivatives(p, times, load="uniform"):
-    """The path, its derivatives in forward mode, and those of the last row in reverse: the longest
-    part, the integration with its tangents, is common to all modes of JAX."""
+    """The path, its derivatives in forward mode, and those of the last row in
+    reverse: the longest part, the integration with its tangents, is common to all
+    modes of JAX."""
     found, forward = jax.linearize(lambda p: path(p, times, load, jnp), p)
-    last = jnp.zeros((3, len(found))).at[jnp.arange(3), ROWS * jnp.arange(1, 4) - 1].set(1.0)
+    last = (
+        jnp.zeros((3, len(found)))
+        .at[jnp.arange(3), ROWS * jnp.arange(1, 4) - 1]
+        .set(1.0)
+    )
     (reverse,) = jax.vmap(jax.linear_transpose(forward, p))(last)
     return found, jax.vmap(forward, out_axes=-1)(jnp.eye(len(p))), reverse
 
@@ -59,7 +68,9 @@ def test_where_and_when_a_sliding_stone_stops_and_how_that_changes(mu, v):
     way, time = v**2 / (2 * mu * G), v / (mu * G)
     s, c = np.sin(heading), np.cos(heading)
     found, slopes, _ = map(np.asarray, derivatives(p, rows([0.0, 1000.0])))
-    np.testing.assert_allclose(found[ENDS], [0.1 + way * s, 0.2 + way * c, time], rtol=1e-9)
+    np.testing.assert_allclose(
+        found[ENDS], [0.1 + way * s, 0.2 + way * c, time], rtol=1e-9
+    )
     exact = [
         [-way * s / mu, way * c, 2 * way * s / v],
         [-way * c / mu, -way * s, 2 * way * c / v],
@@ -68,7 +79,9 @@ def test_where_and_when_a_sliding_stone_stops_and_how_that_changes(mu, v):
 
     def assert_slopes(slopes, exact):
         # the friction coefficients are one
-        by = np.stack([slopes[..., :4].sum(-1), slopes[..., HEADING], slopes[..., V]], -1)
+        by = np.stack(
+            [slopes[..., :4].sum(-1), slopes[..., HEADING], slopes[..., V]], -1
+        )
         np.testing.assert_allclose(by, exact, rtol=1e-7, atol=1e-9 * way)
 
     assert_slopes(slopes[ENDS], exact)
@@ -84,9 +97,15 @@ def independent(p, times, load):
     """The path and its Jacobian by complex steps, without any code of the program."""
     program = certify
     case = program.Case(
-        "front-back", dict.fromkeys("abcd", 0.0), (), 1, 1, {}, load=load,
+        "front-back",
+        dict.fromkeys("abcd", 0.0),
+        (),
+        1,
+        1,
+        {},
+        load=load,
         stone=dict(zip(("R", "rho", "h"), p[10:], strict=True)),
-    )  # fmt: skip
+    )
     asked = [0, 1, 2, 3, HEADING, V, OMEGA]
     steps = np.tile(p[:10, None], 1 + len(asked)).astype(np.clongdouble)
     steps[asked, np.arange(1, steps.shape[1])] += np.clongdouble(1j * program.TINY)
@@ -107,7 +126,9 @@ def independent(p, times, load):
         pytest.param(FRONT_BACK, 6.0, -60.0, "consistent", marks=pytest.mark.slow),
     ],
 )
-def test_rest_and_its_derivatives_agree_with_an_independent_integration(mu, v, omega, load):
+def test_rest_and_its_derivatives_agree_with_an_independent_integration(
+    mu, v, omega, load
+):
     times, p = np.array([0.0, 0.5, 5.0, 200.0]), parameters(mu, 0.1, v, omega)
     exact, exact_slopes, asked = independent(p, times, load)
     found, slopes, _ = map(np.asarray, derivatives(p, rows(times), load))
@@ -115,10 +136,12 @@ def test_rest_and_its_derivatives_agree_with_an_independent_integration(mu, v, o
     found, slopes = found[own], slopes[own][:, asked]
     size = max(np.abs(exact).max(), 50.0)  # m or rad
     np.testing.assert_allclose(found[:-1], exact[:-1], rtol=0, atol=1e-8 * size)
-    assert found[-1] == pytest.approx(exact[-1], abs=2e-6)  # s, at a speed of less than 1e-6 m/s
+    # s, at a speed of less than 1e-6 m/s
+    assert found[-1] == pytest.approx(exact[-1], abs=2e-6)
     assert 0 < exact[-1] < 200  # it does come to rest
-    # Each by each parameter, against the greatest of its kind. At rest those by a friction across
-    # the motion that is zero are the least exact: 1.4e-5, all others 2e-6.
+    # Each by each parameter, against the greatest of its kind. At rest those by a
+    # friction across the motion that is zero are the least exact: 1.4e-5, all
+    # others 2e-6.
     largest = np.abs(exact_slopes[:-1]).max(0)
     gaps = np.abs(slopes - exact_slopes)[:-1].reshape(3, len(times), -1) / largest
     assert gaps[:, :3].max() < 1e-6
@@ -132,7 +155,9 @@ def test_without_any_friction_nothing_is_lost():
     p = parameters((0.0,) * 4, heading, 6.0, 60.0)
     found, slopes, _ = map(np.asarray, derivatives(p, rows(times)))
     along = slice(ROWS, ROWS + 4)
-    np.testing.assert_allclose(found[along], 0.2 + 6 * np.cos(heading) * times, rtol=1e-12)
+    np.testing.assert_allclose(
+        found[along], 0.2 + 6 * np.cos(heading) * times, rtol=1e-12
+    )
     np.testing.assert_allclose(found[2 * ROWS :][:4], 0.2 + 60 * times, rtol=1e-12)
     assert found[-1] == np.inf
     assert np.isfinite(slopes[:-1]).all()
@@ -141,7 +166,9 @@ def test_without_any_friction_nothing_is_lost():
     alpha = 2 * np.pi * (np.arange(512) + 0.5) / 512
     e_eta = (1 + eps * np.cos(alpha)) / np.sqrt(1 + 2 * eps * np.cos(alpha) + eps**2)
     lost = -0.5 * e_eta.mean() * G * times**2 / 2
-    np.testing.assert_allclose(slopes[along, 2], lost * np.cos(heading), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(
+        slopes[along, 2], lost * np.cos(heading), rtol=1e-9, atol=1e-12
+    )
 
 
 @pytest.mark.parametrize(
@@ -167,7 +194,11 @@ def test_derivatives_agree_with_finite_differences(load, v, omega, until):
         difference = ((8 * near - far) / (12 * step))[:-1].reshape(3, ROWS)
         size = np.abs(forward[..., k]).max()
         np.testing.assert_allclose(
-            forward[..., k], difference, rtol=0, atol=1e-6 * size + 1e-10, err_msg=str(k)
+            forward[..., k],
+            difference,
+            rtol=0,
+            atol=1e-6 * size + 1e-10,
+            err_msg=str(k),
         )
 
 
@@ -185,10 +216,15 @@ def test_second_derivatives_agree_with_differences_of_the_first():
 
     def path(p):
         law = LAWS["front-back"](p[0], p[1], 0.009, 0.0083)
-        found = simulate(law, Stone(R=0.054), InitialState(heading=p[2], v=p[3], omega=p[4]), times)
+        found = simulate(
+            law, Stone(R=0.054), InitialState(heading=p[2], v=p[3], omega=p[4]), times
+        )
         return jnp.stack([found.x[1:], found.y[1:], found.phi[1:]])
 
-    values, steps = np.array([0.002, 0.05, 0.1, 2.0, 1.2]), [1e-5, 1e-4, 1e-4, 1e-4, 1e-4]
+    values, steps = (
+        np.array([0.002, 0.05, 0.1, 2.0, 1.2]),
+        [1e-5, 1e-4, 1e-4, 1e-4, 1e-4],
+    )
     slope = jax.jit(jax.jacfwd(path))
     found = jax.jit(jax.jacfwd(jax.jacfwd(path)))(values)
     moves = np.diag(steps)

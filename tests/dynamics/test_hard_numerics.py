@@ -1,5 +1,5 @@
-"""Ends of the range: |epsilon| = 1, no spin and hard spin, crawling and fast stones, sparse and
-dense data, short clips."""
+"""Ends of the range: |epsilon| = 1, no spin and hard spin, crawling and fast stones,
+sparse and dense data, short clips."""
 
 from __future__ import annotations
 
@@ -24,14 +24,18 @@ _slope_of_coulomb = jax.jit(jax.jacfwd(lambda v, omega: _of_coulomb(v, omega).et
 @pytest.mark.numerical
 @pytest.mark.parametrize("omega", [16.0, -16.0])
 def test_friction_where_one_point_does_not_slide(omega):
-    # v = R omega exactly. Coulomb's law there: |e_eta| = |cos b|, mean 2/pi; the moment alike.
+    # v = R omega exactly. Coulomb's law there: |e_eta| = |cos b|, mean 2/pi; the
+    # moment alike.
     assert STONE.R * abs(omega) == 1.0
     at = _of_coulomb(1.0, omega)
     over = np.array([at.xi, at.eta, at.angular * STONE.rho**2 / STONE.R]) / (0.01 * G)
-    np.testing.assert_allclose(over, [0, -2 / np.pi, -np.sign(omega) * 2 / np.pi], atol=1e-6)
+    np.testing.assert_allclose(
+        over, [0, -2 / np.pi, -np.sign(omega) * 2 / np.pi], atol=1e-6
+    )
     for beside in (-1e-3, -1e-6, -1e-9, 0.0, 1e-9, 1e-6, 1e-3):
         slope = _slope_of_coulomb(1.0 + beside, omega)
-        # d/dv of the elliptic integrals: (1/pi)(log(8/|v - u|) - ...), so it grows without haste
+        # d/dv of the elliptic integrals: (1/pi)(log(8/|v - u|) - ...), so it grows
+        # without haste
         assert np.isfinite(slope)
         assert -0.01 * G * 10 < slope < 0
         near = _of_coulomb(1.0 + beside, omega)
@@ -41,16 +45,23 @@ def test_friction_where_one_point_does_not_slide(omega):
 def thrown(seed, *, rate, until, noise_xy=0.002, noise_phi=0.004, **start):
     law = law_with("front-back", dict(zip(NAMES, FRONT_BACK, strict=True)))
     return synthetic_throw(
-        law, STONE, until=until, dt=1 / rate, noise_xy=noise_xy, noise_phi=noise_phi, seed=seed,
+        law,
+        STONE,
+        until=until,
+        dt=1 / rate,
+        noise_xy=noise_xy,
+        noise_phi=noise_phi,
+        seed=seed,
         **start,
-    )  # fmt: skip
+    )
 
 
 NAMES = ("mu1_xi", "mu2_xi", "mu1_eta", "mu2_eta")
 
 
 def honest(result, start):
-    """What is called determined, and that it is within 4.5 standard errors of the truth."""
+    """What is called determined, and that it is within 4.5 standard errors
+    of the truth."""
     assert result.converged, result.status
     truth = dict(zip(NAMES, FRONT_BACK, strict=True)) | start
     told = set()
@@ -81,9 +92,15 @@ def honest(result, start):
 def test_what_a_fit_says_of_hard_data_is_so(rate, until, start, told, seed):
     fine = 0.1 if start["v0"] < 1 else 1.0
     throw = thrown(
-        seed, rate=rate, until=until, noise_xy=0.002 * fine, noise_phi=0.004 * fine, **start
+        seed,
+        rate=rate,
+        until=until,
+        noise_xy=0.002 * fine,
+        noise_phi=0.004 * fine,
+        **start,
     )
-    throw = replace(throw, defaults={"as_given": True})  # no one throws a stone that spins so
+    # no one throws a stone that spins so
+    throw = replace(throw, defaults={"as_given": True})
     found = honest(fit(throw, stone=STONE), start)
     assert found >= told
     if start["omega0"] == 0:  # friction across the motion needs spin to show

@@ -24,8 +24,11 @@ def places(path, xp=np):
 
 
 def moved(law, start, times, **how):
-    """A path at a few times, the last of them repeated up to the usual number of rows."""
-    return simulate(law, STONE, start, np.pad(times, (0, ROWS - len(times)), mode="edge"), **how)
+    """A path at a few times, the last of them repeated up to the usual
+    number of rows."""
+    return simulate(
+        law, STONE, start, np.pad(times, (0, ROWS - len(times)), mode="edge"), **how
+    )
 
 
 @pytest.mark.numerical
@@ -41,7 +44,9 @@ def moved(law, start, times, **how):
         (PAPER, 0.057, 2.06, -1.5, 0.1, 30.0),  # consistent load
     ],
 )
-def test_path_agrees_with_order_8_integration_on_a_dense_ring(mu, h, v, omega, heading, until):
+def test_path_agrees_with_order_8_integration_on_a_dense_ring(
+    mu, h, v, omega, heading, until
+):
     start = InitialState(x=1.0, y=-2.0, heading=heading, v=v, phi=0.5, omega=omega)
     times = np.linspace(0, until, ROWS)
     load = "uniform" if h is None else "consistent"
@@ -60,7 +65,9 @@ def test_error_falls_with_the_fifth_power_of_the_step(monkeypatch):
         monkeypatch.setattr(equations, "STEP", step)
         jax.clear_caches()
         # traced here: the program of known times is kept from call to call
-        path = jax.jit(lambda times: places(simulate(FRONT_BACK, STONE, start, times, t0=0.0), jnp))
+        path = jax.jit(
+            lambda times: places(simulate(FRONT_BACK, STONE, start, times, t0=0.0), jnp)
+        )
         errors.append(np.abs(path(times) - exact).max())
     monkeypatch.undo()
     jax.clear_caches()
@@ -73,22 +80,34 @@ def test_first_order_law_agrees_with_its_closed_form():
     times = np.linspace(0, 21, ROWS)
     path = simulate(law, STONE, InitialState(v=2.06, omega=1.005), times)
     exact = first_order_motion(law, STONE, 2.06, 1.005, times)
-    for name, own in (("x", "x"), ("y", "y"), ("phi", "phi"), ("speed", "v"), ("omega", "omega")):
+    for name, own in (
+        ("x", "x"),
+        ("y", "y"),
+        ("phi", "phi"),
+        ("speed", "v"),
+        ("omega", "omega"),
+    ):
         np.testing.assert_allclose(getattr(path, name), getattr(exact, own), atol=5e-8)
 
 
 def test_closed_form_has_no_meaning_after_the_stop():
     with pytest.raises(ValueError, match="the stone stops at"):
-        first_order_motion(LAWS["front-back-first-order"](*PAPER), STONE, 2.0, 1.0, [100.0])
+        first_order_motion(
+            LAWS["front-back-first-order"](*PAPER), STONE, 2.0, 1.0, [100.0]
+        )
 
 
 def test_turned_and_shifted_throws_have_the_same_path():
     times = np.linspace(0, 30, ROWS)
-    one = simulate(FRONT_BACK, STONE, InitialState(v=2.0, heading=0.2, omega=2.0), times)
+    one = simulate(
+        FRONT_BACK, STONE, InitialState(v=2.0, heading=0.2, omega=2.0), times
+    )
     moved = simulate(
-        FRONT_BACK, STONE, InitialState(x=3, y=-7, heading=0.2 + 0.5, v=2.0, phi=40, omega=2.0),
+        FRONT_BACK,
+        STONE,
+        InitialState(x=3, y=-7, heading=0.2 + 0.5, v=2.0, phi=40, omega=2.0),
         times + 100,
-    )  # fmt: skip
+    )
     s, c = np.sin(0.5), np.cos(0.5)  # heading turns from +y toward +x
     exact = [3 + c * one.x + s * one.y, -7 - s * one.x + c * one.y, 40 + one.phi]
     np.testing.assert_allclose(places(moved), exact, atol=1e-12)
@@ -116,7 +135,9 @@ def test_stones_side_by_side_go_each_its_own_way():
 
     beside = np.stack(jax.jit(jax.vmap(one))(v, omega), 1)
     for k in np.flatnonzero(np.isfinite(omega)):
-        np.testing.assert_allclose(beside[k], one(v[k], omega[k]), rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(
+            beside[k], one(v[k], omega[k]), rtol=1e-12, atol=1e-12
+        )
     assert np.isnan(beside[np.isnan(omega)]).any((0, 2)).all()
 
 
@@ -124,7 +145,9 @@ def test_compiled_code_sorts_times_that_it_does_not_know():
     times = np.array([50.0, 0.0, 24.0, 26.0, 3.0, 100.0])
 
     def y(times):
-        path = simulate(FRONT_BACK, STONE, InitialState(v=2.06, omega=1.0), times, t0=0.0)
+        path = simulate(
+            FRONT_BACK, STONE, InitialState(v=2.06, omega=1.0), times, t0=0.0
+        )
         return path.y, path
 
     slope, path = jax.jit(jax.jacfwd(y, has_aux=True))(times)
@@ -133,8 +156,16 @@ def test_compiled_code_sorts_times_that_it_does_not_know():
 
 
 def test_at_its_first_moment_a_stone_is_at_its_start():
-    path = moved(FRONT_BACK, InitialState(x=1.0, y=2.0, v=2.0, phi=0.5, omega=1.0), [0.0])
-    for name, value in (("x", 1.0), ("y", 2.0), ("phi", 0.5), ("vy", 2.0), ("omega", 1.0)):
+    path = moved(
+        FRONT_BACK, InitialState(x=1.0, y=2.0, v=2.0, phi=0.5, omega=1.0), [0.0]
+    )
+    for name, value in (
+        ("x", 1.0),
+        ("y", 2.0),
+        ("phi", 0.5),
+        ("vy", 2.0),
+        ("omega", 1.0),
+    ):
         np.testing.assert_allclose(getattr(path, name), value, rtol=1e-15)
     assert path.rest > 20
 

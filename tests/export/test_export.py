@@ -35,7 +35,9 @@ def folder(tmp_path_factory, eq12, eq12_fit):
     joint.save(folder / "joint" / "joint.json")
     for name, one in zip("ab", joint.throws, strict=True):
         one.save(folder / "joint" / name / "fit.json")
-    eq12_fit.with_derived(["mu2_xi - mu1_xi", "mu1_eta/mu2_eta"]).save(folder / "plain/fit.json")
+    eq12_fit.with_derived(["mu2_xi - mu1_xi", "mu1_eta/mu2_eta"]).save(
+        folder / "plain/fit.json"
+    )
     fit, chain = curlfit.sample(eq12_fit, effective=300, seed=1)
     fit.save(folder / "sampled" / "fit.json")
     chain.save(folder / "sampled" / "chain.h5")
@@ -49,15 +51,22 @@ def rows(text):
 def test_parameters_are_those_of_the_fit(eq12_fit):
     fit = eq12_fit.with_derived(["mu2_xi - mu1_xi"])
     found = {row["name"]: row for row in rows(parameters_csv(fit))}
-    assert list(found)[:5] == ["mu1_xi", "mu2_xi", "mu1_eta", "mu2_eta", "mu1_eta + mu2_eta"]
+    assert list(found)[:5] == [
+        "mu1_xi",
+        "mu2_xi",
+        "mu1_eta",
+        "mu2_eta",
+        "mu1_eta + mu2_eta",
+    ]
     for name in ("mu2_xi", "v0", "mu1_eta + mu2_eta", "mu2_xi - mu1_xi"):
         row, item = found[name], fit[name]
         assert float(row["value"]) == item.value
         assert float(row["stderr"]) == item.stderr
         assert (float(row["low_95"]), float(row["high_95"])) == item.interval()
     assert found["mu1_eta"] | {"unit": ""} == dict.fromkeys(found["mu1_eta"], "") | {
-        "name": "mu1_eta", "verdict": "not identifiable",
-    }  # fmt: skip
+        "name": "mu1_eta",
+        "verdict": "not identifiable",
+    }
     assert float(found["mu2_xi"]["systematic"]) == fit.systematics.errors["mu2_xi"]
     assert float(found["curl"]["value"]) == fit.quantities["curl"].value
 
@@ -73,12 +82,25 @@ def test_the_path_has_its_residuals(eq12_fit):
         np.testing.assert_array_equal(seen, eq12_fit.observed[name])
         np.testing.assert_array_equal(fitted, eq12_fit.fitted[name])
         np.testing.assert_array_equal(left, eq12_fit.residuals[name])
-    gap = eq12_fit.observed | {"x": np.where(np.arange(201) == 3, np.nan, eq12_fit.observed["x"])}
+    gap = eq12_fit.observed | {
+        "x": np.where(np.arange(201) == 3, np.nan, eq12_fit.observed["x"])
+    }
     assert rows(path_csv([replace(eq12_fit, observed=gap)]))[3]["x_residual"] == ""
 
 
 def test_every_form_is_written(typed, folder):
-    said = typed("export", "plain", "--to", "csv", "--to", "json", "--to", "latex", "--out", "one")
+    said = typed(
+        "export",
+        "plain",
+        "--to",
+        "csv",
+        "--to",
+        "json",
+        "--to",
+        "latex",
+        "--out",
+        "one",
+    )
     names = ["parameters.csv", "path.csv", "fit.json", "table.tex"]
     assert said == "Written: " + ", ".join(f"one/{name}" for name in names) + "\n"
     shown = json.loads(typed("show", "plain", "--json"))
@@ -100,14 +122,18 @@ def test_the_posterior_goes_to_arviz(typed, folder):
         typed("export", "sampled", "--to", "netcdf")
         import arviz
 
-        data = arviz.from_netcdf(str(folder / "sampled-export/posterior.nc"), engine="h5netcdf")
+        data = arviz.from_netcdf(
+            str(folder / "sampled-export/posterior.nc"), engine="h5netcdf"
+        )
     chain = curlfit.load_chain(folder / "sampled" / "chain.h5")
     assert float(data["posterior"]["mu2_xi"].mean()) == pytest.approx(
         chain.of({"mu2_xi": 1.0}).mean(), rel=1e-4
     )
     assert data["posterior"].sizes["chain"] == chain.ensembles
     for group in ("posterior_predictive", "observed_data", "constant_data"):
-        assert {"x", "y", "phi"} & {name.removeprefix("sigma_") for name in data[group].data_vars}
+        assert {"x", "y", "phi"} & {
+            name.removeprefix("sigma_") for name in data[group].data_vars
+        }
     assert data.attrs["law"] == "front-back"
     data.close()
 
@@ -142,7 +168,9 @@ def test_priors_and_likelihood_are_those_of_the_chain(eq12):
         data = chain.to_arviz(draws=600)
         import arviz
     prior = data["log_prior"]
-    assert set(prior.data_vars) == set(fit.parameter_set.names_where(fit.parameter_set.free))
+    assert set(prior.data_vars) == set(
+        fit.parameter_set.names_where(fit.parameter_set.free)
+    )
     assert not np.any(prior["v0"])
     total = sum(prior[name] for name in prior.data_vars)
     for name in ("x", "y", "phi"):
@@ -165,10 +193,29 @@ def test_priors_and_likelihood_are_those_of_the_chain(eq12):
 # --- LaTeX, read by a strict parser
 
 _KNOWN = {
-    "begin", "end", "centering", "caption", "toprule", "midrule", "bottomrule", "mu", "xi", "eta",
-    "beta", "varphi", "omega", "rho", "mathrm", "texttt", "times", "pm", "Delta",
-    "textbackslash", "textasciitilde", "textasciicircum",
-}  # fmt: skip
+    "begin",
+    "end",
+    "centering",
+    "caption",
+    "toprule",
+    "midrule",
+    "bottomrule",
+    "mu",
+    "xi",
+    "eta",
+    "beta",
+    "varphi",
+    "omega",
+    "rho",
+    "mathrm",
+    "texttt",
+    "times",
+    "pm",
+    "Delta",
+    "textbackslash",
+    "textasciitilde",
+    "textasciicircum",
+}
 
 
 def cells(text):
@@ -207,8 +254,12 @@ def cells(text):
             assert opened.pop() == name
     assert not opened
     (spec,) = re.findall(r"\\begin\{tabular\}\{@\{\}([lr ]+)@\{\}\}", body)
-    inside = body[body.index(r"\toprule") + 8 : body.index(r"\bottomrule")].replace(r"\midrule", "")
-    found = [re.split(r"(?<!\\)&", row) for row in re.split(r"\\\\\n", inside) if row.strip()]
+    inside = body[body.index(r"\toprule") + 8 : body.index(r"\bottomrule")].replace(
+        r"\midrule", ""
+    )
+    found = [
+        re.split(r"(?<!\\)&", row) for row in re.split(r"\\\\\n", inside) if row.strip()
+    ]
     assert {len(row) for row in found} == {len(spec.split())}
     return [[cell.strip() for cell in row] for row in found]
 
@@ -227,20 +278,34 @@ def test_the_table_of_a_paper(eq12_fit):
     assert r"\texttt{sqrt(mu1\_xi)}" in found
     curl = eq12_fit.quantities["curl"].value
     assert curl < 0
-    (said,) = (cell for name, (cell, *_) in found.items() if name.startswith("curl to the left"))
+    (said,) = (
+        cell
+        for name, (cell, *_) in found.items()
+        if name.startswith("curl to the left")
+    )
     assert said.startswith(f"${-curl:.4f}")
     assert not any("to the right" in name for name in found)
-    assert r"the front-back law under uniform load, fitted to jensen\_shegelski\_2004.csv" in text
+    assert (
+        r"the front-back law under uniform load, fitted to jensen\_shegelski\_2004.csv"
+        in text
+    )
     assert r"$R = 0.054$\,m" in text
     assert f"curlfit {curlfit.__version__}" in text
 
 
 def test_names_that_tex_would_trip_over(eq12_fit):
-    odd = replace(eq12_fit.parameters["mu1_xi"], symbol=r"\mathrm{a_b_c}", unit="1/m^2", value=3e12)
+    odd = replace(
+        eq12_fit.parameters["mu1_xi"],
+        symbol=r"\mathrm{a_b_c}",
+        unit="1/m^2",
+        value=3e12,
+    )
     fit = replace(
-        eq12_fit, law="50%_law#{", data=eq12_fit.data | {"file": "a/b & ~c^2$%_{.csv"},
+        eq12_fit,
+        law="50%_law#{",
+        data=eq12_fit.data | {"file": "a/b & ~c^2$%_{.csv"},
         parameters={"a_b_c": odd} | eq12_fit.parameters,
-    )  # fmt: skip
+    )
     found = {row[0]: row for row in cells(estimates_table(fit))}
     assert found[r"$\mathrm{a\_b\_c}$"][-1] == r"$\mathrm{m}^{-2}$"
     assert r"\times 10^{12}" in found[r"$\mathrm{a\_b\_c}$"][1]
@@ -260,15 +325,30 @@ def test_a_comparison(eq12_fit):
 
     size = {"x": 0.001, "y": 0.02, "phi": 0.003}
     fitted = Candidate(
-        "front-back", "uniform", False, False, "converged", True,
-        coefficients={"mu1_xi": {"value": 0.0005}}, n_parameters=11.0, rms=size, follows=True,
-        bic=3.0, delta_bic=0.0, delta_aicc=-1.5, rank=1,
-    )  # fmt: skip
+        "front-back",
+        "uniform",
+        False,
+        False,
+        "converged",
+        True,
+        coefficients={"mu1_xi": {"value": 0.0005}},
+        n_parameters=11.0,
+        rms=size,
+        follows=True,
+        bic=3.0,
+        delta_bic=0.0,
+        delta_aicc=-1.5,
+        rank=1,
+    )
     failed = Candidate("radial", "-", False, True, "no motion", follows=None)
     found = Comparison(
-        data={"file": "a_b.csv"}, stone=eq12_fit.stone, curl=0.1, side="left",
-        candidates=(fitted, failed), observed={},
-    )  # fmt: skip
+        data={"file": "a_b.csv"},
+        stone=eq12_fit.stone,
+        curl=0.1,
+        side="left",
+        candidates=(fitted, failed),
+        observed={},
+    )
     _, first, second = cells(candidates_table(found))
     assert first[:5] == ["front-back", "uniform", "11", "$0.0$", "$-1.5$"]
     assert first[5:] == ["$1$", "$20$", "$3$", "yes"]

@@ -27,10 +27,13 @@ from curlfit.export.accelerations import (
 from curlfit.friction import LOADS
 from curlfit.inference.conditions import CONDITIONS
 
-THROWS = ((2.35, -1.1, 0.2), (2.1, 2.0, -0.1), (1.0, 14.0, 0.0))  # none of those of `tabulate`
+# none of those of `tabulate`
+THROWS = ((2.35, -1.1, 0.2), (2.1, 2.0, -0.1), (1.0, 14.0, 0.0))
 CM = 0.01
 HERE = Path(__file__).parent
-RINGS = [name for name, law in LAWS.items() if issubclass(law, LocalLaw) and name != "debris"]
+RINGS = [
+    name for name, law in LAWS.items() if issubclass(law, LocalLaw) and name != "debris"
+]
 
 
 @pytest.fixture(scope="module")
@@ -55,17 +58,24 @@ def started(v, omega, heading):
 
 
 def test_the_table_is_the_ring_s_force(eq12_fit, table):
-    """By the dense sum over the ring of the tests, which shares no code with the model."""
+    """By the dense sum over the ring of the tests, which shares no code
+    with the model."""
     law, R = eq12_fit.fitted_law, eq12_fit.stone.R
     ring = Reference(
-        front_back(law.mu1_xi, law.mu2_xi, law.mu1_eta, law.mu2_eta), R=R, rho=eq12_fit.stone.rho
+        front_back(law.mu1_xi, law.mu2_xi, law.mu1_eta, law.mu2_eta),
+        R=R,
+        rho=eq12_fit.stone.rho,
     )
     random = np.random.default_rng(3)
     s = np.exp(random.uniform(np.log(SLOWEST), np.log(FASTEST), 60))
-    theta = np.concatenate([
-        random.uniform(-np.pi / 2, np.pi / 2, 50), np.pi / 4 + np.array([0, 1e-3, -1e-3, 0.02]),
-        -np.pi / 4 + np.array([0, 1e-4]), [0.0, np.pi / 2, -np.pi / 2, 1e-5],
-    ])  # fmt: skip
+    theta = np.concatenate(
+        [
+            random.uniform(-np.pi / 2, np.pi / 2, 50),
+            np.pi / 4 + np.array([0, 1e-3, -1e-3, 0.02]),
+            -np.pi / 4 + np.array([0, 1e-4]),
+            [0.0, np.pi / 2, -np.pi / 2, 1e-5],
+        ]
+    )
     largest = np.zeros(3)
     for v, u in zip(s * np.cos(theta), s * np.sin(theta), strict=True):
         a_xi, a_eta, moment = G * ring.force(v, u)
@@ -86,7 +96,11 @@ def test_a_throw_comes_to_rest_where_the_law_brings_it(table, ends):
                 np.testing.assert_allclose(stone[:2], midway[:2], atol=1e-4)
             stone = table.step(stone, 1.0)
         assert (stone.vx, stone.vy, stone.omega) == (0.0, 0.0, 0.0)
-        assert math.hypot(stone.x - end[0], stone.y - end[1]) < 2 * table.resting_place < CM
+        assert (
+            math.hypot(stone.x - end[0], stone.y - end[1])
+            < 2 * table.resting_place
+            < CM
+        )
         assert stone.phi == pytest.approx(end[2], abs=0.01)
 
 
@@ -136,7 +150,9 @@ def ran(words, throw, *more):
     """The numbers that a program prints of a throw."""
     start = started(*throw)
     numbers = map(str, (start.vx, start.vy, start.omega, *more))
-    done = subprocess.run([*words, *numbers], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [*words, *numbers], capture_output=True, text=True, check=True
+    )
     return np.array(done.stdout.split(), float)
 
 
@@ -149,7 +165,10 @@ def test_the_exported_stone_comes_to_rest_there_too(tmp_path, table, ends, langu
             np.testing.assert_allclose(
                 found[:3], table.accelerations(0.7, throw[1]), rtol=1e-9, atol=1e-12
             )
-            assert math.hypot(found[3] - end[0], found[4] - end[1]) < 2 * table.resting_place
+            assert (
+                math.hypot(found[3] - end[0], found[4] - end[1])
+                < 2 * table.resting_place
+            )
             assert found[6] == 0
 
 
@@ -186,29 +205,55 @@ def test_the_record_is_complete(table):
 def of_law(fit, law, load="uniform"):
     """The fit, as it would be of another law."""
     item = fit.parameters["mu1_xi"]
-    own = {one.name: replace(item, value=one.default) for one in find_law(law).coefficients()}
-    others = {name: one for name, one in fit.parameters.items() if name not in fit.coefficients}
+    own = {
+        one.name: replace(item, value=one.default)
+        for one in find_law(law).coefficients()
+    }
+    others = {
+        name: one
+        for name, one in fit.parameters.items()
+        if name not in fit.coefficients
+    }
     return replace(fit, law=law, load=load, parameters=own | others)
 
 
 def with_conditions(fit, **values):
     item = fit.parameters["mu1_xi"]
     more = {
-        one.name: replace(item, value=values[one.name], verdict="fixed", lower=one.lower,
-                          upper=one.upper)
-        for one in CONDITIONS if one.name in values
-    }  # fmt: skip
-    return replace(fit, parameters=fit.coefficients | more | {
-        name: one for name, one in fit.parameters.items() if name not in fit.coefficients
-    })  # fmt: skip
+        one.name: replace(
+            item,
+            value=values[one.name],
+            verdict="fixed",
+            lower=one.lower,
+            upper=one.upper,
+        )
+        for one in CONDITIONS
+        if one.name in values
+    }
+    return replace(
+        fit,
+        parameters=fit.coefficients
+        | more
+        | {
+            name: one
+            for name, one in fit.parameters.items()
+            if name not in fit.coefficients
+        },
+    )
 
 
 def test_what_no_table_holds_is_refused(eq12_fit):
     for fit, said in (
         (of_law(eq12_fit, "debris"), "depends on the angle turned"),
         (of_law(eq12_fit, "semi-empirical"), "has no contact ring"),
-        (with_conditions(eq12_fit, wear=0.02), r"changes along the throw \(wear = 0.02\)"),
-        (with_conditions(eq12_fit, wear_20=0.02), r"changes along the throw \(wear_20 = 0.02\)"),
+        (
+            with_conditions(eq12_fit, wear=0.02),
+            r"changes along the throw \(wear = 0.02\)",
+        ),
+        (
+            with_conditions(eq12_fit, wear_20=0.02),
+            r"changes along the throw \(wear_20 = 0.02\)",
+        ),
     ):
         with pytest.raises(InputError, match=said):
             tabulate(fit)
@@ -239,6 +284,8 @@ def test_every_law_of_the_ring(eq12_fit, law, load):
     found = tabulate(fit)
     assert found.resting_place < CM
     start = InitialState(v=2.2, omega=1.7)
-    end = simulate(fit.fitted_law, fit.stone, start, np.array([0.0, np.inf]), load=load).to_numpy()
+    end = simulate(
+        fit.fitted_law, fit.stone, start, np.array([0.0, np.inf]), load=load
+    ).to_numpy()
     stone = found.step(Moved(0, 0, 0, 2.2, 0, 1.7), 100.0)
     assert math.hypot(stone.x - end.x[-1], stone.y - end.y[-1]) < CM

@@ -25,7 +25,10 @@ TIMES = np.linspace(0, 25, 61)  # as many as in test_laws.py
 def coefficients(law):
     """All different, and not at bounds."""
     return np.array(
-        [item.default + 0.2 * (k + 1) * item.typical for k, item in enumerate(law.coefficients())]
+        [
+            item.default + 0.2 * (k + 1) * item.typical
+            for k, item in enumerate(law.coefficients())
+        ]
     )
 
 
@@ -34,7 +37,9 @@ def _state(law, values, stone, motion, load="uniform"):
     return found, found
 
 
-_slopes = jax.jit(jax.jacfwd(_state, argnums=(1, 2, 3), has_aux=True), static_argnums=(0, 4))
+_slopes = jax.jit(
+    jax.jacfwd(_state, argnums=(1, 2, 3), has_aux=True), static_argnums=(0, 4)
+)
 """Derivatives by coefficients, stone and motion, and the accelerations."""
 
 
@@ -64,24 +69,32 @@ SMALL = family_of([LAWS[name] for name in ("debris", "power", "tensor")])
     ("law", "family"),
     [
         *(pytest.param(law, SMALL, id=law.name) for law in SMALL.members),
-        *(pytest.param(law, FAMILY, id=f"{law.name} of all", marks=pytest.mark.slow)
-          for law in FAMILY.members),
+        *(
+            pytest.param(law, FAMILY, id=f"{law.name} of all", marks=pytest.mark.slow)
+            for law in FAMILY.members
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_member_has_its_own_accelerations_and_derivatives(law, family):
     load = "consistent" if law.name == "pressure" else "uniform"
     values = coefficients(law)
     columns = family.columns(law, len(values))
     for motion in ((2.0, 1.0, 0.4, 3.0), (0.3, -9.0, -2.0, 8.0)):
         there = np.array(motion)
-        (by_family, *found), value = _slopes(family, family.vector(law, values), STONE, there, load)
+        (by_family, *found), value = _slopes(
+            family, family.vector(law, values), STONE, there, load
+        )
         (by_own, *own), its_own = _slopes(law, values, STONE, there, load)
         assert np.abs(its_own[1]) > 1e-3
         np.testing.assert_allclose(value, its_own, rtol=1e-12, atol=1e-15)
-        np.testing.assert_allclose(by_family[:, columns], by_own, rtol=1e-10, atol=1e-13)
+        np.testing.assert_allclose(
+            by_family[:, columns], by_own, rtol=1e-10, atol=1e-13
+        )
         others = np.delete(np.asarray(by_family), columns, axis=1)
         np.testing.assert_array_equal(others, 0.0)
-        for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(own), strict=True):
+        for one, other in zip(
+            jax.tree.leaves(found), jax.tree.leaves(own), strict=True
+        ):
             np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-13)
 
 
@@ -132,7 +145,9 @@ def test_a_law_of_the_user_and_a_single_law_have_no_family():
 def test_forces_along_a_path_and_their_slopes(name, family):
     law = LAWS[name]
     model, values = Model(law, "uniform", family=family), coefficients(law)
-    path = np.stack([np.linspace(2, 0.2, POINTS), np.full(POINTS, 1.2), *np.zeros((2, POINTS))])
+    path = np.stack(
+        [np.linspace(2, 0.2, POINTS), np.full(POINTS, 1.2), *np.zeros((2, POINTS))]
+    )
     typical = np.array([item.typical for item in law.coefficients()])
     found, slopes = accelerations_and_slopes(
         model, values[None], typical, stacked([STONE]), path[None], 1
@@ -141,16 +156,20 @@ def test_forces_along_a_path_and_their_slopes(name, family):
         there = path[:, point]
         (exact, *_), value = _slopes(law, values, STONE, there, "uniform")
         np.testing.assert_allclose(found[0, :, point], value, rtol=1e-11, atol=1e-16)
-        rtol, atol = (1e-9, 1e-10) if name == "tensor" else (1e-3, 1e-6)  # if it is linear
+        # if it is linear
+        rtol, atol = (1e-9, 1e-10) if name == "tensor" else (1e-3, 1e-6)
         np.testing.assert_allclose(slopes[0, :, point], exact, rtol=rtol, atol=atol)
 
 
 def test_a_fit_beside_others_is_the_fit(eq12):
     alone = curlfit.fit(eq12, "coulomb", details=False)
-    beside = curlfit.fit(eq12, "coulomb", details=False, family=FAMILY)  # that of comparisons
+    # that of comparisons
+    beside = curlfit.fit(eq12, "coulomb", details=False, family=FAMILY)
     assert beside.coefficients.keys() == alone.coefficients.keys()
     for name, item in alone.parameters.items():
         other = beside.parameters[name]
         assert other.verdict == item.verdict
-        assert other.value == pytest.approx(item.value, rel=1e-7, abs=1e-9 * item.typical)
+        assert other.value == pytest.approx(
+            item.value, rel=1e-7, abs=1e-9 * item.typical
+        )
     assert beside.rms == pytest.approx(alone.rms, rel=1e-9)

@@ -1,4 +1,5 @@
-"""Laws that jump or change quickly: those integrated as they are, and what is said of others."""
+"""Laws that jump or change quickly: those integrated as they are, and what is
+said of others."""
 
 from __future__ import annotations
 
@@ -22,7 +23,8 @@ STONE = curlfit.Stone()
 
 
 def law_of(coulomb, **declared):
-    """A law whose coefficient of friction is a function of law, point and array library."""
+    """A law whose coefficient of friction is a function of law, point and
+    array library."""
 
     def traction(self, point):
         mu = coulomb(self, point, jnp)
@@ -56,9 +58,12 @@ UNEVEN = {
         lambda law, p, xp: law.a * (1 + 0.3 * (xp.floor(p.angle / (np.pi / 4)) % 2)),
         tuple(np.pi / 4 * np.arange(-3, 4)),
     ),
-    "bump": (lambda law, p, xp: law.a * (1 + 5 * xp.exp(-(((p.angle - 1) / 0.01) ** 2))), (1.0,)),
+    "bump": (
+        lambda law, p, xp: law.a * (1 + 5 * xp.exp(-(((p.angle - 1) / 0.01) ** 2))),
+        (1.0,),
+    ),
     "steep": (lambda law, p, xp: law.a * (2 + xp.tanh((p.speed - 1) / 0.03)), ()),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", UNEVEN)
@@ -79,9 +84,15 @@ def test_friction_that_jumps_is_integrated_between_its_jumps(case):
             return (x, y, p.xi * y - p.eta * x)[part]
 
         exact = [
-            quad(density, -np.pi, np.pi, (part,), points=(*breaks, 0.0), limit=2000, epsabs=1e-12)[
-                0
-            ]
+            quad(
+                density,
+                -np.pi,
+                np.pi,
+                (part,),
+                points=(*breaks, 0.0),
+                limit=2000,
+                epsabs=1e-12,
+            )[0]
             for part in range(3)
         ]
         found = accelerations(law, STONE, "uniform", v, omega)
@@ -106,9 +117,10 @@ def test_two_sides_are_recovered_from_a_path():
     x, y, phi = path.path(curlfit.InitialState(v=2.0, omega=1.2), times)
     random = np.random.default_rng(1)
     throw = curlfit.Throw.from_arrays(
-        times, *(part + 0.004 * random.normal(size=101) for part in (x, y)),
+        times,
+        *(part + 0.004 * random.normal(size=101) for part in (x, y)),
         phi + 0.01 * random.normal(size=101),
-    )  # fmt: skip
+    )
     law = law_of(sides)
     fit = curlfit.fit(throw, law, fix={"c": 0.5}, details=False)
     assert fit.law == "Own"
@@ -123,18 +135,30 @@ EDGES = r"give these in `def edges\(self, turned\)`"
 GRADUAL = r"make the change gradual, as \(1 \+ jnp\.tanh"
 MOVING = {
     "depend on its coefficients": (
-        lambda law, p, xp: xp.where(p.angle < law.c, law.a, law.b), EDGES,
+        lambda law, p, xp: xp.where(p.angle < law.c, law.a, law.b),
+        EDGES,
     ),
     "depend on the angle turned": (
-        lambda law, p, xp: xp.where(xp.cos(p.angle - p.turned) < 0, law.a, law.b), EDGES,
+        lambda law, p, xp: xp.where(xp.cos(p.angle - p.turned) < 0, law.a, law.b),
+        EDGES,
     ),
-    "depend on the motion": (lambda law, p, xp: xp.where(p.speed < 1, law.a, law.b), GRADUAL),
+    "depend on the motion": (
+        lambda law, p, xp: xp.where(p.speed < 1, law.a, law.b),
+        GRADUAL,
+    ),
     "depend on the time": (
-        lambda law, p, xp: xp.where(p.angle < p.time / 10, law.a, law.b), GRADUAL,
+        lambda law, p, xp: xp.where(p.angle < p.time / 10, law.a, law.b),
+        GRADUAL,
     ),
-    "depend on the load": (lambda law, p, xp: xp.where(p.load < 1, law.a, law.b), GRADUAL),
-    "at many angles": (lambda law, p, xp: law.a * (1 + (xp.floor(p.angle * 10) % 2)), EDGES),
-}  # fmt: skip
+    "depend on the load": (
+        lambda law, p, xp: xp.where(p.load < 1, law.a, law.b),
+        GRADUAL,
+    ),
+    "at many angles": (
+        lambda law, p, xp: law.a * (1 + (xp.floor(p.angle * 10) % 2)),
+        EDGES,
+    ),
+}
 
 
 @pytest.mark.parametrize("what", MOVING)
@@ -185,7 +209,11 @@ def test_jumps_in_time_and_angle_turned_are_refused():
         mu: float = coefficient(0.01, "")
 
         def accelerations(self, motion, stone):
-            return 0.0, -self.mu * 9.81 * jnp.where(motion.time < 5, 1, 2), -0.01 * motion.omega
+            return (
+                0.0,
+                -self.mu * 9.81 * jnp.where(motion.time < 5, 1, 2),
+                -0.01 * motion.omega,
+            )
 
     with pytest.raises(DataError, match="5 s after release"):
         find_law(Sudden)
@@ -204,12 +232,15 @@ def test_a_class_that_cannot_be_compiled_is_refused_in_words(eq12):
         lambda: curlfit.simulate(Wrong(), STONE, curlfit.InitialState(), [0.0, 1.0]),
         lambda: curlfit.aim(Wrong(), STONE, (0.0, 28.0), omega0=1.0),
     ):
-        with pytest.raises(DataError, match=r"test_jumps\.py, line \d+: a law is compiled"):
+        with pytest.raises(
+            DataError, match=r"test_jumps\.py, line \d+: a law is compiled"
+        ):
             use()
 
 
 def test_a_class_is_used_first_within_a_transformation():
-    """A third of the ring, ahead, has the friction a: without spin the same on both sides."""
+    """A third of the ring, ahead, has the friction a: without spin the same
+    on both sides."""
     law = law_of(lambda law, p, xp: xp.where(p.eta > 0.5, law.a, law.b))
 
     def rest(v):
@@ -218,14 +249,19 @@ def test_a_class_is_used_first_within_a_transformation():
 
     speeds = np.array([1.5, 2.0])
     mu = (0.006 + 2 * 0.012) / 3
-    np.testing.assert_allclose(jax.vmap(rest)(speeds), speeds**2 / (2 * mu * GRAVITY), rtol=1e-9)
+    np.testing.assert_allclose(
+        jax.vmap(rest)(speeds), speeds**2 / (2 * mu * GRAVITY), rtol=1e-9
+    )
     assert len(law.divisions.front) == 2
 
 
 @pytest.mark.parametrize(
     ("field", "message"),
     [
-        ({"v": np.array([1.0, 2.0])}, r"InitialState.v of shape \(2,\) found, expected a number"),
+        (
+            {"v": np.array([1.0, 2.0])},
+            r"InitialState.v of shape \(2,\) found, expected a number",
+        ),
         ({"x": [0.0, 1.0]}, r"InitialState.x of shape \(2,\) found.*jax\.vmap"),
         ({"v": -1.0}, r"InitialState.v = -1 m/s: expected a speed >= 0; `heading`"),
         ({"omega": np.nan}, r"InitialState.omega = nan: expected a finite number"),
@@ -234,7 +270,9 @@ def test_a_class_is_used_first_within_a_transformation():
 )
 def test_an_impossible_start_is_told(field, message):
     with pytest.raises(InputError, match=message):
-        curlfit.simulate(curlfit.LAWS["coulomb"](), STONE, curlfit.InitialState(**field), [0.0, 1])
+        curlfit.simulate(
+            curlfit.LAWS["coulomb"](), STONE, curlfit.InitialState(**field), [0.0, 1]
+        )
 
 
 def test_the_help_of_a_point_names_its_fields():

@@ -1,4 +1,5 @@
-"""Each law: its path by an independent integration, its derivatives, its closed forms."""
+"""Each law: its path by an independent integration, its derivatives, its
+closed forms."""
 
 from __future__ import annotations
 
@@ -34,7 +35,9 @@ def against(mu):
 def debris(mu_clean, mu_dirty, tau=0.0):
     def mu(ring, _):
         # Turned back to where the front half was at release, then round with the stone.
-        round_ = np.mod(ring.alpha if ring.turned >= 0 else np.pi - ring.alpha, 2 * np.pi)
+        round_ = np.mod(
+            ring.alpha if ring.turned >= 0 else np.pi - ring.alpha, 2 * np.pi
+        )
         fouled = round_ < np.pi + abs(ring.turned)
         share = 1 - np.exp(-ring.time / tau) if tau > 0 else 1.0
         return np.where(fouled, mu_clean + share * (mu_dirty - mu_clean), mu_clean)
@@ -80,13 +83,17 @@ def sutor(f_min, r, v_b, alpha, u0):
 
 
 def pushed(law, push, torque=0.0):
-    """A law with a force over the weight, a function of v and u, and with a torque R times it."""
+    """A law with a force over the weight, a function of v and u, and with a
+    torque R times it."""
 
     def traction(ring, load):
         right, forward = law(ring, load)
         force = push(*motion(ring))
         # spread over the ring otherwise than in the program: round it, with a mean of 1
-        return (right + force - torque * force * ring.eta, forward + torque * force * ring.xi)
+        return (
+            right + force - torque * force * ring.eta,
+            forward + torque * force * ring.xi,
+        )
 
     return traction
 
@@ -100,28 +107,40 @@ def power(c, k):
 
 
 def sideways(law, a, n):
-    return pushed(law, lambda v, u: a / G * v * np.hypot(v, 1e-2) ** (n - 1) * slow_side(u))
+    return pushed(
+        law, lambda v, u: a / G * v * np.hypot(v, 1e-2) ** (n - 1) * slow_side(u)
+    )
 
 
 FORMULAS = {
     "coulomb": lambda mu: against(lambda ring, load: mu),
     "power": power,
     "power-angular": lambda c, k, f0: against(
-        lambda ring, load: c * (ring.speed**2 + 1e-6) ** (k / 2) * (1 - f0 * np.sin(ring.alpha))
+        lambda ring, load: (
+            c * (ring.speed**2 + 1e-6) ** (k / 2) * (1 - f0 * np.sin(ring.alpha))
+        )
     ),
     "sutor": sutor,
     "power+sideways": lambda c, k, a, n: sideways(power(c, k), a, n),
     "power+transverse": lambda c, k, b: pushed(
         power(c, k),
-        lambda v, u: -2 * b / G * np.arctan(u / np.hypot(v, 1e-2)) * v / np.hypot(v, 1e-2),
+        lambda v, u: (
+            -2 * b / G * np.arctan(u / np.hypot(v, 1e-2)) * v / np.hypot(v, 1e-2)
+        ),
     ),
     "power+pivot": lambda c, k, q: pushed(
         power(c, k), lambda v, u: q * slow_side(u, -0.5, 1e-2), torque=1.0
     ),
-    "front-back+sideways": lambda *values: sideways(front_back(*values[:4]), *values[4:]),
+    "front-back+sideways": lambda *values: sideways(
+        front_back(*values[:4]), *values[4:]
+    ),
     "pressure": lambda mu0, k: against(lambda ring, load: mu0 / load**k),
-    "angular": lambda mu0, f0: against(lambda ring, load: mu0 * (1 - f0 * np.sin(ring.alpha))),
-    "stribeck": lambda mu0, mu1: against(lambda ring, load: mu0 + mu1 * ring.speed / load),
+    "angular": lambda mu0, f0: against(
+        lambda ring, load: mu0 * (1 - f0 * np.sin(ring.alpha))
+    ),
+    "stribeck": lambda mu0, mu1: against(
+        lambda ring, load: mu0 + mu1 * ring.speed / load
+    ),
     "debris": debris,
     "radial": radial,
     "tensor": tensor,
@@ -137,9 +156,12 @@ def reference(name, values, load, stone=STONE):
         )
         more["corner"] = np.pi
     return Reference(
-        FORMULAS[name](*values), stone.R, stone.rho, stone.h if load == "consistent" else None,
+        FORMULAS[name](*values),
+        stone.R,
+        stone.rho,
+        stone.h if load == "consistent" else None,
         **more,
-    )  # fmt: skip
+    )
 
 
 def semi_empirical(values, start, times):
@@ -152,7 +174,12 @@ def semi_empirical(values, start, times):
     def sliding(v, *_):
         return 0.0, -c * abs(v) ** p, 0.0
 
-    return follow(start, times, [(spinning, lambda omega, _: omega * sense), (sliding, None)], None)
+    return follow(
+        start,
+        times,
+        [(spinning, lambda omega, _: omega * sense), (sliding, None)],
+        None,
+    )
 
 
 def places(path):
@@ -187,9 +214,9 @@ LAWS_OF_THE_RING = [
     ("front-back+sideways", (0.005, 0.05, 0.009, 0.009, 0.005, 2.0)),
 ]
 UNLIKE = ("power", "pressure", "debris", "front-back")
-"""Laws whose paths under the consistent load are found in different ways: by sums over the ring,
-with a load that is iterated, with a moving edge, and in closed form. The force of every law
-under it is tested by itself."""
+"""Laws whose paths under the consistent load are found in different ways: by sums over
+the ring, with a load that is iterated, with a moving edge, and in closed form. The
+force of every law under it is tested by itself."""
 THROW = InitialState(x=1.0, y=-2.0, heading=0.3, v=2.0, phi=0.5, omega=1.5)
 EXACT = 5e-8  # m and rad; the book promises 1e-7
 FAST_SPIN = InitialState(heading=-0.2, v=0.6, omega=-25.0)  # epsilon = -2.7
@@ -287,7 +314,9 @@ _forward = jax.jit(jax.jacfwd(partial(_path, xp=jnp)), static_argnames=("name", 
         pytest.param("tensor", (0.02, 0.009, 0.0005), "uniform", marks=SLOW),
         ("debris", (0.013, 0.008, 2.0), "uniform"),
         ("debris", (0.013, 0.008, 0.0), "uniform"),
-        pytest.param("semi-empirical", (0.005, 0.085, 0.1, 0.1, -0.3), "uniform", marks=SLOW),
+        pytest.param(
+            "semi-empirical", (0.005, 0.085, 0.1, 0.1, -0.3), "uniform", marks=SLOW
+        ),
         pytest.param("pressure", (0.01, 1.5), "uniform", marks=SLOW),
         pytest.param("stribeck", (0.02, -0.004), "consistent", marks=SLOW),
         pytest.param("radial", (0.02, 0.003, 0.01, 0.015), "consistent", marks=SLOW),
@@ -303,13 +332,18 @@ def test_derivatives_agree_with_finite_differences(name, values, load):
         step = np.zeros_like(p)
         step[k] = 1e-4 * max(abs(p[k]), 1e-3)
         near, far = (
-            _path(p + n * step, times, name, load) - _path(p - n * step, times, name, load)
+            _path(p + n * step, times, name, load)
+            - _path(p - n * step, times, name, load)
             for n in (1, 2)
         )
         difference = (8 * near - far) / (12 * step[k])
         size = np.abs(forward[..., k]).max()
         np.testing.assert_allclose(
-            forward[..., k], difference, rtol=0, atol=1e-6 * size + 1e-10, err_msg=str(k)
+            forward[..., k],
+            difference,
+            rtol=0,
+            atol=1e-6 * size + 1e-10,
+            err_msg=str(k),
         )
 
 
@@ -318,7 +352,8 @@ net = jax.jit(accelerations, static_argnames="load")
 
 def over_weight(name, values, load, *motion, of=net):
     """Of v, omega and the angle turned, which is 0 where not given."""
-    motion = [np.float64(item) for item in (*motion, 0.0)[:3]]  # of one type, for one program
+    # of one type, for one program
+    motion = [np.float64(item) for item in (*motion, 0.0)[:3]]
     a = of(LAWS[name](*values), STONE, load, *motion)
     return np.array([a.xi, a.eta, a.angular * STONE.rho**2 / STONE.R]) / G
 
@@ -347,28 +382,42 @@ def test_edge_of_debris_moves_the_force_by_its_jump(turned, v, omega, load):
     # The load shifts with the force; a step within one side of the corners
     step = 1e-5 if 1e-5 < abs(turned) < np.pi - 1e-5 else 2e-10
     ahead, behind = (
-        over_weight("debris", values, load, v, omega, turned + side * step) for side in (1, -1)
+        over_weight("debris", values, load, v, omega, turned + side * step)
+        for side in (1, -1)
     )
     difference = (ahead - behind) / (2 * step)
-    np.testing.assert_allclose(found, difference, rtol=0, atol=1e-9 if step == 1e-5 else 1e-6)
+    np.testing.assert_allclose(
+        found, difference, rtol=0, atol=1e-9 if step == 1e-5 else 1e-6
+    )
 
 
 ALIKE = (
-    "coulomb", "tensor", "angular", "power-angular", "sutor", "power+sideways", "power+transverse",
-)  # fmt: skip
-"""Laws that do not see the load, of which others are: in closed form, by sums over the ring, and
-with a push."""
+    "coulomb",
+    "tensor",
+    "angular",
+    "power-angular",
+    "sutor",
+    "power+sideways",
+    "power+transverse",
+)
+"""Laws that do not see the load, of which others are: in closed form, by sums over the
+ring, and with a push."""
 
 
 @pytest.mark.parametrize(
     ("name", "values"),
-    [pytest.param(*law, marks=SLOW if law[0] in ALIKE else ()) for law in LAWS_OF_THE_RING],
+    [
+        pytest.param(*law, marks=SLOW if law[0] in ALIKE else ())
+        for law in LAWS_OF_THE_RING
+    ],
 )
 def test_consistent_load_balances_the_friction(name, values):
     dense = reference(name, values, "consistent")
     for v, omega in ((2.0, 1.0), (2.0, -9.0), (0.5, 25.0), (1.0, 0.0)):
         found = over_weight(name, values, "consistent", v, omega)
-        np.testing.assert_allclose(found, dense.force(v, STONE.R * omega), rtol=0, atol=1e-12)
+        np.testing.assert_allclose(
+            found, dense.force(v, STONE.R * omega), rtol=0, atol=1e-12
+        )
 
 
 def test_a_load_is_found_though_a_step_towards_it_goes_too_far():
@@ -378,7 +427,8 @@ def test_a_load_is_found_though_a_step_towards_it_goes_too_far():
     assert 0.9 < np.hypot(*tilt) < 1
     dense = reference("pressure", (0.6, 0.5), "consistent")
     exact = dense.net(dense.ring(2.0, STONE.R * 0.5), tilt)
-    np.testing.assert_allclose(force, exact, rtol=1e-3)  # the ring is summed less densely
+    # the ring is summed less densely
+    np.testing.assert_allclose(force, exact, rtol=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -402,14 +452,19 @@ def test_a_load_that_would_have_to_be_negative_is_refused(name, within, beyond):
 @pytest.mark.parametrize("name", UNLIKE)
 def test_only_laws_that_see_the_load_repeat_its_solution(name):
     program = str(
-        jax.make_jaxpr(lambda law: accelerations(law, STONE, "consistent", 2.0, 1.0))(LAWS[name]())
+        jax.make_jaxpr(lambda law: accelerations(law, STONE, "consistent", 2.0, 1.0))(
+            LAWS[name]()
+        )
     )
     assert ("while" in program) == (name == "pressure")
 
 
 @pytest.mark.parametrize(
     ("name", "load"),
-    [*((name, "uniform") for name in sorted(LAWS)), *((name, "consistent") for name in UNLIKE)],
+    [
+        *((name, "uniform") for name in sorted(LAWS)),
+        *((name, "consistent") for name in UNLIKE),
+    ],
 )
 def test_a_throw_in_the_mirror(name, load):
     law = LAWS[name]()
@@ -417,18 +472,31 @@ def test_a_throw_in_the_mirror(name, load):
     times = np.linspace(0, 19, ROWS)
     start = InitialState(heading=0.2, v=2.0, omega=2.0)
     one = simulate(law, STONE, start, times, load=load)
-    other = simulate(mirrored, STONE, replace(start, heading=-0.2, omega=-2.0), times, load=load)
-    assert abs(one.x[-1] - one.y[-1] * np.tan(0.2)) > (1e-6 if load == "consistent" else -1.0)
-    np.testing.assert_allclose(places(other), places(one) * [[-1], [1], [-1]], atol=1e-11)
+    other = simulate(
+        mirrored, STONE, replace(start, heading=-0.2, omega=-2.0), times, load=load
+    )
+    assert abs(one.x[-1] - one.y[-1] * np.tan(0.2)) > (
+        1e-6 if load == "consistent" else -1.0
+    )
+    np.testing.assert_allclose(
+        places(other), places(one) * [[-1], [1], [-1]], atol=1e-11
+    )
     # whether it curls is said without a path: more than 3 cm in 28 m, from 2 m/s
-    general = simulate(law_in_general(LAWS[name]), STONE, InitialState(v=2.0, omega=1.2),
-                       np.linspace(0, 12, ROWS), load=load)  # fmt: skip
+    general = simulate(
+        law_in_general(LAWS[name]),
+        STONE,
+        InitialState(v=2.0, omega=1.2),
+        np.linspace(0, 12, ROWS),
+        load=load,
+    )
     curls = abs(general.x[-1]) > 0.03 * general.y[-1] / 28
     # debris pushes to one side, and after half a turn to the other
     assert can_curl(LAWS[name], load, STONE) == (curls or name == "debris")
 
 
-@pytest.mark.parametrize("values", [(0.01, 0.01, 0.011), (0.01, 0.01, -0.011), (0.0, 0.01, 0.0)])
+@pytest.mark.parametrize(
+    "values", [(0.01, 0.01, 0.011), (0.01, 0.01, -0.011), (0.0, 0.01, 0.0)]
+)
 def test_a_tensor_that_is_not_positive_definite_is_named(values):
     assert "not positive definite" in LAWS["tensor"](*values).fault()
     assert LAWS["tensor"](0.01, 0.01, -0.009).fault() is None

@@ -15,7 +15,8 @@ import curlfit
 from curlfit.throws.friction_table import is_friction_table
 
 SUTOR = DATA.parent / "sutor_1988_friction.csv"
-LAWS = ["coulomb", "power", "front-back", "sutor"]  # those of most tests, for one program
+# those of most tests, for one program
+LAWS = ["coulomb", "power", "front-back", "sutor"]
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +53,12 @@ def test_errors_that_are_given_are_weights(table):
 
 def test_a_power_of_the_speed_as_scipy_fits_it(found, table):
     values, covariance = curve_fit(
-        lambda v, c, k: c * v**k, table.speed, table.mu, (0.01, 0.0), xtol=1e-12, ftol=1e-12
+        lambda v, c, k: c * v**k,
+        table.speed,
+        table.mu,
+        (0.01, 0.0),
+        xtol=1e-12,
+        ftol=1e-12,
     )
     power = of(found, "power").coefficients
     assert [power["c"].value, power["k"].value] == pytest.approx(values, rel=1e-4)
@@ -95,7 +101,8 @@ def test_a_record_comes_back_whole(found, tmp_path):
 
 def test_units_and_a_column_of_spin(write):
     file = write(
-        "speed_kmh;friction;spin_rpm;sigma\n3,6;0,01;0;0,001\n7,2;0,011;6;0,001\n1;0,012;3;0,002\n"
+        "speed_kmh;friction;spin_rpm;sigma\n3,6;0,01;0;0,001\n7,2;0,011;6;0,001\n"
+        "1;0,012;3;0,002\n"
     )
     table = curlfit.load_friction_table(file)
     assert table.speed == pytest.approx([1.0, 2.0, 1 / 3.6])
@@ -106,8 +113,14 @@ def test_units_and_a_column_of_spin(write):
 @pytest.mark.parametrize(
     ("rows", "said"),
     [
-        ("1,0.01\n2,x\n3,0.02\n", "line 3, column mu: 'x' found, expected a finite number"),
-        ("1,0.01\n2,2\n3,0.02\n", "line 3, column mu: 2 found, expected a number above 0, up to 1"),
+        (
+            "1,0.01\n2,x\n3,0.02\n",
+            "line 3, column mu: 'x' found, expected a finite number",
+        ),
+        (
+            "1,0.01\n2,2\n3,0.02\n",
+            "line 3, column mu: 2 found, expected a number above 0, up to 1",
+        ),
         ("-1,0.01\n2,0.01\n3,0.02\n", "line 2, column speed: -1 found"),
         ("1,0.01\n2,0.01\n", "2 rows, expected at least 3"),
         ("1,0.01\n2,\n3,0.02\n", "line 3, column mu: nan found"),
@@ -128,9 +141,14 @@ def test_a_throw_is_no_such_table(write):
 
 def test_the_commands(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    done = invoke(["compare", SUTOR, "--laws", ",".join(LAWS), "--no-figures", "--report"])
+    done = invoke(
+        ["compare", SUTOR, "--laws", ",".join(LAWS), "--no-figures", "--report"]
+    )
     assert done.exit_code == 0, done.exception
-    assert "sutor describes the values best by BIC; the others are far behind." in done.stdout
+    assert (
+        "sutor describes the values best by BIC; the others are far behind."
+        in done.stdout
+    )
     folder = tmp_path / "sutor_1988_friction-compare"
     laws = [one.law for one in curlfit.load_friction(folder).fits]
     assert laws == ["sutor", "coulomb", "front-back", "power"]
@@ -156,6 +174,8 @@ def test_a_worksheet_of_a_workbook_is_chosen_by_its_name(tmp_path):
     assert curlfit.load_friction_table(file).mu.tolist() == [0.01] * 3
     warm = curlfit.load_friction_table(file, "warm")
     assert warm.mu.tolist() == [0.02] * 3
-    assert warm.note == ("2 worksheets: evening, warm; taken: warm (--worksheet selects another)")
+    assert warm.note == (
+        "2 worksheets: evening, warm; taken: warm (--worksheet selects another)"
+    )
     assert is_friction_table(file, "warm")
     assert not is_friction_table(file, "cold")

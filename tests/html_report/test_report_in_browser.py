@@ -1,4 +1,5 @@
-"""Pages in Chromium: what moves, by mouse and keyboard, on screens of two widths and on paper."""
+"""Pages in Chromium: what moves, by mouse and keyboard, on screens of two widths
+and on paper."""
 
 from __future__ import annotations
 
@@ -63,21 +64,30 @@ def test_a_page_fits_the_screen_and_complains_of_nothing(shown, name, width, sch
     script = "return [document.documentElement.scrollWidth, innerWidth]"
     scrolled, inner = browser.execute_script(script)
     assert scrolled <= inner == width
-    assert browser.execute_script("return performance.getEntriesByType('resource').length") == 0
+    assert (
+        browser.execute_script("return performance.getEntriesByType('resource').length")
+        == 0
+    )
     script = (
-        "return [document.body, document.querySelector('.card'), document.querySelector('p')].map("
-        "one => [getComputedStyle(one).backgroundColor, getComputedStyle(one).color])"
+        "return [document.body, document.querySelector('.card'), "
+        "document.querySelector('p')]"
+        ".map(one => [getComputedStyle(one).backgroundColor, "
+        "getComputedStyle(one).color])"
     )
     (body, _), (card, _), (_, text) = browser.execute_script(script)
     assert card == "rgb(255, 255, 255)"
-    brightness = {key: sum(map(int, re.findall(r"\d+", value)[:3])) / 3
-                  for key, value in {"body": body, "text": text}.items()}  # fmt: skip
+    brightness = {
+        key: sum(map(int, re.findall(r"\d+", value)[:3])) / 3
+        for key, value in {"body": body, "text": text}.items()
+    }
     assert (brightness["body"] > brightness["text"] + 100) == (scheme == "light")
     assert abs(brightness["body"] - brightness["text"]) > 100
 
 
 def test_a_page_is_ready_within_a_second(shown):
-    script = "return performance.getEntriesByType('navigation')[0].domContentLoadedEventEnd"
+    script = (
+        "return performance.getEntriesByType('navigation')[0].domContentLoadedEventEnd"
+    )
     assert min(shown("fit").execute_script(script) for _ in range(3)) < 1000
 
 
@@ -103,19 +113,26 @@ def test_play_moves_the_stone_and_pause_stops_it(shown):
     assert time_told == pytest.approx(now, abs=0.06)
     assert place_told == pytest.approx(stopped[1], abs=0.006)
     cursor = part(browser, "replay-0", "cursor").get_attribute("transform")
-    assert float(re.search(r"\(([\d.]+)", cursor)[1]) == pytest.approx(now / 20, abs=1e-3)
+    assert float(re.search(r"\(([\d.]+)", cursor)[1]) == pytest.approx(
+        now / 20, abs=1e-3
+    )
 
 
 def test_the_player_obeys_the_keyboard(shown):
     browser = shown("fit")
     player = browser.find_element("id", "replay-0")
-    slider, button = part(browser, "replay-0", "time"), part(browser, "replay-0", "play")
+    slider, button = (
+        part(browser, "replay-0", "time"),
+        part(browser, "replay-0", "play"),
+    )
     slider.send_keys("\ue011")  # Home
     start = place(browser, "replay-0")
     assert start[:2] == pytest.approx([0.0, 10.059], abs=1e-3)
     slider.send_keys("\ue014")  # arrow to the right
     assert place(browser, "replay-0")[1] > start[1]
-    assert " m from the hack, on the centre line, " in slider.get_attribute("aria-valuetext")
+    assert " m from the hack, on the centre line, " in slider.get_attribute(
+        "aria-valuetext"
+    )
     browser.execute_script("arguments[0].focus()", player)
     before = place(browser, "replay-0")
     player.send_keys("\ue014")
@@ -131,13 +148,18 @@ def test_the_player_obeys_the_keyboard(shown):
 
 
 def points(path):
-    return np.array(re.findall(r"-?[\d.]+", path.get_attribute("d")), float).reshape(-1, 2)
+    return np.array(re.findall(r"-?[\d.]+", path.get_attribute("d")), float).reshape(
+        -1, 2
+    )
 
 
 def test_along_a_null_direction_bars_move_and_the_path_stands_still(shown):
     browser = shown("fit")
     slider = part(browser, "direction-0", "at")
-    path, other = part(browser, "direction-0", "path"), part(browser, "direction-0", "other")
+    path, other = (
+        part(browser, "direction-0", "path"),
+        part(browser, "direction-0", "other"),
+    )
     bars = browser.find_elements("css selector", "#direction-0 .bar span")
     numbers = browser.find_elements("css selector", "#direction-0 output")
     known = points(path)
@@ -149,7 +171,9 @@ def test_along_a_null_direction_bars_move_and_the_path_stands_still(shown):
         assert np.abs(drawn - known).max() < 0.01  # pixels
         assert np.abs(points(other) - known).max() > 20
         widths.append([float(bar.value_of_css_property("width")[:-2]) for bar in bars])
-        assert sum(float(one.text) for one in numbers) == pytest.approx(0.017573, abs=2e-6)
+        assert sum(float(one.text) for one in numbers) == pytest.approx(
+            0.017573, abs=2e-6
+        )
     assert widths[0][0] < 1 < 100 < widths[0][1]
     assert widths[1][1] < 1 < 100 < widths[1][0]
     assert 1 < widths[2][1] < 30
@@ -169,7 +193,9 @@ def test_draws_come_to_rest_one_by_one(shown):
     assert part(browser, "rests", "status").text.startswith("Throw 1 of 60 rests ")
     slider.send_keys("\ue014")
     assert dots.get_attribute("d").count("M") == 2
-    end = np.array(re.findall(r"-?[\d.]+", dots.get_attribute("d").split("M")[2])[:2], float)
+    end = np.array(
+        re.findall(r"-?[\d.]+", dots.get_attribute("d").split("M")[2])[:2], float
+    )
     stone = place(browser, "rests")
     assert stone[:2] - end == pytest.approx([0, 38.405], abs=1e-3)
     browser.execute_script("arguments[0].focus()", browser.find_element("id", "rests"))

@@ -29,7 +29,8 @@ MOST = 3_000_000  # characters
 
 
 class Page(HTMLParser):
-    """Elements of a page, which must close what it opens, with their attributes and texts."""
+    """Elements of a page, which must close what it opens, with their
+    attributes and texts."""
 
     def __init__(self, text):
         super().__init__()
@@ -143,7 +144,9 @@ def test_a_page_can_be_read_without_eyes(pages, kind):
 
 def test_the_numbers_of_the_table_are_those_of_the_record(pages, records):
     fit = records["fit"]
-    rows = {row[0].partition(" (")[0]: row for row in pages["fit"].table("parameter")[1:]}
+    rows = {
+        row[0].partition(" (")[0]: row for row in pages["fit"].table("parameter")[1:]
+    }
     sums = {item.expression: item for item in fit.combinations}
     assert rows.keys() == fit.parameters.keys() | sums.keys()
     for name, (_, shown, error, *_) in rows.items():
@@ -164,7 +167,8 @@ def test_the_numbers_of_the_table_are_those_of_the_record(pages, records):
 def test_lengths_are_in_metres_and_in_feet(pages, records):
     rows = {row[0]: row[1] for row in pages["fit"].table("along the fitted path")[1:]}
     metres, feet = (
-        float(rows[f"curl to the left, at the end of the record ({unit})"]) for unit in ("m", "ft")
+        float(rows[f"curl to the left, at the end of the record ({unit})"])
+        for unit in ("m", "ft")
     )
     assert metres == pytest.approx(-records["fit"].quantities["curl"].value, abs=1e-5)
     assert feet == pytest.approx(metres / 0.3048, abs=1e-4)
@@ -173,7 +177,8 @@ def test_lengths_are_in_metres_and_in_feet(pages, records):
 def test_the_stone_moves_along_the_path_of_the_record(pages, records):
     fit, data = records["fit"], pages["fit"].data["replay-0"]
     assert data["t"] == fit.observed["t"].tolist()
-    # the file does not say where y = 0 is: the throw is drawn from the near hog line, 10.059 m
+    # the file does not say where y = 0 is: the throw is drawn from the near hog
+    # line, 10.059 m
     shift = 10.059 - fit.parameters["y0"].value
     np.testing.assert_allclose(data["y"], fit.fitted["y"] + shift, atol=6e-6)
     np.testing.assert_allclose(data["phi"], fit.fitted["phi"], atol=6e-6)
@@ -192,7 +197,10 @@ def test_every_path_along_a_null_direction_is_that_of_its_own_values(pages, reco
     assert values.min() == 0  # as far as the bounds let it
     assert np.ptp(values[:, 0]) == pytest.approx(fit.combinations[0].value, rel=1e-6)
     start = curlfit.InitialState(
-        *(fit.parameters[name].value for name in ("x0", "y0", "heading", "v0", "phi0", "omega0"))
+        *(
+            fit.parameters[name].value
+            for name in ("x0", "y0", "heading", "v0", "phi0", "omega0")
+        )
     )
     fixed = [fit.parameters[name].value for name in ("mu1_xi", "mu2_xi")]
     times = np.array(data["t"])[::8]
@@ -242,9 +250,11 @@ def test_hostile_names_stay_text(records):
     fit = records["fit"]
     gap = {"x": np.where(fit.observed["t"] == 3.0, np.nan, fit.observed["x"])}
     named = replace(
-        fit, data=fit.data | {"file": HOSTILE, "notes": [HOSTILE]}, warnings=(HOSTILE,),
+        fit,
+        data=fit.data | {"file": HOSTILE, "notes": [HOSTILE]},
+        warnings=(HOSTILE,),
         observed=fit.observed | gap,
-    )  # fmt: skip
+    )
     page = Page(page_of(named))
     assert not page.of("img")
     assert len(page.of("script")) == 2
@@ -265,12 +275,14 @@ def test_what_is_not_determined_is_not_shown_at_an_instant(records):
     """A throw without angles: its handle is drawn, but no number is given of it."""
     fit = records["fit"]
     unseen = {
-        name: replace(fit.parameters[name], verdict="fixed", stderr=None) for name in ("phi0",)
+        name: replace(fit.parameters[name], verdict="fixed", stderr=None)
+        for name in ("phi0",)
     }
     without = replace(
-        fit, parameters=fit.parameters | unseen,
+        fit,
+        parameters=fit.parameters | unseen,
         rms={name: value for name, value in fit.rms.items() if name != "phi"},
-    )  # fmt: skip
+    )
     block, _ = replay_of_fit(without, "replay")
     assert [row["name"] for row in block.shows["rows"]] == ["x", "y", "speed", "omega"]
     assert block.shows["where"].endswith("Not determined, and drawn as assumed: angle.")
@@ -308,31 +320,47 @@ def test_the_command_writes_the_page_beside_the_result(folder, typed, monkeypatc
     assert opened == [(folder / "comparison" / "report.html").as_uri()]
     text = (folder / "comparison" / "report.html").read_text(encoding="utf-8")
     assert text == page_of(curlfit.load_comparison(folder / "comparison"))
-    assert typed("report", "profile/profile.json", "--out", "new/a.html") == "Written: new/a.html\n"
+    assert (
+        typed("report", "profile/profile.json", "--out", "new/a.html")
+        == "Written: new/a.html\n"
+    )
     assert (folder / "new" / "a.html").read_text().startswith("<!doctype html>")
 
 
 def test_verbs_write_the_page_on_request(folder, typed):
-    said = typed("profile", "fit", "--param", "mu1_xi", "--points", 5, "--no-figures", "--report")
+    said = typed(
+        "profile", "fit", "--param", "mu1_xi", "--points", 5, "--no-figures", "--report"
+    )
     assert said.endswith("Written: fit-profile-mu1_xi/report.html\n")
     page = folder / "fit-profile-mu1_xi" / "report.html"
     assert page.is_file()
     typed("profile", "fit", "--param", "mu1_xi", "--points", 5, "--no-figures")
     assert not page.exists()  # it was of the earlier result
-    assert typed("predict", "fit", "--draws", 100, "--quiet", "--report", "--out", "p") == ""
+    assert (
+        typed("predict", "fit", "--draws", 100, "--quiet", "--report", "--out", "p")
+        == ""
+    )
     assert "rests" in Page((folder / "p" / "report.html").read_text()).data
 
 
 def test_only_results_have_pages():
-    with pytest.raises(curlfit.InputError, match="a Stone has no report; expected a fit"):
+    with pytest.raises(
+        curlfit.InputError, match="a Stone has no report; expected a fit"
+    ):
         curlfit.write_report(curlfit.Stone(), "a.html")
 
 
 def test_the_command_on_the_page_makes_the_fit_again(eq12, folder, typed):
     fit = curlfit.fit(
-        eq12, "coulomb", stone=curlfit.Stone(R=0.06), until=15, exclude=[(3, 4)],
-        fix={"heading": -0.001}, bounds={"mu": (0, 0.5)}, systematics={"drag": 0.4},
-    )  # fmt: skip
+        eq12,
+        "coulomb",
+        stone=curlfit.Stone(R=0.06),
+        until=15,
+        exclude=[(3, 4)],
+        fix={"heading": -0.001},
+        bounds={"mu": (0, 0.5)},
+        systematics={"drag": 0.4},
+    )
     line = command_of(fit)
     assert line.replace(" ", "</span> <span>") in html.unescape(page_of(fit))
     typed(*shlex.split(line)[1:], "--no-figures", "--quiet", "--out", "again")
@@ -344,10 +372,20 @@ def test_the_command_on_the_page_makes_the_fit_again(eq12, folder, typed):
 
 def test_flags_of_a_fit_give_the_same_choices():
     chosen = Fitting.of(
-        fix={"mu1_xi": 0.001}, bounds={"mu2_xi": (0, 0.2), "v0": (1, math.inf)}, free=["slope_x"],
-        priors={"rho": "0.1+-0.0025", "mu1_eta": "uniform:0.001,0.02"}, exclude=[(1, 2), (3, 4.5)],
-        swept=(5, 7), sigma={"x": 0.005}, derive=["hypot(mu1_xi, mu2_xi)"], noise="ar1", since=-1,
-        unbounded=True, stone={"R": 0.06}, systematics={"all": 0}, start={"omega0": -1.5},
-    )  # fmt: skip
+        fix={"mu1_xi": 0.001},
+        bounds={"mu2_xi": (0, 0.2), "v0": (1, math.inf)},
+        free=["slope_x"],
+        priors={"rho": "0.1+-0.0025", "mu1_eta": "uniform:0.001,0.02"},
+        exclude=[(1, 2), (3, 4.5)],
+        swept=(5, 7),
+        sigma={"x": 0.005},
+        derive=["hypot(mu1_xi, mu2_xi)"],
+        noise="ar1",
+        since=-1,
+        unbounded=True,
+        stone={"R": 0.06},
+        systematics={"all": 0},
+        start={"omega0": -1.5},
+    )
     _, bound, _ = app.parse_args(["fit", "a.csv", *chosen.words()])
     assert Fitting.of(vars(bound.kwargs["flags"])) == chosen

@@ -32,10 +32,16 @@ def test_friction_that_depends_on_speed_is_not_called_sweeping(exponent):
         a_xi, a_eta, moment = 9.81 * v**exponent * ring.force(v, STONE.R * omega)
         return a_xi, a_eta, moment * STONE.R / STONE.rho**2
 
-    path = follow(InitialState(v=2.1, omega=1.2), times, [(accelerations, None)], STONE.rho)
+    path = follow(
+        InitialState(v=2.1, omega=1.2), times, [(accelerations, None)], STONE.rho
+    )
     speed = np.hypot(*np.gradient(path[:2], times, axis=1))
     moving = speed > 0.3
-    noise = np.random.default_rng(0).standard_normal(path.shape) * [[0.005], [0.005], [0.01]]
+    noise = np.random.default_rng(0).standard_normal(path.shape) * [
+        [0.005],
+        [0.005],
+        [0.01],
+    ]
     throw = curlfit.Throw.from_arrays(times[moving], *(path + noise)[:, moving])
     found, said = causes(throw)
     assert found == ["depends on speed"]
@@ -54,9 +60,13 @@ def test_the_distortion_of_a_lens_is_not_called_sweeping(strength):
     assert causes(seen)[0] == ["distorted along the sheet"]
 
 
-@pytest.mark.parametrize(("begin", "end", "factor"), [(5, 9, 0.8), (4, 6, 0.7), (10, 15, 0.75)])
+@pytest.mark.parametrize(
+    ("begin", "end", "factor"), [(5, 9, 0.8), (4, 6, 0.7), (10, 15, 0.75)]
+)
 def test_sweeping_is_still_found_and_where_it_was(begin, end, factor):
-    environment = Environment(sweep=factor, swept_from=float(begin), swept_to=float(end))
+    environment = Environment(
+        sweep=factor, swept_from=float(begin), swept_to=float(end)
+    )
     found, said = causes(filmed(seed=begin, environment=environment))
     assert found == ["changes abruptly"]
     (text,) = (text for text in said if "changes abruptly" in text)

@@ -1,4 +1,5 @@
-"""Fits against the certified solutions of tests/certified, which share no code with the program."""
+"""Fits against the certified solutions of tests/certified, which share no code with
+the program."""
 
 from __future__ import annotations
 
@@ -15,7 +16,8 @@ FOLDER = Path(__file__).parents[1] / "certified"
 CERTIFIED = json.loads((FOLDER / "certified.json").read_text())["cases"]
 CHANNELS = ("x", "y", "phi")
 
-# Digits of all values, where they are fewer than 8, and of all standard errors, where they are not
+# Digits of all values, where they are fewer than 8, and of all standard errors, where
+# they are not
 # 6. The path's steps leave no more; the folder's README has the figures.
 FEWER = {
     "front_back": (7.7, 8.4),
@@ -41,9 +43,13 @@ def test_fit_has_the_certified_digits(name):
     case = CERTIFIED[name]
     throw = curlfit.load_throw(FOLDER / case["file"]).with_sigma(case["sigma"])
     result = curlfit.fit(
-        throw, case["law"], load=case["load"], stone=curlfit.Stone(**case["stone"]),
-        fix=case["fix"], details=False,
-    )  # fmt: skip
+        throw,
+        case["law"],
+        load=case["load"],
+        stone=curlfit.Stone(**case["stone"]),
+        fix=case["fix"],
+        details=False,
+    )
     assert result.converged
     assert result.n_observations == 3 * case["rows"]
     ours = np.array([(result[key].value, result[key].stderr) for key in case["values"]])
@@ -60,10 +66,14 @@ def test_fit_has_the_certified_digits(name):
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(name, marks=() if name in OF_EACH_KIND else SLOW) for name in CERTIFIED],
+    [
+        pytest.param(name, marks=() if name in OF_EACH_KIND else SLOW)
+        for name in CERTIFIED
+    ],
 )
 def test_certified_values_are_where_the_misfit_is_least(name):
-    # By DOP853 in double precision, where the values come from an extrapolation in extended one
+    # By DOP853 in double precision, where the values come from an extrapolation in
+    # extended one
     case, record = certify.CASES[name], CERTIFIED[name]
     data = certify.read(case.file or FOLDER / f"{name}.csv")
     data = data[:, data[0] <= case.until]

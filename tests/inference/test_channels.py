@@ -1,4 +1,5 @@
-"""Throws of which some channels were not measured: what they determine, and what they do not."""
+"""Throws of which some channels were not measured: what they determine, and what
+they do not."""
 
 from __future__ import annotations
 
@@ -13,7 +14,10 @@ from curlfit import LAWS
 from curlfit.inference.fit.fit import fit_throws
 
 LAW = LAWS["front-back"]()
-TRUE = {"mu1_eta + mu2_eta": LAW.mu1_eta + LAW.mu2_eta, "mu1_xi + mu2_xi": LAW.mu1_xi + LAW.mu2_xi}
+TRUE = {
+    "mu1_eta + mu2_eta": LAW.mu1_eta + LAW.mu2_eta,
+    "mu1_xi + mu2_xi": LAW.mu1_xi + LAW.mu2_xi,
+}
 
 
 @pytest.fixture(scope="module")
@@ -49,13 +53,14 @@ def test_spin_in_place_of_angle_does_as_well(seen):
 def test_radar_and_gyroscope_know_the_sums_and_not_the_curl(seen):
     result = fitted(seen, "speed", "omega")
     assert_sums_known(result)
-    assert {name for name, item in result.parameters.items() if item.verdict == "fixed"} == {
-        "x0", "y0", "heading", "phi0",
-    }  # fmt: skip
+    assert {
+        name for name, item in result.parameters.items() if item.verdict == "fixed"
+    } == {"x0", "y0", "heading", "phi0"}
 
 
 def test_a_gyroscope_alone_knows_no_speed_and_says_so(seen):
-    # v0 and all coefficients may grow together: a valley that is long, bent and without an end
+    # v0 and all coefficients may grow together: a valley that is long, bent and
+    # without an end
     result = fitted(seen, "omega")
     v0 = result.parameters["v0"]
     # the last of the way gains less than rounding
@@ -63,7 +68,9 @@ def test_a_gyroscope_alone_knows_no_speed_and_says_so(seen):
     # which of both depends on how much of the push is left over rounding
     assert v0.verdict in ("at bound", "not identifiable")
     if v0.verdict == "at bound":
-        assert any("v0 is at its bound; the data hardly" in text for text in result.warnings)
+        assert any(
+            "v0 is at its bound; the data hardly" in text for text in result.warnings
+        )
     for name in ("mu1_xi", "mu2_xi", "mu1_eta", "mu2_eta"):
         assert result.parameters[name].verdict == "not identifiable"
     held = fitted(seen, "omega", fix={"v0": 2.1})
@@ -73,13 +80,16 @@ def test_a_gyroscope_alone_knows_no_speed_and_says_so(seen):
 
 
 def test_well_measured_throws_have_honest_parabolas(seen):
-    assert not any("not quadratic" in text for text in fitted(seen, "x", "y", "phi").warnings)
+    assert not any(
+        "not quadratic" in text for text in fitted(seen, "x", "y", "phi").warnings
+    )
     angle = fitted(seen, "phi")
     assert any("not quadratic" in text and "v0" in text for text in angle.warnings)
     v0 = angle.parameters["v0"]
     assert (v0.verdict, v0.reason) == (
-        "weak", "chi squared is far from quadratic within its standard error",
-    )  # fmt: skip
+        "weak",
+        "chi squared is far from quadratic within its standard error",
+    )
 
 
 def test_all_channels_at_once_are_better_than_three_and_are_saved(seen, tmp_path):
@@ -117,12 +127,14 @@ def fit_of(throw, many):
 
 @pytest.mark.parametrize(("seed", "many"), [(0, False), (0, True), (1, False)])
 def test_without_x_the_fit_does_not_end_at_a_saddle_point(seed, many):
-    """There the transverse coefficients are equal; by symmetry nothing pulls them apart."""
+    """There the transverse coefficients are equal; by symmetry nothing
+    pulls them apart."""
     noise = {"y": 0.005, "phi": 0.01}
     throw = filmed(seed=seed, noise=noise).with_sigma(noise)
     found = fit_of(throw, many)
     lowest = min(
-        curlfit.fit(throw, fix={"mu1_xi": value}).chi_squared for value in np.linspace(0, 0.025, 4)
+        curlfit.fit(throw, fix={"mu1_xi": value}).chi_squared
+        for value in np.linspace(0, 0.025, 4)
     )
     assert found.chi_squared < lowest + 1e-6
     assert found["mu2_xi"].value - found["mu1_xi"].value > 0.01
@@ -136,12 +148,15 @@ def test_without_an_angle_both_senses_of_spin_are_tried(omega, many):
     noise = {"x": 5e-4, "y": 5e-4}
     throw = filmed(seed=1, noise=noise, omega=omega).with_sigma(noise)
     found = fit_of(throw, many)
-    # of equal solutions the one with the usual coefficients, in which mu2_xi is the larger
+    # of equal solutions the one with the usual coefficients, in which mu2_xi
+    # is the larger
     assert np.sign(found["omega0"].value) == np.sign(omega)
     assert found["mu2_xi"].value > found["mu1_xi"].value
     one, two, spin = (found[name].value for name in ("mu1_xi", "mu2_xi", "omega0"))
     held = {"mu1_xi": two, "mu2_xi": one, "omega0": -spin}
-    assert curlfit.fit(throw, fix=held).chi_squared == pytest.approx(found.chi_squared, abs=1e-3)
+    assert curlfit.fit(throw, fix=held).chi_squared == pytest.approx(
+        found.chi_squared, abs=1e-3
+    )
     assert found["omega0"].verdict == "weak"
     (said,) = (text for text in found.warnings if "fit as well" in text)
     other = float(re.findall(r"omega0 = ([-.\d]+)", said)[0])

@@ -1,4 +1,5 @@
-"""Conditions of a throw: held ones and their systematic errors, fixed and estimated ones."""
+"""Conditions of a throw: held ones and their systematic errors, fixed and
+estimated ones."""
 
 from __future__ import annotations
 
@@ -18,14 +19,22 @@ LAW = LAWS["front-back"](mu1_xi=0.005, mu2_xi=0.05, mu1_eta=0.009, mu2_eta=0.009
 TRUTH = {"mu1_xi": 0.005, "mu2_xi": 0.05, "mu2_eta": 0.009}
 SPLIT = {"mu1_eta": 0.009}  # held, so that all others are determined
 ASSUMED = {
-    "slope_x": 0.0, "slope_y": 0.0, "drag": 0.0, "R": 0.065, "rho": 0.1, "h": 0.057,
-    "length_scale": 1.0, "time_scale": 1.0, "wear": 0.0,
-}  # fmt: skip
+    "slope_x": 0.0,
+    "slope_y": 0.0,
+    "drag": 0.0,
+    "R": 0.065,
+    "rho": 0.1,
+    "h": 0.057,
+    "length_scale": 1.0,
+    "time_scale": 1.0,
+    "wear": 0.0,
+}
 HELD = {item.name: item.width for item in CONDITIONS if item.width}
 ALONE = dict.fromkeys(("slope_x", "slope_y", "drag", "wear"), "determined") | {
-    "R": "weak", "length_scale": "weak",
+    "R": "weak",
+    "length_scale": "weak",
     **dict.fromkeys(("rho", "h", "time_scale"), "not identifiable"),
-}  # fmt: skip
+}
 """What one throw says of them under uniform load, the split held."""
 START = InitialState(x=0.5, y=-1.0, heading=0.03, v=2.1, phi=0.4, omega=1.4)
 
@@ -34,8 +43,12 @@ def measured(conditions=(), start=START, load="uniform", noise=0.0, seed=0):
     """A throw as it is measured under conditions; `noise` over that of `NOISE`."""
     true = ASSUMED | dict(conditions)
     stone = Stone(R=true["R"], rho=true["rho"], h=true["h"])
-    surroundings = Environment(true["slope_x"], true["slope_y"], true["drag"], true["wear"])
-    path = simulate(LAW, stone, start, TIMES, load=load, environment=surroundings).to_numpy()
+    surroundings = Environment(
+        true["slope_x"], true["slope_y"], true["drag"], true["wear"]
+    )
+    path = simulate(
+        LAW, stone, start, TIMES, load=load, environment=surroundings
+    ).to_numpy()
     scale, random = true["length_scale"], np.random.default_rng(seed)
     channels = {
         "x": start.x + scale * (path.x - start.x),
@@ -43,7 +56,9 @@ def measured(conditions=(), start=START, load="uniform", noise=0.0, seed=0):
         "phi": path.phi,
     }
     for name, series in channels.items():
-        channels[name] = series + noise * NOISE[name] * random.standard_normal(len(TIMES))
+        channels[name] = series + noise * NOISE[name] * random.standard_normal(
+            len(TIMES)
+        )
     return Throw.from_arrays(true["time_scale"] * TIMES, **channels).with_sigma(NOISE)
 
 
@@ -53,13 +68,20 @@ def off(name):
 
 def truth_of(fit, start=START):
     """True values of the free parameters of a fit."""
-    known = TRUTH | {"x0": start.x, "y0": start.y, "heading": start.heading, "v0": start.v}
+    known = TRUTH | {
+        "x0": start.x,
+        "y0": start.y,
+        "heading": start.heading,
+        "v0": start.v,
+    }
     known |= {"phi0": start.phi, "omega0": start.omega}
     return {name: value for name, value in known.items() if fit.parameters[name].stderr}
 
 
 @pytest.mark.parametrize("name", HELD)
-def test_a_held_condition_that_is_off_shifts_the_estimates_as_the_systematic_error_says(name):
+def test_a_held_condition_that_is_off_shifts_the_estimates_as_the_systematic_error_says(
+    name,
+):
     load = "consistent" if name == "h" else "uniform"
     fit = curlfit.fit(measured(off(name), load=load), load=load, fix=SPLIT)
     assert fit.systematics.widths == HELD
@@ -77,24 +99,41 @@ def test_a_held_condition_that_is_off_shifts_the_estimates_as_the_systematic_err
     assert largest > (0.1 if name == "h" else 1)  # the test says something
 
 
-def test_coefficients_that_are_determined_together_have_a_systematic_error_together(tmp_path):
+def test_coefficients_that_are_determined_together_have_a_systematic_error_together(
+    tmp_path,
+):
     widths = {"all": 0, "slope_y": 1e-4, "rho": 0.0025}
     fit = curlfit.fit(measured(off("slope_y")), systematics=widths)
     (total,) = fit.combinations
     assert set(fit.systematics.shifts) == {
-        "mu1_xi", "mu2_xi", "x0", "y0", "heading", "v0", "phi0", "omega0", total.expression,
-    }  # fmt: skip
+        "mu1_xi",
+        "mu2_xi",
+        "x0",
+        "y0",
+        "heading",
+        "v0",
+        "phi0",
+        "omega0",
+        total.expression,
+    }
     shift = fit.systematics.shifts[total.expression]["slope_y"]
-    assert shift == pytest.approx(2e-4, rel=0.02)  # half of the ring each: twice the slope
+    # half of the ring each: twice the slope
+    assert shift == pytest.approx(2e-4, rel=0.02)
     assert total.value + shift == pytest.approx(0.018, abs=0.03 * shift)
     said = shown(fit)
     assert "std. error systematic verdict" in said
-    assert "Systematic errors come from conditions that the fit holds fixed; the largest: " in said
     assert (
-        "slopes down along the throw by 0.1 mm/m, the true mu1_eta + mu2_eta is 0.0002 higher"
+        "Systematic errors come from conditions that the fit holds fixed; the largest: "
         in said
     )
-    assert "if the radius of gyration is 2.5 mm larger, the true mu1_xi is 0.0014 higher" in said
+    assert (
+        "slopes down along the throw by 0.1 mm/m, the true mu1_eta + mu2_eta "
+        "is 0.0002 higher" in said
+    )
+    assert (
+        "if the radius of gyration is 2.5 mm larger, the true mu1_xi is 0.0014 higher"
+        in said
+    )
     fit.save(tmp_path / "fit.json")
     again = load_fit(tmp_path)
     assert again.systematics == fit.systematics
@@ -104,11 +143,17 @@ def test_coefficients_that_are_determined_together_have_a_systematic_error_toget
 def test_widths_may_be_given_and_conditions_may_be_known():
     throw = measured(noise=1.0)
     usual = curlfit.fit(throw, fix=SPLIT).systematics
-    wide = curlfit.fit(throw, fix=SPLIT, systematics={"slope_x": 2e-4, "rho": 0}).systematics
-    assert wide.widths == {k: v for k, v in HELD.items() if k != "rho"} | {"slope_x": 2e-4}
+    wide = curlfit.fit(
+        throw, fix=SPLIT, systematics={"slope_x": 2e-4, "rho": 0}
+    ).systematics
+    assert wide.widths == {k: v for k, v in HELD.items() if k != "rho"} | {
+        "slope_x": 2e-4
+    }
     shift = usual.shifts["mu1_xi"]["slope_x"]
     assert wide.shifts["mu1_xi"]["slope_x"] == pytest.approx(2 * shift, rel=1e-4)
-    only = curlfit.fit(throw, fix=SPLIT, systematics={"all": 0, "slope_x": 1e-4}).systematics
+    only = curlfit.fit(
+        throw, fix=SPLIT, systematics={"all": 0, "slope_x": 1e-4}
+    ).systematics
     assert only.errors["mu1_xi"] == pytest.approx(abs(shift), rel=1e-6)
     small = curlfit.fit(throw, fix=SPLIT, systematics={"all": 0, "slope_x": 1e-9})
     assert "systematic verdict" in shown(small)
@@ -123,18 +168,22 @@ def test_widths_may_be_given_and_conditions_may_be_known():
 def test_a_spin_that_was_not_measured_is_a_condition(turns):
     """What was measured of a stone of 1.212 rad/s, where 1.2 is assumed."""
     start = InitialState(v=2.25, omega=1.212)
-    path = simulate(LAW, Stone(R=0.065), start, np.append(np.linspace(0, 40, 401), 300)).to_numpy()
+    path = simulate(
+        LAW, Stone(R=0.065), start, np.append(np.linspace(0, 40, 401), 300)
+    ).to_numpy()
     time = float(np.interp(24.0, path.y[:-1], path.t[:-1]))
     events = [
         Event("hog_to_hog", "time", time, 0.1, 24.0, 0.0),
         Event("rest", "y", path.y[-1], 0.05),
         Event("curl", "x", path.x[-1], 0.05, since=0.0),
-    ]  # fmt: skip
+    ]
     if turns:
         events.append(Event("turns", "phi", path.phi[-1], 0.5))
     throw = Throw.from_events(events, assumed={"omega0": 1.2})
     fix = SPLIT | {"mu1_xi": TRUTH["mu1_xi"]}
-    fit = curlfit.fit(throw, "front-back", fix=fix, systematics={"all": 0, "spin": 0.01})
+    fit = curlfit.fit(
+        throw, "front-back", fix=fix, systematics={"all": 0, "spin": 0.01}
+    )
     assert fit.systematics.widths == ({} if turns else {"spin": 0.01})
     item, true = fit.parameters["mu2_xi"], TRUTH["mu2_xi"]
     # the curl is counted from the heading, which a law that can curl does not move
@@ -146,13 +195,15 @@ def test_a_spin_that_was_not_measured_is_a_condition(turns):
         return
     shift = fit.systematics.shifts["mu2_xi"]["spin"]
     assert shift < -0.005 * true
-    assert item.value + shift == pytest.approx(true, abs=0.03 * abs(shift))  # to first order
+    # to first order
+    assert item.value + shift == pytest.approx(true, abs=0.03 * abs(shift))
     known = curlfit.fit(throw, "front-back", fix=fix | {"omega0": 1.3})
     assert "spin" not in known.systematics.widths
 
 
 @pytest.mark.parametrize(
-    "choices", [{"noise": "ar1"}, pytest.param({"loss": "student"}, marks=pytest.mark.slow)]
+    "choices",
+    [{"noise": "ar1"}, pytest.param({"loss": "student"}, marks=pytest.mark.slow)],
 )
 def test_systematic_errors_hold_for_robust_losses_and_correlated_noise(choices):
     """The same noise, and two slopes of the ice: the estimates differ by the shift."""
@@ -166,19 +217,30 @@ def test_systematic_errors_hold_for_robust_losses_and_correlated_noise(choices):
     fits = []
     for slope in (0.0, 1e-5):
         throw = measured({"slope_x": slope})
-        noisy = {name: getattr(throw, name) + NOISE[name] * part
-                 for name, part in zip(NOISE, series, strict=True)}  # fmt: skip
-        fits.append(curlfit.fit(replace(throw, **noisy), fix=SPLIT, systematics={"slope_x": 1e-5},
-                                **choices))  # fmt: skip
+        noisy = {
+            name: getattr(throw, name) + NOISE[name] * part
+            for name, part in zip(NOISE, series, strict=True)
+        }
+        fits.append(
+            curlfit.fit(
+                replace(throw, **noisy),
+                fix=SPLIT,
+                systematics={"slope_x": 1e-5},
+                **choices,
+            )
+        )
     level, sloping = fits
     for name in ("mu1_xi", "mu2_xi", "heading"):
         change = sloping.parameters[name].value - level.parameters[name].value
-        assert -change == pytest.approx(level.systematics.shifts[name]["slope_x"], rel=0.05), name
+        assert -change == pytest.approx(
+            level.systematics.shifts[name]["slope_x"], rel=0.05
+        ), name
 
 
 @pytest.mark.parametrize("name", HELD)
 def test_a_condition_is_fixed_at_a_value_or_estimated(name):
-    """All are parameters, so that one program serves; without noise the truth comes back."""
+    """All are parameters, so that one program serves; without noise the
+    truth comes back."""
     true, throw = ASSUMED | off(name), measured(off(name))
     fit = curlfit.fit(throw, fix=SPLIT | true)
     assert fit.converged
@@ -190,7 +252,9 @@ def test_a_condition_is_fixed_at_a_value_or_estimated(name):
 
     others = {key: value for key, value in true.items() if key != name}
     free = curlfit.fit(throw, fix=SPLIT | others, free=[name])
-    assert list(free.conditions) == [one.name for one in CONDITIONS if one.name in ASSUMED]
+    assert list(free.conditions) == [
+        one.name for one in CONDITIONS if one.name in ASSUMED
+    ]
     item = free.parameters[name]
     assert item.verdict == ALONE[name]
     if item.stderr is not None:
@@ -214,7 +278,9 @@ def test_opposite_spins_cancel_the_shift_by_the_slope(pair):
     assert shifts[0] * shifts[1] < 0
     together = joint.systematics.shifts["mu1_xi"]["slope_x"]
     assert abs(together) < 0.1 * min(map(abs, shifts))
-    assert any("`--free slope_x` fits a common slope" in warning for warning in joint.warnings)
+    assert any(
+        "`--free slope_x` fits a common slope" in warning for warning in joint.warnings
+    )
     for throw in joint.throws:
         shifts = throw.systematics.shifts["mu1_xi"]  # to rounding
         assert shifts == pytest.approx(joint.systematics.shifts["mu1_xi"], rel=1e-8)
@@ -227,9 +293,18 @@ def test_opposite_spins_cancel_the_shift_by_the_slope(pair):
 def test_unknown_conditions_are_refused():
     throw = measured()
     for choices, said in (
-        ({"free": ["slope"]}, "no parameter 'slope'.*conditions are slope_x, slope_y, drag"),
-        ({"systematics": {"slope": 1.0}}, "no condition 'slope'; the conditions are slope_x"),
-        ({"systematics": {"rho": -1.0}}, "systematic: rho = -1; expected a width of 0 or more"),
+        (
+            {"free": ["slope"]},
+            "no parameter 'slope'.*conditions are slope_x, slope_y, drag",
+        ),
+        (
+            {"systematics": {"slope": 1.0}},
+            "no condition 'slope'; the conditions are slope_x",
+        ),
+        (
+            {"systematics": {"rho": -1.0}},
+            "systematic: rho = -1; expected a width of 0 or more",
+        ),
         ({"systematics": {"rho": np.inf}}, "systematics.rho = inf; expected a number"),
         ({"bounds": {"drag": (1.0, 0.0)}}, "bound of drag: 1:0 is empty"),
     ):

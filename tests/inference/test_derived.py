@@ -24,13 +24,15 @@ AT = {"a": 0.7, "b": -1.3, "c": 2.1}
 
 @pytest.fixture(scope="module")
 def throw():
-    """Friction of Coulomb without spin: constant deceleration, on the sheet, nearly to rest."""
+    """Friction of Coulomb without spin: constant deceleration, on the sheet,
+    nearly to rest."""
     law, random = curlfit.law_with("coulomb", {"mu": MU}), np.random.default_rng(8)
     t = np.linspace(0.0, T_END, 201)
     start = curlfit.InitialState(x=0.2, y=Y0, heading=0.01, v=V0, omega=0.0)
     path = curlfit.simulate(law, curlfit.Stone(), start, t).to_numpy()
     x, y, phi = (
-        series + 0.004 * random.standard_normal(len(t)) for series in (path.x, path.y, path.phi)
+        series + 0.004 * random.standard_normal(len(t))
+        for series in (path.x, path.y, path.phi)
     )
     made = curlfit.Throw.from_arrays(t, x, y, phi, name="draw.csv")
     return replace(made, notes=("y from the hack",))
@@ -48,7 +50,9 @@ def sampled(fit):
     values = np.tile(fit.values, (50, 8, 1))
     free = [names.index(name) for name in fit.covariance["names"]]
     matrix = np.array(fit.covariance["matrix"])
-    values[..., free] = random.multivariate_normal(fit.values[free], matrix, (50, 8), tol=1e-6)
+    values[..., free] = random.multivariate_normal(
+        fit.values[free], matrix, (50, 8), tol=1e-6
+    )
     none = np.zeros((50, 8))
     chain = curlfit.Chain(names, values, none, 0, 4, 0)
     found = fit.with_derived(["v0**2 / (2*g*mu)"], chain)
@@ -60,37 +64,67 @@ def sampled(fit):
 
 @pytest.mark.parametrize(
     "text",
-    ["a*b - c/a", "a**2 + c**0.5 * b**3", "sqrt(a) * exp(b) + log(c)", "abs(b) * max(a, c)",
-     "hypot(a, b) / (1 + tan(a)**2)", "sin(a) * cos(b) - atan(c) + log10(c)", "-b ** 2 + min(a, c)",
-     "2 a - .5 c", "a ** b"],
-)  # fmt: skip
+    [
+        "a*b - c/a",
+        "a**2 + c**0.5 * b**3",
+        "sqrt(a) * exp(b) + log(c)",
+        "abs(b) * max(a, c)",
+        "hypot(a, b) / (1 + tan(a)**2)",
+        "sin(a) * cos(b) - atan(c) + log10(c)",
+        "-b ** 2 + min(a, c)",
+        "2 a - .5 c",
+        "a ** b",
+    ],
+)
 def test_gradients_are_those_of_differences(text):
     found = parse(text, NAMES, {})
     gradient = found.gradient(AT)
-    python = found.text.replace("2 a", "2*a").replace(".5 c", ".5*c").replace("log10", "lg")
-    functions = {name: getattr(np, name) for name in ("sqrt", "exp", "log", "sin", "cos", "tan")}
+    python = (
+        found.text.replace("2 a", "2*a").replace(".5 c", ".5*c").replace("log10", "lg")
+    )
+    functions = {
+        name: getattr(np, name) for name in ("sqrt", "exp", "log", "sin", "cos", "tan")
+    }
     functions |= {"lg": np.log10, "atan": np.arctan, "hypot": np.hypot, "abs": abs}
 
     def by_python(x):
-        return eval(python, functions | {"min": min, "max": max}, dict(zip(NAMES, x, strict=True)))
+        return eval(
+            python,
+            functions | {"min": min, "max": max},
+            dict(zip(NAMES, x, strict=True)),
+        )
 
     x = np.array(list(AT.values()))
     assert found.of(AT) == pytest.approx(by_python(x), rel=1e-14)
     expected = approx_fprime(x, by_python, 1e-7)
-    np.testing.assert_allclose([gradient.get(n, 0.0) for n in NAMES], expected, atol=3e-6)
+    np.testing.assert_allclose(
+        [gradient.get(n, 0.0) for n in NAMES], expected, atol=3e-6
+    )
 
 
 @pytest.mark.parametrize(
     ("text", "said"),
-    [("a +", "not an arithmetic expression"), ("d", "no parameter 'd'; the parameters are a, b, c"),
-     ("__import__('os')", "no function '__import__'"), ("a.real", "only numbers, names"),
-     ("a[0]", "only numbers, names"), ("'a'", "'a' is not a number"), ("", "empty"),
-     ("True * a", "True is not a number"), ("log(a, b)", "log takes 1 argument"),
-     ("3", "it contains no parameter"), ("a if b else c", "only numbers"), ("a" * 500, "500 chara"),
-     ("(" * 300 + "a" + ")" * 90, "not an arithmetic"), ("1e999*a", "too large"),
-     ("a; b", "not an"),
-     ("[a for a in b]", "only numbers"), ("a := 3", "not an"), ("1j*a", "1j is not a number")],
-)  # fmt: skip
+    [
+        ("a +", "not an arithmetic expression"),
+        ("d", "no parameter 'd'; the parameters are a, b, c"),
+        ("__import__('os')", "no function '__import__'"),
+        ("a.real", "only numbers, names"),
+        ("a[0]", "only numbers, names"),
+        ("'a'", "'a' is not a number"),
+        ("", "empty"),
+        ("True * a", "True is not a number"),
+        ("log(a, b)", "log takes 1 argument"),
+        ("3", "it contains no parameter"),
+        ("a if b else c", "only numbers"),
+        ("a" * 500, "500 chara"),
+        ("(" * 300 + "a" + ")" * 90, "not an arithmetic"),
+        ("1e999*a", "too large"),
+        ("a; b", "not an"),
+        ("[a for a in b]", "only numbers"),
+        ("a := 3", "not an"),
+        ("1j*a", "1j is not a number"),
+    ],
+)
 def test_what_is_no_arithmetic_is_refused(text, said):
     with pytest.raises(InputError) as caught:
         parse(text, NAMES, {})
@@ -108,18 +142,24 @@ def test_errors_are_those_of_the_covariance(fit):
     mu, v0 = fit["mu"].value, fit["v0"].value
     assert found.value == pytest.approx(v0**2 / (2 * G * mu), rel=1e-13)
     row = np.zeros(len(names))
-    row[names.index("v0")], row[names.index("mu")] = v0 / (G * mu), -(v0**2) / (2 * G * mu**2)
+    row[names.index("v0")], row[names.index("mu")] = (
+        v0 / (G * mu),
+        -(v0**2) / (2 * G * mu**2),
+    )
     assert found.stderr == pytest.approx(np.sqrt(row @ matrix @ row), rel=1e-10)
     assert found.verdict == "determined"
     one = fit.derive("mu")
     assert one.stderr == pytest.approx(fit["mu"].stderr, rel=1e-12)
     assert one.systematic == pytest.approx(fit.systematics.errors["mu"], rel=1e-12)
     assert one.dof == fit["mu"].dof
-    # a constant of the stone has a systematic error, which adds to that of the parameter
+    # a constant of the stone has a systematic error, which adds to that of
+    # the parameter
     ratio = fit.derive("mu / R")
     shifts, widths = fit.systematics.shifts["mu"], fit.systematics.widths
-    each = [by / fit.stone.R - (name == "R") * mu * widths["R"] / fit.stone.R**2
-            for name, by in shifts.items()]  # fmt: skip
+    each = [
+        by / fit.stone.R - (name == "R") * mu * widths["R"] / fit.stone.R**2
+        for name, by in shifts.items()
+    ]
     assert ratio.systematic == pytest.approx(np.hypot.reduce(each), rel=1e-9)
 
 
@@ -130,15 +170,24 @@ def test_quantiles_are_those_of_the_posterior(sampled):
     draws = v0**2 / (2 * G * mu)
     assert item.quantiles["16"] == pytest.approx(np.quantile(draws, 0.16), rel=1e-12)
     assert item.stderr == pytest.approx(draws.std(), rel=0.1)
-    assert curlfit.FitResult.from_json(json.loads(json.dumps(found.to_json()))).derived == (item,)
+    assert curlfit.FitResult.from_json(
+        json.loads(json.dumps(found.to_json()))
+    ).derived == (item,)
 
 
 @pytest.mark.parametrize(
     ("text", "seen"),
-    [("mu1_eta + mu2_eta", True), ("(mu1_eta + mu2_eta)**2 / mu2_xi", True),
-     ("mu2_xi - mu1_xi", True), ("mu1_eta - mu2_eta", False), ("mu1_eta / mu2_eta", False),
-     ("mu1_eta * mu2_eta", False), ("(mu1_eta - mu2_eta)**2", False), ("v0*mu1_eta", False)],
-)  # fmt: skip
+    [
+        ("mu1_eta + mu2_eta", True),
+        ("(mu1_eta + mu2_eta)**2 / mu2_xi", True),
+        ("mu2_xi - mu1_xi", True),
+        ("mu1_eta - mu2_eta", False),
+        ("mu1_eta / mu2_eta", False),
+        ("mu1_eta * mu2_eta", False),
+        ("(mu1_eta - mu2_eta)**2", False),
+        ("v0*mu1_eta", False),
+    ],
+)
 def test_what_depends_on_the_ridge_is_not_identifiable(eq12_fit, text, seen):
     found = eq12_fit.derive(text)
     assert (found.verdict == "determined") == seen
@@ -156,8 +205,11 @@ def test_a_combination_has_its_own_errors(eq12_fit):
     assert found.systematic == pytest.approx(errors[known.expression], rel=1e-6)
     assert found.dof == known.dof
     # one that is written with rounded weights is exact
-    odd = replace(known, expression="mu1_eta + 0.98 mu2_eta",
-                  weights={"mu1_eta": 1.0, "mu2_eta": 1.0})  # fmt: skip
+    odd = replace(
+        known,
+        expression="mu1_eta + 0.98 mu2_eta",
+        weights={"mu1_eta": 1.0, "mu2_eta": 1.0},
+    )
     other = replace(eq12_fit, combinations=(odd,)).derive("2*(mu1_eta + 0.98 mu2_eta)")
     assert other.value == pytest.approx(2 * known.value, rel=1e-13)
     with pytest.raises(InputError, match="no finite value"):
@@ -200,7 +252,9 @@ def test_quantities_of_the_path_have_closed_forms_under_constant_deceleration(fi
 
         assert found[name].value == pytest.approx(between(at), abs=2e-6)
         row = approx_fprime(at, between, 1e-8)
-        assert found[name].stderr == pytest.approx(np.sqrt(row @ matrix @ row), rel=2e-3)
+        assert found[name].stderr == pytest.approx(
+            np.sqrt(row @ matrix @ row), rel=2e-3
+        )
     assert found["hog_to_tee"].unit == "s"
 
 
@@ -209,7 +263,9 @@ def assert_quantiles(item, chain, within):
     draws = [chain.of({name: 1.0}) for name in ("mu", "v0", "y0", "heading")]
     times = passes(LINES["far-hog"], *draws) - passes(LINES["hog"], *draws)
     ends = np.quantile(times, [0.16, 0.84])
-    assert [item.quantiles[level] for level in ("16", "84")] == pytest.approx(ends, abs=within)
+    assert [item.quantiles[level] for level in ("16", "84")] == pytest.approx(
+        ends, abs=within
+    )
     return times
 
 
@@ -232,7 +288,8 @@ def test_where_draws_are_too_wide_for_first_order_paths_are_followed(sampled, fi
 
 
 def test_only_what_the_record_determines_is_quoted(throw, fit, eq12_fit):
-    assert {"hog_to_hog", "draw_time"}.isdisjoint(eq12_fit.quantities)  # its zero of y is unknown
+    # its zero of y is unknown
+    assert {"hog_to_hog", "draw_time"}.isdisjoint(eq12_fit.quantities)
     assert eq12_fit.quantities["curl"].value < 0
     early = curlfit.fit(throw, "coulomb", until=10)
     assert set(early.quantities) == {"friction", "turns"}
@@ -262,8 +319,8 @@ def test_a_draw_has_its_time_and_its_curl(eq12_fit):
 
 
 def test_an_error_of_the_clock_scales_times_and_friction():
-    """Against the fit of the same draw with all times longer: intervals are proportional to the
-    unit of time, the mean deceleration to its inverse square."""
+    """Against the fit of the same draw with all times longer: intervals are
+    proportional to the unit of time, the mean deceleration to its inverse square."""
     width, t = 1e-3, np.linspace(0.0, 30.0, 201)
     law = curlfit.law_with("coulomb", {"mu": 0.0085})
     start = curlfit.InitialState(y=9.9, v=2.2, omega=1.0)
@@ -272,7 +329,9 @@ def test_an_error_of_the_clock_scales_times_and_friction():
     right, slow = (
         curlfit.fit(
             replace(
-                curlfit.Throw.from_arrays(rate * t, path.x, path.y, path.phi, sigma=sigma),
+                curlfit.Throw.from_arrays(
+                    rate * t, path.x, path.y, path.phi, sigma=sigma
+                ),
                 notes=("y from the hack",),
             ),
             "coulomb",
@@ -284,8 +343,12 @@ def test_an_error_of_the_clock_scales_times_and_friction():
     assert set(powers) < set(right)
     for name, power in powers.items():
         item = right[name]
-        assert slow[name].value == pytest.approx(item.value * (1 + width) ** power, rel=1e-6), name
-        assert item.systematic == pytest.approx(abs(power) * width * item.value, rel=2e-3), name
+        assert slow[name].value == pytest.approx(
+            item.value * (1 + width) ** power, rel=1e-6
+        ), name
+        assert item.systematic == pytest.approx(
+            abs(power) * width * item.value, rel=2e-3
+        ), name
 
 
 # --- the command line

@@ -1,4 +1,5 @@
-"""Missing accelerations as noise: what they do to a path, and errors under a wrong law."""
+"""Missing accelerations as noise: what they do to a path, and errors under
+a wrong law."""
 
 from __future__ import annotations
 
@@ -26,14 +27,19 @@ def path_of(law, start):
     return np.array([path.x, path.y, path.phi, path.speed, path.omega], dtype=float)
 
 
-# a constant acceleration across the velocity, along it, and of the spin, against its sense
-@pytest.mark.parametrize(("component", "name"), [("across", "a"), ("along", "c"), ("turning", "q")])
+# a constant acceleration across the velocity, along it, and of the spin,
+# against its sense
+@pytest.mark.parametrize(
+    ("component", "name"), [("across", "a"), ("along", "c"), ("turning", "q")]
+)
 def test_responses_are_the_derivatives_of_the_path(component, name):
     values = {"a": 0.006, "c": 0.088, "p": 0.0, "q": 0.02, "r": 0.0}
     start, step = InitialState(v=2.1, omega=1.4, heading=0.2), 1e-4
     law = LAWS["semi-empirical"]
     path = path_of(law(**values), start)
-    up, down = (path_of(law(**values | {name: values[name] + d}), start) for d in (step, -step))
+    up, down = (
+        path_of(law(**values | {name: values[name] + d}), start) for d in (step, -step)
+    )
     expected = (down - up) / (2 * step)
     found = Responses.of(TIMES, path, STONE)
     # a constant, by the shapes
@@ -47,17 +53,23 @@ def test_responses_are_the_derivatives_of_the_path(component, name):
         response = found.at(TIMES, channel) @ along.ravel() / size
         scale = np.abs(expected[channel]).max()
         if scale > 1e-3 * np.abs(expected).max():
-            tolerance = 0.03 * scale  # of the shapes that are left out, and differences in time
+            # of the shapes that are left out, and differences in time
+            tolerance = 0.03 * scale
             np.testing.assert_allclose(response, expected[channel], atol=tolerance)
 
 
 def test_under_the_right_law_errors_are_those_of_noise_and_somewhat_larger():
     throw = filmed(LAWS["coulomb"](), seed=11)
-    white, own = (curlfit.fit(throw, "coulomb", noise=kind) for kind in ("white", "discrepancy"))
+    white, own = (
+        curlfit.fit(throw, "coulomb", noise=kind) for kind in ("white", "discrepancy")
+    )
     for name, item in white.parameters.items():
         ratio = own.parameters[name].stderr / item.stderr
         assert 0.9 < ratio < (40 if name == "mu" else 12)
-        assert abs(own.parameters[name].value - item.value) < 4 * own.parameters[name].stderr
+        assert (
+            abs(own.parameters[name].value - item.value)
+            < 4 * own.parameters[name].stderr
+        )
     assert set(own.noise.sizes) == set(accelerations.COMPONENTS)
     assert max(own.noise.sizes.values()) < 0.1
     assert own.sigma["x"] == pytest.approx(0.005, rel=0.2)
@@ -73,12 +85,13 @@ def wrong_law():
 
 
 def dense(fit):
-    """Of a fit under discrepancy, for the values that were observed, over sigma: covariance, the
-    changes for each amplitude, of standard deviation 1, the covariance of the amplitudes, and the
-    changes of all five channels for each amplitude, in metres.
+    """Of a fit under discrepancy, for the values that were observed, over sigma:
+    covariance, the changes for each amplitude, of standard deviation 1, the
+    covariance of the amplitudes, and the changes of all five channels for each
+    amplitude, in metres.
 
-    The least-squares estimates, with the weights of independent noise, and what they leave are
-    independent of one another.
+    The least-squares estimates, with the weights of independent noise, and what they
+    leave are independent of one another.
     """
     data, n = linearized_fit(fit), len(TIMES)
     blocks = []
@@ -89,11 +102,14 @@ def dense(fit):
     before = data.weight[:3, :n].ravel()
     seen = before > 0
     before = before[seen]
-    factor = np.repeat([fit.sigma[name] / fit.noise.independent[name] for name in SERIES], n)[seen]
+    factor = np.repeat(
+        [fit.sigma[name] / fit.noise.independent[name] for name in SERIES], n
+    )[seen]
     weight = before / factor
     noise = block_diag(*blocks)[seen][:, seen]
     jacobian, responses = (
-        part[:3, :n].reshape(3 * n, -1)[seen] for part in (data.jacobian, data.responses)
+        part[:3, :n].reshape(3 * n, -1)[seen]
+        for part in (data.jacobian, data.responses)
     )
     j, s = weight[:, None] * jacobian, weight[:, None] * responses
     estimate = (before * factor)[:, None] * jacobian
@@ -121,23 +137,31 @@ def test_its_whitening_is_the_inverse_root_of_its_covariance(wrong_law):
     residual[weight == 0] = 0.0
     white = np.asarray(whitened(residual, problem.whitener))[:, :n].ravel()
     own = residual[:, :n][weight[:, :n] > 0]
-    assert white @ white == pytest.approx(own @ np.linalg.solve(covariance, own), rel=1e-6)
+    assert white @ white == pytest.approx(
+        own @ np.linalg.solve(covariance, own), rel=1e-6
+    )
     determinant = -0.5 * np.linalg.slogdet(covariance)[1]
-    assert problem.whitener.log_determinant().sum() == pytest.approx(determinant, rel=1e-6)
+    assert problem.whitener.log_determinant().sum() == pytest.approx(
+        determinant, rel=1e-6
+    )
 
 
 def test_the_recorded_discrepancy_is_its_mean_given_the_residuals(wrong_law, tmp_path):
-    """K (K + N)^-1 r with dense matrices, in metres; at rows in the gap and channels that were not
-    measured by the covariances with those that were."""
+    """K (K + N)^-1 r with dense matrices, in metres; at rows in the gap and channels
+    that were not measured by the covariances with those that were."""
     fit = wrong_law
     covariance, lacking, amplitudes, paid = dense(fit)
-    residual = np.concatenate([fit.residuals[name] / fit.sigma[name] for name in SERIES])
+    residual = np.concatenate(
+        [fit.residuals[name] / fit.sigma[name] for name in SERIES]
+    )
     gain = np.linalg.solve(covariance, residual[np.isfinite(residual)])
     expected = paid @ (amplitudes @ lacking.T @ gain)
     for name, mean in zip(CHANNELS, expected, strict=True):
         scale = np.abs(mean).max()
         np.testing.assert_allclose(fit.discrepancy[name], mean, atol=1e-4 * scale)
-        np.testing.assert_array_equal(fit.predicted[name], fit.fitted[name] + fit.discrepancy[name])
+        np.testing.assert_array_equal(
+            fit.predicted[name], fit.fitted[name] + fit.discrepancy[name]
+        )
     # the law alone is far off along the path, both together are as near as the noise
     left = fit.observed["y"] - fit.predicted["y"]
     assert np.std(fit.residuals["y"]) > 3 * np.std(left)
@@ -150,8 +174,8 @@ def test_the_recorded_discrepancy_is_its_mean_given_the_residuals(wrong_law, tmp
 
 
 def test_the_law_is_fitted_as_without_a_discrepancy(wrong_law):
-    """Its coefficients and its path are those nearest to the data; the initial state has the error
-    that a discrepancy may hide in it."""
+    """Its coefficients and its path are those nearest to the data; the initial state
+    has the error that a discrepancy may hide in it."""
     white = curlfit.fit(wrong_law.throw, "coulomb", details=False)
     mu, other = wrong_law["mu"], white["mu"]
     assert mu.value == pytest.approx(other.value, rel=1e-4)

@@ -24,12 +24,16 @@ NAMES = ("mu1_xi", "mu2_xi")
 
 def coefficients(result):
     sums = {item.expression: item.value for item in result.combinations}
-    return np.array([*(result.parameters[n].value for n in NAMES), sums["mu1_eta + mu2_eta"]])
+    return np.array(
+        [*(result.parameters[n].value for n in NAMES), sums["mu1_eta + mu2_eta"]]
+    )
 
 
 def test_eq_28_as_checked(eq12_fit):
     found = coefficients(eq12_fit)
-    np.testing.assert_array_less(np.abs(found - [0.0004, 0.0555, 0.0173]), [0.0002, 0.0006, 0.0004])
+    np.testing.assert_array_less(
+        np.abs(found - [0.0004, 0.0555, 0.0173]), [0.0002, 0.0006, 0.0004]
+    )
     assert eq12_fit.converged
     assert eq12_fit.rms["x"] < 0.0015
     assert eq12_fit.rms["y"] < 0.025
@@ -50,7 +54,9 @@ def test_the_larger_ring_needs_a_negative_coefficient(eq12):
 def test_rounding_decides_neither_where_a_fit_ends_nor_when(eq12):
     rng = np.random.default_rng(1)
     scatter = [0.0, 1e-14, 1e-13, 1e-12]  # m, of rows printed to 1e-6
-    fits = [fit(replace(eq12, y=eq12.y + s * rng.normal(size=len(eq12)))) for s in scatter]
+    fits = [
+        fit(replace(eq12, y=eq12.y + s * rng.normal(size=len(eq12)))) for s in scatter
+    ]
     steps = {int(re.search(r"\((\d+) steps", result.status)[1]) for result in fits}
     assert len(steps) == 1
     assert max(steps) < 10
@@ -62,15 +68,22 @@ def test_rounding_decides_neither_where_a_fit_ends_nor_when(eq12):
 
 def test_a_start_ten_times_off_leads_to_the_same_place(eq12, eq12_fit):
     for factor in (10.0, 0.1):
-        start = {name: factor * eq12_fit.parameters[name].value for name in eq12_fit.coefficients}
+        start = {
+            name: factor * eq12_fit.parameters[name].value
+            for name in eq12_fit.coefficients
+        }
         start["v0"] = factor * eq12_fit.parameters["v0"].value
         again = fit(eq12, start=start)
-        np.testing.assert_allclose(coefficients(again), coefficients(eq12_fit), atol=1e-6)
+        np.testing.assert_allclose(
+            coefficients(again), coefficients(eq12_fit), atol=1e-6
+        )
 
 
 def test_mirrored_and_shifted_throws_give_the_same_coefficients(eq12, eq12_fit):
     mirrored = fit(replace(eq12, x=-eq12.x, phi=-eq12.phi))
-    np.testing.assert_allclose(coefficients(mirrored), coefficients(eq12_fit), atol=1e-9)
+    np.testing.assert_allclose(
+        coefficients(mirrored), coefficients(eq12_fit), atol=1e-9
+    )
     spin = eq12_fit.parameters["omega0"].value
     assert mirrored.parameters["omega0"].value == pytest.approx(-spin, rel=1e-9)
     moved = replace(eq12, t=eq12.t + 100, x=eq12.x + 3, y=eq12.y - 7, phi=eq12.phi + 40)
@@ -104,7 +117,9 @@ def test_residuals_far_larger_than_the_sigma_given_are_told(times, told):
     noise = {name: times * size for name, size in NOISE.items()}
     throw = filmed(law_with("coulomb", {"mu": 0.01}), seed=3, noise=noise)
     result = fit(throw.with_sigma(NOISE), "coulomb")
-    said = " ".join(warning for warning in result.warnings if "the given sigma" in warning)
+    said = " ".join(
+        warning for warning in result.warnings if "the given sigma" in warning
+    )
     ratios = re.findall(r"([\d.]+) times in", said)
     assert len(ratios) == told
     for ratio in ratios:
@@ -147,7 +162,8 @@ def test_public_names_are_there():
 
 
 def test_what_no_row_shows_pays_for_no_residual():
-    """Sigma counts a row less for each direction that is seen, wherever its unit puts it."""
+    """Sigma counts a row less for each direction that is seen, wherever its
+    unit puts it."""
     t = np.arange(6.0)
     for columns, paid in (([t, 1e-10 * t**2], 1), ([t, 2 * t], 1), ([t, t**2], 2)):
         jacobian = np.stack(columns, -1)[None, None]
@@ -159,33 +175,44 @@ def test_what_no_row_shows_pays_for_no_residual():
 
 
 def test_a_reference_with_a_rounded_stone_is_reproduced_with_its_own(eq12, eq12_fit):
-    """CHECKED values of rho = 0.1025 m: 0.00184, 0.05705, 0.01757; eq. 28 to its printed digits."""
+    """CHECKED values of rho = 0.1025 m: 0.00184, 0.05705, 0.01757; eq. 28 to its
+    printed digits."""
     own, rounded = eq12_fit.reference_fits
     assert (own["stone"], rounded["stone"]) == ({"rho": 0.1025}, {"R": 0.0545})
     again = curlfit.fit(eq12, stone=eq12_fit.stone.with_values({"rho": 0.1025}))
     assert again.reference_fits == ()
     names = ("mu1_xi", "mu2_xi")
     found = [again.parameters[name].value for name in names]
-    np.testing.assert_allclose([own["values"][name] for name in names], found, rtol=1e-6)
+    np.testing.assert_allclose(
+        [own["values"][name] for name in names], found, rtol=1e-6
+    )
     total = own["values"]["mu1_eta + mu2_eta"]
     np.testing.assert_allclose([*found, total], [0.00184, 0.05705, 0.01757], atol=6e-6)
-    # the curl goes with R (mu1_xi - mu2_xi), the torque with R^2 (mu1_xi + mu2_xi)/rho^2 (eq. 27)
+    # the curl goes with R (mu1_xi - mu2_xi), the torque with R^2 (mu1_xi +
+    # mu2_xi)/rho^2 (eq. 27)
     fit = {name: eq12_fit.parameters[name].value for name in names}
     for other, scale in ((own, 0.1025 / 0.1), (rounded, 0.054 / 0.0545)):
         values, radius = other["values"], other["stone"].get("R", 0.054)
         total = (values["mu1_xi"] + values["mu2_xi"]) / (fit["mu1_xi"] + fit["mu2_xi"])
         assert total == pytest.approx(scale**2, rel=2e-3)
-        difference = (values["mu1_xi"] - values["mu2_xi"]) / (fit["mu1_xi"] - fit["mu2_xi"])
+        difference = (values["mu1_xi"] - values["mu2_xi"]) / (
+            fit["mu1_xi"] - fit["mu2_xi"]
+        )
         assert difference == pytest.approx(0.054 / radius, rel=2e-3)
-    told = "`--stone rho=0.1025` gives 0.0018, 0.0570 and 0.0176, which agree with eq. 28"
+    told = (
+        "`--stone rho=0.1025` gives 0.0018, 0.0570 and 0.0176, which agree with eq. 28"
+    )
     assert told in shown(eq12_fit)
-    away = replace(eq12_fit.reference, values=eq12_fit.reference.values | {"mu2_xi": 0.068})
+    away = replace(
+        eq12_fit.reference, values=eq12_fit.reference.values | {"mu2_xi": 0.068}
+    )
     assert "do not all agree with eq. 28" in shown(replace(eq12_fit, reference=away))
 
 
 def game_throw(every=60, step=0.002):
-    """A throw of a game up to rest, without noise: constant friction and loss of spin, in frames,
-    and a curl that grows toward rest faster than a constant transverse force does."""
+    """A throw of a game up to rest, without noise: constant friction and loss of
+    spin, in frames, and a curl that grows toward rest faster than a constant
+    transverse force does."""
     v, omega, rows = 1.95, 2.75, []
     x = y = phi = heading = 0.0
     frame = 0
@@ -202,8 +229,8 @@ def game_throw(every=60, step=0.002):
 
 
 def test_an_angle_that_is_fitted_exactly_up_to_rest_does_not_stop_the_search():
-    """The angle is exact if the stone rests no earlier than at the last row. There the fit ends;
-    the optimum of x and y, with the rest there, is that of scipy."""
+    """The angle is exact if the stone rests no earlier than at the last row. There the
+    fit ends; the optimum of x and y, with the rest there, is that of scipy."""
     throw = game_throw()
     found = fit(throw, "semi-empirical", details=False)
     t, rest = found.observed["t"], found.observed["t"][-1]
@@ -222,9 +249,12 @@ def test_an_angle_that_is_fitted_exactly_up_to_rest_does_not_stop_the_search():
     sigma = np.array([[found.sigma[name]] for name in "xy"])
     best = least_squares(
         lambda values: ((path(values) - observed) / sigma).ravel(),
-        [0.008, -0.01, 0.0, 0.0, 0.0, 1.95], x_scale=[0.01, 0.1, 0.1, 0.1, 0.01, 1.0],
-        xtol=1e-12, ftol=1e-12, gtol=1e-12,
-    )  # fmt: skip
+        [0.008, -0.01, 0.0, 0.0, 0.0, 1.95],
+        x_scale=[0.01, 0.1, 0.1, 0.1, 0.01, 1.0],
+        xtol=1e-12,
+        ftol=1e-12,
+        gtol=1e-12,
+    )
     x, y = np.sqrt(((path(best.x) - observed) ** 2).mean(1))
     assert found.converged, found.status
     assert [found.rms["x"], found.rms["y"]] == pytest.approx([x, y], rel=1e-3)

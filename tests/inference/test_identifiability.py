@@ -68,7 +68,9 @@ def test_expressions(weights, text):
 
 def test_what_is_lost_in_rounding_beside_a_large_number_is_not_seen():
     base = np.linalg.qr(np.random.default_rng(4).standard_normal((30, 3)))[0]
-    jacobian = np.stack([1e12 * base[:, 0], 5 * (base[:, 1] + base[:, 2]), 5 * base[:, 1]], 1)
+    jacobian = np.stack(
+        [1e12 * base[:, 0], 5 * (base[:, 1] + base[:, 2]), 5 * base[:, 1]], 1
+    )
     found = _analysed(jacobian, ["a", "b", "c"])
     assert found.rank == 1
     np.testing.assert_array_equal(found.unseen, [False, True, True])
@@ -76,7 +78,8 @@ def test_what_is_lost_in_rounding_beside_a_large_number_is_not_seen():
 
 
 def test_a_direction_that_only_the_bounds_limit_is_not_determined():
-    """The difference of two coefficients has a standard error of 50, their bounds a width of 1."""
+    """The difference of two coefficients has a standard error of 50, their bounds
+    a width of 1."""
     rotated = np.array([[10.0, 10.0], [0.02, -0.02]]) / np.sqrt(2)
     values, ends = np.array([0.5, 0.5]), (np.zeros(2), np.ones(2))
     about = (["a", "b"], values, np.ones(2))
@@ -86,7 +89,10 @@ def test_a_direction_that_only_the_bounds_limit_is_not_determined():
     held = analyse(rotated, *about, bounded=Bounded(values, *ends))
     assert (held.rank, held.null_directions) == (1, ({"a": 1.0, "b": -1.0},))
     (total,) = held.combinations
-    assert (total.expression, total.stderr) == ("a + b", pytest.approx(0.1 * np.sqrt(2)))
+    assert (total.expression, total.stderr) == (
+        "a + b",
+        pytest.approx(0.1 * np.sqrt(2)),
+    )
     wider = analyse(rotated, *about, bounded=Bounded(values, values - 5, values + 5))
     assert wider.rank == 2  # a room of 0.28 standard errors
 
@@ -97,13 +103,18 @@ def noisy(law, omega):
 
 def test_a_parameter_at_its_bound_confines_no_direction_in_which_it_has_no_part():
     """But for rounding: two such parameters left no room to either side."""
-    bounded = Bounded(np.array([3.9, 0.0, 0.01]), np.array([0.05, 0.0, 0.01]), np.full(3, 20.0))
-    (found,) = bounded.confine(np.array([[1.0, 1e-17, -1e-17]]), np.array([0.95]), np.ones(3))
+    bounded = Bounded(
+        np.array([3.9, 0.0, 0.01]), np.array([0.05, 0.0, 0.01]), np.full(3, 20.0)
+    )
+    (found,) = bounded.confine(
+        np.array([[1.0, 1e-17, -1e-17]]), np.array([0.95]), np.ones(3)
+    )
     assert not found
 
 
 def test_an_error_contains_the_values_where_another_coefficient_is_usual():
-    """The drop of sutor's friction dies with spin, at a scale that one throw does not tell."""
+    """The drop of sutor's friction dies with spin, at a scale that one throw
+    does not tell."""
     throw = noisy(curlfit.LAWS["sutor"](alpha=0.16), omega=0.7)
     fit = curlfit.fit(throw, "sutor", details=False)
     held = curlfit.fit(throw, "sutor", fix={"u0": 0.065}, details=False)

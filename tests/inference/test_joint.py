@@ -1,4 +1,5 @@
-"""Several throws together: against single fits, against scipy, coverage, and what differs."""
+"""Several throws together: against single fits, against scipy, coverage, and
+what differs."""
 
 from __future__ import annotations
 
@@ -31,10 +32,16 @@ def sheet(count, law=None, seed=0, spread=0.0):
         own = replace(law, mu2_xi=law.mu2_xi + spread * random.standard_normal())
         throws.append(
             curlfit.synthetic_throw(
-                own, STONE, v0=2 + 0.02 * place, omega0=SPINS[place % 3] * (-1) ** place,
-                heading=0.01 * place, noise_xy=0.005, noise_phi=0.01, seed=100 * seed + place,
+                own,
+                STONE,
+                v0=2 + 0.02 * place,
+                omega0=SPINS[place % 3] * (-1) ** place,
+                heading=0.01 * place,
+                noise_xy=0.005,
+                noise_phi=0.01,
+                seed=100 * seed + place,
             )
-        )  # fmt: skip
+        )
     return throws
 
 
@@ -52,18 +59,32 @@ def test_the_optimum_and_its_errors_are_scipy_s(three):
         # mu1_xi, mu2_xi and the sum, then the start of each throw
         law = LAW(values[0], values[1], values[2] / 2, values[2] / 2)
         parts = []
-        for throw, (x, y, b, v, phi, w) in zip(throws, values[3:].reshape(-1, 6), strict=True):
+        for throw, (x, y, b, v, phi, w) in zip(
+            throws, values[3:].reshape(-1, 6), strict=True
+        ):
             path = simulate(law, STONE, InitialState(x, y, b, v, phi, w), throw.t)
             for name, scale in sigma.items():
-                parts.append((np.asarray(getattr(path, name)) - getattr(throw, name)) / scale)
+                parts.append(
+                    (np.asarray(getattr(path, name)) - getattr(throw, name)) / scale
+                )
         return np.concatenate(parts)
 
-    first = np.concatenate([[0.006, 0.045, 0.0175], *[
-        [one.parameters[n].value + 1e-3 for n in ("x0", "y0", "heading", "v0", "phi0", "omega0")]
-        for one in joint.throws
-    ]])  # fmt: skip
+    first = np.concatenate(
+        [
+            [0.006, 0.045, 0.0175],
+            *[
+                [
+                    one.parameters[n].value + 1e-3
+                    for n in ("x0", "y0", "heading", "v0", "phi0", "omega0")
+                ]
+                for one in joint.throws
+            ],
+        ]
+    )
     typical = np.concatenate([[0.01] * 3, [1.0] * 18])
-    found = least_squares(residuals, first, x_scale=typical, jac="3-point", xtol=1e-12, ftol=1e-12)
+    found = least_squares(
+        residuals, first, x_scale=typical, jac="3-point", xtol=1e-12, ftol=1e-12
+    )
     errors = np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)))
     for place, name in enumerate(("mu1_xi", "mu2_xi")):
         item = joint.coefficients[name]
@@ -80,13 +101,17 @@ def test_the_optimum_and_its_errors_are_scipy_s(three):
         known = typical[:, None] * np.array(one.information["matrix"]) * typical
         own = typical * np.sqrt(np.diag(np.linalg.pinv(known, rcond=1e-12)))
         for name, error in zip(one.information["names"], own, strict=True):
-            column = {"mu1_xi": 0, "mu2_xi": 1, "heading": 5, "v0": 6, "omega0": 8}.get(name)
+            column = {"mu1_xi": 0, "mu2_xi": 1, "heading": 5, "v0": 6, "omega0": 8}.get(
+                name
+            )
             if column is not None:
                 expected = errors[column + 6 * place * (column > 2)]
                 assert error == pytest.approx(expected, rel=1e-3)
 
 
-@pytest.mark.parametrize("loss", ["linear", pytest.param("student", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "loss", ["linear", pytest.param("student", marks=pytest.mark.slow)]
+)
 def test_copies_of_a_throw_have_its_errors_over_the_root_of_their_number(three, loss):
     """Exactly so: the information on shared coefficients adds up."""
     alone = curlfit.fit(three[0], "front-back", loss=loss)
@@ -101,18 +126,27 @@ def test_copies_of_a_throw_have_its_errors_over_the_root_of_their_number(three, 
 
 def test_short_throws_together_have_the_degrees_of_freedom_of_all(three):
     short = [
-        curlfit.Throw.from_arrays(*(getattr(throw, name)[::20] for name in ("t", "x", "y", "phi")))
+        curlfit.Throw.from_arrays(
+            *(getattr(throw, name)[::20] for name in ("t", "x", "y", "phi"))
+        )
         for throw in three
     ]
-    alone, joint = [curlfit.fit(throw, "front-back") for throw in short], fit_together(short)
+    alone, joint = (
+        [curlfit.fit(throw, "front-back") for throw in short],
+        fit_together(short),
+    )
     most = sum(one.n_observations for one in alone) - joint.rank
     for name in ("mu1_xi", "mu2_xi"):
         assert max(one[name].dof for one in alone) < joint.coefficients[name].dof < most
         low, high = joint.coefficients[name].interval()
-        assert high - low < min(one[name].interval()[1] - one[name].interval()[0] for one in alone)
+        assert high - low < min(
+            one[name].interval()[1] - one[name].interval()[0] for one in alone
+        )
     (total,) = joint.combinations
     assert max(one.combinations[0].dof for one in alone) < total.dof < most
-    given = fit_together([throw.with_sigma({"x": 5e-3, "y": 5e-3, "phi": 0.01}) for throw in short])
+    given = fit_together(
+        [throw.with_sigma({"x": 5e-3, "y": 5e-3, "phi": 0.01}) for throw in short]
+    )
     assert given.coefficients["mu1_xi"].dof is given.combinations[0].dof is None
 
 
@@ -153,7 +187,11 @@ def test_a_coefficient_may_be_each_throw_s_own():
 
 
 def test_throws_of_different_lengths_and_channels_go_together(three):
-    some = [three[0].select_rows(until=9.0), replace(three[1], phi=np.full(201, np.nan)), three[2]]
+    some = [
+        three[0].select_rows(until=9.0),
+        replace(three[1], phi=np.full(201, np.nan)),
+        three[2],
+    ]
     joint = fit_together(some)
     assert joint.converged
     item = joint.coefficients["mu2_xi"]
@@ -161,18 +199,27 @@ def test_throws_of_different_lengths_and_channels_go_together(three):
 
 
 def test_what_cannot_be_fitted_together_is_refused(three):
-    with pytest.raises(InputError, match="1 throw to fit together; expected two or more"):
+    with pytest.raises(
+        InputError, match="1 throw to fit together; expected two or more"
+    ):
         fit_together(three[:1])
     with pytest.raises(InputError, match="no coefficient 'mu'; it has mu1_xi"):
         fit_together(three, share=["mu"])
     stated = three[0].with_defaults(load="consistent")
-    with pytest.raises(InputError, match="state different values of load, consistent and uniform"):
+    with pytest.raises(
+        InputError, match="state different values of load, consistent and uniform"
+    ):
         fit_together([stated, three[1]])
 
 
 def test_a_warning_of_several_throws_is_one():
-    warned = {"a": ("old", "all"), "b": ("old", "all"), "c": ("old", "all"), "d": ("old", "all"),
-                 "e": ("all", "own")}  # fmt: skip
+    warned = {
+        "a": ("old", "all"),
+        "b": ("old", "all"),
+        "c": ("old", "all"),
+        "d": ("old", "all"),
+        "e": ("all", "own"),
+    }
     throws = [SimpleNamespace(data={"file": k}, warnings=v) for k, v in warned.items()]
     assert warnings_of(throws) == ["a, b and 2 more: old", "all", "e: own"]
 
@@ -187,17 +234,31 @@ def test_on_the_command_line(three, tmp_path):
     done = command("fit", *names, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "3 throws together" in done.stdout
-    assert "a folder for each throw: throw0, throw1, throw2" in " ".join(done.stdout.split())
-    with pytest.raises(InputError, match=r"expected the fit of one throw, such as .*throw0"):
+    assert "a folder for each throw: throw0, throw1, throw2" in " ".join(
+        done.stdout.split()
+    )
+    with pytest.raises(
+        InputError, match=r"expected the fit of one throw, such as .*throw0"
+    ):
         load_fit_and_chain(tmp_path / "joint-fit")
     assert (tmp_path / "joint-fit" / "joint.png").stat().st_size > 20_000
     again = command("show", "joint-fit", cwd=tmp_path)
     assert done.stdout.partition("Written")[0] in again.stdout, again.stderr
     (tmp_path / "other").mkdir()
-    (tmp_path / "other" / "throw0.csv").write_text((tmp_path / "throw1.csv").read_text())
+    (tmp_path / "other" / "throw0.csv").write_text(
+        (tmp_path / "throw1.csv").read_text()
+    )
     words = "throw0.csv", "other/throw0.csv", "throw2.csv"
-    done = command("fit", *words, "--no-figures", "--derive", "mu2_xi*g", "--out", "alike",
-                   cwd=tmp_path)  # fmt: skip
+    done = command(
+        "fit",
+        *words,
+        "--no-figures",
+        "--derive",
+        "mu2_xi*g",
+        "--out",
+        "alike",
+        cwd=tmp_path,
+    )
     assert "other-throw0, throw2" in " ".join(done.stdout.split()), done
     alike = curlfit.load_joint(tmp_path / "alike")
     assert alike["mu2_xi*g"].stderr == pytest.approx(9.81 * alike["mu2_xi"].stderr)
@@ -212,9 +273,12 @@ def test_on_the_command_line(three, tmp_path):
         assert message in refused.stderr
 
 
-@pytest.mark.parametrize("load", ["uniform", pytest.param("consistent", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "load", ["uniform", pytest.param("consistent", marks=pytest.mark.slow)]
+)
 def test_throws_of_different_friction_do_not_hide_it_in_their_noise(load):
-    """The error of the mean is the scatter of what single fits give, over the root of their number.
+    """The error of the mean is the scatter of what single fits give, over the root of
+    their number.
 
     In the joint fit a throw's misfit to the common value is part of its residuals.
     """
@@ -223,14 +287,22 @@ def test_throws_of_different_friction_do_not_hide_it_in_their_noise(load):
         law = LAW(mu1_eta=0.009 * factor, mu2_eta=0.009 * factor)
         throws.append(
             curlfit.synthetic_throw(
-                law, STONE, load=load, v0=2 + 0.02 * place, noise_xy=0.005, noise_phi=0.01,
-                omega0=SPINS[place % 3] * (-1) ** place, seed=place,
+                law,
+                STONE,
+                load=load,
+                v0=2 + 0.02 * place,
+                noise_xy=0.005,
+                noise_phi=0.01,
+                omega0=SPINS[place % 3] * (-1) ** place,
+                seed=place,
             ).with_defaults(load=load)
-        )  # fmt: skip
+        )
     joint = fit_together(throws, share="all")
     assert joint.load == joint.throws[0].load == load
     (total,) = (item for item in joint.combinations if "mu1_eta" in item.weights)
-    (differs,) = (item for item in joint.variation if item.expression == total.expression)
+    (differs,) = (
+        item for item in joint.variation if item.expression == total.expression
+    )
     weights = [total.weights["mu1_eta"], total.weights["mu2_eta"]]
     alone = [curlfit.fit(throw, details=False) for throw in throws]
     split = 1 if load == "uniform" else 0.98  # the path determines about this sum
@@ -254,12 +326,14 @@ def test_throws_of_different_friction_do_not_hide_it_in_their_noise(load):
 
 
 def test_the_spread_between_throws_is_that_of_paule_and_mandel():
-    """Of eight results and their errors: their weighted sum of squares is then their number less
-    one."""
+    """Of eight results and their errors: their weighted sum of squares is then their
+    number less one."""
     random = np.random.default_rng(8)
     error = np.array([1, 2, 1, 0.3, 4, 1, 2, 0.5])
     value = 10 + random.standard_normal(8) * np.hypot(error, 3.0)
-    item = _variation("mu", list(zip(value, error, strict=True)), error**-2.0, np.zeros((8, 0)))
+    item = _variation(
+        "mu", list(zip(value, error, strict=True)), error**-2.0, np.zeros((8, 0))
+    )
 
     def excess(variance):
         weight = 1 / (error**2 + variance)
@@ -269,15 +343,23 @@ def test_the_spread_between_throws_is_that_of_paule_and_mandel():
     weight = 1 / (error**2 + item.spread**2)
     assert item.mean == pytest.approx(np.average(value, weights=weight))
     assert item.stderr == pytest.approx(weight.sum() ** -0.5)
-    alike = _variation("mu", [(10.0, one) for one in error], error**-2.0, np.zeros((8, 0)))
+    alike = _variation(
+        "mu", [(10.0, one) for one in error], error**-2.0, np.zeros((8, 0))
+    )
     assert (alike.spread, alike.p_value) == (0.0, 1.0)
-    assert alike.shared_stderr == pytest.approx(alike.stderr) == (error**-2.0).sum() ** -0.5
+    assert (
+        alike.shared_stderr
+        == pytest.approx(alike.stderr)
+        == (error**-2.0).sum() ** -0.5
+    )
 
 
 def test_a_report_begins_with_what_the_warnings_are_about(eq12_fit):
     said = shown(eq12_fit)
     assert "Caution: the residuals are correlated from row to row. parameter" in said
-    warned = replace(eq12_fit, warnings=("a value is odd (3): it may be mistyped; mend it",))
+    warned = replace(
+        eq12_fit, warnings=("a value is odd (3): it may be mistyped; mend it",)
+    )
     assert "Caution: a value is odd. parameter" in shown(warned)
     assert "No warnings. parameter" in shown(replace(eq12_fit, warnings=()))
     failed = shown(replace(eq12_fit, converged=False))

@@ -1,4 +1,5 @@
-"""Robust losses: against scipy's, against the textbook's efficiency, and outliers held off."""
+"""Robust losses: against scipy's, against the textbook's efficiency, and
+outliers held off."""
 
 from __future__ import annotations
 
@@ -35,7 +36,9 @@ def rho(loss):
 def test_losses_are_scipy_s():
     # scipy.optimize.least_squares: rho(z) with z = (r/scale)^2, times scale^2
     z = R**2
-    np.testing.assert_allclose(rho("soft-l1"), 2 * (np.sqrt(1 + z) - 1), rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(
+        rho("soft-l1"), 2 * (np.sqrt(1 + z) - 1), rtol=1e-12, atol=1e-14
+    )
     k = 1.345
     huber = np.where(z <= k**2, z, 2 * k * np.abs(R) - k**2)
     np.testing.assert_allclose(rho("huber"), huber, rtol=1e-12)
@@ -130,9 +133,15 @@ def spoiled(clean):
     return replace(clean, **channels), hit
 
 
-@pytest.mark.parametrize("loss", [pytest.param("huber", marks=pytest.mark.slow), "student"])
-def test_five_percent_outliers_move_nothing_by_a_standard_error(loss, plain, clean, spoiled):
-    before, after = (curlfit.fit(throw, loss=loss, details=False) for throw in (clean, spoiled[0]))
+@pytest.mark.parametrize(
+    "loss", [pytest.param("huber", marks=pytest.mark.slow), "student"]
+)
+def test_five_percent_outliers_move_nothing_by_a_standard_error(
+    loss, plain, clean, spoiled
+):
+    before, after = (
+        curlfit.fit(throw, loss=loss, details=False) for throw in (clean, spoiled[0])
+    )
     one, other = plain["mu2_xi"], before["mu2_xi"]  # clean data lose next to nothing
     assert other.stderr / one.stderr < 1.1
     assert abs(other.value - one.value) < one.stderr

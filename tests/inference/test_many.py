@@ -32,8 +32,12 @@ def throws():
     return found
 
 
-BOUNDED = {"fix": {"mu1_eta": 0.009}, "bounds": {"mu2_xi": (0.0, 0.045)}, "unbounded": True,
-           "start": {"mu1_xi": 0.02, "v0": 2.0}}  # fmt: skip
+BOUNDED = {
+    "fix": {"mu1_eta": 0.009},
+    "bounds": {"mu2_xi": (0.0, 0.045)},
+    "unbounded": True,
+    "start": {"mu1_xi": 0.02, "v0": 2.0},
+}
 
 
 @pytest.mark.parametrize(
@@ -61,13 +65,16 @@ def test_a_batch_has_the_answers_of_single_fits(throws, choices):
 
 @pytest.mark.slow
 def test_paths_side_by_side_are_those_of_single_throws():
-    """With vectors of 512 bits XLA compiles this law wrongly, for a whole batch at a time."""
+    """With vectors of 512 bits XLA compiles this law wrongly, for a whole
+    batch at a time."""
     law = LAWS["debris"]
     start, stone = curlfit.InitialState(v=2.1, omega=-2.6), Stone()
     t = np.arange(60) * 0.25
     path = curlfit.simulate(law(), stone, start, t).to_numpy()
     throw = curlfit.Throw.from_arrays(t, path.x, path.y, path.phi)
-    problem = build_problem(throw, stone, Origin.of(throw), dict.fromkeys(("x", "y", "phi"), 1.0))
+    problem = build_problem(
+        throw, stone, Origin.of(throw), dict.fromkeys(("x", "y", "phi"), 1.0)
+    )
     defaults = [item.default for item in law.coefficients()]
     values = np.array([*defaults, 0.0, 0.0, 0.0, 2.1, 0.0, -2.6])
     residual, _ = linearize(

@@ -25,8 +25,13 @@ T = np.arange(0.0, 15.05, 0.1)
 
 def thrown(seed, correlation=0.0, law="front-back", true=TRUE, times=T):
     """A throw with noise whose neighbours are correlated."""
-    path = filmed(curlfit.law_with(law, true), noise=dict.fromkeys(SIGMA, 0), times=times,
-                  v=START["v0"], omega=START["omega0"])  # fmt: skip
+    path = filmed(
+        curlfit.law_with(law, true),
+        noise=dict.fromkeys(SIGMA, 0),
+        times=times,
+        v=START["v0"],
+        omega=START["omega0"],
+    )
     random = np.random.default_rng(seed)
     root = np.linalg.cholesky(toeplitz(correlation ** np.arange(len(times))))
     series = {
@@ -65,13 +70,15 @@ def test_correlated_noise_is_made_independent_across_gaps():
         made = w[np.ix_(seen, seen)] @ covariance @ w[np.ix_(seen, seen)].T
         np.testing.assert_allclose(made, np.eye(len(seen)), atol=1e-10)
         determinant = -np.linalg.slogdet(covariance)[1] / 2
-        assert whitener.log_determinant()[channel] == pytest.approx(determinant, rel=1e-8)
+        assert whitener.log_determinant()[channel] == pytest.approx(
+            determinant, rel=1e-8
+        )
     np.testing.assert_array_equal(operator(whitener, 60, 2), np.eye(60))
 
 
 def test_the_restricted_likelihood_is_that_of_the_covariance():
-    """Of uneven rows with gaps, against dense matrices; the amplitudes of a discrepancy are those
-    that leave the first two parameters as they are."""
+    """Of uneven rows with gaps, against dense matrices; the amplitudes of a discrepancy
+    are those that leave the first two parameters as they are."""
     random = np.random.default_rng(3)
     t = np.cumsum(random.choice([0.1, 0.2, 0.35], 50))
     weight = np.where(random.random((2, 50)) < 0.9, [[3.0], [0.5]], 0.0)
@@ -80,9 +87,9 @@ def test_the_restricted_likelihood_is_that_of_the_covariance():
         random.standard_normal((2, 50, 3 * SHAPES)),
     )
     residual = np.where(weight > 0, random.standard_normal((2, 50)), 0.0)
-    data = Linearized.of(t, weight, residual, jacobian, np.ones(4), np.ones(4, bool), 2)._replace(
-        span=np.asarray(9.0), responses=responses
-    )
+    data = Linearized.of(
+        t, weight, residual, jacobian, np.ones(4), np.ones(4, bool), 2
+    )._replace(span=np.asarray(9.0), responses=responses)
     seen = weight.ravel() > 0
     j, s = (part.reshape(100, -1)[seen] for part in (jacobian, responses))
     r, sigma = residual.ravel()[seen], 1 / weight.ravel()[seen]
@@ -90,7 +97,8 @@ def test_the_restricted_likelihood_is_that_of_the_covariance():
     def expected(logs):
         scale, share = np.exp(logs[:2]), 1 / (1 + np.exp(-logs[2:4]))
         blocks = [
-            ornstein_uhlenbeck(t, np.exp(logs[4]), share[row]) * scale[row] ** 2 for row in (0, 1)
+            ornstein_uhlenbeck(t, np.exp(logs[4]), share[row]) * scale[row] ** 2
+            for row in (0, 1)
         ]
         covariance = sigma[:, None] * block_diag(*blocks)[np.ix_(seen, seen)] * sigma
         # of the estimates of least squares, whatever the noise
@@ -101,12 +109,16 @@ def test_the_restricted_likelihood_is_that_of_the_covariance():
         inverse = np.linalg.inv(covariance + s @ amplitudes @ s.T)
         spent = j.T @ inverse @ j
         left = inverse - inverse @ j @ np.linalg.solve(spent, j.T @ inverse)
-        return (np.linalg.slogdet(inverse)[1] - np.linalg.slogdet(spent)[1] - r @ left @ r) / 2
+        return (
+            np.linalg.slogdet(inverse)[1] - np.linalg.slogdet(spent)[1] - r @ left @ r
+        ) / 2
 
     first = np.array([0.1, -0.2, 0.3, -2.0, -1.0, -1.0, -2.0, -3.0])
     second = np.array([0.3, 0.2, -1.0, 2.0, 0.5, -3.0, -1.5, -1.0])
     found = [float(_slope(logs, data)[2]) for logs in (first, second)]
-    assert found[0] - found[1] == pytest.approx(expected(first) - expected(second), rel=1e-6)
+    assert found[0] - found[1] == pytest.approx(
+        expected(first) - expected(second), rel=1e-6
+    )
     _, slope, _ = _slope(first, data)
     for index in range(8):
         step = 1e-5 * (np.arange(8) == index)
@@ -114,11 +126,15 @@ def test_the_restricted_likelihood_is_that_of_the_covariance():
         assert slope[index] == pytest.approx((up - down) / 2e-5, rel=1e-5, abs=1e-5)
 
 
-@pytest.mark.parametrize("noise", ["ar1", pytest.param("discrepancy", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "noise", ["ar1", pytest.param("discrepancy", marks=pytest.mark.slow)]
+)
 def test_a_file_without_noise_is_fitted_as_with_independent_noise(noise):
     """Eq. 12 is a formula: its residuals are smoother than any noise."""
     throw = curlfit.load_throw(DATA)
-    white, other = (curlfit.fit(throw, noise=kind, details=False) for kind in ("white", noise))
+    white, other = (
+        curlfit.fit(throw, noise=kind, details=False) for kind in ("white", noise)
+    )
     assert other.converged
     for name, item in white.coefficients.items():
         if item.verdict == "determined":
@@ -137,7 +153,10 @@ def test_independence_by_hand():
     assert found.lag1 == pytest.approx(0.1)  # five neighbours agree, four do not
     assert found.effective == pytest.approx(10 * 0.9 / 1.1)
     assert not found.doubtful
-    white = [Independence.of(np.random.default_rng(k).standard_normal(150)) for k in range(400)]
+    white = [
+        Independence.of(np.random.default_rng(k).standard_normal(150))
+        for k in range(400)
+    ]
     assert not any(item.doubtful for item in white)
     assert np.std([item.runs for item in white]) == pytest.approx(1, abs=0.1)
     walk = np.cumsum(np.random.default_rng(0).standard_normal(150))
@@ -154,7 +173,9 @@ def test_white_noise_is_told_from_noise_with_a_memory():
         assert two.stderr == pytest.approx(one.stderr, rel=0.25)
         assert abs(two.value - one.value) < one.stderr
     told = curlfit.fit(thrown(3, 0.9), "front-back")
-    assert any("`--noise ar1`, which was tried, leaves indep" in text for text in told.warnings)
+    assert any(
+        "`--noise ar1`, which was tried, leaves indep" in text for text in told.warnings
+    )
     assert told.independence["y"].effective < 40
 
 
@@ -166,7 +187,9 @@ def test_the_memory_of_the_noise_is_found():
         sizes += [found.sigma[name] / SIGMA[name] for name in SIGMA]
         assert not any("correlated" in text for text in found.warnings)
         assert max(abs(item.lag1) for item in found.independence.values()) < 0.35
-    assert np.exp(np.mean(np.log(lasting))) == pytest.approx(-0.1 / np.log(0.8), rel=0.25)
+    assert np.exp(np.mean(np.log(lasting))) == pytest.approx(
+        -0.1 / np.log(0.8), rel=0.25
+    )
     assert np.mean(sizes) == pytest.approx(1, abs=0.15)
 
 

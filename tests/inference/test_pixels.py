@@ -1,4 +1,5 @@
-"""Throws seen by a camera: noise in pixels, and what the error of the calibration does."""
+"""Throws seen by a camera: noise in pixels, and what the error of the
+calibration does."""
 
 from __future__ import annotations
 
@@ -17,7 +18,8 @@ from tests.sample_files import project, table
 LAW = LAWS["front-back"](mu1_xi=0.004, mu2_xi=0.05, mu1_eta=0.009, mu2_eta=0.009)
 STONE = Stone(R=0.065, rho=0.1)
 START = InitialState(x=0.0, y=0.0, heading=0.0, v=2.25, phi=0.0, omega=1.4)
-TIMES = np.arange(0.0, 26.0, 0.12)  # fewer than 256, so that a program serves it that others need
+# fewer than 256, so that a program serves it that others need
+TIMES = np.arange(0.0, 26.0, 0.12)
 PATH = simulate(LAW, STONE, START, TIMES).to_numpy()
 SHEET = np.array([[-2.2, 2.2, 0.0] * 4, np.repeat([-1.0, 10.0, 20.0, 30.0], 3)])
 TRUE = {"mu2_xi": 0.05, "x0": 0.0, "curl": float(PATH.x[-1])}
@@ -26,7 +28,8 @@ ONLY_CALIBRATION = {"all": 0.0, "calibration": 1.0}
 
 @pytest.fixture
 def seen(tmp_path):
-    """A throw as a camera saw it, with noise in px of the rows and of the known points."""
+    """A throw as a camera saw it, with noise in px of the rows and of the
+    known points."""
 
     def load(seed, rows=0.2, points=0.3, off=()):
         chance = np.random.default_rng(seed)
@@ -37,7 +40,9 @@ def seen(tmp_path):
         clicked = project(*SHEET) + points * chance.normal(size=SHEET.shape)
         known = dict(zip("uvxy", [*clicked, *SHEET], strict=True))
         (tmp_path / "points.csv").write_text(table(known))
-        (tmp_path / "rows.csv").write_text(table({"t": TIMES, "u": u, "v": v, "phi_rad": phi}))
+        (tmp_path / "rows.csv").write_text(
+            table({"t": TIMES, "u": u, "v": v, "phi_rad": phi})
+        )
         return load_throw(tmp_path / "rows.csv", reference=tmp_path / "points.csv")
 
     return load
@@ -55,28 +60,38 @@ def test_errors_cover_the_truth(seen):
     fits = [
         fit
         for first in (0, 12)
-        for fit in fit_throws([seen(seed) for seed in range(first, first + 12)], **known)
+        for fit in fit_throws(
+            [seen(seed) for seed in range(first, first + 12)], **known
+        )
     ]
     assert not any(fit.outliers or fit.warnings for fit in fits)
     for name, true in TRUE.items():
-        value, stderr, systematic = np.array([with_systematic(fit, name) for fit in fits]).T
+        value, stderr, systematic = np.array(
+            [with_systematic(fit, name) for fit in fits]
+        ).T
         pulls = (value - true) / np.hypot(stderr, systematic)
         assert 0.7 < np.sqrt(np.mean(pulls**2)) < 1.35, name
         if name == "x0":
             assert np.sqrt(np.mean(((value - true) / stderr) ** 2)) > 2
 
 
-def test_an_error_of_the_calibration_shifts_the_estimates_as_the_systematic_error_says(seen):
+def test_an_error_of_the_calibration_shifts_the_estimates_as_the_systematic_error_says(
+    seen,
+):
     throw = seen(1)
     fit = curlfit.fit(throw, stone=STONE, systematics=ONLY_CALIBRATION)
     assert set(fit.systematics.widths) == {f"calibration_{k + 1}" for k in range(8)}
     for k, error in enumerate(throw.calibration):
-        x, y, w = (np.eye(3) + error) @ np.stack([throw.x, throw.y, np.ones(len(throw))])
+        x, y, w = (np.eye(3) + error) @ np.stack(
+            [throw.x, throw.y, np.ones(len(throw))]
+        )
         true = curlfit.fit(replace(throw, x=x / w, y=y / w), stone=STONE, details=False)
         for name, shifts in fit.systematics.shifts.items():
             shift = shifts[f"calibration_{k + 1}"]
             tolerance = 0.05 * abs(shift) + 0.02 * fit[name].stderr
-            assert true[name].value - fit[name].value == pytest.approx(shift, abs=tolerance), name
+            assert true[name].value - fit[name].value == pytest.approx(
+                shift, abs=tolerance
+            ), name
 
 
 def test_the_noise_is_one_number_of_pixels(seen, tmp_path):
@@ -112,7 +127,9 @@ def test_throws_of_one_camera_share_its_error(seen):
     names = ("mu1_xi", "mu2_xi", "mu1_eta + mu2_eta")
     options = {"stone": STONE, "systematics": ONLY_CALIBRATION}
     apart = curlfit.fit_together([one, other], **options)
-    together = curlfit.fit_together([one, replace(other, calibration=one.calibration)], **options)
+    together = curlfit.fit_together(
+        [one, replace(other, calibration=one.calibration)], **options
+    )
     assert len(apart.systematics.widths) == 16
     assert len(together.systematics.widths) == 8
     for name in names:

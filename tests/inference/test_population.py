@@ -1,4 +1,5 @@
-"""Throws that vary: groups, trends, predictions of another throw, and the command line."""
+"""Throws that vary: groups, trends, predictions of another throw, and the
+command line."""
 
 import json
 from dataclasses import replace
@@ -37,22 +38,43 @@ def crossing(path):
 
 
 def evening(count=12, apart=0.05, rising=0.02, spread=0.01, seed=1, law=LAW):
-    """Draws on two sheets in turn, timed exactly as far as errors of 0.05 s and 5 cm go."""
+    """Draws on two sheets in turn, timed exactly as far as errors of 0.05 s
+    and 5 cm go."""
     random, throws = np.random.default_rng(seed), []
     for draw in range(count):
         one = draw % 2 + 1
-        factor = 1 + apart * (one - 1.5) + rising * draw / 10 + spread * random.standard_normal()
+        factor = (
+            1
+            + apart * (one - 1.5)
+            + rising * draw / 10
+            + spread * random.standard_normal()
+        )
         own = replace(law, mu1_eta=0.009 * factor, mu2_eta=0.009 * factor)
         side = 1 if draw // 2 % 2 else -1
         path = path_of(own, random.uniform(2.19, 2.29), side * 1.3)
         hog, off = crossing(path), 0.05 * random.standard_normal(5)
-        throw = curlfit.Throw.from_events([
-            Event("hog_to_hog", "time", hog + off[0], 0.05, FAR, HOG),
-            Event("hog_to_rest", "time", float(path.rest) - hog + off[1], 0.05, None, FAR),
-            Event("rest", "y", path.y[-1] + off[2], 0.05),
-            Event("curl", "x", path.x[-1] + side * off[3], 0.05, since=HOG),
-            Event("turns", "phi", path.phi[-1] + side * 2 * np.pi * off[4], 0.3, since=HOG),
-        ])  # fmt: skip
+        throw = curlfit.Throw.from_events(
+            [
+                Event("hog_to_hog", "time", hog + off[0], 0.05, FAR, HOG),
+                Event(
+                    "hog_to_rest",
+                    "time",
+                    float(path.rest) - hog + off[1],
+                    0.05,
+                    None,
+                    FAR,
+                ),
+                Event("rest", "y", path.y[-1] + off[2], 0.05),
+                Event("curl", "x", path.x[-1] + side * off[3], 0.05, since=HOG),
+                Event(
+                    "turns",
+                    "phi",
+                    path.phi[-1] + side * 2 * np.pi * off[4],
+                    0.3,
+                    since=HOG,
+                ),
+            ]
+        )
         labels = {"sheet": f"{one}", "start": f"{draw / 10}"}
         throws.append(replace(throw, labels=labels))
     return throws
@@ -67,9 +89,11 @@ def joint():
 
 def one_of(effects, parameter, **about):
     (found,) = (
-        item for item in effects
-        if item.parameter == parameter and all(getattr(item, k) == v for k, v in about.items())
-    )  # fmt: skip
+        item
+        for item in effects
+        if item.parameter == parameter
+        and all(getattr(item, k) == v for k, v in about.items())
+    )
     return found
 
 
@@ -97,14 +121,18 @@ def test_a_draw_to_the_tee_is_that_of_the_mean_law(joint):
         return brentq(lambda v: path_of(law, v, spin).y[-1] - sheet.TEE, 1.8, 2.8)
 
     spin = brentq(
-        lambda spin: path_of(law, weight(spin), spin).phi[-1] - joint.means.angle, 0.8, 2.0
+        lambda spin: path_of(law, weight(spin), spin).phi[-1] - joint.means.angle,
+        0.8,
+        2.0,
     )
     v = weight(spin)
     path = path_of(law, v, spin)
     friction, curl, hog = (
         one_of(joint.groups, name, by="") for name in ("friction", "curl", "hog_to_hog")
     )
-    assert friction.value == pytest.approx(v**2 / (2 * 9.81 * (sheet.TEE - HOG)), rel=2e-4)
+    assert friction.value == pytest.approx(
+        v**2 / (2 * 9.81 * (sheet.TEE - HOG)), rel=2e-4
+    )
     assert curl.value == pytest.approx(-path.x[-1], abs=1e-3)
     assert hog.value == pytest.approx(crossing(path), abs=2e-3)
     assert joint.means.angle == pytest.approx(path_of(LAW, 2.24, 1.3).phi[-1], rel=0.05)
@@ -113,7 +141,9 @@ def test_a_draw_to_the_tee_is_that_of_the_mean_law(joint):
 
 def test_a_coefficient_at_its_bound_stays_there_in_every_throw():
     throws = evening(law=replace(LAW, mu1_xi=0.0, mu2_xi=0.04), seed=5)
-    joint = curlfit.fit_together(throws, "front-back", stone=STONE, by="sheet", trend="start")
+    joint = curlfit.fit_together(
+        throws, "front-back", stone=STONE, by="sheet", trend="start"
+    )
     assert joint.converged
     assert joint.coefficients["mu1_xi"].verdict == "at bound"
     assert {one.parameters["mu1_xi"].value for one in joint.throws} == {0.0}
@@ -126,7 +156,9 @@ def test_a_spin_that_is_not_given_turns_the_stone_as_measured(joint):
     assert turns.value < 0
     assert turns.sd < 0.02 * abs(turns.value)
     assert found.start["omega0"]["origin"] == "call"
-    given = curlfit.predict(joint, call=call, start={"omega0": found.start["omega0"]["value"]})
+    given = curlfit.predict(
+        joint, call=call, start={"omega0": found.start["omega0"]["value"]}
+    )
     assert given.quantities["turns"].sd > 3 * turns.sd
 
 
@@ -161,13 +193,20 @@ def test_another_throw_takes_its_given_time_and_has_the_spread(joint):
     law = replace(LAW, mu1_eta=0.009 * 1.051, mu2_eta=0.009 * 1.051)
     v = brentq(lambda v: crossing(path_of(law, v, 1.3)) - 13.4, 1.9, 2.8)
     rest = found.quantities["rest_y"]
-    assert rest.quantiles["2.5"] < path_of(law, v, 1.3).y[-1] - sheet.TEE < rest.quantiles["97.5"]
+    assert (
+        rest.quantiles["2.5"]
+        < path_of(law, v, 1.3).y[-1] - sheet.TEE
+        < rest.quantiles["97.5"]
+    )
     scattered = curlfit.predict(
         joint, call=replace(call, thrower=(0.15, 0.1)), start={"omega0": 1.3}, draws=400
     )
     assert scattered.quantities["hog_to_hog"].sd == pytest.approx(0.15, rel=0.15)
     assert scattered.quantities["rest_y"].sd > 2 * rest.sd
-    for labels, message in (({"sheet": "3"}, "expected 1 or 2"), ({"ice": "1"}, "no throws by")):
+    for labels, message in (
+        ({"sheet": "3"}, "expected 1 or 2"),
+        ({"ice": "1"}, "no throws by"),
+    ):
         with pytest.raises(InputError, match=message):
             curlfit.predict(joint, call=Call(labels), start={"v0": 2.2})
 
@@ -178,10 +217,20 @@ def test_a_stone_thrown_as_the_table_of_weights_says_rests_where_it_says(joint):
     assert [one.rests for one in found.weights][2] == "tee"
     assert found.weights[2].hog_to_tee is None
     columns = joint.means.columns({"sheet": "2"})
-    own = dict(zip(joint.means.names, joint.means.at(columns) @ joint.means.estimate, strict=True))
+    own = dict(
+        zip(
+            joint.means.names,
+            joint.means.at(columns) @ joint.means.estimate,
+            strict=True,
+        )
+    )
     law = replace(LAW, **own)
     for one in found.weights:
-        v = brentq(lambda v, hog=one.hog_to_hog: crossing(path_of(law, v, -1.3)) - hog, 1.7, 2.9)
+        v = brentq(
+            lambda v, hog=one.hog_to_hog: crossing(path_of(law, v, -1.3)) - hog,
+            1.7,
+            2.9,
+        )
         path = path_of(law, v, -1.3)
         # along the line to the broom, from the near hog line
         angle = np.arctan2(one.brooms[0], sheet.TEE - HOG)
@@ -189,7 +238,9 @@ def test_a_stone_thrown_as_the_table_of_weights_says_rests_where_it_says(joint):
         assert along * np.cos(angle) - aside * np.sin(angle) == pytest.approx(
             sheet.TEE + one.y - HOG, abs=0.03
         )
-        assert along * np.sin(angle) + aside * np.cos(angle) == pytest.approx(0.0, abs=0.02)
+        assert along * np.sin(angle) + aside * np.cos(angle) == pytest.approx(
+            0.0, abs=0.02
+        )
         assert one.brooms[1] == pytest.approx(-one.brooms[0])
         if one.hog_to_tee is not None:
             tee = np.interp(sheet.TEE, path.y[:-1], path.t[:-1])
@@ -202,12 +253,17 @@ def test_a_stone_thrown_as_the_table_of_weights_says_rests_where_it_says(joint):
         ([{"sheet": "1"}, {"sheet": "2"}, {}], {"by": "sheet"}, "no label 'sheet'"),
         ([{"sheet": "1"}] * 3, {"by": "sheet"}, "all throws have '1'"),
         ([{"start": "late"}] * 3, {"trend": "start"}, "expected numbers, times"),
-        ([{"a": "1", "b": "3"}, {"a": "2", "b": "4"}, {"a": "2", "b": "4"}],
-         {"by": ["a", "b"]}, "do not distinguish"),
+        (
+            [{"a": "1", "b": "3"}, {"a": "2", "b": "4"}, {"a": "2", "b": "4"}],
+            {"by": ["a", "b"]},
+            "do not distinguish",
+        ),
     ],
-)  # fmt: skip
+)
 def test_labels_that_give_no_effects_are_refused(labels, words, message):
-    throws = [replace(one, labels=own) for one, own in zip(evening(3), labels, strict=True)]
+    throws = [
+        replace(one, labels=own) for one, own in zip(evening(3), labels, strict=True)
+    ]
     with pytest.raises(InputError, match=message):
         curlfit.fit_together(throws, "coulomb", **words)
 
@@ -226,14 +282,28 @@ def test_a_clock_may_pass_midnight():
 
 
 def test_on_the_command_line(joint, tmp_path):
-    table = ["sheet,start,hog to hog,hog to rest,rest,curl,turns,sigma_time,sigma_turns"]
+    table = [
+        "sheet,start,hog to hog,hog to rest,rest,curl,turns,sigma_time,sigma_turns"
+    ]
     for throw in evening():
         hog, to_rest, rest, curl, turns = (event.value for event in throw.events)
-        numbers = hog, to_rest, rest - sheet.TEE, curl, turns / 2 / np.pi, 0.05, 0.3 / 2 / np.pi
-        table.append(",".join([*throw.labels.values(), *(f"{one:+.9f}" for one in numbers)]))
+        numbers = (
+            hog,
+            to_rest,
+            rest - sheet.TEE,
+            curl,
+            turns / 2 / np.pi,
+            0.05,
+            0.3 / 2 / np.pi,
+        )
+        table.append(
+            ",".join([*throw.labels.values(), *(f"{one:+.9f}" for one in numbers)])
+        )
     (tmp_path / "evening.csv").write_text("\n".join(table))
     words = "--by", "sheet", "--trend", "start", "--stone", "R=0.065", "--out", "out"
-    done = command("fit", "evening.csv", *words, "--no-figures", "--no-sample", cwd=tmp_path)
+    done = command(
+        "fit", "evening.csv", *words, "--no-figures", "--no-sample", cwd=tmp_path
+    )
     assert "Sheet 2 against 1: friction" in done.stdout, done
     saved = json.loads((tmp_path / "out" / "joint.json").read_text())
     assert len(saved["differences"]) == len(joint.differences) > 1
@@ -242,7 +312,16 @@ def test_on_the_command_line(joint, tmp_path):
             assert one[name] == getattr(other, name), name
         for name in ("value", "stderr", "p"):
             assert one[name] == pytest.approx(getattr(other, name), rel=1e-4), name
-    words = ("predict", "out", "--sheet", "2", "--hog-to-hog", "13.4", "--broom", "4 ft left")
+    words = (
+        "predict",
+        "out",
+        "--sheet",
+        "2",
+        "--hog-to-hog",
+        "13.4",
+        "--broom",
+        "4 ft left",
+    )
     words += ("--turn", "in", "--omega0", "1.3", "--draws", "100", "--no-figures")
     done = command(*words, cwd=tmp_path)
     said = " ".join(done.stdout.split())
@@ -258,7 +337,8 @@ def test_on_the_command_line(joint, tmp_path):
 
 
 def test_a_throw_that_is_told_some_coefficients_exactly_moves_in_the_others():
-    """Where throws do not vary, the others say a coefficient to 1e-8 of what a throw says."""
+    """Where throws do not vary, the others say a coefficient to 1e-8 of what
+    a throw says."""
     own, left = np.array([[30.0, 20.0], [0.0, 25.0]]), np.array([3.0, -5.0])
     told = np.array([[1e8, 1e8], [0.7, -0.7]])
     rows = np.column_stack([np.concatenate([own, told]), [*left, 0.0, 0.0]])
@@ -274,13 +354,20 @@ def test_a_throw_that_is_told_some_coefficients_exactly_moves_in_the_others():
 
 @pytest.mark.parametrize("lower", [-np.inf, 0.8])
 def test_the_posterior_is_that_of_quadrature(lower):
-    """Of eight throws that measure one coefficient, whose spread is the only other unknown; a bound
-    takes a share of the draws."""
+    """Of eight throws that measure one coefficient, whose spread is the only other
+    unknown; a bound takes a share of the draws."""
     random, number = np.random.default_rng(2), 8
     error = random.uniform(0.2, 0.6, number)
-    seen = 1 + 0.5 * random.standard_normal(number) + error * random.standard_normal(number)
+    seen = (
+        1
+        + 0.5 * random.standard_normal(number)
+        + error * random.standard_normal(number)
+    )
     model = MixedModel.of(
-        (1 / error)[:, None, None], (seen / error)[:, None], np.eye(1), np.zeros((number, 0))
+        (1 / error)[:, None, None],
+        (seen / error)[:, None],
+        np.eye(1),
+        np.zeros((number, 0)),
     )
     fit = model.fitted(np.array([0.25]), np.array([lower]), np.array([np.inf]))
     found = sampled(fit, np.array([0.5]), seed=1)
@@ -294,7 +381,8 @@ def test_the_posterior_is_that_of_quadrature(lower):
     density = np.exp(log - log.max()) * above
     density /= density.sum()
     for level in (0.025, 0.16, 0.5, 0.84, 0.975):
-        # the probability below each quantile, within three Monte Carlo errors of 1,000 draws
+        # the probability below each quantile, within three Monte Carlo errors
+        # of 1,000 draws
         reach = 3 * np.sqrt(level * (1 - level) / 1000)
         spread, middle = (
             np.quantile(draws[:, 0], level) for draws in (found.spreads, found.estimate)
@@ -308,20 +396,34 @@ def test_the_posterior_is_that_of_quadrature(lower):
 
 @pytest.mark.parametrize("speed", [None, (2.2, 0.1)])
 def test_the_posterior_holds_where_a_likelihood_is_not_quadratic(speed):
-    """Nine throws of poor precision without spin, against quadrature over their mean and spread,
-    without and with a prior of the speed of each."""
-    timed = [(13.2, 0.4), (13.9, -1.0), (12.9, 1.5), (13.5, -0.6), (14.1, 0.8), (12.6, -0.2),
-             (14.3, 1.1), (13.0, -1.4), (13.7, 0.3)]  # fmt: skip
+    """Nine throws of poor precision without spin, against quadrature over their mean
+    and spread, without and with a prior of the speed of each."""
+    timed = [
+        (13.2, 0.4),
+        (13.9, -1.0),
+        (12.9, 1.5),
+        (13.5, -0.6),
+        (14.1, 0.8),
+        (12.6, -0.2),
+        (14.3, 1.1),
+        (13.0, -1.4),
+        (13.7, 0.3),
+    ]
     throws = []
     for hog, rest in timed:
-        events = [Event("hog_to_hog", "time", hog, 1.2, FAR, HOG),
-                  Event("rest", "y", sheet.TEE + rest, 0.5)]  # fmt: skip
+        events = [
+            Event("hog_to_hog", "time", hog, 1.2, FAR, HOG),
+            Event("rest", "y", sheet.TEE + rest, 0.5),
+        ]
         throws.append(curlfit.Throw.from_events(events, assumed={"omega0": 0.0}))
     priors = speed and {"v0": "{}+-{}".format(*speed)}
     # the deceleration over g is half of what the halves of the ring have together
     fix = dict.fromkeys(("mu1_xi", "mu2_xi", "mu1_eta"), 0.0)
     joint = curlfit.fit_together(throws, "front-back", seed=1, priors=priors, fix=fix)
-    total, spreads = np.linspace(0.008, 0.044, 361), np.linspace(2e-4, 0.04, 100)[:, None, None]
+    total, spreads = (
+        np.linspace(0.008, 0.044, 361),
+        np.linspace(2e-4, 0.04, 100)[:, None, None],
+    )
     kernel = np.exp(-0.5 * ((total[:, None] - total) / spreads) ** 2) / spreads
     density = 1.0
     deceleration = 9.81 * total[:, None] / 2
@@ -337,8 +439,8 @@ def test_the_posterior_holds_where_a_likelihood_is_not_quadratic(speed):
     density = density.sum(0) / density.sum()
     below = np.interp(list(found.values()), total, density.cumsum() - density / 2)
     levels = np.array([float(level) for level in found]) / 100
-    # within three Monte Carlo errors of 1,000 draws; the quadratic likelihood without a prior is
-    # 0.085 off
+    # within three Monte Carlo errors of 1,000 draws; the quadratic likelihood without a
+    # prior is 0.085 off
     assert below == pytest.approx(levels, abs=3 * np.sqrt(0.25 / 1000))
     assert abs(below - levels)[1:-1].max() < 0.05
     assert 0.5 < joint.importance <= 1.0
@@ -352,10 +454,15 @@ def test_draws_are_saved_with_the_fit_and_drawn(joint, tmp_path):
     joint.throws[0].save(tmp_path / name / "fit.json")
     again = curlfit.load_joint(tmp_path)
     np.testing.assert_array_equal(again.chain.values, joint.chain.values)
-    told = {"mu1_eta + mu2_eta": joint.groups, "sheet 2 - 1: mu1_eta + mu2_eta": joint.differences}
+    told = {
+        "mu1_eta + mu2_eta": joint.groups,
+        "sheet 2 - 1: mu1_eta + mu2_eta": joint.differences,
+    }
     for name, effects in told.items():
         middle = np.median(again.chain.of({name: 1.0}))
-        expected = one_of(effects, "mu1_eta + mu2_eta", group="2" if ":" in name else "")
+        expected = one_of(
+            effects, "mu1_eta + mu2_eta", group="2" if ":" in name else ""
+        )
         assert middle == pytest.approx(expected.quantiles["50"], rel=1e-6)
     spread = again.chain.of({"spread of mu1_eta + mu2_eta": 1.0})
     (said,) = (one for one in joint.variation if one.expression == "mu1_eta + mu2_eta")
@@ -372,7 +479,8 @@ def test_draws_are_saved_with_the_fit_and_drawn(joint, tmp_path):
 
 
 def test_a_variation_without_an_optimum_is_refused(monkeypatch):
-    """As where coefficients run along a valley until their normal equations overflow."""
+    """As where coefficients run along a valley until their normal
+    equations overflow."""
 
     def singular(*_):
         raise np.linalg.LinAlgError("Matrix is not positive definite")
@@ -383,10 +491,13 @@ def test_a_variation_without_an_optimum_is_refused(monkeypatch):
 
 
 def test_too_few_throws_have_no_posterior():
-    """With a flat prior the density of the spread falls as a power of one less than the degrees of
-    freedom, and has no integral for one."""
+    """With a flat prior the density of the spread falls as a power of one less than the
+    degrees of freedom, and has no integral for one."""
     random = np.random.default_rng(1)
-    columns, ends = random.standard_normal((4, 2)), (np.array([-np.inf]), np.array([np.inf]))
+    columns, ends = (
+        random.standard_normal((4, 2)),
+        (np.array([-np.inf]), np.array([np.inf])),
+    )
 
     def posterior(covariates):
         seen = random.standard_normal((4, 1))
@@ -405,10 +516,15 @@ def test_a_prior_is_of_the_mean_and_changes_nothing_that_it_does_not_know(joint)
         )
 
     # a very narrow prior is a fixed value
-    narrow, fixed = fitted(priors={"mu1_xi": "0.004+-1e-7"}), fitted(fix={"mu1_xi": 0.004})
+    narrow, fixed = (
+        fitted(priors={"mu1_xi": "0.004+-1e-7"}),
+        fitted(fix={"mu1_xi": 0.004}),
+    )
     assert narrow.coefficients["mu1_xi"].value == pytest.approx(0.004, abs=1e-6)
     for name in ("mu2_xi", "mu1_eta + mu2_eta", "friction", "curl"):
-        one, other = (one_of(each.differences, name, by="sheet") for each in (narrow, fixed))
+        one, other = (
+            one_of(each.differences, name, by="sheet") for each in (narrow, fixed)
+        )
         assert one.value == pytest.approx(other.value, abs=0.02 * other.stderr)
         assert one.stderr == pytest.approx(other.stderr, rel=0.02)
     # one of what the throws cannot say leaves the sum alone
@@ -417,6 +533,9 @@ def test_a_prior_is_of_the_mean_and_changes_nothing_that_it_does_not_know(joint)
     assert split.coefficients["mu1_eta"].verdict == "prior"
     assert split.coefficients["mu1_eta"].value == pytest.approx(0.008, rel=2e-3)
     one, other = (
-        one_of(each.differences, "mu1_eta + mu2_eta", by="sheet") for each in (split, joint)
+        one_of(each.differences, "mu1_eta + mu2_eta", by="sheet")
+        for each in (split, joint)
     )
-    assert (one.value, one.stderr) == pytest.approx((other.value, other.stderr), rel=0.01)
+    assert (one.value, one.stderr) == pytest.approx(
+        (other.value, other.stderr), rel=0.01
+    )

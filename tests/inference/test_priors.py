@@ -1,4 +1,5 @@
-"""Priors: their densities against scipy, and what they do to fits against closed forms."""
+"""Priors: their densities against scipy, and what they do to fits against
+closed forms."""
 
 from __future__ import annotations
 
@@ -10,7 +11,15 @@ from conftest import NOISE, shown
 from scipy import stats
 
 import curlfit
-from curlfit import LAWS, DataError, InputError, Stone, load_fit, sample, synthetic_throw
+from curlfit import (
+    LAWS,
+    DataError,
+    InputError,
+    Stone,
+    load_fit,
+    sample,
+    synthetic_throw,
+)
 from curlfit.friction import Parameter
 from curlfit.inference.priors import Prior, parse_priors, penalty_of
 
@@ -19,9 +28,12 @@ SPLIT = {"mu1_eta": 0.009}  # held, so that all others are determined
 
 def thrown(**choices):
     throw = synthetic_throw(
-        LAWS["front-back"](), Stone(), noise_xy=0.005, noise_phi=0.01,
+        LAWS["front-back"](),
+        Stone(),
+        noise_xy=0.005,
+        noise_phi=0.01,
         **{"v0": 2.1, "omega0": 1.2, "heading": 0.02, "seed": 1} | choices,
-    )  # fmt: skip
+    )
     return throw.with_sigma(NOISE)
 
 
@@ -76,7 +88,10 @@ def test_what_is_no_prior_is_refused_by_the_parameter_s_name(text, said):
 def test_priors_of_no_parameter_and_of_fixed_ones_are_refused(throw):
     for choices, said in (
         ({"priors": {"mu": "1+-1"}}, "no parameter 'mu'.*conditions are slope_x"),
-        ({"priors": {"mu1_xi": "1+-1"}, "fix": {"mu1_xi": 0.1}}, "mu1_xi is fixed and has a prior"),
+        (
+            {"priors": {"mu1_xi": "1+-1"}, "fix": {"mu1_xi": 0.1}},
+            "mu1_xi is fixed and has a prior",
+        ),
         ({"free": ["rho"], "fix": {"rho": 0.1}}, "rho is fixed and is free"),
         ({"priors": {"mu1_xi": "uniform:2,3"}}, "bound of mu1_xi: 2:1 is empty"),
     ):
@@ -95,8 +110,10 @@ def test_priors_of_no_parameter_and_of_fixed_ones_are_refused(throw):
 )
 def test_penalties_are_twice_the_negative_log_densities_of_scipy(text, density):
     prior = Prior.parse("a", text)
-    parameters = [Parameter("a", "1", -1.0, 1.0, 1.0, "a", "a"),
-                  Parameter("b", "1", -1.0, 1.0, 1.0, "b", "b")]  # fmt: skip
+    parameters = [
+        Parameter("a", "1", -1.0, 1.0, 1.0, "a", "a"),
+        Parameter("b", "1", -1.0, 1.0, 1.0, "b", "b"),
+    ]
     offset = np.array([0.0 if prior.kind == "lognormal" else 0.7, 0.0])
     penalty = penalty_of(parameters, {"a": prior}, offset)
     assert not penalty_of(parameters, {}).informative
@@ -122,7 +139,10 @@ def test_a_normal_prior_is_one_more_datum(throw, without):
     before = without.parameters["mu1_xi"]
     centre, width = before.value + 2 * before.stderr, before.stderr
     fit = curlfit.fit(throw, fix=SPLIT, priors={"mu1_xi": f"{centre}+-{width}"})
-    names, matrix = without.information["names"], np.array(without.information["matrix"])
+    names, matrix = (
+        without.information["names"],
+        np.array(without.information["matrix"]),
+    )
     row = names.index("mu1_xi")
     more = matrix.copy()
     more[row, row] += 1 / width**2
@@ -132,14 +152,18 @@ def test_a_normal_prior_is_one_more_datum(throw, without):
     for place, name in enumerate(names):
         old, new = without.parameters[name], fit.parameters[name]
         assert new.stderr == pytest.approx(np.sqrt(covariance[place, place]), rel=2e-3)
-        assert new.value - old.value == pytest.approx(shift[place], abs=1e-2 * old.stderr)
+        assert new.value - old.value == pytest.approx(
+            shift[place], abs=1e-2 * old.stderr
+        )
     item = fit.parameters["mu1_xi"]
     assert (item.verdict, item.prior) == ("determined", f"{centre:.10g}+-{width:.10g}")
     # the prior is 1 sd off, and so are the data: 1 each
     assert fit.prior_chi_squared == pytest.approx(1.0, rel=0.02)
     assert fit.chi_squared == pytest.approx(without.chi_squared + 1.0, abs=0.02)
     # the information that is kept has the prior in it, and vanishes at the optimum
-    np.testing.assert_allclose(fit.information["matrix"], more, rtol=0.05, atol=1e-3 * more.max())
+    np.testing.assert_allclose(
+        fit.information["matrix"], more, rtol=0.05, atol=1e-3 * more.max()
+    )
     error = np.sqrt(np.diag(covariance))
     assert np.abs(np.array(fit.information["gradient"]) * error).max() < 1e-2
 
@@ -151,7 +175,9 @@ def test_a_uniform_prior_is_its_bounds(throw, without):
     assert one.parameters["mu2_xi"].verdict == "at bound"
     assert one.prior_chi_squared == 0
     for name, item in other.parameters.items():
-        assert one.parameters[name].value == pytest.approx(item.value, rel=1e-6, abs=1e-9)
+        assert one.parameters[name].value == pytest.approx(
+            item.value, rel=1e-6, abs=1e-9
+        )
         assert one.parameters[name].verdict == item.verdict
 
 
@@ -172,15 +198,19 @@ def test_what_rests_on_a_prior_is_said_to(split, without, tmp_path):
     assert split.parameters["mu1_xi"].verdict == "determined"
     said = shown(split)
     assert "The path and the priors determine 10 of 10 parameters." in said
-    assert "mu1_eta and mu2_eta rest on the priors: the path alone does not determine them" in said
+    assert (
+        "mu1_eta and mu2_eta rest on the priors: the path alone does not determine them"
+        in said
+    )
     split.save(tmp_path / "fit.json")
     again = load_fit(tmp_path)
     assert again.parameter_set.priors == {"mu1_eta": Prior("normal", (0.008, 0.001))}
     assert again.to_json() == split.to_json()
     assert shown(again) == said
     assert (again.chi_squared, again.prior_chi_squared) == (
-        split.chi_squared, split.prior_chi_squared,
-    )  # fmt: skip
+        split.chi_squared,
+        split.prior_chi_squared,
+    )
 
 
 def test_the_posterior_has_the_prior_in_it_and_a_chain_of_another_is_refused(
@@ -190,14 +220,23 @@ def test_the_posterior_has_the_prior_in_it_and_a_chain_of_another_is_refused(
     found, _ = sample(split, effective=600, checkpoint=file, seed=3)
     for name in ("mu1_eta", "mu2_eta", "mu1_xi", "mu2_xi"):
         item, ess = split.parameters[name], found.posterior.ess[name]
-        assert abs(found.posterior.mean[name] - item.value) < 4.5 * item.stderr / np.sqrt(ess)
-        assert found.posterior.sd[name] == pytest.approx(item.stderr, rel=4.5 / np.sqrt(2 * ess))
+        assert abs(
+            found.posterior.mean[name] - item.value
+        ) < 4.5 * item.stderr / np.sqrt(ess)
+        assert found.posterior.sd[name] == pytest.approx(
+            item.stderr, rel=4.5 / np.sqrt(2 * ess)
+        )
     for priors, said in (
-        ({"mu1_eta": "0.008+-0.002"}, r"priors was mu1_eta 0.008\+-0.001, now mu1_eta 0.008\+-0.0"),
+        (
+            {"mu1_eta": "0.008+-0.002"},
+            r"priors was mu1_eta 0.008\+-0.001, now mu1_eta 0.008\+-0.0",
+        ),
         ({}, r"priors was mu1_eta 0.008\+-0.001, now none"),
     ):
         with pytest.raises(DataError, match=said):
-            sample(curlfit.fit(throw, priors=priors), checkpoint=file, resume=True, seed=3)
+            sample(
+                curlfit.fit(throw, priors=priors), checkpoint=file, resume=True, seed=3
+            )
 
 
 @pytest.mark.slow

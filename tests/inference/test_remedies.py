@@ -24,7 +24,9 @@ def seen():
 def fitted(seen, *channels, **choices):
     sigma = {name: NOISE[name] for name in channels}
     series = {name: getattr(seen, name) for name in channels}
-    return curlfit.fit(curlfit.Throw.from_arrays(TIMES, **series, sigma=sigma), **choices)
+    return curlfit.fit(
+        curlfit.Throw.from_arrays(TIMES, **series, sigma=sigma), **choices
+    )
 
 
 @pytest.mark.parametrize(
@@ -47,22 +49,30 @@ def test_what_is_said_to_help_does_and_the_rest_does_not(seen, channels, name, k
         assert with_known(*channels, *more).parameters[name].verdict == "determined"
         for left_out in more:
             fewer = [other for other in more if other != left_out]
-            assert with_known(*channels, *fewer).parameters[name].verdict != "determined"
+            assert (
+                with_known(*channels, *fewer).parameters[name].verdict != "determined"
+            )
     else:
         for other in others:
-            helps = with_known(*channels, other).parameters[name].verdict == "determined"
+            helps = (
+                with_known(*channels, other).parameters[name].verdict == "determined"
+            )
             assert helps == (other in remedy["measure"]), other
 
 
 def test_nothing_tells_the_split_and_the_report_says_where_to_look(seen, tmp_path):
     found = fitted(seen, "x", "y", "phi")
-    assert found.remedies == ({"parameters": ["mu1_eta", "mu2_eta"], "measure": [], "all": False},)
+    assert found.remedies == (
+        {"parameters": ["mu1_eta", "mu2_eta"], "measure": [], "all": False},
+    )
     assert "curlfit design --separate mu1_eta,mu2_eta" in identifiability(found)
     found.save(tmp_path / "fit.json")
     assert load_fit(tmp_path / "fit.json").remedies == found.remedies
 
 
-def test_nothing_is_said_to_help_under_correlated_noise_but_the_split_stays_hidden(seen):
+def test_nothing_is_said_to_help_under_correlated_noise_but_the_split_stays_hidden(
+    seen,
+):
     found = fitted(seen, "x", "y", noise="ar1")
     assert found.parameters["omega0"].verdict in ("weak", "not identifiable")
     split = {"parameters": ["mu1_eta", "mu2_eta"], "measure": [], "all": False}

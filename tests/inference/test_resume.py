@@ -1,4 +1,5 @@
-"""Sampling that is stopped, killed or out of room loses nothing and can be resumed, bit for bit."""
+"""Sampling that is stopped, killed or out of room loses nothing and can be resumed,
+bit for bit."""
 
 from __future__ import annotations
 
@@ -39,13 +40,17 @@ def snapshot(folder):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("blow", [signal.SIGINT, signal.SIGKILL])
-def test_a_process_struck_in_mid_sampling_goes_on_as_if_nothing_had_been(tmp_path, blow):
+def test_a_process_struck_in_mid_sampling_goes_on_as_if_nothing_had_been(
+    tmp_path, blow
+):
     struck, whole = tmp_path / "struck", tmp_path / "whole"
     fit = ("fit", DATA, "--no-figures", "--seed", 5)
     process = started(*fit, *ENDLESS, "--out", struck)
     while process.poll() is None:
         # Moved into place whole, so that it can be read at any moment.
-        if (struck / "chain.h5").exists() and len(load_chain(struck / "chain.h5").values) > 3:
+        if (struck / "chain.h5").exists() and len(
+            load_chain(struck / "chain.h5").values
+        ) > 3:
             break
         time.sleep(0.05)
     time.sleep(0.3)
@@ -125,7 +130,8 @@ def test_ctrl_c_at_any_point_loses_no_step_and_adds_none(
 
 @pytest.mark.parametrize("steps", [10, pytest.param(30, marks=pytest.mark.slow)])
 def test_the_change_of_moves_is_resumed_too(eq12_fit, tmp_path, monkeypatch, steps):
-    # as though the ridge proposals failed: from the first block on, ensemble moves do the work
+    # as though the ridge proposals failed: from the first block on, ensemble
+    # moves do the work
     monkeypatch.setattr(sampling, "_LEAST_ACCEPTANCE", 2.0)
     result, whole = sample(eq12_fit, **RUN)
     assert "most proposals were ensemble moves" in result.posterior.status
@@ -153,12 +159,16 @@ def test_the_change_of_moves_is_resumed_too(eq12_fit, tmp_path, monkeypatch, ste
 def test_a_run_that_ended_goes_on_with_more(eq12_fit, short, tmp_path):
     file = tmp_path / "chain.h5"
     # to resume nothing is a first run
-    _, first = sample(eq12_fit, **RUN | {"most_steps": 20}, checkpoint=file, resume=True)
+    _, first = sample(
+        eq12_fit, **RUN | {"most_steps": 20}, checkpoint=file, resume=True
+    )
     assert len(first.values) == 20
     _, second = sample(eq12_fit, **RUN, checkpoint=file, resume=True)
     assert_same(second, short[1])
     before = file.read_bytes()
-    _, third = sample(eq12_fit, effective=100, most_steps=10, seed=2, checkpoint=file, resume=True)
+    _, third = sample(
+        eq12_fit, effective=100, most_steps=10, seed=2, checkpoint=file, resume=True
+    )
     assert_same(third, second)
     assert file.read_bytes() == before
     with pytest.raises(InputError, match="expected a checkpoint"):
@@ -190,10 +200,16 @@ def refused(folder, *words):
     ("words", "said"),
     [
         (["--seed", "3"], "chain.h5: cannot be resumed: seed was 2, now 3"),
-        (["--law", "coulomb"], "fit.json: cannot be resumed: law was front-back, now coulomb"),
+        (
+            ["--law", "coulomb"],
+            "fit.json: cannot be resumed: law was front-back, now coulomb",
+        ),
         (["--until", "15"], "not the same data"),
         (["--sigma", "x=0.01"], "not the same data"),
-        (["--stone", "rho=0.11"], "stone was m = 20.0, R = 0.054, rho = 0.1, h = 0.057, now"),
+        (
+            ["--stone", "rho=0.11"],
+            "stone was m = 20.0, R = 0.054, rho = 0.1, h = 0.057, now",
+        ),
         (["--bound", "mu2_xi=0:0.3"], "bounds of mu2_xi was 0.0:1.0, now 0.0:0.3"),
         (["--fix", "mu1_xi=0"], "bounds of mu1_xi was 0.0:1.0, now 0.0:0.0"),
         (["--no-sample"], "--resume continues sampling"),
@@ -225,7 +241,9 @@ def test_a_chain_of_another_version_or_fit_is_refused(saved, monkeypatch):
     assert "sample again with `curlfit fit FILE`, without --resume" in refused(saved)
 
 
-def test_a_law_s_file_that_changed_makes_another_subject(eq12_fit, tmp_path, monkeypatch):
+def test_a_law_s_file_that_changed_makes_another_subject(
+    eq12_fit, tmp_path, monkeypatch
+):
     file = tmp_path / "law.py"
     monkeypatch.setattr(eq12_fit.law_class, "origin", f"{file}:Mine")
     file.write_text("mu = 1")

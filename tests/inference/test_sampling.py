@@ -1,4 +1,5 @@
-"""The posterior: the ridge of eq. 12, moves on targets whose law is known, the diagnostics."""
+"""The posterior: the ridge of eq. 12, moves on targets whose law is known,
+the diagnostics."""
 
 from __future__ import annotations
 
@@ -113,9 +114,9 @@ def test_ensemble_moves_leave_a_skew_target_as_it_is(move):
 
 
 def test_ensembles_do_not_mix():
-    coords = np.repeat(np.arange(4.0) * 100, 16)[:, None] + np.random.default_rng(0).normal(
-        size=(64, 1)
-    )
+    coords = np.repeat(np.arange(4.0) * 100, 16)[:, None] + np.random.default_rng(
+        0
+    ).normal(size=(64, 1))
     chain = _run(SideBySide(StretchMove()), lambda x: np.zeros(len(x)), coords, 3)
     # a stretch along a line through the own ensemble stays in its neighbourhood
     np.testing.assert_array_equal(
@@ -124,33 +125,57 @@ def test_ensembles_do_not_mix():
 
 
 def test_ridge_move_leaves_its_target_as_it_is():
-    # d = (a + b)/sqrt 2 is Gaussian, a is even on (0, 2); the proposal is wider than both
+    # d = (a + b)/sqrt 2 is Gaussian, a is even on (0, 2); the proposal is
+    # wider than both
     seen = np.array([[1.0, 1.0]]) / np.sqrt(2)
     proposal = RidgeProposal(
-        np.array([1.0, 1.0]), np.ones(2), seen, np.array([0.3]), np.array([0]),
-        np.array([-1.4]), np.array([1.4]), np.array([], int), np.array([]),
-    )  # fmt: skip
+        np.array([1.0, 1.0]),
+        np.ones(2),
+        seen,
+        np.array([0.3]),
+        np.array([0]),
+        np.array([-1.4]),
+        np.array([1.4]),
+        np.array([], int),
+        np.array([]),
+    )
 
     def log_prob(x):
         z = (x.sum(1) - 2) / np.sqrt(2) / 0.25
         return np.where((x[:, 0] > 0) & (x[:, 0] < 2), -(z**2) / 2, -np.inf)
 
     first = np.column_stack([np.linspace(0.1, 1.9, 32), 2 - np.linspace(0.1, 1.9, 32)])
-    chain = _run(MHMove(partial(proposed, proposal)), log_prob, first, 3000)[100:].reshape(-1, 2)
+    chain = _run(MHMove(partial(proposed, proposal)), log_prob, first, 3000)[
+        100:
+    ].reshape(-1, 2)
     assert stats.kstest(chain[::40, 0] / 2, "uniform").pvalue > 1e-3
-    assert stats.kstest((chain[::40].sum(1) - 2) / np.sqrt(2) / 0.25, "norm").pvalue > 1e-3
+    assert (
+        stats.kstest((chain[::40].sum(1) - 2) / np.sqrt(2) / 0.25, "norm").pvalue > 1e-3
+    )
 
 
 def test_the_density_of_a_ridge_is_a_density():
     """Student, uniform and exponential in combinations of the parameters."""
-    seen, spread = np.array([[1.0, 0.5, 0.2, 0.0], [0.3, -1.0, 0.0, 0.4]]), np.array([0.3, 2.0])
+    seen, spread = (
+        np.array([[1.0, 0.5, 0.2, 0.0], [0.3, -1.0, 0.0, 0.4]]),
+        np.array([0.3, 2.0]),
+    )
     proposal = RidgeProposal(
-        np.zeros(4), np.ones(4), seen, spread, np.array([2]), np.array([-1.0]), np.array([2.0]),
-        np.array([3]), np.array([-0.7]),
-    )  # fmt: skip
+        np.zeros(4),
+        np.ones(4),
+        seen,
+        spread,
+        np.array([2]),
+        np.array([-1.0]),
+        np.array([2.0]),
+        np.array([3]),
+        np.array([-0.7]),
+    )
     values = proposal.draw(5, np.random.RandomState(0))
     rows = np.concatenate([seen, np.eye(4)[2:]])
-    expected = stats.multivariate_t(shape=np.diag(spread**2), df=8).logpdf(values @ seen.T)
+    expected = stats.multivariate_t(shape=np.diag(spread**2), df=8).logpdf(
+        values @ seen.T
+    )
     expected += stats.expon.logpdf(-values[:, 3], scale=0.7) - np.log(3)
     expected += np.linalg.slogdet(rows)[1]
     np.testing.assert_allclose(proposal.log_density(values), expected)
@@ -165,15 +190,16 @@ def test_the_extent_of_one_direction_is_that_of_a_linear_program():
         walls = np.concatenate([null.T, -null.T])
         room = random.uniform(0, 3, 2 * size)
         ends = [
-            sign * linprog(sign * null[:, 0], A_ub=walls, b_ub=room, bounds=(None, None)).fun
+            sign
+            * linprog(sign * null[:, 0], A_ub=walls, b_ub=room, bounds=(None, None)).fun
             for sign in (1, -1)
         ]
         assert _extent(null[:, 0], walls, room) == pytest.approx(ends)
 
 
 def test_a_curved_ridge_is_sampled_from_end_to_end():
-    """Without an angle, `omega0` is known neither in sign nor size. Turning the other way, with
-    front and back exchanged, leads along the same path."""
+    """Without an angle, `omega0` is known neither in sign nor size. Turning the other
+    way, with front and back exchanged, leads along the same path."""
     noise = {"x": 0.003, "y": 0.003}
     throw = filmed(seed=3, noise=noise, times=np.linspace(0, 18, 61))
     fit, chain = curlfit.sample(curlfit.fit(throw, details=False), effective=1000)
@@ -181,13 +207,16 @@ def test_a_curved_ridge_is_sampled_from_end_to_end():
     kept = chain.values[chain.discarded :].reshape(-1, len(chain.names))
     omega = kept[:, chain.names.index("omega0")]
     assert np.quantile(np.abs(omega), 0.05) < 1.2 < np.quantile(np.abs(omega), 0.95)
-    sides = [np.abs(omega[side])[:: len(omega) // 2000] for side in (omega > 0, omega < 0)]
+    sides = [
+        np.abs(omega[side])[:: len(omega) // 2000] for side in (omega > 0, omega < 0)
+    ]
     assert len(sides[0]) / sum(map(len, sides)) == pytest.approx(0.5, abs=0.06)
     assert stats.ks_2samp(*sides).pvalue > 1e-3
 
 
 def _walk(random, steps, memory, walkers=128):
-    """Stationary normal chains, shape (steps, walkers, parameters), with these autocorrelations."""
+    """Stationary normal chains, shape (steps, walkers, parameters), with
+    these autocorrelations."""
     memory = np.array(memory)
     values = random.standard_normal((steps, walkers, len(memory)))
     for step in range(1, steps):
@@ -212,19 +241,28 @@ def test_diagnostics_are_those_of_arviz(steps):
         warnings.simplefilter("ignore")
         import arviz
     kept = values[steps_to_discard(steps) :]
-    walkers = xarray.Dataset({str(k): (("chain", "draw"), kept[..., k].T) for k in range(4)})
+    walkers = xarray.Dataset(
+        {str(k): (("chain", "draw"), kept[..., k].T) for k in range(4)}
+    )
     half = len(kept) // 2
     halves = np.concatenate([kept[:half], kept[-half:]]).reshape(2 * half, 4, 32, 4)
     ensembles = xarray.Dataset(
-        {str(k): (("chain", "draw"), np.moveaxis(halves[..., k], 1, 0).reshape(4, -1))
-         for k in range(4)}
-    )  # fmt: skip
+        {
+            str(k): (
+                ("chain", "draw"),
+                np.moveaxis(halves[..., k], 1, 0).reshape(4, -1),
+            )
+            for k in range(4)
+        }
+    )
     for expected, ours in (
         (arviz.ess(walkers, method="bulk"), found.bulk),
         (arviz.ess(walkers, method="tail", prob=(0.05, 0.95)), found.tail),
         (arviz.rhat(ensembles, method="rank"), found.r_hat),
     ):
-        np.testing.assert_allclose(ours, [float(expected[str(k)]) for k in range(4)], rtol=1e-12)
+        np.testing.assert_allclose(
+            ours, [float(expected[str(k)]) for k in range(4)], rtol=1e-12
+        )
 
 
 def test_a_chain_of_few_steps_has_few_effective_samples():
@@ -235,5 +273,7 @@ def test_a_chain_of_few_steps_has_few_effective_samples():
 
 def test_an_undetermined_direction_without_bounds_is_named(eq12):
     wide = dict.fromkeys(("mu1_eta", "mu2_eta"), (-np.inf, np.inf))
-    with pytest.raises(curlfit.UnusableFitError, match="mu1_eta and mu2_eta, and none of them"):
+    with pytest.raises(
+        curlfit.UnusableFitError, match="mu1_eta and mu2_eta, and none of them"
+    ):
         sample(fit(eq12, stone=Stone(R=0.065, rho=0.1025), bounds=wide))

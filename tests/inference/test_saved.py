@@ -1,4 +1,5 @@
-"""What is on disk: written whole or not at all, read whatever its age, used without the data."""
+"""What is on disk: written whole or not at all, read whatever its age, used
+without the data."""
 
 from __future__ import annotations
 
@@ -119,9 +120,16 @@ def test_what_cannot_be_printed_is_said(tmp_path, words):
     with open("/dev/full", "w") as full:
         run = subprocess.run(
             [sys.executable, "-m", "curlfit", *words],
-            cwd=tmp_path, stdout=full, stderr=subprocess.PIPE, text=True, check=False,
-        )  # fmt: skip
-    assert (run.returncode, run.stderr) == (2, "curlfit: output: No space left on device\n")
+            cwd=tmp_path,
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert (run.returncode, run.stderr) == (
+        2,
+        "curlfit: output: No space left on device\n",
+    )
 
 
 def test_what_a_killed_run_left_half_written_is_cleared(tmp_path):
@@ -165,7 +173,10 @@ def test_records_that_have_more_than_this_version_knows(eq12_posterior, tmp_path
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"schema": 2}, "written by a newer curlfit: schema 2 found, this version reads up to 1"),
+        (
+            {"schema": 2},
+            "written by a newer curlfit: schema 2 found, this version reads up to 1",
+        ),
         ({"schema": 0}, "schema 0 found"),
         ({"schema": "1"}, "names no schema"),
         ({"stone": None}, "stone: null found, expected an object"),
@@ -187,8 +198,16 @@ def test_what_cannot_be_read_is_refused(eq12_fit, compared, tmp_path, change, sa
     [
         ("stone.R", "x", "stone.R: 'x' found, expected a number"),
         ("stone.R", -1.0, "stone: stone.R = -1.0 m: expected a positive"),
-        ("parameters.mu1_xi.value", [1], "parameters.mu1_xi.value: a list found, expected a num"),
-        ("parameters.mu1_xi.verdict", "sure", "parameters.mu1_xi.verdict: 'sure' found, expected"),
+        (
+            "parameters.mu1_xi.value",
+            [1],
+            "parameters.mu1_xi.value: a list found, expected a num",
+        ),
+        (
+            "parameters.mu1_xi.verdict",
+            "sure",
+            "parameters.mu1_xi.verdict: 'sure' found, expected",
+        ),
         ("converged", 1, "converged: 1 found, expected true or false"),
         ("warnings", "abc", "warnings: 'abc' found, expected a list"),
         ("observed.x", [1.0, 2.0], "observed: expected series of 201 values"),
@@ -198,7 +217,9 @@ def test_what_cannot_be_read_is_refused(eq12_fit, compared, tmp_path, change, sa
         ("null_directions", 3, None),
     ],
 )
-def test_what_is_of_another_type_is_refused_with_its_key(eq12_fit, tmp_path, place, value, said):
+def test_what_is_of_another_type_is_refused_with_its_key(
+    eq12_fit, tmp_path, place, value, said
+):
     *way, last = place.split(".")
 
     def change(record):
@@ -219,12 +240,20 @@ def test_what_is_of_another_type_is_refused_with_its_key(eq12_fit, tmp_path, pla
 @pytest.mark.parametrize("key", ["sampling", "data"])
 def test_a_record_of_an_earlier_version_is_to_be_fitted_again(eq12_fit, tmp_path, key):
     file = record_of(eq12_fit, tmp_path, lambda record: record.pop(key))
-    with pytest.raises(DataError, match=f"no '{key}' in it; .* an earlier version: fit again"):
+    with pytest.raises(
+        DataError, match=f"no '{key}' in it; .* an earlier version: fit again"
+    ):
         load_fit(file)
 
 
 @pytest.mark.parametrize(
-    "text", ["[" * 100_000, '{"schema": 1, "a": ' * 100_000, '{"schema": 1, "a": NaN}', "9" * 5000]
+    "text",
+    [
+        "[" * 100_000,
+        '{"schema": 1, "a": ' * 100_000,
+        '{"schema": 1, "a": NaN}',
+        "9" * 5000,
+    ],
 )
 def test_what_is_no_record_is_refused(tmp_path, text):
     (tmp_path / "fit.json").write_text(text)
@@ -252,8 +281,8 @@ def test_a_chain_is_of_its_fit_wherever_it_is_read(eq12_posterior, tmp_path):
     for words in (["show"], ["plot"], ["predict"], ["export", "--to", "netcdf"]):
         run = invoke([words[0], tmp_path, *words[1:]])
         assert str(run.exception) == (
-            f"{tmp_path / 'chain.h5'}: the chain is of another fit: not the same data; sample this "
-            "one again"
+            f"{tmp_path / 'chain.h5'}: the chain is of another fit: "
+            "not the same data; sample this one again"
         )
     assert {file.name for file in tmp_path.iterdir()} == {"fit.json", "chain.h5"}
 
@@ -263,7 +292,9 @@ def test_a_chain_is_as_large_as_its_file(eq12_posterior, tmp_path):
     with h5py.File(tmp_path / "chain.h5", "r+") as out:
         del out["mcmc"]["chain"]
         out["mcmc"].create_dataset("chain", (10**7, 32, 10), "f8")
-    with pytest.raises(DataError, match=r"of this version of curlfit \(.*are not in the file"):
+    with pytest.raises(
+        DataError, match=r"of this version of curlfit \(.*are not in the file"
+    ):
         curlfit.load_chain(tmp_path / "chain.h5")
 
 
@@ -273,7 +304,9 @@ def test_damaged_records_are_read_or_refused(eq12_posterior, compared, tmp_path)
         (tmp_path / result.kind).mkdir()
         result.save(tmp_path / result.kind / f"{result.kind}.json")
     chain.save(tmp_path / "fit" / "chain.h5")
-    run = python(*STRICT, damaged_records.__file__, tmp_path, 1, 40, OPENBLAS_NUM_THREADS="1")
+    run = python(
+        *STRICT, damaged_records.__file__, tmp_path, 1, 40, OPENBLAS_NUM_THREADS="1"
+    )
     assert run.returncode == 0, run.stderr
     found = json.loads(run.stdout)
     assert found["faults"] == []

@@ -1,4 +1,5 @@
-"""A second fit, of a table of throws that were fitted one by one, against the joint fit of all."""
+"""A second fit, of a table of throws that were fitted one by one, against the
+joint fit of all."""
 
 import csv
 import json
@@ -21,7 +22,8 @@ STONE = Stone(R=0.065)
 
 @pytest.fixture(scope="module")
 def season(tmp_path_factory):
-    """Ten tracks of two sheets with notes, fitted one by one; and the joint fit of the same."""
+    """Ten tracks of two sheets with notes, fitted one by one; and the joint fit
+    of the same."""
     folder, random = tmp_path_factory.mktemp("season"), np.random.default_rng(1)
     notes = ["track,sheet,day"]
     (folder / "tracks").mkdir()
@@ -29,12 +31,19 @@ def season(tmp_path_factory):
         sheet = place % 2 + 1
         half = 0.009 * (1 + 0.04 * sheet + 0.01 * random.standard_normal())
         law = law_with(
-            "front-back", {"mu1_xi": 0.004, "mu2_xi": 0.05, "mu1_eta": half, "mu2_eta": half}
+            "front-back",
+            {"mu1_xi": 0.004, "mu2_xi": 0.05, "mu1_eta": half, "mu2_eta": half},
         )
         throw = synthetic_throw(
-            law, STONE, v0=random.uniform(2.1, 2.3), omega0=random.uniform(1, 2) * (-1) ** place,
-            dt=0.2, noise_xy=0.005, noise_phi=0.01, seed=place,
-        )  # fmt: skip
+            law,
+            STONE,
+            v0=random.uniform(2.1, 2.3),
+            omega0=random.uniform(1, 2) * (-1) ** place,
+            dt=0.2,
+            noise_xy=0.005,
+            noise_phi=0.01,
+            seed=place,
+        )
         (folder / "tracks" / f"t{place}.csv").write_text(write_table(throw))
         notes.append(f"t{place}.csv,{sheet},2026-02-{place + 20 if place < 9 else 28}")
     (folder / "notes.csv").write_text("\n".join(notes) + "\n")
@@ -42,7 +51,15 @@ def season(tmp_path_factory):
         curlfit.load_throw(file, throws=folder / "notes.csv")
         for file in sorted((folder / "tracks").iterdir())
     ]
-    words = ["tracks", "--throws", "notes.csv", "--stone", "R=0.065", "--out", "season.csv"]
+    words = [
+        "tracks",
+        "--throws",
+        "notes.csv",
+        "--stone",
+        "R=0.065",
+        "--out",
+        "season.csv",
+    ]
     command("batch", *words, "--workers", "1", cwd=folder)
     ran = command("fit", "season.csv", "--by", "sheet", "--trend", "day", cwd=folder)
     joint = curlfit.fit_together(throws, stone=STONE, by="sheet", trend="day")
@@ -56,7 +73,11 @@ def test_a_table_gives_what_all_throws_give_together(season):
     found = curlfit.load_joint(folder / "season-fit")
     for kind in ("groups", "differences", "trend"):
         for one, other in zip(getattr(found, kind), getattr(joint, kind), strict=True):
-            assert (one.parameter, one.by, one.group) == (other.parameter, other.by, other.group)
+            assert (one.parameter, one.by, one.group) == (
+                other.parameter,
+                other.by,
+                other.group,
+            )
             assert one.value == pytest.approx(other.value, abs=0.03 * other.stderr)
             assert one.stderr == pytest.approx(other.stderr, rel=0.03)
     for name, item in joint.coefficients.items():
@@ -72,7 +93,9 @@ def test_a_table_gives_what_all_throws_give_together(season):
     assert 1 <= found.r_hat < 1.02
     said = "the posterior of the spreads has not converged (R-hat 1.200)"
     assert said not in ran.stdout
-    curlfit.print_joint(replace(found, r_hat=1.2), Console(file=(text := StringIO()), width=200))
+    curlfit.print_joint(
+        replace(found, r_hat=1.2), Console(file=(text := StringIO()), width=200)
+    )
     assert said in text.getvalue()
 
 
@@ -85,15 +108,24 @@ def test_the_next_throw_of_a_season_is_that_of_the_joint_fit(season, tmp_path):
     call = curlfit.Call({"sheet": "1"})
     other = curlfit.predict(joint, call=call, target=(0.0, 0.0))
     assert found.quantities.keys() == other.quantities.keys()
-    assert found.start["omega0"]["value"] == pytest.approx(other.start["omega0"]["value"], abs=1e-3)
+    assert found.start["omega0"]["value"] == pytest.approx(
+        other.start["omega0"]["value"], abs=1e-3
+    )
     for name, item in other.quantities.items():
         mine = found.quantities[name]
         for level, value in item.quantiles.items():
-            assert mine.quantiles[level] == pytest.approx(value, abs=0.1 * item.sd + 1e-6), name
+            assert mine.quantiles[level] == pytest.approx(
+                value, abs=0.1 * item.sd + 1e-6
+            ), name
     assert (found.warnings, found.notes) == (other.warnings, other.notes)
-    assert found.weights[2].hog_to_hog == pytest.approx(other.weights[2].hog_to_hog, abs=2e-3)
+    assert found.weights[2].hog_to_hog == pytest.approx(
+        other.weights[2].hog_to_hog, abs=2e-3
+    )
     # a record of an earlier version is read, but foretells nothing
-    saved, file = json.loads((folder / "season-fit/joint.json").read_text()), tmp_path / "a.json"
+    saved, file = (
+        json.loads((folder / "season-fit/joint.json").read_text()),
+        tmp_path / "a.json",
+    )
     for name in ("starts", "duration", "speeds", "spins", "null_directions"):
         del saved["table"][name]
     file.write_text(json.dumps(saved))
@@ -102,25 +134,41 @@ def test_the_next_throw_of_a_season_is_that_of_the_joint_fit(season, tmp_path):
 
 
 def test_what_throws_leave_open_does_not_explain_what_differs_between_them():
-    """Under the consistent load a throw tells the halves of the friction hardly apart. A division
-    far outside the bounds would explain the scatter of the sum."""
+    """Under the consistent load a throw tells the halves of the friction hardly apart.
+    A division far outside the bounds would explain the scatter of the sum."""
     random, fits = np.random.default_rng(7), []
     for place in range(6):
         half = 0.009 * (1 + 0.01 * random.standard_normal())
         law = law_with("front-back", {"mu1_eta": half, "mu2_eta": half})
         throw = synthetic_throw(
-            law, STONE, load="consistent", v0=2 + 0.02 * (place % 4), dt=0.2, noise_xy=0.005,
-            omega0=(1.0, 2.0, 4.0)[place % 3] * (-1) ** place, noise_phi=0.01, seed=place,
-        )  # fmt: skip
+            law,
+            STONE,
+            load="consistent",
+            v0=2 + 0.02 * (place % 4),
+            dt=0.2,
+            noise_xy=0.005,
+            omega0=(1.0, 2.0, 4.0)[place % 3] * (-1) ** place,
+            noise_phi=0.01,
+            seed=place,
+        )
         fits.append(curlfit.fit(throw, stone=STONE, load="consistent"))
     values = np.array([fit.values for fit in fits])
     season = mean_of(
         Season(
-            "season.csv", Model(type(law), "consistent"), STONE, [(f"{k}", {}) for k in range(6)],
-            values[:, :4], values[:, 4:], np.full(6, 20.0),
-            np.array([fit.coefficient_rows() for fit in fits]), (),
-        ), (), (), None,
-    )  # fmt: skip
+            "season.csv",
+            Model(type(law), "consistent"),
+            STONE,
+            [(f"{k}", {}) for k in range(6)],
+            values[:, :4],
+            values[:, 4:],
+            np.full(6, 20.0),
+            np.array([fit.coefficient_rows() for fit in fits]),
+            (),
+        ),
+        (),
+        (),
+        None,
+    )
     sums = []
     for fit in fits:
         (one,) = fit.combinations
@@ -142,18 +190,24 @@ def test_columns_that_were_added_to_a_table_are_labels(season, tmp_path):
     table[3][head.index("status")] = "not usable"
     with (tmp_path / "added.csv").open("w", newline="") as stream:
         csv.writer(stream).writerows(table)
-    (tmp_path / "added.settings.json").write_text((folder / "season.settings.json").read_text())
+    (tmp_path / "added.settings.json").write_text(
+        (folder / "season.settings.json").read_text()
+    )
     ran = command("fit", "added.csv", "--by", "rink", "--out", "out", cwd=tmp_path)
     assert "1 row is not ok and is left out" in " ".join(ran.stdout.split())
     found = curlfit.load_joint(tmp_path / "out")
     assert found.count == 9
     assert {one.group for one in found.differences} == {"b"}
     for words, said in (
-        (["export", "--to", "latex", "--out"], "table.tex"), (["report", "--out"], "x.html"),
+        (["export", "--to", "latex", "--out"], "table.tex"),
+        (["report", "--out"], "x.html"),
         (["plot", "--out"], "joint.png"),
-    ):  # fmt: skip
+    ):
         where = tmp_path / ("x.html" if words[0] == "report" else words[0])
-        assert command(words[0], "out", *words[1:], str(where), cwd=tmp_path).returncode == 0, said
+        assert (
+            command(words[0], "out", *words[1:], str(where), cwd=tmp_path).returncode
+            == 0
+        ), said
 
 
 @pytest.mark.parametrize(
@@ -161,15 +215,29 @@ def test_columns_that_were_added_to_a_table_are_labels(season, tmp_path):
     [
         (lambda text: text, ["--fix", "mu1_xi=0"], "--fix=mu1_xi=0: the throws of"),
         (lambda text: text, ["--by", "rink"], "no label 'rink'; it has sheet, day"),
-        (lambda text: text.replace("information", "info"), [], "line 1: no column information"),
-        (lambda text: text.replace("[", "[1, ", 1), [], "line 2: not a row of `curlfit batch`"),
-        (lambda text: "\n".join(text.split("\n")[:3]) + "\n", [], "2 usable throws; expected 4"),
+        (
+            lambda text: text.replace("information", "info"),
+            [],
+            "line 1: no column information",
+        ),
+        (
+            lambda text: text.replace("[", "[1, ", 1),
+            [],
+            "line 2: not a row of `curlfit batch`",
+        ),
+        (
+            lambda text: "\n".join(text.split("\n")[:3]) + "\n",
+            [],
+            "2 usable throws; expected 4",
+        ),
     ],
 )
 def test_a_table_that_cannot_be_used(season, tmp_path, change, words, said):
     folder, *_ = season
     (tmp_path / "a.csv").write_text(change((folder / "season.csv").read_text()))
-    (tmp_path / "a.settings.json").write_text((folder / "season.settings.json").read_text())
+    (tmp_path / "a.settings.json").write_text(
+        (folder / "season.settings.json").read_text()
+    )
     ran = command("fit", "a.csv", *words, "--out", "out", cwd=tmp_path)
     assert ran.returncode == 2
     assert said in ran.stdout + ran.stderr
@@ -188,7 +256,8 @@ def test_a_table_runs_no_law_of_its_sender(season, tmp_path):
 
 
 def test_the_figure_of_a_table_names_all_groups(season):
-    """Also where the first panel is of a coefficient that does not vary, and has none."""
+    """Also where the first panel is of a coefficient that does not vary,
+    and has none."""
     folder, *_ = season
     found = curlfit.fit_season(folder / "season.csv", by="sheet")
     first, *others = found.variation
@@ -196,6 +265,8 @@ def test_the_figure_of_a_table_names_all_groups(season):
     figure = curlfit.joint_figure(replace(found, groups=tuple(groups)))
     (legend,) = figure.legends
     assert {text.get_text() for text in legend.get_texts()} == {
-        "throws, each alone", "sheet 1", "sheet 2",
-    }  # fmt: skip
+        "throws, each alone",
+        "sheet 1",
+        "sheet 2",
+    }
     assert others

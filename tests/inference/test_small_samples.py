@@ -28,7 +28,10 @@ PATH = filmed(noise=dict.fromkeys(SIGMA, 0.0), heading=0.02, v=2.1, omega=1.3)
 
 def thrown(seed, rows):
     """Of the path some rows, evenly, with noise."""
-    chosen, random = np.linspace(0, 200, rows).round().astype(int), np.random.default_rng(seed)
+    chosen, random = (
+        np.linspace(0, 200, rows).round().astype(int),
+        np.random.default_rng(seed),
+    )
     series = {
         name: getattr(PATH, name)[chosen] + sigma * random.standard_normal(rows)
         for name, sigma in SIGMA.items()
@@ -40,7 +43,9 @@ def test_the_interval_of_a_mean_is_student_s():
     """With all else held, x0 is the mean of n rows."""
     throw = thrown(0, 12)
     held = START | vars(curlfit.LAWS["front-back"]())
-    fit = curlfit.fit(throw, fix={name: value for name, value in held.items() if name != "x0"})
+    fit = curlfit.fit(
+        throw, fix={name: value for name, value in held.items() if name != "x0"}
+    )
     item = fit.parameters["x0"]
     off = throw.x - PATH.x[np.isin(PATH.t, throw.t)]
     expected = t.interval(0.95, 11, off.mean(), off.std(ddof=1) / np.sqrt(12))
@@ -63,7 +68,9 @@ def test_degrees_of_freedom_are_welch_s():
     )
     expected = parts.sum() ** 2 / (parts**2 / (np.array(counts) - 1)).sum()
     weights = np.array([[1.0, -1.0]])
-    assert Covariance.degrees_of_freedom(covariance, weights) == [pytest.approx(expected)]
+    assert Covariance.degrees_of_freedom(covariance, weights) == [
+        pytest.approx(expected)
+    ]
     covariance.dof = np.array([np.inf, np.inf])
     assert Covariance.degrees_of_freedom(covariance, weights) == [None]
 
@@ -83,7 +90,9 @@ def test_twelve_rows_hold_the_truth_as_often_as_they_say():
     inside = gaussian = outliers = several = 0
     truth = START | TRUE
     # of 15 at a time, whose program other tests need too
-    parts = ([thrown(seed, 12) for seed in range(at, at + 15)] for at in range(0, 150, 15))
+    parts = (
+        [thrown(seed, 12) for seed in range(at, at + 15)] for at in range(0, 150, 15)
+    )
     for fit in chain.from_iterable(map(fit_throws, parts)):
         outliers += len(fit.outliers) > 0
         for name, true in truth.items():
@@ -106,12 +115,19 @@ def test_a_gross_outlier_is_found_in_few_rows(rows, sigmas):
     row = rows // 2
     off = np.where(np.arange(rows) == row, sigmas * SIGMA["x"], 0.0)
     fit = curlfit.fit(replace(throw, x=throw.x + off))
-    assert [(item["channel"], item["t"]) for item in fit.outliers] == [("x", throw.t[row])]
-    assert any("one outlier: x at" in text and "--loss student" in text for text in fit.warnings)
+    assert [(item["channel"], item["t"]) for item in fit.outliers] == [
+        ("x", throw.t[row])
+    ]
+    assert any(
+        "one outlier: x at" in text and "--loss student" in text
+        for text in fit.warnings
+    )
 
 
 def test_few_rows_have_their_interval_in_the_report():
-    assert "an interval of 95 % (Student's t) extends up to" in shown(curlfit.fit(thrown(1, 12)))
+    assert "an interval of 95 % (Student's t) extends up to" in shown(
+        curlfit.fit(thrown(1, 12))
+    )
     assert "Student" not in shown(curlfit.fit(thrown(1, 150)))
 
 
@@ -127,7 +143,8 @@ def with_little_on_one_side(seed):
 
 @pytest.mark.parametrize("seed", [29, 53, 65])
 def test_a_coefficient_beside_one_at_its_bound_is_not_weak_for_that(seed):
-    """What the bound leaves of freedom widens the error, and is no bend of chi squared."""
+    """What the bound leaves of freedom widens the error, and is no bend of
+    chi squared."""
     fit = curlfit.fit(with_little_on_one_side(seed))
     assert fit.parameters["mu1_xi"].verdict == "at bound"
     item = fit.parameters["mu2_xi"]
@@ -144,12 +161,16 @@ def test_a_weak_parameter_says_why():
     assert "weakly determined: its standard error" in identifiability(fit)
     # the same of two parameters
     said = identifiability(replace(fit, parameters=fit.parameters | {"v0": weak}))
-    assert "are weakly determined: for each, its standard error is more than half" in said
+    assert (
+        "are weakly determined: for each, its standard error is more than half" in said
+    )
 
 
 def test_outliers_in_the_first_rows_alone_have_a_flag_that_leaves_them_out():
     t = np.array([0.0, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
-    early = [{"channel": name, "t": 0.0, "line": 2, "sigmas": 60.0} for name in ("y", "phi")]
+    early = [
+        {"channel": name, "t": 0.0, "line": 2, "sigmas": 60.0} for name in ("y", "phi")
+    ]
     assert "--since 0.5 leaves out the first rows" in outlier_warning(tuple(early), t)
     late = {"channel": "y", "t": 0.8, "line": 6, "sigmas": 50.0}
     assert "--since" not in outlier_warning((*early, late), t)

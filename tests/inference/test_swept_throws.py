@@ -46,8 +46,12 @@ def test_the_friction_while_swept_is_found(fitted):
 
 def test_a_fit_that_does_not_know_of_it_says_so(swept):
     """And what it says to fit with finds the sweeping (see also `test_causes`)."""
-    (warning,) = (text for text in curlfit.fit(swept).warnings if "changes abruptly" in text)
-    said = [float(time) for time in warning.split("--sweep ")[1].split("`")[0].split(":")]
+    (warning,) = (
+        text for text in curlfit.fit(swept).warnings if "changes abruptly" in text
+    )
+    said = [
+        float(time) for time in warning.split("--sweep ")[1].split("`")[0].split(":")
+    ]
     assert said == pytest.approx([T0 + time for time in SWEPT], abs=1.5)
     again = curlfit.fit(swept, swept=said, details=False)
     assert again.parameters["sweep"].value == pytest.approx(0.85, abs=0.05)
@@ -63,7 +67,9 @@ def test_a_stone_that_another_one_touches_is_found(at, size, flag, limits):
     throw = Throw.from_arrays(plain.t, hit, plain.y, plain.phi)
     said = curlfit.fit(throw, details=False).warnings
     (warning,) = (text for text in said if "velocity changes" in text)
-    assert float(warning.split("by about ")[1].split()[0]) == pytest.approx(size, rel=0.2)
+    assert float(warning.split("by about ")[1].split()[0]) == pytest.approx(
+        size, rel=0.2
+    )
     assert float(warning.split("t = ")[1].split()[0]) == pytest.approx(T0 + at, abs=0.6)
     value = float(warning.split(f"`{flag} ")[1].split("`")[0]) - T0
     assert limits[0] <= value <= limits[1]

@@ -1,4 +1,5 @@
-"""Times between lines and resting positions, against constant deceleration in closed form."""
+"""Times between lines and resting positions, against constant deceleration in
+closed form."""
 
 from __future__ import annotations
 
@@ -26,7 +27,8 @@ from curlfit.throws.events import MOST_EVENTS, Event
 from curlfit.throws.throw import Throw
 
 G = 9.81
-BACK, HOG, FAR, TEE = 1.829, 10.059, 32.004, 38.405  # m from the hack (World Curling, rule R1)
+# m from the hack (World Curling, rule R1)
+BACK, HOG, FAR, TEE = 1.829, 10.059, 32.004, 38.405
 MODEL = Model(LAWS["coulomb"], "uniform")
 EVENTS = (
     Event("back_to_hog", "time", 3.6, 0.1, HOG, BACK),
@@ -43,7 +45,8 @@ SIGMA = {event.name: event.sigma for event in EVENTS}
 
 
 def motion(mu, heading, v, y=HOG):
-    """Times at lines and places at rest under a deceleration mu g on a straight line from y."""
+    """Times at lines and places at rest under a deceleration mu g on a straight
+    line from y."""
     a, c = mu * G, np.cos(heading)
 
     def time(line):
@@ -51,11 +54,16 @@ def motion(mu, heading, v, y=HOG):
 
     rest, length, tangent = v / a, v**2 / (2 * a), np.tan(heading)
     return {
-        "back_to_hog": time(HOG), "hog_to_hog": time(FAR) - time(HOG),
-        "hog_to_tee": time(TEE) - time(HOG), "hog_to_rest": rest - time(FAR),
-        "rest": y + length * c, "curl": length * np.sin(heading) - (HOG - y) * tangent,
-        "drift": (FAR - y) * tangent, "speed": np.sqrt(v**2 - 2 * a * (HOG - y) / c), "spin": 0.0,
-    }  # fmt: skip
+        "back_to_hog": time(HOG),
+        "hog_to_hog": time(FAR) - time(HOG),
+        "hog_to_tee": time(TEE) - time(HOG),
+        "hog_to_rest": rest - time(FAR),
+        "rest": y + length * c,
+        "curl": length * np.sin(heading) - (HOG - y) * tangent,
+        "drift": (FAR - y) * tangent,
+        "speed": np.sqrt(v**2 - 2 * a * (HOG - y) / c),
+        "spin": 0.0,
+    }
 
 
 def from_back(mu, heading, v):
@@ -108,30 +116,46 @@ def test_a_spinning_stone_crosses_lines_where_its_path_does(problem):
     speed, omega = (np.interp(HOG, path.y, rate) for rate in (path.speed, path.omega))
     found = predicted(problem, vector(0.0095, 0.02, 2.7, omega=4.0))
     expected = [
-        crossed[0], crossed[1] - crossed[0], crossed[2] - crossed[0], t[rest] - crossed[1],
-        path.y[-1], path.x[-1] - x[0], x[1], speed, omega,
-    ]  # fmt: skip
+        crossed[0],
+        crossed[1] - crossed[0],
+        crossed[2] - crossed[0],
+        t[rest] - crossed[1],
+        path.y[-1],
+        path.x[-1] - x[0],
+        x[1],
+        speed,
+        omega,
+    ]
     # the grid's chords are 1e-5 s from the curve, its last row up to 2 ms from rest
-    assert (np.abs(found - expected) < 1e-5 * np.array([1, 1, 9, 300, 1, 1, 1, 1, 1])).all()
+    assert (
+        np.abs(found - expected) < 1e-5 * np.array([1, 1, 9, 300, 1, 1, 1, 1, 1])
+    ).all()
 
 
 def slopes(problem, values):
-    """Residuals and Jacobians of fits that begin at some parameter vectors and may move nothing."""
-    parameters = PreparedThrow.of(Throw.from_events(EVENTS), Fitting.of(law="coulomb")).parameters
+    """Residuals and Jacobians of fits that begin at some parameter vectors and may
+    move nothing."""
+    parameters = PreparedThrow.of(
+        Throw.from_events(EVENTS), Fitting.of(law="coulomb")
+    ).parameters
     tasks = Tasks.of([(parameters, problem, value) for value in values])
     found = solve(MODEL, tasks._replace(lower=tasks.start, upper=tasks.start))
     np.testing.assert_array_equal(found.values, values)
-    return tuple(part[:, -1, : len(EVENTS)] for part in (found.residual, found.jacobian))
+    return tuple(
+        part[:, -1, : len(EVENTS)] for part in (found.residual, found.jacobian)
+    )
 
 
 @pytest.mark.parametrize(
     "values",
     [
-        (0.0092, 0.03, 2.6, 0.9), (0.0092, 0.03, 2.52, -2.0), (0.03, 0.0, 2.6, 0.9),
+        (0.0092, 0.03, 2.6, 0.9),
+        (0.0092, 0.03, 2.52, -2.0),
+        (0.03, 0.0, 2.6, 0.9),
         (0.0092, 0.03, np.sqrt(2 * 0.0092 * G * (TEE - BACK)), 0.0),
     ],
     ids=["past the tee", "short of the tee", "short of the hog line", "on the tee"],
-)  # fmt: skip
+)
 def test_derivatives_are_those_of_differences(problem, values):
     at = vector(*values)
     jacobian = slopes(problem, at[None])[1][0]
@@ -140,7 +164,10 @@ def test_derivatives_are_those_of_differences(problem, values):
         ends = [at + sign * step * np.eye(7)[column] for sign in (1, -1)]
         slope = np.subtract(*(predicted(problem, end) for end in ends)) / (2 * step)
         np.testing.assert_allclose(
-            jacobian[:, column] * sigma, slope, rtol=2e-4, atol=2e-4 * max(1, abs(slope).max())
+            jacobian[:, column] * sigma,
+            slope,
+            rtol=2e-4,
+            atol=2e-4 * max(1, abs(slope).max()),
         )
 
 
@@ -150,7 +177,9 @@ def test_chi_squared_has_no_corner_where_the_stone_stops(problem):
     def chi_squared(length):
         """And its derivative by the speed, and that speed."""
         v = np.sqrt(2 * mu * G * length)
-        residual, jacobian = slopes(problem, np.stack([vector(mu, 0.0, one) for one in v]))
+        residual, jacobian = slopes(
+            problem, np.stack([vector(mu, 0.0, one) for one in v])
+        )
         return (residual**2).sum(1), 2 * (residual * jacobian[..., 4]).sum(1), v
 
     # from a stop 1 m short of the far hog line to one 1 m past the tee: no jump
@@ -171,7 +200,10 @@ def test_three_numbers_determine_one_friction_coefficient(tmp_path):
     assert result.converged
     assert (result.rank, result.n_observations) == (3, 3)
     peer = least_squares(
-        lambda p: residual_of(values, *p), [0.008, 0.0, 2.1], xtol=1e-14, x_scale=[0.01, 1, 1]
+        lambda p: residual_of(values, *p),
+        [0.008, 0.0, 2.1],
+        xtol=1e-14,
+        x_scale=[0.01, 1, 1],
     )
     stderr = np.sqrt(np.diag(np.linalg.inv(peer.jac.T @ peer.jac)))
     for name, value, error in zip(("mu", "heading", "v0"), peer.x, stderr, strict=True):
@@ -179,7 +211,9 @@ def test_three_numbers_determine_one_friction_coefficient(tmp_path):
         assert found.verdict == "determined"
         assert found.value == pytest.approx(value, rel=1e-6)
         assert found.stderr == pytest.approx(error, rel=1e-4)
-    fixed = {name for name, item in result.parameters.items() if item.verdict == "fixed"}
+    fixed = {
+        name for name, item in result.parameters.items() if item.verdict == "fixed"
+    }
     assert fixed == {"x0", "y0", "phi0", "omega0"}
     # nothing is left over, and the curves cover the motion from the line to rest
     assert max(abs(one["fitted"] - one["value"]) for one in result.events) < 1e-6
@@ -205,13 +239,21 @@ def test_a_table_of_curl_against_spin_gives_the_law(write):
     peer = Reference(front_back(0.004, 0.05, 0.009, 0.009), R=0.065, nodes=40)
     random = np.random.default_rng(5)
     rows, states = ["speed_km_h,spin_rpm,curl_cm,rest,turns,sigma_speed"], []
-    for v, omega in zip(np.linspace(1.8, 2.3, 12), np.tile([0.6, -1.0, 2.0, -3.0], 3), strict=True):
-        end = peer.path(InitialState(y=HOG, v=v, omega=omega), np.array([0.0, 100.0]))[:, -1]
-        found = np.array([v, omega, *end]) + random.normal(0, [0.02, 0.05, 0.05, 0.05, 0.6])
+    for v, omega in zip(
+        np.linspace(1.8, 2.3, 12), np.tile([0.6, -1.0, 2.0, -3.0], 3), strict=True
+    ):
+        end = peer.path(InitialState(y=HOG, v=v, omega=omega), np.array([0.0, 100.0]))[
+            :, -1
+        ]
+        found = np.array([v, omega, *end]) + random.normal(
+            0, [0.02, 0.05, 0.05, 0.05, 0.6]
+        )
         found = found * [3.6, 30 / np.pi, 100, 1, 0.5 / np.pi] - [0, 0, 0, TEE, 0]
         rows.append("{:.4f},{:+.4f},{:+.3f},{:.5f},{:+.4f},0.02".format(*found))
         states.append((v, omega))
-    joint = curlfit.fit_together(curlfit.load_throws(write("\n".join(rows))), share="all")
+    joint = curlfit.fit_together(
+        curlfit.load_throws(write("\n".join(rows))), share="all"
+    )
     assert joint.converged
     assert joint.law == "front-back"
     for name, value in truth.items():
@@ -219,22 +261,31 @@ def test_a_table_of_curl_against_spin_gives_the_law(write):
         assert found.stderr < 0.1 * value
         assert abs(found.value - value) < 3 * found.stderr
     # twelve resting places tell each speed better than its own measurement does
-    off = [(one.parameters[name].value - true) / one.parameters[name].stderr
-           for one, pair in zip(joint.throws, states, strict=True)
-           for name, true in zip(("v0", "omega0"), pair, strict=True)]  # fmt: skip
+    off = [
+        (one.parameters[name].value - true) / one.parameters[name].stderr
+        for one, pair in zip(joint.throws, states, strict=True)
+        for name, true in zip(("v0", "omega0"), pair, strict=True)
+    ]
     assert 0.6 < np.std(off) < 1.4
     assert all(one.parameters["omega0"].stderr < 0.051 for one in joint.throws)
 
 
-@pytest.mark.parametrize("loss", ["linear", pytest.param("student", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "loss", ["linear", pytest.param("student", marks=pytest.mark.slow)]
+)
 def test_fitted_values_are_those_of_the_motion_under_every_loss(loss):
     events = record(hog_to_hog=14.2, hog_to_rest=12.5, rest=TEE + 0.6, curl=1.0)
     result = curlfit.fit(Throw.from_events(events), "coulomb", loss=loss)
-    expected = motion(*(result.parameters[name].value for name in ("mu", "heading", "v0")))
+    expected = motion(
+        *(result.parameters[name].value for name in ("mu", "heading", "v0"))
+    )
     for one in result.events:
         assert one["fitted"] == pytest.approx(expected[one["name"]], abs=1e-6)
     (missed,) = (text for text in result.warnings if "the fit deviates from" in text)
-    assert f"hog_to_rest by {abs(12.5 - expected['hog_to_rest']) / 0.1:.2g} sigma" in missed
+    assert (
+        f"hog_to_rest by {abs(12.5 - expected['hog_to_rest']) / 0.1:.2g} sigma"
+        in missed
+    )
     assert missed.endswith("--law power lets the friction change with the speed")
 
 
@@ -248,7 +299,8 @@ def test_systematic_errors_of_lengths_and_times(problem):
         name: change[0, -1, : len(EVENTS)] * [event.sigma for event in EVENTS] / width
         for name, change in found.items()
     }
-    # where lengths are measured too long, the stone is faster and is slowed as much more
+    # where lengths are measured too long, the stone is faster and is slowed
+    # as much more
     values = from_back(mu, 0.0, v)
     longer = from_back(mu * (1 + small), 0.0, v * (1 + small))
     expected = (longer - values) / small
@@ -261,7 +313,10 @@ def test_systematic_errors_of_lengths_and_times(problem):
 @pytest.mark.parametrize(
     ("event", "words"),
     [
-        (("a", "heat", 1.0, 0.1), "'heat' found, expected one of time, x, y, phi, speed, omega"),
+        (
+            ("a", "heat", 1.0, 0.1),
+            "'heat' found, expected one of time, x, y, phi, speed, omega",
+        ),
         (("a", "speed", 1.0, 0.1), "expected `at` and no `since`"),
         (("a", "omega", 1.0, 0.1, 10.0, 9.0), "expected `at` and no `since`"),
         (("a", "y", 1.0, 0.1, HOG), "y is measured at rest"),
@@ -282,8 +337,12 @@ def test_what_a_throw_of_events_alone_is_not_asked_for():
         curlfit.compare(throw)
     with pytest.raises(InputError, match="no event is timed at a line"):
         Throw.from_events(record(rest=TEE))
-    many = tuple(Event(f"e{k}", "time", 1.0 + k, 0.1, HOG + k) for k in range(MOST_EVENTS + 1))
-    with pytest.raises(InputError, match="10 events at 10 lines; expected at most 9 at 6"):
+    many = tuple(
+        Event(f"e{k}", "time", 1.0 + k, 0.1, HOG + k) for k in range(MOST_EVENTS + 1)
+    )
+    with pytest.raises(
+        InputError, match="10 events at 10 lines; expected at most 9 at 6"
+    ):
         curlfit.fit(Throw.from_events(many), "coulomb")
     assert throw.with_sigma({"time": 0.2}).events[0].sigma == 0.2
     t = np.linspace(0.0, 10.0, 30)
@@ -302,7 +361,10 @@ def curled():
 def test_a_law_that_cannot_curl_names_the_measured_curl(curled):
     found = curlfit.fit(curled, "coulomb")
     (said,) = (item for item in found.warnings if "cannot curl" in item)
-    words = "the coulomb law cannot curl a stone: the measured curl of 1.00 m to the left is in "
+    words = (
+        "the coulomb law cannot curl a stone: the measured curl of 1.00 m "
+        "to the left is in "
+    )
     assert said.startswith(words + "the heading; ")
     assert abs(found["heading"].value + 1.0 / 28.7) < 1e-3  # the chord of the curl
 
@@ -324,4 +386,6 @@ def test_a_path_that_curls_names_its_curl_and_a_straight_one_none():
     assert any("is in the heading and in the residuals" in item for item in said)
     assert any("cannot curl a stone: the measured curl of 0." in item for item in said)
     straight = Throw.from_arrays(t, 0.01 * np.sin(5 * t), y, t)
-    assert not any("cannot curl" in item for item in curlfit.fit(straight, "coulomb").warnings)
+    assert not any(
+        "cannot curl" in item for item in curlfit.fit(straight, "coulomb").warnings
+    )

@@ -1,4 +1,5 @@
-"""The bounded solver: scipy, many problems beside one, and models that are not smooth."""
+"""The bounded solver: scipy, many problems beside one, and models that
+are not smooth."""
 
 from __future__ import annotations
 
@@ -18,7 +19,8 @@ LOWER, UPPER = np.array([0, -0.005, -0.3, 0]), np.array([np.inf, 0.005, 0.3, np.
 
 
 def problem(seed):
-    """Matrix and right-hand side of residuals of four parameters of very different sizes."""
+    """Matrix and right-hand side of residuals of four parameters of very
+    different sizes."""
     random = np.random.default_rng(seed)
     matrix = random.standard_normal((30, 4)) * [1, 100, 1, 0.01]
     return matrix, matrix @ (random.standard_normal(4) * [1, 0.01, 1, 100])
@@ -36,10 +38,14 @@ def solved(residual, start=(0.0,) * 4, lower=LOWER, upper=UPPER, blocks=None):
     blocks = Blocks.of(np.ones(start.size, bool)) if blocks is None else blocks
     solver = bounded.BoundedLeastSquares(
         descent=bounded.BoundedDescent(lower, upper, jnp.ones(start.size)),
-        search=bounded.GainRatio(1e-2), control=Control(1e-2, 1e-14, 1e-18), blocks=blocks,
+        search=bounded.GainRatio(1e-2),
+        control=Control(1e-2, 1e-14, 1e-18),
+        blocks=blocks,
         penalty=Penalty.none(start.size),
-    )  # fmt: skip
-    return optx.least_squares(lambda z, _: residual(z), solver, start, max_steps=None, throw=False)
+    )
+    return optx.least_squares(
+        lambda z, _: residual(z), solver, start, max_steps=None, throw=False
+    )
 
 
 @jax.custom_jvp
@@ -50,7 +56,9 @@ def rippled(z, of):
 
 @rippled.defjvp
 def _(at, along):
-    return rippled(*at), jax.jvp(lambda z: residual(z, at[1], jnp), at[:1], along[:1])[1]
+    return rippled(*at), jax.jvp(lambda z: residual(z, at[1], jnp), at[:1], along[:1])[
+        1
+    ]
 
 
 KINDS = {
@@ -77,9 +85,16 @@ def test_the_optimum_within_bounds_is_that_of_scipy(seed):
     found = optimum(of)
     start = np.clip(np.zeros(4), LOWER + 1e-6, UPPER - 1e-6)
     scipys = least_squares(
-        residual, start, args=(of,), bounds=(LOWER, UPPER), xtol=1e-15, ftol=1e-15, gtol=1e-15,
-        x_scale=[1, 0.01, 1, 100], max_nfev=5000,
-    )  # fmt: skip
+        residual,
+        start,
+        args=(of,),
+        bounds=(LOWER, UPPER),
+        xtol=1e-15,
+        ftol=1e-15,
+        gtol=1e-15,
+        x_scale=[1, 0.01, 1, 100],
+        max_nfev=5000,
+    )
     ours = float((residual(np.asarray(found.value), of) ** 2).sum() / 2)
     assert ours <= scipys.cost * (1 + 1e-8) + 1e-12
     assert (found.value >= LOWER).all()
@@ -100,7 +115,8 @@ def test_problems_side_by_side_take_the_steps_of_each_alone():
 
 
 def test_blocks_with_common_parameters_have_the_optimum_of_all_rows():
-    """Two blocks share their first two parameters; one tangent serves a parameter of both."""
+    """Two blocks share their first two parameters; one tangent serves a
+    parameter of both."""
     both = problem(0), problem(1)
     layout = Blocks.of(np.array([True, True, False, False]), 2)
     blocks = layout.index
@@ -108,17 +124,27 @@ def test_blocks_with_common_parameters_have_the_optimum_of_all_rows():
     lower, upper = (np.append(end, end[2:]) for end in (LOWER, UPPER))
 
     def rows(z, xp=jnp):
-        return xp.stack([residual(z[own], of, xp) for own, of in zip(blocks, both, strict=True)])
+        return xp.stack(
+            [residual(z[own], of, xp) for own, of in zip(blocks, both, strict=True)]
+        )
 
     found = solved(rows, np.zeros(6), lower, upper, layout)
     inside = np.clip(np.zeros(6), lower + 1e-6, upper - 1e-6)
     whole = least_squares(
-        lambda z: rows(z, np).ravel(), inside, bounds=(lower, upper), xtol=1e-15, ftol=1e-15,
-        gtol=1e-15, x_scale=[1, 0.01, 1, 100, 1, 100], max_nfev=5000,
-    )  # fmt: skip
+        lambda z: rows(z, np).ravel(),
+        inside,
+        bounds=(lower, upper),
+        xtol=1e-15,
+        ftol=1e-15,
+        gtol=1e-15,
+        x_scale=[1, 0.01, 1, 100, 1, 100],
+        max_nfev=5000,
+    )
     assert found.state.success
     assert (found.state.residual**2).sum() / 2 <= whole.cost * (1 + 1e-8)
-    for jacobian, (matrix, _), own in zip(found.state.jacobian, both, blocks, strict=True):
+    for jacobian, (matrix, _), own in zip(
+        found.state.jacobian, both, blocks, strict=True
+    ):
         last = [0.3 * float(found.value[own[0]]) ** 2, 0, -0.1, 0]
         np.testing.assert_allclose(jacobian, [*matrix, last], atol=1e-6)
 
@@ -127,7 +153,9 @@ def test_a_model_that_is_not_smooth_ends_at_the_best_values_met():
     """No trial is accepted in the end."""
     noisy, exact = optimum(problem(1), kind="rippled"), optimum(problem(1))
     assert noisy.state.success
-    assert float(noisy.state.model.f) == pytest.approx(float(exact.state.model.f), rel=1e-3)
+    assert float(noisy.state.model.f) == pytest.approx(
+        float(exact.state.model.f), rel=1e-3
+    )
 
 
 def test_a_start_without_a_path_is_no_success():
@@ -154,8 +182,13 @@ def test_elimination_solves_as_lapack_does_and_needs_none_of_it(blocks):
         one[:, index] = part
     matrix = whole.reshape(-1, size).T @ whole.reshape(-1, size)
     scale = 1 / np.sqrt(np.diagonal(matrix))
-    right, dense = random.normal(size=size), matrix * np.outer(scale, scale) + 1e-10 * np.eye(size)
-    arrow = jax.jit(lambda rows, scale: layout.normal(rows).scaled(scale, 1e-10))(rows, scale)
+    right, dense = (
+        random.normal(size=size),
+        matrix * np.outer(scale, scale) + 1e-10 * np.eye(size),
+    )
+    arrow = jax.jit(lambda rows, scale: layout.normal(rows).scaled(scale, 1e-10))(
+        rows, scale
+    )
     np.testing.assert_allclose(arrow.diagonal(), np.diagonal(dense), rtol=1e-12)
     np.testing.assert_allclose(arrow.mv(right), dense @ right, rtol=1e-9, atol=1e-12)
     program = jax.jit(lambda matrix, right: matrix.solve(right)).lower(arrow, right)

@@ -7,7 +7,11 @@ from scipy.stats import multivariate_normal
 
 from curlfit.numerics.mixed_model import MixedModel, within
 
-MEAN, EFFECTS, SPREADS = np.array([1.0, 2.0, 0.3]), np.array([[0.5, -0.2]]), np.array([0.3, 0.6])
+MEAN, EFFECTS, SPREADS = (
+    np.array([1.0, 2.0, 0.3]),
+    np.array([[0.5, -0.2]]),
+    np.array([0.3, 0.6]),
+)
 DIRECTIONS = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 0.5]])
 
 
@@ -30,9 +34,15 @@ def dense(rows, target, covariates, variances):
         design = np.concatenate([own, along * x], 1)
         normal = normal + design.T @ np.linalg.solve(matrix, design)
         right = right + design.T @ np.linalg.solve(matrix, z)
-        found += -2 * multivariate_normal.logpdf(z, np.zeros(3), matrix) - 3 * np.log(2 * np.pi)
+        found += -2 * multivariate_normal.logpdf(z, np.zeros(3), matrix) - 3 * np.log(
+            2 * np.pi
+        )
     best = np.linalg.solve(normal, right)
-    return found + np.linalg.slogdet(normal)[1] - right @ best + square, best, np.linalg.inv(normal)
+    return (
+        found + np.linalg.slogdet(normal)[1] - right @ best + square,
+        best,
+        np.linalg.inv(normal),
+    )
 
 
 def test_the_estimate_is_that_of_the_dense_likelihood():
@@ -43,9 +53,11 @@ def test_the_estimate_is_that_of_the_dense_likelihood():
     )
     found = model.fitted(np.full(2, 0.1), np.full(3, -np.inf), np.full(3, np.inf))
     peer = minimize(
-        lambda v: dense(rows, target, covariates, np.exp(v))[0], np.log([0.1, 0.1]),
-        method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-9},
-    )  # fmt: skip
+        lambda v: dense(rows, target, covariates, np.exp(v))[0],
+        np.log([0.1, 0.1]),
+        method="Nelder-Mead",
+        options={"xatol": 1e-6, "fatol": 1e-9},
+    )
     assert np.log(found.variances) == pytest.approx(peer.x, abs=1e-3)
     _, best, covariance = dense(rows, target, covariates, found.variances)
     assert found.estimate == pytest.approx(best, abs=1e-6)
@@ -90,16 +102,22 @@ def test_the_minimum_within_bounds_is_that_of_a_general_solver():
     random = np.random.default_rng(5)
     for _ in range(5):
         root, right = random.normal(size=(5, 4)), random.normal(size=4)
-        normal, sides, limits = root.T @ root + 0.1 * np.eye(4), random.normal(size=(6, 4)), -0.1
+        normal, sides, limits = (
+            root.T @ root + 0.1 * np.eye(4),
+            random.normal(size=(6, 4)),
+            -0.1,
+        )
         length = np.linalg.cholesky(normal).T
         free = np.linalg.solve(normal, right)
         found, held = within(free, length, sides, np.full(6, limits))
         peer = minimize(
             lambda x, normal=normal, right=right: x @ normal @ x / 2 - right @ x,
-            np.zeros(4), jac=lambda x, normal=normal, right=right: normal @ x - right,
-            method="SLSQP", constraints=LinearConstraint(sides, limits),
+            np.zeros(4),
+            jac=lambda x, normal=normal, right=right: normal @ x - right,
+            method="SLSQP",
+            constraints=LinearConstraint(sides, limits),
             options={"ftol": 1e-14},
-        )  # fmt: skip
+        )
         assert found == pytest.approx(peer.x, abs=1e-5)
         assert held @ found == pytest.approx(np.full(len(held), limits), abs=1e-9)
         assert len(held)

@@ -1,5 +1,5 @@
-"""Compiled programs in the user's cache folder, those that threads load or compile before they are
-needed, and JAX's width of numbers."""
+"""Compiled programs in the user's cache folder, those that threads load or compile
+before they are needed, and JAX's width of numbers."""
 
 from __future__ import annotations
 
@@ -37,12 +37,14 @@ print(len(traced))
 
 @pytest.fixture
 def run(tmp_path, monkeypatch, capsys):
-    """The number that code prints where no program is loaded, as in a new process: by default how
-    often the function is traced. Its cache lies in a folder of the test."""
+    """The number that code prints where no program is loaded, as in a new process: by
+    default how often the function is traced. Its cache lies in a folder of the test."""
 
     def run(code=CODE + CALLS, stderr=False, **settings):
         monkeypatch.setattr(compiled, "_programs", {})
-        for name, value in ({"CURLFIT_CACHE": str(tmp_path / "cache")} | settings).items():
+        for name, value in (
+            {"CURLFIT_CACHE": str(tmp_path / "cache")} | settings
+        ).items():
             monkeypatch.setenv(name, value)
         cache.folder.cache_clear()
         warn_once.cache_clear()
@@ -59,7 +61,9 @@ def run(tmp_path, monkeypatch, capsys):
 def test_a_second_process_traces_nothing(run, tmp_path):
     assert run() == 3
     for count in (3, 0):  # and in processes of their own
-        done = python(*STRICT, "-c", CODE + CALLS, CURLFIT_CACHE=str(tmp_path / "other"))
+        done = python(
+            *STRICT, "-c", CODE + CALLS, CURLFIT_CACHE=str(tmp_path / "other")
+        )
         assert (done.returncode, done.stdout, done.stderr) == (0, f"{count}\n", "")
     assert len(list(run.folder.iterdir())) == 3  # each word and shape has its own
     assert run() == 0
@@ -67,7 +71,9 @@ def test_a_second_process_traces_nothing(run, tmp_path):
 
 @pytest.mark.skipif(cores() < 2, reason="nothing is done beside on a single core")
 def test_a_program_in_preparation_is_compiled_once(run, monkeypatch):
-    prepared = 'twice.prepare("double", np.ones(3)); twice.prepare("double", np.zeros(3))\n'
+    prepared = (
+        'twice.prepare("double", np.ones(3)); twice.prepare("double", np.zeros(3))\n'
+    )
     assert run(CODE + prepared + CALLS) == 3
     # What the thread has read stands though no file can be read any more.
     read = "while not any(p.done() for p in programs._programs.values()): pass\n"
@@ -175,7 +181,9 @@ def keeping(tmp_path):
 
 user = os.geteuid() if hasattr(os, "geteuid") else None
 posix = pytest.mark.skipif(user is None, reason="permissions of POSIX")
-root = pytest.mark.skipif(user != 0, reason="only root gives files away, and makes such folders")
+root = pytest.mark.skipif(
+    user != 0, reason="only root gives files away, and makes such folders"
+)
 
 
 @posix
@@ -183,8 +191,9 @@ def test_what_is_kept_is_the_users_own_whatever_the_umask(keeping, tmp_path):
     place = tmp_path / "new" / "cache"
     done = keeping(
         "os.umask(0); cache.folder.cache_clear(); folder = cache.folder()\n"
-        "cache.write(folder / 'a', b'one'); print(cache.read(folder / 'a'))", place=place,
-    )  # fmt: skip
+        "cache.write(folder / 'a', b'one'); print(cache.read(folder / 'a'))",
+        place=place,
+    )
     assert (done.stdout, done.stderr) == ("b'one'\n", "")
     assert stat.S_IMODE((place / "programs" / "a").stat().st_mode) == 0o600
     assert stat.S_IMODE((place / "programs").stat().st_mode) == 0o700
@@ -255,7 +264,9 @@ def test_above_the_limit_goes_what_was_not_used_for_longest(keeping, tmp_path):
     for age, name in enumerate("abcd"):
         os.utime(folder / name, (1e9 - age, 1e9 - age))
     (folder.parent / "mine.txt").write_text("not of the cache" * 100)
-    done = keeping("cache.read(folder / 'd'); cache.write(folder / 'e', bytes(100))", limit=450)
+    done = keeping(
+        "cache.read(folder / 'd'); cache.write(folder / 'e', bytes(100))", limit=450
+    )
     assert done.stderr == ""
     assert sorted(file.name for file in folder.iterdir()) == ["a", "d", "e"]
     keeping("cache.write(folder / 'f', bytes(400))", limit=450)

@@ -1,4 +1,5 @@
-"""Expected errors and optimal designs: against fits, finite differences and known optima."""
+"""Expected errors and optimal designs: against fits, finite differences and
+known optima."""
 
 from __future__ import annotations
 
@@ -13,7 +14,11 @@ from curlfit import LAWS, InitialState, Stone
 from curlfit.dynamics.contact import accelerations
 from curlfit.inference.noise.accelerations import Responses
 from curlfit.optimal_design.design import design
-from curlfit.optimal_design.information import Assumptions, PlannedThrow, record_information
+from curlfit.optimal_design.information import (
+    Assumptions,
+    PlannedThrow,
+    record_information,
+)
 from curlfit.optimal_design.selection import (
     CandidateSet,
     combined,
@@ -51,21 +56,30 @@ def single():
 
 
 def test_a_discrepancy_enters_as_its_covariance():
-    """Dense, with derivatives by differences; the difference of the eta coefficients is held."""
+    """Dense, with derivatives by differences; the difference of the eta
+    coefficients is held."""
     size, t = 0.05, np.linspace(0.0, 15.0, 76)
     # the sum alone, whose column is that of mu1_eta
-    jacobian = in_noise(np.delete(jacobian_by_differences("uniform", 2.0, 1.5, t), 3, 2))
-    found = curlfit.simulate(LAW(*TRUE), STONE, InitialState(v=2.0, omega=1.5), t).to_numpy()
+    jacobian = in_noise(
+        np.delete(jacobian_by_differences("uniform", 2.0, 1.5, t), 3, 2)
+    )
+    found = curlfit.simulate(
+        LAW(*TRUE), STONE, InitialState(v=2.0, omega=1.5), t
+    ).to_numpy()
     motion = np.array([found.x, found.y, found.phi, found.speed, found.omega])
     responses = Responses.of(t, motion, STONE)
     lacking = size * np.concatenate(
         [responses.at(t, row) / sigma for row, sigma in enumerate(NOISE.values())]
     )
     covariance = np.eye(3 * len(t)) + lacking @ lacking.T
-    errors = np.sqrt(np.diag(np.linalg.inv(jacobian.T @ np.linalg.solve(covariance, jacobian))))
+    errors = np.sqrt(
+        np.diag(np.linalg.inv(jacobian.T @ np.linalg.solve(covariance, jacobian)))
+    )
     options = {"v0": [2.0], "omega0": [1.5], "rate": 5, "until": 15.0, "throws": 1}
     values = dict(zip(("mu1_xi", "mu2_xi", "mu1_eta", "mu2_eta"), TRUE, strict=True))
-    plan, exact = (design(coefficients=values, discrepancy=one, **options) for one in (size, 0.0))
+    plan, exact = (
+        design(coefficients=values, discrepancy=one, **options) for one in (size, 0.0)
+    )
     for name, error in zip(("mu1_xi", "mu2_xi", SUM), errors, strict=False):
         assert plan.candidates[0].stderr[name] == pytest.approx(error, rel=0.03)
         assert plan.candidates[0].stderr[name] > 2 * exact.candidates[0].stderr[name]
@@ -75,21 +89,33 @@ def test_a_discrepancy_enters_as_its_covariance():
 def throw_of(v0, omega0, stone=STONE, load="uniform", seed=None, until=20.0, rate=10.0):
     noise = (0.0, 0.0) if seed is None else (NOISE["x"], NOISE["phi"])
     throw = curlfit.synthetic_throw(
-        LAW(), stone, load=load, v0=v0, omega0=omega0, until=until, dt=1 / rate,
-        noise_xy=noise[0], noise_phi=noise[1], seed=seed or 0,
-    )  # fmt: skip
+        LAW(),
+        stone,
+        load=load,
+        v0=v0,
+        omega0=omega0,
+        until=until,
+        dt=1 / rate,
+        noise_xy=noise[0],
+        noise_phi=noise[1],
+        seed=seed or 0,
+    )
     return throw.with_sigma(NOISE)
 
 
 def reported(fit):
-    errors = {name: item.stderr for name, item in fit.coefficients.items() if item.stderr}
+    errors = {
+        name: item.stderr for name, item in fit.coefficients.items() if item.stderr
+    }
     return errors | {item.expression: item.stderr for item in fit.combinations}
 
 
 @pytest.mark.parametrize(("seed", "tolerance"), [(None, 1e-6), (4, 0.03)])
 def test_errors_are_those_that_a_fit_of_such_a_throw_reports(single, seed, tolerance):
     found = curlfit.fit(throw_of(2.0, 1.5, seed=seed))
-    expected = {name: one for name, one in single.best["D"].stderr.items() if one is not None}
+    expected = {
+        name: one for name, one in single.best["D"].stderr.items() if one is not None
+    }
     assert set(expected) == {"mu1_xi", "mu2_xi", SUM}
     assert reported(found) == pytest.approx(expected, rel=tolerance)
     verdicts = {name: item.verdict for name, item in found.coefficients.items()}
@@ -109,7 +135,8 @@ def jacobian_by_differences(load, v0, omega0, times):
     """Of coefficients and initial state, shape (3, rows, 10)."""
     base = np.array([*TRUE, 0.0, 0.0, 0.0, v0, 0.0, omega0])
     columns = [
-        (series_of(base + step, load, times) - series_of(base - step, load, times)) / 2e-5
+        (series_of(base + step, load, times) - series_of(base - step, load, times))
+        / 2e-5
         for step in 1e-5 * np.eye(10)
     ]
     return np.stack(columns, -1)
@@ -152,10 +179,15 @@ def test_information_is_that_of_finite_differences(load):
 def test_a_record_until_rest_has_the_row_of_coming_to_rest(plain):
     for one in plain.candidates[::7]:
         path = curlfit.simulate(
-            LAW(), STONE, InitialState(v=one.v0, omega=one.omega0), np.array([0.0, 100.0])
+            LAW(),
+            STONE,
+            InitialState(v=one.v0, omega=one.omega0),
+            np.array([0.0, 100.0]),
         ).to_numpy()
         assert one.rest == pytest.approx(float(path.rest), rel=1e-6)
-        assert one.distance == pytest.approx(float(np.hypot(path.x[-1], path.y[-1])), rel=1e-6)
+        assert one.distance == pytest.approx(
+            float(np.hypot(path.x[-1], path.y[-1])), rel=1e-6
+        )
         assert one.last <= one.rest < one.last + 1 / one.rate + 1e-9
         assert one.rows == round(one.last * one.rate) + 1
 
@@ -163,14 +195,18 @@ def test_a_record_until_rest_has_the_row_of_coming_to_rest(plain):
 def test_the_parts_of_a_long_record_make_the_whole():
     """601 rows, in three parts: the rows at whole multiples, and those between."""
     throw = PlannedThrow(2.0, 1.5, 30.0, STONE)
-    (whole,) = record_information(Assumptions(LAW, "uniform", TRUE, NOISE, 20.0), [throw])
+    (whole,) = record_information(
+        Assumptions(LAW, "uniform", TRUE, NOISE, 20.0), [throw]
+    )
     assert whole.rows == 601
 
     slopes = jacobian_by_differences("uniform", 2.0, 1.5, np.arange(601) / 30.0)
     information = np.einsum("cij,cik->cjk", whole.factors, whole.factors)
     for place in (0, 1, 7, 9):
         slope = slopes[..., place] * (0.01 if place < 4 else 1.0)
-        np.testing.assert_allclose(information[:, place, place], (slope**2).sum(1), rtol=1e-5)
+        np.testing.assert_allclose(
+            information[:, place, place], (slope**2).sum(1), rtol=1e-5
+        )
 
 
 # Which throws to make, where that is known.
@@ -182,7 +218,9 @@ def line(places):
 
 
 def least_errors(candidates, weights, throws):
-    return select_design(candidates, error_criterion(candidates, np.array(weights)), throws)
+    return select_design(
+        candidates, error_criterion(candidates, np.array(weights)), throws
+    )
 
 
 @pytest.mark.parametrize("throws", [4, 60])
@@ -195,7 +233,8 @@ def test_a_straight_line_is_best_seen_from_its_ends(throws):
 
 
 def test_the_mean_error_asks_for_more_of_what_tells_less():
-    """a is seen with information 1, b with 9: errors 1/n + 1/(9 m) are least for n = 3 m."""
+    """a is seen with information 1, b with 9: errors 1/n + 1/(9 m) are least
+    for n = 3 m."""
     candidates = CandidateSet.from_factors([np.diag([1.0, 0.0]), np.diag([0.0, 3.0])])
     assert least_errors(candidates, np.eye(2), 8) == (0,) * 6 + (1,) * 2
     assert select_design(candidates, d_criterion, 8) == (0,) * 4 + (1,) * 4
@@ -205,7 +244,10 @@ def test_the_best_of_the_plan_is_the_best_of_all_choices(plain):
     assert len(plain.candidates) == 15
     assert plain.rank == 3
     assert plain.free == 4
-    factors = [factor_of([PlannedThrow(c.v0, c.omega0, c.rate, STONE)]) for c in plain.candidates]
+    factors = [
+        factor_of([PlannedThrow(c.v0, c.omega0, c.rate, STONE)])
+        for c in plain.candidates
+    ]
     sums = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 0.5], [0, 0, 0.5]])
     information = np.stack([(one @ sums).T @ (one @ sums) for one in factors])
     best = max(
@@ -267,7 +309,8 @@ def test_under_consistent_load_they_separate(plain):
     assert (found.of, found.size) == ("mean", 0.009)
     way = found.scenario("consistent")
     by_start = {
-        (c.v0, c.omega0): stderr for c, stderr in zip(plain.candidates, way.each, strict=True)
+        (c.v0, c.omega0): stderr
+        for c, stderr in zip(plain.candidates, way.each, strict=True)
     }
     # the more spin the more it tells, by far
     for v0 in (1.6, 1.9, 2.2):
@@ -276,7 +319,9 @@ def test_under_consistent_load_they_separate(plain):
         assert errors[0] > 400 * errors[-1]
     assert way.stderr < min(way.each) / np.sqrt(3)  # no worse than three of the best
     made = [plain.candidates[place] for place in way.throws]
-    factor = factor_of([PlannedThrow(c.v0, c.omega0, c.rate, STONE) for c in made], "consistent")
+    factor = factor_of(
+        [PlannedThrow(c.v0, c.omega0, c.rate, STONE) for c in made], "consistent"
+    )
     assert way.stderr == pytest.approx(standard_error(factor, DIFFERENCE), rel=1e-6)
 
 
@@ -298,9 +343,12 @@ def test_half_of_the_throws_with_another_stone(plain):
     assert (ordinary.v0, ordinary.omega0) == (1.9, 1.0)
     for change in plain.separation.changes:
         stones = [STONE, STONE.with_values({change.name: change.value})]
-        # two of these throws, of which the three planned are one and a half times as many
+        # two of these throws, of which the three planned are one and a half
+        # times as many
         throws = [PlannedThrow(1.9, 1.0, 30.0, stone) for stone in stones]
-        expected = standard_error(factor_of(throws, "consistent"), DIFFERENCE) / np.sqrt(1.5)
+        expected = standard_error(
+            factor_of(throws, "consistent"), DIFFERENCE
+        ) / np.sqrt(1.5)
         assert change.half == pytest.approx(expected, rel=1e-4)
 
 
@@ -314,13 +362,18 @@ def test_ice_that_changes_between_the_stones_passes_for_a_difference(plain):
             law = LAW(mu1_eta=split[0], mu2_eta=split[1])
             stone = STONE.with_values({"h": h})
             force[h, split] = float(
-                accelerations(law, stone, "consistent", np.array(1.0), np.array(1e-3)).eta
+                accelerations(
+                    law, stone, "consistent", np.array(1.0), np.array(1e-3)
+                ).eta
             )
     by_difference = [
-        (force[h, (0.0099, 0.0081)] - force[h, (0.009, 0.009)]) / force[h, (0.009, 0.009)]
+        (force[h, (0.0099, 0.0081)] - force[h, (0.009, 0.009)])
+        / force[h, (0.009, 0.009)]
         for h in (0.057, 0.114)
     ]
-    assert change.steady == pytest.approx(abs(by_difference[1] - by_difference[0]), rel=0.05)
+    assert change.steady == pytest.approx(
+        abs(by_difference[1] - by_difference[0]), rel=0.05
+    )
 
 
 # Record, text and pictures.
@@ -335,21 +388,44 @@ def test_a_saved_design_is_the_same(plain, tmp_path):
 
 def test_the_command(tmp_path):
     run = command(
-        "design", "--v0", "2.0", "--omega0=-1,5", "--throws", "2", "--rate", "20",
-        "--sigma-phi", "0.5deg", "--stone", "h=0.1", "--until", "15", cwd=tmp_path,
-    )  # fmt: skip
+        "design",
+        "--v0",
+        "2.0",
+        "--omega0=-1,5",
+        "--throws",
+        "2",
+        "--rate",
+        "20",
+        "--sigma-phi",
+        "0.5deg",
+        "--stone",
+        "h=0.1",
+        "--until",
+        "15",
+        cwd=tmp_path,
+    )
     assert (run.returncode, run.stderr) == (0, "")
     text = " ".join(run.stdout.split())
     for words in (
-        "expected errors of 2 throws selected from 2", "20 Hz for 15 s",
+        "expected errors of 2 throws selected from 2",
+        "20 Hz for 15 s",
         "5 mm in x and y, 8.7 mrad in phi",
-        "h = 0.1 m", "2 x (2 m/s, 5 rad/s)", "3 of 4 directions",
-        "no throw can separate them", "Why (eq. 16, 25-26)", "the last is zero to rounding error",
+        "h = 0.1 m",
+        "2 x (2 m/s, 5 rad/s)",
+        "3 of 4 directions",
+        "no throw can separate them",
+        "Why (eq. 16, 25-26)",
+        "the last is zero to rounding error",
         "these errors hold if the law is correct",
-    ):  # fmt: skip
+    ):
         assert words in text, words
     folder = tmp_path / "design"
-    files = ["design-errors.png", "design-map.png", "design-separate.png", "design.json"]
+    files = [
+        "design-errors.png",
+        "design-map.png",
+        "design-separate.png",
+        "design.json",
+    ]
     assert sorted(file.name for file in folder.iterdir()) == files
     shown = invoke(["show", str(folder)])
     assert shown.stdout == run.stdout[: run.stdout.index("Written:")]
@@ -360,9 +436,22 @@ def test_the_command(tmp_path):
 def test_a_fit_is_what_is_taken_to_be_true(eq12_fit, tmp_path):
     eq12_fit.save(tmp_path / "fit.json")
     words = [
-        "design", "--fit", str(tmp_path), "--v0", "2", "--omega0", "1", "--throws", "1", "--set",
-        "mu1_xi=0.001", "--no-figures", "-q", "--out", str(tmp_path / "d"),
-    ]  # fmt: skip
+        "design",
+        "--fit",
+        str(tmp_path),
+        "--v0",
+        "2",
+        "--omega0",
+        "1",
+        "--throws",
+        "1",
+        "--set",
+        "mu1_xi=0.001",
+        "--no-figures",
+        "-q",
+        "--out",
+        str(tmp_path / "d"),
+    ]
     assert invoke(words).exit_code == 0
     found = curlfit.load_design(tmp_path / "d")
     assert found.stone == eq12_fit.stone

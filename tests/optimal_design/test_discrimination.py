@@ -1,4 +1,5 @@
-"""Throws that decide between laws: against fits, brute force and simulated linear models."""
+"""Throws that decide between laws: against fits, brute force and simulated
+linear models."""
 
 from __future__ import annotations
 
@@ -14,7 +15,13 @@ from curlfit.optimal_design.discriminate import _extended
 from curlfit.optimal_design.discrimination import DECISIVE, Pair
 
 COARSE = {"x": 1.0, "y": 1.0, "phi": 2.0}
-PLAN = {"v0": [1.8, 2.2], "omega0": [1.0, 2.0], "rate": 10.0, "until": 15.0, "sigma": COARSE}
+PLAN = {
+    "v0": [1.8, 2.2],
+    "omega0": [1.0, 2.0],
+    "rate": 10.0,
+    "until": 15.0,
+    "sigma": COARSE,
+}
 EXACT = {"all": 0.0}
 LAWS = ["front-back", "coulomb"]
 
@@ -47,7 +54,9 @@ def left_by(fit):
 
 def test_both_laws_describe_the_same_draw(found):
     assert list(found.laws) == LAWS
-    fitted = curlfit.fit(throw_of(found, "front-back", 2.0, 1.0), "coulomb", details=False)
+    fitted = curlfit.fit(
+        throw_of(found, "front-back", 2.0, 1.0), "coulomb", details=False
+    )
     assert found.laws["coulomb"]["mu"] == pytest.approx(fitted["mu"].value, rel=1e-2)
 
 
@@ -63,13 +72,20 @@ def test_one_throw_leaves_what_a_fit_of_it_leaves(found):
 
 def test_chosen_throws_leave_what_a_fit_of_them_together_leaves(found):
     assert {one.truth for one in found.pairs} == {*found.laws}
-    starts = [(found.candidates[k].v0, found.candidates[k].omega0) for k in found.throws]
-    assert starts == [(1.8, 2.0), (1.8, -2.0)]  # a slope bends the paths of both to one side
+    starts = [
+        (found.candidates[k].v0, found.candidates[k].omega0) for k in found.throws
+    ]
+    # a slope bends the paths of both to one side
+    assert starts == [(1.8, 2.0), (1.8, -2.0)]
     pair = found.worst
     assert pair == found.pairs[0]
     throws = [throw_of(found, pair.truth, *start) for start in starts]
     fit = curlfit.fit_together(
-        throws, pair.rival, share="all", priors={"slope_x": "0+-0.001"}, systematics=EXACT
+        throws,
+        pair.rival,
+        share="all",
+        priors={"slope_x": "0+-0.001"},
+        systematics=EXACT,
     )
     assert fit.converged
     assert pair.chi_squared == pytest.approx(left_by(fit), rel=0.05)
@@ -89,7 +105,9 @@ def test_log_odds_are_those_of_simulated_linear_models(true, rival):
     """Two models with two columns in common, where the true one is beside the other."""
     random, n = np.random.default_rng(1), 200
     common = random.standard_normal((n, 2))
-    first, second = (np.hstack([common, random.standard_normal((n, k))]) for k in (true, rival))
+    first, second = (
+        np.hstack([common, random.standard_normal((n, k))]) for k in (true, rival)
+    )
     mean = first @ np.append(np.zeros(2), np.full(true, 5.5 / np.sqrt(n * true)))
     project = [np.linalg.qr(one)[0] for one in (first, second)]
     y = mean + random.standard_normal((20_000, n))
@@ -108,7 +126,8 @@ def test_log_odds_are_those_of_simulated_linear_models(true, rival):
 
 
 class Additive:
-    """A pair of laws whose chi squared is that of vectors in a plane, at the best angle."""
+    """A pair of laws whose chi squared is that of vectors in a plane, at
+    the best angle."""
 
     def __init__(self, rows):
         self.rows = rows
@@ -154,20 +173,36 @@ def test_a_saved_record_is_the_same(found, tmp_path):
 
 
 def test_the_command(tmp_path):
-    words = ("design", "--between", "front-back,coulomb", "--v0", "2", "--omega0", "1,20")
+    words = (
+        "design",
+        "--between",
+        "front-back,coulomb",
+        "--v0",
+        "2",
+        "--omega0",
+        "1,20",
+    )
     run = command(*words, cwd=tmp_path)
     assert (run.returncode, run.stderr) == (0, "")
     text = " ".join(run.stdout.split())
     for part in (
-        "front-back and coulomb, uniform load", "30 Hz until the stone is at rest",
+        "front-back and coulomb, uniform load",
+        "30 Hz until the stone is at rest",
         "1 throw decides: 1 x (2 m/s, ",
-        "with a probability of at least 92.3 %", "odds of 100 to 1 are 4.6",
+        "with a probability of at least 92.3 %",
+        "odds of 100 to 1 are 4.6",
         "leaves the sheet or a law cannot be fitted to it: 2 m/s with 20 rad/s",
-    ):  # fmt: skip
+    ):
         assert part in text, part
     folder = tmp_path / "design"
-    assert sorted(f.name for f in folder.iterdir()) == ["discrimination.json", "discrimination.png"]
-    assert invoke(["show", str(folder)]).stdout == run.stdout[: run.stdout.index("Written:")]
+    assert sorted(f.name for f in folder.iterdir()) == [
+        "discrimination.json",
+        "discrimination.png",
+    ]
+    assert (
+        invoke(["show", str(folder)]).stdout
+        == run.stdout[: run.stdout.index("Written:")]
+    )
     assert invoke(["plot", str(folder), "--format", "svg"]).exit_code == 0
     saved = curlfit.load_discrimination(folder)
     assert "--between=front-back,coulomb" in saved.command
@@ -179,10 +214,19 @@ def test_the_command(tmp_path):
         (["--between", "coulomb"], "expected two or more laws"),
         (["--between", "coulomb,coulomb"], "expected different laws"),
         (["--between", "coulomb,nothing"], "unknown law"),
-        (["--between", "pivot,power+pivot"], "power+pivot, power+pivot; expected different laws"),
-        (["--between", "coulomb,power", "--law", "power"], "--law is not an option with --between"),
+        (
+            ["--between", "pivot,power+pivot"],
+            "power+pivot, power+pivot; expected different laws",
+        ),
+        (
+            ["--between", "coulomb,power", "--law", "power"],
+            "--law is not an option with --between",
+        ),
         (["--between", "coulomb,power", "--throws", "65"], "expected at most 64"),
-        (["--between", "front-back,coulomb", "--v0", "9", "--until", "3"], "no such throw stays"),
+        (
+            ["--between", "front-back,coulomb", "--v0", "9", "--until", "3"],
+            "no such throw stays",
+        ),
     ],
 )
 def test_what_cannot_be_decided_is_refused(words, says):

@@ -1,4 +1,5 @@
-"""What is printed: no blanks at the ends of lines, and nothing cut in a narrow terminal."""
+"""What is printed: no blanks at the ends of lines, and nothing cut in a
+narrow terminal."""
 
 import os
 import pty
@@ -27,9 +28,13 @@ def folder(tmp_path_factory, eq12_posterior):
     place = tmp_path_factory.mktemp("printed")
     for name, v0 in (("a", 2.0), ("b", 2.1)):
         throw = synthetic_throw(
-            law_with("front-back", {}), curlfit.Stone(), v0=v0, until=15, noise_xy=0.005,
+            law_with("front-back", {}),
+            curlfit.Stone(),
+            v0=v0,
+            until=15,
+            noise_xy=0.005,
             noise_phi=0.01,
-        )  # fmt: skip
+        )
         (place / f"{name}.csv").write_text(write_table(throw))
     (place / "saved").mkdir()
     eq12_posterior[0].save(place / "saved" / "fit.json")
@@ -43,17 +48,34 @@ VERBS = {
     "check": ("check", "a.csv"),
     "laws": ("laws",),
     "compare": ("compare", "a.csv", "--laws", "front-back", "--out", "compare"),
-    "profile": ("profile", "a.csv", "--param", "mu1_xi", "--points", "5", "--out", "profile"),
+    "profile": (
+        "profile",
+        "a.csv",
+        "--param",
+        "mu1_xi",
+        "--points",
+        "5",
+        "--out",
+        "profile",
+    ),
     "profile of two": (
-        "profile", "a.csv", "--param", "mu1_xi", "--param", "mu2_xi", "--points", "5",
-        "--out", "pair",
+        "profile",
+        "a.csv",
+        "--param",
+        "mu1_xi",
+        "--param",
+        "mu2_xi",
+        "--points",
+        "5",
+        "--out",
+        "pair",
     ),
     "predict": ("predict", "saved", "--draws", "100", "--out", "predict"),
     "design": ("design", "--v0", "1.6,2.2", "--omega0", "1,10", "--out", "design"),
     "batch": ("batch", "a.csv", "b.csv", "--workers", "1"),
     "simulate": ("simulate", "--until", "1"),
     "plot": ("plot", "saved", "--out", "drawn"),
-}  # fmt: skip
+}
 DRAWING = ("fit", "compare", "profile", "predict", "design")
 
 
@@ -77,7 +99,9 @@ def test_every_verb_prints_whole_lines(verb, folder, monkeypatch):
         if verb == "simulate":  # a table for a file
             return
         # A list of files stays whole, to be copied.
-        assert not [line for line in lines if len(line) > width and "Written:" not in line]
+        assert not [
+            line for line in lines if len(line) > width and "Written:" not in line
+        ]
         if "--out" in words and verb != "plot":  # at other widths from what was saved
             words = ("show", words[words.index("--out") + 1])
 
@@ -85,9 +109,11 @@ def test_every_verb_prints_whole_lines(verb, folder, monkeypatch):
 def test_a_terminal_gets_no_blanks_either(folder):
     leader, follower = pty.openpty()
     run = subprocess.Popen(
-        [sys.executable, "-m", "curlfit", "show", "saved"], cwd=folder, stdout=follower,
+        [sys.executable, "-m", "curlfit", "show", "saved"],
+        cwd=folder,
+        stdout=follower,
         env={**os.environ, "COLUMNS": "80", "TERM": "xterm-256color"},
-    )  # fmt: skip
+    )
     os.close(follower)
     written = b""
     with suppress(OSError):  # what Linux says at the end of a terminal
@@ -104,10 +130,12 @@ def test_a_terminal_gets_no_blanks_either(folder):
 @pytest.mark.parametrize(
     ("words", "closed"),
     [
-        (("show", "saved"), "unread"), (("show", "saved"), ">&-"), (("show", "nothing"), "2>&-"),
+        (("show", "saved"), "unread"),
+        (("show", "saved"), ">&-"),
+        (("show", "nothing"), "2>&-"),
         (("show", "nothing"), "<&- >&- 2>&-"),
     ],
-)  # fmt: skip
+)
 def test_who_does_not_want_to_read_changes_nothing(folder, words, closed):
     command, how = [sys.executable, "-m", "curlfit", *words], {}
     if closed == "unread":
@@ -116,21 +144,30 @@ def test_who_does_not_want_to_read_changes_nothing(folder, words, closed):
     else:
         command = ["sh", "-c", f"{shlex.join(command)} {closed}"]
     run = subprocess.run(
-        command, cwd=folder, stderr=subprocess.PIPE, text=True, check=False,
+        command,
+        cwd=folder,
+        stderr=subprocess.PIPE,
+        text=True,
+        check=False,
         **{"stdout": subprocess.DEVNULL, **how},
-    )  # fmt: skip
+    )
     failed = "nothing" in words
     said = "curlfit: nothing: no such file\n" if failed and "2>&-" not in closed else ""
     assert (run.returncode, run.stderr) == (2 if failed else 0, said)
 
 
 def test_a_plain_terminal_is_given_what_it_can_show(folder):
-    text = (folder / "a.csv").read_text().replace("phi", "\N{GREEK SMALL LETTER PHI}_rad")
+    text = (
+        (folder / "a.csv").read_text().replace("phi", "\N{GREEK SMALL LETTER PHI}_rad")
+    )
     (folder / "greek.csv").write_text(text, encoding="utf-8")
     run = subprocess.run(
-        [sys.executable, "-m", "curlfit", "check", "greek.csv"], cwd=folder, capture_output=True,
-        env={**os.environ, "PYTHONIOENCODING": "cp1252"}, check=False,
-    )  # fmt: skip
+        [sys.executable, "-m", "curlfit", "check", "greek.csv"],
+        cwd=folder,
+        capture_output=True,
+        env={**os.environ, "PYTHONIOENCODING": "cp1252"},
+        check=False,
+    )
     assert (run.returncode, run.stderr) == (0, b"")
     shown = run.stdout.decode("cp1252")
     assert "?_rad" in shown
@@ -143,9 +180,21 @@ def printed(table, width):
 
 
 def a_table():
-    heads = ["name", ">some estimate", ">std. error", "interval of the estimate", "~more"]
+    heads = [
+        "name",
+        ">some estimate",
+        ">std. error",
+        "interval of the estimate",
+        "~more",
+    ]
     rows = [
-        [f"row {k}", f"{k}.123456", f"0.{k:06d}", f"{k}.1 .. {k}.2", f"all that is said of {k}" * 2]
+        [
+            f"row {k}",
+            f"{k}.123456",
+            f"0.{k:06d}",
+            f"{k}.1 .. {k}.2",
+            f"all that is said of {k}" * 2,
+        ]
         for k in range(3)
     ]
     table = PlainTable(dict(zip(heads, row, strict=True)) for row in rows)
@@ -183,7 +232,14 @@ def test_columns_without_content_are_left_out():
     rows = [{"name": "a", ">error": None, "note": ""}, {"name": "b", ">size": None}]
     assert printed(PlainTable(rows), 40).split() == ["name", "a", "b"]
     rows[1][">error"] = "2"
-    assert printed(PlainTable(rows), 40).split() == ["name", "error", "a", "-", "b", "2"]
+    assert printed(PlainTable(rows), 40).split() == [
+        "name",
+        "error",
+        "a",
+        "-",
+        "b",
+        "2",
+    ]
     assert not PlainTable([])
 
 
@@ -213,9 +269,13 @@ def test_numbers_of_extreme_size(value, stderr, texts, together):
 
 def test_the_claims_keep_their_formulas_at_80_columns():
     claim = Claim(
-        "eq14y", "d2y/dt2 from eq. 12", "-0.08 (1-t/23)^-0.013 m/s^2",
-        "-0.0804 (1-t/23)^-0.897, then", "holds with a correction", "Two digits change places.",
-    )  # fmt: skip
+        "eq14y",
+        "d2y/dt2 from eq. 12",
+        "-0.08 (1-t/23)^-0.013 m/s^2",
+        "-0.0804 (1-t/23)^-0.897, then",
+        "holds with a correction",
+        "Two digits change places.",
+    )
     text = printed(claims_table((claim,)), 80)
     for word in (*claim.printed.split(), *claim.computed.split()):
         assert word in text
@@ -239,8 +299,13 @@ def test_a_signed_quantity_is_told_with_its_side(meaning, value, expected):
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(0.0, "p < 0.001"), (1e-30, "p < 0.001"), (0.00099, "p < 0.001"), (0.0012, "p = 0.0012"),
-     (0.31, "p = 0.31")],
-)  # fmt: skip
+    [
+        (0.0, "p < 0.001"),
+        (1e-30, "p < 0.001"),
+        (0.00099, "p < 0.001"),
+        (0.0012, "p = 0.0012"),
+        (0.31, "p = 0.31"),
+    ],
+)
 def test_a_p_value_is_never_zero(value, text):
     assert p_text(value) == text

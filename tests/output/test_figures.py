@@ -25,8 +25,8 @@ def agg(figure):
 
 
 def require_room(figure):
-    """Draw the figure, of which no text may leave it, no two labels of ticks may meet, and no label
-    of an axis may lie on those of its ticks."""
+    """Draw the figure, of which no text may leave it, no two labels of ticks may meet,
+    and no label of an axis may lie on those of its ticks."""
     agg(figure)
     seen, draw = [], Text.draw
 
@@ -54,14 +54,16 @@ def require_room(figure):
         for axes in figure.axes
         for axis in (axes.xaxis, axes.yaxis)
     }
-    for one, other in combinations([label for labels in ticks.values() for label in labels], 2):
+    for one, other in combinations(
+        [label for labels in ticks.values() for label in labels], 2
+    ):
         assert not boxes[one].overlaps(boxes[other]), (one, other)
     for axis, labels in ticks.items():
         if axis.label in boxes:
             assert not any(boxes[axis.label].overlaps(boxes[label]) for label in labels)
 
 
-# --- corner --------------------------------------------------------------------------------------
+# --- corner ---------------------------------------------------------------------------
 
 
 CASES = {
@@ -73,13 +75,17 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_ticks_of_neighbouring_corner_panels_do_not_meet(eq12_posterior, case, monkeypatch):
+def test_ticks_of_neighbouring_corner_panels_do_not_meet(
+    eq12_posterior, case, monkeypatch
+):
     fit, chain = eq12_posterior
     if CASES[case] is not None:
         centre, spread = CASES[case]
         samples = np.random.default_rng(1).normal(size=(4000, len(fit.coefficients)))
         drawn = dict(zip(fit.coefficients, (samples * spread + centre).T, strict=True))
-        monkeypatch.setattr(Chain, "of", lambda self, weights: drawn[next(iter(weights))])
+        monkeypatch.setattr(
+            Chain, "of", lambda self, weights: drawn[next(iter(weights))]
+        )
         fit = replace(fit, combinations=(), null_directions=(), reference=None)
     figure = corner_figure(fit, chain)
     require_room(figure)
@@ -87,14 +93,19 @@ def test_ticks_of_neighbouring_corner_panels_do_not_meet(eq12_posterior, case, m
         for axis in (axes.xaxis, axes.yaxis):
             low, high = sorted(axis.get_view_interval())
             assert all(low <= place <= high for place in axis.get_majorticklocs())
-            shown = [label.get_text() for label in axis.get_ticklabels() if label.get_text()]
+            shown = [
+                label.get_text() for label in axis.get_ticklabels() if label.get_text()
+            ]
             assert len(shown) != 1
             assert len(set(shown)) == len(shown)
 
 
 def with_coefficients(fit, count):
     """The first few alone estimated."""
-    held = {name: replace(fit[name], verdict="fixed") for name in list(fit.coefficients)[count:]}
+    held = {
+        name: replace(fit[name], verdict="fixed")
+        for name in list(fit.coefficients)[count:]
+    }
     return replace(fit, parameters=fit.parameters | held)
 
 
@@ -110,7 +121,12 @@ def test_ticks_say_what_they_stand_for():
     from matplotlib.figure import Figure
 
     axes = agg(Figure()).add_subplot()
-    for low, high in ((0.0555, 0.0557), (2.0911230, 2.0911238), (-3e-9, 5e-9), (1e6, 9e6)):
+    for low, high in (
+        (0.0555, 0.0557),
+        (2.0911230, 2.0911238),
+        (-3e-9, 5e-9),
+        (1e6, 9e6),
+    ):
         axes.set_xlim(low, high)
         neat_axis(axes.xaxis, "a", "m/s^2")
         label = axes.get_xlabel()
@@ -124,7 +140,9 @@ def test_ticks_say_what_they_stand_for():
         assert len(places) >= 2
         for place, number in zip(places, axes.get_xticklabels(), strict=True):
             value = float(number.get_text().replace("\N{MINUS SIGN}", "-"))
-            assert value * 10.0**power + start == pytest.approx(place, rel=1e-12, abs=1e-15)
+            assert value * 10.0**power + start == pytest.approx(
+                place, rel=1e-12, abs=1e-15
+            )
         assert "m/s\N{SUPERSCRIPT TWO})" in label
 
 
@@ -133,17 +151,26 @@ def sampled_slope(eq12_posterior, monkeypatch):
     """A fit with a condition estimated, and Gaussian samples of all its parameters."""
     fit, chain = eq12_posterior
     slope = replace(
-        fit.parameters["mu1_xi"], value=0.0, verdict="prior", unit="m/m", symbol="s_x",
-        typical=1e-3, lower=-np.inf, upper=np.inf,
-    )  # fmt: skip
-    start = {name: fit.parameters[name] for name in list(fit.parameters)[len(fit.coefficients) :]}
+        fit.parameters["mu1_xi"],
+        value=0.0,
+        verdict="prior",
+        unit="m/m",
+        symbol="s_x",
+        typical=1e-3,
+        lower=-np.inf,
+        upper=np.inf,
+    )
+    start = {
+        name: fit.parameters[name]
+        for name in list(fit.parameters)[len(fit.coefficients) :]
+    }
     parameters = {**fit.coefficients, "slope_x": slope, **start}
     rng = np.random.default_rng(2)
     samples = {name: rng.normal(size=60_000) for name in parameters}
     monkeypatch.setattr(Chain, "of", lambda self, weights: samples[next(iter(weights))])
     plain = replace(
         fit, parameters=parameters, combinations=(), null_directions=(), reference=None
-    )  # fmt: skip
+    )
     return plain, chain
 
 
@@ -155,12 +182,16 @@ def test_a_corner_has_the_conditions_that_were_estimated(sampled_slope):
     symbols = [f"${item.symbol}$" for item in fit.coefficients.values()]
     for label, symbol in zip(below, [*symbols, "$s_x$ (m/m)"], strict=True):
         assert label.startswith(symbol)
-    held = {**fit.parameters, "slope_x": replace(fit.parameters["slope_x"], verdict="fixed")}
+    held = {
+        **fit.parameters,
+        "slope_x": replace(fit.parameters["slope_x"], verdict="fixed"),
+    }
     assert len(corner_figure(replace(fit, parameters=held), chain).axes) == 10
 
 
 def test_regions_of_a_corner_hold_the_shares_they_say(sampled_slope):
-    """Of independent normal variables the regions are circles, of squared radius -2 ln(1 - p)."""
+    """Of independent normal variables the regions are circles, of squared radius
+    -2 ln(1 - p)."""
     from matplotlib.contour import QuadContourSet
 
     figure = corner_figure(*sampled_slope)
@@ -174,7 +205,7 @@ def test_regions_of_a_corner_hold_the_shares_they_say(sampled_slope):
     assert radii == pytest.approx(expected, rel=0.05)
 
 
-# --- a fit ---------------------------------------------------------------------------------------
+# --- a fit ----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -193,7 +224,9 @@ def test_texts_of_a_fit_lie_within_the_figure(eq12_fit, times, channels):
         observed[name] = fitted[name] + times * rng.normal(size=count)
     rms = {name: times * (1 + 0.1 * k) for k, name in enumerate(channels)}
     odd = {**eq12_fit.data, "file": "x" * 250 + ".csv"}
-    figure = fit_figure(replace(eq12_fit, observed=observed, fitted=fitted, rms=rms, data=odd))
+    figure = fit_figure(
+        replace(eq12_fit, observed=observed, fitted=fitted, rms=rms, data=odd)
+    )
     require_room(figure)
     boxes = [axes.title.get_window_extent() for axes in figure.axes if axes.get_title()]
     assert len(boxes) == len(channels)
@@ -203,8 +236,9 @@ def test_texts_of_a_fit_lie_within_the_figure(eq12_fit, times, channels):
 def lines_of(axes):
     """By label, what the lines show."""
     return {
-        line.get_label(): np.array([line.get_xdata(), line.get_ydata()]) for line in axes.lines
-    }  # fmt: skip
+        line.get_label(): np.array([line.get_xdata(), line.get_ydata()])
+        for line in axes.lines
+    }
 
 
 def test_a_fit_with_a_discrepancy_is_drawn_with_it(eq12_fit):
@@ -214,13 +248,17 @@ def test_a_fit_with_a_discrepancy_is_drawn_with_it(eq12_fit):
     path, *residuals, speed, spin = fit_figure(fit).axes
     shown = lines_of(path)
     for label, series in (
-        ("data", fit.observed), ("law alone", fit.fitted), ("law and discrepancy", fit.predicted),
-    ):  # fmt: skip
+        ("data", fit.observed),
+        ("law alone", fit.fitted),
+        ("law and discrepancy", fit.predicted),
+    ):
         np.testing.assert_allclose(shown[label], [series["y"], series["x"]])
     (alone,) = [line for line in path.lines if line.get_label() == "law alone"]
     assert alone.get_linestyle() == "--"
     for axes, name in zip(residuals, ("x", "y", "phi"), strict=True):
-        (drawn,) = [line.get_ydata() for line in axes.lines if len(line.get_ydata()) == len(t)]
+        (drawn,) = [
+            line.get_ydata() for line in axes.lines if len(line.get_ydata()) == len(t)
+        ]
         left = fit.observed[name] - fit.fitted[name] - missing[name]
         scale = np.abs(left).max() / np.abs(drawn).max()
         np.testing.assert_allclose(drawn * scale, left, atol=1e-12)
@@ -230,12 +268,15 @@ def test_a_fit_with_a_discrepancy_is_drawn_with_it(eq12_fit):
         assert float(said) * size == pytest.approx(rms, rel=0.006)
         assert "of both" in axes.get_ylabel()
     for axes, name in ((speed, "speed"), (spin, "omega")):
-        drawn = [line.get_ydata() for line in axes.lines if len(line.get_ydata()) == len(t)]
+        drawn = [
+            line.get_ydata() for line in axes.lines if len(line.get_ydata()) == len(t)
+        ]
         np.testing.assert_allclose(drawn, [fit.predicted[name], fit.fitted[name]])
 
 
 def test_slopes_of_data_are_those_of_the_motion():
-    """Of evenly spaced rows a straight line has the slope of a parabola at the middle."""
+    """Of evenly spaced rows a straight line has the slope of a parabola
+    at the middle."""
     t = np.linspace(2.0, 12.0, 201)
     x, phi = 3 * t - 0.1 * t**2, 0.5 * t**2
     gap = (t > 5) & (t < 6)
@@ -248,7 +289,7 @@ def test_slopes_of_data_are_those_of_the_motion():
     assert len(at) == len(nothing) == 0
 
 
-# --- files ---------------------------------------------------------------------------------------
+# --- files ----------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -266,12 +307,16 @@ def written(eq12_posterior, tmp_path_factory):
         return {"fit": fit_figure(fit), "corner": corner_figure(two, chain)}
 
     files = write_figures(folders[0], draw(), everything.formats)
-    with rc_context({"font.size": 25, "pdf.fonttype": 3, "axes.grid": True, "lines.linewidth": 9}):
+    with rc_context(
+        {"font.size": 25, "pdf.fonttype": 3, "axes.grid": True, "lines.linewidth": 9}
+    ):
         again = write_figures(folders[1], draw(), everything.formats)
     return files, again
 
 
-def test_files_are_of_the_format_they_are_named_for_with_text_in_embedded_fonts(written):
+def test_files_are_of_the_format_they_are_named_for_with_text_in_embedded_fonts(
+    written,
+):
     begins = {".png": b"\x89PNG\r\n", ".pdf": b"%PDF-", ".svg": b"<?xml"}
     assert {file.name for file in written[0]} == {
         f"{name}{suffix}" for name in ("fit", "corner") for suffix in begins
@@ -287,7 +332,10 @@ def test_files_are_of_the_format_they_are_named_for_with_text_in_embedded_fonts(
             assert b"/Type3" not in content
             assert b"CreationDate" not in content
         if file.suffix == ".svg":
-            assert b"jensen_shegelski_2004.csv: front-back law, uniform load</text>" in content
+            assert (
+                b"jensen_shegelski_2004.csv: front-back law, uniform load</text>"
+                in content
+            )
             assert b"<dc:date>" not in content
 
 
@@ -301,7 +349,9 @@ def test_formats_are_checked(tmp_path):
     assert FigureFiles.of("pdf,PNG,pdf").formats == ("pdf", "png")
     assert FigureFiles.of(None, none=True).formats == ()
     for text in ("gif", "png,,pdf", ""):
-        with pytest.raises(curlfit.InputError, match=r"--figures .*: expected png, pdf or svg"):
+        with pytest.raises(
+            curlfit.InputError, match=r"--figures .*: expected png, pdf or svg"
+        ):
             FigureFiles.of(text)
     with pytest.raises(curlfit.InputError, match="--no-figures draws nothing"):
         FigureFiles.of("pdf", none=True)
@@ -327,25 +377,37 @@ def test_figures_of_an_earlier_result_do_not_stay(tmp_path):
 @pytest.mark.parametrize(
     ("size", "channel", "unit"),
     [
-        (0.0205, "y", (1e-3, "mm")), (3.0, "x", (1.0, "m")),
-        (2e-6, "x", (1e-6, "\N{MICRO SIGN}m")), (0.00126, "phi", (1e-3, "mrad")),
-        (2.0, "phi", (1.0, "rad")), (109.0, "phi", (2 * np.pi, "turns")),
+        (0.0205, "y", (1e-3, "mm")),
+        (3.0, "x", (1.0, "m")),
+        (2e-6, "x", (1e-6, "\N{MICRO SIGN}m")),
+        (0.00126, "phi", (1e-3, "mrad")),
+        (2.0, "phi", (1.0, "rad")),
+        (109.0, "phi", (2 * np.pi, "turns")),
         (0.0, "speed", (1e-6, "\N{MICRO SIGN}m/s")),
     ],
-)  # fmt: skip
+)
 def test_units_go_by_size(size, channel, unit):
     assert unit_for(size, channel) == unit
 
 
-# --- several throws ------------------------------------------------------------------------------
+# --- several throws -------------------------------------------------------------------
 
 
 def a_joint_result(throws, differences):
     return JointResult(
-        law="front-back", load="uniform", share=("mu1_xi",), converged=True, status="converged",
-        warnings=(), coefficients={}, combinations=(), rank=1, parameters=1,
-        variation=differences, throws=throws,
-    )  # fmt: skip
+        law="front-back",
+        load="uniform",
+        share=("mu1_xi",),
+        converged=True,
+        status="converged",
+        warnings=(),
+        coefficients={},
+        combinations=(),
+        rank=1,
+        parameters=1,
+        variation=differences,
+        throws=throws,
+    )
 
 
 def test_throws_of_a_stop_watch_have_no_path_to_draw(eq12_fit):
@@ -353,7 +415,10 @@ def test_throws_of_a_stop_watch_have_no_path_to_draw(eq12_fit):
     figure = joint_figure(a_joint_result((replace(eq12_fit, rms={}),) * 2, (found,)))
     require_room(figure)
     (estimates,) = figure.axes
-    assert [container[0].get_xdata()[0] for container in estimates.containers] == [0.01, 0.02]
+    assert [container[0].get_xdata()[0] for container in estimates.containers] == [
+        0.01,
+        0.02,
+    ]
     assert "mu_{1" in estimates.get_xlabel()
     assert "p < 0.001" in estimates.get_title(loc="left")
 

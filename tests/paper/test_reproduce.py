@@ -17,15 +17,38 @@ from docstring_examples import run_examples
 
 import curlfit
 from curlfit.friction.isotropic import Power, Stribeck
-from curlfit.paper.anisotropic import EPSILONS, coefficients_of, radial_at, rounds_to_print
+from curlfit.paper.anisotropic import (
+    EPSILONS,
+    coefficients_of,
+    radial_at,
+    rounds_to_print,
+)
 from curlfit.paper.isotropic import STONE, SpeedMixture, ring_states
 from curlfit.paper.printed import PRINTED, jensen_shegelski
 from curlfit.paper.reproduce import STUDIES
 
 IDS = [
-    "eq13", "eq14x", "eq14y", "prop1", "prop2", "prop3", "prop4", "stribeck", "prop5", "eq15-17",
-    "load", "eq22", "eq23", "eq24-l1", "eq24-l2", "eq24-l3", "eq27", "eq28", "ratio", "split",
-]  # fmt: skip
+    "eq13",
+    "eq14x",
+    "eq14y",
+    "prop1",
+    "prop2",
+    "prop3",
+    "prop4",
+    "stribeck",
+    "prop5",
+    "eq15-17",
+    "load",
+    "eq22",
+    "eq23",
+    "eq24-l1",
+    "eq24-l2",
+    "eq24-l3",
+    "eq27",
+    "eq28",
+    "ratio",
+    "split",
+]
 CORRECTED = {"eq13", "eq14x", "eq14y", "prop5", "eq15-17", "eq28", "stribeck"}
 NOTEBOOK = "2_the_paper_claim_by_claim.ipynb"
 KEYS = ["id", "claim", "printed", "computed", "verdict", "why"]
@@ -34,8 +57,8 @@ PNG = b"\x89PNG\r\n\x1a\n"
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """What the command computes; and its folder and what it prints, at first and of the same
-    computation."""
+    """What the command computes; and its folder and what it prints, at first and of the
+    same computation."""
     from curlfit.paper import reproduce as reproduction
 
     folder = tmp_path_factory.mktemp("reproduction") / "new" / "folder"
@@ -74,9 +97,9 @@ def test_examples_run(name, found):
 def test_a_reproduction_shows_its_verdicts(found):
     first, _, *verdicts = repr(found).splitlines()
     assert first.startswith(f"Reproduction, of {len(IDS)} claims ")
-    assert sorted(name for line in verdicts for name in line.split(": ")[1].split(", ")) == (
-        sorted(IDS)
-    )
+    assert sorted(
+        name for line in verdicts for name in line.split(": ")[1].split(", ")
+    ) == (sorted(IDS))
     assert all(html.escape(claim.why) in found._repr_html_() for claim in found.claims)
 
 
@@ -88,13 +111,16 @@ def test_every_claim_is_there_with_its_verdict(found):
     assert [claim.id for claim in found.claims] == IDS
     for claim in found.claims:
         expected = "holds with a correction" if claim.id in CORRECTED else "holds"
-        assert claim.verdict == ("does not hold" if claim.id == "eq24-l1" else expected), claim.id
+        assert claim.verdict == (
+            "does not hold" if claim.id == "eq24-l1" else expected
+        ), claim.id
         assert all(claim.as_dict().values())
 
 
 def numbers(text):
     return [
-        float(number) for number in re.findall(r"(?<![\w/])[-+]?\d+(?:\.\d+)?(?:e[-+]\d+)?", text)
+        float(number)
+        for number in re.findall(r"(?<![\w/])[-+]?\d+(?:\.\d+)?(?:e[-+]\d+)?", text)
     ]
 
 
@@ -106,7 +132,9 @@ def test_eq_13(found):
     )
     assert "2.062 m/s, 3 % more" in found.claim("eq13").why
     # 2 m/s in its place is another coefficient along the motion by a tenth
-    (rounded,) = (row.mu[2] for row in found.eq28.rows if row.method.endswith("start of eq. 13"))
+    (rounded,) = (
+        row.mu[2] for row in found.eq28.rows if row.method.endswith("start of eq. 13")
+    )
     assert rounded < 0.9 * PRINTED[2]
 
 
@@ -119,14 +147,20 @@ def test_eq_14(found):
     t, d = found.path.t[1:], 1e-3
     low, here, high = (jensen_shegelski(t + k * d) for k in (-1, 0, 1))
     for name, series in (("x", found.path.ax), ("y", found.path.ay)):
-        second = (getattr(low, name) - 2 * getattr(here, name) + getattr(high, name)) / d**2
+        second = (
+            getattr(low, name) - 2 * getattr(here, name) + getattr(high, name)
+        ) / d**2
         np.testing.assert_allclose(second, series[1:], atol=3e-8)
 
 
 def test_prop_5_in_both_frames(found):
     ratio = at(found, found.path.ratio, 0, 5, 10, 15, 20)
-    np.testing.assert_allclose(ratio, (0.0565, 0.0619, 0.0700, 0.0846, 0.126), rtol=2e-3)
-    np.testing.assert_allclose(at(found, found.path.limit, 0, 20), (0.0317, 0.0864), rtol=1e-3)
+    np.testing.assert_allclose(
+        ratio, (0.0565, 0.0619, 0.0700, 0.0846, 0.126), rtol=2e-3
+    )
+    np.testing.assert_allclose(
+        at(found, found.path.limit, 0, 20), (0.0317, 0.0864), rtol=1e-3
+    )
     assert (found.path.ratio > found.path.limit).all()
     assert "on the ring 0.0317 (t = 0) .. 0.0864" in found.claim("eq15-17").computed
     ice = found.path.ax / found.path.ay
@@ -155,7 +189,12 @@ def test_prop_3_and_its_remark(found):
         assert tally.slow > 1000
         assert tally.slow_left == 0
         assert tally.left == tally.speeds_up == tally.remark
-    assert {k for k, tally in found.isotropic.power.items() if tally.left} == {-3, -2, -1.5, -1.1}
+    assert {k for k, tally in found.isotropic.power.items() if tally.left} == {
+        -3,
+        -2,
+        -1.5,
+        -1.1,
+    }
     assert found.isotropic.mixture.left > 0
     for example in (found.isotropic.power_example, found.isotropic.mixture_example):
         assert example.t_xi < 0 < example.t_eta
@@ -180,7 +219,11 @@ def test_prop_4(found):
 def test_forces_of_the_isotropic_laws(found):
     """Each at 2 m/s and some spins, against values of the independent reference."""
     expected = {
-        0: ((1, 10, 40, 200), (2.9e-6, 2.7e-5, 3.4e-5, 6.8e-6), (-1e-2, -9.7e-3, -4.2e-3, -7.7e-4)),
+        0: (
+            (1, 10, 40, 200),
+            (2.9e-6, 2.7e-5, 3.4e-5, 6.8e-6),
+            (-1e-2, -9.7e-3, -4.2e-3, -7.7e-4),
+        ),
         1: ((1, 10, 40), (9.1e-7, 8.8e-6, 4.9e-6), (-5.7e-3, -5.5e-3, -1.2e-3)),
         3: ((1, 40, 100), (4.0e-6, 6.6e-5, 4.8e-5), None),
         4: ((1, 40, 100), (6.8e-6, 7.3e-6, -8.5e-5), None),
@@ -220,7 +263,10 @@ def test_first_order_forms(found):
     ring = Reference(front_back(0.01, 0, 0, 0), R=0.065)
     force = ring.force(2.0, 2.0 * EPSILONS[0])
     assert abs(force[0] / (EPSILONS[0] * 0.01 / np.pi) - 1) < 1e-6
-    assert abs(force[2] / (-EPSILONS[0] * 0.01 / 4) - 1) < 1.01 * found.ring.front_back_gap[0, 2]
+    assert (
+        abs(force[2] / (-EPSILONS[0] * 0.01 / 4) - 1)
+        < 1.01 * found.ring.front_back_gap[0, 2]
+    )
     assert "eps <= 0.086 on" in found.claim("eq23").computed
     millimetres, _ = numbers(found.claim("eq27").computed.partition("differ by")[2])
     assert 1 < millimetres < 10
@@ -230,7 +276,9 @@ def test_first_order_forms(found):
 def test_eq_24(found):
     l1, l2, l3 = found.ring.l
     found_l1 = at(found, l1, 0, 5, 10, 15, 20)
-    np.testing.assert_allclose(found_l1, (-0.0049, -0.0046, -0.0041, -0.0027, 0.0033), atol=6e-5)
+    np.testing.assert_allclose(
+        found_l1, (-0.0049, -0.0046, -0.0041, -0.0027, 0.0033), atol=6e-5
+    )
     assert 15 < found.ring.l1_zero < 20
     assert -0.0345 < l3.min() < l3.max() < -0.030
     assert (l2 > 0).all()
@@ -243,7 +291,10 @@ def test_l1_depends_on_rho_over_r(found):
 
     def l1(radius, rho, t=20.0, d=1e-3):
         low, here, high = (np.array(jensen_shegelski(t + k * d)) for k in (-1, 0, 1))
-        (vx, vy, omega), (ax, ay, angular) = (high - low) / (2 * d), (high - 2 * here + low) / d**2
+        (vx, vy, omega), (ax, ay, angular) = (
+            (high - low) / (2 * d),
+            (high - 2 * here + low) / d**2,
+        )
         speed = np.hypot(vx, vy)
         along = (ax * vx + ay * vy) / speed
         return 4 / 9.81 * (rho**2 * angular * speed / (radius**2 * omega) - along)
@@ -262,16 +313,23 @@ def test_eq_22(found):
     """By hand from eq. 18-21: v(A)/v = sin(alpha) n + (eps + cos(alpha)) tau."""
     assert numbers(found.claim("eq22").computed)[-1] < 1e-13
     mu = np.array([0.006, 0.008, 0.009, 0.018])
-    for angle, (normal, tangent) in ((0.7, mu[[0, 2]]), (2.9, mu[[0, 2]]), (-1.1, mu[[1, 3]])):
+    for angle, (normal, tangent) in (
+        (0.7, mu[[0, 2]]),
+        (2.9, mu[[0, 2]]),
+        (-1.1, mu[[1, 3]]),
+    ):
         n = np.array([np.cos(angle), np.sin(angle)])
         tau = np.array([-n[1], n[0]])
         a, b = np.sin(angle), 0.3 + np.cos(angle)
         force = -(normal * a * n + tangent * b * tau) / np.hypot(a, b)
-        np.testing.assert_allclose(radial_at(mu, 0.3, np.array([angle]))[:, 0], force, rtol=1e-13)
+        np.testing.assert_allclose(
+            radial_at(mu, 0.3, np.array([angle]))[:, 0], force, rtol=1e-13
+        )
 
 
 def test_error_of_a_uniform_load(found):
-    """In closed form to first order in eps, with the load 1 + a cos(alpha) + b sin(alpha)."""
+    """In closed form to first order in eps, with the load 1 + a cos(alpha) +
+    b sin(alpha)."""
     m1, m2, along = 0.0018, 0.058, 0.018
     errors = []
     for radius in (0.054, 0.065):
@@ -288,7 +346,8 @@ def test_error_of_a_uniform_load(found):
 
 
 def test_a_line_that_meets_zero_must_also_rise(found):
-    """At 2 m/s and 1 1/s: both lines meet mu = 0 at v/n > 0, and only the rising one curls left."""
+    """At 2 m/s and 1 1/s: both lines meet mu = 0 at v/n > 0, and only the rising
+    one curls left."""
     (_, omega, falling, *_), (_, _, rising, *_) = found.isotropic.curves[4:6]
     row = np.searchsorted(omega, 1.0)
     assert rising[row] < 0 < falling[row]
@@ -300,33 +359,71 @@ def test_a_line_that_meets_zero_must_also_rise(found):
     [
         ("eq. 27 at each t, mean", 0.054, 0.1, 20, (0.0001, 0.0557, 0.0176)),
         ("eq. 27 at each t, mean", 0.054, 0.1025, 20, (0.0015, 0.0571, 0.0176)),
-        ("eq. 27 at each t, least squares", 0.054, 0.1025, 18, (0.0016, 0.0573, 0.0174)),
-        ("eq. 27 at each t, least squares", 0.0535, 0.1025, 18, (0.0019, 0.0581, 0.0174)),
-        ("eq. 27 at each t, mean, wrong sign of eq. 14", 0.054, 0.1, 20, (-0.045, 0.101, 0.0175)),
+        (
+            "eq. 27 at each t, least squares",
+            0.054,
+            0.1025,
+            18,
+            (0.0016, 0.0573, 0.0174),
+        ),
+        (
+            "eq. 27 at each t, least squares",
+            0.0535,
+            0.1025,
+            18,
+            (0.0019, 0.0581, 0.0174),
+        ),
+        (
+            "eq. 27 at each t, mean, wrong sign of eq. 14",
+            0.054,
+            0.1,
+            20,
+            (-0.045, 0.101, 0.0175),
+        ),
         ("trajectory fit", 0.065, 0.1, 20, (-0.0036, 0.0423, 0.0176)),
         ("trajectory fit", 0.065, 0.1025, 20, (-0.0026, 0.0432, 0.0176)),
-        ("trajectory fit, even weights, from the origin", 0.054, 0.1, 20,
-         (0.000415, 0.055542, 0.017314)),
-        ("trajectory fit, even weights, from the origin", 0.054, 0.1025, 20,
-         (0.00183, 0.05696, 0.0173)),
-        ("trajectory fit, even weights, start of eq. 13", 0.054, 0.1, 20,
-         (0.00003, 0.0538, 0.0154)),
+        (
+            "trajectory fit, even weights, from the origin",
+            0.054,
+            0.1,
+            20,
+            (0.000415, 0.055542, 0.017314),
+        ),
+        (
+            "trajectory fit, even weights, from the origin",
+            0.054,
+            0.1025,
+            20,
+            (0.00183, 0.05696, 0.0173),
+        ),
+        (
+            "trajectory fit, even weights, start of eq. 13",
+            0.054,
+            0.1,
+            20,
+            (0.00003, 0.0538, 0.0154),
+        ),
     ],
-)  # fmt: skip
+)
 def test_eq_28_in_every_way(found, method, radius, rho, window, expected):
     (row,) = (
         row for row in found.eq28.rows if row[:4] == (method, radius, rho, window)
-    )  # fmt: skip
-    digits = [max(len(f"{value:.6f}".rstrip("0").partition(".")[2]), 4) for value in expected]
+    )
+    digits = [
+        max(len(f"{value:.6f}".rstrip("0").partition(".")[2]), 4) for value in expected
+    ]
     # Half of the last digit given, and what rounding both allows.
     np.testing.assert_array_less(
-        np.abs(row.mu - expected), [0.0006 if method.endswith("14") else 10.0**-d for d in digits]
+        np.abs(row.mu - expected),
+        [0.0006 if method.endswith("14") else 10.0**-d for d in digits],
     )
 
 
 def test_printed_digits_come_out_somewhere(found):
     reached = [row for row in found.eq28.rows if rounds_to_print(row.mu)]
-    assert [row[:4] for row in reached] == [("eq. 27 at each t, mean", 0.0535, 0.1025, 20.0)]
+    assert [row[:4] for row in reached] == [
+        ("eq. 27 at each t, mean", 0.0535, 0.1025, 20.0)
+    ]
     assert not rounds_to_print(coefficients_of(found.eq28.fit))
 
 
@@ -354,7 +451,12 @@ def test_posterior_over_the_rounding_of_the_stone(found):
 def test_ratio_and_split(found):
     assert abs(numbers(found.claim("ratio").computed)[0] - 3.19) < 0.01
     assert found.eq28.fit.null_directions == ({"mu1_eta": 1.0, "mu2_eta": -1.0},)
-    assert found.eq28.fit.singular_values[-1] < 1e-6 < 100 < found.eq28.fit.singular_values[-2]
+    assert (
+        found.eq28.fit.singular_values[-1]
+        < 1e-6
+        < 100
+        < found.eq28.fit.singular_values[-2]
+    )
     assert found.ring.split_epsilon.max() > 1 > found.ring.split_epsilon.min()
     assert found.ring.split_uniform.max() < 1e-13
     near = found.ring.split_consistent[found.ring.split_epsilon == 0.1]
@@ -367,9 +469,13 @@ def test_what_is_written(made):
     assert [list(item) for item in record] == [KEYS] * len(IDS)
     assert [item["id"] for item in record] == IDS
     assert {item["verdict"] for item in record} == {
-        "holds", "holds with a correction", "does not hold",
-    }  # fmt: skip
-    assert all(isinstance(value, str) and value for item in record for value in item.values())
+        "holds",
+        "holds with a correction",
+        "does not hold",
+    }
+    assert all(
+        isinstance(value, str) and value for item in record for value in item.values()
+    )
     assert json.loads(as_json) == record
     assert silent == ""
     page = (folder / "claims.md").read_text()
@@ -395,7 +501,8 @@ def test_studies_can_be_drawn_without_jax(found, tmp_path):
 
 
 def test_the_state_to_try_in_the_notebook_is_that_of_the_remark():
-    """It gains speed and loses spin, with friction that opposes sliding on the whole ring."""
+    """It gains speed and loses spin, with friction that opposes sliding on
+    the whole ring."""
     notebook = json.loads((DATA.parents[1] / "notebooks" / NOTEBOOK).read_text())
     said = " ".join("".join(notebook["cells"][-1]["source"]).split())
     number = r"([-\d.]+)"
@@ -403,7 +510,9 @@ def test_the_state_to_try_in_the_notebook_is_that_of_the_remark():
         f"`mu0 = {number}`, `mu1 = {number}` s/m at {number} m/s and {number} 1/s", said
     )
     mu0, mu1, v, omega = map(float, found.groups())
-    states = ring_states(Stribeck, np.array([[mu0, mu1]]), np.array([v]), np.array([omega]))
+    states = ring_states(
+        Stribeck, np.array([[mu0, mu1]]), np.array([v]), np.array([omega])
+    )
     assert states.t_xi < 0 < states.t_eta
     assert states.spin_up < 0
     assert states.least > 0

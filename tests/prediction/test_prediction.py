@@ -1,4 +1,5 @@
-"""Predictions: against an integration that shares no code, brute force, refits and symmetry."""
+"""Predictions: against an integration that shares no code, brute force, refits
+and symmetry."""
 
 from __future__ import annotations
 
@@ -33,14 +34,20 @@ HOG = sheet.LINES["hog"]
 def thrown(seed=3, until=20.0, law="front-back", noise=(0.005, 0.01), **start):
     true = curlfit.law_with(law, TRUE if law == "front-back" else {})
     return curlfit.synthetic_throw(
-        true, STONE, noise_xy=noise[0], noise_phi=noise[1], seed=seed, until=until,
+        true,
+        STONE,
+        noise_xy=noise[0],
+        noise_phi=noise[1],
+        seed=seed,
+        until=until,
         **{"v0": 2.15, "omega0": 1.2, "heading": 0.02} | start,
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture(scope="module", autouse=True)
 def discrepancy_found_once():
-    """That of a fit takes most of the time of a prediction, of which one fit has many here."""
+    """That of a fit takes most of the time of a prediction, of which one fit
+    has many here."""
     with pytest.MonkeyPatch.context() as patch:
         found = lru_cache(discrepancy_posterior)
         patch.setattr("curlfit.prediction.simulation.discrepancy_posterior", found)
@@ -57,13 +64,18 @@ def carried(fit):
     return curlfit.predict(fit, draws=200)
 
 
-def test_the_longest_programs_are_prepared_as_they_will_be_called(eq12_fit, monkeypatch):
+def test_the_longest_programs_are_prepared_as_they_will_be_called(
+    eq12_fit, monkeypatch
+):
     prepared = {}
     monkeypatch.setattr(compiled, "_programs", {})
     monkeypatch.setattr(
-        compiled._CompiledFunction, "prepare",
-        lambda self, *args: prepared.update({self.__name__: (self, self._call(args).key)}),
-    )  # fmt: skip
+        compiled._CompiledFunction,
+        "prepare",
+        lambda self, *args: prepared.update(
+            {self.__name__: (self, self._call(args).key)}
+        ),
+    )
     curlfit.predict(eq12_fit, draws=100)
     assert set(prepared) == {"_motions"}
     assert set(prepared.values()) <= set(compiled._programs)
@@ -81,47 +93,65 @@ def path_by_simulation(fit, start, times, values=None):
     return curlfit.simulate(law, STONE, start, times).to_numpy()
 
 
-# --- the sheet -----------------------------------------------------------------------------------
+# --- the sheet ------------------------------------------------------------------------
 
 
 def test_the_sheet_is_that_of_the_rules():
     feet = {
-        sheet.TEE_TO_TEE: 114, sheet.TEE_TO_HACK: 12, sheet.TEE_TO_HOG: 21, sheet.TEE_TO_BACK: 6,
-        sheet.HOG_TO_HOG: 72, sheet.LENGTH: 150, sheet.WIDTH: 16 + 5 / 12, sheet.HOUSE: 6,
-    }  # fmt: skip
+        sheet.TEE_TO_TEE: 114,
+        sheet.TEE_TO_HACK: 12,
+        sheet.TEE_TO_HOG: 21,
+        sheet.TEE_TO_BACK: 6,
+        sheet.HOG_TO_HOG: 72,
+        sheet.LENGTH: 150,
+        sheet.WIDTH: 16 + 5 / 12,
+        sheet.HOUSE: 6,
+    }
     for metres, length in feet.items():
         assert metres == pytest.approx(length * 0.3048, abs=0.005)
-    assert pytest.approx([6 * 0.3048, 4 * 0.3048, 2 * 0.3048, 0.1524], abs=0.001) == sheet.CIRCLES
+    assert (
+        pytest.approx([6 * 0.3048, 4 * 0.3048, 2 * 0.3048, 0.1524], abs=0.001)
+        == sheet.CIRCLES
+    )
     assert 2 * np.pi * sheet.STONE_RADIUS == pytest.approx(0.914, abs=0.005)
     assert pytest.approx(-(6 + 21) / 2 * 0.3048, abs=0.002) == GUARD
 
 
-# --- the path and its numbers --------------------------------------------------------------------
+# --- the path and its numbers ---------------------------------------------------------
 
 
 def almost_to_rest(fit, prediction, rows=1501):
-    """Times and the independent path up to a twentieth of a second before rest: what is left is
-    0.1 mm. In it the heading turns so fast that the integrator may go on for ever."""
+    """Times and the independent path up to a twentieth of a second before rest:
+    what is left is 0.1 mm. In it the heading turns so fast that the integrator may
+    go on for ever."""
     t = np.linspace(0, prediction.quantities["time"].value - 0.05, rows)
     values = [item.value for item in fit.coefficients.values()]
-    reference = Reference(front_back(*values), R=fit.stone.R, rho=fit.stone.rho, nodes=80)
+    reference = Reference(
+        front_back(*values), R=fit.stone.R, rho=fit.stone.rho, nodes=80
+    )
     return t, reference.path(begun(prediction), t)
 
 
 def test_path_and_lines_are_those_of_an_independent_integration(fit):
-    found = curlfit.predict(fit, start={"v0": 2.4, "omega0": 1.5, "heading": 0.01}, draws=100)
+    found = curlfit.predict(
+        fit, start={"v0": 2.4, "omega0": 1.5, "heading": 0.01}, draws=100
+    )
     t, (x, y, phi) = almost_to_rest(fit, found)
     shown = found.series["t"] < t[-1]
     for name, values in {"x": x, "y": y, "phi": phi}.items():
         np.testing.assert_allclose(
-            found.series[name][shown], CubicSpline(t, values)(found.series["t"][shown]),
-            atol=2e-6, rtol=0, err_msg=name,
-        )  # fmt: skip
+            found.series[name][shown],
+            CubicSpline(t, values)(found.series["t"][shown]),
+            atol=2e-6,
+            rtol=0,
+            err_msg=name,
+        )
     value = {name: item.value for name, item in found.quantities.items()}
     assert value["rest_x"] == pytest.approx(x[-1], abs=2e-4)
     assert value["rest_y"] == pytest.approx(y[-1] - sheet.TEE, abs=2e-4)
     assert value["turns"] == pytest.approx(phi[-1] / (2 * np.pi), abs=1e-3)
-    across = np.array([np.cos(0.01), -np.sin(0.01)])  # to the right of the line of delivery
+    # to the right of the line of delivery
+    across = np.array([np.cos(0.01), -np.sin(0.01)])
     assert value["curl"] == pytest.approx(across @ [x[-1], y[-1] - HOG], abs=2e-4)
     along, sideways = CubicSpline(t, y), CubicSpline(t, x)
     times, speeds = {}, {}
@@ -134,7 +164,9 @@ def test_path_and_lines_are_those_of_an_independent_integration(fit):
     assert value["speed_at_far_hog"] == pytest.approx(speeds["far-hog"], abs=1e-4)
     assert value["speed_at_tee"] == pytest.approx(speeds["far-tee"], abs=1e-4)
     assert value["speed_at_hog"] == pytest.approx(2.4)
-    assert value["hog_to_rest"] == pytest.approx(value["time"] - times["far-hog"], abs=1e-4)
+    assert value["hog_to_rest"] == pytest.approx(
+        value["time"] - times["far-hog"], abs=1e-4
+    )
     rest = value["time"]
     speed = path_by_simulation(fit, begun(found), [0.0, rest - 2e-3, rest + 2e-3]).speed
     assert speed[1] > 0 == speed[2]
@@ -159,17 +191,30 @@ def test_a_stone_that_does_not_turn_rests_when_mechanics_say(still):
 
 def test_a_mirrored_throw_has_a_mirrored_prediction(eq12_fit):
     start = {"v0": 2.1, "omega0": 1.4, "heading": 0.02, "x0": 0.3}
-    mirrored = {name: value if name == "v0" else -value for name, value in start.items()}
-    one, other = (curlfit.predict(eq12_fit, start=s, draws=300) for s in (start, mirrored))
+    mirrored = {
+        name: value if name == "v0" else -value for name, value in start.items()
+    }
+    one, other = (
+        curlfit.predict(eq12_fit, start=s, draws=300) for s in (start, mirrored)
+    )
     assert one.misfit.detected
     for column, sign in (("x", -1), ("phi", -1), ("y", 1)):
-        np.testing.assert_allclose(other.series[column], sign * one.series[column], atol=1e-9)
-    # the deviation is turned by a heading that is seen from the fitted one, which is not quite 0
+        np.testing.assert_allclose(
+            other.series[column], sign * one.series[column], atol=1e-9
+        )
+    # the deviation is turned by a heading that is seen from the fitted one, which
+    # is not quite 0
     for column in ("x_model_sd", "y_model_sd", "phi_model_sd", "x_parameter_sd"):
         np.testing.assert_allclose(
-            other.series[column], one.series[column], rtol=0.12, atol=1e-6, err_msg=column
+            other.series[column],
+            one.series[column],
+            rtol=0.12,
+            atol=1e-6,
+            err_msg=column,
         )
-    assert other.quantities["curl"].value == pytest.approx(-one.quantities["curl"].value)
+    assert other.quantities["curl"].value == pytest.approx(
+        -one.quantities["curl"].value
+    )
     assert any("opposite way" in warning for warning in other.warnings)
 
 
@@ -181,8 +226,9 @@ def test_the_fitted_throw_is_laid_on_a_line(fit, carried):
     own = carried.series["y"][:n] - HOG + fit.parameters["y0"].value
     np.testing.assert_allclose(
         np.interp(fit.observed["t"][::10], carried.series["t"][:n], own)[:-1],
-        fit.fitted["y"][::10][:-1], atol=1e-6,
-    )  # fmt: skip
+        fit.fitted["y"][::10][:-1],
+        atol=1e-6,
+    )
     kept = curlfit.predict(fit, line="data", draws=100)
     assert kept.series["y"][0] == pytest.approx(fit.parameters["y0"].value)
 
@@ -199,7 +245,7 @@ def test_throws_of_a_stop_watch_lie_on_the_sheet(tmp_path):
     assert any("too few rows" in warning for warning in found.warnings)
 
 
-# --- aiming --------------------------------------------------------------------------------------
+# --- aiming ---------------------------------------------------------------------------
 
 
 def test_a_target_is_met_by_an_independent_integration(fit):
@@ -228,7 +274,9 @@ def test_weights_rest_where_they_say(fit):
         assert found.quantities["rest_y"].value == pytest.approx(y, abs=1e-6)
     aside = curlfit.predict(fit, weight="draw", start={"heading": 0.0}, draws=100)
     assert aside.quantities["rest_y"].value == pytest.approx(0.0, abs=1e-6)
-    assert aside.quantities["rest_x"].value == pytest.approx(aside.quantities["curl"].value)
+    assert aside.quantities["rest_x"].value == pytest.approx(
+        aside.quantities["curl"].value
+    )
     assert abs(aside.quantities["rest_x"].value) > 0.5
 
 
@@ -240,25 +288,30 @@ def test_the_place_follows_the_start_as_said(fit):
         start = replace(start, **{field: getattr(start, field) + item["by"]})
         moved = path_by_simulation(fit, start, [0.0, 300.0])
         for way, end, zero, key in (
-            ("right", moved.x[-1], 0.0, "rest_x"), ("along", moved.y[-1], sheet.TEE, "rest_y")
-        ):  # fmt: skip
+            ("right", moved.x[-1], 0.0, "rest_x"),
+            ("along", moved.y[-1], sheet.TEE, "rest_y"),
+        ):
             change = end - zero - base.quantities[key].value
             assert change == pytest.approx(item[way], abs=1e-4), (name, way)
 
 
-# --- errors of the parameters --------------------------------------------------------------------
+# --- errors of the parameters ---------------------------------------------------------
 
 
 def test_bands_are_those_of_brute_force(fit):
     """Coefficients by numpy from the fit's covariance, each with its own path."""
-    found = curlfit.predict(fit, start={"v0": 2.3, "omega0": 1.2, "heading": 0.0}, draws=1000)
+    found = curlfit.predict(
+        fit, start={"v0": 2.3, "omega0": 1.2, "heading": 0.0}, draws=1000
+    )
     names, k = list(fit.coefficients), 200
     place = [fit.covariance["names"].index(name) for name in names]
     matrix = np.array(fit.covariance["matrix"])[np.ix_(place, place)]
     random = np.random.default_rng(5)
     t = 25.0  # some two seconds before rest
     there = []
-    for values in random.multivariate_normal([fit.coefficients[n].value for n in names], matrix, k):
+    for values in random.multivariate_normal(
+        [fit.coefficients[n].value for n in names], matrix, k
+    ):
         path = path_by_simulation(fit, begun(found), [0.0, t], values)
         there.append([path.x[-1], path.y[-1], path.phi[-1]])
     row = int(np.argmin(np.abs(found.series["t"] - t)))
@@ -273,7 +326,9 @@ def test_chain_and_covariance_say_the_same(eq12_posterior):
     one, other = curlfit.predict(fit, chain), curlfit.predict(fit)
     assert (one.draws["source"], other.draws["source"]) == ("chain", "covariance")
     for name, item in one.quantities.items():
-        assert other.quantities[name].parameter_sd == pytest.approx(item.parameter_sd, rel=0.1)
+        assert other.quantities[name].parameter_sd == pytest.approx(
+            item.parameter_sd, rel=0.1
+        )
     with pytest.raises(InputError, match="of another fit"):
         curlfit.predict(fit, replace(chain, names=chain.names[::-1]))
 
@@ -281,7 +336,9 @@ def test_chain_and_covariance_say_the_same(eq12_posterior):
 def test_the_split_that_is_not_known_does_not_widen_the_bands(fit):
     assert fit.null_directions
     free = curlfit.predict(fit, weight="draw", draws=400)
-    held = curlfit.predict(curlfit.fit(thrown(), fix={"mu1_eta": 0.009}), weight="draw", draws=400)
+    held = curlfit.predict(
+        curlfit.fit(thrown(), fix={"mu1_eta": 0.009}), weight="draw", draws=400
+    )
     for name in ("rest_x", "rest_y", "time"):
         assert free.quantities[name].parameter_sd == pytest.approx(
             held.quantities[name].parameter_sd, rel=0.1
@@ -293,33 +350,39 @@ def test_what_is_not_known_and_matters_is_said_and_in_the_bands():
     """A stone that does not turn tells nothing of curl."""
     throw = thrown(omega0=0.0)
     straight = curlfit.fit(
-        curlfit.Throw.from_arrays(throw.t, throw.x, throw.y), stone=STONE,
-        fix={"omega0": 0.0, "mu1_xi": 0.005, "mu1_eta": 0.009}, bounds={"mu2_xi": (0.02, 0.08)},
-    )  # fmt: skip
+        curlfit.Throw.from_arrays(throw.t, throw.x, throw.y),
+        stone=STONE,
+        fix={"omega0": 0.0, "mu1_xi": 0.005, "mu1_eta": 0.009},
+        bounds={"mu2_xi": (0.02, 0.08)},
+    )
     assert straight.null_directions == ({"mu2_xi": 1.0},)
-    straight = replace(straight, converged=True)  # which it cannot be sure of along mu2_xi
+    # which it cannot be sure of along mu2_xi
+    straight = replace(straight, converged=True)
     again = curlfit.predict(straight, draws=200)
     assert again.quantities["curl"].parameter_sd < 0.01
     turning = curlfit.predict(straight, start={"omega0": 1.2}, draws=200)
-    assert any("not determined, which affects this throw" in one for one in turning.warnings)
+    assert any(
+        "not determined, which affects this throw" in one for one in turning.warnings
+    )
     assert turning.quantities["curl"].parameter_sd > 0.1
 
 
 def test_a_new_throw_asks_for_a_spin_that_the_fit_does_not_know(fit):
     unknown = replace(
-        fit, parameters=fit.parameters
+        fit,
+        parameters=fit.parameters
         | {"omega0": replace(fit.parameters["omega0"], verdict="not identifiable")},
-    )  # fmt: skip
+    )
     with pytest.raises(InputError, match="does not determine the spin"):
         curlfit.predict(unknown, start={"v0": 2.0})
 
 
-# --- errors of the law ---------------------------------------------------------------------------
+# --- errors of the law ----------------------------------------------------------------
 
 
 def game_throw(v0=2.2, omega0=1.5, seed=0, until=np.inf):
-    """A throw as the simulator of DigitalCurling makes it (FCV1), every 0.12 s with noise, and
-    where it comes to rest."""
+    """A throw as the simulator of DigitalCurling makes it (FCV1), every 0.12 s with
+    noise, and where it comes to rest."""
 
     def rates(t, state):
         _, _, v, heading, _, omega = state
@@ -333,9 +396,14 @@ def game_throw(v0=2.2, omega0=1.5, seed=0, until=np.inf):
 
     resting.terminal = True
     path = solve_ivp(
-        rates, (0, 60), [0, 0, v0, 0, 0, omega0], events=resting, dense_output=True,
-        rtol=1e-9, atol=1e-10,
-    )  # fmt: skip
+        rates,
+        (0, 60),
+        [0, 0, v0, 0, 0, omega0],
+        events=resting,
+        dense_output=True,
+        rtol=1e-9,
+        atol=1e-10,
+    )
     t = np.arange(0, min(path.t[-1], until), 0.12)
     random = np.random.default_rng(seed)
     x, y, _, _, phi, _ = path.sol(t) + np.array(
@@ -360,7 +428,9 @@ def path_of(fit, values=None):
 def test_a_path_under_further_accelerations_is_that_of_mechanics(still):
     """Constant friction and constant accelerations beside it, by scipy."""
     t = np.linspace(0.0, 60.0, 601)
-    law = simulate_ensemble(still.model, still.values[None], still.stone, LEVEL_AND_STILL, t)
+    law = simulate_ensemble(
+        still.model, still.values[None], still.stone, LEVEL_AND_STILL, t
+    )
     across, along, turning = -0.01, 0.02, 0.005
     one = np.tile(np.array([across, along, turning])[:, None], (1, 1, len(t) - 1))
     found = law.with_accelerations(one)
@@ -373,7 +443,9 @@ def test_a_path_under_further_accelerations_is_that_of_mechanics(still):
         v = v0 - slowing * t
         return [v * np.sin(state[2]), v * np.cos(state[2]), across / v]
 
-    there = solve_ivp(rates, (0, 0.999 * rest), [x0, y0, heading], dense_output=True, rtol=1e-9)
+    there = solve_ivp(
+        rates, (0, 0.999 * rest), [x0, y0, heading], dense_output=True, rtol=1e-9
+    )
     shown = t < 0.98 * rest
     expected, place = there.sol(t[shown]), found.positions_at(t[shown])[0]
     np.testing.assert_allclose(place[0], expected[0], atol=2e-4)
@@ -386,17 +458,22 @@ def test_a_path_under_further_accelerations_is_that_of_mechanics(still):
 
 @pytest.mark.slow
 def test_the_coefficients_of_a_refit_are_not_changed_by_a_missing_acceleration(fit):
-    """They are those of least squares by definition; the start follows the acceleration."""
+    """They are those of least squares by definition; the start follows
+    the acceleration."""
     found = discrepancy_posterior(fit)
     missing = found.draw(2, np.random.default_rng(2))
-    missing = missing._replace(acceleration=0.2 * missing.acceleration, change=0.2 * missing.change)
+    missing = missing._replace(
+        acceleration=0.2 * missing.acceleration, change=0.2 * missing.change
+    )
     paths = missing.applied_to(path_of(fit, fit.values + missing.change))
     sigma = {name: fit.sigma[name] for name in ("x", "y", "phi")}
     t = fit.observed["t"]
     coefficients = list(fit.coefficients)
     assert missing.change[:, : len(coefficients)] == pytest.approx(0.0, abs=1e-9)
     for values in paths.positions_at(t - t[0]):
-        again = curlfit.fit(curlfit.Throw.from_arrays(t, *values, sigma=sigma), stone=STONE)
+        again = curlfit.fit(
+            curlfit.Throw.from_arrays(t, *values, sigma=sigma), stone=STONE
+        )
         for name, item in fit.parameters.items():
             if item.verdict == "determined":
                 off = again.parameters[name].value - item.value
@@ -421,13 +498,23 @@ def test_a_missing_force_is_less_than_the_friction(game_fit):
     speed = game_fit.fitted["speed"]
     friction = (speed[0] - speed[-1]) / np.ptp(game_fit.observed["t"])
     assert discrepancy.friction == pytest.approx(friction / 9.81, rel=0.01)
-    slipping = np.mean(np.minimum(STONE.R * np.abs(game_fit.fitted["omega"]) / speed, 1))
+    slipping = np.mean(
+        np.minimum(STONE.R * np.abs(game_fit.fitted["omega"]) / speed, 1)
+    )
     moment = friction * STONE.R / STONE.rho**2 * slipping
     t, path = game_fit.observed["t"], [game_fit.fitted[name] for name in ("x", "y")]
     turning = np.gradient(np.unwrap(np.arctan2(*CubicSpline(t, path, axis=1)(t, 1))), t)
     bend = np.sqrt(np.mean((speed * turning)[speed > 0.05] ** 2))
-    expected = {"across": max(bend, 0.05 * friction), "along": friction, "turning": moment}
-    largest = {"across": friction, "along": friction, "turning": friction * STONE.R / STONE.rho**2}
+    expected = {
+        "across": max(bend, 0.05 * friction),
+        "along": friction,
+        "turning": moment,
+    }
+    largest = {
+        "across": friction,
+        "along": friction,
+        "turning": friction * STONE.R / STONE.rho**2,
+    }
     made = found.draw(2000, np.random.default_rng(1)).acceleration
     seen = np.flatnonzero(speed.min() <= SPEEDS)
     for place, way in enumerate(COMPONENTS):
@@ -439,19 +526,26 @@ def test_a_missing_force_is_less_than_the_friction(game_fit):
 
 
 def test_what_cannot_be_seen_has_the_size_of_the_prior():
-    """An exponential one, 5 % above the friction, cut off there; turning shows in no row here."""
+    """An exponential one, 5 % above the friction, cut off there; turning shows in
+    no row here."""
     throw = thrown()
-    found = discrepancy_posterior(curlfit.fit(
-        curlfit.Throw.from_arrays(throw.t, throw.x, throw.y), stone=STONE, fix={"omega0": 1.2},
-    )).summary  # fmt: skip
+    found = discrepancy_posterior(
+        curlfit.fit(
+            curlfit.Throw.from_arrays(throw.t, throw.x, throw.y),
+            stone=STONE,
+            fix={"omega0": 1.2},
+        )
+    ).summary
     rate = np.log(20)
     moments = [quad(lambda s, k=k: s**k * np.exp(-rate * s), 0, 1)[0] for k in (0, 2)]
     size = np.sqrt(moments[1] / moments[0])
-    assert found.sizes["turning"] / found.ceilings["turning"] == pytest.approx(size, rel=0.05)
+    assert found.sizes["turning"] / found.ceilings["turning"] == pytest.approx(
+        size, rel=0.05
+    )
     assert found.excess["turning"] == pytest.approx(0.0, abs=0.1)
 
 
-# --- held-out rows -------------------------------------------------------------------------------
+# --- held-out rows --------------------------------------------------------------------
 
 
 def test_held_out_rows_of_the_right_law(fit):
@@ -474,7 +568,7 @@ def test_held_out_rows_of_eq12_are_farther_off_than_its_parameters_say(eq12):
         assert abs(channel["end"]) < 3 * channel["end_sd"]
 
 
-# --- what cannot be ------------------------------------------------------------------------------
+# --- what cannot be -------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -483,14 +577,21 @@ def test_held_out_rows_of_eq12_are_farther_off_than_its_parameters_say(eq12):
         ({"start": {"speed": 2.0}}, "unknown 'speed'; expected some of x0, y0"),
         ({"start": {"v0": np.inf}}, "start.v0 = inf; expected a number"),
         ({"target": "tee"}, "target = 'tee'; expected 2 numbers"),
-        ({"call": curlfit.Call({"sheet": "2"})}, "sheet: the fit of one throw has no groups"),
+        (
+            {"call": curlfit.Call({"sheet": "2"})},
+            "sheet: the fit of one throw has no groups",
+        ),
         ({"check": 20.0}, "no rows after t = 20 s"),
         ({"check": 25.0}, "not the throw that was fitted"),
     ],
 )
 def test_what_python_alone_can_ask_is_refused(fit, asked, said):
     if "check" in asked:
-        asked = {"check": thrown(v0=2.15 if asked["check"] == 20 else 3.0, until=asked["check"])}
+        asked = {
+            "check": thrown(
+                v0=2.15 if asked["check"] == 20 else 3.0, until=asked["check"]
+            )
+        }
     with pytest.raises(InputError, match=said):
         curlfit.predict(fit, draws=100, **asked)
 
@@ -515,7 +616,7 @@ def test_extrapolation_is_said(fit):
     assert "touches the side" in slow
 
 
-# --- records, files and the command --------------------------------------------------------------
+# --- records, files and the command ---------------------------------------------------
 
 
 def test_the_figure_shows_the_intervals_of_the_table(game_fit):
@@ -529,7 +630,9 @@ def test_the_figure_shows_the_intervals_of_the_table(game_fit):
             np.hypot(half[0] * np.cos(angle), half[1] * np.sin(angle)),
             np.hypot(half[0] * np.sin(angle), half[1] * np.cos(angle)),
         ]
-        for middle, size, name in zip(one.center, shadow, ("rest_x", "rest_y"), strict=True):
+        for middle, size, name in zip(
+            one.center, shadow, ("rest_x", "rest_y"), strict=True
+        ):
             shown = found.quantities[name].quantiles
             assert middle - size == pytest.approx(shown[low], abs=1e-9)
             assert middle + size == pytest.approx(shown[high], abs=1e-9)
@@ -540,10 +643,16 @@ def test_a_new_throw_has_the_rows_of_the_fitted_one_beside_it(fit):
     found = curlfit.predict(fit, start=start, draws=100)
     first = {name: fit.parameters[name].value for name in ("x0", "y0", "heading")}
     x, y = fit.observed["x"] - first["x0"], fit.observed["y"] - first["y0"]
-    # distances from the start stay, and directions seen from it are turned by the heading
+    # distances from the start stay, and directions seen from it are turned
+    # by the heading
     bearing = np.arctan2(x, y) + start["heading"] - first["heading"]
-    place = 0.4 + np.hypot(x, y) * np.sin(bearing), HOG + np.hypot(x, y) * np.cos(bearing)
-    np.testing.assert_allclose((found.measured["x"], found.measured["y"]), place, atol=1e-12)
+    place = (
+        0.4 + np.hypot(x, y) * np.sin(bearing),
+        HOG + np.hypot(x, y) * np.cos(bearing),
+    )
+    np.testing.assert_allclose(
+        (found.measured["x"], found.measured["y"]), place, atol=1e-12
+    )
 
 
 def test_a_record_comes_back(carried, tmp_path):
@@ -554,9 +663,13 @@ def test_a_record_comes_back(carried, tmp_path):
         np.testing.assert_array_equal(again.series[name], values)
     assert again.table() == carried.table()
     table = np.genfromtxt(
-        io.StringIO(carried.table()), delimiter=",", names=True, skip_header=3,
-        deletechars="", replace_space=" ",
-    )  # fmt: skip
+        io.StringIO(carried.table()),
+        delimiter=",",
+        names=True,
+        skip_header=3,
+        deletechars="",
+        replace_space=" ",
+    )
     np.testing.assert_allclose(table["y_97.5"], carried.series["y_97.5"], rtol=1e-7)
 
 
@@ -565,11 +678,23 @@ def folder(tmp_path_factory):
     """A throw and the fit of its first 12 s."""
     place = tmp_path_factory.mktemp("predict")
     made = curlfit_(
-        "simulate", "--v0", 2.2, "--omega0", 1.2, "--noise-xy", 0.005, "--noise-phi", 0.01,
-        "--out", "a.csv", cwd=place,
-    )  # fmt: skip
+        "simulate",
+        "--v0",
+        2.2,
+        "--omega0",
+        1.2,
+        "--noise-xy",
+        0.005,
+        "--noise-phi",
+        0.01,
+        "--out",
+        "a.csv",
+        cwd=place,
+    )
     assert made.returncode == 0, made.stderr
-    run = curlfit_("fit", "a.csv", "--until", 12, "--no-sample", "--no-figures", "-q", cwd=place)
+    run = curlfit_(
+        "fit", "a.csv", "--until", 12, "--no-sample", "--no-figures", "-q", cwd=place
+    )
     assert run.returncode == 0, run.stderr
     return place
 
@@ -578,14 +703,23 @@ def test_the_command(folder):
     run = curlfit_("predict", "a-fit", "--to-tee", "--draws", 200, cwd=folder)
     assert (run.returncode, run.stderr) == (0, "")
     for words in (
-        "another throw on this ice", "on the near hog line", "it comes to rest on the tee",
-        "rad/s (fitted)", "Gaussian along determined directions", "It curls", "ft) to the left",
-        "which has no effect here", "from throw to throw", "Written: a-predict/predict.json",
-    ):  # fmt: skip
+        "another throw on this ice",
+        "on the near hog line",
+        "it comes to rest on the tee",
+        "rad/s (fitted)",
+        "Gaussian along determined directions",
+        "It curls",
+        "ft) to the left",
+        "which has no effect here",
+        "from throw to throw",
+        "Written: a-predict/predict.json",
+    ):
         assert words in " ".join(run.stdout.split()), words
     assert sorted(file.name for file in (folder / "a-predict").iterdir()) == [
-        "predict.csv", "predict.json", "predict.png",
-    ]  # fmt: skip
+        "predict.csv",
+        "predict.json",
+        "predict.png",
+    ]
     record = json.loads((folder / "a-predict" / "predict.json").read_text())
     assert record["schema"] == 1
     assert record["goal"] == {"words": "to the tee", "x": 0.0, "y": 0.0, "speed": 0.0}
@@ -602,14 +736,27 @@ def test_the_command_compares_with_measured_rows(folder, monkeypatch):
     monkeypatch.chdir(folder)
     (folder / "c").mkdir()
     (folder / "c" / "predict.png").touch()
-    words = ["predict", "a-fit/fit.json", "--check", "a.csv", "--out", "c", "--draws", "100"]
+    words = [
+        "predict",
+        "a-fit/fit.json",
+        "--check",
+        "a.csv",
+        "--out",
+        "c",
+        "--draws",
+        "100",
+    ]
     quiet = invoke([*words, "-q", "--no-figures"])
     assert (quiet.exit_code, quiet.stdout) == (0, ""), quiet.exception
     assert not (folder / "c" / "predict.png").exists()  # it was of an earlier result
     said = invoke(["show", "c"]).stdout
     assert "within 68 %" in said
     assert "from t = 12.1 to 20 s" in " ".join(said.split())
-    assert set(curlfit.load_prediction(folder / "c").check.channels) == {"x", "y", "phi"}
+    assert set(curlfit.load_prediction(folder / "c").check.channels) == {
+        "x",
+        "y",
+        "phi",
+    }
 
 
 @pytest.mark.slow

@@ -26,9 +26,13 @@ NOISE = {"x": 0.005, "y": 0.005, "phi": 0.01}
 
 def thrown(seed=1, sigma=True, **start):
     throw = curlfit.synthetic_throw(
-        curlfit.law_with("front-back", TRUE), STONE, noise_xy=NOISE["x"], noise_phi=NOISE["phi"],
-        seed=seed, **{"v0": 2.1, "omega0": 1.2, "heading": 0.02} | start,
-    )  # fmt: skip
+        curlfit.law_with("front-back", TRUE),
+        STONE,
+        noise_xy=NOISE["x"],
+        noise_phi=NOISE["phi"],
+        seed=seed,
+        **{"v0": 2.1, "omega0": 1.2, "heading": 0.02} | start,
+    )
     return throw.with_sigma(NOISE) if sigma else throw
 
 
@@ -54,14 +58,17 @@ def sloping(eq12):
 
 
 def printed(profile):
-    console = Console(width=110, record=True, file=None, quiet=False, force_terminal=False)
+    console = Console(
+        width=110, record=True, file=None, quiet=False, force_terminal=False
+    )
     with console.capture() as found:
         curlfit.print_profile(profile, console)
     return " ".join(found.get().split())
 
 
 def scipy_minimum(fit, held):
-    """Least chi squared with some parameters held, by scipy on the residuals of the model."""
+    """Least chi squared with some parameters held, by scipy on the residuals
+    of the model."""
     throw, parameters = fit.throw, fit.parameter_set
     origin = Origin.of(throw)
     problem = build_problem(throw, fit.stone, origin, fit.sigma, fit.loss)
@@ -79,13 +86,19 @@ def scipy_minimum(fit, held):
         return whitened_residuals_of_many(fit.model, *one, batch=1).ravel()
 
     found = least_squares(
-        residual, values[free], bounds=(low, high), x_scale=parameters.typical[free] / 100,
-        jac="3-point", xtol=1e-12, ftol=1e-12, gtol=1e-12,
-    )  # fmt: skip
+        residual,
+        values[free],
+        bounds=(low, high),
+        x_scale=parameters.typical[free] / 100,
+        jac="3-point",
+        xtol=1e-12,
+        ftol=1e-12,
+        gtol=1e-12,
+    )
     return 2 * found.cost
 
 
-# --- numbers -------------------------------------------------------------------------------------
+# --- numbers --------------------------------------------------------------------------
 
 
 def test_the_profile_is_what_scipy_finds_with_the_parameter_held(fit, sharp):
@@ -99,7 +112,8 @@ def test_the_profile_is_what_scipy_finds_with_the_parameter_held(fit, sharp):
 def test_of_two_parameters_too(fit, tmp_path):
     pair = curlfit.profile(fit, ["mu1_xi", "v0"], points=7)
     assert_the_same_when_saved(pair, tmp_path)
-    for drawn in (pair, replace(pair, delta=pair.delta + 50)):  # and none near the best fit
+    # and none near the best fit
+    for drawn in (pair, replace(pair, delta=pair.delta + 50)):
         assert "mu1_xi" in curlfit.profile_figure(drawn).axes[0].get_xlabel()
     assert pair.delta.shape == (7, 7)
     held = {"mu1_xi": float(pair.first[1, 2]), "v0": float(pair.second[1, 2])}
@@ -114,12 +128,15 @@ def test_of_two_parameters_too(fit, tmp_path):
     assert pair.across < fit.parameters["v0"].stderr  # less than with the first free
     # a region of two spans sqrt(2.30) of what an interval of one does
     one, two = pair.each[1].intervals[0], pair.extent["68 %"][1]
-    assert (two.high - two.low) / (one.high - one.low) == pytest.approx(np.sqrt(2.30), rel=0.01)
+    assert (two.high - two.low) / (one.high - one.low) == pytest.approx(
+        np.sqrt(2.30), rel=0.01
+    )
 
 
 @pytest.fixture(scope="module")
 def blind():
-    """A fit without an angle: the spin is known only by the curl, of which friction makes less."""
+    """A fit without an angle: the spin is known only by the curl, of which
+    friction makes less."""
     throw = thrown()
     sigma = {name: throw.sigma[name] for name in ("x", "y")}
     return curlfit.fit(replace(throw, phi=np.full(len(throw), np.nan), sigma=sigma))
@@ -136,18 +153,32 @@ def test_limits_far_from_those_of_the_covariance_are_right(blind):
 
 def test_a_parameter_that_only_moves_the_path_has_its_parabola(fit):
     """With the rest fixed, chi squared is sum (x - x0)^2/sigma^2: a mean of n rows."""
-    fixed = {name: item.value for name, item in fit.parameters.items() if name not in ("x0", "y0")}
+    fixed = {
+        name: item.value
+        for name, item in fit.parameters.items()
+        if name not in ("x0", "y0")
+    }
     alone = curlfit.fit(thrown(), fix=fixed)
     found = curlfit.profile(alone, "x0")
     sd = NOISE["x"] / np.sqrt(len(alone.throw))
-    np.testing.assert_allclose(found.delta, ((found.at - found.best) / sd) ** 2, atol=1e-7)
-    np.testing.assert_allclose((found.at[0], found.at[-1]), found.best + sd * np.array([-4, 4]))
+    np.testing.assert_allclose(
+        found.delta, ((found.at - found.best) / sd) ** 2, atol=1e-7
+    )
+    np.testing.assert_allclose(
+        (found.at[0], found.at[-1]), found.best + sd * np.array([-4, 4])
+    )
     for interval, rise in zip(found.intervals, (1.0, chi2.ppf(0.95, 1)), strict=True):
-        assert interval.high == pytest.approx(found.best + np.sqrt(rise) * sd, abs=1e-4 * sd)
-        assert interval.low == pytest.approx(found.best - np.sqrt(rise) * sd, abs=1e-4 * sd)
+        assert interval.high == pytest.approx(
+            found.best + np.sqrt(rise) * sd, abs=1e-4 * sd
+        )
+        assert interval.low == pytest.approx(
+            found.best - np.sqrt(rise) * sd, abs=1e-4 * sd
+        )
         assert (interval.low_by, interval.high_by) == ("data", "data")
     assert found.others.keys() == {"y0"}
-    np.testing.assert_allclose(found.others["y0"], alone.parameters["y0"].value, atol=1e-9)
+    np.testing.assert_allclose(
+        found.others["y0"], alone.parameters["y0"].value, atol=1e-9
+    )
 
 
 def test_limits_are_where_chi_squared_is_higher_by_the_threshold(fit, sharp):
@@ -160,7 +191,7 @@ def test_limits_are_where_chi_squared_is_higher_by_the_threshold(fit, sharp):
     assert "agree" in printed(sharp)
 
 
-# --- what is not determined ----------------------------------------------------------------------
+# --- what is not determined -----------------------------------------------------------
 
 
 def test_the_split_is_exactly_flat_under_uniform_load(flat, eq12_fit):
@@ -200,7 +231,9 @@ def test_under_consistent_load_it_slopes_and_how_much_is_said(sloping):
     assert sloping.quieter(1.0) == pytest.approx(sloping.rise**-0.5)
     text = printed(sloping)
     assert "mu1_eta is weakly determined" in text
-    assert "noise would have to be 3.3 times smaller, or the rows 11 times as many" in text
+    assert (
+        "noise would have to be 3.3 times smaller, or the rows 11 times as many" in text
+    )
 
 
 def test_a_pair_with_a_valley_follows_it(eq12_fit):
@@ -211,7 +244,9 @@ def test_a_pair_with_a_valley_follows_it(eq12_fit):
     assert inside.sum() > 40
     away = (pair.first + pair.second - total.value)[inside] / total.stderr
     near = np.abs(away) < 4.5
-    np.testing.assert_allclose(pair.delta[inside][near], away[near] ** 2, rtol=0.01, atol=1e-6)
+    np.testing.assert_allclose(
+        pair.delta[inside][near], away[near] ** 2, rtol=0.01, atol=1e-6
+    )
     assert pair.covariance is None
     assert pair.ellipse is None
     text = printed(pair)
@@ -231,14 +266,16 @@ def test_a_range_that_is_too_narrow_says_so(fit):
 def test_a_better_fit_that_is_met_is_the_one_to_count_from(fit, sharp):
     """A fit that stopped short of its optimum."""
     item = fit.parameters["v0"]
-    short = {name: replace(one, value=one.value) for name, one in fit.parameters.items()}
+    short = {
+        name: replace(one, value=one.value) for name, one in fit.parameters.items()
+    }
     short["v0"] = replace(item, value=item.value + 2 * item.stderr)
     found = curlfit.profile(replace(fit, parameters=short), "mu1_xi", points=9)
     assert found.chi_squared == pytest.approx(sharp.chi_squared, abs=1e-5)
     assert np.nanmin(found.delta) > -1e-6
 
 
-# --- the posterior beside it ---------------------------------------------------------------------
+# --- the posterior beside it ----------------------------------------------------------
 
 
 def test_the_posterior_lies_on_the_profile(fit):
@@ -257,7 +294,7 @@ def test_the_posterior_lies_on_the_profile(fit):
         curlfit.profile(sampled, "mu1_xi", chain=replace(chain, names=("mu", "x0")))
 
 
-# --- record and figure ---------------------------------------------------------------------------
+# --- record and figure ----------------------------------------------------------------
 
 
 def assert_the_same_when_saved(profile, folder):
@@ -281,10 +318,12 @@ def test_a_saved_profile_is_the_same_and_its_label_does_not_meet_the_legend(
     figure.draw_without_rendering()
     label = figure.axes[1].xaxis.label.get_window_extent()
     assert label.height > 0
-    assert not any(label.overlaps(legend.get_window_extent()) for legend in figure.legends)
+    assert not any(
+        label.overlaps(legend.get_window_extent()) for legend in figure.legends
+    )
 
 
-# --- the command ---------------------------------------------------------------------------------
+# --- the command ----------------------------------------------------------------------
 
 
 def test_the_command_writes_prints_and_is_shown_again(fit, tmp_path, monkeypatch):
@@ -319,4 +358,4 @@ def test_python_refuses_the_same(fit):
         curlfit.profile(replace(fit, converged=False, status="not converged"), "v0")
 
 
-# --- counting ------------------------------------------------------------------------------------
+# --- counting -------------------------------------------------------------------------

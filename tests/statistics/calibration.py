@@ -1,14 +1,16 @@
 """Calibration: do error bars have their nominal coverage?
 
-    python tests/statistics/calibration.py [ranks|noise|small|all] [--throws N] [--workers N]
+    python tests/statistics/calibration.py [ranks|noise|small|all] [--throws N]
+        [--workers N]
 
-ranks: posterior and standard errors under every law; noise: noise models, right and wrong laws;
-small: few rows. Each table is written into README.md beside this file as it is done; after all
-ranks come their summary and the figure ranks.png.
+ranks: posterior and standard errors under every law; noise: noise models, right and
+wrong laws; small: few rows. Each table is written into README.md beside this file as it
+is done; after all ranks come their summary and the figure ranks.png.
 
-A throw is 15 s at 10 Hz with noise of 5 mm on x and y and 10 mrad on phi; its coefficients and its
-start are drawn evenly from a box, its sense of spin by a coin. Each throw has random numbers of its
-own, so that answers do not depend on how many processes shared the work.
+A throw is 15 s at 10 Hz with noise of 5 mm on x and y and 10 mrad on phi; its
+coefficients and its start are drawn evenly from a box, its sense of spin by a coin.
+Each throw has random numbers of its own, so that answers do not depend on how many
+processes shared the work.
 """
 
 from __future__ import annotations
@@ -38,12 +40,18 @@ BLOCK = 10  # throws a task
 THROWS = {"ranks": 150, "noise": 300, "small": 400}
 SENSES = {1: "counter-clockwise", -1: "clockwise"}
 START = {
-    "x0": (-0.05, 0.05), "y0": (-0.05, 0.05), "heading": (-0.02, 0.02), "v0": (1.9, 2.3),
-    "phi0": (-0.1, 0.1), "omega0": (0.8, 1.6),
-}  # fmt: skip
+    "x0": (-0.05, 0.05),
+    "y0": (-0.05, 0.05),
+    "heading": (-0.02, 0.02),
+    "v0": (1.9, 2.3),
+    "phi0": (-0.1, 0.1),
+    "omega0": (0.8, 1.6),
+}
 BOXES: dict[str, dict[str, tuple[float, float]]] = {
     "front-back": {
-        "mu1_xi": (0.0, 0.02), "mu2_xi": (0.02, 0.1), "mu1_eta": (0.0, 0.015),
+        "mu1_xi": (0.0, 0.02),
+        "mu2_xi": (0.02, 0.1),
+        "mu1_eta": (0.0, 0.015),
         "mu2_eta": (0.004, 0.015),
     },
     "coulomb": {"mu": (0.006, 0.011)},
@@ -53,13 +61,20 @@ BOXES: dict[str, dict[str, tuple[float, float]]] = {
     "angular": {"mu0": (0.006, 0.011), "f0": (-0.5, 0.8)},
     "debris": {"mu_clean": (0.01, 0.016), "mu_dirty": (0.005, 0.01)},
     "radial": {
-        "mu1": (0.0, 0.012), "mu2": (0.0, 0.016), "mu3": (0.004, 0.012), "mu4": (0.012, 0.024),
+        "mu1": (0.0, 0.012),
+        "mu2": (0.0, 0.016),
+        "mu3": (0.004, 0.012),
+        "mu4": (0.012, 0.024),
     },
     "tensor": {"b11": (0.01, 0.03), "b22": (0.006, 0.011), "b12": (-0.002, 0.002)},
     "semi-empirical": {
-        "a": (0.0, 0.01), "c": (0.07, 0.1), "p": (-0.2, 0.3), "q": (0.01, 0.04), "r": (-0.5, 0.0),
+        "a": (0.0, 0.01),
+        "c": (0.07, 0.1),
+        "p": (-0.2, 0.3),
+        "q": (0.01, 0.04),
+        "r": (-0.5, 0.0),
     },
-}  # fmt: skip
+}
 
 
 class Trial(NamedTuple):
@@ -77,7 +92,8 @@ class Trial(NamedTuple):
     noises: tuple[str, ...] = ("white",)
     """noise models that are fitted"""
     known: bool = False
-    """whether the sigmas and the box of the parameters are given to the fit, as its prior"""
+    """whether the sigmas and the box of the parameters are given to the fit,
+    as its prior"""
 
     @property
     def section(self) -> str:
@@ -95,22 +111,52 @@ TRIALS = {
             Trial(f"ranks {law}", law, law, load=_LOADS.get(law, "uniform"), known=True)
             for law in BOXES
         ),
-        Trial("noise white", "front-back", "front-back", "Right law, white noise", **_MODELS),
-        Trial("noise 0.3 s", "front-back", "front-back", "Right law, noise with a correlation "
-              "time of 0.3 s (correlated by 0.72 from row to row)",
-              correlation=math.exp(-0.1 / 0.3), **_MODELS),
-        Trial("noise 0.95 s", "front-back", "front-back", "Right law, noise with a correlation "
-              "time of 0.95 s (correlated by 0.9 from row to row)", correlation=0.9, **_MODELS),
-        Trial("noise stribeck", "stribeck", "coulomb",
-              "`stribeck` fitted by `coulomb`, white noise", **_MODELS),
-        Trial("noise power", "power", "coulomb",
-              "`power` fitted by `coulomb`, white noise", **_MODELS),
+        Trial(
+            "noise white",
+            "front-back",
+            "front-back",
+            "Right law, white noise",
+            **_MODELS,
+        ),
+        Trial(
+            "noise 0.3 s",
+            "front-back",
+            "front-back",
+            "Right law, noise with a correlation "
+            "time of 0.3 s (correlated by 0.72 from row to row)",
+            correlation=math.exp(-0.1 / 0.3),
+            **_MODELS,
+        ),
+        Trial(
+            "noise 0.95 s",
+            "front-back",
+            "front-back",
+            "Right law, noise with a correlation "
+            "time of 0.95 s (correlated by 0.9 from row to row)",
+            correlation=0.9,
+            **_MODELS,
+        ),
+        Trial(
+            "noise stribeck",
+            "stribeck",
+            "coulomb",
+            "`stribeck` fitted by `coulomb`, white noise",
+            **_MODELS,
+        ),
+        Trial(
+            "noise power",
+            "power",
+            "coulomb",
+            "`power` fitted by `coulomb`, white noise",
+            **_MODELS,
+        ),
         *(
             Trial(f"small {law} {rows}", law, law, f"`{law}`, {rows} rows", rows=rows)
-            for law in ("front-back", "coulomb") for rows in (12, 24)
+            for law in ("front-back", "coulomb")
+            for rows in (12, 24)
         ),
     )
-}  # fmt: skip
+}
 _TRUTHS = {  # away from what `coulomb` can imitate
     "noise stribeck": {"mu0": (0.005, 0.007), "mu1": (0.0015, 0.0025)},
     "noise power": {"c": (0.007, 0.01), "k": (-0.6, -0.3)},
@@ -123,7 +169,8 @@ class Quantity(NamedTuple):
     pull: float | None
     """standard errors off; None where there is no standard error"""
     held: tuple[bool, ...]
-    """by level, whether `interval` holds the truth; empty where there is no standard error"""
+    """by level, whether `interval` holds the truth; empty where there is no
+    standard error"""
     why: str = ""
     """why there is no standard error"""
     rank: int | None = None
@@ -143,7 +190,8 @@ class Outcome(NamedTuple):
     correlated: bool = False
     """whether the residuals were said to be correlated"""
     lasting: bool = False
-    """whether the correlation time of the noise was said to be too long to be estimated well"""
+    """whether the correlation time of the noise was said to be too long to be
+    estimated well"""
     outliers: int = 0
 
 
@@ -189,9 +237,13 @@ def thrown(
         trial.truth, {name: value for name, value in true.items() if name not in START}
     )
     start = curlfit.InitialState(
-        x=true["x0"], y=true["y0"], heading=true["heading"], v=true["v0"], phi=true["phi0"],
+        x=true["x0"],
+        y=true["y0"],
+        heading=true["heading"],
+        v=true["v0"],
+        phi=true["phi0"],
         omega=true["omega0"],
-    )  # fmt: skip
+    )
     t = np.linspace(0.0, 15.0, trial.rows)
     path = curlfit.simulate(law, curlfit.Stone(), start, t, load=trial.load).to_numpy()
     if not np.isfinite(path.x).all():
@@ -205,12 +257,20 @@ def thrown(
 
 
 def fitted(
-    trial: Trial, throw: curlfit.Throw, true: Mapping[str, float],
-    box: Mapping[str, tuple[float, float]], kind: str, random: np.random.Generator,
-) -> Outcome:  # fmt: skip
+    trial: Trial,
+    throw: curlfit.Throw,
+    true: Mapping[str, float],
+    box: Mapping[str, tuple[float, float]],
+    kind: str,
+    random: np.random.Generator,
+) -> Outcome:
     """What a fit says of a throw, and its posterior where the prior is known."""
     fit = curlfit.fit(
-        throw, trial.fitted, load=trial.load, noise=kind, bounds=box if trial.known else None
+        throw,
+        trial.fitted,
+        load=trial.load,
+        noise=kind,
+        bounds=box if trial.known else None,
     )
     if not fit.converged:
         return Outcome({}, left="not converged")
@@ -223,25 +283,33 @@ def fitted(
     # What the fitted law has and the true one has not has no true value.
     asked = {name: item for name, item in asked.items() if set(item[1]) <= set(true)}
     found = {
-        name: _against(item, sum(weight * true[n] for n, weight in weights.items()), why)
+        name: _against(
+            item, sum(weight * true[n] for n, weight in weights.items()), why
+        )
         for name, (item, weights, why) in asked.items()
     }
     sampler = ""
     if trial.known:
         try:
-            sampled, chain = curlfit.sample(fit, seed=int(random.integers(2**32)), effective=1000)
+            sampled, chain = curlfit.sample(
+                fit, seed=int(random.integers(2**32)), effective=1000
+            )
         except curlfit.CurlfitError as error:
             sampler = f"raised {type(error).__name__}"
         else:
             sampler = "" if sampled.posterior.converged else "not converged"
             for name, (_, weights, _) in asked.items():
                 value = sum(weight * true[n] for n, weight in weights.items())
-                found[name] = found[name]._replace(**_among(chain.of(weights), value, random))
+                found[name] = found[name]._replace(
+                    **_among(chain.of(weights), value, random)
+                )
     return Outcome(
         found,
         sampler=sampler,
         correlated=any("lag-1 correlation" in text for text in fit.warnings),
-        lasting=any("the noise has a correlation time" in text for text in fit.warnings),
+        lasting=any(
+            "the noise has a correlation time" in text for text in fit.warnings
+        ),
         outliers=len(fit.outliers),
     )
 
@@ -255,7 +323,9 @@ def _against(item: Any, true: float, why: str) -> Quantity:
     return Quantity(pull, tuple(bool(low <= true <= high) for low, high in ends))
 
 
-def _among(draws: np.ndarray, true: float, random: np.random.Generator) -> dict[str, Any]:
+def _among(
+    draws: np.ndarray, true: float, random: np.random.Generator
+) -> dict[str, Any]:
     """The true value among draws of the posterior."""
     tails = [50 * (1 - nominal) for nominal, _ in LEVELS.values()]
     ends = [np.percentile(draws, (tail, 100 - tail)) for tail in tails]
@@ -272,7 +342,9 @@ Answers = list[Answer]
 
 def table(trial: Trial, answers: Answers) -> str:
     """The table of a trial."""
-    made = {"ranks": ranks_table, "noise": noise_table, "small": small_table}[trial.section]
+    made = {"ranks": ranks_table, "noise": noise_table, "small": small_table}[
+        trial.section
+    ]
     return made(trial, answers)
 
 
@@ -292,7 +364,9 @@ def sentence_of_drawn(answers: Answers) -> str:
 def sentence_of_counted(answers: Answers, kind: str = "white") -> str:
     """How many throws are counted, and why the others are not."""
     left = reasons(item.outcomes[kind].left for item in answers)
-    return f"{len(counted(answers, kind))} counted" + (f"; left out: {left}." if left else ".")
+    return f"{len(counted(answers, kind))} counted" + (
+        f"; left out: {left}." if left else "."
+    )
 
 
 def names_of(outcomes: list[Outcome]) -> list[str]:
@@ -303,7 +377,9 @@ def names_of(outcomes: list[Outcome]) -> list[str]:
 
 def items_of(outcomes: list[Outcome], name: str) -> list[Quantity]:
     """What outcomes say of a quantity."""
-    return [outcome.quantities[name] for outcome in outcomes if name in outcome.quantities]
+    return [
+        outcome.quantities[name] for outcome in outcomes if name in outcome.quantities
+    ]
 
 
 def coverage(items: Sequence[Quantity], what: str = "held") -> list[str]:
@@ -315,16 +391,24 @@ def coverage(items: Sequence[Quantity], what: str = "held") -> list[str]:
 
 
 def not_given(outcomes: list[Outcome], names: Sequence[str]) -> list[str]:
-    """What has no standard error and why, and whether other combinations were formed."""
+    """What has no standard error and why, and whether other combinations
+    were formed."""
     lines = []
     for name in names:
-        why = [o.quantities[name].why if name in o.quantities else "not formed" for o in outcomes]
+        why = [
+            o.quantities[name].why if name in o.quantities else "not formed"
+            for o in outcomes
+        ]
         none = sum(map(bool, why))
         if none:
-            lines.append(f"No standard error of {name} in {none} of {len(why)}: {reasons(why)}.")
+            lines.append(
+                f"No standard error of {name} in {none} of {len(why)}: {reasons(why)}."
+            )
     some = sum(bool(set(outcome.quantities) - set(names)) for outcome in outcomes)
     if some:
-        lines.append(f"Other combinations, formed in {some} of {len(outcomes)}, are not counted.")
+        lines.append(
+            f"Other combinations, formed in {some} of {len(outcomes)}, are not counted."
+        )
     return lines
 
 
@@ -341,10 +425,18 @@ def evenness(outcomes: list[Outcome], name: str) -> str:
 def pooled(answers: Answers, sense: int) -> str:
     """Coverage of all parameters' intervals in the throws of one sense.
 
-    Parameters of a throw are correlated, so that a throw counts once in what chance explains.
+    Parameters of a throw are correlated, so that a throw counts once in what
+    chance explains.
     """
     held = [
-        np.mean([q.held for name, q in o.quantities.items() if name.isidentifier() and q.held], 0)
+        np.mean(
+            [
+                q.held
+                for name, q in o.quantities.items()
+                if name.isidentifier() and q.held
+            ],
+            0,
+        )
         for o in counted(answers, sense=sense)
         if any(q.held and name.isidentifier() for name, q in o.quantities.items())
     ]
@@ -367,16 +459,33 @@ def ranks_table(trial: Trial, answers: Answers) -> str:
     outcomes = counted(answers)
     names = names_of(outcomes)
     lines = head(
-        "", "n of ranks", "ranks even: p", "counter-clockwise", "clockwise", "posterior 68 %",
-        "95 %", "n of standard errors", "68 %", "95 %",
-    )  # fmt: skip
+        "",
+        "n of ranks",
+        "ranks even: p",
+        "counter-clockwise",
+        "clockwise",
+        "posterior 68 %",
+        "95 %",
+        "n of standard errors",
+        "68 %",
+        "95 %",
+    )
     for name in names:
         ranked = items_of(with_ranks(answers), name)
         given = [item for item in items_of(outcomes, name) if item.held]
         evens = [evenness(with_ranks(answers, sense), name) for sense in (0, *SENSES)]
         errors = [cell or "none given" for cell in coverage(given)]
         lines.append(
-            row([name, len(ranked), *evens, *coverage(ranked, "posterior"), len(given), *errors])
+            row(
+                [
+                    name,
+                    len(ranked),
+                    *evens,
+                    *coverage(ranked, "posterior"),
+                    len(given),
+                    *errors,
+                ]
+            )
         )
     sides = "; ".join(pooled(answers, sense) for sense in SENSES)
     said = [f"Standard errors of all parameters, 68 % and 95 %: {sides}."]
@@ -392,20 +501,31 @@ def noise_table(trial: Trial, answers: Answers) -> str:
     """Coverage, pulls and warnings by noise model."""
     outcomes = {kind: counted(answers, kind) for kind in trial.noises}
     names = names_of(outcomes["white"])
-    lines = head("", *(c for kind in trial.noises for c in (f"{kind} 68 %", "95 %", "pull")))
+    lines = head(
+        "", *(c for kind in trial.noises for c in (f"{kind} 68 %", "95 %", "pull"))
+    )
     for name in names:
         cells = []
         for found in outcomes.values():
             items = [item for item in items_of(found, name) if item.held]
             pulls = [item.pull for item in items]
-            pull = f"{np.mean(pulls):.2f} ± {np.std(pulls, ddof=1):.2f}" if len(pulls) > 1 else ""
+            pull = (
+                f"{np.mean(pulls):.2f} ± {np.std(pulls, ddof=1):.2f}"
+                if len(pulls) > 1
+                else ""
+            )
             cells += [*coverage(items), pull]
         if any(cells):  # else no fit gives a standard error, as is said below
             lines.append(row([name, *cells]))
     lines += ["", *head("warnings", *trial.noises)]
-    titles = {"residuals correlated": "correlated", "correlation time too long": "lasting"}
+    titles = {
+        "residuals correlated": "correlated",
+        "correlation time too long": "lasting",
+    }
     for title, what in titles.items():
-        told = (f"{sum(getattr(o, what) for o in f)} of {len(f)}" for f in outcomes.values())
+        told = (
+            f"{sum(getattr(o, what) for o in f)} of {len(f)}" for f in outcomes.values()
+        )
         lines.append(row([title, *told]))
     said = []
     for kind, found in outcomes.items():
@@ -441,35 +561,58 @@ def _page(first: list[str], lines: list[str], said: list[str]) -> str:
 
 def summary(parts: Mapping[str, Answers]) -> str:
     """All laws at a glance, by their names."""
-    lines = head("law", "load", "throws drawn", "counted", "without a posterior",
-                 "cells marked")  # fmt: skip
+    lines = head(
+        "law", "load", "throws drawn", "counted", "without a posterior", "cells marked"
+    )
     total = np.zeros(2, int)
     for law, answers in parts.items():
         trial, outcomes = TRIALS[f"ranks {law}"], counted(answers)
-        rows = [line.split("|") for line in table(trial, answers).splitlines() if "|" in line][2:]
+        rows = [
+            line.split("|")
+            for line in table(trial, answers).splitlines()
+            if "|" in line
+        ][2:]
         cells = [one.strip() for cells in rows for one in (*cells[3:8], *cells[9:11])]
         tested = [cell for cell in cells if cell not in ("", "none given")]
         marks = np.array([sum("(!)" in cell for cell in tested), len(tested)])
         total += marks
         unsampled = sum(bool(outcome.sampler) for outcome in outcomes)
         lines.append(
-            row([law, trial.load, len(answers), len(outcomes), unsampled,
-                 f"{marks[0]} of {marks[1]}"])
-        )  # fmt: skip
-    lines += ["", f"{total[0]} of {total[1]} cells are marked; chance marks about "
-              f"{total[1] / 100:.0f}."]  # fmt: skip
+            row(
+                [
+                    law,
+                    trial.load,
+                    len(answers),
+                    len(outcomes),
+                    unsampled,
+                    f"{marks[0]} of {marks[1]}",
+                ]
+            )
+        )
+    lines += [
+        "",
+        f"{total[0]} of {total[1]} cells are marked; chance marks about "
+        f"{total[1] / 100:.0f}.",
+    ]
     return "\n".join(lines) + "\n"
 
 
 def ranks_figure(laws: Mapping[str, Answers], file: Path) -> None:
-    """Share of ranks below each rank, less that of even ranks, for every law and quantity."""
+    """Share of ranks below each rank, less that of even ranks, for every law
+    and quantity."""
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(-(-len(laws) // 5), 5, figsize=(11, 5.2), layout="constrained",
-                                sharex=True, sharey=True)  # fmt: skip
+    figure, axes = plt.subplots(
+        -(-len(laws) // 5),
+        5,
+        figsize=(11, 5.2),
+        layout="constrained",
+        sharex=True,
+        sharey=True,
+    )
     places = np.arange(DRAWS + 1)
     even = (places + 1) / (DRAWS + 1)
     for axis in axes.flat[len(laws) :]:
@@ -479,27 +622,36 @@ def ranks_figure(laws: Mapping[str, Answers], file: Path) -> None:
         for sense, colour in zip(SENSES, ("C0", "C1"), strict=True):
             for name in names_of(mine[sense]):
                 ranks = np.sort([item.rank for item in items_of(mine[sense], name)])
-                below = np.searchsorted(ranks, places, side="right") / max(len(ranks), 1)
+                below = np.searchsorted(ranks, places, side="right") / max(
+                    len(ranks), 1
+                )
                 axis.plot(even, below - even, color=colour, linewidth=0.8, alpha=0.8)
         low, high = _band(min(map(len, mine.values())))
         axis.fill_between(even, low, high, color="0.88", zorder=0)
         axis.set_title(f"{law}, {sum(map(len, mine.values()))} throws", fontsize=9)
     handles = [plt.Line2D([], [], color=colour) for colour in ("C0", "C1")]
-    figure.legend(handles, SENSES.values(), loc="outside upper right", ncols=2, frameon=False)
-    figure.supxlabel("rank of the true value among draws of the posterior, over their number")
+    figure.legend(
+        handles, SENSES.values(), loc="outside upper right", ncols=2, frameon=False
+    )
+    figure.supxlabel(
+        "rank of the true value among draws of the posterior, over their number"
+    )
     figure.supylabel("share of throws below, less that of even ranks")
     figure.savefig(file, dpi=110)
     plt.close(figure)
 
 
 def _band(throws: int) -> tuple[np.ndarray, np.ndarray]:
-    """Ends of what holds 99 % of the curves of even ranks all along: binomial at each rank, at a
-    level found by simulation (Sailynoja, Buerkner and Vehtari 2022, sect. 3)."""
+    """Ends of what holds 99 % of the curves of even ranks all along: binomial at
+    each rank, at a level found by simulation (Sailynoja, Buerkner and Vehtari
+    2022, sect. 3)."""
     random = np.random.default_rng(0)
     even = np.arange(1, DRAWS + 2) / (DRAWS + 1)
     ranks = random.integers(DRAWS + 1, size=(4000, throws))
     below = np.array([np.bincount(one, minlength=DRAWS + 1).cumsum() for one in ranks])
-    tails = np.minimum(binom.cdf(below, throws, even), binom.sf(below - 1, throws, even))
+    tails = np.minimum(
+        binom.cdf(below, throws, even), binom.sf(below - 1, throws, even)
+    )
     level = 1 - 2 * np.quantile(tails[:, :-1].min(1), 0.01)
     low, high = binom.interval(level, throws, even)
     return low / throws - even, high / throws - even
@@ -527,7 +679,9 @@ def main() -> None:
                 found[name] = list(made)
                 put(name, table(trial, found[name]))
                 print(name, file=sys.stderr)
-    ranks = {TRIALS[name].truth: a for name, a in found.items() if name.startswith("ranks")}
+    ranks = {
+        TRIALS[name].truth: a for name, a in found.items() if name.startswith("ranks")
+    }
     if ranks:
         put("ranks", summary(ranks))
         ranks_figure(ranks, HERE / "ranks.png")

@@ -1,11 +1,12 @@
-"""Errors of coefficients of throws that a swaying camera films, by noise model of the fit.
+"""Errors of coefficients of throws that a swaying camera films, by noise
+model of the fit.
 
     python tests/statistics/camera.py THROWS [--only TEXT]
 
-writes the table "camera" of README.md beside this file. Throws of the front-back law (R = 0.065 m,
-mu1_xi 0.004, mu2_xi 0.05, mu1_eta + mu2_eta 0.018, v0 2.25 m/s, omega0 1.4 rad/s of either sense,
-within some per cent) are filmed until rest. Sway is an Ornstein-Uhlenbeck process of each channel;
-jitter is independent from row to row.
+writes the table "camera" of README.md beside this file. Throws of the front-back law
+(R = 0.065 m, mu1_xi 0.004, mu2_xi 0.05, mu1_eta + mu2_eta 0.018, v0 2.25 m/s, omega0
+1.4 rad/s of either sense, within some per cent) are filmed until rest. Sway is an
+Ornstein-Uhlenbeck process of each channel; jitter is independent from row to row.
 """
 
 from __future__ import annotations
@@ -52,14 +53,18 @@ CASES = (
 )
 
 
-def filmed(case: Case, random: np.random.Generator) -> tuple[curlfit.Throw, list[float]]:
+def filmed(
+    case: Case, random: np.random.Generator
+) -> tuple[curlfit.Throw, list[float]]:
     """A throw, and the true values of what is asked."""
     some = 1 + 0.05 * random.uniform(-1, 1, 5)
     mu1_xi, mu2_xi, eta = some[:3] * [0.004, 0.05, 0.018]
     law = curlfit.find_law("front-back")(
         mu1_xi=mu1_xi, mu2_xi=mu2_xi, mu1_eta=eta / 2, mu2_eta=eta / 2
     )
-    start = curlfit.InitialState(v=2.25 * some[3], omega=random.choice([-1, 1]) * 1.4 * some[4])
+    start = curlfit.InitialState(
+        v=2.25 * some[3], omega=random.choice([-1, 1]) * 1.4 * some[4]
+    )
     t = np.arange(0.0, 40.0, 1 / case.frames)
     path = curlfit.simulate(law, curlfit.Stone(R=0.065), start, t).to_numpy()
     rows = int((path.speed > 0).sum()) + 10
@@ -75,7 +80,8 @@ Fits = Sequence[curlfit.FitResult | Exception]
 
 
 def cells(fits: Fits, white: Fits, truth: Sequence[Sequence[float]]) -> list[str]:
-    """Of a row of the table: pulls, shares within two errors, rms over that of `white`."""
+    """Of a row of the table: pulls, shares within two errors, rms over
+    that of `white`."""
     pulls, ratio, failed, bound = [], 0.0, 0, 0
     for fit, other, true in zip(fits, white, truth, strict=True):
         if isinstance(fit, Exception) or not fit.converged:
@@ -83,29 +89,46 @@ def cells(fits: Fits, white: Fits, truth: Sequence[Sequence[float]]) -> list[str
             continue
         items = {**fit.parameters, **{one.expression: one for one in fit.combinations}}
         found = [items.get(name) for name in ASKED]
-        pulls.append([(one.value - value) / one.stderr if one and one.stderr else np.nan
-                      for one, value in zip(found, true, strict=True)])  # fmt: skip
+        pulls.append(
+            [
+                (one.value - value) / one.stderr if one and one.stderr else np.nan
+                for one, value in zip(found, true, strict=True)
+            ]
+        )
         bound += any(np.isnan(pulls[-1]))
         if not isinstance(other, Exception):
-            ratio = max(ratio, *(fit.rms[name] / size for name, size in other.rms.items()))
+            ratio = max(
+                ratio, *(fit.rms[name] / size for name, size in other.rms.items())
+            )
     z = np.array(pulls)
     return [
         *(f"{size:.2f}" for size in np.sqrt(np.nanmean(z**2, axis=0))),
         f"{100 * (abs(z) < 2).sum() / np.isfinite(z).sum():.1f} %",
-        f"{ratio:.2f}", str(bound or ""), str(failed or ""),
-    ]  # fmt: skip
+        f"{ratio:.2f}",
+        str(bound or ""),
+        str(failed or ""),
+    ]
 
 
 def main() -> None:
     """Run the cases and write their table."""
     chosen = asked(__doc__)
-    table = Table("", "fitted noise", *(f"pull of {name}" for name in ASKED), "within two errors",
-                  "largest rms over white", "without error", "not converged")  # fmt: skip
+    table = Table(
+        "",
+        "fitted noise",
+        *(f"pull of {name}" for name in ASKED),
+        "within two errors",
+        "largest rms over white",
+        "without error",
+        "not converged",
+    )
     for seed, case in enumerate(CASES):
         if chosen.only not in case.title:
             continue
         random = np.random.default_rng(seed)
-        throws, truth = zip(*(filmed(case, random) for _ in range(chosen.throws)), strict=True)
+        throws, truth = zip(
+            *(filmed(case, random) for _ in range(chosen.throws)), strict=True
+        )
         white: Fits = ()
         for noise in NOISES:
             fits = fit_throws(throws, "front-back", noise=noise)

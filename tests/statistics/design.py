@@ -2,8 +2,9 @@
 
     python tests/statistics/design.py SETS
 
-writes the table of README.md beside this file: the plan of `curlfit.discriminate` for each pair of
-laws, made SETS times with noise under each law and fitted together with both.
+writes the table of README.md beside this file: the plan of `curlfit.discriminate`
+for each pair of laws, made SETS times with noise under each law and fitted
+together with both.
 """
 
 from __future__ import annotations
@@ -20,12 +21,18 @@ from curlfit.environment import Environment
 from curlfit.optimal_design.discrimination import DECISIVE
 
 SEED = 5
-GRID: dict[str, Any] = {"v0": [1.8, 2.2], "omega0": [0.5, 1.0, 2.0], "rate": 2.0, "until": 18.0}
+GRID: dict[str, Any] = {
+    "v0": [1.8, 2.2],
+    "omega0": [0.5, 1.0, 2.0],
+    "rate": 2.0,
+    "until": 18.0,
+}
 SLOPES = {"slope_x": 1e-4, "slope_y": 1e-4}
 
 
 class Case(NamedTuple):
-    """Two laws, the noise in x and y (m), twice as much in phi (rad), and conditions not known."""
+    """Two laws, the noise in x and y (m), twice as much in phi (rad), and
+    conditions not known."""
 
     laws: tuple[str, str]
     noise: float
@@ -40,9 +47,11 @@ CASES = (
 
 
 def made(
-    found: curlfit.Discrimination, law: curlfit.Law, widths: dict[str, float],
+    found: curlfit.Discrimination,
+    law: curlfit.Law,
+    widths: dict[str, float],
     random: np.random.Generator,
-) -> list[curlfit.Throw]:  # fmt: skip
+) -> list[curlfit.Throw]:
     """The chosen throws with noise, on ice whose conditions are off by their widths."""
     off = {name: width * random.standard_normal() for name, width in widths.items()}
     t = np.arange(int(found.until * found.rate) + 1) / found.rate
@@ -50,13 +59,17 @@ def made(
     for one in (found.candidates[index] for index in found.throws):
         start = curlfit.InitialState(v=one.v0, omega=one.omega0)
         environment = Environment(**off) if off else None
-        path = curlfit.simulate(law, found.stone, start, t, environment=environment).to_numpy()
+        path = curlfit.simulate(
+            law, found.stone, start, t, environment=environment
+        ).to_numpy()
         seen = {
             name: getattr(path, name) + size * random.standard_normal(len(t))
             for name, size in found.sigma.items()
         }
         throws.append(
-            curlfit.Throw.from_arrays(t, **seen, sigma=found.sigma, defaults={"as_given": True})
+            curlfit.Throw.from_arrays(
+                t, **seen, sigma=found.sigma, defaults={"as_given": True}
+            )
         )
     return throws
 
@@ -91,15 +104,23 @@ def add_lines(table: Table, case: Case, sets: int) -> None:
         odds = []
         for _ in range(sets):
             throws = made(found, law, case.widths, random)
-            true, rival = (bic(throws, name, case.widths) for name in (pair.truth, pair.rival))
+            true, rival = (
+                bic(throws, name, case.widths) for name in (pair.truth, pair.rival)
+            )
             odds.append((rival - true) / 2)
         cells: list[object] = [
-            f"`{pair.truth}`", f"`{pair.rival}`", f"{case.noise:g} m", len(found.throws),
-            f"{pair.log_odds:.1f} ± {pair.sd:.1f}", f"{np.mean(odds):.1f} ± {np.std(odds):.1f}",
-        ]  # fmt: skip
+            f"`{pair.truth}`",
+            f"`{pair.rival}`",
+            f"{case.noise:g} m",
+            len(found.throws),
+            f"{pair.log_odds:.1f} ± {pair.sd:.1f}",
+            f"{np.mean(odds):.1f} ± {np.std(odds):.1f}",
+        ]
         for promised, least in ((pair.wins, 0.0), (pair.decides, DECISIVE)):
             count = sum(one > least for one in odds)
-            p = binomtest(count, sets, min(promised, 1 - 1e-12), alternative="less").pvalue
+            p = binomtest(
+                count, sets, min(promised, 1 - 1e-12), alternative="less"
+            ).pvalue
             cells += [f"{100 * promised:.1f} %", marked(f"{count} of {sets}", p)]
         table.add(*cells)
 
@@ -107,9 +128,17 @@ def add_lines(table: Table, case: Case, sets: int) -> None:
 def main() -> None:
     """Make the table."""
     table = Table(
-        "true law", "rival", "noise", "throws", "log odds promised", "log odds found",
-        "true law leads: promised", "found", "by 100 to 1: promised", "found",
-    )  # fmt: skip
+        "true law",
+        "rival",
+        "noise",
+        "throws",
+        "log odds promised",
+        "log odds found",
+        "true law leads: promised",
+        "found",
+        "by 100 to 1: promised",
+        "found",
+    )
     for case in CASES:
         add_lines(table, case, int(sys.argv[1]))
     table.put("decisions")

@@ -2,8 +2,9 @@
 
     python tests/statistics/evenings.py stopwatch|tracks EVENINGS
 
-writes its table into README.md beside this file. Throws vary about the mean of their sheet, and the
-ice slows with time. Each evening gives one answer to each question, so that counts are binomial.
+writes its table into README.md beside this file. Throws vary about the mean of their
+sheet, and the ice slows with time. Each evening gives one answer to each question, so
+that counts are binomial.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ GRID = np.append(np.linspace(0.0, 40.0, 401), 300.0)
 
 
 class Answer(NamedTuple):
-    """Of one evening, by question: the truth, the estimate, its error and its two intervals."""
+    """Of one evening, by question: the truth, the estimate, its error and its
+    two intervals."""
 
     truth: float
     value: float
@@ -43,7 +45,12 @@ class Answer(NamedTuple):
 
 def law_at(draw: int, sheet: int, random: np.random.Generator) -> curlfit.Law:
     """The law of a draw, with its own deviations from the mean of its sheet."""
-    factor = 1 + (sheet - 1.5) * APART + RISING * EVERY * draw + SPREAD * random.standard_normal()
+    factor = (
+        1
+        + (sheet - 1.5) * APART
+        + RISING * EVERY * draw
+        + SPREAD * random.standard_normal()
+    )
     curl = 1 + OF_CURL * random.standard_normal()
     half = SUM / 2 * factor
     return replace(MEAN, mu2_xi=MEAN.mu2_xi * curl, mu1_eta=half, mu2_eta=half)
@@ -70,13 +77,24 @@ def timed(path: curlfit.Trajectory, random: np.random.Generator) -> curlfit.Thro
         return float(sigma * random.standard_normal())
 
     far, near = LINES["far-hog"], LINES["hog"]
-    return curlfit.Throw.from_events([
-        Event("hog_to_hog", "time", hog + off(SIGMA_TIME), SIGMA_TIME, far, near),
-        Event("hog_to_rest", "time", rest - hog + off(SIGMA_TIME), SIGMA_TIME, None, far),
-        Event("rest", "y", path.y[-1] + off(SIGMA_TAPE), SIGMA_TAPE),
-        Event("curl", "x", path.x[-1] + off(SIGMA_TAPE), SIGMA_TAPE, since=near),
-        Event("turns", "phi", path.phi[-1] + off(SIGMA_TURNS), SIGMA_TURNS, since=near),
-    ])  # fmt: skip
+    return curlfit.Throw.from_events(
+        [
+            Event("hog_to_hog", "time", hog + off(SIGMA_TIME), SIGMA_TIME, far, near),
+            Event(
+                "hog_to_rest",
+                "time",
+                rest - hog + off(SIGMA_TIME),
+                SIGMA_TIME,
+                None,
+                far,
+            ),
+            Event("rest", "y", path.y[-1] + off(SIGMA_TAPE), SIGMA_TAPE),
+            Event("curl", "x", path.x[-1] + off(SIGMA_TAPE), SIGMA_TAPE, since=near),
+            Event(
+                "turns", "phi", path.phi[-1] + off(SIGMA_TURNS), SIGMA_TURNS, since=near
+            ),
+        ]
+    )
 
 
 def tracked(path: curlfit.Trajectory, random: np.random.Generator) -> curlfit.Throw:
@@ -98,12 +116,19 @@ def answers(kind: str, evenings: int) -> Iterator[dict[str, Answer]]:
         for draw in range(DRAWS):
             sheet, side = draw % 2 + 1, 1 if draw // 2 % 2 else -1
             law = law_at(draw, sheet, random)
-            path = path_of(law, random.uniform(2.19, 2.29), side * random.uniform(1.0, 1.6))
+            path = path_of(
+                law, random.uniform(2.19, 2.29), side * random.uniform(1.0, 1.6)
+            )
             throw = measured(path, random)
             labels = {"sheet": f"{sheet}", "hour": f"{draw * EVERY:.6f}"}
             throws.append(replace(throw, labels=labels))
         joint = curlfit.fit_together(
-            throws, "front-back", stone=STONE, by="sheet", trend="hour", systematics={"all": 0.0}
+            throws,
+            "front-back",
+            stone=STONE,
+            by="sheet",
+            trend="hour",
+            systematics={"all": 0.0},
         )
         found = {}
         for name, effects, truth in (
@@ -112,21 +137,29 @@ def answers(kind: str, evenings: int) -> Iterator[dict[str, Answer]]:
         ):
             (one,) = (item for item in effects if "eta" in item.parameter)
             spans = {level: one.interval(size) for level, size in LEVELS.items()}
-            found[f"{name}, mu1_eta + mu2_eta"] = Answer(truth, one.value, one.stderr, spans)
+            found[f"{name}, mu1_eta + mu2_eta"] = Answer(
+                truth, one.value, one.stderr, spans
+            )
         labels = {"sheet": "2", "hour": f"{DRAWS * EVERY:.6f}"}
         law = law_at(DRAWS, 2, random)
         low, high = 1.8, 3.0
         for _ in range(40):
             v = (low + high) / 2
-            low, high = (v, high) if hog_to_hog(path_of(law, v, SPIN)) > WEIGHT else (low, v)
+            low, high = (
+                (v, high) if hog_to_hog(path_of(law, v, SPIN)) > WEIGHT else (low, v)
+            )
         end = path_of(law, v, SPIN)
         call = Call(labels, hog_to_hog=WEIGHT)
         predicted = curlfit.predict(joint, call=call, start={"omega0": SPIN}, seed=seed)
         for name, truth in (("rest_y", end.y[-1] - TEE), ("rest_x", end.x[-1])):
             item = predicted.quantities[name]
-            spans = {"68 %": (item.quantiles["16"], item.quantiles["84"]),
-                     "95 %": (item.quantiles["2.5"], item.quantiles["97.5"])}  # fmt: skip
-            found[f"the next draw, {name} (m)"] = Answer(truth, item.value, item.sd, spans)
+            spans = {
+                "68 %": (item.quantiles["16"], item.quantiles["84"]),
+                "95 %": (item.quantiles["2.5"], item.quantiles["97.5"]),
+            }
+            found[f"the next draw, {name} (m)"] = Answer(
+                truth, item.value, item.sd, spans
+            )
         yield found
 
 
@@ -137,8 +170,14 @@ def main() -> None:
     parser.add_argument("evenings", type=int)
     asked = parser.parse_args()
     found = list(answers(asked.kind, asked.evenings))
-    table = Table("", "inside 68 %", "inside 95 %", "rms pull", "median error stated",
-                  "true scatter")  # fmt: skip
+    table = Table(
+        "",
+        "inside 68 %",
+        "inside 95 %",
+        "rms pull",
+        "median error stated",
+        "true scatter",
+    )
     for name in found[0]:
         mine = [one[name] for one in found]
         true = np.array([one.truth for one in mine])
@@ -149,7 +188,11 @@ def main() -> None:
             low, high = np.array([one.intervals[level] for one in mine]).T
             inside = int(((low <= true) & (true <= high)).sum())
             counts.append(share(inside, len(mine), size))
-        numbers = (np.sqrt(np.mean((off / error) ** 2)), np.median(error), np.sqrt(np.mean(off**2)))
+        numbers = (
+            np.sqrt(np.mean((off / error) ** 2)),
+            np.median(error),
+            np.sqrt(np.mean(off**2)),
+        )
         table.add(name, *counts, *(f"{number:.2g}" for number in numbers))
     table.put(f"evenings {asked.kind}", f"{len(found)} evenings.")
 

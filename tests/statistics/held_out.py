@@ -1,10 +1,11 @@
-"""Coverage of predictions: the first 12 s of synthetic throws are fitted, the rest is predicted.
+"""Coverage of predictions: the first 12 s of synthetic throws are fitted, the rest
+is predicted.
 
     python tests/statistics/held_out.py THROWS [CASE]
 
-writes the tables of all cases, or of one, into README.md beside this file. What is compared is the
-true path, so that no measuring noise is in the comparison, and each throw gives one answer to each
-question, so that counts are binomial.
+writes the tables of all cases, or of one, into README.md beside this file. What is
+compared is the true path, so that no measuring noise is in the comparison, and each
+throw gives one answer to each question, so that counts are binomial.
 """
 
 from __future__ import annotations
@@ -23,8 +24,12 @@ UNTIL = 12.0
 TIMES = (14.0, 17.0, 20.0)
 NOISE_XY, NOISE_PHI = 0.005, 0.01
 LEVELS = {"68 %": ("16", "84", 0.68, 0.99446), "95 %": ("2.5", "97.5", 0.95, 1.95996)}
-ASKED = (*(f"{name} at {t:g} s" for t in TIMES for name in ("x", "y", "phi")), "rest_x", "rest_y",
-         "time")  # fmt: skip
+ASKED = (
+    *(f"{name} at {t:g} s" for t in TIMES for name in ("x", "y", "phi")),
+    "rest_x",
+    "rest_y",
+    "time",
+)
 
 
 class Case(NamedTuple):
@@ -44,7 +49,12 @@ CASES = (
     Case("`angular` fitted by `front-back`", "angular", "front-back"),
     Case("`semi-empirical` fitted by `front-back`", "semi-empirical", "front-back"),
     Case("`debris` fitted by `front-back`", "debris", "front-back"),
-    Case("right law, noise correlated by 0.9 from row to row", "front-back", "front-back", 0.9),
+    Case(
+        "right law, noise correlated by 0.9 from row to row",
+        "front-back",
+        "front-back",
+        0.9,
+    ),
     Case("`power+pivot` fitted by `front-back`", "power+pivot", "front-back"),
 )
 
@@ -65,8 +75,8 @@ class Answer(NamedTuple):
 def answers(
     case: Case, throws: int, seed: int = 0, left: Counter[str] | None = None
 ) -> Iterator[Answer]:
-    """One answer a throw. A throw that comes to rest before it can be asked, or whose fit does not
-    converge, is thrown again; `left` counts these by reason."""
+    """One answer a throw. A throw that comes to rest before it can be asked, or whose
+    fit does not converge, is thrown again; `left` counts these by reason."""
     left = Counter() if left is None else left
     random = np.random.default_rng(seed)
     stone = curlfit.Stone(R=0.065)
@@ -78,23 +88,34 @@ def answers(
             for item in law.coefficients()
             if not (item.optional or item.signed)
         }
-        start = {"v0": random.uniform(2.0, 2.3), "omega0": random.uniform(0.6, 2.0),
-                 "heading": random.uniform(-0.03, 0.03)}  # fmt: skip
+        start = {
+            "v0": random.uniform(2.0, 2.3),
+            "omega0": random.uniform(0.6, 2.0),
+            "heading": random.uniform(-0.03, 0.03),
+        }
         true_law = curlfit.law_with(case.truth, scaled)
         t = np.append(np.arange(0.0, 30.0, 0.1), 300.0)
         path = curlfit.simulate(
-            true_law, stone,
-            curlfit.InitialState(heading=start["heading"], v=start["v0"], omega=start["omega0"]), t,
-        ).to_numpy()  # fmt: skip
+            true_law,
+            stone,
+            curlfit.InitialState(
+                heading=start["heading"], v=start["v0"], omega=start["omega0"]
+            ),
+            t,
+        ).to_numpy()
         if not path.speed[200] > 0.05:
             left["all but at rest at 20 s"] += 1
             continue
         seen = slice(0, 201)
-        noise = [correlated(random.standard_normal(201), case.correlation) for _ in range(3)]
+        noise = [
+            correlated(random.standard_normal(201), case.correlation) for _ in range(3)
+        ]
         throw = curlfit.Throw.from_arrays(
-            t[seen], path.x[seen] + NOISE_XY * noise[0], path.y[seen] + NOISE_XY * noise[1],
+            t[seen],
+            path.x[seen] + NOISE_XY * noise[0],
+            path.y[seen] + NOISE_XY * noise[1],
             path.phi[seen] + NOISE_PHI * noise[2],
-        )  # fmt: skip
+        )
         fit = curlfit.fit(throw, case.fitted, stone=stone, until=UNTIL)
         if not fit.converged:
             left["not converged"] += 1
@@ -118,28 +139,41 @@ def _judged(predicted: curlfit.Prediction, path: curlfit.Trajectory) -> Answer:
 
             truth[key] = float(getattr(path, name)[round(t / 0.1)])
             best[key], own[key] = at(name), at(f"{name}_parameter_sd")
-            quantiles[key] = {level: at(f"{name}_{level}") for level in ("2.5", "16", "84", "97.5")}
+            quantiles[key] = {
+                level: at(f"{name}_{level}") for level in ("2.5", "16", "84", "97.5")
+            }
     shift = {"rest_x": path.x[-1], "rest_y": path.y[-1] - 38.405, "time": None}
     for name, value in shift.items():
         item = predicted.quantities[name]
         # the time of rest is known to the rows' 0.1 s only; two more rows tell it
         truth[name] = _time_of_rest(path) if value is None else float(value)
-        best[name], own[name], quantiles[name] = item.value, item.parameter_sd, item.quantiles
+        best[name], own[name], quantiles[name] = (
+            item.value,
+            item.parameter_sd,
+            item.quantiles,
+        )
     assert truth["time"] >= resting
     both: dict[str, dict[str, bool]] = {}
     parameters: dict[str, dict[str, bool]] = {}
     for level, (low, high, _, sigmas) in LEVELS.items():
-        both[level] = {k: quantiles[k][low] <= truth[k] <= quantiles[k][high] for k in ASKED}
-        parameters[level] = {k: abs(truth[k] - best[k]) <= sigmas * own[k] for k in ASKED}
+        both[level] = {
+            k: quantiles[k][low] <= truth[k] <= quantiles[k][high] for k in ASKED
+        }
+        parameters[level] = {
+            k: abs(truth[k] - best[k]) <= sigmas * own[k] for k in ASKED
+        }
     off = {k: abs(truth[k] - best[k]) for k in ASKED}
     half = {k: (quantiles[k]["84"] - quantiles[k]["16"]) / 2 for k in ASKED}
     return Answer(both, parameters, predicted.misfit.detected, off, half)
 
 
 def _time_of_rest(path: curlfit.Trajectory) -> float:
-    """From the last moving rows: near rest the way left goes as the square of the time left."""
+    """From the last moving rows: near rest the way left goes as the square of
+    the time left."""
     k = int(np.flatnonzero(path.speed > 0)[-1])
-    left = [np.hypot(path.x[-1] - path.x[j], path.y[-1] - path.y[j]) for j in (k - 1, k)]
+    left = [
+        np.hypot(path.x[-1] - path.x[j], path.y[-1] - path.y[j]) for j in (k - 1, k)
+    ]
     power = np.log(left[0] / left[1]) / np.log(path.speed[k - 1] / path.speed[k])
     return float(path.t[k] + left[1] / path.speed[k] * power / (power - 1))
 
@@ -151,8 +185,15 @@ def write(number: int, throws: int) -> None:
     counted = f"{throws + left.total()} throws drawn, {throws} counted"
     if left:
         counted += f"; left out: {reasons(left.elements())}"
-    table = Table("", "68 %: both errors", "parameters alone", "95 %: both errors",
-                  "parameters alone", "median error", "median half-width at 68 %")  # fmt: skip
+    table = Table(
+        "",
+        "68 %: both errors",
+        "parameters alone",
+        "95 %: both errors",
+        "parameters alone",
+        "median error",
+        "median half-width at 68 %",
+    )
     for name in ASKED:
         cells = []
         for level, (_, _, nominal, _) in LEVELS.items():

@@ -1,12 +1,13 @@
-"""How far a true law is behind the best of all laws, where noise is correlated from row to row.
+"""How far a true law is behind the best of all laws, where noise is correlated
+from row to row.
 
     python tests/statistics/laws.py THROWS
 
-writes the table "laws" of README.md beside this file. Throws under `coulomb` are drawn as in
-`errors.py`, fitted by all laws with independent and with AR(1) noise, and ranked by BIC as by
-`curlfit compare`, once among the fits of one noise model and once among all. Counted is how often
-the BIC of `coulomb` is at most 6 above the least: a difference beyond is strong evidence (Kass and
-Raftery 1995).
+writes the table "laws" of README.md beside this file. Throws under `coulomb` are drawn
+as in `errors.py`, fitted by all laws with independent and with AR(1) noise, and ranked
+by BIC as by `curlfit compare`, once among the fits of one noise model and once among
+all. Counted is how often the BIC of `coulomb` is at most 6 above the least: a
+difference beyond is strong evidence (Kass and Raftery 1995).
 """
 
 from __future__ import annotations
@@ -45,8 +46,15 @@ def delta_bic(fits: list[curlfit.FitResult]) -> dict[str, float]:
 def main() -> None:
     """Run the cases and write their table."""
     number = int(sys.argv[1])
-    table = Table("correlation time", "noise models", f"within {STRONG:g}", "first", "median",
-                  "95 %", "largest dBIC of the true law")  # fmt: skip
+    table = Table(
+        "correlation time",
+        "noise models",
+        f"within {STRONG:g}",
+        "first",
+        "median",
+        "95 %",
+        "largest dBIC of the true law",
+    )
     for memory in MEMORIES:
         random = np.random.default_rng(SEED)
         case = Case("", TRUE, TRUE, memory)
@@ -59,15 +67,20 @@ def main() -> None:
         for noises in (("white",), ("ar1",), NOISES):
             behind = []
             for each in zip(*(fits[noise] for noise in noises), strict=True):
-                usable = [fit for fit in chain(*each)
-                          if not isinstance(fit, Exception) and fit.converged]  # fmt: skip
+                usable = [
+                    fit
+                    for fit in chain(*each)
+                    if not isinstance(fit, Exception) and fit.converged
+                ]
                 behind.append(delta_bic(usable)[TRUE])
             size = np.array(behind)
             table.add(
-                f"{memory:g} s" if memory else "independent", " and ".join(noises),
-                f"{(size <= STRONG).sum()} of {number}", f"{(size < 0.05).sum()}",
+                f"{memory:g} s" if memory else "independent",
+                " and ".join(noises),
+                f"{(size <= STRONG).sum()} of {number}",
+                f"{(size < 0.05).sum()}",
                 *(f"{one:.1f}" for one in np.quantile(size, [0.5, 0.95, 1.0])),
-            )  # fmt: skip
+            )
     table.put("laws")
 
 

@@ -2,10 +2,10 @@
 
     python tests/statistics/populations.py
 
-writes its table into README.md beside this file. NUTS samples the coefficients of every throw,
-whose log-likelihood is the quadratic about the optimum of this throw alone; curlfit samples the
-spreads of the joint fit, and integrates the rest out, here without importance weights, which are
-tested against quadrature. The priors are the same: flat.
+writes its table into README.md beside this file. NUTS samples the coefficients of every
+throw, whose log-likelihood is the quadratic about the optimum of this throw alone;
+curlfit samples the spreads of the joint fit, and integrates the rest out, here without
+importance weights, which are tested against quadrature. The priors are the same: flat.
 """
 
 from __future__ import annotations
@@ -37,7 +37,9 @@ def draws(number: int, seed: int) -> list[curlfit.Throw]:
     random, found = np.random.default_rng(seed), []
     for draw in range(number):
         sheet, side = draw % 2 + 1, 1 if draw // 2 % 2 else -1
-        path = path_of(law_at(draw, sheet, random), random.uniform(2.19, 2.29), 1.3 * side)
+        path = path_of(
+            law_at(draw, sheet, random), random.uniform(2.19, 2.29), 1.3 * side
+        )
         found.append(replace(timed(path, random), labels={"sheet": f"{sheet}"}))
     return found
 
@@ -46,7 +48,9 @@ def tracks(number: int, seed: int) -> list[curlfit.Throw]:
     """Tracks of 25 rows, with noise of 5 cm and 50 mrad."""
     random, found = np.random.default_rng(seed), []
     for draw in range(number):
-        path = path_of(law_at(draw, draw % 2 + 1, random), random.uniform(2.19, 2.29), 1.3)
+        path = path_of(
+            law_at(draw, draw % 2 + 1, random), random.uniform(2.19, 2.29), 1.3
+        )
         rows = slice(0, 240, 10)
         x, y, phi = (getattr(path, name)[rows] for name in ("x", "y", "phi"))
         x, y, phi = (one + 0.05 * random.standard_normal(len(x)) for one in (x, y, phi))
@@ -74,7 +78,8 @@ def by_nuts(joint: curlfit.JointResult, throws: list[curlfit.Throw]) -> dict[str
     means = joint.means
     assert means is not None
     alone = [
-        curlfit.fit(one, "front-back", stone=STONE, fix=FIXED, details=False) for one in throws
+        curlfit.fit(one, "front-back", stone=STONE, fix=FIXED, details=False)
+        for one in throws
     ]
     told = np.array([one.coefficient_rows() for one in alone])
     labels = [(one.name, one.labels) for one in throws]
@@ -97,15 +102,26 @@ def by_nuts(joint: curlfit.JointResult, throws: list[curlfit.Throw]) -> dict[str
         for name, values in (("mean", mean), ("effect", effect), ("spread", spread)):
             numpyro.deterministic(name, values)
 
-    start = {"z": np.zeros(int(free.sum())), "e": np.zeros(k), "s": np.ones(k),
-             "u": np.zeros((len(told), k))}  # fmt: skip
+    start = {
+        "z": np.zeros(int(free.sum())),
+        "e": np.zeros(k),
+        "s": np.ones(k),
+        "u": np.zeros((len(told), k)),
+    }
     kernel = NUTS(
-        model, init_strategy=init_to_value(values=start), target_accept_prob=0.95, dense_mass=True
+        model,
+        init_strategy=init_to_value(values=start),
+        target_accept_prob=0.95,
+        dense_mass=True,
     )
     run = MCMC(
-        kernel, num_warmup=WARM, num_samples=DRAWS, num_chains=CHAINS, chain_method="sequential",
+        kernel,
+        num_warmup=WARM,
+        num_samples=DRAWS,
+        num_chains=CHAINS,
+        chain_method="sequential",
         progress_bar=False,
-    )  # fmt: skip
+    )
     run.run(jax.random.PRNGKey(2))
     found = run.get_samples(group_by_chain=True)
     return {name: np.asarray(found[name]) for name in ("mean", "effect", "spread")}
@@ -118,30 +134,49 @@ def main() -> None:
     for title, throws in SETS.items():
         began = time.time()
         joint = curlfit.fit_together(
-            throws, "front-back", stone=STONE, by="sheet", fix=FIXED, systematics={"all": 0.0},
+            throws,
+            "front-back",
+            stone=STONE,
+            by="sheet",
+            fix=FIXED,
+            systematics={"all": 0.0},
             seed=1,
-        )  # fmt: skip
+        )
         mine = time.time() - began
         found = by_nuts(joint, throws)
         assert joint.means is not None
         varying = [item for item in joint.variation if item.quantiles]
         of_mean, of_effect, of_spread = (
-            found[name].reshape(CHAINS * DRAWS, -1) for name in ("mean", "effect", "spread")
+            found[name].reshape(CHAINS * DRAWS, -1)
+            for name in ("mean", "effect", "spread")
         )
-        for place, (name, spread) in enumerate((one.expression, one.quantiles) for one in varying):
+        for place, (name, spread) in enumerate(
+            (one.expression, one.quantiles) for one in varying
+        ):
             weights = np.linalg.pinv(np.asarray(joint.means.directions))[place]
             for what, quantiles, sample in (
                 ("mean", one_of(joint.groups, name, "").quantiles, of_mean @ weights),
-                ("sheet 2 - 1", one_of(joint.differences, name, "sheet").quantiles,
-                 of_effect[:, place]),
+                (
+                    "sheet 2 - 1",
+                    one_of(joint.differences, name, "sheet").quantiles,
+                    of_effect[:, place],
+                ),
                 ("spread", spread, of_spread[:, place]),
-            ):  # fmt: skip
+            ):
                 other = np.quantile(sample, [float(level) / 100 for level in LEVELS])
                 width = other[3] - other[1]
                 ours = np.array([quantiles[level] for level in LEVELS])
-                table.add(title, f"{what}, {name}", *(f"{value:.5g}" for value in other))
-                table.add("", "off, 68 % widths", *(f"{o:+.2f}" for o in (ours - other) / width))
-        print(f"{mine:.0f} s against {time.time() - began - mine:.0f} s", file=sys.stderr)
+                table.add(
+                    title, f"{what}, {name}", *(f"{value:.5g}" for value in other)
+                )
+                table.add(
+                    "",
+                    "off, 68 % widths",
+                    *(f"{o:+.2f}" for o in (ours - other) / width),
+                )
+        print(
+            f"{mine:.0f} s against {time.time() - began - mine:.0f} s", file=sys.stderr
+        )
     table.put("populations")
 
 

@@ -1,10 +1,12 @@
-"""Whether laws recover themselves, and whether a comparison finds the law that made the data.
+"""Whether laws recover themselves, and whether a comparison finds the law that
+made the data.
 
     python tests/statistics/rivals.py recovery THROWS
     python tests/statistics/rivals.py confusion SETS
 
-write the tables of these names of README.md beside this file. Throws are those of `errors.py`; a
-set is one throw, or four of them of one law and one ice, with two senses and two rates of spin.
+write the tables of these names of README.md beside this file. Throws are those of
+`errors.py`; a set is one throw, or four of them of one law and one ice, with two senses
+and two rates of spin.
 """
 
 from __future__ import annotations
@@ -27,7 +29,10 @@ SEED = 3
 def recovery(throws: int) -> None:
     """Coverage of the coefficients of each law, fitted to its own throws."""
     table = Table(
-        "law", *LEVELS, *(f"{level}, without weak ones" for level in LEVELS), "not converged"
+        "law",
+        *LEVELS,
+        *(f"{level}, without weak ones" for level in LEVELS),
+        "not converged",
     )
     for name in LAWS:
         cells = []
@@ -56,17 +61,22 @@ def thrown(name: str, random: np.random.Generator) -> list[curlfit.Throw]:
         noise = random.standard_normal((3, len(TIMES)))
         found.append(
             curlfit.Throw.from_arrays(
-                TIMES, path.x + 0.005 * noise[0], path.y + 0.005 * noise[1],
-                path.phi + 0.01 * noise[2], sigma={"x": 0.005, "y": 0.005, "phi": 0.01},
+                TIMES,
+                path.x + 0.005 * noise[0],
+                path.y + 0.005 * noise[1],
+                path.phi + 0.01 * noise[2],
+                sigma={"x": 0.005, "y": 0.005, "phi": 0.01},
             )
-        )  # fmt: skip
+        )
     return found
 
 
 def confusion(sets: int) -> None:
     """How often `compare` puts each law first, by the law that made the data."""
     for count in (1, 4):
-        table = Table("truth", "first", "within 6 of the first", "others that came first")
+        table = Table(
+            "truth", "first", "within 6 of the first", "others that came first"
+        )
         for name in LAWS:
             random = np.random.default_rng(SEED)
             first: Counter[str] = Counter()
@@ -76,11 +86,18 @@ def confusion(sets: int) -> None:
                 found = curlfit.compare(throws[0] if count == 1 else throws)
                 first[found.best.law] += 1
                 near += any(
-                    one.law == name and one.rank and one.delta_bic <= 6 for one in found.candidates
+                    one.law == name and one.rank and one.delta_bic <= 6
+                    for one in found.candidates
                 )
-            others = ", ".join(f"`{law}` {n}" for law, n in first.most_common() if law != name)
+            others = ", ".join(
+                f"`{law}` {n}" for law, n in first.most_common() if law != name
+            )
             table.add(f"`{name}`", f"{first[name]} of {sets}", near, others)
-        title = "One throw" if count == 1 else "Four throws, of two senses and two rates of spin"
+        title = (
+            "One throw"
+            if count == 1
+            else "Four throws, of two senses and two rates of spin"
+        )
         table.put(f"confusion-{count}", f"{title}, {sets} sets a row.")
 
 

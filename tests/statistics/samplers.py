@@ -1,11 +1,13 @@
-"""Log evidence against nested sampling, and leave-one-out against importance sampling of chains.
+"""Log evidence against nested sampling, and leave-one-out against importance
+sampling of chains.
 
     python tests/statistics/samplers.py
 
-writes the tables "evidence" and "leave-one-out" of README.md beside this file; the extra `dev`
-brings dynesty (Speagle 2020) and arviz (Kumar et al. 2019). Each case is one throw of 15 s at 10
-Hz, 5 mm on x and y and 10 mrad on phi, whose sigmas are known. Nested sampling is given the paths
-of the law alone: priors and densities of the noise are written here with scipy.
+writes the tables "evidence" and "leave-one-out" of README.md beside this file; the
+extra `dev` brings dynesty (Speagle 2020) and arviz (Kumar et al. 2019). Each case is
+one throw of 15 s at 10 Hz, 5 mm on x and y and 10 mrad on phi, whose sigmas are known.
+Nested sampling is given the paths of the law alone: priors and densities of the noise
+are written here with scipy.
 """
 
 from __future__ import annotations
@@ -44,19 +46,36 @@ class Case:
 
 CASES = (
     Case("`coulomb`", "coulomb", (0.009,), "coulomb", 3),
-    Case("`front-back`, a ridge", "front-back", (0.0018, 0.058, 0.009, 0.009), "front-back", 3),
-    Case("`front-back`, a ridge and `mu1_xi` at its bound", "front-back",
-         (0.0, 0.058, 0.009, 0.009), "front-back", 7),
-)  # fmt: skip
+    Case(
+        "`front-back`, a ridge",
+        "front-back",
+        (0.0018, 0.058, 0.009, 0.009),
+        "front-back",
+        3,
+    ),
+    Case(
+        "`front-back`, a ridge and `mu1_xi` at its bound",
+        "front-back",
+        (0.0, 0.058, 0.009, 0.009),
+        "front-back",
+        7,
+    ),
+)
 
 
 def fitted(case: Case) -> curlfit.FitResult:
     """The fit of a case."""
     law = curlfit.LAWS[case.truth](*case.values)
     throw = curlfit.synthetic_throw(
-        law, curlfit.Stone(), v0=2.0, omega0=1.2, until=15.0, noise_xy=SIGMA["x"],
-        noise_phi=SIGMA["phi"], seed=case.seed,
-    )  # fmt: skip
+        law,
+        curlfit.Stone(),
+        v0=2.0,
+        omega0=1.2,
+        until=15.0,
+        noise_xy=SIGMA["x"],
+        noise_phi=SIGMA["phi"],
+        seed=case.seed,
+    )
     return curlfit.fit(throw.with_sigma(SIGMA), case.fitted, systematics={"all": 0.0})
 
 
@@ -69,14 +88,18 @@ def by_row(fit: curlfit.FitResult) -> Callable[[np.ndarray], np.ndarray]:
     sigma = np.array(list(SIGMA.values()))[:, None]
 
     def found(vectors: np.ndarray) -> np.ndarray:
-        paths = [predict_channels(fit.model, one, problem)[:3, :n] for one in vectors - offset]
+        paths = [
+            predict_channels(fit.model, one, problem)[:3, :n]
+            for one in vectors - offset
+        ]
         return norm.logpdf(measured, np.array(paths), sigma).sum(1)
 
     return found
 
 
 def nested(fit: curlfit.FitResult, seed: int = 0) -> tuple[float, float, int]:
-    """Log evidence by nested sampling, its error, and the number of likelihoods it took."""
+    """Log evidence by nested sampling, its error, and the number of
+    likelihoods it took."""
     import dynesty
 
     law = {item.name: item for item in fit.law_class.coefficients()}
@@ -100,23 +123,36 @@ def nested(fit: curlfit.FitResult, seed: int = 0) -> tuple[float, float, int]:
         return total if np.isfinite(total) else -1e300
 
     sampler = dynesty.NestedSampler(
-        likelihood, transform, len(priors), nlive=LIVE, sample="rwalk",
+        likelihood,
+        transform,
+        len(priors),
+        nlive=LIVE,
+        sample="rwalk",
         rstate=np.random.default_rng(seed),
-    )  # fmt: skip
+    )
     sampler.run_nested(dlogz=0.1, print_progress=False)
     found: Any = sampler.results
-    return float(found.logz[-1] + log_volume), float(found.logzerr[-1]), int(sum(found.ncall))
+    return (
+        float(found.logz[-1] + log_volume),
+        float(found.logzerr[-1]),
+        int(sum(found.ncall)),
+    )
 
 
-def importance_sampled(fit: curlfit.FitResult, draws: int = 3000) -> tuple[float, float]:
-    """Log evidence of `front-back` and its error, from draws of the Gaussian about the optimum, of
-    which mu1_eta - mu2_eta is drawn evenly along the ridge."""
+def importance_sampled(
+    fit: curlfit.FitResult, draws: int = 3000
+) -> tuple[float, float]:
+    """Log evidence of `front-back` and its error, from draws of the Gaussian about the
+    optimum, of which mu1_eta - mu2_eta is drawn evenly along the ridge."""
     random, size = np.random.default_rng(0), len(fit.parameters)
-    to_all = np.delete(np.eye(size), 3, axis=1)  # mu1_eta + mu2_eta in the place of both
+    # mu1_eta + mu2_eta in the place of both
+    to_all = np.delete(np.eye(size), 3, axis=1)
     to_all[[2, 3], 2] = 0.5
     information = to_all.T @ np.array(fit.information["matrix"]) @ to_all
     scale = 1 / np.sqrt(np.diag(information))
-    covariance = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
+    covariance = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(
+        scale, scale
+    )
     mean = covariance @ to_all.T @ np.array(fit.information["gradient"])
     proposal = multivariate_normal(mean, 1.2 * covariance)
     steps = proposal.rvs(draws, random_state=1)
@@ -126,7 +162,8 @@ def importance_sampled(fit: curlfit.FitResult, draws: int = 3000) -> tuple[float
     values[:, 2:4] = np.stack([total + difference, total - difference], 1) / 2
     inside = (values[:, :4] >= 0).all(1)
     logs = by_row(fit)(values[inside]).sum(1) - proposal.logpdf(steps)[inside]
-    logs += np.log(total[inside])  # 2 mu_sum, the range of the difference, times the Jacobian, 1/2
+    # 2 mu_sum, the range of the difference, times the Jacobian, 1/2
+    logs += np.log(total[inside])
     for column, item in enumerate(fit.law_class.coefficients()):
         sd = 3 * max(item.typical, abs(item.default))
         prior = truncnorm(item.lower / sd, item.upper / sd, scale=sd)
@@ -172,10 +209,20 @@ def closed_form(fit: curlfit.FitResult) -> LeaveOneOut:
 
 def main() -> None:
     """Run the cases and write their tables."""
-    evidence = Table("", "curlfit", "dynesty", "difference", "likelihoods",
-                     "importance sampling")  # fmt: skip
-    loo = Table("", "elpd_loo", "PSIS", "standard error", "PSIS", "p_loo", "PSIS",
-                "largest Pareto k", "largest difference in a row")  # fmt: skip
+    evidence = Table(
+        "", "curlfit", "dynesty", "difference", "likelihoods", "importance sampling"
+    )
+    loo = Table(
+        "",
+        "elpd_loo",
+        "PSIS",
+        "standard error",
+        "PSIS",
+        "p_loo",
+        "PSIS",
+        "largest Pareto k",
+        "largest difference in a row",
+    )
     for case in CASES:
         fit = fitted(case)
         own = log_evidence(fit, sum(log_likelihood(fit).values()))
@@ -183,15 +230,26 @@ def main() -> None:
         drawn = ""
         if case.fitted == "front-back":
             drawn = "{:.2f} ± {:.2f}".format(*importance_sampled(fit))
-        evidence.add(case.title, f"{own:.2f}", f"{other:.2f} ± {error:.2f}", f"{own - other:+.2f}",
-                     calls, drawn)  # fmt: skip
+        evidence.add(
+            case.title,
+            f"{own:.2f}",
+            f"{other:.2f} ± {error:.2f}",
+            f"{own - other:+.2f}",
+            calls,
+            drawn,
+        )
         mine, sampled = closed_form(fit), psis(fit)
         off = np.abs(mine.left_out - np.asarray(sampled.left_out)).max()
         pairs = (
-            (getattr(mine, name), getattr(sampled, name)) for name in ("elpd", "stderr", "p_loo")
+            (getattr(mine, name), getattr(sampled, name))
+            for name in ("elpd", "stderr", "p_loo")
         )
-        loo.add(case.title, *(f"{one:.2f}" for pair in pairs for one in pair),
-                f"{float(sampled.pareto_k.max()):.2f}", f"{off:.3f}")  # fmt: skip
+        loo.add(
+            case.title,
+            *(f"{one:.2f}" for pair in pairs for one in pair),
+            f"{float(sampled.pareto_k.max()):.2f}",
+            f"{off:.3f}",
+        )
     evidence.put("evidence")
     loo.put("leave-one-out")
 

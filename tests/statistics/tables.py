@@ -14,7 +14,8 @@ from scipy.stats import binomtest
 HERE = Path(__file__).parent
 DOUBTFUL = 0.01
 LEVELS = {"68 %": (0.68, 0.99446), "95 %": (0.95, 1.95996)}
-"""Share of the cases that an interval should hold, and its half width in standard errors."""
+"""Share of the cases that an interval should hold, and its half width in
+standard errors."""
 
 
 def put(name: str, text: str, folder: Path = HERE) -> None:
@@ -38,9 +39,12 @@ def share(inside: int, of: int, nominal: float) -> str:
 
 
 def correlated(noise: np.ndarray, carry: float) -> np.ndarray:
-    """The noise with each value along the last axis correlated so much with the one before."""
+    """The noise with each value along the last axis correlated so much with
+    the one before."""
     for k in range(1, noise.shape[-1]):
-        noise[..., k] = carry * noise[..., k - 1] + np.sqrt(1 - carry**2) * noise[..., k]
+        noise[..., k] = (
+            carry * noise[..., k - 1] + np.sqrt(1 - carry**2) * noise[..., k]
+        )
     return noise
 
 
@@ -55,7 +59,8 @@ def head(*columns: str) -> list[str]:
 
 
 class Table(list[str]):
-    """Lines of a table in Markdown; rows are shown as they are added, with the time they took."""
+    """Lines of a table in Markdown; rows are shown as they are added, with the
+    time they took."""
 
     def __init__(self, *columns: str) -> None:
         super().__init__(head(*columns))
@@ -64,7 +69,9 @@ class Table(list[str]):
     def add(self, *cells: object) -> None:
         """Add a row."""
         self.append(row(cells))
-        print(self[-1], f"({time.time() - self.began:.0f} s)", file=sys.stderr, flush=True)
+        print(
+            self[-1], f"({time.time() - self.began:.0f} s)", file=sys.stderr, flush=True
+        )
         self.began = time.time()
 
     def put(self, name: str, before: str = "") -> None:
@@ -85,7 +92,9 @@ def asked(description: str | None) -> argparse.Namespace:
         description=description, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("throws", type=int, help="of each case")
-    parser.add_argument("--only", default="", help="cases whose title has this; nothing is written")
+    parser.add_argument(
+        "--only", default="", help="cases whose title has this; nothing is written"
+    )
     chosen = parser.parse_args()
     if chosen.throws < 1:
         parser.error("expected at least one throw")

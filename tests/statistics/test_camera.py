@@ -1,4 +1,5 @@
-"""A throw that a discrepancy once drew away from its data; `camera.py` makes the table of many."""
+"""A throw that a discrepancy once drew away from its data; `camera.py` makes the
+table of many."""
 
 from __future__ import annotations
 
@@ -14,7 +15,8 @@ def test_a_discrepancy_leaves_the_law_nearest_to_the_data():
     random = np.random.default_rng(1)
     *_, (throw, _) = (filmed(CASES[1], random) for _ in range(33))
     white, found = (
-        curlfit.fit(throw, noise=kind, details=False) for kind in ("white", "discrepancy")
+        curlfit.fit(throw, noise=kind, details=False)
+        for kind in ("white", "discrepancy")
     )
     assert found.converged
     for name, size in white.rms.items():

@@ -1,4 +1,5 @@
-"""A short run of the coverage of predictions; `held_out.py` makes the table of a long one."""
+"""A short run of the coverage of predictions; `held_out.py` makes the table
+of a long one."""
 
 from __future__ import annotations
 

@@ -15,12 +15,16 @@ each = pytest.mark.parametrize("case", CASES, ids=["coulomb", "ridge", "bound"])
 @each
 def test_log_evidence_is_that_of_nested_sampling_in_the_table(case):
     text = (HERE / "README.md").read_text().split("<!-- evidence -->")[1]
-    (line,) = [line for line in text.splitlines() if line.startswith(f"| {case.title} |")]
+    (line,) = [
+        line for line in text.splitlines() if line.startswith(f"| {case.title} |")
+    ]
     expected, error = map(float, line.split("|")[3].split("±"))
     fit = fitted(case)
     found = log_evidence(fit, sum(log_likelihood(fit).values()))
     assert found == pytest.approx(expected, abs=3 * error)
-    at_bound = [name for name, item in fit.parameters.items() if item.verdict == "at bound"]
+    at_bound = [
+        name for name, item in fit.parameters.items() if item.verdict == "at bound"
+    ]
     assert at_bound == (["mu1_xi"] if "bound" in case.title else [])
 
 

@@ -13,7 +13,9 @@ from damaged_files import Outcome
 
 def worker(folder: Path, seed: int, count: int) -> dict:
     """The tally of many files, forked from a process without the tests' own imports."""
-    run = python(*STRICT, damaged_files.__file__, folder, seed, count, OPENBLAS_NUM_THREADS="1")
+    run = python(
+        *STRICT, damaged_files.__file__, folder, seed, count, OPENBLAS_NUM_THREADS="1"
+    )
     assert run.returncode == 0, run.stderr
     return json.loads(run.stdout)
 

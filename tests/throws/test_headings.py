@@ -1,4 +1,5 @@
-"""Columns by their headings: other languages, headings that the user names, and those unused."""
+"""Columns by their headings: other languages, headings that the user names, and
+those unused."""
 
 from __future__ import annotations
 
@@ -16,7 +17,9 @@ DEGREES = np.degrees(PHI)
 
 
 def written(headings: str, *columns: np.ndarray) -> str:
-    return table(dict(zip(headings.split(";"), columns or (T, X, Y, DEGREES), strict=True)), ";")
+    return table(
+        dict(zip(headings.split(";"), columns or (T, X, Y, DEGREES), strict=True)), ";"
+    )
 
 
 @pytest.mark.parametrize(
@@ -46,11 +49,15 @@ def test_headings_in_other_words(write, headings):
 def test_inches_are_no_filling_word(write):
     file = write(written("t;Stone x (in);y-läge in m;yaw (rad)", T, X / 0.0254, Y, PHI))
     is_throw(load_throw(file))
-    file = write(written("t;Off (in);Far in ft;yaw (rad)", T, X / 0.0254, Y / 0.3048, PHI))
+    file = write(
+        written("t;Off (in);Far in ft;yaw (rad)", T, X / 0.0254, Y / 0.3048, PHI)
+    )
     is_throw(load_throw(file, columns={"x": "Off (in)", "y": "Far in ft"}))
 
 
-@pytest.mark.parametrize("heading", ["turns", "Umdrehungen", "tours", "Winkel (Umdrehungen)"])
+@pytest.mark.parametrize(
+    "heading", ["turns", "Umdrehungen", "tours", "Winkel (Umdrehungen)"]
+)
 def test_turns_are_angles(write, heading):
     is_throw(load_throw(write(written(f"t;x;y;{heading}", T, X, Y, TURNS))))
 
@@ -60,7 +67,12 @@ def test_words_in_other_languages_yield_to_those_of_curlfit(write):
     for heading in ("Winkel", "Zeit", "px", "x-läge", "Tempo"):
         throw = load_throw(write(written(f"t;x;y;phi;{heading}", T, X, Y, PHI, 0 * T)))
         is_throw(throw)
-        assert throw.seen == ("x", "y", "phi", *(["speed"] if heading == "Tempo" else []))
+        assert throw.seen == (
+            "x",
+            "y",
+            "phi",
+            *(["speed"] if heading == "Tempo" else []),
+        )
     words = "\n".join(f"{t},{x},{y},out" for t, x, y in zip(T, X, Y, strict=True))
     throw = load_throw(write("t,x,y,Drehung\n" + words))
     is_throw(throw, phi=False)
@@ -68,20 +80,28 @@ def test_words_in_other_languages_yield_to_those_of_curlfit(write):
     two = load_throw(write(written("t;x;y;Winkel;yaw", T, X, Y, PHI, 2 * PHI)))
     assert two.seen == ("x", "y")
     assert (
-        two.notes[0] == 'not used, and perhaps phi: Winkel; `--columns "phi=Winkel"` reads them so'
+        two.notes[0]
+        == 'not used, and perhaps phi: Winkel; `--columns "phi=Winkel"` reads them so'
     )
 
 
 def test_the_user_names_columns(write):
-    file = write(written("When;Off;Far (m);Turned (deg);x;phi", T, X, Y, DEGREES, 0 * T, 0 * T))
+    file = write(
+        written("When;Off;Far (m);Turned (deg);x;phi", T, X, Y, DEGREES, 0 * T, 0 * T)
+    )
     given = {"t": "when", "x": "Off", "y": "far", "angle": "Turned (deg)"}
     is_throw(load_throw(file, columns=given))
-    lines = "".join(f'# columns.{key} = "{heading}"\n' for key, heading in given.items())
+    lines = "".join(
+        f'# columns.{key} = "{heading}"\n' for key, heading in given.items()
+    )
     own = write(lines + file.read_text(), "own.csv")
     throw = load_throw(own)
     is_throw(throw)
     assert "columns" not in throw.defaults
-    words = ["--columns", ", ".join(f"{key}={heading}" for key, heading in given.items())]
+    words = [
+        "--columns",
+        ", ".join(f"{key}={heading}" for key, heading in given.items()),
+    ]
     ran = command("check", file, *words, cwd=file.parent)
     assert ran.returncode == 0, ran.stderr
     assert "Turned (deg)  phi       deg" in ran.stdout
@@ -96,7 +116,10 @@ def test_the_user_names_columns(write):
     [
         ({"t": "Uhr"}, "columns t='Uhr': no column of this name among t, x, y, Drall"),
         ({"mass": "x"}, "columns 'mass'='x': expected one of t, x, y, angle"),
-        ({"x": "y", "y": "y"}, "columns y='y': more than one column, or one named twice"),
+        (
+            {"x": "y", "y": "y"},
+            "columns y='y': more than one column, or one named twice",
+        ),
         ({"phi": "x"}, "no column for x among t, x, y, Drall"),
     ],
 )
@@ -107,7 +130,9 @@ def test_columns_that_cannot_be_named_so(write, columns, words):
 
 
 def test_columns_are_named_in_tables_alone(write):
-    with pytest.raises(InputError, match=r"--columns: .* is a timings file and holds no columns"):
+    with pytest.raises(
+        InputError, match=r"--columns: .* is a timings file and holds no columns"
+    ):
         load_throw(write("hog_to_hog = 14.2\nhog_to_rest = 10\n"), columns={"t": "x"})
 
 
@@ -123,14 +148,18 @@ def test_what_is_not_used_is_named_first_with_the_option_that_reads_it(write):
     assert throw.notes[0] == (
         'not used, and perhaps phi: Degrees; `--columns "phi=Degrees"` reads them so'
     )
-    is_throw(load_throw(file, columns={"x": "Lateral", "y": "Distance", "phi": "Degrees"}))
+    is_throw(
+        load_throw(file, columns={"x": "Lateral", "y": "Distance", "phi": "Degrees"})
+    )
 
 
 def test_a_unit_that_is_not_known_is_never_taken_for_another(write):
     file = write(written("t;x;y;Twist (gon)", T, X, Y, PHI * 200 / np.pi))
     throw = load_throw(file)
     assert throw.notes == ("columns ignored: Twist (gon)",)
-    with pytest.raises(DataError, match=r"line 1: phi in 'gon': unknown unit; .*--units phi=UNIT"):
+    with pytest.raises(
+        DataError, match=r"line 1: phi in 'gon': unknown unit; .*--units phi=UNIT"
+    ):
         load_throw(file, columns={"phi": "Twist"})
     angle = load_throw(file, columns={"phi": "Twist"}, units="angle=mrad").phi
     np.testing.assert_allclose(angle, 0.2 / np.pi * PHI)
@@ -143,11 +172,16 @@ def test_what_cannot_be_one_of_ours_is_not_proposed(write):
     throw = load_throw(write(f"t;speed;{others}\n{rows}"))
     assert throw.notes == (f"columns ignored: {others.replace(';', ', ')}",)
     rows = "".join(f"{k / 10};{k / 9};1\n" for k in range(20))
-    assert load_throw(write(f"t;phi;distance\n{rows}")).notes == ("columns ignored: distance",)
+    assert load_throw(write(f"t;phi;distance\n{rows}")).notes == (
+        "columns ignored: distance",
+    )
 
 
 def test_pixels_ask_for_known_points(write):
     file = write(written("time;px;py;angle_deg"))
     ran = command("check", file, cwd=file.parent)
     assert ran.returncode == 2
-    assert "positions are in pixels; give four or more known points with --reference" in ran.stderr
+    assert (
+        "positions are in pixels; give four or more known points with --reference"
+        in ran.stderr
+    )

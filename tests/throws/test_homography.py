@@ -1,4 +1,5 @@
-"""The map from pixels to metres: least squares in the image, and the errors that it leaves."""
+"""The map from pixels to metres: least squares in the image, and the errors
+that it leaves."""
 
 from __future__ import annotations
 
@@ -18,22 +19,31 @@ ROWS = table(dict(zip("uv", project(X, Y), strict=True)) | {"t": T})
 
 
 def clicked(seed=3, noise=1.0):
-    return project(*KNOWN) + noise * np.random.default_rng(seed).normal(size=KNOWN.shape)
+    return project(*KNOWN) + noise * np.random.default_rng(seed).normal(
+        size=KNOWN.shape
+    )
 
 
 def by_scipy(pixels, metres):
-    """The elements of the map from the sheet to the image (the last is 1), by least squares."""
+    """The elements of the map from the sheet to the image (the last is 1), by
+    least squares."""
 
     def image(elements, places):
-        u, v, w = np.append(elements, 1.0).reshape(3, 3) @ np.stack([*places, 1.0 + 0 * places[0]])
+        u, v, w = np.append(elements, 1.0).reshape(3, 3) @ np.stack(
+            [*places, 1.0 + 0 * places[0]]
+        )
         return np.stack([u, v]) / w
 
     start = np.linalg.inv(homography(project(*KNOWN), KNOWN).matrix)
     start = (start / start[2, 2]).ravel()[:8]
     return least_squares(
-        lambda elements: (image(elements, metres) - pixels).ravel(), start,
-        x_scale=np.abs(start), xtol=1e-15, ftol=1e-15, gtol=1e-15,
-    )  # fmt: skip
+        lambda elements: (image(elements, metres) - pixels).ravel(),
+        start,
+        x_scale=np.abs(start),
+        xtol=1e-15,
+        ftol=1e-15,
+        gtol=1e-15,
+    )
 
 
 def test_the_errors_of_the_map_are_those_of_the_least_squares():
@@ -61,7 +71,9 @@ def test_four_points_leave_the_errors_unknown(write):
 
 
 def test_the_noise_of_a_row_is_that_of_one_pixel(write):
-    throw = load_throw(write(ROWS), reference=write(known_points(noise=1.0), "points.csv"))
+    throw = load_throw(
+        write(ROWS), reference=write(known_points(noise=1.0), "points.csv")
+    )
     assert not throw.sigma
     chance = np.random.default_rng(1).normal(size=(400, 2, len(T)))
     plane = homography(project(*KNOWN), KNOWN)
@@ -84,7 +96,9 @@ def test_the_weight_of_a_row_does_not_depend_on_its_noise(write):
     np.testing.assert_allclose(throw.relative_sigma["y"], exact, rtol=0.05)
 
 
-@pytest.mark.parametrize("axes", ["x-along,y-right", "x-back,y-left,from-tee", "y-back,x-left"])
+@pytest.mark.parametrize(
+    "axes", ["x-along,y-right", "x-back,y-left,from-tee", "y-back,x-left"]
+)
 def test_the_errors_follow_the_axes(write, axes):
     rows, points = write(ROWS), write(known_points(noise=1.0), "points.csv")
     plain = load_throw(rows, reference=points)

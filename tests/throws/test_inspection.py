@@ -24,7 +24,9 @@ def stone(t, noise=0.0, seed=0):
 
 
 def throw(t, noise=0.0, **more):
-    return Throw.from_arrays(t, stone(t, noise, 1) ** 2 / 400, stone(t, noise, 2), **more)
+    return Throw.from_arrays(
+        t, stone(t, noise, 1) ** 2 / 400, stone(t, noise, 2), **more
+    )
 
 
 @pytest.mark.parametrize("noise", [0.002, 0.02])
@@ -37,7 +39,8 @@ def test_scatter_is_the_noise_and_not_the_bend(noise):
 
 
 def ending(power, until, noise, dt, seed):
-    """A throw whose speed falls as 2 m/s (1 - t/20 s)^power, and its speed at the last row.
+    """A throw whose speed falls as 2 m/s (1 - t/20 s)^power, and its speed at
+    the last row.
 
     Powers of 2/3, 1 and 2 are those of friction as v^-1/2, constant and as v^1/2.
     """
@@ -45,14 +48,19 @@ def ending(power, until, noise, dt, seed):
     t = np.arange(random.uniform(0, dt), until, dt)
     left = np.maximum(1 - t / 20, 0)
     along = SPEED * 20 / (power + 1) * (1 - left ** (power + 1))
-    places = np.stack([0.03 * along, along]) + noise * random.standard_normal((2, len(t)))
+    places = np.stack([0.03 * along, along]) + noise * random.standard_normal(
+        (2, len(t))
+    )
     return Throw.from_arrays(t, *places), np.hypot(1, 0.03) * SPEED * left[-1] ** power
 
 
 def test_a_throw_cut_off_is_not_at_rest():
     off = []
     for power, noise, dt, speed in product(
-        (2 / 3, 1, 2), (0.0, 0.001, 0.005, 0.02), (0.02, 0.1, 0.5), (0.05, 0.1, 0.15, 0.3, 0.5)
+        (2 / 3, 1, 2),
+        (0.0, 0.001, 0.005, 0.02),
+        (0.02, 0.1, 0.5),
+        (0.05, 0.1, 0.15, 0.3, 0.5),
     ):
         until = 20 * (1 - (speed / SPEED) ** (1 / power))
         for seed in range(4):
@@ -61,16 +69,24 @@ def test_a_throw_cut_off_is_not_at_rest():
             assert first_row_at_rest(*rows) is None, (power, noise, dt, speed, seed)
             found, error = final_speed(*rows)
             off.append((found - last) / error)
-    # 0.954, were the paths parabolas; the braking of the first grows without limit toward rest
+    # 0.954, were the paths parabolas; the braking of the first grows without
+    # limit toward rest
     assert 0.92 < np.mean(np.abs(off) < 2) < 0.98
 
 
 @pytest.mark.parametrize("power", [2 / 3, 1])
 @pytest.mark.parametrize(
     ("noise", "dt", "after"),
-    [(0.0, 0.02, 0.5), (0.001, 0.1, 1), (0.005, 0.02, 1), (0.005, 0.1, 2), (0.005, 0.5, 4),
-     (0.02, 0.02, 2), (0.02, 0.1, 4)],
-)  # fmt: skip
+    [
+        (0.0, 0.02, 0.5),
+        (0.001, 0.1, 1),
+        (0.005, 0.02, 1),
+        (0.005, 0.1, 2),
+        (0.005, 0.5, 4),
+        (0.02, 0.02, 2),
+        (0.02, 0.1, 4),
+    ],
+)
 def test_rest_is_seen_where_it_lasted(power, noise, dt, after):
     for seed in range(8):
         t, positions = path_of(ending(power, 20 + after, noise, dt, seed)[0])
@@ -81,8 +97,14 @@ def test_rest_is_seen_where_it_lasted(power, noise, dt, after):
 
 def test_what_is_not_certain_is_said():
     for made, words in (
-        (ending(1, 20.5, 0.02, 0.1, 3), r"uncertain: 0\.\d+\(\d+\) m/s at the last row"),
-        (ending(1, 18, 0.002, 0.1, 0), r"not observed: 0\.2\d+\(\d+\) m/s at the last row"),
+        (
+            ending(1, 20.5, 0.02, 0.1, 3),
+            r"uncertain: 0\.\d+\(\d+\) m/s at the last row",
+        ),
+        (
+            ending(1, 18, 0.002, 0.1, 0),
+            r"not observed: 0\.2\d+\(\d+\) m/s at the last row",
+        ),
     ):
         (line,) = (line for line in facts(made[0], {}) if line.startswith("rest"))
         assert re.fullmatch(f"rest       {words}", line)
@@ -98,7 +120,10 @@ def test_pauses_are_counted():
 
 def test_a_speed_that_was_measured_says_how_the_throw_ends():
     t = np.arange(0.0, 10.0)
-    for last, words in ((0.0, "at the last row"), (0.5, "not reached: 0.5 m/s at the end")):
+    for last, words in (
+        (0.0, "at the last row"),
+        (0.5, "not reached: 0.5 m/s at the end"),
+    ):
         one = Throw.from_arrays(t, speed=np.linspace(2.0, last, 10))
         assert f"rest       {words}" in list(facts(one, {}))
     spin = Throw.from_arrays(t, omega=t)

@@ -1,11 +1,26 @@
-"""Tables as spreadsheets lay them out: titles, units apart, errors, thousands, several throws."""
+"""Tables as spreadsheets lay them out: titles, units apart, errors, thousands,
+several throws."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from conftest import parts_in
-from sample_files import CELL, COLUMNS, PHI, PLAIN, ROWS, N, T, X, Y, is_throw, ods, said, table
+from sample_files import (
+    CELL,
+    COLUMNS,
+    PHI,
+    PLAIN,
+    ROWS,
+    N,
+    T,
+    X,
+    Y,
+    is_throw,
+    ods,
+    said,
+    table,
+)
 
 from curlfit import DataError, InputError, Throw, load_throw, load_throws
 
@@ -13,7 +28,10 @@ HEADER = ",".join(COLUMNS)
 
 
 def test_titles_above_the_header(write):
-    for titles in ("Curling club\nSheet 3, ice of January\n\n", "Throw,3,,\n,,,\nDate,12.1.,,\n"):
+    for titles in (
+        "Curling club\nSheet 3, ice of January\n\n",
+        "Throw,3,,\n,,,\nDate,12.1.,,\n",
+    ):
         throw = load_throw(write(titles + "# until = 9\n" + PLAIN))
         is_throw(throw)
         assert throw.defaults == {"until": 9}
@@ -26,13 +44,22 @@ def test_titles_above_the_header(write):
 def test_units_in_the_second_row(write):
     body = table({"Time": T, "X": 100 * X, "Y": 100 * Y, "Angle": np.degrees(PHI)})
     head, *rows = body.splitlines()
-    for units in ("(s),(cm),(cm),(deg)", "s,cm,cm,°", "[s],[cm],[cm],[Grad]", ",cm,cm,deg"):
+    for units in (
+        "(s),(cm),(cm),(deg)",
+        "s,cm,cm,°",
+        "[s],[cm],[cm],[Grad]",
+        ",cm,cm,deg",
+    ):
         throw = load_throw(write("\n".join([head, units, *rows])))
         is_throw(throw)
         assert throw.lines[0] == 3
-    both = load_throw(write("\n".join(["Our throw", head, "(s),(cm),(cm),(deg)", *rows])))
+    both = load_throw(
+        write("\n".join(["Our throw", head, "(s),(cm),(cm),(deg)", *rows]))
+    )
     is_throw(both)
-    with pytest.raises(DataError, match=r"line 2, column Time: '\(h\)' found, expected a finite"):
+    with pytest.raises(
+        DataError, match=r"line 2, column Time: '\(h\)' found, expected a finite"
+    ):
         load_throw(write("\n".join([head, "(h),(au),(au),(gon)", *rows])))
 
 
@@ -59,14 +86,22 @@ def grouped(value: float, thousands: str, decimal: str) -> str:
 
 @pytest.mark.parametrize(
     ("thousands", "decimal", "separator"),
-    [(".", ",", ";"), (",", ".", "\t"), (" ", ",", ";"), ("\u202f", ",", ";"), ("'", ".", ";"),
-     (",", ".", ",")],
-)  # fmt: skip
+    [
+        (".", ",", ";"),
+        (",", ".", "\t"),
+        (" ", ",", ";"),
+        ("\u202f", ",", ";"),
+        ("'", ".", ";"),
+        (",", ".", ","),
+    ],
+)
 def test_thousands_may_be_separated(write, thousands, decimal, separator):
     quote = '"' * (separator == ",")
     head = separator.join(["t (s)", "x (mm)", "y (mm)", "angle (rad)"])
     rows = [
-        separator.join(f"{quote}{grouped(value, thousands, decimal)}{quote}" for value in row)
+        separator.join(
+            f"{quote}{grouped(value, thousands, decimal)}{quote}" for value in row
+        )
         for row in zip(T, 1000 * X, 1000 * Y, PHI, strict=True)
     ]
     throw = load_throw(write("\n".join([head, *rows])))
@@ -75,12 +110,15 @@ def test_thousands_may_be_separated(write, thousands, decimal, separator):
 
 
 def test_a_mark_that_cannot_separate_thousands_is_not_removed(write):
-    """What was read with a decimal point or comma still is, and both in one file are refused."""
+    """What was read with a decimal point or comma still is, and both in one file
+    are refused."""
     throw = load_throw(write("t;x;y\n0,5;1,234;1.234\n0,6;1,5;1.5\n"))
     assert (throw.x[0], throw.y[0]) == (1.234, 1.234)
     throw = load_throw(write('t,x,y\n0.5,1,"1,234"\n0.6,1,"1,235"\n'))
     assert throw.y.tolist() == [1234, 1235]
-    with pytest.raises(DataError, match=r"line 2, column y: '1\.064,3' found, expected a finite"):
+    with pytest.raises(
+        DataError, match=r"line 2, column y: '1\.064,3' found, expected a finite"
+    ):
         load_throw(write("t;x;y\n0.5;1;1.064,3\n0.6;1;1.065,3\n"))
 
 
@@ -95,7 +133,8 @@ def test_a_spreadsheet_may_have_titles_units_apart_and_errors(tmp_path):
     rows = ["".join(CELL.format("string", "", word) for word in head) for head in heads]
     for k, row in enumerate(zip(T, 100 * X, 100 * Y, np.degrees(PHI), strict=True)):
         cells = [
-            CELL.format("float", f'office:value="{value!r}"', value) for value in map(float, row)
+            CELL.format("float", f'office:value="{value!r}"', value)
+            for value in map(float, row)
         ]
         if k == 7:
             cells[2] = CELL.format("string", "", "#NV")
@@ -117,8 +156,8 @@ def test_a_stone_that_is_back_at_the_start_is_another_throw(write):
     with pytest.raises(DataError) as caught:
         load_throw(file)
     assert str(caught.value) == (
-        f"{file}: 2 throws; choose one with `--stone-index N`: 1 from line 2 (60 rows); 2 from "
-        f"line {N + 2} (60 rows)"
+        f"{file}: 2 throws; choose one with `--stone-index N`: "
+        f"1 from line 2 (60 rows); 2 from line {N + 2} (60 rows)"
     )
     first, second = parts_in(file)
     is_throw(first.throw)
@@ -126,7 +165,8 @@ def test_a_stone_that_is_back_at_the_start_is_another_throw(write):
     jumps = [row.split(",") for row in ROWS]
     jumps[30][1:3] = "0", "0"  # a row that is off is no throw
     assert len(load_throw(write("\n".join([HEADER, *map(",".join, jumps)])))) == N
-    gap = load_throw(write("\n".join([HEADER, *ROWS[:6], *ROWS[45:]])))  # nor a stone out of sight
+    # nor a stone out of sight
+    gap = load_throw(write("\n".join([HEADER, *ROWS[:6], *ROWS[45:]])))
     assert len(gap) == 21
 
 
@@ -135,9 +175,15 @@ def test_a_joint_fit_takes_every_throw_of_a_table(write):
     assert [throw.name for throw in load_throws(write(PLAIN, "one.csv"))] == [
         str(file.with_name("one.csv"))
     ]
-    names = write("stone,t,x,y\n" + "".join(
-        f"{name},{t},{x},{y}\n" for name in "ab" for t, x, y in zip(T, X, Y, strict=True)
-    ), "named.csv")  # fmt: skip
+    names = write(
+        "stone,t,x,y\n"
+        + "".join(
+            f"{name},{t},{x},{y}\n"
+            for name in "ab"
+            for t, x, y in zip(T, X, Y, strict=True)
+        ),
+        "named.csv",
+    )
     first, second = load_throws(names)
     assert (first.name, second.name) == (f"{names} throw 1", f"{names} throw 2")
     (second,) = load_throws(names, stone_index=2)
@@ -147,10 +193,14 @@ def test_a_joint_fit_takes_every_throw_of_a_table(write):
 
 @pytest.mark.parametrize(
     "head",
-    ["t1,x1,y1,phi1,t2,x2,y2,phi2", "t,x,y,phi,t.1,x.1,y.1,phi.1", "t,x,y,phi,t,x,y,phi",
-     "t_1 (s),x_1 (m),y_1 (m),phi_1 (rad),t_2 (s),x_2 (m),y_2 (m),phi_2 (rad)",
-     "Red,,,,Yellow,,,\nt (s),x (m),y (m),phi (rad),t (s),x (m),y (m),phi (rad)"],
-)  # fmt: skip
+    [
+        "t1,x1,y1,phi1,t2,x2,y2,phi2",
+        "t,x,y,phi,t.1,x.1,y.1,phi.1",
+        "t,x,y,phi,t,x,y,phi",
+        "t_1 (s),x_1 (m),y_1 (m),phi_1 (rad),t_2 (s),x_2 (m),y_2 (m),phi_2 (rad)",
+        "Red,,,,Yellow,,,\nt (s),x (m),y (m),phi (rad),t (s),x (m),y (m),phi (rad)",
+    ],
+)
 def test_throws_side_by_side(write, head):
     others = table(COLUMNS | {"x": X + 0.5}).splitlines()[1:-5] + [",,,"] * 5
     rows = [f"{one},{other}" for one, other in zip(ROWS, others, strict=True)]
@@ -163,7 +213,9 @@ def test_throws_side_by_side(write, head):
 
 
 def test_one_clock_for_throws_side_by_side(write):
-    rows = "".join(f"{t},{x},{y},{x + 0.5},{y}\n" for t, x, y in zip(T, X, Y, strict=True))
+    rows = "".join(
+        f"{t},{x},{y},{x + 0.5},{y}\n" for t, x, y in zip(T, X, Y, strict=True)
+    )
     np.testing.assert_allclose(
         load_throw(write("t,x1,y1,x2,y2\n" + rows), stone_index=2).x, X + 0.5
     )
@@ -176,7 +228,10 @@ def test_a_worksheet_is_chosen_by_its_name_and_the_others_are_named(tmp_path, wr
         head = "".join(CELL.format("string", "", name) for name in COLUMNS)
         columns = (COLUMNS | {"x": X + shift}).values()
         return [head] + [
-            "".join(CELL.format("float", f'office:value="{v!r}"', v) for v in map(float, row))
+            "".join(
+                CELL.format("float", f'office:value="{v!r}"', v)
+                for v in map(float, row)
+            )
             for row in zip(*columns, strict=True)
         ]
 
@@ -184,11 +239,15 @@ def test_a_worksheet_is_chosen_by_its_name_and_the_others_are_named(tmp_path, wr
     file = ods(tmp_path / "throws.ods", cells(0.0), second=cells(0.5), Legend=legend)
     first, second = load_throw(file), load_throw(file, worksheet="second")
     np.testing.assert_allclose(second.x, first.x + 0.5, atol=1e-12)
-    those = "3 worksheets: evening, second, Legend; taken: {} (--worksheet selects another)"
+    those = (
+        "3 worksheets: evening, second, Legend; taken: {} (--worksheet selects another)"
+    )
     assert first.notes[0] == those.format("evening")
     assert second.notes[0] == those.format("second")
     assert second.read_with == ("--worksheet=second",)
-    with pytest.raises(InputError, match="worksheet with data; expected one of evening, second, L"):
+    with pytest.raises(
+        InputError, match="worksheet with data; expected one of evening, second, L"
+    ):
         load_throw(file, worksheet="empty")
     with pytest.raises(DataError) as caught:
         load_throw(file, worksheet="Legend")

@@ -15,9 +15,16 @@ from curlfit.throws.throw import last_motion
 @pytest.fixture(scope="module")
 def long():
     return curlfit.synthetic_throw(
-        LAWS["front-back"](), Stone(), v0=2.1, omega0=1.3, until=60.0, dt=0.002,
-        noise_xy=0.005, noise_phi=0.01, seed=3,
-    )  # fmt: skip
+        LAWS["front-back"](),
+        Stone(),
+        v0=2.1,
+        omega0=1.3,
+        until=60.0,
+        dt=0.002,
+        noise_xy=0.005,
+        noise_phi=0.01,
+        seed=3,
+    )
 
 
 def test_short_throws_are_left_alone(eq12):
@@ -35,7 +42,9 @@ def test_means_over_blocks_keep_time_place_and_noise(long):
     assert step.max() < 0.0101
     # every row of the moving part is in one block: the means average to the mean
     rows = long.t <= rest
-    assert short.x[short.t <= rest].mean() == pytest.approx(long.x[rows].mean(), abs=2e-3)
+    assert short.x[short.t <= rest].mean() == pytest.approx(
+        long.x[rows].mean(), abs=2e-3
+    )
     assert "was at rest" in short.notes[-1]
     assert "30001 rows condensed to" in short.notes[-1]
 

@@ -28,8 +28,17 @@ def marked(t=T, noise=0.0, seed=0, arm=ARM):
 
 def export(places, t=T, unit="m", factor=1.0):
     """A Tracker export with stone and handle side by side, each with its own clock."""
-    head = "stone\t\t\thandle\t\t\n" + "\t".join([f"t (s)\tx ({unit})\ty ({unit})"] * 2) + "\n"
-    columns = [t, *(factor * p for p in places[:2]), t, *(factor * p for p in places[2:])]
+    head = (
+        "stone\t\t\thandle\t\t\n"
+        + "\t".join([f"t (s)\tx ({unit})\ty ({unit})"] * 2)
+        + "\n"
+    )
+    columns = [
+        t,
+        *(factor * p for p in places[:2]),
+        t,
+        *(factor * p for p in places[2:]),
+    ]
     rows = zip(*columns, strict=True)
     return head + "".join(
         "\t".join("" if np.isnan(v) else f"{v:.12g}" for v in r) + "\n" for r in rows
@@ -48,12 +57,18 @@ def test_the_direction_of_the_handle_is_the_angle(write, unit, factor):
     assert said(throw, "the direction of the mark, 120 mm from")
 
 
-@pytest.mark.parametrize("words", ["x-along", "x-left", "y-back,counter-clockwise", "clockwise"])
+@pytest.mark.parametrize(
+    "words", ["x-along", "x-left", "y-back,counter-clockwise", "clockwise"]
+)
 def test_the_angle_is_counter_clockwise_in_any_axes(write, words):
     places, phi = marked()
     right, along = np.array(places[::2]), np.array(places[1::2])
-    x, y = {"x-along": (along, -right), "x-left": (-right, along), "clockwise": (right, along),
-            "y-back,counter-clockwise": (right, -along)}[words]  # fmt: skip
+    x, y = {
+        "x-along": (along, -right),
+        "x-left": (-right, along),
+        "clockwise": (right, along),
+        "y-back,counter-clockwise": (right, -along),
+    }[words]
     throw = load_throw(write(export([x[0], y[0], x[1], y[1]])), axes=words, handle=2)
     np.testing.assert_allclose(throw.phi - throw.phi[0], phi - phi[0], atol=1e-6)
 
@@ -74,8 +89,13 @@ def test_noise_of_both_marks_is_that_of_the_angle(write):
 def test_given_sigmas_are_propagated(write):
     places, phi = marked(noise=0.0)
     sigma_x, sigma_y = 0.001, 0.004
-    columns = dict(zip(("x", "y", "x_handle", "y_handle"), places, strict=True)) | {"t": T}
-    columns |= {"sigma_x": np.full_like(T, sigma_x), "sigma_y": np.full_like(T, sigma_y)}
+    columns = dict(zip(("x", "y", "x_handle", "y_handle"), places, strict=True)) | {
+        "t": T
+    }
+    columns |= {
+        "sigma_x": np.full_like(T, sigma_x),
+        "sigma_y": np.full_like(T, sigma_y),
+    }
     throw = load_throw(write(table(columns)))
     # the gradient of atan2(dy, dx), by differences
     step = 1e-6
@@ -100,14 +120,22 @@ def test_gaps_of_either_mark_are_gaps_of_the_angle(write):
 def test_marks_that_are_none(write):
     places, _ = marked()
     file = write(export(places))
-    with pytest.raises(InputError, match="--handle 1 is the stone itself; expected another object"):
+    with pytest.raises(
+        InputError, match="--handle 1 is the stone itself; expected another object"
+    ):
         load_throw(file, handle=1)
-    with pytest.raises(InputError, match="--handle 3: there is no such object; expected one of 1"):
+    with pytest.raises(
+        InputError, match="--handle 3: there is no such object; expected one of 1"
+    ):
         load_throw(file, handle=3)
-    with pytest.raises(DataError, match="the mark is 2 m from the stone, and a stone's diam"):
+    with pytest.raises(
+        DataError, match="the mark is 2 m from the stone, and a stone's diam"
+    ):
         load_throw(write(export(marked(arm=2.0)[0])), handle=2)
     plain = write(table({"t": T, "x": X, "y": Y}), "plain.csv")
-    with pytest.raises(InputError, match=r"--handle: .*plain.csv is a table file and holds no obj"):
+    with pytest.raises(
+        InputError, match=r"--handle: .*plain.csv is a table file and holds no obj"
+    ):
         load_throw(plain, handle=1)
     both = COLUMNS | {"x_mark": X + 0.1, "y_mark": Y}
     with pytest.raises(DataError, match="an angle and a second mark are both given"):

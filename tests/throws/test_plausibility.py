@@ -1,4 +1,5 @@
-"""What no curling stone does is refused, with the words that mend it, and nothing else is."""
+"""What no curling stone does is refused, with the words that mend it, and
+nothing else is."""
 
 from __future__ import annotations
 
@@ -62,19 +63,34 @@ def test_the_curl_is_the_departure_from_the_first_direction(until, rest):
     ("made", "said", "flag"),
     [
         (scaled(t=1000), "a coefficient of friction of 8.", "t=ms"),
-        (scaled(t=1 / 60), "moves at 122 m/s, and none is thrown at more than about 4", "t=min"),
-        (scaled(x=100, y=100), "the path is 2.45e+03 m long, and a sheet 45.7 m", "length=cm"),
+        (
+            scaled(t=1 / 60),
+            "moves at 122 m/s, and none is thrown at more than about 4",
+            "t=min",
+        ),
+        (
+            scaled(x=100, y=100),
+            "the path is 2.45e+03 m long, and a sheet 45.7 m",
+            "length=cm",
+        ),
         (scaled(x=1000, y=1000), "if lengths are in millimetres", "length=mm"),
         (scaled(x=1 / FOOT, y=1 / FOOT), "moves at 6.6", "length=ft"),
         (scaled(x=12 / FOOT, y=12 / FOOT), "if lengths are in inches", "length=in"),
         (scaled(x=100), "the path is 76.8 m long, and a sheet 45.7 m", "x=cm"),
-        (scaled(t=1000, x=100, y=100), "if the time is in milliseconds and lengths are in "
-         "centimetres", "t=ms,length=cm"),
-        (scaled(phi=DEGREES), "turns 137 times, at 43.2 rad/s; stones turn at most about 10 "
-         "times; if angles are in degrees", "angle=deg"),
+        (
+            scaled(t=1000, x=100, y=100),
+            "if the time is in milliseconds and lengths are in centimetres",
+            "t=ms,length=cm",
+        ),
+        (
+            scaled(phi=DEGREES),
+            "turns 137 times, at 43.2 rad/s; stones turn at most about 10 "
+            "times; if angles are in degrees",
+            "angle=deg",
+        ),
         (scaled(t=30), "if t counts frames", "t=30fps"),
     ],
-)  # fmt: skip
+)
 def test_wrong_units_are_refused_and_mended(written, made, said, flag):
     file = written(made(GOOD))
     throw = load_throw(file)
@@ -97,8 +113,11 @@ def test_wrong_units_are_refused_and_mended(written, made, said, flag):
 
 def test_a_wrapped_angle_in_arrays_is_refused(written):
     columns = wrapped(2 * np.pi, -np.pi)(GOOD)
-    assert require_plausible(load_throw(written(columns))) == ()  # unwrapped as it is read
-    with pytest.raises(InputError, match="phi jumps by 360 degrees 2 times: it is wrapped"):
+    # unwrapped as it is read
+    assert require_plausible(load_throw(written(columns))) == ()
+    with pytest.raises(
+        InputError, match="phi jumps by 360 degrees 2 times: it is wrapped"
+    ):
         require_plausible(Throw.from_arrays(**columns))
     is_good(Throw.from_arrays(**columns, units="angle=rad"))
     degrees = wrapped(360, -180, DEGREES)(GOOD)
@@ -110,16 +129,35 @@ def test_a_wrapped_angle_in_arrays_is_refused(written):
 @pytest.mark.parametrize(
     ("made", "said", "flag", "mirrored"),
     [
-        (scaled(x=-1), "turns counter-clockwise and curls 0.72 m to the right",
-         "x-left,counter-clockwise", False),
-        (scaled(y=-1), "y points back at the thrower", "y-back,counter-clockwise", False),
-        (scaled(phi=-1), "turns clockwise and curls 0.72 m to the left",
-         "x-left,counter-clockwise", True),
-        (exchanged, "x runs along the sheet and y across it", "x-along,y-right,counter-clockwise",
-         False),
+        (
+            scaled(x=-1),
+            "turns counter-clockwise and curls 0.72 m to the right",
+            "x-left,counter-clockwise",
+            False,
+        ),
+        (
+            scaled(y=-1),
+            "y points back at the thrower",
+            "y-back,counter-clockwise",
+            False,
+        ),
+        (
+            scaled(phi=-1),
+            "turns clockwise and curls 0.72 m to the left",
+            "x-left,counter-clockwise",
+            True,
+        ),
+        (
+            exchanged,
+            "x runs along the sheet and y across it",
+            "x-along,y-right,counter-clockwise",
+            False,
+        ),
     ],
-)  # fmt: skip
-def test_mirrored_axes_are_told_by_the_side_of_the_curl(written, made, said, flag, mirrored):
+)
+def test_mirrored_axes_are_told_by_the_side_of_the_curl(
+    written, made, said, flag, mirrored
+):
     file = written(made(GOOD))
     (finding,) = require_plausible(load_throw(file))
     assert said in str(finding)
@@ -130,19 +168,32 @@ def test_mirrored_axes_are_told_by_the_side_of_the_curl(written, made, said, fla
     assert require_plausible(mended) == ()
     # the other proposal: the same up to a mirror, in which friction is the same
     assert "if angles count the other way: `--axes clockwise`" in str(finding)
-    assert not [f for f in examine(load_throw(file, axes="clockwise")) if "curls" in f.says]
+    assert not [
+        f for f in examine(load_throw(file, axes="clockwise")) if "curls" in f.says
+    ]
 
 
 @pytest.mark.parametrize(
     ("made", "said", "flag", "within"),
     [
         (pushed, "a hand was still on the stone", "since", (0.0, 1.0)),
-        (picked_up, "the velocity jumps by 0.47 m/s at t = 21.1 s", "until", (20.9, 21.1)),
-        (collided, "the velocity jumps by 0.78 m/s at t = 12 s, as in a collision", "until",
-         (11.5, 12.0)),
+        (
+            picked_up,
+            "the velocity jumps by 0.47 m/s at t = 21.1 s",
+            "until",
+            (20.9, 21.1),
+        ),
+        (
+            collided,
+            "the velocity jumps by 0.78 m/s at t = 12 s, as in a collision",
+            "until",
+            (11.5, 12.0),
+        ),
     ],
-)  # fmt: skip
-def test_what_friction_cannot_do_is_refused_and_cut_off(written, made, said, flag, within):
+)
+def test_what_friction_cannot_do_is_refused_and_cut_off(
+    written, made, said, flag, within
+):
     throw = load_throw(written(made(GOOD)))
     with pytest.raises(InputError) as caught:
         require_plausible(throw)
@@ -153,8 +204,9 @@ def test_what_friction_cannot_do_is_refused_and_cut_off(written, made, said, fla
 
 
 def filmed(c, onset=0.0, rest=3.0, glide=3.0, spin=0.0):
-    """A full film, whose time 0 is that of the release: rest, the push of a leg, the slide in the
-    hand, in the last `onset` of which the hand turns the stone, then the throw."""
+    """A full film, whose time 0 is that of the release: rest, the push of a leg,
+    the slide in the hand, in the last `onset` of which the hand turns the stone,
+    then the throw."""
     dt = 0.04
     before = np.arange(-rest - glide - 0.5, -1e-9, dt)
     v0 = np.array([(c[axis][15] - c[axis][0]) / 1.5 for axis in "xy"])
@@ -164,18 +216,24 @@ def filmed(c, onset=0.0, rest=3.0, glide=3.0, spin=0.0):
     noise = 0.003 * np.random.default_rng(5).standard_normal((3, len(before)))
     back = {"x": speed * v0[0], "y": speed * v0[1], "phi": turning}
     early = {
-        name: c[name][:4].mean() - 0.15 * (name == "y") * v0[1]
-        - dt * np.cumsum(rate[::-1])[::-1] + noise[k]
+        name: c[name][:4].mean()
+        - 0.15 * (name == "y") * v0[1]
+        - dt * np.cumsum(rate[::-1])[::-1]
+        + noise[k]
         for k, (name, rate) in enumerate(back.items())
-    }  # fmt: skip
-    return {name: np.concatenate([({"t": before} | early)[name], c[name]]) for name in c}
+    }
+    return {
+        name: np.concatenate([({"t": before} | early)[name], c[name]]) for name in c
+    }
 
 
 @pytest.mark.parametrize("onset", [0.0, 0.15, 0.3])
 @pytest.mark.parametrize(("rest", "glide"), [(3.0, 3.0), (0.0, 3.0), (2.0, 1.0)])
 def test_the_release_is_where_the_stone_begins_to_turn(written, onset, rest, glide):
     throw = load_throw(written(filmed(GOOD, onset, rest, glide)))
-    with pytest.raises(InputError, match="what is before the release, where it begins to turn"):
+    with pytest.raises(
+        InputError, match="what is before the release, where it begins to turn"
+    ):
         require_plausible(throw)
     time = float(typed_flag(str(examine(throw)[0]), "since"))
     assert -0.05 <= time <= 0.35, time  # not earlier, by a row at most
@@ -189,9 +247,16 @@ def test_the_release_is_where_the_stone_begins_to_turn(written, onset, rest, gli
 
 
 def test_a_stone_that_turns_from_the_beginning_has_no_release():
-    for throw in (GOOD, filmed(GOOD, spin=1.0, rest=0.0), GOOD | {"phi": 0.1 * GOOD["phi"]}):
+    for throw in (
+        GOOD,
+        filmed(GOOD, spin=1.0, rest=0.0),
+        GOOD | {"phi": 0.1 * GOOD["phi"]},
+    ):
         assert release(Throw.from_arrays(**throw)) is None
-    assert release(Throw.from_arrays(**{k: v for k, v in GOOD.items() if k != "phi"})) is None
+    assert (
+        release(Throw.from_arrays(**{k: v for k, v in GOOD.items() if k != "phi"}))
+        is None
+    )
 
 
 @pytest.mark.parametrize(("filmed_at", "read_at"), [(60, 30), (120, 30), (240, 30)])
@@ -199,10 +264,14 @@ def test_the_wrong_number_of_frames_a_second_is_suspected(written, filmed_at, re
     """Times are off by a factor, and friction by its square."""
     throw = load_throw(written(GOOD | {"t": GOOD["t"] * filmed_at / read_at}))
     (finding,) = examine(throw)
-    assert f"if a film of {filmed_at} frames a second was read at {read_at}: " in str(finding)
+    assert f"if a film of {filmed_at} frames a second was read at {read_at}: " in str(
+        finding
+    )
     assert finding.refused == (filmed_at > 60)
     flag = typed_flag(str(finding), "units")
-    again = load_throw(written(GOOD | {"t": GOOD["t"] * filmed_at / read_at}), units=flag)
+    again = load_throw(
+        written(GOOD | {"t": GOOD["t"] * filmed_at / read_at}), units=flag
+    )
     is_good(again)
     assert examine(again) == ()
 
@@ -216,11 +285,20 @@ def test_times_that_run_backwards_are_refused():
 @pytest.mark.parametrize(
     ("column", "values", "said", "flag"),
     [
-        ("speed", 3.6 * np.hypot(*np.gradient([GOOD["x"], GOOD["y"]], 0.1, axis=1)),
-         "the measured speed is 3.6", "speed=km/h"),
-        ("omega", DEGREES * np.gradient(GOOD["phi"], 0.1), "the measured spin is 5", "spin=deg/s"),
+        (
+            "speed",
+            3.6 * np.hypot(*np.gradient([GOOD["x"], GOOD["y"]], 0.1, axis=1)),
+            "the measured speed is 3.6",
+            "speed=km/h",
+        ),
+        (
+            "omega",
+            DEGREES * np.gradient(GOOD["phi"], 0.1),
+            "the measured spin is 5",
+            "spin=deg/s",
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_measured_rate_is_held_against_the_path(column, values, said, flag):
     smooth = np.convolve(np.pad(values, 7, "edge"), np.ones(15) / 15, "valid")
     throw = Throw.from_arrays(**GOOD, **{column: smooth})
@@ -228,17 +306,30 @@ def test_a_measured_rate_is_held_against_the_path(column, values, said, flag):
         require_plausible(throw)
     assert said in str(caught.value)
     assert f'units="{flag}"' in str(caught.value)
-    assert require_plausible(Throw.from_arrays(**GOOD, **{column: smooth}, units=flag)) == ()
+    assert (
+        require_plausible(Throw.from_arrays(**GOOD, **{column: smooth}, units=flag))
+        == ()
+    )
 
 
 # What must not be refused
 
 
 def sliding(
-    v=2.0, friction=0.01, until=15.0, dt=0.1, noise=0.005, memory=0.0, outlying=0.0, turn=1.0,
-    curl=1.0, heading=0.0, seed=0,
-):  # fmt: skip
-    """A throw of constant friction that curls as the square of the distance, with noise."""
+    v=2.0,
+    friction=0.01,
+    until=15.0,
+    dt=0.1,
+    noise=0.005,
+    memory=0.0,
+    outlying=0.0,
+    turn=1.0,
+    curl=1.0,
+    heading=0.0,
+    seed=0,
+):
+    """A throw of constant friction that curls as the square of the
+    distance, with noise."""
     random, t = np.random.default_rng(seed), np.arange(0, until, dt)
     s = np.minimum(t, v / (9.81 * friction))
     along = v * s - 9.81 * friction * s**2 / 2
@@ -249,7 +340,9 @@ def sliding(
     if memory:
         carry = np.exp(-dt / memory)
         for k in range(1, len(t)):
-            errors[:, k] = carry * errors[:, k - 1] + np.sqrt(1 - carry**2) * errors[:, k]
+            errors[:, k] = (
+                carry * errors[:, k - 1] + np.sqrt(1 - carry**2) * errors[:, k]
+            )
     x, y = x + noise * errors[0], y + noise * errors[1]
     off = random.random(len(t)) < outlying
     x, y = x + off * random.normal(0, 1, len(t)), y + off * random.normal(0, 1, len(t))
@@ -259,28 +352,50 @@ def sliding(
 @pytest.mark.parametrize(
     "odd",
     [
-        {"until": 2.0, "dt": 0.05}, {"until": 1.0, "dt": 0.05, "noise": 0.01},
-        {"until": 2.0, "dt": 1 / 30, "noise": 0.02}, {"friction": 0.035, "until": 8.0},
-        {"turn": 1e-9}, {"turn": -1.4}, {"heading": np.pi + 0.02}, {"v": 0.5, "until": 8.0},
-        {"v": 3.4, "until": 7.0}, {"until": 40.0}, {"until": 40.0, "noise": 0.03, "memory": 0.5},
-        {"noise": 0.02, "memory": 1.0}, {"noise": 0.03, "memory": 0.3}, {"outlying": 0.1},
-        {"outlying": 0.05, "dt": 0.2, "noise": 0.01}, {"dt": 0.5, "noise": 0.02}, {"dt": 1.25},
-        {"noise": 0.1}, {"dt": 1 / 120, "noise": 0.002},
-        {"v": 0.5, "friction": 0.03, "until": 1.2, "dt": 0.02, "noise": 5e-4, "curl": 5.0},
+        {"until": 2.0, "dt": 0.05},
+        {"until": 1.0, "dt": 0.05, "noise": 0.01},
+        {"until": 2.0, "dt": 1 / 30, "noise": 0.02},
+        {"friction": 0.035, "until": 8.0},
+        {"turn": 1e-9},
+        {"turn": -1.4},
+        {"heading": np.pi + 0.02},
+        {"v": 0.5, "until": 8.0},
+        {"v": 3.4, "until": 7.0},
+        {"until": 40.0},
+        {"until": 40.0, "noise": 0.03, "memory": 0.5},
+        {"noise": 0.02, "memory": 1.0},
+        {"noise": 0.03, "memory": 0.3},
+        {"outlying": 0.1},
+        {"outlying": 0.05, "dt": 0.2, "noise": 0.01},
+        {"dt": 0.5, "noise": 0.02},
+        {"dt": 1.25},
+        {"noise": 0.1},
+        {"dt": 1 / 120, "noise": 0.002},
+        {
+            "v": 0.5,
+            "friction": 0.03,
+            "until": 1.2,
+            "dt": 0.02,
+            "noise": 5e-4,
+            "curl": 5.0,
+        },
     ],
-)  # fmt: skip
+)
 def test_odd_throws_of_stones_are_taken(odd):
     for seed in range(10):
         assert require_plausible(sliding(**odd, seed=seed)) == ()
 
 
 def driven(rise=0.0, jump=0.0, at=7.0):
-    """A throw at about 2 m/s whose speed grows evenly within 2 s, or jumps to the side."""
+    """A throw at about 2 m/s whose speed grows evenly within 2 s, or jumps
+    to the side."""
     t = np.arange(0, 15, 0.05)
     speed = 2 - 0.1 * t + (rise + 0.2) * np.clip((t - at) / 2, 0, 1)
     noise = 0.0005 * np.random.default_rng(1).standard_normal((2, len(t)))
     return Throw.from_arrays(
-        t, jump * np.clip(t - at, 0, None) + noise[0], np.cumsum(speed) * 0.05 + noise[1]
+        t,
+        jump * np.clip(t - at, 0, None) + noise[0],
+        np.cumsum(speed) * 0.05 + noise[1],
     )
 
 
@@ -308,20 +423,31 @@ UNITS, UNUSUAL, AXES = [("units", True)], [("units", False)], [("axes", False)]
         (sliding(v=3.8, friction=0.02, until=3), []),
         (sliding(v=4, friction=0.0033, until=17, turn=0.5, curl=0), UNUSUAL),
         (sliding(v=2.6, friction=0.0082, until=32, turn=0.5), []),
-        (sliding(**LONG, curl=5.2), UNUSUAL), (sliding(**LONG, curl=3.2), []),
-        (sliding(turn=15), [("turns", True)]), (sliding(turn=10), [("turns", False)]),
-        (sliding(turn=4.8), [("turns", False)]), (sliding(turn=3.2), []),
-        (driven(rise=0.14), [("growing speed", True)]), (driven(rise=0.08), []),
-        (driven(jump=0.29), [("collision", True)]), (driven(jump=0.23), []),
-        (sliding(**LONG, curl=-0.3), AXES), (sliding(**LONG, curl=-0.16), []),
-        (sliding(**LONG, curl=-1, turn=0.03), AXES), (sliding(**LONG, curl=-1, turn=0.016), []),
-        (with_rates(speed=1.4), UNUSUAL), (with_rates(speed=1.1), []),
-        (with_rates(speed=0.7), UNUSUAL), (with_rates(speed=0.9), []),
-        (with_rates(spin=1.4), UNUSUAL), (with_rates(spin=1.1), []),
+        (sliding(**LONG, curl=5.2), UNUSUAL),
+        (sliding(**LONG, curl=3.2), []),
+        (sliding(turn=15), [("turns", True)]),
+        (sliding(turn=10), [("turns", False)]),
+        (sliding(turn=4.8), [("turns", False)]),
+        (sliding(turn=3.2), []),
+        (driven(rise=0.14), [("growing speed", True)]),
+        (driven(rise=0.08), []),
+        (driven(jump=0.29), [("collision", True)]),
+        (driven(jump=0.23), []),
+        (sliding(**LONG, curl=-0.3), AXES),
+        (sliding(**LONG, curl=-0.16), []),
+        (sliding(**LONG, curl=-1, turn=0.03), AXES),
+        (sliding(**LONG, curl=-1, turn=0.016), []),
+        (with_rates(speed=1.4), UNUSUAL),
+        (with_rates(speed=1.1), []),
+        (with_rates(speed=0.7), UNUSUAL),
+        (with_rates(speed=0.9), []),
+        (with_rates(spin=1.4), UNUSUAL),
+        (with_rates(spin=1.1), []),
     ],
-)  # fmt: skip
+)
 def test_limits(throw, found):
-    """Throws on either side of each limit, so near that a factor of 1.5 would exchange them."""
+    """Throws on either side of each limit, so near that a factor of 1.5 would
+    exchange them."""
     assert [(finding.kind, finding.refused) for finding in examine(throw)] == found
 
 
@@ -354,7 +480,8 @@ def test_certified_throws_and_the_paper_s_are_plausible():
 # After the fit
 
 FEW = {name: values[::15] for name, values in GOOD.items()}
-FEW["x"] = np.where(np.arange(len(FEW["x"])) % 6 == 0, FEW["x"], np.nan)  # too few to judge before
+# too few to judge before
+FEW["x"] = np.where(np.arange(len(FEW["x"])) % 6 == 0, FEW["x"], np.nan)
 
 
 @pytest.mark.parametrize(
@@ -374,7 +501,8 @@ def test_an_absurd_fit_is_not_usable(written, made, said):
 
 
 def slid(v0, mu):
-    """Constant friction until rest, 10 rows a second; the stone covers v0^2/(2 mu g)."""
+    """Constant friction until rest, 10 rows a second; the stone covers
+    v0^2/(2 mu g)."""
     a = mu * 9.81
     t = np.arange(0, v0 / a, 0.1)
     return t, v0 * t - a * t**2 / 2
@@ -385,7 +513,10 @@ def test_a_takeout_without_a_back_line_is_no_matter_of_units():
     assert y[-1] > 61.9
     (found,) = require_plausible(Throw.from_arrays(t, 0 * y, y))
     assert not found.refused
-    assert "the path is 62 m long, and a sheet 45.7 m, unless the ice goes on" in found.says
+    assert (
+        "the path is 62 m long, and a sheet 45.7 m, unless the ice goes on"
+        in found.says
+    )
     # in feet a draw is too long and too fast
     t, y = slid(2.0, 0.0074)
     with pytest.raises(InputError, match="length=ft"):

@@ -34,10 +34,18 @@ from curlfit.throws.readers.angles import AmbiguousTurnError, unwrap
 
 @pytest.mark.parametrize(
     ("sample", "kind"),
-    [("table", "table"), ("settings", "table"), ("tracker", "tracker"), ("two", "tracker"),
-     ("shot", "digitalcurling"), ("log", "digitalcurling"), ("timings", "timings"),
-     ("clocks", "table"), ("pixels", "table")],
-)  # fmt: skip
+    [
+        ("table", "table"),
+        ("settings", "table"),
+        ("tracker", "tracker"),
+        ("two", "tracker"),
+        ("shot", "digitalcurling"),
+        ("log", "digitalcurling"),
+        ("timings", "timings"),
+        ("clocks", "table"),
+        ("pixels", "table"),
+    ],
+)
 def test_the_format_is_seen(sample, kind):
     assert detect_format(SAMPLES[sample].split("\n")) == kind
 
@@ -49,44 +57,74 @@ METRES = PLAIN.replace("x,y", "x_m,y_m")
 @pytest.mark.parametrize(
     ("text", "points", "choices", "words"),
     [
-        ("frame,1\n" + PLAIN.replace("t,x,y", "t,q,r"), "", "format=tracker", "expected a header"),
+        (
+            "frame,1\n" + PLAIN.replace("t,x,y", "t,q,r"),
+            "",
+            "format=tracker",
+            "expected a header",
+        ),
         (PLAIN, "", "format=digitalcurling", "not a line of JSON"),
         (PLAIN, "", "format=timings", "is not known"),
         (PLAIN, "", "format=video", "expected one of table, tracker"),
         (PLAIN, "", "units=mass=kg", "expected QUANTITY=UNIT"),
         (PLAIN, "", "units=x=kg", "x in 'kg': unknown unit"),
         (PLAIN, "", "axes=x-up", "unknown word"),
-        (two_masses(), "", "stone_index=3", "no such object; expected one of 1 mass A; 2 mass B"),
+        (
+            two_masses(),
+            "",
+            "stone_index=3",
+            "no such object; expected one of 1 mass A; 2 mass B",
+        ),
         (log(2), "", "", "2 shots; choose one with `--shot N`: 1 end 0 shot 0; 2"),
         (log(2), "", "shot=3", "--shot 3: there is no such shot"),
         ('{"tag": "gam", "log": {"cmd": "update"}}\n', "", "", "no trajectory found"),
         ('{"tag": "gam"}\n{"tag"\n', "", "", "line 2: not a line of JSON"),
-        ("t,x,y,t_phi,phi\n0,0,0,0,1\n1,0,2,0,2\n", "", "",
-         "line 3, column t_phi: time 0 s is not later than"),
-        ("t,x,y,t_phi,phi\n0,0,0,0,1\n1,0,2,,2\n", "", "",
-         "line 3, column t_phi: the time is missing"),
-        *((f'# axes = "{words}"\n' + PLAIN, "", "", f"line 1: axes '{told}") for words, told in (
-            ("x-up", "x-up': unknown word"),
-            ("x-left,x-right", "x-left,x-right': x points in two directions"),
-            ("x-left,y-right", "x-left,y-right': x and y lie on one line"),
-            ("cw,ccw", "cw,ccw': angles are both clockwise and counter-clockwise"),
-            ("from-hog,from-tee", "from-hog,from-tee': two zeros are given"),
-        )),
+        (
+            "t,x,y,t_phi,phi\n0,0,0,0,1\n1,0,2,0,2\n",
+            "",
+            "",
+            "line 3, column t_phi: time 0 s is not later than",
+        ),
+        (
+            "t,x,y,t_phi,phi\n0,0,0,0,1\n1,0,2,,2\n",
+            "",
+            "",
+            "line 3, column t_phi: the time is missing",
+        ),
+        *(
+            (f'# axes = "{words}"\n' + PLAIN, "", "", f"line 1: axes '{told}")
+            for words, told in (
+                ("x-up", "x-up': unknown word"),
+                ("x-left,x-right", "x-left,x-right': x points in two directions"),
+                ("x-left,y-right", "x-left,y-right': x and y lie on one line"),
+                ("cw,ccw", "cw,ccw': angles are both clockwise and counter-clockwise"),
+                ("from-hog,from-tee", "from-hog,from-tee': two zeros are given"),
+            )
+        ),
         (PIXELS, "", "", "positions are in pixels; give four or more known points"),
         (METRES, POINTS, "", "has no positions in pixels"),
         ("t,u,v\n0,320,-140\n1,320,-150\n", POINTS, "", "horizon"),
-        *((PIXELS, points, "", words) for points, words in (
-            (known_points(3), "3 points; a homography needs four"),
-            ("u,v,x,y\n0,0,0,0\n1,1,1,1\n2,2,2,2\n3,3,3,3\n", "collinear in the image"),
-            ("u,v,x,y\n0,0,0,0\n1,0,1,0\n2,0,2,0\n3,3,3,3\n", "three of the points are collinear"),
-            ("u,v,x,y\n0,0,0,0\n9,0,1,0\n9,9,0,1\n0,9,1,1\n", "in this order"),
-            ("u,v,x\n0,0,0\n", "no column for y"),
-            ("u,v,x,y\n0,0,0,\n", "each point needs four finite numbers"),
-            ("1,2,3,4\n", "begins with numbers"),
-            ("\n", "the file is empty; expected a header u,v"),
-        )),
+        *(
+            (PIXELS, points, "", words)
+            for points, words in (
+                (known_points(3), "3 points; a homography needs four"),
+                (
+                    "u,v,x,y\n0,0,0,0\n1,1,1,1\n2,2,2,2\n3,3,3,3\n",
+                    "collinear in the image",
+                ),
+                (
+                    "u,v,x,y\n0,0,0,0\n1,0,1,0\n2,0,2,0\n3,3,3,3\n",
+                    "three of the points are collinear",
+                ),
+                ("u,v,x,y\n0,0,0,0\n9,0,1,0\n9,9,0,1\n0,9,1,1\n", "in this order"),
+                ("u,v,x\n0,0,0\n", "no column for y"),
+                ("u,v,x,y\n0,0,0,\n", "each point needs four finite numbers"),
+                ("1,2,3,4\n", "begins with numbers"),
+                ("\n", "the file is empty; expected a header u,v"),
+            )
+        ),
     ],
-)  # fmt: skip
+)
 def test_refusals(write, text, points, choices, words):
     name, _, value = choices.partition("=")
     chosen = {name: int(value) if value.isdigit() else value} if name else {}
@@ -116,8 +154,18 @@ def test_tracker(write, separator, comma):
 
 
 def test_what_tracker_computes_is_told_by_its_name(write):
-    columns = {"t": T, "x": X, "y": Y + 1, "v": OMEGA, "θ_{r}": PHI, "ω": OMEGA, "θ": PHI}
-    throw = load_throw(write("stone\n" + table(columns | {"phi": PHI, "spin": OMEGA}, "\t")))
+    columns = {
+        "t": T,
+        "x": X,
+        "y": Y + 1,
+        "v": OMEGA,
+        "θ_{r}": PHI,
+        "ω": OMEGA,
+        "θ": PHI,
+    }
+    throw = load_throw(
+        write("stone\n" + table(columns | {"phi": PHI, "spin": OMEGA}, "\t"))
+    )
     assert said(throw, "left out: v, θ_{r}, ω, θ: Tracker computes them")
     assert throw.seen == ("x", "y", "phi", "omega")
 
@@ -166,7 +214,10 @@ def test_a_log_of_several_shots(write):
             lambda t: t["frames"][3][0].update(team="team7"),
             "frame 4: expected changes of stones of the start",
         ),
-        (lambda t: t["frames"][3][0].update(value={"position": {"x": 1}}), "all finite numbers"),
+        (
+            lambda t: t["frames"][3][0].update(value={"position": {"x": 1}}),
+            "all finite numbers",
+        ),
         (lambda t: t["frames"].clear(), "no stone moves"),
     ],
 )
@@ -182,7 +233,9 @@ def test_a_shot_that_cannot_be_read(write, change, words):
 
 def test_a_data_frame():
     pd = pytest.importorskip("pandas")
-    frame = pd.DataFrame({"y_ft": Y / 0.3048, "x": X, "angle_deg": np.degrees(PHI), "who": "a"})
+    frame = pd.DataFrame(
+        {"y_ft": Y / 0.3048, "x": X, "angle_deg": np.degrees(PHI), "who": "a"}
+    )
     frame.index = pd.Index(1000 * T, name="time_ms")
     throw = Throw.from_frame(frame)
     np.testing.assert_allclose(throw.observed[:3], [X, Y, PHI], atol=1e-12)
@@ -202,10 +255,14 @@ def test_a_data_frame():
 def test_a_dataset():
     xr = pytest.importorskip("xarray")
     data = xr.Dataset(
-        {"x": ("time", 100 * X, {"units": "cm"}), "y": ("time", Y, {"units": "m"}),
-         "theta": ("time", np.degrees(PHI), {"units": "degrees"}), "ice": ((), 1.0)},
+        {
+            "x": ("time", 100 * X, {"units": "cm"}),
+            "y": ("time", Y, {"units": "m"}),
+            "theta": ("time", np.degrees(PHI), {"units": "degrees"}),
+            "ice": ((), 1.0),
+        },
         coords={"time": T},
-    )  # fmt: skip
+    )
     throw = Throw.from_frame(data, name="sheet 3")
     np.testing.assert_allclose(throw.observed[:3], [X, Y, PHI], atol=1e-12)
     assert throw.name == "sheet 3"
@@ -217,12 +274,17 @@ def test_a_dataset():
 def test_a_mapping_and_what_is_no_table():
     np.testing.assert_allclose(Throw.from_frame({"t": T, "x": X, "y": Y}).y, Y)
     masked = np.ma.masked_array(X, mask=T > 10)
-    assert np.isfinite(Throw.from_frame({"t": T, "x": masked, "y": Y}).x).sum() == (T <= 10).sum()
+    assert (
+        np.isfinite(Throw.from_frame({"t": T, "x": masked, "y": Y}).x).sum()
+        == (T <= 10).sum()
+    )
     with pytest.raises(InputError, match="expected a DataFrame"):
         Throw.from_frame(3)
     with pytest.raises(DataError, match="different lengths"):
         Throw.from_frame({"t": T, "x": X[:-1], "y": Y})
-    with pytest.raises(InputError, match="--shot: table is a table file and holds no shots"):
+    with pytest.raises(
+        InputError, match="--shot: table is a table file and holds no shots"
+    ):
         Throw.from_frame({"t": T, "x": X, "y": Y}, shot=2)
 
 
@@ -257,9 +319,17 @@ def test_axes(write, words, columns):
 
 
 def test_the_lines_of_the_sheet():
-    # 114 ft from tee to tee, 12 ft to the hack, 21 ft to the hog line, 6 ft to the back line
-    feet = {"hack": 0, "back": 6, "tee": 12, "hog": 33, "centre": 69, "far-hog": 105,
-            "far-tee": 126}  # fmt: skip
+    # 114 ft from tee to tee, 12 ft to the hack, 21 ft to the hog line, 6 ft to
+    # the back line
+    feet = {
+        "hack": 0,
+        "back": 6,
+        "tee": 12,
+        "hog": 33,
+        "centre": 69,
+        "far-hog": 105,
+        "far-tee": 126,
+    }
     assert {k: v / 0.3048 for k, v in LINES.items()} == pytest.approx(feet, abs=0.003)
 
 
@@ -273,7 +343,9 @@ def test_pixels(write):
     assert said(throw, "pixels to metres by 6 points")
     assert said(throw, "one pixel is")
     renamed = PIXELS.replace("u,v,", "x,y,", 1)
-    np.testing.assert_allclose(load_throw(write(renamed), reference=points).y, Y, atol=1e-9)
+    np.testing.assert_allclose(
+        load_throw(write(renamed), reference=points).y, Y, atol=1e-9
+    )
 
 
 # Angles
@@ -281,7 +353,9 @@ def test_pixels(write):
 GAP = np.concatenate([np.arange(0, 4, 0.2), np.arange(7.5, 14, 0.2)])
 
 
-@pytest.mark.parametrize(("header", "low"), [("θ", 0.0), ("phi", -180.0), ("phi_rad", 0.0)])
+@pytest.mark.parametrize(
+    ("header", "low"), [("θ", 0.0), ("phi", -180.0), ("phi_rad", 0.0)]
+)
 def test_degrees_without_a_unit_are_told_by_their_jumps(write, header, low):
     degrees = np.remainder(np.degrees(0.1 * PHI) + 340, 360) + low  # as slow as radians
     columns = {"t": T, "x": X, "y": Y, header: degrees}
@@ -291,12 +365,18 @@ def test_degrees_without_a_unit_are_told_by_their_jumps(write, header, low):
         load_throw(write(table(columns)))
     assert caught.value.line == row + 2
     throw = load_throw(write(table(columns)), units="angle=deg")
-    np.testing.assert_allclose(throw.phi - throw.phi[0], 0.1 * (PHI - PHI[0]), atol=1e-9)
+    np.testing.assert_allclose(
+        throw.phi - throw.phi[0], 0.1 * (PHI - PHI[0]), atol=1e-9
+    )
 
 
 @pytest.mark.parametrize(
     ("header", "values", "flag"),
-    [("theta", PHI, "angle=deg"), ("spin", OMEGA, "spin=deg/s"), ("gyro_z", OMEGA, "spin=deg/s")],
+    [
+        ("theta", PHI, "angle=deg"),
+        ("spin", OMEGA, "spin=deg/s"),
+        ("gyro_z", OMEGA, "spin=deg/s"),
+    ],
 )
 def test_turning_too_fast_for_radians_is_refused(write, header, values, flag):
     columns = {"t": T, "x": X, "y": Y, header: np.degrees(values)}
@@ -312,18 +392,22 @@ def test_turning_too_fast_for_radians_is_refused(write, header, values, flag):
 def test_the_columns_of_curlfit_itself_are_radians_and_said_where_doubtful(write):
     hard = load_throw(write(table({"t": T, "x": X, "y": Y, "phi": 30 * T})))
     np.testing.assert_allclose(hard.phi, 30 * T)
-    assert said(hard, "phi: no unit is given, and 30 rad/s would be more than two turns a second")
+    assert said(
+        hard,
+        "phi: no unit is given, and 30 rad/s would be more than two turns a second",
+    )
 
 
 @pytest.mark.parametrize("low", [0.0, -np.pi, -1.0])
 @pytest.mark.parametrize(
     ("t", "turned", "period", "jumps"),
     [
-        (T, PHI, 2 * np.pi, (2, 3)), (T, -PHI, 2 * np.pi, (2, 3)),
+        (T, PHI, 2 * np.pi, (2, 3)),
+        (T, -PHI, 2 * np.pi, (2, 3)),
         (T, PHI, np.pi, (4, 5)),  # the direction of a line
         (GAP, 1.5 * GAP, 2 * np.pi, (3, 4)),  # bridged at the pace
     ],
-)  # fmt: skip
+)
 def test_turns_are_undone(t, turned, period, jumps, low):
     phi, found, of = unwrap(t, np.remainder(turned - low, period) + low)
     assert (found in jumps, of) == (True, period)

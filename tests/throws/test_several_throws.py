@@ -13,10 +13,13 @@ OTHERS = table(COLUMNS | {"x": X + 0.5}).splitlines()[1:]
 
 
 def two(interleaved=False):
-    """A red stone, and a yellow one 0.5 m to the right, with a column that names them."""
+    """A red stone, and a yellow one 0.5 m to the right, with a column
+    that names them."""
     red, yellow = [f"{row},red" for row in ROWS], [f"{row},yellow" for row in OTHERS]
     rows = (
-        [r for pair in zip(red, yellow, strict=True) for r in pair] if interleaved else red + yellow
+        [r for pair in zip(red, yellow, strict=True) for r in pair]
+        if interleaved
+        else red + yellow
     )
     return "\n".join([f"{HEADER},stone", *rows]) + "\n"
 
@@ -27,21 +30,25 @@ def test_a_column_names_the_throws(write, interleaved):
     with pytest.raises(DataError) as caught:
         load_throw(file)
     assert str(caught.value) == (
-        f"{file}: 2 throws; choose one with `--stone-index N`: 1 stone red (60 rows); 2 stone "
-        "yellow (60 rows)"
+        f"{file}: 2 throws; choose one with `--stone-index N`: 1 stone red (60 rows); "
+        "2 stone yellow (60 rows)"
     )
     is_throw(load_throw(file, stone_index=1))
     second = load_throw(file, stone_index=2)
     is_throw(second, 0.5)
     assert said(second, "2 throws; taken: 2 stone yellow")
     assert second.lines[0] == (3 if interleaved else N + 2)
-    with pytest.raises(InputError, match="--stone-index 3: there is no such throw; expected"):
+    with pytest.raises(
+        InputError, match="--stone-index 3: there is no such throw; expected"
+    ):
         load_throw(file, stone_index=3)
 
 
 def test_times_that_start_again_begin_a_throw(write):
     file = write("\n".join([HEADER, *ROWS, *OTHERS]))
-    with pytest.raises(DataError, match=rf"1 from line 2 \(60 rows\); 2 from line {N + 2} \(60"):
+    with pytest.raises(
+        DataError, match=rf"1 from line 2 \(60 rows\); 2 from line {N + 2} \(60"
+    ):
         load_throw(file)
     is_throw(load_throw(file, stone_index=2), 0.5)
     first, second = parts_in(file)  # of a batch
@@ -65,8 +72,12 @@ def test_two_stones_without_names_are_refused(write):
     bare = [row.rsplit(",", 1)[0] for row in two(interleaved=True).splitlines()]
     with pytest.raises(DataError) as caught:
         load_throw(write("\n".join(bare)))
-    assert "line 3, column t: time 0 s is repeated with places 0.5 m apart" in str(caught.value)
-    assert "in a column `stone`, and choose one with `--stone-index N`" in str(caught.value)
+    assert "line 3, column t: time 0 s is repeated with places 0.5 m apart" in str(
+        caught.value
+    )
+    assert "in a column `stone`, and choose one with `--stone-index N`" in str(
+        caught.value
+    )
 
 
 def test_rows_are_sorted_and_repeated_ones_left_out(write):
@@ -102,7 +113,10 @@ CLOCKS = {
 @pytest.mark.parametrize(("name", "clock"), CLOCKS.items())
 def test_clock_times_are_read_as_seconds(write, name, clock):
     times = [clock(22.15 + t) for t in T]
-    body = [",".join([time, *row.split(",")[1:]]) for time, row in zip(times, ROWS, strict=True)]
+    body = [
+        ",".join([time, *row.split(",")[1:]])
+        for time, row in zip(times, ROWS, strict=True)
+    ]
     throw = load_throw(write("\n".join([HEADER.replace("t", name, 1), *body])))
     is_throw(throw)
     assert said(throw, f"{name}: clock times, taken as seconds since {times[0]}")
@@ -111,14 +125,17 @@ def test_clock_times_are_read_as_seconds(write, name, clock):
 
 def test_clock_times_pass_midnight_and_have_decimal_commas(write):
     text = "t;x;y\n" + "".join(
-        f"{clock};0,1;{k}\n" for k, clock in enumerate(["23:59:59,5", "00:00:00,25", "", "0:00:01"])
+        f"{clock};0,1;{k}\n"
+        for k, clock in enumerate(["23:59:59,5", "00:00:00,25", "", "0:00:01"])
         if clock
-    )  # fmt: skip
+    )
     np.testing.assert_allclose(load_throw(write(text)).t, [0, 0.75, 1.5])
 
 
 def test_a_cell_that_is_no_clock_time_is_refused_by_name(write):
-    with pytest.raises(DataError, match="line 3, column t: '14:61' found, expected a clock time"):
+    with pytest.raises(
+        DataError, match="line 3, column t: '14:61' found, expected a clock time"
+    ):
         load_throw(write("t,x,y\n14:03:22,0,0\n14:61,1,1\n"))
 
 
@@ -127,7 +144,9 @@ def test_frames_of_a_camera_are_a_unit_of_time(write):
     is_throw(load_throw(file, units="t=29.97fps"))
     with pytest.raises(InputError, match="unknown unit"):
         load_throw(file, units="x=30fps")
-    numbered = {"frame": 29.97 * T} | {name: COLUMNS[name] for name in COLUMNS if name != "t"}
+    numbered = {"frame": 29.97 * T} | {
+        name: COLUMNS[name] for name in COLUMNS if name != "t"
+    }
     file = write(table(numbered))
     is_throw(load_throw(file, units="t=29.97fps"))
     with pytest.raises(DataError, match=r"no column for t .*`--units t=30fps`"):

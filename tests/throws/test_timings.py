@@ -42,14 +42,21 @@ def test_a_record(read):
     # back line, hog lines and far tee, m from the hack (World Curling, rule R1)
     lines = {name: (event.since, event.at) for name, event in found.items()}
     assert lines == {
-        "back_to_hog": (1.829, 10.059), "hog_to_hog": (10.059, pytest.approx(32.004)),
-        "hog_to_rest": (pytest.approx(32.004), None), "rest": (None, None),
-        "curl": (10.059, None), "turns": (10.059, None),
-    }  # fmt: skip
+        "back_to_hog": (1.829, 10.059),
+        "hog_to_hog": (10.059, pytest.approx(32.004)),
+        "hog_to_rest": (pytest.approx(32.004), None),
+        "rest": (None, None),
+        "curl": (10.059, None),
+        "turns": (10.059, None),
+    }
     expected = {
-        "back_to_hog": 3.4, "hog_to_hog": 14.2, "hog_to_rest": 10.3, "rest": 38.405 + 0.6,
-        "curl": -4 * FOOT, "turns": 5 * math.pi,
-    }  # fmt: skip
+        "back_to_hog": 3.4,
+        "hog_to_hog": 14.2,
+        "hog_to_rest": 10.3,
+        "rest": 38.405 + 0.6,
+        "curl": -4 * FOOT,
+        "turns": 5 * math.pi,
+    }
     assert values(throw) == pytest.approx(expected)
     sigmas = {name: event.sigma for name, event in found.items()}
     assert sigmas == pytest.approx(
@@ -66,37 +73,51 @@ def test_a_record(read):
         "hog_to_rest = 0.1716667 min\nHOG_TO_HOG: 14200 ms\n",
         "hog-to-hog: 14.2\nHog to rest = 10,3 s\n",
         "# sheet 3\n\nhog-to-hog = 14.2 sec # by hand\nhog-to-rest: 10.3;\n",
-        "hog_to_hog, hog_to_rest\n14.2, 10.3\n", "h2h (s)\thog_to_rest\n14.2\t10.3\n",
+        "hog_to_hog, hog_to_rest\n14.2, 10.3\n",
+        "h2h (s)\thog_to_rest\n14.2\t10.3\n",
         "hog-to-hog;hog to rest;who\n14,2;10,3;me\n",
         "hog_to_hog_ms,hog_to_rest\n14200,10.3\n",
     ],
-)  # fmt: skip
+)
 def test_times_in_any_form(read, text):
-    assert values(read(text)) == pytest.approx({"hog_to_hog": 14.2, "hog_to_rest": 10.3}, rel=1e-6)
+    assert values(read(text)) == pytest.approx(
+        {"hog_to_hog": 14.2, "hog_to_rest": 10.3}, rel=1e-6
+    )
 
 
 @pytest.mark.parametrize(
     ("line", "x"),
     [
-        ("curl = 4 ft left", -4 * FOOT), ("Curl: 1.2 m right", 1.2),
-        ("curl = 4 ft 6 in left", -4.5 * FOOT), ("curl = 4,5 ft right", 4.5 * FOOT),
-        ("curl = -4 ft", -4 * FOOT), ("curl = +1.2", 1.2), ("curl = 0", 0.0),
-        ("curl_ft = 4 L", -4 * FOOT), ("curl = 3'3\" left", -39 * INCH),
-        ("curl = 3' 3\" right", 39 * INCH), ("curl = 3' left", -3 * FOOT),
-        ('curl = 39" left', -39 * INCH), ("curl = 39'' left", -39 * INCH),
+        ("curl = 4 ft left", -4 * FOOT),
+        ("Curl: 1.2 m right", 1.2),
+        ("curl = 4 ft 6 in left", -4.5 * FOOT),
+        ("curl = 4,5 ft right", 4.5 * FOOT),
+        ("curl = -4 ft", -4 * FOOT),
+        ("curl = +1.2", 1.2),
+        ("curl = 0", 0.0),
+        ("curl_ft = 4 L", -4 * FOOT),
+        ("curl = 3'3\" left", -39 * INCH),
+        ("curl = 3' 3\" right", 39 * INCH),
+        ("curl = 3' left", -3 * FOOT),
+        ('curl = 39" left', -39 * INCH),
+        ("curl = 39'' left", -39 * INCH),
         ("curl = 3 ft 3 in left", -39 * INCH),
         ("curl = 3\u2032 3\u2033 left", -39 * INCH),
-        ("curl = 3'3 left", -39 * INCH), ("curl = \"3'3\" left\"", -39 * INCH),
-        ("curl = \"3'3\"\"\nhandle = cw", 39 * INCH), ("curl = '1.2 m left'", -1.2),
+        ("curl = 3'3 left", -39 * INCH),
+        ('curl = "3\'3" left"', -39 * INCH),
+        ('curl = "3\'3""\nhandle = cw', 39 * INCH),
+        ("curl = '1.2 m left'", -1.2),
         ("curl = 1.2 m left\nhandle = in", -1.2),
-        ("curl = 1.2\nhandle = clockwise", 1.2), ("curl = 1.2\nhandle: ccw", -1.2),
+        ("curl = 1.2\nhandle = clockwise", 1.2),
+        ("curl = 1.2\nhandle: ccw", -1.2),
         ("curl = 1.2\nhandle = in-turn right-handed", 1.2),
         ("curl = 1.2\nhandle = inturn, left-handed", -1.2),
         ("curl = 1.2\nspin = out turn right-handed", -1.2),
-        ("curl = 1.2\nturns = 2.5 clockwise", 1.2), ("curl = 1.2\nturns = -2.5", 1.2),
+        ("curl = 1.2\nturns = 2.5 clockwise", 1.2),
+        ("curl = 1.2\nturns = -2.5", 1.2),
         ("curl = 1.2\nrotation = counter clockwise", -1.2),
     ],
-)  # fmt: skip
+)
 def test_the_side_of_the_curl(read, line, x):
     # a stone that turns clockwise curls to the right
     throw = read(THREE + line)
@@ -108,22 +129,29 @@ def test_the_side_of_the_curl(read, line, x):
 @pytest.mark.parametrize(
     ("text", "found"),
     [
-        ("rest = 0.6", 0.6), ("rest: 2 ft past the tee", 2 * FOOT), ("rest = -0.6", -0.6),
+        ("rest = 0.6", 0.6),
+        ("rest: 2 ft past the tee", 2 * FOOT),
+        ("rest = -0.6", -0.6),
         ("rest = 60 cm short of the tee line", -0.6),
         ("rest = 3 ft in front of the tee", -3 * FOOT),
-        ("rest = 3 ft behind", 3 * FOOT), ("rest = 1'2\" in front of the tee", -14 * INCH),
-        ("rest = 0'11\" short", -11 * INCH), ("rest = -1'2\"", -14 * INCH),
-        ("turns = 2.5 ccw", 2.5), ("turns = -2.5", -2.5), ("turns = 2.5\ncurl = 1 m right", -2.5),
-        ("turns = 900 deg clockwise", -2.5), ("turns = 2.5\nhandle = ccw", 2.5),
+        ("rest = 3 ft behind", 3 * FOOT),
+        ("rest = 1'2\" in front of the tee", -14 * INCH),
+        ("rest = 0'11\" short", -11 * INCH),
+        ("rest = -1'2\"", -14 * INCH),
+        ("turns = 2.5 ccw", 2.5),
+        ("turns = -2.5", -2.5),
+        ("turns = 2.5\ncurl = 1 m right", -2.5),
+        ("turns = 900 deg clockwise", -2.5),
+        ("turns = 2.5\nhandle = ccw", 2.5),
     ],
-)  # fmt: skip
+)
 def test_the_place_of_rest_and_turns(read, text, found):
     """From the far tee line, and in revolutions."""
     name = text[:5].strip(" :")
     expected = {"rest": 38.405 + found, "turns": 2 * math.pi * found}[name]
-    assert values(read(f"hog_to_hog = 14.2\nhog_to_rest = 10.3\n{text}\n"))[name] == pytest.approx(
-        expected
-    )
+    assert values(read(f"hog_to_hog = 14.2\nhog_to_rest = 10.3\n{text}\n"))[
+        name
+    ] == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(
@@ -162,39 +190,70 @@ def test_a_path_with_its_speed_and_spin_is_a_path(read):
 
 
 def test_sigmas_are_set(read):
-    throw = read(THREE + "curl = 1 m left\nsigma_time = 0.2\nsigma_rest = 3 cm\nsigma-curl = 0.1\n")
+    throw = read(
+        THREE
+        + "curl = 1 m left\nsigma_time = 0.2\nsigma_rest = 3 cm\nsigma-curl = 0.1\n"
+    )
     assert [event.sigma for event in throw.events] == pytest.approx([0.2, 0.03, 0.1])
 
 
 @pytest.mark.parametrize(
     ("text", "line", "words"),
     [
-        ("hog_to_hog = 14\n", None, "hog_to_hog alone gives the mean speed and no friction"),
+        (
+            "hog_to_hog = 14\n",
+            None,
+            "hog_to_hog alone gives the mean speed and no friction",
+        ),
         ("rest = 0.6\ncurl = 1 m left\n", None, "no time; expected lines such as"),
         ("hog_to_hog = -14\nhog_to_rest = 3\n", 1, "expected a number above 0"),
-        ("hog_to_hog = 142\nhog_to_rest = 3\n", 1, "142 found, expected a number up to 60"),
+        (
+            "hog_to_hog = 142\nhog_to_rest = 3\n",
+            1,
+            "142 found, expected a number up to 60",
+        ),
         ("hog_to_hog = 14 m\nhog_to_rest = 3\n", 1, "unknown unit"),
         ("hog_to_hog = 14\nhog_to_hog = 14\n", 2, "given twice"),
         ("hog_to_hog = 14\nhouse = 14\n", 2, "is not known"),
         ("hog_to_hog = 14\nhog_to_rest = 10\nrest = 400\n", 3, "up to 40"),
         (THREE + "curl = 4 ft\n", 3, "to which side. Expected curl = 4 ft left"),
         (THREE + "curl = 4 ft\nhandle = in-turn\n", 4, "of which hand"),
-        (THREE + "curl = 4 ft\nhandle = left\n", 4, "expected clockwise or counter-clockwise"),
+        (
+            THREE + "curl = 4 ft\nhandle = left\n",
+            4,
+            "expected clockwise or counter-clockwise",
+        ),
         (THREE + "curl = -4 ft left\n", 3, "a sign and a word"),
         (THREE + "curl = 4 ft past\n", 3, "expected a number and left or right"),
-        (THREE + "curl = 1 m 20 left\n", 3, "'1 m 20 left' found, expected a unit of 20"),
+        (
+            THREE + "curl = 1 m 20 left\n",
+            3,
+            "'1 m 20 left' found, expected a unit of 20",
+        ),
         (THREE + "turns = 2.5\n", 3, "in which sense"),
-        ("hog_to_hog = 14.2\nrest = -7\n", 2, "-7 m past the far tee lies before a line"),
-        ("hog_to_hog = 14.2\nhog_to_tee = 14.1\n", 2, "expected more than hog_to_hog = 14.2 s"),
+        (
+            "hog_to_hog = 14.2\nrest = -7\n",
+            2,
+            "-7 m past the far tee lies before a line",
+        ),
+        (
+            "hog_to_hog = 14.2\nhog_to_tee = 14.1\n",
+            2,
+            "expected more than hog_to_hog = 14.2 s",
+        ),
         ("speed = 2\nspin = 1 cw\n", None, "speed alone gives speed and no friction"),
-        ("speed = 2\nrest = 1\nspin = 1.2\n", 3, "in which sense. Expected spin = 1.4 rad/s"),
+        (
+            "speed = 2\nrest = 1\nspin = 1.2\n",
+            3,
+            "in which sense. Expected spin = 1.4 rad/s",
+        ),
         ("speed = 2 m\nrest = 1\n", 1, "speed in 'm': unknown unit"),
         ("speed = 0\nrest = 1\n", 1, "expected a number above 0"),
         ("speed = 22\nrest = 1\n", 1, "expected a number up to 10"),
         ("hog_to_hog,rest\n", 1, "no rows"),
         ("hog_to_hog,rest\n14.2\n", 2, "1 cell, expected 2"),
     ],
-)  # fmt: skip
+)
 def test_records_that_cannot_be(read, text, line, words):
     with pytest.raises(DataError, match=words) as caught:
         read(text)
@@ -210,7 +269,9 @@ def test_a_table_has_a_throw_in_each_row(tmp_path):
     parts = parts_in(file)
     assert [part.shot for part in parts] == [1, 2, 3, 4]
     first, second, third, fourth = (part.throw for part in parts)
-    assert values(second) == pytest.approx({"hog_to_hog": 13.8, "rest": 38.405 - FOOT, "curl": 1.1})
+    assert values(second) == pytest.approx(
+        {"hog_to_hog": 13.8, "rest": 38.405 - FOOT, "curl": 1.1}
+    )
     assert values(third).keys() == {"hog_to_hog", "rest"}
     assert first.name == f"{file} row 1"
     assert first.defaults["law"] == "power"
@@ -221,7 +282,9 @@ def test_a_table_has_a_throw_in_each_row(tmp_path):
     assert any("taken: 2 (--shot selects another)" in note for note in chosen.notes)
     (third,) = parts_in(file, shot=3)
     assert (third.shot, third.throw.read_with) == (3, ("--shot=3",))
-    with pytest.raises(InputError, match="there is no such row; expected one of 1 line 3; 2"):
+    with pytest.raises(
+        InputError, match="there is no such row; expected one of 1 line 3; 2"
+    ):
         load_throw(file, shot=9)
 
 
@@ -238,20 +301,31 @@ def test_the_law_is_that_of_what_was_measured(tmp_path, rows, law):
     file = tmp_path / "evening.csv"
     file.write_text("hog_to_hog,hog_to_rest,rest,curl,turns\n" + rows + "\n")
     assert {part.throw.defaults["law"] for part in parts_in(file)} == {law}
-    assert usual_law(file, Reading()) == usual_law(file, Reading(format="timings")) == law
+    assert (
+        usual_law(file, Reading()) == usual_law(file, Reading(format="timings")) == law
+    )
 
 
 def test_a_table_says_of_which_throw_each_row_is(tmp_path):
     file = tmp_path / "evening.csv"
     file.write_text(
         "Draw,Start, sheet ,Who threw,hog_to_hog,rest,remark,humidity\n"
-        "1,19:05,A,Anna,14.2,0.3,,40\n2,19:12,,Bea,13.9,0.2,early,41\n3,19:20,B,Bea,14,0,n/a,40\n"
+        "1,19:05,A,Anna,14.2,0.3,,40\n2,19:12,,Bea,13.9,0.2,early,41\n"
+        "3,19:20,B,Bea,14,0,n/a,40\n"
     )
     first, second, _ = (part.throw for part in parts_in(file))
-    assert first.labels == {"draw": "1", "start": "19:05", "sheet": "A", "who_threw": "Anna"}
+    assert first.labels == {
+        "draw": "1",
+        "start": "19:05",
+        "sheet": "A",
+        "who_threw": "Anna",
+    }
     assert second.labels == {"draw": "2", "start": "19:12", "who_threw": "Bea"}
     assert first.notes.count("columns not used: remark, humidity") == 1
-    assert second.with_defaults(law="power").with_sigma({"time": 0.2}).labels == second.labels
+    assert (
+        second.with_defaults(law="power").with_sigma({"time": 0.2}).labels
+        == second.labels
+    )
 
 
 @pytest.mark.parametrize("separator", [",", "\t"])
@@ -268,7 +342,12 @@ def test_feet_and_inches_and_gaps_in_a_table(tmp_path, separator):
     file.write_text("\n".join(map(separator.join, rows)) + "\n")
     first, second, third, fourth, fifth = parts_in(file)
     assert values(first.throw) == pytest.approx(
-        {"hog_to_hog": 14.2, "hog_to_rest": 11, "curl": -39 * INCH, "rest": 38.405 + 14 * INCH}
+        {
+            "hog_to_hog": 14.2,
+            "hog_to_rest": 11,
+            "curl": -39 * INCH,
+            "rest": 38.405 + 14 * INCH,
+        }
     )
     assert values(second.throw) == pytest.approx(
         {"hog_to_hog": 14.2, "curl": -39 * INCH, "rest": 38.405 - 39 * INCH}
@@ -278,14 +357,25 @@ def test_feet_and_inches_and_gaps_in_a_table(tmp_path, separator):
     assert values(third.throw) == {"hog_to_hog": 14.2}
     assert (second.alone, third.alone.line) == (None, 4)
     assert isinstance(fourth.throw, DataError)
-    assert [part.left_out for part in parts_in(file)] == [False, False, False, True, False]
-    with pytest.raises(DataError, match=r"line 4.*hog_to_hog alone gives the mean speed"):
+    assert [part.left_out for part in parts_in(file)] == [
+        False,
+        False,
+        False,
+        True,
+        False,
+    ]
+    with pytest.raises(
+        DataError, match=r"line 4.*hog_to_hog alone gives the mean speed"
+    ):
         load_throw(file, shot=3)
 
 
 def evening(folder, *changed, rows=12):
     """A table of nearly equal throws on lines 2 ... with some rows in other words."""
-    lines = [f"{13.5 + k % 4 / 10},{12 - k % 3},{3.1 + k % 5 / 10} ft left" for k in range(rows)]
+    lines = [
+        f"{13.5 + k % 4 / 10},{12 - k % 3},{3.1 + k % 5 / 10} ft left"
+        for k in range(rows)
+    ]
     for k, text in changed:
         lines[k] = text
     file = folder / "evening.csv"
@@ -307,7 +397,8 @@ def test_an_odd_row_is_left_out_of_a_joint_fit_unless_it_is_kept(tmp_path, row):
     assert not any(part.left_out for part in kept)
     assert kept[4].throw.read_with == ("--keep=6",)
     file.write_text("# keep = [6]\n" + file.read_text())
-    assert [k for k, part in enumerate(parts_in(file)) if part.left_out] == [4]  # now line 7
+    # now line 7
+    assert [k for k, part in enumerate(parts_in(file)) if part.left_out] == [4]
 
 
 def test_guards_and_takeouts_are_not_odd_and_few_rows_are_left_out(tmp_path):
@@ -316,7 +407,9 @@ def test_guards_and_takeouts_are_not_odd_and_few_rows_are_left_out(tmp_path):
     absurd = ((1, "31,11,1 m left"), (2, "35,11,1 m left"))
     first, *others = parts_in(evening(tmp_path, *absurd))
     assert not any(part.left_out for part in (first, *others))
-    assert any("kept since they are more than a tenth: line 3" in n for n in first.throw.notes)
+    assert any(
+        "kept since they are more than a tenth: line 3" in n for n in first.throw.notes
+    )
     first, *_ = parts_in(evening(tmp_path, absurd[0], rows=4))
     assert not any("odd" in note for note in first.throw.notes)
 
@@ -333,14 +426,17 @@ def test_rows_of_weight_alone_need_one_that_determines_friction(tmp_path, monkey
     assert run.exit_code == 2
     assert "line 2: hog_to_hog alone gives the mean speed" in str(run.exception)
     file.write_text(header + alone + 8 * f"{hog},{tee},0,0,,40\n")
-    run = invoke(["fit", "evening.csv", "--no-figures", "--no-sample", "--out", "joint"])
+    run = invoke(
+        ["fit", "evening.csv", "--no-figures", "--no-sample", "--out", "joint"]
+    )
     assert run.exit_code == 0, run.exception
     said = " ".join(run.stdout.split())
     for words in (
         "Note: left out of a joint fit, since no time was measured: line 3.",
-        "Note: column hog spilt is not understood; expected one of back_to_hog, hog_to_hog",
+        "Note: column hog spilt is not understood; expected one of "
+        "back_to_hog, hog_to_hog",
         "Note: columns not used: hog spilt, humidity.",
-    ):  # fmt: skip
+    ):
         assert said.count(words) == 1, words
     joint = load_joint(tmp_path / "joint")
     (total,) = joint.combinations  # without spin
@@ -352,19 +448,24 @@ def test_labels_of_tracks(tmp_path):
         (tmp_path / name).write_text(PLAIN)
     notes = tmp_path / "notes.csv"
     folder = tmp_path.name
-    notes.write_text(f"file,sheet,hog_to_hog,humidity\na.csv,2,14.2,40\n{folder}/b,3,,41\n")
+    notes.write_text(
+        f"file,sheet,hog_to_hog,humidity\na.csv,2,14.2,40\n{folder}/b,3,,41\n"
+    )
     a, b, c = (load_throw(tmp_path / f"{name}.csv", throws=notes) for name in "abc")
     assert (a.labels, b.labels, c.labels) == ({"sheet": "2"}, {"sheet": "3"}, {})
     assert a.notes[-1] == (
-        f"labels and measurements from {notes}, line 2; columns not used: humidity; its "
-        "measurements are not used, as they are at lines of the sheet: `--axes from-hack` says "
-        "that y begins there"
+        f"labels and measurements from {notes}, line 2; columns not used: humidity; "
+        "its measurements are not used, as they are at lines of the sheet: "
+        "`--axes from-hack` says that y begins there"
     )
     assert not a.events
     assert c.notes[-1] == f"{notes} says nothing of it"
     assert a == c
     for text, words in (
-        ("sheet,stone\n1,2\n", "no names of throws; expected a column `file` or `track`"),
+        (
+            "sheet,stone\n1,2\n",
+            "no names of throws; expected a column `file` or `track`",
+        ),
         ("track,sheet\na,1\na.csv,2\n", "line 3: 'a.csv' is named again"),
         ("# empty\n", "comments only"),
     ):
@@ -385,7 +486,8 @@ def test_measurements_beside_a_track_are_used(tmp_path):
     np.savetxt(clip, rows, delimiter=",", header="t,x,y,phi", comments="")
     past, turns = path.y[-1] - LINES["far-tee"], path.phi[-1] / (2 * np.pi)
     notes.write_text(
-        f"file,sheet,rest (m),curl (m),turns\nclip,2,{past:.3f},{path.x[-1]:.3f},{turns:.2f} ccw\n"
+        "file,sheet,rest (m),curl (m),turns\n"
+        f"clip,2,{past:.3f},{path.x[-1]:.3f},{turns:.2f} ccw\n"
     )
     known = {"axes": "from-hack", "throws": str(notes)}
     alone, whole = load_throw(clip, axes="from-hack"), load_throw(clip, **known)
@@ -395,7 +497,9 @@ def test_measurements_beside_a_track_are_used(tmp_path):
     errors = [fit.combinations[0].stderr for fit in fits]
     assert errors[1] < errors[0] / 3
     assert fits[1].combinations[0].value == pytest.approx(0.018, abs=3 * errors[1])
-    assert fits[1]["mu2_xi"].value == pytest.approx(0.05, abs=3 * fits[1]["mu2_xi"].stderr)
+    assert fits[1]["mu2_xi"].value == pytest.approx(
+        0.05, abs=3 * fits[1]["mu2_xi"].stderr
+    )
 
 
 def test_a_spreadsheet_is_read_as_its_text(tmp_path):
@@ -404,9 +508,12 @@ def test_a_spreadsheet_is_read_as_its_text(tmp_path):
     clock = CELL.format("time", 'office:time-value="PT19H05M00S"', "19:05")
     number = CELL.format("float", 'office:value="13.5"', "13.5")
     rows = (
-        said('# law = "power"'), "", said("start") + said("hog to hog") + said("curl"),
-        clock + number + said("3\'3\" left; or so"), clock + number + said("3\'3\" left"),
-    )  # fmt: skip
+        said('# law = "power"'),
+        "",
+        said("start") + said("hog to hog") + said("curl"),
+        clock + number + said("3'3\" left; or so"),
+        clock + number + said("3'3\" left"),
+    )
     file = ods(tmp_path / "evening.ods", rows)
     assert detect_format(TextFile.read(file).lines) == "timings"
     bad, good = parts_in(file)
@@ -416,26 +523,37 @@ def test_a_spreadsheet_is_read_as_its_text(tmp_path):
     assert values(good.throw) == pytest.approx({"hog_to_hog": 13.5, "curl": -39 * INCH})
 
 
-def test_a_spreadsheet_without_its_reader_is_refused_with_what_to_install(tmp_path, monkeypatch):
+def test_a_spreadsheet_without_its_reader_is_refused_with_what_to_install(
+    tmp_path, monkeypatch
+):
     monkeypatch.setitem(sys.modules, "python_calamine", None)
     file = tmp_path / "evening.xlsx"
     file.write_bytes(b"PK\x03\x04" + bytes(40))
-    with pytest.raises(DataError, match=r"save the sheet as CSV, or .* 'curlfit\[spreadsheet\]'"):
+    with pytest.raises(
+        DataError, match=r"save the sheet as CSV, or .* 'curlfit\[spreadsheet\]'"
+    ):
         load_throw(file)
 
 
 def test_a_column_that_is_not_understood_is_never_left_out_in_silence(write):
-    """Neither a measurement with its unit, which would be a label, nor where one time is left."""
+    """Neither a measurement with its unit, which would be a label, nor where one
+    time is left."""
     rows = "1,13.4,12.9,1 m past,3A\n2,13.6,12.5,0.5 m past,4B\n"
     throw = load_throw(write("draw,hog to hog,hog to rest,Abstand,mark\n" + rows))
-    assert any("column Abstand is not understood; expected one of" in note for note in throw.notes)
+    assert any(
+        "column Abstand is not understood; expected one of" in note
+        for note in throw.notes
+    )
     assert throw.labels["abstand"] == "1 m past"
     with pytest.raises(DataError) as caught:
         load_throw(
-            write("draw,hog to hog,hog-tee,Curl (cm) L+,weight\n1,13.4,22.9,1,12\n2,13,22,1,12\n")
+            write(
+                "draw,hog to hog,hog-tee,Curl (cm) L+,weight\n"
+                "1,13.4,22.9,1,12\n2,13,22,1,12\n"
+            )
         )
     assert str(caught.value).endswith(
-        "line 2: hog_to_hog alone gives the mean speed and no friction; expected one more of rest, "
-        "hog_to_rest, or another time; columns hog-tee, Curl (cm) L+ are not understood; columns "
-        "not used: hog-tee, Curl (cm) L+, weight"
+        "line 2: hog_to_hog alone gives the mean speed and no friction; expected one "
+        "more of rest, hog_to_rest, or another time; columns hog-tee, Curl (cm) L+ "
+        "are not understood; columns not used: hog-tee, Curl (cm) L+, weight"
     )

@@ -203,9 +203,9 @@ def synthetic_cases(folder: Path) -> list[Case]:
 
 
 def options_of(law: type[curlfit.Law], load: str) -> dict[str, str]:
-    """Options of a fit by the variant of the throw: by default, with a robust loss, with
-    a noise model, with a choice about a coefficient or a condition, and of a throw that
-    lacks the angle or the spin."""
+    """Options of a fit by the variant of the throw: by default, with a robust loss,
+    with a noise model, with a choice about a coefficient or a condition, and of a throw
+    that lacks the angle or the spin."""
     coefficient = law.coefficients()[0]
     if load == "uniform":
         about_coefficient = f"--fix {coefficient.name}={coefficient.default}"

@@ -53,7 +53,9 @@ class ExpectedChange:
     """file and place in it, as such a pattern"""
 
     def covers(self, difference: Difference) -> bool:
-        return fnmatchcase(difference.case, self.case) and fnmatchcase(difference.place, self.place)
+        return fnmatchcase(difference.case, self.case) and fnmatchcase(
+            difference.place, self.place
+        )
 
 
 @dataclass(frozen=True)
@@ -95,7 +97,9 @@ def main() -> int:
         folder.mkdir(parents=True, exist_ok=True)
         before = version_named(options.against, folder)
         cases = [
-            case for case in all_cases(folder, options.own) if fnmatchcase(case.name, options.case)
+            case
+            for case in all_cases(folder, options.own)
+            if fnmatchcase(case.name, options.case)
         ]
         versions = {"before": before, "after": checkout()}
         answers = ask(versions, commands_by_case(cases, folder), folder, progress)
@@ -147,11 +151,16 @@ def all_cases(folder: Path, own: Path | None) -> list[Case]:
     return cases
 
 
-def commands_by_case(cases: Iterable[Case], folder: Path) -> dict[str, list[tuple[str, ...]]]:
+def commands_by_case(
+    cases: Iterable[Case], folder: Path
+) -> dict[str, list[tuple[str, ...]]]:
     """The words of the commands, with the folders of data in them."""
     folders = {"DATA": str(ROOT / "data"), "THROWS": str(folder / "throws")}
     return {
-        case.name: [tuple(with_folders(word, folders) for word in words) for words in case.commands]
+        case.name: [
+            tuple(with_folders(word, folders) for word in words)
+            for words in case.commands
+        ]
         for case in cases
     }
 
@@ -167,7 +176,9 @@ def progress(words: str) -> None:
         print(f"\r{words}", end="", file=sys.stderr, flush=True)
 
 
-def report(comparison: Comparison, expected: ExpectedChanges, *, whole: bool = True) -> int:
+def report(
+    comparison: Comparison, expected: ExpectedChanges, *, whole: bool = True
+) -> int:
     """Print what was compared and what differs; returns the exit status.
 
     Parameters

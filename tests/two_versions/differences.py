@@ -100,7 +100,8 @@ class Comparison:
         """Compare a file by its kind; figures and chains are not read."""
         if before.name == "answers.json":
             statuses = [
-                [answer["status"] for answer in read_json(file)] for file in (before, after)
+                [answer["status"] for answer in read_json(file)]
+                for file in (before, after)
             ]
             self.same("exit status", name, *statuses)
         elif before.suffix == ".json":
@@ -129,7 +130,9 @@ class Comparison:
         difference = Difference(kind, self.case, place, str(before), str(after))
         self.differences.append(difference)
 
-    def number(self, kind: str, place: str, before: float, after: float, tolerance: float) -> None:
+    def number(
+        self, kind: str, place: str, before: float, after: float, tolerance: float
+    ) -> None:
         """Compare two numbers, which may differ by a tolerance."""
         self.compared[kind] += 1
         if before == after or (math.isnan(before) and math.isnan(after)):
@@ -142,7 +145,9 @@ class Comparison:
         if distance > 1:
             self.differ(kind, place, f"{before:.9g}", f"{after:.9g}")
 
-    def names(self, kind: str, place: str, before: set[str], after: set[str]) -> list[str]:
+    def names(
+        self, kind: str, place: str, before: set[str], after: set[str]
+    ) -> list[str]:
         """Compare sets of names; returns those in both."""
         self.compared[kind] += len(before | after)
         for name in sorted(before - after):
@@ -156,15 +161,21 @@ class Comparison:
         if self.same(kind, place, masked(before), masked(after)):
             self.printed(kind, place, numbers_in(before), numbers_in(after))
 
-    def sentences(self, kind: str, place: str, before: Sequence[str], after: Sequence[str]) -> None:
+    def sentences(
+        self, kind: str, place: str, before: Sequence[str], after: Sequence[str]
+    ) -> None:
         """Compare sentences in any order."""
         by_words_before = {masked(sentence): sentence for sentence in before}
         by_words_after = {masked(sentence): sentence for sentence in after}
-        in_both = self.names(kind, f"{place}: ", set(by_words_before), set(by_words_after))
+        in_both = self.names(
+            kind, f"{place}: ", set(by_words_before), set(by_words_after)
+        )
         for words in in_both:
             self.sentence(kind, place, by_words_before[words], by_words_after[words])
 
-    def printed(self, kind: str, place: str, before: Sequence[str], after: Sequence[str]) -> None:
+    def printed(
+        self, kind: str, place: str, before: Sequence[str], after: Sequence[str]
+    ) -> None:
         """Compare printed numbers, as many in both, by the unit of the last digit."""
         for text_before, text_after in zip(before, after, strict=True):
             number_before, unit_before = printed_number(text_before)
@@ -265,7 +276,9 @@ class Comparison:
             sd = before["sd"][name]
             self.quantiles(f"{place}quantiles.{name}", *quantiles, sd)
 
-    def quantiles(self, place: str, before: dict | None, after: dict | None, sd: float) -> None:
+    def quantiles(
+        self, place: str, before: dict | None, after: dict | None, sd: float
+    ) -> None:
         """Compare quantiles by probability within their Monte Carlo error."""
         if not before or not after:
             self.same("posterior", place, before, after)
@@ -279,7 +292,9 @@ class Comparison:
         """Compare weighted sums by the parameters in them."""
         sums_before = {parameters_of(item["expression"]): item for item in before}
         sums_after = {parameters_of(item["expression"]): item for item in after}
-        in_both = self.names("combinations", f"{place}.", set(sums_before), set(sums_after))
+        in_both = self.names(
+            "combinations", f"{place}.", set(sums_before), set(sums_after)
+        )
         for names in in_both:
             self.record(f"{place}.{names}.", sums_before[names], sums_after[names])
 
@@ -288,7 +303,9 @@ class Comparison:
         if not self.same("directions", f"{place}: number", len(before), len(after)):
             return
         for weights_before, weights_after in zip(before, after, strict=True):
-            names = self.names("directions", f"{place}.", set(weights_before), set(weights_after))
+            names = self.names(
+                "directions", f"{place}.", set(weights_before), set(weights_after)
+            )
             for name in names:
                 weights = weights_before[name], weights_after[name]
                 self.number("directions", f"{place}.{name}", *weights, VALUE)

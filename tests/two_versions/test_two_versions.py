@@ -139,7 +139,9 @@ def test_a_value_that_is_not_identifiable_is_not_compared(changed):
 def test_a_verdict_near_its_threshold_is_listed_apart(changed, capsys):
     def change(record: dict) -> None:
         record["parameters"]["v0"]["verdict"] = "weak"
-        record["parameters"]["v0"]["typical"] = record["parameters"]["v0"]["stderr"] / 0.495
+        record["parameters"]["v0"]["typical"] = (
+            record["parameters"]["v0"]["stderr"] / 0.495
+        )
 
     comparison = changed(in_record(change))
     (listed,) = comparison.near_threshold

@@ -1,13 +1,14 @@
-"""Advice: a measured curl that a law leaves to the heading; the noise model that describes
-correlated residuals, of which those recommended have been tried; and further measurements that
-would determine the parameters that a throw does not determine.
+"""Advice: a measured curl that a law leaves to the heading; the noise model that
+describes correlated residuals, of which those recommended have been tried; and further
+measurements that would determine the parameters that a throw does not determine.
 
-For the last, channels that were not measured are added hypothetically at the same times, with the
-noise of an ordinary tracker and gyroscope. If one of them, or all together, would determine a
-parameter, that is the remedy; if not, no measurement along this path would, and another throw or
-another stone is needed (`curlfit design`). All channels are weighted by their sigma alone, as for
-white noise. The correlation of noise that was not measured is unknown; under other noise models
-only those parameters are named that no channel determines under any noise (null directions).
+For the last, channels that were not measured are added hypothetically at the same
+times, with the noise of an ordinary tracker and gyroscope. If one of them, or all
+together, would determine a parameter, that is the remedy; if not, no measurement along
+this path would, and another throw or another stone is needed (`curlfit design`). All
+channels are weighted by their sigma alone, as for white noise. The correlation of noise
+that was not measured is unknown; under other noise models only those parameters are
+named that no channel determines under any noise (null directions).
 """
 
 from __future__ import annotations
@@ -37,13 +38,15 @@ _CLEAR = 0.2  # m; a smaller curl of a path may be that of the ice
 
 
 def curl_warnings(fits: Sequence[FitResult]) -> list[str]:
-    """A warning if throws fitted with one law were measured to curl, and the law cannot.
+    """A warning if throws fitted with one law were measured to curl, and
+    the law cannot.
 
     A slope of the ice among the parameters may cause the curl instead.
     """
     first = fits[0]
     law, load = first.law_class, check_load(first.load)
-    # mypy takes a class for one of its instances, which compare by value and have no hash.
+    # mypy takes a class for one of its instances, which compare by value and
+    # have no hash.
     if can_curl(law, load, first.stone) or first.model.has_slope:  # type: ignore[arg-type]
         return []
     curls = [curl for fit in fits if (curl := measured_curl(fit)) is not None]
@@ -70,7 +73,8 @@ def with_curl_warning(fit: FitResult) -> FitResult:
 
 
 def measured_curl(fit: FitResult) -> float | None:
-    """Curl in m to the right as measured, by an event or by the path; None if it is not clear."""
+    """Curl in m to the right as measured, by an event or by the path; None if it
+    is not clear."""
     across = [item for item in fit.events if item["quantity"] == "x"]
     if across:
         far = max(across, key=lambda item: abs(item["value"]))
@@ -81,18 +85,21 @@ def measured_curl(fit: FitResult) -> float | None:
     return -motion.curl
 
 
-_FARTHER = (
-    2.0  # rms residual of the law over that with independent noise, up to which it is as near
-)
+# rms residual of the law over that with independent noise, up to which it is as near
+_FARTHER = 2.0
 
 
-def with_noise_advice(result: FitResult, refit: Callable[[FitResult, str], FitResult]) -> FitResult:
-    """A fit with independent noise whose warning about correlated residuals says what helps."""
+def with_noise_advice(
+    result: FitResult, refit: Callable[[FitResult, str], FitResult]
+) -> FitResult:
+    """A fit with independent noise whose warning about correlated residuals
+    says what helps."""
     if not any(one.startswith(CORRELATED) for one in result.warnings):
         return result
     advice = _advice(result, refit)
     warnings = (
-        f"{one}; {advice}" if one.startswith(CORRELATED) else one for one in result.warnings
+        f"{one}; {advice}" if one.startswith(CORRELATED) else one
+        for one in result.warnings
     )
     return replace(result, warnings=tuple(warnings))
 
@@ -102,31 +109,46 @@ def _advice(result: FitResult, refit: Callable[[FitResult, str], FitResult]) -> 
     left = {name: result.observed[name] - result.fitted[name] for name in doubtful}
     if not any(is_rough(series[np.isfinite(series)]) for series in left.values()):
         return (
-            "no noise is that smooth: it is the law that deviates from the data (or from a formula "
-            "or filter that made them), and its standard errors do not contain that"
+            "no noise is that smooth: it is the law that deviates from the data "
+            "(or from a formula or filter that made them), and its standard errors do "
+            "not contain that"
         )
     for noise in ("ar1", "discrepancy"):
         other = refit(result, noise)
         if _describes(other, result):
             tried = f"`--noise {noise}`, which was tried, leaves independent residuals"
             return tried + _errors(other, result)
-    return "`--noise ar1` and `--noise discrepancy`, which were tried, do not describe them either"
+    return (
+        "`--noise ar1` and `--noise discrepancy`, which were tried, "
+        "do not describe them either"
+    )
 
 
 def _describes(other: FitResult, white: FitResult) -> bool:
-    """Whether a noise model makes residuals independent and leaves the law as near to the data."""
+    """Whether a noise model makes residuals independent and leaves the law as near
+    to the data."""
     near = all(other.rms[name] <= _FARTHER * size for name, size in white.rms.items())
-    return other.converged and near and not any(one.doubtful for one in other.independence.values())
+    return (
+        other.converged
+        and near
+        and not any(one.doubtful for one in other.independence.values())
+    )
 
 
 def _errors(other: FitResult, white: FitResult) -> str:
     """How many times as large the standard errors of the coefficients are."""
     names = [*white.coefficients, *(item.expression for item in white.combinations)]
-    pairs = {name: (white[name].stderr, other[name].stderr) for name in names if name in other}
+    pairs = {
+        name: (white[name].stderr, other[name].stderr)
+        for name in names
+        if name in other
+    }
     found = {name: new / old for name, (old, new) in pairs.items() if old and new}
     if not found:
         return ""
-    times = join_words([f"{two_digits(ratio)} ({name})" for name, ratio in found.items()])
+    times = join_words(
+        [f"{two_digits(ratio)} ({name})" for name, ratio in found.items()]
+    )
     return f"; standard errors are then larger by factors of {times}"
 
 
@@ -138,7 +160,8 @@ _STEP = 1e-4  # of a typical size, of differences: the path is accurate to 1e-8 
 def remedies(
     fit: LeastSquaresFit, open_: Sequence[str], held: Collection[str]
 ) -> tuple[dict[str, Any], ...]:
-    """What would determine some parameters, as {"parameters": names, "measure": channels}.
+    """What would determine some parameters, as {"parameters": names,
+    "measure": channels}.
 
     Parameters
     ----------
@@ -147,12 +170,18 @@ def remedies(
 
     Returns
     -------
-    Parameters with the same remedy are grouped. Of several channels in "measure" any one suffices,
-    unless "all" is true: then all are needed. It is empty where no channel would help.
+    Parameters with the same remedy are grouped. Of several channels in "measure" any
+    one suffices, unless "all" is true: then all are needed. It is empty where no
+    channel would help.
     """
     parameters = fit.prepared.local_parameters
-    free = np.array([place for place, name in enumerate(parameters.names) if name not in held])
-    names, values = [parameters.names[place] for place in free], fit.solution.values[free]
+    free = np.array(
+        [place for place, name in enumerate(parameters.names) if name not in held]
+    )
+    names, values = (
+        [parameters.names[place] for place in free],
+        fit.solution.values[free],
+    )
     jacobian, typical = _slopes_of_all_channels(fit, free), parameters.typical[free]
     weight = np.zeros_like(jacobian[..., 0])
     weight[: len(fit.problem.weight)] = fit.problem.weight[:, : weight.shape[1]]
@@ -183,7 +212,8 @@ def remedies(
         all_ = not enough and name in together
         if all_:
             enough = list(missing)
-            for channel in reversed(missing):  # speed and spin are the least commonly measured
+            # speed and spin are the least commonly measured
+            for channel in reversed(missing):
                 fewer = [other for other in enough if other != channel]
                 if name in determined(fewer):
                     enough = fewer
@@ -195,12 +225,18 @@ def remedies(
 
 
 def _slopes_of_all_channels(fit: LeastSquaresFit, free: Indices) -> Floats:
-    """Derivatives of the path by some parameters, shape (channels, rows, parameters)."""
+    """Derivatives of the path by some parameters, shape (channels, rows,
+    parameters)."""
     parameters, rows = fit.prepared.local_parameters, len(fit.prepared.throw)
-    fixed = parameters.lower >= parameters.upper  # for lack of a channel that depends on them
+    # for lack of a channel that depends on them
+    fixed = parameters.lower >= parameters.upper
     return slopes(
-        lambda moved: np.asarray(predict_channels(fit.model, moved, fit.problem))[:, :rows],
-        fit.solution.values, _STEP * parameters.typical, free,
+        lambda moved: np.asarray(predict_channels(fit.model, moved, fit.problem))[
+            :, :rows
+        ],
+        fit.solution.values,
+        _STEP * parameters.typical,
+        free,
         lower=np.where(fixed, -np.inf, parameters.lower),
         upper=np.where(fixed, np.inf, parameters.upper),
-    )  # fmt: skip
+    )

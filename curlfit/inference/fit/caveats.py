@@ -22,17 +22,23 @@ CORRELATED = "the residuals are correlated from row to row"
 """First words of the warning about residuals of a fit with independent noise."""
 _EARLY = 5  # rows in which a hand may still be on the stone
 _MUCH = 1.5  # times the given sigma, above which residuals count as too large ...
-_NOT_BY_CHANCE = 5.0  # ... if chi squared is this many of its own standard deviations too high
+# ... if chi squared is this many of its own standard deviations too high
+_NOT_BY_CHANCE = 5.0
 _MISSED = 4.0  # sigmas beyond which an event counts as missed; by chance one in 16,000
 _FEWEST = 20  # values of a channel, above which their independence is judged
 _NOT_LINEAR = 10.0  # typical sizes, beyond which a shift is not of first order
-_LASTING = 0.1  # memory over time of motion, above which errors are too small (`tests/statistics`)
+# memory over time of motion, above which errors are too small (`tests/statistics`)
+_LASTING = 0.1
 
 
 def warnings_of(
-    fit: LeastSquaresFit, result: FitResult, residual: Floats, unusual: Iterable[Finding],
-    rival: Rival, curvature: Curvature,
-) -> tuple[str, ...]:  # fmt: skip
+    fit: LeastSquaresFit,
+    result: FitResult,
+    residual: Floats,
+    unusual: Iterable[Finding],
+    rival: Rival,
+    curvature: Curvature,
+) -> tuple[str, ...]:
     """The warnings of a result, the gravest first.
 
     Parameters
@@ -47,7 +53,9 @@ def warnings_of(
     warnings = [*map(str, unusual), *_of_rival(rival, throw)]
     fault = fit.model.law.from_vector(fit.solution.values).fault()
     if fault is not None:
-        warnings.append(f"{fault}; the fitted coefficients are not those of a friction law")
+        warnings.append(
+            f"{fault}; the fitted coefficients are not those of a friction law"
+        )
     warnings += [
         *of_bounds(result.parameters, result.covariance["names"]),
         *_of_correlation(result),
@@ -66,14 +74,22 @@ def _of_rival(rival: Rival, throw: Throw) -> list[str]:
         return []
     listed = ", ".join(f"{name} = {value:.3g}" for name, value in rival.values.items())
     if rival.between:
-        return [f"other values fit as well: {listed}; standard errors include how far they are"]
+        return [
+            f"other values fit as well: {listed}; standard errors include "
+            "how far they are"
+        ]
     unmeasured = [
         said
         for said, channels in (("x", {"x"}), ("the angle", {"phi", "omega"}))
         if not channels & set(throw.seen)
     ]
-    remedy = f"; measure {' or '.join(unmeasured)} to distinguish them" if unmeasured else ""
-    return [f"other values fit as well: {listed}; the estimates are one of two solutions{remedy}"]
+    remedy = (
+        f"; measure {' or '.join(unmeasured)} to distinguish them" if unmeasured else ""
+    )
+    return [
+        f"other values fit as well: {listed}; the estimates are one of two "
+        f"solutions{remedy}"
+    ]
 
 
 def of_bounds(estimates: Mapping[str, Estimate], open_: Collection[str]) -> list[str]:
@@ -95,22 +111,26 @@ def _of_correlation(result: FitResult) -> list[str]:
     doubtful = {
         name: item
         for name, item in result.independence.items()
-        if item.doubtful and count[name] > _FEWEST and result.rms[name] > 10 * SIGMA_FLOOR
+        if item.doubtful
+        and count[name] > _FEWEST
+        and result.rms[name] > 10 * SIGMA_FLOOR
     }
     if not doubtful:
         return []
     listed = ", ".join(f"{item.lag1:.2f} in {name}" for name, item in doubtful.items())
     if result.noise.kind != "white":
         return [
-            f"noise {result.noise.kind} does not describe these residuals, which stay correlated "
-            f"from row to row (lag-1 correlation {listed}); standard errors may be too small"
+            f"noise {result.noise.kind} does not describe these residuals, "
+            f"which stay correlated from row to row (lag-1 correlation {listed}); "
+            "standard errors may be too small"
         ]
     effective = ", ".join(
-        f"{item.effective:.0f} of {count[name]} in {name}" for name, item in doubtful.items()
+        f"{item.effective:.0f} of {count[name]} in {name}"
+        for name, item in doubtful.items()
     )
     return [
-        f"{CORRELATED} (lag-1 correlation {listed}); standard errors, which assume independent "
-        f"noise, are too small (effective sample size: {effective})"
+        f"{CORRELATED} (lag-1 correlation {listed}); standard errors, which assume "
+        f"independent noise, are too small (effective sample size: {effective})"
     ]
 
 
@@ -120,7 +140,8 @@ def _of_errors(result: FitResult, nonquadratic: Iterable[str]) -> list[str]:
     if listed:
         warnings.append(
             f"chi squared is not quadratic within a standard error of {listed}: "
-            "these standard errors are rough; use the profile likelihood or the posterior"
+            "these standard errors are rough; use the profile likelihood "
+            "or the posterior"
         )
     errors = result.systematics.errors
     beyond = [
@@ -130,9 +151,9 @@ def _of_errors(result: FitResult, nonquadratic: Iterable[str]) -> list[str]:
     ]
     if beyond:
         warnings.append(
-            f"systematic errors of {', '.join(beyond)} exceed the range in which they can be "
-            "estimated: with the conditions as uncertain as assumed, the path does not determine "
-            f"{'it' if len(beyond) == 1 else 'them'}"
+            f"systematic errors of {', '.join(beyond)} exceed the range in which "
+            "they can be estimated: with the conditions as uncertain as assumed, "
+            f"the path does not determine {'it' if len(beyond) == 1 else 'them'}"
         )
     return warnings
 
@@ -141,79 +162,106 @@ def _of_ridges(beside: Mapping[str, bool]) -> list[str]:
     """Sums of parameters that are constant along the tangent of a curve alone."""
     near = [name for name, lost in beside.items() if not lost]
     gone = [name for name, lost in beside.items() if lost]
-    parts = [f"combinations hold near this estimate only ({', '.join(near)})"] * bool(near)
-    parts += [f"combinations are not given that change along it ({', '.join(gone)})"] * bool(gone)
+    parts = [f"combinations hold near this estimate only ({', '.join(near)})"] * bool(
+        near
+    )
+    parts += [
+        f"combinations are not given that change along it ({', '.join(gone)})"
+    ] * bool(gone)
     if not parts:
         return []
     return [
-        f"the coefficients that fit lie on a curve: {', and '.join(parts)}; throws of other speeds "
-        "and spins determine more"
+        f"the coefficients that fit lie on a curve: {', and '.join(parts)}; "
+        "throws of other speeds and spins determine more"
     ]
 
 
 def outlier_warning(outliers: Sequence[Mapping[str, Any]], t: Floats) -> str:
-    """The number of outliers, the farthest, and whether they are the first of the rows at `t`."""
+    """The number of outliers, the farthest, and whether they are the first of the
+    rows at `t`."""
     first = outliers[0]
     line = f" (line {first['line']})" if first["line"] is not None else ""
-    many = "one outlier" if len(outliers) == 1 else f"{len(outliers)} outliers, the farthest"
+    many = (
+        "one outlier"
+        if len(outliers) == 1
+        else f"{len(outliers)} outliers, the farthest"
+    )
     times = sorted({item["t"] for item in outliers})
     early = len(times) <= _EARLY < len(t) and times == t[: len(times)].tolist()
-    remedy = f"--since {t[len(times)]:g} leaves out the first rows, and " if early else ""
+    remedy = (
+        f"--since {t[len(times)]:g} leaves out the first rows, and " if early else ""
+    )
     return (
-        f"{many}: {first['channel']} at t = {first['t']:g} s{line}, {two_digits(first['sigmas'])} "
-        f"robust sigma off; {remedy}--loss student is robust to outliers"
+        f"{many}: {first['channel']} at t = {first['t']:g} s{line}, "
+        f"{two_digits(first['sigmas'])} robust sigma off; {remedy}--loss student is "
+        "robust to outliers"
     )
 
 
 def _of_given_sigma(
     throw: Throw, residual: Floats, outliers: Sequence[Mapping[str, Any]]
 ) -> list[str]:
-    """Channels whose residuals, apart from outliers, are far larger than their given sigma."""
+    """Channels whose residuals, apart from outliers, are far larger than their
+    given sigma."""
     excluded, found = {(item["channel"], item["t"]) for item in outliers}, {}
     for row, name in enumerate(CHANNELS[: len(residual)]):
         if name not in throw.sigma:
             continue
-        kept = throw.finite[row] & [(name, time) not in excluded for time in throw.t.tolist()]
+        kept = throw.finite[row] & [
+            (name, time) not in excluded for time in throw.t.tolist()
+        ]
         if not kept.any():
             continue
         square = float(np.mean((residual[row, kept] / throw.sigma[name][kept]) ** 2))
-        by_chance = 1 + _NOT_BY_CHANCE * np.sqrt(2 / kept.sum())  # chi squared per value
+        # chi squared per value
+        by_chance = 1 + _NOT_BY_CHANCE * np.sqrt(2 / kept.sum())
         if square > max(by_chance, _MUCH**2):
             found[name] = float(np.sqrt(square))
     if not found:
         return []
     listed = ", ".join(f"{times:.2g} times in {name}" for name, times in found.items())
     return [
-        f"the residuals are far larger than the given sigma ({listed}): either sigma is too small, "
-        "or the law or a fixed value is wrong; standard errors are too small by at least this "
-        "factor"
+        f"the residuals are far larger than the given sigma ({listed}): "
+        "either sigma is too small, or the law or a fixed value is wrong; "
+        "standard errors are too small by at least this factor"
     ]
 
 
 def _of_memory(result: FitResult) -> list[str]:
     """Noise whose correlation time is too long for the throw."""
     memory = max(result.noise.memory.values(), default=0.0)
-    span = time_of_motion(result.observed["t"], result.fitted["speed"]) if memory else 0.0
+    span = (
+        time_of_motion(result.observed["t"], result.fitted["speed"]) if memory else 0.0
+    )
     if memory <= _LASTING * span:
         return []
     return [
-        f"the noise has a correlation time of {memory:.2g} s in a throw of {span:.3g} s, too long "
-        "to be estimated well: its standard errors may be too small by a quarter"
+        f"the noise has a correlation time of {memory:.2g} s in a throw of "
+        f"{span:.3g} s, too long to be estimated well: its standard errors may be too "
+        "small by a quarter"
     ]
 
 
 def _of_events(result: FitResult) -> list[str]:
     """Events that the fit misses by far."""
     events = result.events
-    far = {item["name"]: abs(item["fitted"] - item["value"]) / item["sigma"] for item in events}
-    listed = [f"{name} by {sigmas:.2g} sigma" for name, sigmas in far.items() if sigmas > _MISSED]
+    far = {
+        item["name"]: abs(item["fitted"] - item["value"]) / item["sigma"]
+        for item in events
+    }
+    listed = [
+        f"{name} by {sigmas:.2g} sigma"
+        for name, sigmas in far.items()
+        if sigmas > _MISSED
+    ]
     if not listed:
         return []
-    # Two such values determine the speed and one coefficient, and cannot distinguish laws.
+    # Two such values determine the speed and one coefficient, and cannot
+    # distinguish laws.
     along = sum(item["quantity"] in ("time", "y", "speed") for item in events)
     changing = "; --law power lets the friction change with the speed"
     return [
-        f"the fit deviates from {', '.join(listed)}: the {result.law} law does not describe the "
-        f"throw, or the value was mismeasured or mistyped"
+        f"the fit deviates from {', '.join(listed)}: the {result.law} law does not "
+        "describe the throw, or the value was mismeasured or mistyped"
         + (changing if result.law == "coulomb" and along > 2 else "")
     ]

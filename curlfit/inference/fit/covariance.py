@@ -1,4 +1,5 @@
-"""Covariance of the estimates of a fit, and how far chi squared is from quadratic within it."""
+"""Covariance of the estimates of a fit, and how far chi squared is from
+quadratic within it."""
 
 from __future__ import annotations
 
@@ -31,31 +32,40 @@ CONVERGED = 0.01
 """Distance to the optimum, in standard errors, at which a fit has converged."""
 _CURVED = 0.003  # standard error over typical size below which chi squared is quadratic
 _UNKNOWN = 3.0  # the same, above which nothing is determined in any case
-_MISLEADING = 4.0  # factor by which the rise of chi squared is off if a standard error is by two
-_SMALL = 0.1  # standard error over typical size, below which an estimate is determined even then
-_FAINT = 0.5  # standard error over typical size above which a direction is hardly determined
-_CURVED_RIDGE = 4.0  # rise of chi squared: what fits has left the tangent by two standard errors
+# factor by which the rise of chi squared is off if a standard error is by two
+_MISLEADING = 4.0
+# standard error over typical size, below which an estimate is determined even then
+_SMALL = 0.1
+# standard error over typical size above which a direction is hardly determined
+_FAINT = 0.5
+# rise of chi squared: what fits has left the tangent by two standard errors
+_CURVED_RIDGE = 4.0
 _NARROW = 0.02
-"""Such an error over typical sizes, above which a sum is not determined: 0.008 for eq. 12 under
-consistent load, where the sum hardly changes; 0.03 and more for `front-back+sideways`, where the
-truth is up to 36 standard errors off."""
-_TAKES_PART = 0.05  # component over the largest, above which a parameter takes part in a direction
-_QUADRATIC = 0.5  # largest departure from one of the rise of chi squared at one standard error
-_KNOWN = 1e-3  # share of estimated variances in a sum below which the sum counts as known
-_MEDIAN_EFFICIENCY = 0.37  # of sigma from the median absolute residual, Gaussian noise (Huber 1981)
+"""Such an error over typical sizes, above which a sum is not determined: 0.008 for eq.
+12 under consistent load, where the sum hardly changes; 0.03 and more for
+`front-back+sideways`, where the truth is up to 36 standard errors off."""
+# component over the largest, above which a parameter takes part in a direction
+_TAKES_PART = 0.05
+# largest departure from one of the rise of chi squared at one standard error
+_QUADRATIC = 0.5
+# share of estimated variances in a sum below which the sum counts as known
+_KNOWN = 1e-3
+# of sigma from the median absolute residual, Gaussian noise (Huber 1981)
+_MEDIAN_EFFICIENCY = 0.37
 
 
 @dataclass(frozen=True, eq=False)
 class Covariance:
-    """First-order uncertainties of the parameters at the optimum of a throw, or of several with
-    parameters in common."""
+    """First-order uncertainties of the parameters at the optimum of a throw, or of
+    several with parameters in common."""
 
     names: Sequence[str]
     values: Floats
     """in the data's coordinates"""
     typical: Floats
     factor: Floats
-    """R factor of the Jacobian, with the residual as the last column (`Factors.confined`)"""
+    """R factor of the Jacobian, with the residual as the last column
+    (`Factors.confined`)"""
     identifiability: Identifiability
     of_data: Identifiability
     """identifiability from the data without the priors"""
@@ -67,8 +77,8 @@ class Covariance:
     distance: float
     """to the optimum, standard errors"""
     effect: Floats
-    """change of the open parameters for a change of each residual by its sigma, shape (channels, n,
-    open)"""
+    """change of the open parameters for a change of each residual by its sigma, shape
+    (channels, n, open)"""
     dof: Floats
     """degrees of freedom of each channel's sigma; infinite where it was given"""
     leverage: Floats
@@ -93,8 +103,8 @@ class Covariance:
         Parameters
         ----------
         bounded : in the data's coordinates.
-        factors : those of the search, and those whose normal equations are the estimator's, which
-            differ under a robust loss.
+        factors : those of the search, and those whose normal equations are the
+            estimator's, which differ under a robust loss.
         jacobian : of the weighted residuals, shape (channels, n, parameters).
         has_priors : whether there is information besides these residuals.
         """
@@ -106,7 +116,13 @@ class Covariance:
         at_bound = problem.at_bound()
         open_, slack = problem.open(at_bound)
         ends = Bounded(*(part[open_] for part in bounded))
-        about = list(itertools.compress(names, open_)), ends.values, typical[open_], slack, ends
+        about = (
+            list(itertools.compress(names, open_)),
+            ends.values,
+            typical[open_],
+            slack,
+            ends,
+        )
         known = of_data = analyse(estimator.whole[:, :-1][:, open_], *about)
         if has_priors:
             of_data = analyse(estimator.of_data[:, :-1][:, open_], *about)
@@ -115,15 +131,26 @@ class Covariance:
         leverage = (effect * by_open).sum(-1)
         whole = problem._replace(jacobian=searched.whole[:, :-1])
         return cls(
-            names, bounded.values, typical, searched.confined, known, of_data, free, at_bound,
+            names,
+            bounded.values,
+            typical,
+            searched.confined,
+            known,
+            of_data,
+            free,
+            at_bound,
             open_,
-            matrix, float(problem.distance(sigmas.total, whole)), effect,
-            sigmas.dof(leverage), leverage, has_priors,
-        )  # fmt: skip
+            matrix,
+            float(problem.distance(sigmas.total, whole)),
+            effect,
+            sigmas.dof(leverage),
+            leverage,
+            has_priors,
+        )
 
     def degrees_of_freedom(self, weights: Floats) -> list[float | None]:
-        """For the variances of weighted sums of the open parameters, one per row of weights; None
-        where all sigmas were given."""
+        """For the variances of weighted sums of the open parameters, one per row of
+        weights; None where all sigmas were given."""
         parts = ((self.effect @ weights.T) ** 2).sum(1).T
         dof = self.dof
         if self.others is not None:
@@ -140,16 +167,22 @@ class Covariance:
         known = self.identifiability
         weights = list(known.determined().values())[-len(known.combinations) :]
         dof = self.degrees_of_freedom(np.array(weights)) if known.combinations else []
-        return tuple(replace(item, dof=n) for item, n in zip(known.combinations, dof, strict=True))
+        return tuple(
+            replace(item, dof=n)
+            for item, n in zip(known.combinations, dof, strict=True)
+        )
 
     @cached_property
     def _dof_of_each(self) -> list[float | None]:
         return self.degrees_of_freedom(np.eye(len(self.matrix)))
 
     def classified(self, place: int) -> tuple[float | None, str, float | None]:
-        """Standard error of a free parameter, where there is one, its verdict, and the degrees of
-        freedom of the error."""
-        index, about = int(self.open[:place].sum()), (self.typical[place], self.at_bound[place])
+        """Standard error of a free parameter, where there is one, its verdict, and the
+        degrees of freedom of the error."""
+        index, about = (
+            int(self.open[:place].sum()),
+            (self.typical[place], self.at_bound[place]),
+        )
         stderr, verdict = classify(*about, self.identifiability, index)
         if stderr is None:
             return None, verdict, None
@@ -159,13 +192,17 @@ class Covariance:
         return stderr, verdict, self._dof_of_each[index]
 
     def shifts(self, gradients: Mapping[str, Floats]) -> dict[str, dict[str, float]]:
-        """Shifts from the estimates to the true values, by determined parameter or combination and
-        by condition; `gradients` are J^T times the change of the residuals by each condition."""
+        """Shifts from the estimates to the true values, by determined parameter or
+        combination and by condition; `gradients` are J^T times the change of the
+        residuals by each condition."""
         typical = self.typical[self.open]
         mine = {name: gradient[self.open] for name, gradient in gradients.items()}
         by_condition = shifts(self.factor[:, :-1][:, self.open], mine, typical)
         return {
-            name: {condition: float(row @ shift) for condition, shift in by_condition.items()}
+            name: {
+                condition: float(row @ shift)
+                for condition, shift in by_condition.items()
+            }
             for name, row in self.identifiability.determined().items()
         }
 
@@ -180,9 +217,10 @@ class Covariance:
         }
 
     def one_sigma_points(self, bounded: Bounded) -> tuple[Floats, Floats]:
-        """Points one standard error from the optimum along the principal axes of the covariance,
-        within the bounds, on axes whose standard error is neither tiny nor meaningless; and these
-        axes in typical sizes, of the same shape (points, parameters).
+        """Points one standard error from the optimum along the principal axes of
+        the covariance, within the bounds, on axes whose standard error is neither
+        tiny nor meaningless; and these axes in typical sizes, of the same shape
+        (points, parameters).
 
         `bounded` is in the problem's coordinates.
         """
@@ -198,9 +236,9 @@ class Covariance:
         return points[inside], along[inside]
 
     def ridge_points(self, bounded: Bounded, coefficients: int) -> Ridge:
-        """Points along what the coefficients of the law, the first parameters, leave undetermined:
-        one standard error from the optimum, or three typical sizes if that is less, whatever the
-        bounds."""
+        """Points along what the coefficients of the law, the first parameters, leave
+        undetermined: one standard error from the optimum, or three typical sizes if
+        that is less, whatever the bounds."""
         sizes, known = self.typical[self.open], self.identifiability
         factor = self.factor[:, :-1][:, self.open] * sizes
         _, singular, rows = np.linalg.svd(factor, full_matrices=False)
@@ -222,10 +260,11 @@ class Covariance:
         return Ridge(points, axes, (steps / np.repeat(sigmas, 2)) ** 2)
 
     def beside_a_ridge(self, ridge: Ridge, delta_chi2: Floats) -> dict[str, bool]:
-        """Combinations of parameters along a direction that is hardly determined, where chi squared
-        rises more than at first order: the values that fit lie on a curve, and a sum of parameters
-        is constant along its tangent alone. And whether it may change by so much, with an error for
-        which chi squared would rise like this, that little is known of it.
+        """Combinations of parameters along a direction that is hardly determined, where
+        chi squared rises more than at first order: the values that fit lie on a curve,
+        and a sum of parameters is constant along its tangent alone. And whether it may
+        change by so much, with an error for which chi squared would rise like this,
+        that little is known of it.
 
         `delta_chi2` is the rise of chi squared at the points of the ridge.
         """
@@ -244,16 +283,18 @@ class Covariance:
         return found
 
     def nonquadratic(self, axes: Floats, delta_chi2: Floats) -> dict[str, bool]:
-        """Parameters and combinations along which chi squared does not rise by about one at one
-        standard error, and whether it is so misleading there that nothing may be determined.
+        """Parameters and combinations along which chi squared does not rise by about
+        one at one standard error, and whether it is so misleading there that nothing
+        may be determined.
 
-        An axis concerns an estimate if it contributes a quarter or more of its variance. A large
-        departure is misleading for the parameters that dominate the axis, and for estimates whose
-        standard error is not small.
+        An axis concerns an estimate if it contributes a quarter or more of its
+        variance. A large departure is misleading for the parameters that dominate the
+        axis, and for estimates whose standard error is not small.
 
         Parameters
         ----------
-        axes : from `one_sigma_points`; `delta_chi2` is the rise of chi squared at these points.
+        axes : from `one_sigma_points`; `delta_chi2` is the rise of chi squared at
+            these points.
         """
         off = ~(np.abs(delta_chi2 - 1) < _QUADRATIC)
         if not off.any():
@@ -266,7 +307,9 @@ class Covariance:
             error = np.sqrt(row @ self.identifiability.covariance @ row)
             concerned = np.abs(axes @ (row * sizes)) > 0.5 * error
             if concerned.any():
-                dominant = (np.abs(axes @ row)[concerned] > 0.3 * longest[concerned]).any()
+                dominant = (
+                    np.abs(axes @ row)[concerned] > 0.3 * longest[concerned]
+                ).any()
                 large = error > _SMALL * sizes[row != 0].max()
                 most = factor[concerned].max()
                 named[name] = bool(most > _MISLEADING and (dominant or large))
@@ -274,13 +317,16 @@ class Covariance:
 
 
 def satterthwaite(parts: Floats, dof: Floats) -> list[float | None]:
-    """Degrees of freedom of sums of estimated variances, along the rows of `parts` (Satterthwaite
-    1946, eq. 17); None where all are known, or those with finite `dof` contribute less than a
-    thousandth, so that Student's distribution is normal to rounding of what is printed."""
+    """Degrees of freedom of sums of estimated variances, along the rows of `parts`
+    (Satterthwaite 1946, eq. 17); None where all are known, or those with finite `dof`
+    contribute less than a thousandth, so that Student's distribution is normal to
+    rounding of what is printed."""
     size = np.abs(parts)
     known = ~(np.where(np.isfinite(dof), size, 0.0).sum(-1) > _KNOWN * size.sum(-1))
     found = parts.sum(-1) ** 2 / np.where(known, 1.0, (parts**2 / dof).sum(-1))
-    return [None if exact else n for n, exact in zip(found.tolist(), known, strict=True)]
+    return [
+        None if exact else n for n, exact in zip(found.tolist(), known, strict=True)
+    ]
 
 
 class Curvature(NamedTuple):
@@ -302,17 +348,23 @@ class Rival(NamedTuple):
     values: Mapping[str, float]
     """of the parameters that differ"""
     between: Mapping[str, float]
-    """from the estimates to it, of all parameters, where a coefficient went astray: what lies
-    between fits too"""
+    """from the estimates to it, of all parameters, where a coefficient went astray:
+    what lies between fits too"""
 
-    def widened(self, stderr: float | None, weights: Mapping[str, float]) -> float | None:
-        """The standard error of a weighted sum of parameters, with the distance to this optimum."""
-        apart = sum(weight * self.between.get(name, 0.0) for name, weight in weights.items())
+    def widened(
+        self, stderr: float | None, weights: Mapping[str, float]
+    ) -> float | None:
+        """The standard error of a weighted sum of parameters, with the distance to
+        this optimum."""
+        apart = sum(
+            weight * self.between.get(name, 0.0) for name, weight in weights.items()
+        )
         return None if stderr is None else math.hypot(stderr, apart)
 
 
 class Ridge(NamedTuple):
-    """Points along directions that are hardly determined, shape (points, parameters)."""
+    """Points along directions that are hardly determined, shape (points,
+    parameters)."""
 
     points: Floats
     axes: Floats
@@ -322,20 +374,22 @@ class Ridge(NamedTuple):
 
 
 class OtherThrows(NamedTuple):
-    """What the noise of the other throws contributes to the variances of a throw's estimates."""
+    """What the noise of the other throws contributes to the variances of a
+    throw's estimates."""
 
     follow: Floats
     """change of the open parameters with those in common, shape (open, common)"""
     matrices: Floats
-    """covariance of those in common due to each channel of all throws, shape (throws, channels,
-    common, common)"""
+    """covariance of those in common due to each channel of all throws, shape (throws,
+    channels, common, common)"""
     dof: Floats
     """of each channel's sigma, shape (throws, channels)"""
     own: int
     """index of the throw itself"""
 
     def parts(self, weights: Floats) -> Floats:
-        """Of the variances of weighted sums of the open parameters, one per row of weights."""
+        """Of the variances of weighted sums of the open parameters, one per
+        row of weights."""
         along = weights @ self.follow
         found = np.einsum("wi,tcij,wj->wtc", along, self.matrices, along)
         found[:, self.own] = 0.0
@@ -351,7 +405,9 @@ def with_others(found: Sequence[Covariance], reduction: Reduction) -> list[Covar
     effects = effects[..., common]
     matrices, dof = effects.mT @ effects, np.stack([one.dof for one in found])
     return [
-        replace(one, others=OtherThrows(follow[one.open][:, common], matrices, dof, row))
+        replace(
+            one, others=OtherThrows(follow[one.open][:, common], matrices, dof, row)
+        )
         for row, (one, follow) in enumerate(zip(found, reduction.follow, strict=True))
     ]
 
@@ -367,24 +423,28 @@ class Sigmas(NamedTuple):
     """number of values in all channels, of all throws that are fitted together"""
 
     def dof(self, leverage: Floats) -> Floats:
-        """Degrees of freedom n - p of each sigma; infinite where it was given. The sum of the
-        `leverage` of each value, shape (..., n), over a channel is its p."""
+        """Degrees of freedom n - p of each sigma; infinite where it was given. The sum
+        of the `leverage` of each value, shape (..., n), over a channel is its p."""
         efficiency = 1.0 if self.loss == "linear" else _MEDIAN_EFFICIENCY
         dof = np.maximum(self.number - leverage.sum(-1), 1.0)
         return np.where(self.estimated, efficiency * dof, np.inf)
 
 
-def robust_jacobians(problems: Problem, solutions: Solution, residual: Floats, loss: str) -> Floats:
-    """Jacobians of throws, of shape (throws, channels, n, parameters), whose normal equations are
-    those of the estimator: those of the residuals over their sigma, each channel rescaled for a
-    robust loss.
+def robust_jacobians(
+    problems: Problem, solutions: Solution, residual: Floats, loss: str
+) -> Floats:
+    """Jacobians of throws, of shape (throws, channels, n, parameters), whose normal
+    equations are those of the estimator: those of the residuals over their sigma, each
+    channel rescaled for a robust loss.
 
-    The covariance of an M-estimator is that of least squares divided by `precision` (Huber 1981).
-    `residual` is measured - fitted.
+    The covariance of an M-estimator is that of least squares divided by `precision`
+    (Huber 1981). `residual` is measured - fitted.
     """
     jacobians: Floats = solutions.jacobian.copy()
     for place in np.ndindex(jacobians.shape[:2]):
         weight = problems.weight[place]
         r = -residual[place] * weight
-        jacobians[place] *= np.sqrt(precision(r[weight > 0], loss)) / root_slope(r, loss)[:, None]
+        jacobians[place] *= (
+            np.sqrt(precision(r[weight > 0], loss)) / root_slope(r, loss)[:, None]
+        )
     return jacobians

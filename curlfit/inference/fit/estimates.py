@@ -1,4 +1,5 @@
-"""Estimates of a result: of a parameter, of systematic errors, of a posterior; items by name."""
+"""Estimates of a result: of a parameter, of systematic errors, of a posterior;
+items by name."""
 
 from __future__ import annotations
 
@@ -23,15 +24,16 @@ class Estimate(WithInterval):
 
     Attributes
     ----------
-    stderr : standard error; None where the data do not determine the parameter, where it is at a
-        bound, or where it was fixed.
-    verdict : "determined"; "prior" (determined, but not without the priors); "weak"; "not
-        identifiable"; "at bound" or "fixed".
-    reason : of a weak parameter: its standard error is more than half its typical size, chi
-        squared is so far from quadratic that the standard error is wrong by a factor of two or
-        more, or another value fits as well; of a parameter that rests on priors: that the data
-        alone do not determine it. Otherwise empty.
-    dof : degrees of freedom of the standard error; None without one, or where sigma was given.
+    stderr : standard error; None where the data do not determine the parameter, where
+        it is at a bound, or where it was fixed.
+    verdict : "determined"; "prior" (determined, but not without the priors); "weak";
+        "not identifiable"; "at bound" or "fixed".
+    reason : of a weak parameter: its standard error is more than half its typical size,
+        chi squared is so far from quadratic that the standard error is wrong by a
+        factor of two or more, or another value fits as well; of a parameter that rests
+        on priors: that the data alone do not determine it. Otherwise empty.
+    dof : degrees of freedom of the standard error; None without one, or where
+        sigma was given.
     prior : its prior, in the notation of `curlfit.inference.priors`; empty without one.
     """
 
@@ -50,14 +52,16 @@ class Estimate(WithInterval):
 
     @classmethod
     def of(cls, item: Parameter, value: float, verdict: str, **known: Any) -> Self:
-        """The estimate of a parameter; without a standard error unless it is among what is `known`
-        besides."""
+        """The estimate of a parameter; without a standard error unless it is among what
+        is `known` besides."""
         told = {one.name: getattr(item, one.name) for one in fields(Parameter)[1:]}
-        return cls(**{"value": value, "stderr": None, "verdict": verdict} | known | told)
+        return cls(
+            **{"value": value, "stderr": None, "verdict": verdict} | known | told
+        )
 
     def interval(self, level: float = 0.95) -> tuple[float, float] | None:
-        """Confidence interval by Student's t, within the bounds; None where there is no standard
-        error."""
+        """Confidence interval by Student's t, within the bounds; None where there is no
+        standard error."""
         found = super().interval(level)
         return found and (max(found[0], self.lower), min(found[1], self.upper))
 
@@ -70,12 +74,13 @@ class Posterior(Displayed):
     ----------
     samples : number kept, over all walkers, after the first `discarded` steps.
     steps, walkers, ensembles : of the run; the walkers are divided among the ensembles.
-    ess, ess_tail : bulk and tail effective sample sizes by parameter; the latter is the smaller of
-        those of the quantiles 5 % and 95 %.
-    r_hat : rank-normalised, by parameter: the larger of that of the halves of the ensembles and
-        that of their distances from the median (Vehtari et al. 2021).
+    ess, ess_tail : bulk and tail effective sample sizes by parameter; the latter is the
+        smaller of those of the quantiles 5 % and 95 %.
+    r_hat : rank-normalised, by parameter: the larger of that of the halves of the
+        ensembles and that of their distances from the median (Vehtari et al. 2021).
     acceptance : fraction of proposals accepted.
-    quantiles : by parameter and by determined combination, keys "2.5", "16", "50", "84", "97.5".
+    quantiles : by parameter and by determined combination, keys "2.5", "16", "50",
+        "84", "97.5".
     mean, sd : the same.
     correlation : between parameters.
     converged, status : whether the targets were met, and the same in words.
@@ -112,13 +117,14 @@ class Posterior(Displayed):
 
 @dataclass(frozen=True)
 class Systematics:
-    """Effects of the conditions that a fit holds fixed (`curlfit.inference.fit.systematics`).
+    """Effects of the conditions that a fit holds fixed
+    (`curlfit.inference.fit.systematics`).
 
     Attributes
     ----------
     widths : standard uncertainty of each of these conditions, SI.
-    shifts : by determined parameter or combination and by condition: true value minus estimate
-        where the condition is one width above its assumed value.
+    shifts : by determined parameter or combination and by condition: true value minus
+        estimate where the condition is one width above its assumed value.
     """
 
     widths: dict[str, float] = field(default_factory=dict)
@@ -126,16 +132,21 @@ class Systematics:
 
     @property
     def errors(self) -> dict[str, float]:
-        """Systematic error of each parameter or combination: the shifts added in quadrature."""
+        """Systematic error of each parameter or combination: the shifts added
+        in quadrature."""
         return {
-            name: math.hypot(*shifts.values()) for name, shifts in self.shifts.items() if shifts
+            name: math.hypot(*shifts.values())
+            for name, shifts in self.shifts.items()
+            if shifts
         }
 
     @property
     def of_calibration(self) -> dict[str, float]:
         """The part of each error that the map from pixels to metres contributes."""
         return {
-            name: math.hypot(*(shifts[one] for one in shifts if one.startswith(CALIBRATION)))
+            name: math.hypot(
+                *(shifts[one] for one in shifts if one.startswith(CALIBRATION))
+            )
             for name, shifts in self.shifts.items()
         }
 
@@ -164,12 +175,14 @@ class NamedEstimates(Record):
         sums = {item.expression: item for item in self.combinations}
         # A combination that was requested as a derived quantity is not repeated.
         named = self._estimates.keys() | sums.keys()
-        others = {one.expression: one for one in self.derived if one.expression not in named}
+        others = {
+            one.expression: one for one in self.derived if one.expression not in named
+        }
         return {**self._estimates, **sums, **others}
 
     def __getitem__(self, name: str) -> Estimate | Combination | Derived:
-        """A parameter, a determined combination or a derived quantity. Raises KeyError for any
-        other name."""
+        """A parameter, a determined combination or a derived quantity. Raises KeyError
+        for any other name."""
         found = self._items().get(name)
         if found is None:
             raise KeyError(f"no {name!r}; the names are {', '.join(self._items())}")
@@ -187,8 +200,9 @@ class NamedEstimates(Record):
     def to_frame(self) -> Any:
         """Parameters and determined combinations as a pandas DataFrame, one row each.
 
-        Columns are value, stderr, systematic (error due to conditions that the fit holds fixed),
-        low and high (95 % interval), verdict and unit. What is not identifiable has no value.
+        Columns are value, stderr, systematic (error due to conditions that the fit
+        holds fixed), low and high (95 % interval), verdict and unit. What is not
+        identifiable has no value.
 
         Raises
         ------
@@ -205,4 +219,6 @@ class NamedEstimates(Record):
             known = (math.nan if number is None else number for number in numbers)
             rows.append((value, *known, verdict, unit))
         heads = ("value", "stderr", "systematic", "low", "high", "verdict", "unit")
-        return frame(dict(zip(heads, zip(*rows, strict=True), strict=True)), list(self._items()))
+        return frame(
+            dict(zip(heads, zip(*rows, strict=True), strict=True)), list(self._items())
+        )

@@ -1,5 +1,5 @@
-"""Linearized problems, and the R factors of their Jacobians: of throws alone, and of several that
-have parameters in common."""
+"""Linearized problems, and the R factors of their Jacobians: of throws alone, and of
+several that have parameters in common."""
 
 from __future__ import annotations
 
@@ -9,16 +9,24 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from curlfit.inference.identifiability import Bounded, confined, inverted, r_factor, visible
+from curlfit.inference.identifiability import (
+    Bounded,
+    confined,
+    inverted,
+    r_factor,
+    visible,
+)
 from curlfit.inference.priors import Penalty
 from curlfit.numerics.arrays import Booleans, Floats
 
 _LOOSE = 0.1  # typical sizes inside its bound from which a parameter is not held by it
 _NEAR = 1e-6  # typical sizes from a bound within which a parameter is at the bound
-_PUSHED = 10.0  # least push against a bound over the slopes by the parameters inside theirs ...
+# least push against a bound over the slopes by the parameters inside theirs ...
+_PUSHED = 10.0
 _ROUNDING = 1e-9  # singular value over the largest
 _WIDEST = 1e3  # typical sizes, beyond which nothing is known
-_LEAST_PUSH, _CLEAR_PUSH = 1e-6, 1e-3  # ... within these limits, half chi squared per typical size
+# ... within these limits, half chi squared per typical size
+_LEAST_PUSH, _CLEAR_PUSH = 1e-6, 1e-3
 
 
 class LinearizedProblem(NamedTuple):
@@ -40,9 +48,9 @@ class LinearizedProblem(NamedTuple):
     def at_bound(self) -> Booleans:
         """Free parameters at a bound that the data push against it, however weakly.
 
-        Along a valley that descends without end the push may be tiny. It is distinguished from the
-        end of an exact ridge, where there is none, by the remaining slope along the other
-        parameters.
+        Along a valley that descends without end the push may be tiny. It is
+        distinguished from the end of an exact ridge, where there is none, by the
+        remaining slope along the other parameters.
         """
         push, low, high = self._pushes()
         rest = np.abs(push * (self.free & ~low & ~high)).max(-1, keepdims=True)
@@ -50,12 +58,14 @@ class LinearizedProblem(NamedTuple):
         return low & (push > least) | high & (push < -least)
 
     def movable(self) -> Booleans:
-        """Free parameters except those that only a bound keeps from moving, however weakly."""
+        """Free parameters except those that only a bound keeps from moving,
+        however weakly."""
         push, low, high = self._pushes()
         return self.free & ~(low & (push > 0)) & ~(high & (push < 0))
 
     def _pushes(self) -> tuple[Floats, Booleans, Booleans]:
-        """The push toward lower bounds, and which parameters are at a lower, at an upper bound."""
+        """The push toward lower bounds, and which parameters are at a lower, at an
+        upper bound."""
         near = _NEAR * self.typical
         return (
             (self.residual[..., None, :] @ self.jacobian)[..., 0, :] * self.typical,
@@ -64,11 +74,11 @@ class LinearizedProblem(NamedTuple):
         )
 
     def open(self, at_bound: Booleans) -> tuple[Booleans, Floats]:
-        """The parameters of one optimum that can move, and the contribution of those held at a
-        bound to their spread.
+        """The parameters of one optimum that can move, and the contribution of those
+        held at a bound to their spread.
 
-        A parameter that the data hardly push against its bound is not held by it: it is at the
-        end of a ridge and counts as open.
+        A parameter that the data hardly push against its bound is not held by it: it is
+        at the end of a ridge and counts as open.
         """
         if not at_bound.any():
             return self.free, np.zeros((int(self.free.sum()), 0))
@@ -78,9 +88,12 @@ class LinearizedProblem(NamedTuple):
         for _ in range(2):
             open_ = self.free & ~held
             distance, columns = _slack(
-                self.jacobian[:, open_], self.jacobian[:, held], push[held], self.typical[held],
+                self.jacobian[:, open_],
+                self.jacobian[:, held],
+                push[held],
+                self.typical[held],
                 room[held],
-            )  # fmt: skip
+            )
             loose = distance > _LOOSE * self.typical[held]
             if not loose.any():
                 break
@@ -88,7 +101,8 @@ class LinearizedProblem(NamedTuple):
         return open_, columns
 
     def newton_decrement(self, where: Booleans) -> Floats:
-        """Length of the remaining Gauss-Newton step, in sigmas, along determined directions.
+        """Length of the remaining Gauss-Newton step, in sigmas, along
+        determined directions.
 
         A null direction would have to be followed over a thousand typical sizes.
         """
@@ -98,12 +112,12 @@ class LinearizedProblem(NamedTuple):
         return np.linalg.norm(along * visible(singular), axis=-1)
 
     def distance(self, count: Any, whole: LinearizedProblem) -> Any:
-        """Distance to the optimum in standard errors, over the noise where `count` values scatter
-        by more than their sigma.
+        """Distance to the optimum in standard errors, over the noise where `count`
+        values scatter by more than their sigma.
 
-        `whole` is the problem with the directions that only the bounds determine. A step along them
-        would leave the bounds; without them, parameters at a bound may seem free to move. Both are
-        upper limits.
+        `whole` is the problem with the directions that only the bounds determine. A
+        step along them would leave the bounds; without them, parameters at a bound may
+        seem free to move. Both are upper limits.
         """
         reduced = (self.residual**2).sum(-1) / np.maximum(count, 1)
         decrement = self.newton_decrement(self.movable())
@@ -115,58 +129,71 @@ class LinearizedProblem(NamedTuple):
 def _slack(
     jacobian: Floats, bounded: Floats, push: Floats, typical: Floats, room: Floats
 ) -> tuple[Floats, Floats]:
-    """Spread of parameters at a bound, each a normal truncated there; the open ones follow.
+    """Spread of parameters at a bound, each a normal truncated there; the open
+    ones follow.
 
-    An optimum at a bound leaves the parameter a one-sided spread: wide where the data hardly push
-    against the bound, as at the end of a ridge, and of scale 1/push where they do. Holding it at
-    the bound would make the others appear more precise than they are.
+    An optimum at a bound leaves the parameter a one-sided spread: wide where the
+    data hardly push against the bound, as at the end of a ridge, and of scale 1/push
+    where they do. Holding it at the bound would make the others appear more precise
+    than they are.
 
     Parameters
     ----------
-    jacobian, bounded : of the residuals over their sigma, with respect to the open parameters and
-        to those at a bound.
-    push : decrease of half of chi squared per unit beyond the bound, >= 0, for each at a bound.
-    typical, room : of those at a bound: typical size, and width of the interval of bounds.
+    jacobian, bounded : of the residuals over their sigma, with respect to the open
+        parameters and to those at a bound.
+    push : decrease of half of chi squared per unit beyond the bound, >= 0, for
+        each at a bound.
+    typical, room : of those at a bound: typical size, and width of the
+        interval of bounds.
 
     Returns
     -------
-    the rms distance of each from the bound, and the corresponding change of the open parameters,
-    shape (open, bounded).
+    the rms distance of each from the bound, and the corresponding change of the open
+    parameters, shape (open, bounded).
     """
     from scipy.special import log_ndtr  # slow to load
 
     size = np.linalg.norm(jacobian, axis=0)
     size[size == 0] = 1.0
-    follow = -np.linalg.lstsq(jacobian / size, bounded, rcond=_ROUNDING)[0] / size[:, None]
+    follow = (
+        -np.linalg.lstsq(jacobian / size, bounded, rcond=_ROUNDING)[0] / size[:, None]
+    )
     stiff = np.linalg.norm(bounded + jacobian @ follow, axis=0)
     sigma = 1 / np.maximum(stiff, 1 / (_WIDEST * typical))
     alpha = push * sigma
     # mean square distance from the cut of a normal truncated alpha sigma above its mean
     least = np.minimum(alpha, 30)
     hazard = np.exp(-(least**2 + np.log(2 * np.pi)) / 2 - log_ndtr(-least))
-    square = np.where(alpha < 30, 1 + alpha**2 - alpha * hazard, 2 / np.maximum(alpha, 1) ** 2)
+    square = np.where(
+        alpha < 30, 1 + alpha**2 - alpha * hazard, 2 / np.maximum(alpha, 1) ** 2
+    )
     distance = np.minimum(sigma * np.sqrt(square), room)
     return distance, follow * distance
 
 
 @dataclass(frozen=True, eq=False)
 class Reduction:
-    """What throws say about the parameters that they have in common, where the own parameters of
-    each follow these; all along the first axis."""
+    """What throws say about the parameters that they have in common, where the own
+    parameters of each follow these; all along the first axis."""
 
     rows: Floats
     """of each throw on the parameters in common, whose last column is the residual"""
     follow: Floats
-    """change of the parameters of a throw, first axis, with those in common, second axis"""
+    """change of the parameters of a throw, first axis, with those in
+    common, second axis"""
     rank: Floats
     """number of directions of its own parameters that a throw determines"""
     common: Booleans
 
     @classmethod
-    def of(cls, factors: Floats, bounded: Bounded, typical: Floats, common: Booleans) -> Reduction:
+    def of(
+        cls, factors: Floats, bounded: Bounded, typical: Floats, common: Booleans
+    ) -> Reduction:
         """From R factors of the Jacobians with the residuals as the last column."""
         free = (bounded.upper > bounded.lower) & ~common
-        problem = LinearizedProblem(factors[..., -1], factors[..., :-1], *bounded, typical, free)
+        problem = LinearizedProblem(
+            factors[..., -1], factors[..., :-1], *bounded, typical, free
+        )
         scaled = factors[..., :-1] * typical
         own = scaled * (free & ~problem.at_bound())[:, None]
         left, singular, right = np.linalg.svd(own, full_matrices=False)
@@ -187,8 +214,8 @@ class Reduction:
 
     @cached_property
     def others(self) -> Floats:
-        """R factor of the rows of all throws but each, to be added to those of that throw; from
-        those before it and those after it."""
+        """R factor of the rows of all throws but each, to be added to those of that
+        throw; from those before it and those after it."""
 
         def before(rows: Floats) -> list[Floats]:
             found = [np.zeros((rows.shape[-1],) * 2)]
@@ -200,14 +227,15 @@ class Reduction:
         return combined(np.stack(before(self.rows)), np.stack(after))
 
     def gradient(self, gradients: Floats) -> Floats:
-        """That of all throws by the parameters of each, from the gradients of each throw."""
+        """That of all throws by the parameters of each, from the gradients
+        of each throw."""
         reduced = (self.follow.mT @ gradients[..., None])[..., 0]
         return gradients + self.common * (reduced.sum(0) - reduced)
 
 
 def chi_squared_change(rows: Floats, steps: Floats) -> Floats:
-    """Change of the sum of squares of rows, with the residual as the last column, by a step of the
-    parameters; of many along the first axis."""
+    """Change of the sum of squares of rows, with the residual as the last column, by a
+    step of the parameters; of many along the first axis."""
     change = (rows[..., :-1] @ steps[..., None])[..., 0]
     found: Floats = (change * (change + 2 * rows[..., -1])).sum(-1)
     return found
@@ -219,14 +247,15 @@ def combined(*factors: Floats) -> Floats:
 
 
 class Factors(NamedTuple):
-    """R factors of the Jacobian of a problem, or of many along the first axis; the last column is
-    the residual over its sigma."""
+    """R factors of the Jacobian of a problem, or of many along the first axis; the last
+    column is the residual over its sigma."""
 
     of_data: Floats
     whole: Floats
     """with the priors"""
     confined: Floats
-    """with the priors, without the directions that only the bounds determine (`confined`)"""
+    """with the priors, without the directions that only the bounds
+    determine (`confined`)"""
     reduction: Reduction | None = None
     """of throws that are fitted together, whose others are contained in all of these"""
 
@@ -240,9 +269,9 @@ class Factors(NamedTuple):
         common: Booleans | None = None,
         others: Floats | None = None,
     ) -> Factors:
-        """From those of the data alone, the parameters with their bounds, the priors, and which
-        parameters the throws have in common, if they are fitted together; or rows of what others
-        say of the parameters of each."""
+        """From those of the data alone, the parameters with their bounds, the priors,
+        and which parameters the throws have in common, if they are fitted together; or
+        rows of what others say of the parameters of each."""
         if others is not None:
             of_data = combined(of_data, others)
         penalty = Penalty.none(*bounded.values.shape) if penalty is None else penalty
@@ -250,13 +279,17 @@ class Factors(NamedTuple):
         if common is not None:
             about = bounded, typical, common
             # Priors of what is in common count once.
-            reduction = Reduction.of(combined(of_data, priors * ~common[:, None]), *about)
+            reduction = Reduction.of(
+                combined(of_data, priors * ~common[:, None]), *about
+            )
             whole = combined(of_data, reduction.others)
             plain = Reduction.of(of_data, *about) if penalty.informative else reduction
             of_data = combined(of_data, plain.others)
         whole = combined(whole, priors)
         inside = confined(whole[..., :-1], bounded, typical)
-        return cls(of_data, whole, np.concatenate([inside, whole[..., -1:]], -1), reduction)
+        return cls(
+            of_data, whole, np.concatenate([inside, whole[..., -1:]], -1), reduction
+        )
 
     def at(self, row: int) -> Factors:
         """Those of one problem."""

@@ -15,7 +15,12 @@ from curlfit.friction.family import LawFamily
 from curlfit.inference.derived import check_derived
 from curlfit.inference.fit.advice import remedies, with_curl_warning, with_noise_advice
 from curlfit.inference.fit.change_points import sudden_change
-from curlfit.inference.fit.prepared import LeastSquaresFit, PreparedThrow, local_bounds, penalties
+from curlfit.inference.fit.prepared import (
+    LeastSquaresFit,
+    PreparedThrow,
+    local_bounds,
+    penalties,
+)
 from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.rounds import Rounds
@@ -53,27 +58,29 @@ def fit(
     family: type[LawFamily] | None = None,
     **choices: Any,
 ) -> FitResult:
-    """Fit a friction law and the initial state of the throw to a measured path by least squares.
+    """Fit a friction law and the initial state of the throw to a measured path by
+    least squares.
 
     Parameters
     ----------
-    throw : the data. Its own settings (such as `until`, `stone`, `law`) apply where an argument is
-        not given.
-    details : whether to compute also the quantities of the path, the fits with the stones of the
-        throw's reference, and what would determine more parameters (`remedies`).
-    family : of laws that are fitted to the same throw, including this one: they are compiled as
-        one program.
+    throw : the data. Its own settings (such as `until`, `stone`, `law`) apply where an
+        argument is not given.
+    details : whether to compute also the quantities of the path, the fits with
+        the stones of the throw's reference, and what would determine more
+        parameters (`remedies`).
+    family : of laws that are fitted to the same throw, including this one: they are
+        compiled as one program.
     {choices}
 
     Returns
     -------
-    FitResult, whose `status` says in words whether the fit converged, and whose `warnings` say why
-    it may mislead.
+    FitResult, whose `status` says in words whether the fit converged, and whose
+    `warnings` say why it may mislead.
 
     Raises
     ------
-    InputError : an unknown law, load, loss, noise or parameter name; too few rows; a stone that
-        never moves.
+    InputError : an unknown law, load, loss, noise or parameter name; too few rows; a
+        stone that never moves.
     UnusableFitError : no initial values led to a finite fit.
 
     Examples
@@ -93,9 +100,15 @@ def fit(
 
 
 def _fit(
-    prepared: PreparedThrow, chosen: Fitting, *, details: bool, family: type[LawFamily] | None
+    prepared: PreparedThrow,
+    chosen: Fitting,
+    *,
+    details: bool,
+    family: type[LawFamily] | None,
 ) -> FitResult:
-    model = Model(find_law(chosen.law), chosen.load, prepared.parameters.conditions).within(family)
+    model = Model(
+        find_law(chosen.law), chosen.load, prepared.parameters.conditions
+    ).within(family)
     loss, noise, start = chosen.loss, chosen.noise, chosen.start
     rounds = Rounds(model, [prepared], loss=loss, noise=noise)
     found = _fitted_alone(rounds, start)
@@ -103,7 +116,12 @@ def _fit(
     if not result.converged:
         return result
     doubtful = any(item.doubtful for item in result.independence.values())
-    if doubtful and loss == "linear" and noise == "white" and "sweep" not in result.conditions:
+    if (
+        doubtful
+        and loss == "linear"
+        and noise == "white"
+        and "sweep" not in result.conditions
+    ):
         change = sudden_change(found)
         if change is not None:
             result = replace(result, warnings=(change, *result.warnings))
@@ -116,14 +134,20 @@ def _fit(
         fits = _reference_fits(found, result, result.reference)
         result = replace(result, reference_fits=fits)
     open_ = [name for name, item in result.parameters.items() if item.verdict in _OPEN]
-    return replace(result, remedies=remedies(found, open_, chosen.fix)) if open_ else result
+    return (
+        replace(result, remedies=remedies(found, open_, chosen.fix))
+        if open_
+        else result
+    )
 
 
 def refit(fit: FitResult, noise: str) -> FitResult:
     """Repeat a fit under another noise model, starting from its optimum."""
     throw, origin = fit.throw, Origin.of(fit.throw)
     rows = {name: fit.data[name] for name in ("since", "until", "exclude")}
-    prepared = PreparedThrow(throw, fit.stone, rows, fit.data["swept"], fit.parameter_set, origin)
+    prepared = PreparedThrow(
+        throw, fit.stone, rows, fit.data["swept"], fit.parameter_set, origin
+    )
     rounds = Rounds(fit.model, [prepared], loss=fit.loss, noise=noise)
     return summarize(_fitted_alone(rounds, fit.parameter_set.values_of(fit.values)))
 
@@ -148,9 +172,13 @@ def fitted(
     _, lower, upper = local_bounds(throws)
     paths, sides = rounds.starts()
     tasks = Tasks(
-        rounds.problems, sides[0], lower, upper, throws[0].parameters.typical,
+        rounds.problems,
+        sides[0],
+        lower,
+        upper,
+        throws[0].parameters.typical,
         penalties(throws, first=True),
-    )  # fmt: skip
+    )
     plans = []
     for row, one in enumerate(throws):
         ends = lower[row], upper[row]
@@ -158,14 +186,19 @@ def fitted(
         if start:  # takes the place of the only initial values that the data give
             given = one.with_start(first[0], start)
             first, others = (
-                ([given], first + others) if len(first) == 1 else ([given, *first], others)
+                ([given], first + others)
+                if len(first) == 1
+                else ([given, *first], others)
             )
         plans.append((first, others))
     tried = optima(model, tasks, [first for first, _ in plans], batch)
     best = stacked([(best_first(found) or found)[0] for found in tried])
     poor = needs_restart(best, paths, rounds.problems)
-    # If the first optimum is poor, all are tried: a later one may be local and look good.
-    again = [others if bad else [] for (_, others), bad in zip(plans, poor, strict=True)]
+    # If the first optimum is poor, all are tried: a later one may be local
+    # and look good.
+    again = [
+        others if bad else [] for (_, others), bad in zip(plans, poor, strict=True)
+    ]
     for found, more in zip(tried, optima(model, tasks, again, batch), strict=True):
         found += more
     followed = [best_first(found) for found in tried]
@@ -173,7 +206,9 @@ def fitted(
         found[1:] = [one for one in found[1:] if fits_equally(found[0], one)][:1]
     due = np.flatnonzero([len(found) for found in followed])
     tasks = tasks._replace(penalty=penalties(throws))
-    while len(due) and len(due := rounds.revise(due, stacked([followed[row][0] for row in due]))):
+    while len(due) and len(
+        due := rounds.revise(due, stacked([followed[row][0] for row in due]))
+    ):
         last = [
             [one.values for one in found] if row in due else []
             for row, found in enumerate(followed)
@@ -190,9 +225,12 @@ def fitted(
     ]
 
 
-def _add_usual(model: Model, tasks: Tasks, followed: Sequence[list[Solution]], batch: int) -> None:
-    """Where coefficients went astray, add the optimum with their defaults, which may fit equally:
-    about the first, where they hardly act, the others seem better determined than they are."""
+def _add_usual(
+    model: Model, tasks: Tasks, followed: Sequence[list[Solution]], batch: int
+) -> None:
+    """Where coefficients went astray, add the optimum with their defaults, which may
+    fit equally: about the first, where they hardly act, the others seem better
+    determined than they are."""
     lower, upper = np.array(tasks.lower), np.array(tasks.upper)
     starts: list[list[Floats]] = [[] for _ in followed]
     for found, start, low, high in zip(followed, starts, lower, upper, strict=True):
@@ -209,12 +247,14 @@ def _add_usual(model: Model, tasks: Tasks, followed: Sequence[list[Solution]], b
 def _outcome(
     rounds: Rounds, row: int, found: Sequence[Solution], tried: int
 ) -> LeastSquaresFit | CurlfitError:
-    """The fit of a throw from its optimum, and one that may fit equally, if any is finite."""
+    """The fit of a throw from its optimum, and one that may fit equally, if
+    any is finite."""
     if not found:
         model = rounds.model
         return UnusableFitError(
-            f"{rounds.throws[row].throw.name}: law {model.law.name} with {model.load} load gives "
-            "no finite path from any start" + no_motion_because(model.load)
+            f"{rounds.throws[row].throw.name}: law {model.law.name} with "
+            f"{model.load} load gives no finite "
+            "path from any start" + no_motion_because(model.load)
         )
     best, *others = found
     rival = next((one.values for one in others if fits_equally(best, one)), None)
@@ -224,8 +264,9 @@ def _outcome(
 def _reference_fits(
     fit: LeastSquaresFit, result: FitResult, reference: Reference
 ) -> tuple[dict[str, Any], ...]:
-    """The values that the fit gives with other constants of the stone: those of the reference, and
-    each constant of the fit shifted by its rounding; none where they are parameters of the fit."""
+    """The values that the fit gives with other constants of the stone: those of the
+    reference, and each constant of the fit shifted by its rounding; none where they are
+    parameters of the fit."""
     now, start = result.stone.as_dict(), result.parameter_set.values_of(result.values)
     own = {name: value for name, value in reference.stone.items() if value != now[name]}
     if not own or result.conditions.keys() & {*reference.stone, *reference.rounding}:
@@ -250,15 +291,16 @@ def fit_throws(
     systematics: Mapping[str, float] | None = None,
     **choices: Any,
 ) -> list[FitResult | CurlfitError]:
-    """Fit each throw individually, many at a time; an error takes the place of a fit that fails.
+    """Fit each throw individually, many at a time; an error takes the place of a
+    fit that fails.
 
     Throws go through the rounds of `fit` side by side.
 
     Parameters
     ----------
     law, choices : as in `fit`, for all throws.
-    curves : whether the fits contain the fitted curves; they always do under a robust loss or
-        correlated noise.
+    curves : whether the fits contain the fitted curves; they always do under a robust
+        loss or correlated noise.
     systematics : as in `fit`, but none by default; they need the curves.
 
     Raises
@@ -282,11 +324,25 @@ def fit_throws(
         rest = iter(alike.items())
         batch = side_by_side(len(alike))
         while part := dict(islice(rest, max(BATCH, _ROWS // rows))):
-            model = Model(law, common.load, next(iter(part.values())).parameters.conditions)
-            rounds = Rounds(model, list(part.values()), loss=loss, noise=noise, batch=batch)
+            model = Model(
+                law, common.load, next(iter(part.values())).parameters.conditions
+            )
+            rounds = Rounds(
+                model, list(part.values()), loss=loss, noise=noise, batch=batch
+            )
             each = dict(zip(part, fitted(rounds, common.start), strict=True))
-            usable = {k: one for k, one in each.items() if isinstance(one, LeastSquaresFit)}
-            widths = {} if systematics is None else widths_of(model, systematics, rounds.throws)
-            results = summarize_many(list(usable.values()), batch, curves=curves, widths=widths)
-            found |= each | dict(zip(usable, map(with_curl_warning, results), strict=True))
+            usable = {
+                k: one for k, one in each.items() if isinstance(one, LeastSquaresFit)
+            }
+            widths = (
+                {}
+                if systematics is None
+                else widths_of(model, systematics, rounds.throws)
+            )
+            results = summarize_many(
+                list(usable.values()), batch, curves=curves, widths=widths
+            )
+            found |= each | dict(
+                zip(usable, map(with_curl_warning, results), strict=True)
+            )
     return [found[index] for index in range(len(throws))]

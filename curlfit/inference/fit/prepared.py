@@ -32,7 +32,8 @@ _HELD = 1e-4  # standard deviation that holds a parameter, over that of its prio
 
 
 class PreparedThrow(NamedTuple):
-    """A throw prepared for a fit: rows selected, with its stone, parameters and origin."""
+    """A throw prepared for a fit: rows selected, with its stone,
+    parameters and origin."""
 
     throw: Throw
     stone: Stone
@@ -47,11 +48,14 @@ class PreparedThrow(NamedTuple):
     """those that make this fit of the throw's file"""
 
     @classmethod
-    def of(cls, throw: Throw, chosen: Modelling, *, others_swept: bool = False) -> PreparedThrow:
-        """Prepare a throw, whose own defaults are among the choices; a very long one is condensed.
+    def of(
+        cls, throw: Throw, chosen: Modelling, *, others_swept: bool = False
+    ) -> PreparedThrow:
+        """Prepare a throw, whose own defaults are among the choices; a very long one
+        is condensed.
 
-        `others_swept` makes `sweep` a parameter also of a throw that was not swept, on which it has
-        no effect.
+        `others_swept` makes `sweep` a parameter also of a throw that was not swept, on
+        which it has no effect.
 
         Raises
         ------
@@ -66,13 +70,20 @@ class PreparedThrow(NamedTuple):
             find_law(chosen.law), throw, swept=swept, **chosen.parameters
         )
         return cls(
-            throw, stone, chosen.rows, chosen.swept, parameters, Origin.of(throw), findings,
+            throw,
+            stone,
+            chosen.rows,
+            chosen.swept,
+            parameters,
+            Origin.of(throw),
+            findings,
             (*read_with, *chosen.words()),
-        )  # fmt: skip
+        )
 
     @property
     def assumed_spin(self) -> float:
-        """The spin in rad/s that the throw assumes where nothing determines it; 0 if none."""
+        """The spin in rad/s that the throw assumes where nothing determines
+        it; 0 if none."""
         spin = self.throw.assumed.get("omega0", 0.0)
         return spin if self.parameters.fixed.get("omega0") == spin else 0.0
 
@@ -89,12 +100,15 @@ class PreparedThrow(NamedTuple):
     def penalty(self, *, first: bool) -> Penalty:
         """What the priors add to chi squared, in the problem's coordinates.
 
-        The `first` fit weights all channels equally, 1 m like 1 rad, where no sigma is given.
-        Priors would outweigh the data there, and the misfit that they cause would be taken for
-        noise. They are therefore left out, except that the stone's constants and the scales, which
-        a path hardly determines, are held near the modes of their priors.
+        The `first` fit weights all channels equally, 1 m like 1 rad, where no sigma is
+        given. Priors would outweigh the data there, and the misfit that they cause
+        would be taken for noise. They are therefore left out, except that the stone's
+        constants and the scales, which a path hardly determines, are held near the
+        modes of their priors.
         """
-        found = penalty_of(self.parameters.parameters, self.parameters.priors, self.offset)
+        found = penalty_of(
+            self.parameters.parameters, self.parameters.priors, self.offset
+        )
         if not (first and self.equal_sigma()):
             return found
         held = np.isin(self.parameters.names, WEAK_CONDITIONS)
@@ -107,14 +121,18 @@ class PreparedThrow(NamedTuple):
         return {name: even for name in self.throw.seen if name not in self.throw.sigma}
 
     def with_start(self, values: Floats, start: Mapping[str, float] | None) -> Floats:
-        """Initial values in the problem's coordinates, with those that the user gives."""
+        """Initial values in the problem's coordinates, with those that
+        the user gives."""
         if not start:
             return values
         self.parameters.require("start", start)
         absolute = values + self.offset
         for name, value in start.items():
             absolute[self.parameters.index(name)] = value
-        return np.clip(absolute, self.parameters.lower, self.parameters.upper) - self.offset
+        return (
+            np.clip(absolute, self.parameters.lower, self.parameters.upper)
+            - self.offset
+        )
 
 
 class LeastSquaresFit(NamedTuple):
@@ -138,9 +156,13 @@ def problem_of(fit: FitResult) -> tuple[Problem, Origin]:
     """The problem that a fit solved, with its noise and loss, and its origin."""
     throw = fit.throw
     origin = Origin.of(throw)
-    problem = build_problem(throw, fit.stone, origin, fit.sigma, fit.loss, fit.data["swept"])
+    problem = build_problem(
+        throw, fit.stone, origin, fit.sigma, fit.loss, fit.data["swept"]
+    )
     data = linearized_fit(fit).first(len(problem.weight)) if fit.noise.sizes else None
-    whitener = Whitener.of(fit.noise, problem.times, problem.weight, len(fit.values), data)
+    whitener = Whitener.of(
+        fit.noise, problem.times, problem.weight, len(fit.values), data
+    )
     return problem._replace(whitener=whitener), origin
 
 
@@ -152,10 +174,14 @@ def linearized_fit(fit: FitResult) -> Linearized:
     if fit.events:
         row = np.zeros((1, path.shape[1]))
         row[0, : len(fit.events)] = [one["fitted"] for one in fit.events]
-        row[0, : len(fit.events)] -= [origin.of_event(event) for event in fit.throw.events]
+        row[0, : len(fit.events)] -= [
+            origin.of_event(event) for event in fit.throw.events
+        ]
         path = np.concatenate([path, row])
     verdicts = [item.verdict for item in fit.parameters.values()]
-    adjustable = np.array([verdict not in ("fixed", "at bound") for verdict in verdicts])
+    adjustable = np.array(
+        [verdict not in ("fixed", "at bound") for verdict in verdicts]
+    )
     values = fit.values - origin.offset(len(fit.values))
     typical = fit.parameter_set.typical
     return linearized(fit.model, problem, values, path, fit.stone, typical, adjustable)
@@ -169,13 +195,17 @@ def penalties(throws: Sequence[PreparedThrow], *, first: bool = False) -> Penalt
 def local_bounds(
     throws: Sequence[PreparedThrow], common: Booleans | None = None
 ) -> tuple[Floats, Floats, Floats]:
-    """Offsets of many throws from the problems' coordinates to the data's, bounds in the former;
-    each of shape (throws, parameters). Bounds of parameters in `common` hold for all throws."""
+    """Offsets of many throws from the problems' coordinates to the data's, bounds in
+    the former; each of shape (throws, parameters). Bounds of parameters in `common`
+    hold for all throws."""
     offset = np.stack([one.offset for one in throws])
     lower = np.stack([one.parameters.lower for one in throws]) - offset
     upper = np.stack([one.parameters.upper for one in throws]) - offset
     if common is not None:
-        lower[:, common], upper[:, common] = lower[:, common].max(0), upper[:, common].min(0)
+        lower[:, common], upper[:, common] = (
+            lower[:, common].max(0),
+            upper[:, common].min(0),
+        )
     return offset, lower, upper
 
 
@@ -193,8 +223,8 @@ def linearized(
     Parameters
     ----------
     values : of the parameters, in the coordinates of the problem.
-    path : the fitted path in these coordinates, shape (5 or 6, n), of at least the rows that are
-        not padding.
+    path : the fitted path in these coordinates, shape (5 or 6, n), of at least the rows
+        that are not padding.
     typical : sizes of the parameters.
     adjustable : which parameters are neither fixed nor at a bound.
     """
@@ -203,13 +233,21 @@ def linearized(
     weight, residual = np.zeros(jacobian.shape[:2]), np.zeros(jacobian.shape[:2])
     weight[:seen] = problem.weight
     there = weight[:seen, :rows] > 0
-    residual[:seen, :rows] = np.where(there, problem.observed[:, :rows] - path[:seen], 0.0)
+    residual[:seen, :rows] = np.where(
+        there, problem.observed[:, :rows] - path[:seen], 0.0
+    )
     response = Responses.of(times[:rows], path[: len(CHANNELS)], stone)
     responses = [response.at(times, row) for row in range(len(CHANNELS))]
     if len(jacobian) > len(CHANNELS):
         responses.append(np.zeros_like(responses[0]))
     found = Linearized.of(
-        times, weight, residual, jacobian, typical, adjustable, len(model.law.coefficients())
+        times,
+        weight,
+        residual,
+        jacobian,
+        typical,
+        adjustable,
+        len(model.law.coefficients()),
     )
     span = time_of_motion(times[:rows], path[CHANNELS.index("speed")])
     return found._replace(span=np.asarray(span), responses=np.stack(responses))

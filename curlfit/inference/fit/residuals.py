@@ -20,9 +20,12 @@ _BY_CHANCE = 1e-3  # fraction of throws that may have an outlier by chance
 _SMOOTH = 0.5  # lag-1 correlation above which residuals are called smooth
 
 
-def residuals_of(problems: Problem, solutions: Solution, paths: Floats | None) -> Floats:
-    """Measured - fitted of many throws, 0 where nothing was observed, shape (throws, channels, n);
-    from their paths, or from residuals by least squares with independent noise."""
+def residuals_of(
+    problems: Problem, solutions: Solution, paths: Floats | None
+) -> Floats:
+    """Measured - fitted of many throws, 0 where nothing was observed, shape (throws,
+    channels, n); from their paths, or from residuals by least squares with
+    independent noise."""
     there = problems.weight > 0
     if paths is None:
         return -solutions.residual / np.where(there, problems.weight, 1.0)
@@ -37,13 +40,14 @@ def outliers_of(
     leverage: Floats,
     loss: str,
 ) -> tuple[dict[str, Any], ...]:
-    """Values too far from the fit to be noise, in channels whose residuals look like noise.
+    """Values too far from the fit to be noise, in channels whose residuals
+    look like noise.
 
-    Either more than 5 + 30/(n - 6) sigmas of the bulk, a limit that Gaussian noise in three
-    channels of n values exceeds in one of 1,000 throws, for n from 12 to 400 (Hampel's identifier,
-    with constants simulated as by Davies and Gather 1993); or, since a value pulls a fit of few
-    rows toward itself, an externally studentized residual beyond a limit of the same probability
-    (Cook and Weisberg 1982, sect. 2.2).
+    Either more than 5 + 30/(n - 6) sigmas of the bulk, a limit that Gaussian noise in
+    three channels of n values exceeds in one of 1,000 throws, for n from 12 to 400
+    (Hampel's identifier, with constants simulated as by Davies and Gather 1993); or,
+    since a value pulls a fit of few rows toward itself, an externally studentized
+    residual beyond a limit of the same probability (Cook and Weisberg 1982, sect. 2.2).
 
     Parameters
     ----------
@@ -60,17 +64,25 @@ def outliers_of(
         size = np.abs(residual[row, there])
         if series is None:
             size = size / throw.sigma_over_smallest(name)[there]
-        studentized = len(there) < _FEW and loss == "linear" and series is None and dof[row] > 2
-        if not studentized and 2 * (size > size.max() / (limit * MAD_TO_SIGMA)).sum() > len(there):
+        studentized = (
+            len(there) < _FEW and loss == "linear" and series is None and dof[row] > 2
+        )
+        if not studentized and 2 * (
+            size > size.max() / (limit * MAD_TO_SIGMA)
+        ).sum() > len(there):
             continue  # the median size is so large that no value is far off
         bulk = max(robust_sigma(size), SIGMA_FLOOR)
-        sigma = np.full(len(throw), bulk) if series is None else np.maximum(series, bulk)
+        sigma = (
+            np.full(len(throw), bulk) if series is None else np.maximum(series, bulk)
+        )
         far = size > limit * sigma[there]
         if studentized:
             from scipy.special import stdtrit  # slow to load, and few throws need it
 
             free = np.maximum(1 - leverage[row, there], 1e-6)
-            others = np.maximum((size**2).sum() - size**2 / free, SIGMA_FLOOR**2) / (dof[row] - 1)
+            others = np.maximum((size**2).sum() - size**2 / free, SIGMA_FLOOR**2) / (
+                dof[row] - 1
+            )
             chance = _BY_CHANCE / (2 * residual.shape[0] * len(there))
             far |= size > -stdtrit(dof[row] - 1, chance) * np.sqrt(free * others)
         for index, out in zip(there[far], size[far], strict=True):

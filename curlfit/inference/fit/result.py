@@ -1,7 +1,7 @@
 """Results of a fit as frozen records.
 
-All figures and reports are made from these alone, so a saved `fit.json` can be printed, drawn and
-sampled again without the data file and without fitting.
+All figures and reports are made from these alone, so a saved `fit.json` can be printed,
+drawn and sampled again without the data file and without fitting.
 """
 
 from __future__ import annotations
@@ -18,7 +18,12 @@ from curlfit.errors import InputError, require_kind
 from curlfit.friction import LAWS, Law, Parameter, check_load, find_law
 from curlfit.inference.conditions import CONDITIONS
 from curlfit.inference.derived import Derived, FirstOrder, derive
-from curlfit.inference.fit.estimates import Estimate, NamedEstimates, Posterior, Systematics
+from curlfit.inference.fit.estimates import (
+    Estimate,
+    NamedEstimates,
+    Posterior,
+    Systematics,
+)
 from curlfit.inference.identifiability import Combination
 from curlfit.inference.model import Model
 from curlfit.inference.noise.models import LOSSES, WHITE, Independence, Noise
@@ -28,40 +33,68 @@ from curlfit.numerics.arrays import Floats
 from curlfit.records import SERIES, Choice, Names, keys, require, require_rows
 from curlfit.stone import Stone
 from curlfit.throws.events import QUANTITIES, Event
-from curlfit.throws.throw import CHANNELS, Reference, StoneValues, Throw, counts_from_hack
+from curlfit.throws.throw import (
+    CHANNELS,
+    Reference,
+    StoneValues,
+    Throw,
+    counts_from_hack,
+)
 
-_SEEN = 1e-10  # eigenvalue over the largest, of information in typical sizes, that is not rounding
+# eigenvalue over the largest, of information in typical sizes, that is not rounding
+_SEEN = 1e-10
 
 ChannelName = Annotated[str, Choice(CHANNELS)]
 LoadName = Annotated[str, Choice(("uniform", "consistent"))]
 LossName = Annotated[str, Choice(LOSSES)]
 Pair = tuple[float, float]
 
-Extent = Annotated[dict[str, Any], keys(file=str, rows=int, **{"from": float}, to=float)]
-"""The data of a fit: the name of the file, the number of rows of a path, first and last time."""
+Extent = Annotated[
+    dict[str, Any], keys(file=str, rows=int, **{"from": float}, to=float)
+]
+"""The data of a fit: the name of the file, the number of rows of a path, first
+and last time."""
 DataOfFit = Annotated[
     dict[str, Any],
     keys(
-        file=str, rows=int, **{"from": float}, to=float,
-        law_file=str | None, since=float | None, until=float | None, exclude=list[Pair],
-        swept=Pair | None, sigma=dict[ChannelName, str], notes=list[str],
+        file=str,
+        rows=int,
+        **{"from": float},
+        to=float,
+        law_file=str | None,
+        since=float | None,
+        until=float | None,
+        exclude=list[Pair],
+        swept=Pair | None,
+        sigma=dict[ChannelName, str],
+        notes=list[str],
         labels=NotRequired[dict[str, str]],
     ),
-]  # fmt: skip
+]
 """The same, and how they were chosen."""
 _Matrix = {"names": list[str], "matrix": list[list[float]]}
 _Event = Annotated[
     dict[str, Any],
     keys(
-        name=str, quantity=Annotated[str, Choice(QUANTITIES)], value=float, sigma=float,
-        at=float | None, since=float | None, fitted=float,
+        name=str,
+        quantity=Annotated[str, Choice(QUANTITIES)],
+        value=float,
+        sigma=float,
+        at=float | None,
+        since=float | None,
+        fitted=float,
     ),
-]  # fmt: skip
-_Outlier = Annotated[
-    dict[str, Any], keys(channel=ChannelName, t=float, line=int | None, off=float, sigmas=float)
 ]
-_Remedy = Annotated[dict[str, Any], keys(parameters=list[str], measure=list[ChannelName], all=bool)]
-_ReferenceFit = Annotated[dict[str, Any], keys(stone=StoneValues, values=dict[str, float])]
+_Outlier = Annotated[
+    dict[str, Any],
+    keys(channel=ChannelName, t=float, line=int | None, off=float, sigmas=float),
+]
+_Remedy = Annotated[
+    dict[str, Any], keys(parameters=list[str], measure=list[ChannelName], all=bool)
+]
+_ReferenceFit = Annotated[
+    dict[str, Any], keys(stone=StoneValues, values=dict[str, float])
+]
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -73,42 +106,48 @@ class FitResult(NamedEstimates):
     law, load, stone : what was fitted.
     data : source and extent of the data.
     converged, status, warnings : whether the fit may be used, and why it may mislead.
-    n_observations : finite values of all channels. rms : of the residuals by channel (SI, rad).
-    sigma : estimated noise by channel, without the channels whose sigma was given; the smallest
-        where it varies by row.
+    n_observations : finite values of all channels. rms : of the residuals by
+        channel (SI, rad).
+    sigma : estimated noise by channel, without the channels whose sigma was given; the
+        smallest where it varies by row.
     lag1 : correlation of neighbouring residuals by channel.
-    independence : by channel, how far the residuals are from independent noise, after subtraction
-        of what the noise model predicts.
+    independence : by channel, how far the residuals are from independent noise, after
+        subtraction of what the noise model predicts.
     parameters : by name, coefficients first, then x0 y0 heading v0 phi0 omega0.
     combinations : sums that are determined where single parameters are not.
     rank, singular_values, null_directions : see `curlfit.inference.identifiability`.
-    covariance : {"names": [...], "matrix": [[...]]} of the free parameters away from their bounds,
-        along the directions that the data determine.
-    information : the Gauss-Newton information matrix J^T J of all free parameters, in the same
-        form, with the "gradient" of the log-likelihood, zero except for parameters at a bound.
+    covariance : {"names": [...], "matrix": [[...]]} of the free parameters away from
+        their bounds, along the directions that the data determine.
+    information : the Gauss-Newton information matrix J^T J of all free parameters, in
+        the same form, with the "gradient" of the log-likelihood, zero except for
+        parameters at a bound.
     reference : published or true values of the same law, if the data file has them.
-    reference_fits : fits repeated with other constants of the stone, where the reference gives
-        them: {"stone": constants, "values": by name or expression}.
-    observed : t, x, y, phi as measured, speed and omega if measured, and sigmas where they
-        are given or vary by row.
-    fitted : x, y, phi, speed, omega of the fit at the same times; empty if not requested.
+    reference_fits : fits repeated with other constants of the stone, where the
+        reference gives them: {"stone": constants, "values": by name or expression}.
+    observed : t, x, y, phi as measured, speed and omega if measured, and sigmas where
+        they are given or vary by row.
+    fitted : x, y, phi, speed, omega of the fit at the same times; empty if
+        not requested.
     posterior : None until sampled.
-    discrepancy : of a fit with the noise "discrepancy", the mean of the model discrepancy given
-        the residuals: x, y, phi, speed, omega at the times of the rows, to be added to `fitted`.
-        Empty without such noise.
+    discrepancy : of a fit with the noise "discrepancy", the mean of the model
+        discrepancy given the residuals: x, y, phi, speed, omega at the times of the
+        rows, to be added to `fitted`. Empty without such noise.
     loss : how much large residuals count, see `curlfit.inference.noise.losses`.
-    noise : how noise is correlated from row to row, see `curlfit.inference.noise.models`.
-    outliers : values far from the fit: {"channel", "t", "line" (of the file, or None), "off" (SI),
-        "sigmas"}, the farthest first.
+    noise : how noise is correlated from row to row, see
+        `curlfit.inference.noise.models`.
+    outliers : values far from the fit: {"channel", "t", "line" (of the file, or None),
+        "off" (SI), "sigmas"}, the farthest first.
     remedies : further measurements that would help, see `curlfit.inference.fit.advice`.
     sampling : "none", "unfinished" (begun, or about to begin) or "ended".
-    systematics : errors due to the conditions that the fit holds fixed, such as level ice.
+    systematics : errors due to the conditions that the fit holds fixed, such
+        as level ice.
     chi_squared, prior_chi_squared : of the data, and of the priors.
-    events : measured times and positions at lines and at rest, each with the attributes of
-        `curlfit.throws.events.Event` and its value in the fit, "fitted".
+    events : measured times and positions at lines and at rest, each with the attributes
+        of `curlfit.throws.events.Event` and its value in the fit, "fitted".
     derived : quantities requested by `--derive` and `with_derived`.
-    quantities : of the path within the record, by name: "friction" (mean deceleration over g),
-        "curl", "turns", "hog_to_hog" ..., as far as the record determines them.
+    quantities : of the path within the record, by name: "friction" (mean
+        deceleration over g), "curl", "turns", "hog_to_hog" ..., as far as the record
+        determines them.
 
     Examples
     --------
@@ -165,7 +204,9 @@ class FitResult(NamedEstimates):
     sampling: Annotated[str, Choice(("none", "unfinished", "ended"))] = "none"
     posterior: Posterior | None = None
     observed: dict[str, Floats] = field(metadata=SERIES)
-    fitted: Annotated[dict[ChannelName, Floats], Names(CHANNELS)] = field(metadata=SERIES)
+    fitted: Annotated[dict[ChannelName, Floats], Names(CHANNELS)] = field(
+        metadata=SERIES
+    )
     discrepancy: Annotated[dict[ChannelName, Floats], Names(CHANNELS)] = field(
         default_factory=dict, metadata=SERIES
     )
@@ -176,11 +217,15 @@ class FitResult(NamedEstimates):
         rows = len(self.observed.get("t", ()))
         for place, names in (
             ("parameters", [item.name for item in START]),
-            ("covariance", self.covariance["names"]), ("information", self.information["names"]),
+            ("covariance", self.covariance["names"]),
+            ("information", self.information["names"]),
             ("null_directions", [name for one in self.null_directions for name in one]),
-            ("combinations", [name for one in self.combinations for name in one.weights]),
+            (
+                "combinations",
+                [name for one in self.combinations for name in one.weights],
+            ),
             ("posterior", self.posterior.ess if self.posterior else ()),
-        ):  # fmt: skip
+        ):
             require(place, set(names) <= parameters, "names of parameters")
         for place in ("observed", "fitted", "discrepancy"):
             require_rows(place, getattr(self, place), rows)
@@ -188,21 +233,34 @@ class FitResult(NamedEstimates):
             known = shifts.keys() <= self.systematics.widths.keys()
             require("systematics", known, f"{name}: names of conditions")
         own = {"t", *CHANNELS, *(f"sigma_{name}" for name in CHANNELS)}
-        require("observed", {"t", *self.rms} <= self.observed.keys() <= own, "t and channels")
-        for place, found in (("covariance", self.covariance), ("information", self.information)):
-            sizes = {len(found["names"]), *map(len, (found["matrix"], *found["matrix"]))}
+        require(
+            "observed",
+            {"t", *self.rms} <= self.observed.keys() <= own,
+            "t and channels",
+        )
+        for place, found in (
+            ("covariance", self.covariance),
+            ("information", self.information),
+        ):
+            sizes = {
+                len(found["names"]),
+                *map(len, (found["matrix"], *found["matrix"])),
+            }
             require(place, len(sizes) == 1, "a square matrix")
         shape = (len(START),) * 2 if self.noise.sizes else (0,)
         require("noise", np.shape(self.noise.initial_state) == shape, "a covariance")
         gradient = self.information["gradient"]
-        require("information", len(gradient) == len(self.information["names"]), "a gradient")
+        require(
+            "information", len(gradient) == len(self.information["names"]), "a gradient"
+        )
 
     @property
     def law_class(self) -> type[Law]:
         """The class of the law.
 
-        A record runs no code: a law that is not one of curlfit's must be known already, because it
-        is defined in this process or was read from a file that the user named.
+        A record runs no code: a law that is not one of curlfit's must be known
+        already, because it is defined in this process or was read from a file that
+        the user named.
 
         Raises
         ------
@@ -210,15 +268,17 @@ class FitResult(NamedEstimates):
         """
         if self.law not in LAWS:
             raise InputError(
-                f"{self.law} is not a law of curlfit, and a saved result does not run the file of "
-                f"its law; name it with --law FILE.py:CLASS (`find_law` in Python)"
+                f"{self.law} is not a law of curlfit, and a saved result does "
+                "not run the file of its law; name it with --law FILE.py:CLASS "
+                "(`find_law` in Python)"
             )
         found = find_law(self.law)
         own = tuple(item.name for item in found.coefficients())
         if own != tuple(self.coefficients):
             raise InputError(
-                f"the law {self.law} has the coefficients {', '.join(own)}, the saved result "
-                f"{', '.join(self.coefficients)}; expected the law that was fitted"
+                f"the law {self.law} has the coefficients {', '.join(own)}, "
+                f"the saved result {', '.join(self.coefficients)}; "
+                "expected the law that was fitted"
             )
         return found
 
@@ -233,8 +293,8 @@ class FitResult(NamedEstimates):
             found = find_law(law)
             if found.name != self.law:
                 raise InputError(
-                    f"--law {law}: {found.name} found, but the saved fit is of the law {self.law}; "
-                    "give the data to fit another"
+                    f"--law {law}: {found.name} found, but the saved fit is of the "
+                    f"law {self.law}; give the data to fit another"
                 )
             self.law_class  # noqa: B018  (its coefficients are checked)
         return self
@@ -242,7 +302,9 @@ class FitResult(NamedEstimates):
     @property
     def model(self) -> Model:
         """Law, load and the conditions among the parameters."""
-        return Model(self.law_class, check_load(self.load), self.parameter_set.conditions)
+        return Model(
+            self.law_class, check_load(self.load), self.parameter_set.conditions
+        )
 
     @property
     def values(self) -> Floats:
@@ -253,7 +315,9 @@ class FitResult(NamedEstimates):
     def coefficients(self) -> dict[str, Estimate]:
         """The law's own parameters."""
         others = {item.name for item in (*CONDITIONS, *START)}
-        return {name: item for name, item in self.parameters.items() if name not in others}
+        return {
+            name: item for name, item in self.parameters.items() if name not in others
+        }
 
     @property
     def conditions(self) -> dict[str, Estimate]:
@@ -269,8 +333,14 @@ class FitResult(NamedEstimates):
                 Parameter(name=name, **{key: getattr(item, key) for key in own})
                 for name, item in self.parameters.items()
             ),
-            {name: item.value for name, item in self.parameters.items() if item.verdict == "fixed"},
-            parse_priors({name: one.prior for name, one in self.parameters.items() if one.prior}),
+            {
+                name: item.value
+                for name, item in self.parameters.items()
+                if item.verdict == "fixed"
+            },
+            parse_priors(
+                {name: one.prior for name, one in self.parameters.items() if one.prior}
+            ),
         )
 
     @property
@@ -278,12 +348,20 @@ class FitResult(NamedEstimates):
         """The data that were fitted."""
         series = self.observed
         channels: dict[str, Any] = {name: series.get(name) for name in CHANNELS}
-        sigma = {name: series[f"sigma_{name}"] for name in CHANNELS if f"sigma_{name}" in series}
+        sigma = {
+            name: series[f"sigma_{name}"]
+            for name in CHANNELS
+            if f"sigma_{name}" in series
+        }
         return Throw.from_arrays(
             series["t"],
             **channels,
-            sigma={name: by_row for name, by_row in sigma.items() if name not in self.sigma},
-            relative_sigma={name: by_row for name, by_row in sigma.items() if name in self.sigma},
+            sigma={
+                name: by_row for name, by_row in sigma.items() if name not in self.sigma
+            },
+            relative_sigma={
+                name: by_row for name, by_row in sigma.items() if name in self.sigma
+            },
             name=self.data["file"],
             reference=self.reference,
             labels=self.data.get("labels", {}),
@@ -305,7 +383,8 @@ class FitResult(NamedEstimates):
 
     @property
     def counts_from_hack(self) -> bool:
-        """Whether y of the data is measured from the hack, according to the notes of the reader."""
+        """Whether y of the data is measured from the hack, according to the notes
+        of the reader."""
         return counts_from_hack(self.data["notes"])
 
     @property
@@ -315,39 +394,51 @@ class FitResult(NamedEstimates):
 
     @property
     def residuals(self) -> dict[str, Floats]:
-        """Measured - fitted by measured channel (SI, rad), NaN where there is no value; at the
-        times `observed["t"]`."""
-        return {name: self.observed[name] - self.fitted[name] for name in self.rms if self.fitted}
+        """Measured - fitted by measured channel (SI, rad), NaN where there is no value;
+        at the times `observed["t"]`."""
+        return {
+            name: self.observed[name] - self.fitted[name]
+            for name in self.rms
+            if self.fitted
+        }
 
     @property
     def predicted(self) -> dict[str, Floats]:
-        """The channels as the fit predicts them at the rows: the path of the law plus, where the
-        noise has one, the mean of the model discrepancy."""
+        """The channels as the fit predicts them at the rows: the path of the law plus,
+        where the noise has one, the mean of the model discrepancy."""
         return {
-            name: series + self.discrepancy.get(name, 0.0) for name, series in self.fitted.items()
+            name: series + self.discrepancy.get(name, 0.0)
+            for name, series in self.fitted.items()
         }
 
     @property
     def fitted_law(self) -> Law:
         """The law with the fitted coefficients, as `curlfit.simulate` takes it."""
-        return self.law_class.from_vector([item.value for item in self.coefficients.values()])
+        return self.law_class.from_vector(
+            [item.value for item in self.coefficients.values()]
+        )
 
     @property
     def first_order(self) -> FirstOrder:
         """What the fit says about its parameters, to first order."""
         return FirstOrder(
-            self.parameters, self.covariance, self.null_directions, self.combinations,
-            self.systematics.widths, self.systematics.shifts, self.stone.as_dict(),
-        )  # fmt: skip
+            self.parameters,
+            self.covariance,
+            self.null_directions,
+            self.combinations,
+            self.systematics.widths,
+            self.systematics.shifts,
+            self.stone.as_dict(),
+        )
 
     def derive(self, expression: str, chain: Any = None) -> Derived:
         """A quantity derived from the parameters, with first-order errors.
 
         Parameters
         ----------
-        expression : arithmetic (+ - * / ** and parentheses; sqrt, exp, log, log10, sin, cos, tan,
-            atan, abs, hypot, min, max) of parameters, determined combinations, the stone's R, rho,
-            h and m, g and pi.
+        expression : arithmetic (+ - * / ** and parentheses; sqrt, exp, log, log10, sin,
+            cos, tan, atan, abs, hypot, min, max) of parameters, determined
+            combinations, the stone's R, rho, h and m, g and pi.
         chain : a posterior sample of this fit, for quantiles.
 
         Raises
@@ -371,26 +462,36 @@ class FitResult(NamedEstimates):
 
     def with_derived(self, expressions: Iterable[str], chain: Any = None) -> FitResult:
         """The result with derived quantities, see `derive`."""
-        return replace(self, derived=tuple(self.derive(text, chain) for text in expressions))
+        return replace(
+            self, derived=tuple(self.derive(text, chain) for text in expressions)
+        )
 
     def coefficient_rows(self) -> Floats:
-        """What the throw says of the coefficients of its law: rows that are multiplied by these,
-        with what they then give as the last column, shape (coefficients, coefficients + 1); errors
-        are one."""
+        """What the throw says of the coefficients of its law: rows that are multiplied
+        by these, with what they then give as the last column, shape (coefficients,
+        coefficients + 1); errors are one."""
         names, known = list(self.coefficients), self.information["names"]
         typical = np.array([self.parameters[name].typical for name in known])
         matrix = np.array(self.information["matrix"]) * typical * typical[:, None]
         gradient = np.array(self.information["gradient"]) * typical
         own = np.isin(known, names)
-        to_rest: Any = matrix[own][:, ~own] @ np.linalg.pinv(matrix[~own][:, ~own], hermitian=True)
-        squares, axes = np.linalg.eigh(matrix[own][:, own] - to_rest @ matrix[~own][:, own])
+        to_rest: Any = matrix[own][:, ~own] @ np.linalg.pinv(
+            matrix[~own][:, ~own], hermitian=True
+        )
+        squares, axes = np.linalg.eigh(
+            matrix[own][:, own] - to_rest @ matrix[~own][:, own]
+        )
         seen = squares > _SEEN * squares.max(initial=0.0)
         rows = np.zeros((len(names), len(names) + 1))
         free = np.isin(names, known)
         along = axes[:, seen].T * np.sqrt(squares[seen])[:, None]
         values = np.array([self.parameters[name].value for name in names])
         rows[: len(along), :-1][:, free] = along / typical[own]
-        push = axes[:, seen].T @ (gradient[own] - to_rest @ gradient[~own]) / np.sqrt(squares[seen])
+        push = (
+            axes[:, seen].T
+            @ (gradient[own] - to_rest @ gradient[~own])
+            / np.sqrt(squares[seen])
+        )
         rows[: len(along), -1] = rows[: len(along), :-1] @ values + push
         return rows
 
@@ -401,7 +502,9 @@ class FitResult(NamedEstimates):
 
 def require_fit(fit: object) -> None:
     """Raise `InputError` for what is not the fit of one throw."""
-    require_kind(fit, FitResult, "fit", "a fit of one throw, as from curlfit.fit(throw)")
+    require_kind(
+        fit, FitResult, "fit", "a fit of one throw, as from curlfit.fit(throw)"
+    )
 
 
 def load_fit(file: str | PathLike[str]) -> FitResult:
@@ -409,7 +512,8 @@ def load_fit(file: str | PathLike[str]) -> FitResult:
 
     Raises
     ------
-    DataError : it is missing, is not a curlfit result, or has a schema this version cannot read.
+    DataError : it is missing, is not a curlfit result, or has a schema this version
+        cannot read.
 
     Examples
     --------

@@ -51,10 +51,13 @@ from curlfit.throws.throw import CHANNELS
 IMPLAUSIBLE = "implausible"
 """First word of the status of a fit that is impossible for a curling stone."""
 _FEWEST = 3  # values of a channel, above which their correlation is given
-_DIFFERENT = 0.1  # typical sizes by which solutions that fit equally differ in a parameter
+# typical sizes by which solutions that fit equally differ in a parameter
+_DIFFERENT = 0.1
 
 
-def summarize(fit: LeastSquaresFit, widths: Mapping[str, float] | None = None) -> FitResult:
+def summarize(
+    fit: LeastSquaresFit, widths: Mapping[str, float] | None = None
+) -> FitResult:
     """The record of a fit from its optimum."""
     (result,) = summarize_many([fit], 1, widths=widths)
     return result
@@ -74,19 +77,23 @@ def summarize_many(
     Parameters
     ----------
     batch : number of paths integrated side by side.
-    curves : whether the records contain the fitted curves. Only with white noise and least squares
-        can they be omitted.
+    curves : whether the records contain the fitted curves. Only with white noise and
+        least squares can they be omitted.
     widths : of the fixed conditions whose systematic errors the records contain, from
         `systematics.widths_of`; only with curves.
-    common : of throws that were fitted together, the parameters that they have in common.
-    others : rows of what other throws say of the parameters of each, in place of priors of these,
-        with the residual as the last column, shape (throws, rows, parameters + 1).
+    common : of throws that were fitted together, the parameters that they
+        have in common.
+    others : rows of what other throws say of the parameters of each, in place of priors
+        of these, with the residual as the last column, shape (throws, rows,
+        parameters + 1).
     """
     if not fits:
         return []
     many = _Many.of(fits, common, others)
     paths = (
-        predict_many(many.model, many.solutions.values, many.problems, batch) if curves else None
+        predict_many(many.model, many.solutions.values, many.problems, batch)
+        if curves
+        else None
     )
     residuals = residuals_of(many.problems, many.solutions, paths)
     found, reduction = many.covariances(residuals)
@@ -117,25 +124,44 @@ class _Many(NamedTuple):
 
     @classmethod
     def of(
-        cls, fits: Sequence[LeastSquaresFit], common: Booleans | None, others: Floats | None
+        cls,
+        fits: Sequence[LeastSquaresFit],
+        common: Booleans | None,
+        others: Floats | None,
     ) -> Self:
-        throws, solutions = [fit.prepared for fit in fits], stacked([fit.solution for fit in fits])
+        throws, solutions = (
+            [fit.prepared for fit in fits],
+            stacked([fit.solution for fit in fits]),
+        )
         offset, *ends = local_bounds(throws, common)
         penalty = penalties(throws)
         if others is not None:
             known = (others[..., :-1] != 0).any((0, 1))
             penalty = penalty._replace(weight=penalty.weight * ~known)
         return cls(
-            fits, fits[0].model, fits[0].loss, throws, stacked([fit.problem for fit in fits]),
-            solutions, offset, Bounded(solutions.values, *ends), throws[0].parameters.typical,
-            penalty, common, others,
-        )  # fmt: skip
+            fits,
+            fits[0].model,
+            fits[0].loss,
+            throws,
+            stacked([fit.problem for fit in fits]),
+            solutions,
+            offset,
+            Bounded(solutions.values, *ends),
+            throws[0].parameters.typical,
+            penalty,
+            common,
+            others,
+        )
 
-    def covariances(self, residuals: Floats) -> tuple[list[Covariance], Reduction | None]:
+    def covariances(
+        self, residuals: Floats
+    ) -> tuple[list[Covariance], Reduction | None]:
         """Of each throw, and how throws that are fitted together act on one another."""
         solutions, loss = self.solutions, self.loss
         about = self.bounded, self.typical, self.penalty, self.common, self.others
-        factors = estimator = Factors.of(r_factors(solutions.jacobian, solutions.residual), *about)
+        factors = estimator = Factors.of(
+            r_factors(solutions.jacobian, solutions.residual), *about
+        )
         if loss != "linear":
             robust = robust_jacobians(self.problems, solutions, residuals, loss)
             estimator = Factors.of(r_factors(robust, solutions.residual), *about)
@@ -148,11 +174,15 @@ class _Many(NamedTuple):
             both = factors.at(row), estimator.at(row)
             found.append(
                 Covariance.of(
-                    fit.prepared.parameters.names, absolute, self.typical, both,
-                    fit.solution.jacobian, known,
+                    fit.prepared.parameters.names,
+                    absolute,
+                    self.typical,
+                    both,
+                    fit.solution.jacobian,
+                    known,
                     self.penalty.informative or self.others is not None,
                 )
-            )  # fmt: skip
+            )
         if estimator.reduction is not None:
             found = with_others(found, estimator.reduction)
         return found, factors.reduction
@@ -161,10 +191,16 @@ class _Many(NamedTuple):
         self, found: Sequence[Covariance], reduction: Reduction | None, batch: int
     ) -> list[Curvature]:
         """What first order does not describe in each throw."""
-        at = [Bounded(*(part[row] for part in self.bounded)) for row in range(len(found))]
-        around = [one.one_sigma_points(there) for one, there in zip(found, at, strict=True)]
+        at = [
+            Bounded(*(part[row] for part in self.bounded)) for row in range(len(found))
+        ]
+        around = [
+            one.one_sigma_points(there) for one, there in zip(found, at, strict=True)
+        ]
         count = len(self.model.law.coefficients())
-        ridges = [one.ridge_points(there, count) for one, there in zip(found, at, strict=True)]
+        ridges = [
+            one.ridge_points(there, count) for one, there in zip(found, at, strict=True)
+        ]
         each = [one for one, _ in around] + [ridge.points for ridge in ridges]
         points = np.concatenate(each)
         place = np.repeat(np.arange(len(each)), [len(one) for one in each])
@@ -179,7 +215,9 @@ class _Many(NamedTuple):
         if rows is not None:
             delta += chi_squared_change(rows[owner], points - best)
         named = []
-        for row, (one, (_, axes), ridge) in enumerate(zip(found, around, ridges, strict=True)):
+        for row, (one, (_, axes), ridge) in enumerate(
+            zip(found, around, ridges, strict=True)
+        ):
             curved = one.beside_a_ridge(ridge, delta[place == len(found) + row])
             named.append(Curvature(one.nonquadratic(axes, delta[place == row]), curved))
         return named
@@ -192,17 +230,29 @@ class _Many(NamedTuple):
         widths: Mapping[str, float],
         batch: int,
     ) -> list[Systematics]:
-        """Errors due to conditions, which are common to throws that are fitted together."""
+        """Errors due to conditions, which are common to throws that are
+        fitted together."""
         changes = residual_changes(
-            self.model, self.problems, self.solutions.values, paths, widths, batch,
-            self.throws, jointly=self.common is not None,
-        )  # fmt: skip
+            self.model,
+            self.problems,
+            self.solutions.values,
+            paths,
+            widths,
+            batch,
+            self.throws,
+            jointly=self.common is not None,
+        )
         gradients = {}
         for name, change in changes.items():
             gradient = np.einsum("tcn,tcnp->tp", change, self.solutions.jacobian)
-            gradients[name] = gradient if reduction is None else reduction.gradient(gradient)
+            gradients[name] = (
+                gradient if reduction is None else reduction.gradient(gradient)
+            )
         return [
-            Systematics(dict(widths), one.shifts({name: g[row] for name, g in gradients.items()}))
+            Systematics(
+                dict(widths),
+                one.shifts({name: g[row] for name, g in gradients.items()}),
+            )
             for row, one in enumerate(found)
         ]
 
@@ -230,11 +280,14 @@ def _record(
         load=fit.model.load,
         stone=fit.prepared.stone,
         data=_data(fit),
-        converged=found.distance < CONVERGED and not any(one.refused for one in unusual),
+        converged=found.distance < CONVERGED
+        and not any(one.refused for one in unusual),
         status=_status(fit, found.distance, unusual),
         warnings=(),
         n_observations=throw.n_observations,
-        rms={name: float(np.sqrt(np.mean(off**2))) for name, (off, _) in series.items()},
+        rms={
+            name: float(np.sqrt(np.mean(off**2))) for name, (off, _) in series.items()
+        },
         sigma=fit.sigma,
         lag1=lag1,
         parameters=estimates,
@@ -257,8 +310,12 @@ def _record(
         discrepancy=_discrepancy(fit, path, found),
         loss=fit.loss,
         noise=fit.noise,
-        independence={name: Independence.of(white) for name, (_, white) in enough.items()},
-        outliers=outliers_of(throw, residual, lag1, found.dof, found.leverage, fit.loss),
+        independence={
+            name: Independence.of(white) for name, (_, white) in enough.items()
+        },
+        outliers=outliers_of(
+            throw, residual, lag1, found.dof, found.leverage, fit.loss
+        ),
         events=tuple(
             asdict(event) | {"fitted": event.value - float(off)}
             for event, off in zip(throw.events, residual[-1], strict=False)
@@ -272,15 +329,22 @@ def _curves(fit: LeastSquaresFit, path: Floats | None) -> dict[str, Floats]:
     """The fitted path by channel, in the data's coordinates; empty without one."""
     if path is None:
         return {}
-    return dict(zip(CHANNELS, path[:5] + fit.prepared.origin.place[:, None], strict=True))
+    return dict(
+        zip(CHANNELS, path[:5] + fit.prepared.origin.place[:, None], strict=True)
+    )
 
 
-def _by_channel(fit: LeastSquaresFit, residual: Floats) -> dict[str, tuple[Floats, Floats]]:
-    """Residuals of each channel at its values: measured - fitted, and whitened over sigma."""
+def _by_channel(
+    fit: LeastSquaresFit, residual: Floats
+) -> dict[str, tuple[Floats, Floats]]:
+    """Residuals of each channel at its values: measured - fitted, and
+    whitened over sigma."""
     there = fit.problem.weight[:, : residual.shape[1]] > 0
     rows = zip(CHANNELS, there, residual, fit.solution.residual, strict=False)
     return {
-        name: (off[seen], white[: len(seen)][seen]) for name, seen, off, white in rows if seen.any()
+        name: (off[seen], white[: len(seen)][seen])
+        for name, seen, off, white in rows
+        if seen.any()
     }
 
 
@@ -296,7 +360,9 @@ def _data(fit: LeastSquaresFit) -> dict[str, Any]:
         "to": float(throw.t[-1]),
         **prepared.rows,
         "swept": prepared.swept,
-        "sigma": {name: "estimated" if name in fit.sigma else "given" for name in throw.seen},
+        "sigma": {
+            name: "estimated" if name in fit.sigma else "given" for name in throw.seen
+        },
         "notes": list(throw.notes),
         "labels": dict(throw.labels),
         "flags": list(prepared.flags),
@@ -306,7 +372,9 @@ def _data(fit: LeastSquaresFit) -> dict[str, Any]:
 def _observed(fit: LeastSquaresFit) -> dict[str, Floats]:
     """The measured series, and sigmas that were given or vary by row."""
     throw = fit.prepared.throw
-    shown = [name for name in CHANNELS if name in throw.seen or name in ("x", "y", "phi")]
+    shown = [
+        name for name in CHANNELS if name in throw.seen or name in ("x", "y", "phi")
+    ]
     by_row = throw.sigma | {
         name: fit.sigma[name] * throw.sigma_over_smallest(name)
         for name in throw.relative_sigma.keys() & fit.sigma.keys()
@@ -315,7 +383,9 @@ def _observed(fit: LeastSquaresFit) -> dict[str, Floats]:
     return {name: getattr(throw, name) for name in ("t", *shown)} | sigmas
 
 
-def _discrepancy(fit: LeastSquaresFit, path: Floats | None, found: Covariance) -> dict[str, Floats]:
+def _discrepancy(
+    fit: LeastSquaresFit, path: Floats | None, found: Covariance
+) -> dict[str, Floats]:
     """Mean of the model discrepancy by channel; empty where the noise has none."""
     if path is None or not fit.noise.sizes:
         return {}
@@ -325,9 +395,14 @@ def _discrepancy(fit: LeastSquaresFit, path: Floats | None, found: Covariance) -
     for name, sigma in fit.noise.independent.items():
         weight[CHANNELS.index(name)] *= fit.sigma[name] / sigma
     data = linearized(
-        fit.model, fit.problem._replace(weight=weight), fit.solution.values, path, prepared.stone,
-        prepared.parameters.typical, adjustable,
-    )  # fmt: skip
+        fit.model,
+        fit.problem._replace(weight=weight),
+        fit.solution.values,
+        path,
+        prepared.stone,
+        prepared.parameters.typical,
+        adjustable,
+    )
     now = np.zeros_like(data.weight)
     now[: len(weight)] = fit.problem.weight
     mean = posterior_mean(fit.noise, fit.problem.times, now, data)[:, :n]
@@ -355,8 +430,8 @@ def _status(fit: LeastSquaresFit, distance: float, unusual: Sequence[Finding]) -
         return f"{IMPLAUSIBLE}: {'. '.join(refused)}"
     if distance >= CONVERGED:
         return (
-            f"not converged: the optimum is still about {distance:.2g} standard errors away "
-            f"({steps})"
+            f"not converged: the optimum is still about {distance:.2g} standard "
+            f"errors away ({steps})"
         )
     if unusual:
         return f"converged ({steps}), but the data are unusual: see the first warning"
@@ -390,21 +465,29 @@ def _estimates(
         if verdict == "prior":
             reason = "without the priors the data do not determine it"
         elif verdict in ("determined", "weak") and item.name in misleading:
-            verdict, reason = "weak", "chi squared is far from quadratic within its standard error"
+            verdict, reason = (
+                "weak",
+                "chi squared is far from quadratic within its standard error",
+            )
         else:
             reason = weakness(verdict, item.typical)
         if verdict == "determined" and item.name in rival.values:
             verdict, reason = "weak", f"{rival.values[item.name]:.3g} fits as well"
         estimates[item.name] = Estimate.of(
-            item, float(found.values[row]), verdict, reason=reason, dof=dof,
+            item,
+            float(found.values[row]),
+            verdict,
+            reason=reason,
+            dof=dof,
             stderr=rival.widened(stderr, {item.name: 1.0}),
             prior="" if prior is None else str(prior),
-        )  # fmt: skip
+        )
     return estimates
 
 
 def weakness(verdict: str, typical: float) -> str:
-    """Why an estimate of a typical size is weakly determined; nothing for another verdict."""
+    """Why an estimate of a typical size is weakly determined; nothing for
+    another verdict."""
     if verdict != "weak":
         return ""
     return f"its standard error is more than half its typical size, {typical:g}"

@@ -1,10 +1,10 @@
 """Systematic errors due to the conditions that a fit holds fixed, to first order.
 
-If a condition c differs by d from its assumed value, the measured path differs by (df/dc) d, and
-the least-squares estimates are shifted: by -(J^T J)^+ J^T W (df/dc) d from the estimate to the true
-value, where W contains the weights 1/sigma and J = W (df/dp) is the Jacobian of the weighted
-residuals (model - observed). Shifts due to different conditions are independent and add in
-quadrature.
+If a condition c differs by d from its assumed value, the measured path differs by
+(df/dc) d, and the least-squares estimates are shifted: by -(J^T J)^+ J^T W (df/dc) d
+from the estimate to the true value, where W contains the weights 1/sigma and J = W
+(df/dp) is the Jacobian of the weighted residuals (model - observed). Shifts due to
+different conditions are independent and add in quadrature.
 """
 
 from __future__ import annotations
@@ -14,7 +14,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from curlfit.inference.conditions import ALL, CALIBRATION, SPIN, WIDTHS, check_systematics
+from curlfit.inference.conditions import (
+    ALL,
+    CALIBRATION,
+    SPIN,
+    WIDTHS,
+    check_systematics,
+)
 from curlfit.inference.fit.prepared import PreparedThrow
 from curlfit.inference.identifiability import inverted, visible
 from curlfit.inference.likelihood import predict_many
@@ -46,7 +52,8 @@ def widths_of(
 
     Parameters
     ----------
-    given : in place of `WIDTHS`; 0 where a condition is known. "all" stands for all not named.
+    given : in place of `WIDTHS`; 0 where a condition is known. "all" stands for
+        all not named.
     throws : which say whether a spin is assumed, and how many errors a calibration has.
     jointly : as in `_calibrations`.
 
@@ -58,33 +65,45 @@ def widths_of(
     check_systematics(given)
     common = given.pop(ALL, None)
     of_calibration = given.pop(CALIBRATION, 1.0 if common is None else common)
-    found = {name: width if common is None else common for name, width in WIDTHS.items()} | given
+    found = {
+        name: width if common is None else common for name, width in WIDTHS.items()
+    } | given
     errors = _calibrations(throws, jointly=jointly).shape[1]
     found |= {f"{CALIBRATION}_{k + 1}": of_calibration for k in range(errors)}
-    known = {*model.conditions, *([] if any(one.assumed_spin for one in throws) else [SPIN.name])}
+    known = {
+        *model.conditions,
+        *([] if any(one.assumed_spin for one in throws) else [SPIN.name]),
+    }
     return {name: width for name, width in found.items() if width and name not in known}
 
 
 def _calibrations(throws: Sequence[PreparedThrow], *, jointly: bool = False) -> Floats:
-    """Independent errors of the calibration of each throw, in the problems' coordinates, shape
-    (throws, errors, 3, 3), with zeros where a throw does not have one.
+    """Independent errors of the calibration of each throw, in the problems'
+    coordinates, shape (throws, errors, 3, 3), with zeros where a throw does
+    not have one.
 
-    Throws that are fitted `jointly` share the errors of a calibration, and each of several
-    calibrations has its own.
+    Throws that are fitted `jointly` share the errors of a calibration, and each of
+    several calibrations has its own.
     """
     known = [one.throw.calibration for one in throws]
     distinct: list[Floats] = []
     for one in known if jointly else ():
-        if one is not None and not any(np.array_equal(one, other) for other in distinct):
+        if one is not None and not any(
+            np.array_equal(one, other) for other in distinct
+        ):
             distinct.append(one)
     most = max((len(one) for one in known if one is not None), default=0)
     found = np.zeros((len(throws), most * max(len(distinct), 1), 3, 3))
     for row, (throw, one) in enumerate(zip(throws, known, strict=True)):
         if one is not None:
-            first = most * next((k for k, d in enumerate(distinct) if np.array_equal(one, d)), 0)
+            first = most * next(
+                (k for k, d in enumerate(distinct) if np.array_equal(one, d)), 0
+            )
             to_problem = np.eye(3)
             to_problem[:2, 2] = -throw.origin.place[:2]
-            found[row, first : first + len(one)] = to_problem @ one @ np.linalg.inv(to_problem)
+            found[row, first : first + len(one)] = (
+                to_problem @ one @ np.linalg.inv(to_problem)
+            )
     return found
 
 
@@ -103,7 +122,8 @@ def residual_changes(
 
     Parameters
     ----------
-    values : of the parameters, shape (throws, parameters), and their `paths`, (throws, 5, n).
+    values : of the parameters, shape (throws, parameters), and their `paths`,
+        (throws, 5, n).
     widths : from `widths_of`, as are the other arguments.
 
     Returns
@@ -115,14 +135,20 @@ def residual_changes(
     spins = np.array([one.assumed_spin for one in throws])
 
     def measured(off: Floats) -> Floats:
-        by = {name: one * widths[name] for name, one in zip(names, off, strict=True) if one}
+        by = {
+            name: one * widths[name]
+            for name, one in zip(names, off, strict=True)
+            if one
+        }
         moved = values.copy()
         if turns := by.pop(SPIN.name, 0.0):
             moved[:, _SPIN] += turns * spins
         return _measured(model, problems, moved, by, batch, calibrations)[:, :channels]
 
     none = np.zeros(len(names))
-    changes = slopes(measured, none, _STEP, value=paths[:, :channels]) if names else none
+    changes = (
+        slopes(measured, none, _STEP, value=paths[:, :channels]) if names else none
+    )
     residual = (paths[:, :channels] - problems.observed) * problems.weight
     by_loss, found = root_slope(residual, LOSSES[problems.loss.max()]), {}
     for name, change in zip(names, np.moveaxis(changes, -1, 0), strict=True):
@@ -142,7 +168,8 @@ def _measured(
     batch: int,
     calibrations: Floats,
 ) -> Floats:
-    """The channels of many throws as they are measured where conditions are off by so much."""
+    """The channels of many throws as they are measured where conditions are
+    off by so much."""
     scale: float = 1 + off.get("length_scale", 0.0)
     events: EventArrays | None = problems.events
     first = len(model.law.coefficients()) + len(model.conditions)
@@ -163,8 +190,8 @@ def _measured(
 
 
 def with_condition_off(problems: Problem, name: str, by: float) -> Problem:
-    """Problems with a condition changed by `by`; lengths and their calibration do not change the
-    motion."""
+    """Problems with a condition changed by `by`; lengths and their calibration do not
+    change the motion."""
     if name == "length_scale" or name.startswith(CALIBRATION):
         return problems
     if name == "time_scale":
@@ -177,8 +204,11 @@ def with_condition_off(problems: Problem, name: str, by: float) -> Problem:
     return problems._replace(**{group: changed})
 
 
-def shifts(factor: Floats, gradients: Mapping[str, Floats], typical: Floats) -> dict[str, Floats]:
-    """Shifts from the estimates to the true values, by condition, along determined directions.
+def shifts(
+    factor: Floats, gradients: Mapping[str, Floats], typical: Floats
+) -> dict[str, Floats]:
+    """Shifts from the estimates to the true values, by condition, along
+    determined directions.
 
     Parameters
     ----------

@@ -19,16 +19,20 @@ from curlfit.numerics.arrays import Booleans
 def with_throws(
     result: JointResult, throws: Sequence[FitResult], solution: Solution
 ) -> JointResult:
-    """The result with its throws, and with the status and the warnings that follow from them; where
-    the search for the optimum of all failed, none of them has converged."""
+    """The result with its throws, and with the status and the warnings that follow from
+    them; where the search for the optimum of all failed, none of them has converged."""
     implausible = [one for one in throws if one.status.startswith(IMPLAUSIBLE)]
-    failed = [one.status for one in throws if not one.converged and one not in implausible]
+    failed = [
+        one.status for one in throws if not one.converged and one not in implausible
+    ]
     steps = counted(int(solution.steps[0]), "step")
     if not solution.success.all():
         failed.append(f"not converged ({steps})")
     if failed:
         throws = [
-            one if one in implausible else replace(one, converged=False, status=failed[0])
+            one
+            if one in implausible
+            else replace(one, converged=False, status=failed[0])
             for one in throws
         ]
     result = replace(
@@ -41,22 +45,28 @@ def with_throws(
     return replace(
         result,
         warnings=(
-            *_of_spins(result), *_of_equality(result), *curl_warnings(throws), *warnings_of(throws)
+            *_of_spins(result),
+            *_of_equality(result),
+            *curl_warnings(throws),
+            *warnings_of(throws),
         ),
-    )  # fmt: skip
+    )
 
 
 def _of_spins(result: JointResult) -> list[str]:
     """A warning if throws of opposite spins differ."""
-    # For a throw without a path the curl is at most one number, which the heading absorbs.
+    # For a throw without a path the curl is at most one number, which the
+    # heading absorbs.
     paths = any(one.rms for one in result.throws)
     senses = np.array([one.parameters["omega0"].value > 0 for one in result.throws])
-    differ = any(_differs_by_spin(item, senses) for item in result.variation if item.significant)
+    differ = any(
+        _differs_by_spin(item, senses) for item in result.variation if item.significant
+    )
     if not differ or not paths or result.throws[0].model.has_slope:
         return []
     return [
-        "throws of opposite spins differ, as they do on ice that is not level; `--free slope_x` "
-        "fits a common slope"
+        "throws of opposite spins differ, as they do on ice that is not level; "
+        "`--free slope_x` fits a common slope"
     ]
 
 
@@ -68,7 +78,9 @@ def _differs_by_spin(item: Variation, counter_clockwise: Booleans) -> bool:
 
     def chi_squared(rows: Booleans) -> float:
         weights = error[rows] ** -2
-        return float(weights @ (value[rows] - weights @ value[rows] / weights.sum()) ** 2)
+        return float(
+            weights @ (value[rows] - weights @ value[rows] / weights.sum()) ** 2
+        )
 
     within = sum(chi_squared(rows) for rows in (sense, ~sense) if rows.any())
     return within < chi_squared(np.ones_like(sense)) / 2
@@ -77,9 +89,10 @@ def _differs_by_spin(item: Variation, counter_clockwise: Booleans) -> bool:
 def _of_equality(result: JointResult) -> list[str]:
     """Warnings about equal coefficients that differ from throw to throw."""
     return [
-        f"{item.expression} varies between throws by more than its errors ({item.p_text}); "
-        "its standard error is that of the mean over such throws, and large residuals of single "
-        "throws may be due to the common value rather than to their data"
+        f"{item.expression} varies between throws by more than its errors "
+        f"({item.p_text}); its standard error is that of the mean over such throws, "
+        "and large residuals of single throws may be due to the common value rather "
+        "than to their data"
         for item in reversed(result.variation)
         if item.significant and not result.varies
     ]

@@ -19,19 +19,25 @@ from curlfit.numerics.arrays import Floats
 
 
 def another(
-    joint: JointResult, labels: Mapping[str, str], number: int, random: np.random.Generator
+    joint: JointResult,
+    labels: Mapping[str, str],
+    number: int,
+    random: np.random.Generator,
 ) -> tuple[FitResult, Floats]:
     """A throw on the same ice that has not been thrown, and draws of its parameters.
 
-    It is that of the throws with as many of the labels as possible that was thrown last, with
-    the coefficients of the mean, and a spin that gives the usual angle at rest.
+    It is that of the throws with as many of the labels as possible that was
+    thrown last, with the coefficients of the mean, and a spin that gives the
+    usual angle at rest.
 
     Raises
     ------
     InputError : labels that the fit does not distinguish.
     """
     if joint.means is None:
-        raise InputError("the coefficients are equal in all throws; fit without --share")
+        raise InputError(
+            "the coefficients are equal in all throws; fit without --share"
+        )
     near = (
         _thrown_last(joint.throws, labels)
         if joint.table is None
@@ -54,17 +60,20 @@ def another(
 
 
 def _thrown_last(throws: Sequence[FitResult], labels: Mapping[str, str]) -> FitResult:
-    """That with most of the labels, with the extent of the data and the motion of all."""
+    """That with most of the labels, with the extent of the data and the
+    motion of all."""
     near = throws[_last([one.data["labels"] for one in throws], labels)]
     data = [one.data for one in throws]
     files = list(dict.fromkeys(file_and_number(one["file"])[0] for one in data))
     own = {
         "file": files[0] if len(files) == 1 else f"{len(files)} files",
         "rows": sum(one["rows"] for one in data),
-        "from": min(one["from"] for one in data), "to": max(one["to"] for one in data),
-    }  # fmt: skip
+        "from": min(one["from"] for one in data),
+        "to": max(one["to"] for one in data),
+    }
     fitted = {
-        name: np.concatenate([one.fitted[name] for one in throws]) for name in ("speed", "omega")
+        name: np.concatenate([one.fitted[name] for one in throws])
+        for name in ("speed", "omega")
     }
     return replace(near, data=near.data | own, fitted=near.fitted | fitted)
 
@@ -75,25 +84,51 @@ def _last(each: Sequence[Mapping[str, str]], labels: Mapping[str, str]) -> int:
     return max(range(len(alike)), key=lambda row: (alike[row], row))
 
 
-def _begun_last(joint: JointResult, table: SeparateFits, labels: Mapping[str, str]) -> FitResult:
+def _begun_last(
+    joint: JointResult, table: SeparateFits, labels: Mapping[str, str]
+) -> FitResult:
     """The same of a table, of whose throws only the motion is known."""
     nothing: dict[str, Any] = {"names": [], "matrix": [], "gradient": []}
     if not table.starts:
         raise InputError(
-            "the fit of the table does not say how its throws began: repeat the batch, without "
-            "--free, and fit its table"
+            "the fit of the table does not say how its throws began: "
+            "repeat the batch, without --free, and fit its table"
         )
-    begun = table.starts[_last([one["labels"] for one in table.starts], labels)]["start"]
-    start = {item.name: Estimate.of(item, begun[item.name], "determined") for item in START}
+    begun = table.starts[_last([one["labels"] for one in table.starts], labels)][
+        "start"
+    ]
+    start = {
+        item.name: Estimate.of(item, begun[item.name], "determined") for item in START
+    }
     data = {
-        "file": table.file, "rows": table.throws, "from": 0.0, "to": table.duration, "swept": None,
-        "notes": [], "law_file": None,
-    }  # fmt: skip
+        "file": table.file,
+        "rows": table.throws,
+        "from": 0.0,
+        "to": table.duration,
+        "swept": None,
+        "notes": [],
+        "law_file": None,
+    }
     return FitResult(
-        law=joint.law, load=joint.load, stone=table.stone, data=data, converged=joint.converged,
-        status=joint.status, warnings=(), n_observations=0, rms={}, sigma={}, lag1={},
-        parameters=joint.coefficients | start, combinations=joint.combinations, rank=joint.rank,
-        singular_values=(), null_directions=table.null_directions, covariance=nothing,
-        information=nothing, reference=None, observed={"t": np.array([0.0, table.duration])},
+        law=joint.law,
+        load=joint.load,
+        stone=table.stone,
+        data=data,
+        converged=joint.converged,
+        status=joint.status,
+        warnings=(),
+        n_observations=0,
+        rms={},
+        sigma={},
+        lag1={},
+        parameters=joint.coefficients | start,
+        combinations=joint.combinations,
+        rank=joint.rank,
+        singular_values=(),
+        null_directions=table.null_directions,
+        covariance=nothing,
+        information=nothing,
+        reference=None,
+        observed={"t": np.array([0.0, table.duration])},
         fitted={"speed": table.speeds, "omega": table.spins},
-    )  # fmt: skip
+    )

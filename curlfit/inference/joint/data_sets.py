@@ -1,8 +1,9 @@
-"""One law and several data sets: its coefficients that all have in common, and those of each.
+"""One law and several data sets: its coefficients that all have in common, and
+those of each.
 
-All data sets are one problem (`curlfit.inference.joint.solver`), in which those that are left out
-have no weight, so that one program serves all of them and all laws of a family. A table of friction
-takes the place of a throw whose initial state is fixed.
+All data sets are one problem (`curlfit.inference.joint.solver`), in which those that
+are left out have no weight, so that one program serves all of them and all laws of a
+family. A table of friction takes the place of a throw whose initial state is fixed.
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ from curlfit.throws.events import Event
 from curlfit.throws.friction_table import FrictionTable
 from curlfit.throws.throw import Throw
 
-_STARTS = 1.0, 0.4, 2.5  # multiples of the default coefficients, for a table of friction
+# multiples of the default coefficients, for a table of friction
+_STARTS = 1.0, 0.4, 2.5
 _ASIDE = 1.0  # m/s, initial speed of a throw that is left out, or of a table
 _MOMENT = 1e-3  # of its times, since a path that comes to rest takes long
 _FEWEST = 20  # residuals whose correlation is examined
@@ -72,8 +74,12 @@ def data_sets(items: Iterable[Throw | FrictionTable]) -> list[DataSet]:
     """
     found: dict[str, DataSet] = {}
     for item in items:
-        require_kind(item, (Throw, FrictionTable), "data", "throws and tables of friction")
-        one = DataSet(item.name, table=item) if isinstance(item, FrictionTable) else None
+        require_kind(
+            item, (Throw, FrictionTable), "data", "throws and tables of friction"
+        )
+        one = (
+            DataSet(item.name, table=item) if isinstance(item, FrictionTable) else None
+        )
         one = one or DataSet(item.name, (item,))  # type: ignore[arg-type]
         if one.kind == "throws":
             one = one._replace(name=item.name.partition(" row ")[0])
@@ -83,7 +89,9 @@ def data_sets(items: Iterable[Throw | FrictionTable]) -> list[DataSet]:
         earlier = found[name].throws if name in found else ()
         found[name] = one._replace(name=name, throws=(*earlier, *one.throws))
     if not found:
-        raise InputError("no data to compare laws with; expected throws or tables of friction")
+        raise InputError(
+            "no data to compare laws with; expected throws or tables of friction"
+        )
     return list(found.values())
 
 
@@ -95,8 +103,8 @@ class Noise(NamedTuple):
     share: Floats
     """of independent values, where residuals are correlated from row to row"""
     assumed: Booleans
-    """whether sigma is that of an ordinary tracker: a correlated residual that is smaller is what
-    the law misses, and tells no noise"""
+    """whether sigma is that of an ordinary tracker: a correlated residual that is
+    smaller is what the law misses, and tells no noise"""
 
 
 class LawOnSets:
@@ -109,9 +117,13 @@ class LawOnSets:
     """
 
     def __init__(
-        self, law: type[Law], load: Load, sets: Sequence[DataSet], chosen: Comparing,
+        self,
+        law: type[Law],
+        load: Load,
+        sets: Sequence[DataSet],
+        chosen: Comparing,
         family: type[LawFamily] | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.law, self.sets = law, sets
         throws = [throw for one in sets for throw in one.throws]
         tables = [one.table for one in sets if one.table is not None]
@@ -119,40 +131,61 @@ class LawOnSets:
         self.owner = np.array([*owner, *(k for k, one in enumerate(sets) if one.table)])
         self.throws = len(throws)
         options = options_of(law, {**chosen.by_parameter, "start": chosen.start})
-        options |= {name: getattr(chosen, name) for name in ("stone", "sigma", "unbounded")}
+        options |= {
+            name: getattr(chosen, name) for name in ("stone", "sigma", "unbounded")
+        }
         options |= chosen.rows
         # A heading would take a measured curl from laws that have none.
         held = options | {"fix": {"heading": 0.0, **options.get("fix", {})}}
         prepared = [
             PreparedThrow.of(
                 one,
-                Fitting.of(one.settings, options if one.has_path else held, law=law, load=load),
+                Fitting.of(
+                    one.settings, options if one.has_path else held, law=law, load=load
+                ),
             )
             for one in throws or [_carrier()]
         ]
         parameters = prepared[0].parameters
-        self.common = np.isin(parameters.names, [item.name for item in law.coefficients()])
+        self.common = np.isin(
+            parameters.names, [item.name for item in law.coefficients()]
+        )
         self.names = parameters.names_where(self.common)
         self.model = Model(law, load).within(family)
         shapes = [problem_shape(one.throw) for one in prepared]
-        shapes += [(_LAST + 1, 1 << (len(table.mu) - 1).bit_length()) for table in tables]
+        shapes += [
+            (_LAST + 1, 1 << (len(table.mu) - 1).bit_length()) for table in tables
+        ]
         channels, rows = map(max, zip(*shapes, strict=True))
         self.rounds = Rounds(self.model, prepared, shape=(channels, rows))
         every = np.minimum(np.arange(len(self.owner)), len(prepared) - 1)
         problems = _with_tables(
-            jax.tree.map(lambda leaf: np.array(leaf[every]), self.rounds.problems), throws, tables
+            jax.tree.map(lambda leaf: np.array(leaf[every]), self.rounds.problems),
+            throws,
+            tables,
         )
-        start = self.rounds.starts()[1][0] if throws else np.zeros((1, len(parameters.names)))
+        start = (
+            self.rounds.starts()[1][0]
+            if throws
+            else np.zeros((1, len(parameters.names)))
+        )
         start = start[every]
         lower, upper = (end[every] for end in local_bounds(prepared, self.common)[1:])
         self.speed = list(parameters.names).index("v0")
-        start[self.throws :, self.common] = [default_guess(item) for item in law.coefficients()]
+        start[self.throws :, self.common] = [
+            default_guess(item) for item in law.coefficients()
+        ]
         start[self.throws :, self.speed] = _ASIDE
         for end in (lower, upper):
             end[self.throws :, ~self.common] = start[self.throws :, ~self.common]
         start = np.clip(start, lower, upper)
         self.tasks = Tasks(
-            problems, start, lower, upper, parameters.typical, Penalty.none(*start.shape)
+            problems,
+            start,
+            lower,
+            upper,
+            parameters.typical,
+            Penalty.none(*start.shape),
         )
         self.unknown = np.zeros(problems.weight.shape[:2], bool)
         self.unknown[: self.throws] = self.rounds.unknown[: self.throws]
@@ -179,9 +212,11 @@ class LawOnSets:
         found: Booleans = self.owner == number
         return found
 
-    def optimum(self, inside: Booleans, start: Floats, weight: Floats | None = None) -> Solution:
-        """Of some throws and tables from initial values, shape (throws and tables, parameters);
-        the others keep these."""
+    def optimum(
+        self, inside: Booleans, start: Floats, weight: Floats | None = None
+    ) -> Solution:
+        """Of some throws and tables from initial values, shape (throws and tables,
+        parameters); the others keep these."""
         problems, common = self.tasks.problems, self.common
         weight = problems.weight if weight is None else weight
         lower, upper, begin = (np.array(part) for part in (*self.tasks[2:4], start))
@@ -193,7 +228,9 @@ class LawOnSets:
         if self.throws:
             moment = np.where(inside, 1.0, _MOMENT)[:, None]
             some = some._replace(times=moment * problems.times)
-        tasks = self.tasks._replace(problems=some, start=begin, lower=lower, upper=upper)
+        tasks = self.tasks._replace(
+            problems=some, start=begin, lower=lower, upper=upper
+        )
         how = JOINT if self.throws else PRECISE
         found = minimize_jointly(self.model, tasks, common, how=how)
         kept = np.where(inside[:, None] | common, found.values, start)
@@ -204,12 +241,15 @@ class LawOnSets:
         inside, before = self.of_set(number), self.tasks.start
         starts = [before]
         if self.sets[number].table is not None:
-            starts = [np.where(self.common, before * factor, before) for factor in _STARTS]
+            starts = [
+                np.where(self.common, before * factor, before) for factor in _STARTS
+            ]
             starts = [np.clip(one, *self.tasks[2:4]) for one in starts]
         found = best(self.optimum(inside, one) for one in starts)
         if not np.isfinite(found.chi_squared).all():
             raise UnusableFitError(
-                f"law {self.law.name} with {self.model.load} load gives no finite path for "
+                f"law {self.law.name} with "
+                f"{self.model.load} load gives no finite path for "
                 f"{self.sets[number].name}{no_motion_because(self.model.load)}"
             )
         mine = np.flatnonzero(inside[: self.throws])
@@ -230,7 +270,9 @@ class LawOnSets:
                 share[*place] = known.effective / len(row)
         ordinary = np.array([*NOISE.values(), 0.0])[: sigma.shape[1]]
         assumed = (share < 1) & (sigma < ordinary)
-        return Noise(np.where(assumed, ordinary, sigma), np.where(assumed, 1.0, share), assumed)
+        return Noise(
+            np.where(assumed, ordinary, sigma), np.where(assumed, 1.0, share), assumed
+        )
 
     def weights(self, noise: Noise) -> Floats:
         """Weights of the values with some noise, where the sigma is not given."""
@@ -242,19 +284,25 @@ class LawOnSets:
 
     def together(self, alone: Sequence[Solution], weight: Floats) -> Solution:
         """The optimum of all data sets, from those of each."""
-        own, every = np.stack([one.values for one in alone]), np.ones(len(self.owner), bool)
+        own, every = (
+            np.stack([one.values for one in alone]),
+            np.ones(len(self.owner), bool),
+        )
         start = own[self.owner, np.arange(len(every))]
         starts = [np.where(self.common, one[0], start) for one in own]
         starts.append(np.where(self.common, own[:, 0].mean(0), start))
         return best(
-            self.optimum(every, one, weight) for one in starts[: 1 if len(own) == 1 else None]
+            self.optimum(every, one, weight)
+            for one in starts[: 1 if len(own) == 1 else None]
         )
 
     def told(self, found: Solution) -> Told:
         """What throws and tables at their optimum say of the coefficients."""
         factors = r_factors(found.jacobian, found.residual)
         bounded = Bounded(found.values, *self.tasks[2:4])
-        return Told(self, found, Reduction.of(factors, bounded, self.tasks.typical, self.common))
+        return Told(
+            self, found, Reduction.of(factors, bounded, self.tasks.typical, self.common)
+        )
 
 
 class Told(NamedTuple):
@@ -272,16 +320,22 @@ class Told(NamedTuple):
     def estimates(
         self, known: Covariance, dof: float | None = None
     ) -> tuple[dict[str, Estimate], tuple[Combination, ...]]:
-        """Of the coefficients and of determined sums of them, by some of the data sets; `dof` are
-        the degrees of freedom of their errors."""
+        """Of the coefficients and of determined sums of them, by some of the data sets;
+        `dof` are the degrees of freedom of their errors."""
         found = {}
         for place, item in enumerate(self.of.law.coefficients()):
             free = known.free[place]
-            stderr, verdict, _ = known.classified(place) if free else (None, "fixed", None)
+            stderr, verdict, _ = (
+                known.classified(place) if free else (None, "fixed", None)
+            )
             found[item.name] = Estimate.of(
-                item, float(known.values[place]), verdict, stderr=stderr,
-                dof=None if stderr is None else dof, reason=weakness(verdict, item.typical),
-            )  # fmt: skip
+                item,
+                float(known.values[place]),
+                verdict,
+                stderr=stderr,
+                dof=None if stderr is None else dof,
+                reason=weakness(verdict, item.typical),
+            )
         return found, tuple(replace(one, dof=dof) for one in known.combinations)
 
     def parameters(self) -> Floats:
@@ -289,8 +343,12 @@ class Told(NamedTuple):
         common, tasks = self.of.common, self.of.tasks
         free = (tasks.upper > tasks.lower)[0]
         rows = self.reduction.rows[..., :-1] * tasks.typical * (common & free)
-        left, singular, _ = np.linalg.svd(rows.reshape(-1, rows.shape[-1]), full_matrices=False)
-        spent = (left[:, visible(singular)] ** 2).sum(-1).reshape(rows.shape[:2]).sum(-1)
+        left, singular, _ = np.linalg.svd(
+            rows.reshape(-1, rows.shape[-1]), full_matrices=False
+        )
+        spent = (
+            (left[:, visible(singular)] ** 2).sum(-1).reshape(rows.shape[:2]).sum(-1)
+        )
         return np.asarray(spent + self.reduction.rank)
 
 
@@ -322,7 +380,9 @@ def _with_tables(
         problems.times[row] *= _MOMENT
         states[row, :, :size] = table.speed, table.omega
         problems.observed[row, _LAST, :size] = table.mu
-        problems.weight[row, _LAST, :size] = 1.0 if table.sigma is None else 1 / table.sigma
+        problems.weight[row, _LAST, :size] = (
+            1.0 if table.sigma is None else 1 / table.sigma
+        )
     if not throws:
         problems = problems._replace(times=None)
     return problems._replace(states=states) if tables else problems

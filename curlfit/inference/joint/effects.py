@@ -32,12 +32,14 @@ class Effect(WithInterval):
 
     Attributes
     ----------
-    parameter : a coefficient or combination, or of a draw to the tee "friction" (mean deceleration
-        over g), "curl" (m) or "hog_to_hog" (s).
-    value, stderr, dof : estimate, its standard error and the degrees of freedom of that.
-    p : probability of a value at least as far from zero by chance; None for the mean of a group.
-    by : the label that distinguishes the groups, or along which the trend runs; empty for all
-        throws together.
+    parameter : a coefficient or combination, or of a draw to the tee "friction" (mean
+        deceleration over g), "curl" (m) or "hog_to_hog" (s).
+    value, stderr, dof : estimate, its standard error and the degrees of
+        freedom of that.
+    p : probability of a value at least as far from zero by chance; None for the
+        mean of a group.
+    by : the label that distinguishes the groups, or along which the trend runs; empty
+        for all throws together.
     group, against : the group, and the one that it is compared with; empty for a trend.
     unit : of the value.
     quantiles : of the posterior, "2.5" to "97.5"; empty if it was not sampled.
@@ -68,13 +70,15 @@ class Covariates(NamedTuple):
     """shape (throws, columns)"""
 
     @classmethod
-    def of(cls, throws: Labelled, by: str | Sequence[str], trend: str | Sequence[str]) -> Self:
+    def of(
+        cls, throws: Labelled, by: str | Sequence[str], trend: str | Sequence[str]
+    ) -> Self:
         """Of throws, each with its name and its labels, by one label or several.
 
         Raises
         ------
-        InputError : a throw lacks a label; there is one group, or a group of one throw; a trend
-            is along no number; columns depend on one another.
+        InputError : a throw lacks a label; there is one group, or a group of one throw;
+            a trend is along no number; columns depend on one another.
         """
         by, trend = ([one] if isinstance(one, str) else one for one in (by, trend))
         groups, trends = {}, {}
@@ -90,7 +94,9 @@ class Covariates(NamedTuple):
             columns.append(numbers)
         values = np.array(columns, float).reshape(len(columns), len(throws)).T
         mean = values.mean(0)
-        if np.linalg.matrix_rank(np.column_stack([np.ones(len(throws)), values])) <= len(columns):
+        if np.linalg.matrix_rank(
+            np.column_stack([np.ones(len(throws)), values])
+        ) <= len(columns):
             names = join_words([*groups, *trends])
             raise InputError(f"{names}: the throws do not distinguish their effects")
         return cls(groups, trends, mean, values - mean)
@@ -111,20 +117,25 @@ def _natural(label: str) -> list[tuple[int, Any]]:
 
 
 def _numbers(name: str, labels: Sequence[str]) -> tuple[list[float], str]:
-    """Hours of a clock, which may pass midnight, days of dates, or numbers; and their unit."""
+    """Hours of a clock, which may pass midnight, days of dates, or numbers;
+    and their unit."""
     with suppress(ValueError):
         return [float(date.fromisoformat(label).toordinal()) for label in labels], "day"
     clocks = [_CLOCK.fullmatch(label) for label in labels]
     found: list[float] = []
     for label, clock in zip(labels, clocks, strict=True):
         try:
-            value = float(label) if clock is None else float(clock[1]) + float(clock[2]) / 60
+            value = (
+                float(label)
+                if clock is None
+                else float(clock[1]) + float(clock[2]) / 60
+            )
         except ValueError:
             value = np.nan
         if not np.isfinite(value) or (clock is None) != (clocks[0] is None):
             raise InputError(
-                f"trend {name}: {quoted(label)} found, expected numbers, times such as 19:05, or "
-                "dates such as 2026-02-27"
+                f"trend {name}: {quoted(label)} found, expected numbers, "
+                "times such as 19:05, or dates such as 2026-02-27"
             )
         if clock is not None:
             value += float(clock[3] or 0) / 3600
@@ -142,13 +153,14 @@ class Means:
     ----------
     names : the parameters.
     groups, trends : names of the groups by label, and units of trends by label.
-    centre, last : values of the covariates, a column for each group but the first and each trend:
-        their means over the throws, which have been subtracted from all, and those of the last
-        throw.
-    estimate, covariance : of the parameters of the mean of all throws and then, by covariate, of
-        its effects along the directions in which throws vary.
+    centre, last : values of the covariates, a column for each group but the first and
+        each trend: their means over the throws, which have been subtracted from all,
+        and those of the last throw.
+    estimate, covariance : of the parameters of the mean of all throws and then, by
+        covariate, of its effects along the directions in which throws vary.
     directions : changes of the parameters in these, shape (parameters, directions).
-    spreads : standard deviations between throws along them. dof : degrees of freedom of these.
+    spreads : standard deviations between throws along them. dof : degrees of
+        freedom of these.
     angle : rad by which a draw to the tee turns, the median of the throws.
     """
 
@@ -165,7 +177,8 @@ class Means:
     angle: float
 
     def at(self, columns: Floats) -> Floats:
-        """Matrix from the estimate to the parameters where covariates have some values."""
+        """Matrix from the estimate to the parameters where covariates have
+        some values."""
         return to_mean(self.directions, columns)
 
     def of_groups(self, of: Mapping[str, str]) -> Floats:
@@ -179,12 +192,14 @@ class Means:
 
     def along_trend(self, name: str) -> Floats:
         """The covariates of one unit along a trend."""
-        unit: Floats = np.eye(len(self.centre))[list(self.trends).index(name) - len(self.trends)]
+        unit: Floats = np.eye(len(self.centre))[
+            list(self.trends).index(name) - len(self.trends)
+        ]
         return unit
 
     def columns(self, labels: Mapping[str, str]) -> Floats:
-        """The covariates of another throw: of its group, or the mean of all groups; along a trend
-        at its label, or as at the last throw.
+        """The covariates of another throw: of its group, or the mean of all groups;
+        along a trend at its label, or as at the last throw.
 
         Raises
         ------
@@ -194,7 +209,8 @@ class Means:
             if name not in (*self.groups, *self.trends):
                 known = join_words([*self.groups, *self.trends]) or "none"
                 raise InputError(
-                    f"{name}: the fit distinguishes no throws by {quoted(name)}; it has {known}"
+                    f"{name}: the fit distinguishes no throws by "
+                    f"{quoted(name)}; it has {known}"
                 )
             if label not in self.groups.get(name, [label]):
                 expected = join_words(self.groups[name], "or")
@@ -210,20 +226,32 @@ class Means:
     def expected(
         self, weights: Mapping[str, float], labels: Mapping[str, str]
     ) -> tuple[float, float]:
-        """A weighted sum of the parameters of another throw: mean and standard deviation."""
-        known = {name: one for name, one in labels.items() if name in (*self.groups, *self.trends)}
+        """A weighted sum of the parameters of another throw: mean and
+        standard deviation."""
+        known = {
+            name: one
+            for name, one in labels.items()
+            if name in (*self.groups, *self.trends)
+        }
         vector = np.array([weights.get(name, 0.0) for name in self.names])
         row = vector @ self.at(self.columns(known))
         between = ((vector @ self.directions * self.spreads) ** 2).sum()
-        return float(row @ self.estimate), float(np.sqrt(row @ self.covariance @ row + between))
+        return float(row @ self.estimate), float(
+            np.sqrt(row @ self.covariance @ row + between)
+        )
 
     def draw(
-        self, labels: Mapping[str, str], number: int, random: Any, lower: Floats, upper: Floats
+        self,
+        labels: Mapping[str, str],
+        number: int,
+        random: Any,
+        lower: Floats,
+        upper: Floats,
     ) -> tuple[Floats, Floats]:
-        """The mean parameters of another throw, and draws of its own, shape (number, parameters):
-        by Student's t, since the spreads are estimated. A draw outside the bounds is replaced by
-        the nearest one inside, measured by the covariance, which changes what is determined
-        least."""
+        """The mean parameters of another throw, and draws of its own, shape (number,
+        parameters): by Student's t, since the spreads are estimated. A draw outside the
+        bounds is replaced by the nearest one inside, measured by the covariance, which
+        changes what is determined least."""
         to = self.at(self.columns(labels))
         between = self.directions * self.spreads**2 @ self.directions.T
         squares, axes = np.linalg.eigh(to @ self.covariance @ to.T + between)
@@ -234,5 +262,7 @@ class Means:
         drawn = mean + normal @ root.T
         for row in np.flatnonzero(((drawn < lower) | (drawn > upper)).any(1)):
             ends = lower - mean, upper - mean
-            drawn[row] = mean + root @ bounded(normal[row], np.eye(len(mean)), root, *ends)
+            drawn[row] = mean + root @ bounded(
+                normal[row], np.eye(len(mean)), root, *ends
+            )
         return mean, np.clip(drawn, lower, upper)

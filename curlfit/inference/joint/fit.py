@@ -1,5 +1,5 @@
-"""Joint fit of several throws: coefficients in common or about a common mean, own initial states
-and noise."""
+"""Joint fit of several throws: coefficients in common or about a common mean, own
+initial states and noise."""
 
 from __future__ import annotations
 
@@ -33,7 +33,12 @@ from curlfit.inference.joint.posterior import corrected, sampled
 from curlfit.inference.joint.result import JointResult, Variation
 from curlfit.inference.joint.solver import Progress, minimize_jointly
 from curlfit.inference.joint.summary import about_mean
-from curlfit.inference.joint.variation import each_alone, told_by_each, variations_of, wanted_of
+from curlfit.inference.joint.variation import (
+    each_alone,
+    told_by_each,
+    variations_of,
+    wanted_of,
+)
 from curlfit.inference.least_squares import Solution, Tasks
 from curlfit.inference.model import Model
 from curlfit.inference.problem import problem_shape
@@ -61,32 +66,37 @@ def fit_together(
 ) -> JointResult:
     """Fit one law to several throws that share some or all of its coefficients.
 
-    The coefficients of four throws or more vary about their mean: what the throws determine has a
-    standard deviation between throws, estimated by restricted maximum likelihood, and each throw
-    has its own value. The mean may differ between groups of throws and drift.
+    The coefficients of four throws or more vary about their mean: what the throws
+    determine has a standard deviation between throws, estimated by restricted maximum
+    likelihood, and each throw has its own value. The mean may differ between groups of
+    throws and drift.
 
-    The choices hold for all throws; where one is not given, each throw's own applies. The prior of
-    a shared parameter counts once.
+    The choices hold for all throws; where one is not given, each throw's own applies.
+    The prior of a shared parameter counts once.
 
     Parameters
     ----------
-    throws : at least two; each has its own initial state, noise and, if its file says so, stone.
+    throws : at least two; each has its own initial state, noise and, if its file
+        says so, stone.
     law, load : as in `fit`; the defaults of the throws must agree.
-    share : "all" coefficients, or the names of those that are equal in all throws; each throw has
-        its own values of the others. Conditions, such as the slope of the ice, are always equal.
-    by : labels of the throws, such as "sheet", by which they form groups whose means differ.
-    trend : labels, such as "start", along whose numbers or clock times the means change in
-        proportion.
-    seed : of a sample of the posterior of the mean, its effects and the spreads by emcee, for their
-        quantiles; none is taken if not given.
+    share : "all" coefficients, or the names of those that are equal in all throws; each
+        throw has its own values of the others. Conditions, such as the slope of the
+        ice, are always equal.
+    by : labels of the throws, such as "sheet", by which they form groups whose
+        means differ.
+    trend : labels, such as "start", along whose numbers or clock times the means change
+        in proportion.
+    seed : of a sample of the posterior of the mean, its effects and the spreads by
+        emcee, for their quantiles; none is taken if not given.
     progress : called with the number of steps done and chi squared.
     {choices}
 
     Raises
     ------
-    InputError : as in `fit`; fewer than two throws; a name that is not a coefficient; labels that
-        a throw lacks, or that give no groups or numbers.
-    UnusableFitError : a throw has no finite path from the initial values found from its data.
+    InputError : as in `fit`; fewer than two throws; a name that is not a coefficient;
+        labels that a throw lacks, or that give no groups or numbers.
+    UnusableFitError : a throw has no finite path from the initial values found
+        from its data.
 
     Examples
     --------
@@ -101,9 +111,13 @@ def fit_together(
         raise InputError(f"{len(throws)} throw to fit together; expected two or more")
     law = find_law(_common(throws, "law", "front-back") if law is None else law)
     load = _common(throws, "load", "uniform") if load is None else load
-    chosen = [Fitting.of(throw.settings, **choices, law=law, load=load) for throw in throws]
+    chosen = [
+        Fitting.of(throw.settings, **choices, law=law, load=load) for throw in throws
+    ]
     shared = _shared(law, share or "all", chosen[0], mean=bool(by or trend))
-    covariates = Covariates.of([(throw.name, throw.labels) for throw in throws], by, trend)
+    covariates = Covariates.of(
+        [(throw.name, throw.labels) for throw in throws], by, trend
+    )
     together = solved_together(throws, chosen, shared, covariates, progress)
     result, weights = _equal(together, chosen[0].systematics)
     usual = share is None and len(throws) >= _VARYING and chosen[0].loss == "linear"
@@ -119,8 +133,8 @@ def _common(throws: Sequence[Throw], name: str, default: str) -> str:
     for throw, own in zip(throws[1:], others, strict=True):
         if own != first:
             raise InputError(
-                f"{throws[0].name} and {throw.name} state different values of {name}, {first} and "
-                f"{own}; give the one for this fit"
+                f"{throws[0].name} and {throw.name} state different values of {name}, "
+                f"{first} and {own}; give the one for this fit"
             )
     return str(first)
 
@@ -128,14 +142,17 @@ def _common(throws: Sequence[Throw], name: str, default: str) -> str:
 def _shared(
     law: type[Law], share: str | Sequence[str], chosen: Fitting, *, mean: bool
 ) -> tuple[str, ...]:
-    """Names of the shared coefficients. Raises `InputError` for one that the law does not have, or
-    for choices that exclude a `mean` with groups or trends."""
+    """Names of the shared coefficients. Raises `InputError` for one that the law does
+    not have, or for choices that exclude a `mean` with groups or trends."""
     own = tuple(item.name for item in law.coefficients())
-    shared = own if share == "all" else (share,) if isinstance(share, str) else tuple(share)
+    shared = (
+        own if share == "all" else (share,) if isinstance(share, str) else tuple(share)
+    )
     for name in shared:
         if name not in own:
             raise InputError(
-                f"share: law {law.name} has no coefficient {quoted(name)}; it has {', '.join(own)}"
+                f"share: law {law.name} has no coefficient {quoted(name)}; "
+                f"it has {', '.join(own)}"
             )
     if mean and chosen.loss != "linear":
         raise InputError("by, trend: groups and trends are estimated with loss linear")
@@ -168,52 +185,70 @@ def solved_together(
     channels, rows = zip(*(problem_shape(one.throw) for one in prepared), strict=True)
     model = Model(find_law(first.law), first.load, parameters.conditions)
     rounds = Rounds(
-        model, prepared, loss=first.loss, noise=first.noise, shape=(max(channels), max(rows))
+        model,
+        prepared,
+        loss=first.loss,
+        noise=first.noise,
+        shape=(max(channels), max(rows)),
     )
     starts = [
         one.with_start(values, first.start)
         for one, values in zip(prepared, rounds.starts()[1][0], strict=True)
     ]
     tasks = Tasks(
-        rounds.problems, np.stack(starts), *local_bounds(prepared, common)[1:], parameters.typical,
+        rounds.problems,
+        np.stack(starts),
+        *local_bounds(prepared, common)[1:],
+        parameters.typical,
         penalties(prepared, first=True),
-    )  # fmt: skip
+    )
     solution = minimize_jointly(model, tasks, common, progress)
     every = np.arange(len(prepared))
-    while np.isfinite(solution.chi_squared).all() and len(rounds.revise(every, solution)):
+    while np.isfinite(solution.chi_squared).all() and len(
+        rounds.revise(every, solution)
+    ):
         tasks = tasks._replace(start=solution.values, penalty=penalties(prepared))
         solution = minimize_jointly(model, tasks, common, progress)
     for failure in rounds.failures.values():
         raise failure
     if not np.isfinite(solution.chi_squared).all():
         raise UnusableFitError(
-            f"law {model.law.name} with {first.load} load gives no finite path for these throws"
-            + no_motion_because(first.load)
+            f"law {model.law.name} with {first.load} load gives no finite path "
+            "for these throws" + no_motion_because(first.load)
         )
     return Together(rounds, tasks, solution, common, covariates)
 
 
-def _summarized(together: Together, solution: Solution, **known: Any) -> list[FitResult]:
-    records = [together.rounds.record(row, one) for row, one in enumerate(unstacked(solution))]
+def _summarized(
+    together: Together, solution: Solution, **known: Any
+) -> list[FitResult]:
+    records = [
+        together.rounds.record(row, one) for row, one in enumerate(unstacked(solution))
+    ]
     return summarize_many(records, side_by_side(len(records)), **known)
 
 
 def _equal(
     together: Together, given: Mapping[str, float] | None
 ) -> tuple[JointResult, dict[str, Floats]]:
-    """The result where the shared coefficients are equal in all throws, with the systematic errors
-    due to the `given` conditions, and the weights of the parameters in what may vary."""
+    """The result where the shared coefficients are equal in all throws, with the
+    systematic errors due to the `given` conditions, and the weights of the parameters
+    in what may vary."""
     rounds, tasks, solution, common, covariates = together
     widths = widths_of(rounds.model, given, rounds.throws, jointly=True)
     throws = _summarized(together, solution, widths=widths, common=common)
     first, parameters = throws[0], rounds.throws[0].parameters
     shared = tuple(parameters.names_where(common))
     coefficients = {name: first.parameters[name] for name in shared}
-    combinations = tuple(item for item in first.combinations if set(item.weights) <= set(shared))
+    combinations = tuple(
+        item for item in first.combinations if set(item.weights) <= set(shared)
+    )
     reduction = Reduction.of(
         r_factors(solution.jacobian, solution.residual),
-        Bounded(solution.values, tasks.lower, tasks.upper), tasks.typical, common,
-    )  # fmt: skip
+        Bounded(solution.values, tasks.lower, tasks.upper),
+        tasks.typical,
+        common,
+    )
     verdicts = {name: one.verdict for name, one in coefficients.items()}
     if tasks.penalty.informative:  # what varies is what the throws themselves determine
         alone = told_by_data(tasks, solution, reduction, shared)
@@ -226,31 +261,57 @@ def _equal(
     weights = wanted_of(verdicts, combinations, parameters.names)
     plain = rounds.loss == "linear" and rounds.noises[0].kind == "white"
     variation = variations_of(
-        each_alone(solution, tasks, rounds.unknown & plain), tasks.upper > tasks.lower,
-        solution.values[0], weights, tasks.typical, covariates.values,
-    )  # fmt: skip
+        each_alone(solution, tasks, rounds.unknown & plain),
+        tasks.upper > tasks.lower,
+        solution.values[0],
+        weights,
+        tasks.typical,
+        covariates.values,
+    )
     among = {item.expression: item for item in variation if item.significant}
-    open_ = np.array([np.isin(parameters.names, one.covariance["names"]) for one in throws])
+    open_ = np.array(
+        [np.isin(parameters.names, one.covariance["names"]) for one in throws]
+    )
     named = {*shared, *(item.expression for item in combinations)}
-    shifts = {name: by for name, by in first.systematics.shifts.items() if name in named}
+    shifts = {
+        name: by for name, by in first.systematics.shifts.items() if name in named
+    }
     result = JointResult(
-        law=first.law, load=first.load, share=shared, converged=False, status="", warnings=(),
-        coefficients={name: _among(item, among, name) for name, item in coefficients.items()},
-        combinations=tuple(_among(item, among, item.expression) for item in combinations),
+        law=first.law,
+        load=first.load,
+        share=shared,
+        converged=False,
+        status="",
+        warnings=(),
+        coefficients={
+            name: _among(item, among, name) for name, item in coefficients.items()
+        },
+        combinations=tuple(
+            _among(item, among, item.expression) for item in combinations
+        ),
         rank=int(first.rank + reduction.rank[1:].sum()),
-        parameters=int(open_[0, common].sum() + open_[:, ~common].sum()), variation=variation,
+        parameters=int(open_[0, common].sum() + open_[:, ~common].sum()),
+        variation=variation,
         systematics=replace(first.systematics, shifts=shifts),
-    )  # fmt: skip
+    )
     told = {one.expression for one in variation if sum(map(bool, one.each)) >= _FEWEST}
-    of_law = np.isin(parameters.names, [item.name for item in rounds.model.law.coefficients()])
+    of_law = np.isin(
+        parameters.names, [item.name for item in rounds.model.law.coefficients()]
+    )
     return with_throws(result, throws, solution), told_by_each(
-        reduction.rows[..., :-1], tasks.typical * (tasks.upper > tasks.lower)[0],
-        {name: own for name, own in weights.items() if name in told and not own[~of_law].any()},
-    )  # fmt: skip
+        reduction.rows[..., :-1],
+        tasks.typical * (tasks.upper > tasks.lower)[0],
+        {
+            name: own
+            for name, own in weights.items()
+            if name in told and not own[~of_law].any()
+        },
+    )
 
 
 def _among(item: Any, differing: Mapping[str, Variation], name: str) -> Any:
-    """A shared estimate; where throws differ in it, its error is that of the mean over them."""
+    """A shared estimate; where throws differ in it, its error is that of the
+    mean over them."""
     if name not in differing:
         return item
     throws = sum(one is not None for one in differing[name].each)
@@ -267,8 +328,8 @@ def _varying(
         found, solution, others = pool(together, weights, guess)
     except np.linalg.LinAlgError:
         raise UnusableFitError(
-            "how these throws vary cannot be estimated: their coefficients become unbounded; fix "
-            "some of them, or fit with share='all' (--share all)"
+            "how these throws vary cannot be estimated: their coefficients become "
+            "unbounded; fix some of them, or fit with share='all' (--share all)"
         ) from None
     ended = bool(np.all(solution.success))
     draws = sampled(found.fit, guess, seed) if ended else None
@@ -282,8 +343,11 @@ def _varying(
     ]
     spins = np.array([one.parameters["omega0"].value for one in throws])
     result = about_mean(
-        equal, found, together.covariates,
+        equal,
+        found,
+        together.covariates,
         Draw(together.rounds.model, together.rounds.throws[0].stone),
-        (solution.values[:, together.common], spins), draws,
-    )  # fmt: skip
+        (solution.values[:, together.common], spins),
+        draws,
+    )
     return with_throws(result, throws, solution)

@@ -1,9 +1,10 @@
 """Throws whose coefficients vary about a mean that may depend on groups and drift.
 
-Each throw's own parameters are at their optimum for its coefficients; what is left of its residuals
-is to first order a measurement of these. The coefficients follow from the mixed model of all throws
-(`curlfit.numerics.mixed_model`), and both steps alternate until nothing moves: Gauss-Newton on the
-likelihood whose deviations are integrated out by Laplace's approximation.
+Each throw's own parameters are at their optimum for its coefficients; what is left of
+its residuals is to first order a measurement of these. The coefficients follow from the
+mixed model of all throws (`curlfit.numerics.mixed_model`), and both steps alternate
+until nothing moves: Gauss-Newton on the likelihood whose deviations are integrated out
+by Laplace's approximation.
 """
 
 from __future__ import annotations
@@ -70,12 +71,15 @@ class Population(NamedTuple):
     def combinations(
         self, known: Iterable[Combination], before: Iterable[Combination]
     ) -> tuple[Combination, ...]:
-        """Those of the mean, known and, from the ones before the throws varied, what varies."""
+        """Those of the mean, known and, from the ones before the throws varied,
+        what varies."""
         found, size = {one.expression: one for one in known}, len(self.typical)
         for one in before:
             if one.expression in self.weights and one.expression not in found:
                 scaled = self.weights[one.expression] * self.typical
-                value = scaled @ (self.reference / self.typical + self.fit.estimate[:size])
+                value = scaled @ (
+                    self.reference / self.typical + self.fit.estimate[:size]
+                )
                 variance = scaled @ self.fit.covariance[:size, :size] @ scaled
                 stderr = float(variance**0.5)
                 found[one.expression] = replace(one, value=float(value), stderr=stderr)
@@ -85,30 +89,42 @@ class Population(NamedTuple):
         """What all throws say of the common parameters of their mean."""
         size = len(self.typical)
         best = self.fit.estimate[:size]
-        values = _inside(self.reference + self.typical * best, self.typical, *self.bounds)
+        values = _inside(
+            self.reference + self.typical * best, self.typical, *self.bounds
+        )
         bounded = Bounded(values, *self.bounds)
 
         def told(fit: MixedFit) -> Factors:
             mean, matrix = fit.unbounded
             rows = _rows(mean[:size], matrix[:size, :size], best, fit.model.null)
-            return Factors.of(rows / np.append(self.typical, 1.0), bounded, self.typical)
+            return Factors.of(
+                rows / np.append(self.typical, 1.0), bounded, self.typical
+            )
 
         factors = told(self.fit)
         if self.of_data is not self.fit:
             factors = factors._replace(of_data=told(self.of_data).whole)
         return _covariance(names, factors, bounded, self.typical)
 
-    def means(self, names: tuple[str, ...], covariates: Covariates, angle: float) -> Means:
+    def means(
+        self, names: tuple[str, ...], covariates: Covariates, angle: float
+    ) -> Means:
         """The record of the mean; a draw to the tee turns by `angle`."""
         effects = np.zeros(len(self.scale) - len(self.reference))
         return Means(
-            names=names, groups=covariates.groups, trends=covariates.trends, centre=covariates.mean,
+            names=names,
+            groups=covariates.groups,
+            trends=covariates.trends,
+            centre=covariates.mean,
             last=covariates.values[-1],
-            estimate=np.append(self.reference, effects) + self.scale * self.fit.estimate,
+            estimate=np.append(self.reference, effects)
+            + self.scale * self.fit.estimate,
             covariance=self.scale[:, None] * self.fit.covariance * self.scale,
-            directions=self.typical[:, None] * self.fit.model.directions, spreads=self.spreads,
-            dof=self.dof, angle=angle,
-        )  # fmt: skip
+            directions=self.typical[:, None] * self.fit.model.directions,
+            spreads=self.spreads,
+            dof=self.dof,
+            angle=angle,
+        )
 
 
 def _covariance(
@@ -116,14 +132,16 @@ def _covariance(
 ) -> Covariance:
     nothing = np.zeros((1, 1, len(typical)))
     sigmas = Sigmas(np.ones(1, int), np.zeros(1, bool), "linear", len(typical))
-    return Covariance.of(names, bounded, typical, (factors, factors), nothing, sigmas, True)
+    return Covariance.of(
+        names, bounded, typical, (factors, factors), nothing, sigmas, True
+    )
 
 
 def ends_from(
     reference: Floats, typical: Floats, free: Booleans, lower: Floats, upper: Floats
 ) -> tuple[Floats, Floats]:
-    """Bounds in typical sizes from a reference; a parameter that is fixed, which nothing moves, has
-    none."""
+    """Bounds in typical sizes from a reference; a parameter that is fixed, which
+    nothing moves, has none."""
     return (
         np.where(free, (lower - reference) / typical, -np.inf),
         np.where(free, (upper - reference) / typical, np.inf),
@@ -145,15 +163,17 @@ class Together(NamedTuple):
 def pool(
     throws: Together, weights: Mapping[str, Floats], guess: Floats
 ) -> tuple[Population, Solution, Floats]:
-    """The mean of throws and their deviations from it; the throws at their own coefficients; and
-    rows of what the others say of the parameters of each, with the residual as the last column,
-    shape (throws, rows, parameters + 1).
+    """The mean of throws and their deviations from it; the throws at their own
+    coefficients; and rows of what the others say of the parameters of each, with the
+    residual as the last column, shape (throws, rows, parameters + 1).
 
-    Sigmas that were estimated are estimated again as the throws come to their own coefficients.
+    Sigmas that were estimated are estimated again as the throws come to their
+    own coefficients.
 
     Parameters
     ----------
-    weights : of the parameters in what varies, by expression, each of shape (parameters,).
+    weights : of the parameters in what varies, by expression, each of
+        shape (parameters,).
     guess : standard deviations between throws.
     """
     rounds, tasks, solution, common, _ = throws
@@ -170,7 +190,10 @@ def pool(
             solution = at_coefficients(throws, values)
             values = np.array(solution.values)
         solution = rounds.with_own_sigma(solution)
-        reduction, now = reduced(throws, solution), (values[:, common] - reference) / typical
+        reduction, now = (
+            reduced(throws, solution),
+            (values[:, common] - reference) / typical,
+        )
         each = reduction.in_common(typical)
         each[..., :-1] = each[..., :-1] @ seen
         if not step:
@@ -179,7 +202,8 @@ def pool(
             each[..., :-1] = each[..., :-1] @ seen
         prior = _prior(throws, centre, seen)
         model = _model(throws, each, now, directions, prior)
-        if distance > _NEAR:  # afterwards variances stay, which might alternate with zero
+        # afterwards variances stay, which might alternate with zero
+        if distance > _NEAR:
             variances = model.variances(guess**2)
         fit = MixedFit(model, variances, lower, upper)
         centre = reference + typical * fit.estimate[: len(typical)]
@@ -191,12 +215,16 @@ def pool(
             break
         move = move * min(1.0 if step < _USUAL else 0.5, _LARGE / np.abs(move).max())
         steps = reduction.follow[:, :, common] @ (typical[:, None] * move)
-        values = _inside(values + steps[..., 0], tasks.typical, tasks.lower, tasks.upper)
+        values = _inside(
+            values + steps[..., 0], tasks.typical, tasks.lower, tasks.upper
+        )
     others = np.zeros((*told.shape[:2], len(tasks.typical) + 1))
     others[..., np.append(common, True)] = told / np.append(typical, 1.0)
     of_data = fit
     if prior is not None:
-        of_data = MixedFit(_model(throws, each, now, directions), variances, lower, upper)
+        of_data = MixedFit(
+            _model(throws, each, now, directions), variances, lower, upper
+        )
     varying = dict(zip(weights, whole, strict=True))
     ended = np.full(len(values), distance < _SETTLED)
     found = Population(fit, reference, typical, bounds, varying, of_data)
@@ -208,7 +236,8 @@ def at_coefficients(throws: Together, values: Floats, most: int = _STEPS) -> Sol
 
     Parameters
     ----------
-    values : of each throw one set or several, one after another, with its initial state nearby.
+    values : of each throw one set or several, one after another, with its initial
+        state nearby.
     most : steps.
     """
     count, common = len(throws.tasks.start), throws.common
@@ -223,10 +252,12 @@ def at_coefficients(throws: Together, values: Floats, most: int = _STEPS) -> Sol
 def told_by_data(
     tasks: Tasks, solution: Solution, reduction: Reduction, names: Sequence[str]
 ) -> Covariance:
-    """What all throws, or those of which the reduction has rows, say of what they have in common,
-    without priors."""
+    """What all throws, or those of which the reduction has rows, say of what they have
+    in common, without priors."""
     common = reduction.common
-    bounded = Bounded(*(part[0, common] for part in (solution.values, tasks.lower, tasks.upper)))
+    bounded = Bounded(
+        *(part[0, common] for part in (solution.values, tasks.lower, tasks.upper))
+    )
     typical = tasks.typical[common]
     rows = r_factor(reduction.in_common().reshape(-1, len(typical) + 1))
     return _covariance(names, Factors.of(rows, bounded, typical), bounded, typical)
@@ -238,9 +269,11 @@ def _of_throws(throws: Together) -> Penalty:
     return penalty._replace(weight=penalty.weight * ~throws.common)
 
 
-def _prior(throws: Together, centre: Floats, seen: Floats) -> tuple[Floats, Floats] | None:
-    """Rows of the priors of what throws have in common, in typical sizes from the first optimum,
-    on what is seen of it, and what they then give."""
+def _prior(
+    throws: Together, centre: Floats, seen: Floats
+) -> tuple[Floats, Floats] | None:
+    """Rows of the priors of what throws have in common, in typical sizes from the first
+    optimum, on what is seen of it, and what they then give."""
     common, typical = throws.common, throws.tasks.typical[throws.common]
     penalty = Penalty(*(one[0, common] for one in throws.tasks.penalty))
     if not penalty.informative:
@@ -251,16 +284,25 @@ def _prior(throws: Together, centre: Floats, seen: Floats) -> tuple[Floats, Floa
 
 
 def _model(
-    throws: Together, each: Floats, now: Floats, directions: Floats,
+    throws: Together,
+    each: Floats,
+    now: Floats,
+    directions: Floats,
     prior: tuple[Floats, Floats] | None = None,
-) -> MixedModel:  # fmt: skip
-    """The model of throws, of which `each` has rows with the residual as the last column."""
+) -> MixedModel:
+    """The model of throws, of which `each` has rows with the residual as the
+    last column."""
     target = (each[..., :-1] @ now[..., None])[..., 0] - each[..., -1]
-    return MixedModel.of(each[..., :-1], target, directions, throws.covariates.values, prior)
+    return MixedModel.of(
+        each[..., :-1], target, directions, throws.covariates.values, prior
+    )
 
 
-def seen_of(model: MixedModel, variances: Floats, lower: Floats, upper: Floats) -> Floats:
-    """Projection of the mean on what not only its bounds determine, for some variances."""
+def seen_of(
+    model: MixedModel, variances: Floats, lower: Floats, upper: Floats
+) -> Floats:
+    """Projection of the mean on what not only its bounds determine, for
+    some variances."""
     size = len(lower)
     normal = model.parts(model.marginal(variances)[0].sum(0))[0][:size, :size]
     squares, axes = np.linalg.eigh(normal)
@@ -279,15 +321,19 @@ def reduced(throws: Together, solution: Solution) -> Reduction:
 
 
 def _moves(rows: Floats, null: Floats, lower: Floats, upper: Floats) -> Floats:
-    """Steps of throws to the least squares of rows, with the residual as the last column, within
-    bounds."""
+    """Steps of throws to the least squares of rows, with the residual as the last
+    column, within bounds."""
     size = len(null)
-    held = np.broadcast_to(np.pad(null.T, ((0, 0), (0, 1))), (len(rows), null.shape[1], size + 1))
+    held = np.broadcast_to(
+        np.pad(null.T, ((0, 0), (0, 1))), (len(rows), null.shape[1], size + 1)
+    )
     factor = combined(rows, held)[:, :size]
     root = factor[..., :-1]
     found: Any = np.linalg.solve(root, -factor[..., -1:])[..., 0]
     for row in np.flatnonzero(((found < lower) | (found > upper)).any(1)):
-        found[row] = bounded(found[row], root[row], np.eye(size), lower[row], upper[row])
+        found[row] = bounded(
+            found[row], root[row], np.eye(size), lower[row], upper[row]
+        )
     return found
 
 
@@ -298,8 +344,9 @@ def _inside(values: Floats, typical: Floats, lower: Floats, upper: Floats) -> Fl
 
 
 def _rows(mean: Floats, matrix: Floats, at: Floats, null: Floats) -> Floats:
-    """Rows whose squares are the quadratic of normal densities of parameters, at some values, with
-    the residual as the last column; nothing is known along the null directions."""
+    """Rows whose squares are the quadratic of normal densities of parameters, at
+    some values, with the residual as the last column; nothing is known along the
+    null directions."""
     squares, axes = np.linalg.eigh(matrix)
     rows = axes.mT / np.sqrt(np.maximum(squares, _EXACT))[..., None]
     rows = rows - (rows @ null) @ null.T

@@ -1,10 +1,11 @@
 """The posterior of the mean of throws that vary, of its effects and of the spreads.
 
-The throws' own parameters are integrated out by Laplace's approximation, and the mean and the
-effects, whose prior is flat within the bounds, in closed form: what is left is the restricted
-likelihood of the spreads times their prior, which is flat (Gelman 2006, Bayesian Analysis 1, 515).
-emcee samples it. The mean and the effects are normal where the spreads are given; draws with means
-out of bounds are left out. Importance weights then correct for Laplace's approximation.
+The throws' own parameters are integrated out by Laplace's approximation, and the mean
+and the effects, whose prior is flat within the bounds, in closed form: what is left is
+the restricted likelihood of the spreads times their prior, which is flat (Gelman 2006,
+Bayesian Analysis 1, 515). emcee samples it. The mean and the effects are normal where
+the spreads are given; draws with means out of bounds are left out. Importance weights
+then correct for Laplace's approximation.
 """
 
 from __future__ import annotations
@@ -13,7 +14,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from curlfit.inference.joint.population import Population, Together, at_coefficients, reduced
+from curlfit.inference.joint.population import (
+    Population,
+    Together,
+    at_coefficients,
+    reduced,
+)
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.mcmc.ridge import RidgeProposal
 from curlfit.inference.mcmc.sampler import ENSEMBLES, Run
@@ -29,10 +35,12 @@ _FEW_THROWS, _TRIED = 100, (16, 48)  # draws for which throws are evaluated
 _STEPS_NEAR = 8  # to the optimum of an initial state from a first-order one
 _QUADRATIC = 1e-3  # variance of logarithms of weights that change nothing
 _RIDGE = 1e-4  # over the mean square of the kernel
-_WIDER, _WIDEST = 1.5, 1.0  # proposals: over the normal density at the optimum, and in logarithms
+# proposals: over the normal density at the optimum, and in logarithms
+_WIDER, _WIDEST = 1.5, 1.0
 _STEP, _FAR = 0.05, 12.0  # of differences, and the largest, in logarithms
 _EXACT = 1e-9  # typical sizes
-_NO_PART = 1e-6  # of a parameter in what nothing determines, where its bounds say nothing
+# of a parameter in what nothing determines, where its bounds say nothing
+_NO_PART = 1e-6
 _SIZE = 50_000  # throws times draws at a time
 
 
@@ -51,16 +59,19 @@ class Draws(NamedTuple):
 
 
 class _OfSpreads(Run):
-    """A chain of the spreads about their optimum, in the inverse hyperbolic sine of these over
-    their size: with few throws their density has long tails."""
+    """A chain of the spreads about their optimum, in the inverse hyperbolic sine of
+    these over their size: with few throws their density has long tails."""
 
-    def __init__(self, model: MixedModel, optimum: Floats, size: Floats, seed: int) -> None:
+    def __init__(
+        self, model: MixedModel, optimum: Floats, size: Floats, seed: int
+    ) -> None:
         self._model, number = model, len(optimum)
         self._size = np.maximum(optimum, size)
         self.names, self.free = tuple(map(str, range(number))), np.ones(number, bool)
         centre = np.arcsinh(optimum / self._size)
 
-        def slope(at: Floats) -> Floats:  # the density is even, and smooth where a spread is zero
+        # the density is even, and smooth where a spread is zero
+        def slope(at: Floats) -> Floats:
             return slopes(lambda where: self._even(where[None])[0], at, _STEP)
 
         curved = -slopes(slope, centre, _STEP)
@@ -68,13 +79,24 @@ class _OfSpreads(Run):
         covariance = axes / np.maximum(squares, _WIDEST**-2) @ axes.T
         # where zero is near, the density is sampled on both of its sides
         even = centre < 2 * np.sqrt(np.diagonal(covariance))
-        self.lower, self.upper, self.subject = np.where(even, -_FAR, 0.0), np.full(number, _FAR), {}
+        self.lower, self.upper, self.subject = (
+            np.where(even, -_FAR, 0.0),
+            np.full(number, _FAR),
+            {},
+        )
         squares, axes = np.linalg.eigh(covariance + np.diag(even * centre**2))
         none, nowhere = np.zeros(0), np.zeros(0, int)
         self.proposal = RidgeProposal(
-            np.where(even, 0.0, centre), np.ones(number), axes.T, _WIDER * np.sqrt(squares),
-            nowhere, none, none, nowhere, none,
-        )  # fmt: skip
+            np.where(even, 0.0, centre),
+            np.ones(number),
+            axes.T,
+            _WIDER * np.sqrt(squares),
+            nowhere,
+            none,
+            none,
+            nowhere,
+            none,
+        )
         super().__init__(seed, _WALKERS)
 
     def whole(self, free_values: Floats) -> Floats:
@@ -86,7 +108,9 @@ class _OfSpreads(Run):
         """That of the restricted likelihood, where the prior of spreads is flat."""
         within = np.clip(free_values, self.lower, self.upper)
         count = max(1, len(within) * len(self._model.products) // _SIZE)
-        found = np.concatenate([self._even(some) for some in np.array_split(within, count)])
+        found = np.concatenate(
+            [self._even(some) for some in np.array_split(within, count)]
+        )
         return np.where((within == free_values).all(1), found, -np.inf)
 
     def _even(self, free_values: Floats) -> Floats:
@@ -95,8 +119,9 @@ class _OfSpreads(Run):
 
 
 def sampled(fit: MixedFit, size: Floats, seed: int | None) -> Draws | None:
-    """Draws from the posterior; none without a seed, where a bound holds a mean or bounds leave few
-    draws, of many throws, or of so few that it is improper (Gelman 2006, sect. 3.2).
+    """Draws from the posterior; none without a seed, where a bound holds a mean or
+    bounds leave few draws, of many throws, or of so few that it is improper (Gelman
+    2006, sect. 3.2).
 
     Parameters
     ----------
@@ -111,7 +136,9 @@ def sampled(fit: MixedFit, size: Floats, seed: int | None) -> Draws | None:
     flat = run.chain().flat
     found = flat[np.linspace(0, len(flat) - 1, _KEPT).astype(int)]
     estimates = []
-    for some in np.array_split(found, max(1, len(found) * len(model.products) // _SIZE)):
+    for some in np.array_split(
+        found, max(1, len(found) * len(model.products) // _SIZE)
+    ):
         mean, root = _given(model, some)
         noise = random.standard_normal((*mean.shape, 1))
         estimates.append(mean + np.linalg.solve(root.mT, noise)[..., 0])
@@ -126,7 +153,8 @@ def sampled(fit: MixedFit, size: Floats, seed: int | None) -> Draws | None:
 
 
 def _given(model: MixedModel, spreads: Floats) -> tuple[Floats, Floats]:
-    """The mean and the effects for some spreads, and Cholesky roots of their information."""
+    """The mean and the effects for some spreads, and Cholesky roots of
+    their information."""
     normal, right, _ = model.parts(model.marginal_sum(spreads**2)[0])
     root: Any = np.linalg.cholesky(normal)
     mean: Any = np.linalg.solve(normal, right[..., None])
@@ -136,12 +164,12 @@ def _given(model: MixedModel, spreads: Floats) -> tuple[Floats, Floats]:
 def corrected(
     throws: Together, found: Population, solution: Solution, draws: Draws, seed: int
 ) -> Draws:
-    """Draws weighted by the likelihood of the throws over the quadratic one, and drawn again; the
-    same where the throws are many.
+    """Draws weighted by the likelihood of the throws over the quadratic one, and drawn
+    again; the same where the throws are many.
 
-    Given the population, the weight is a product over throws. Of each, with its initial state at
-    the optimum for its coefficients, the factor is computed for some draws of these; for all others
-    it follows by kernel regression.
+    Given the population, the weight is a product over throws. Of each, with its initial
+    state at the optimum for its coefficients, the factor is computed for some draws of
+    these; for all others it follows by kernel regression.
 
     Parameters
     ----------
@@ -159,7 +187,8 @@ def corrected(
     for tried in _TRIED:
         some = np.linspace(0, number - 1, tried).astype(int)
         start = (
-            values[:, None] + (each[:, some] * found.typical) @ reduction.follow[:, :, common].mT
+            values[:, None]
+            + (each[:, some] * found.typical) @ reduction.follow[:, :, common].mT
         )
         true = at_coefficients(throws, start.reshape(-1, values.shape[1]), _STEPS_NEAR)
         left = each[:, some] @ rows[..., :-1].mT + rows[:, None, :, -1]
@@ -173,16 +202,22 @@ def corrected(
     weights /= weights.sum()
     again = random.choice(number, _KEPT, p=weights)
     return draws._replace(
-        estimate=draws.estimate[again], spreads=draws.spreads[again],
+        estimate=draws.estimate[again],
+        spreads=draws.spreads[again],
         efficiency=float(1 / (number * (weights**2).sum())),
-    )  # fmt: skip
+    )
 
 
 def _of_throw(
-    fit: MixedFit, rows: Floats, now: Floats, covariates: Floats, draws: Draws, random: Any
+    fit: MixedFit,
+    rows: Floats,
+    now: Floats,
+    covariates: Floats,
+    draws: Draws,
+    random: Any,
 ) -> Floats:
-    """Draws of the coefficients of a throw less those it has now, from what its rows say and each
-    draw of the population; shape (draws, coefficients)."""
+    """Draws of the coefficients of a throw less those it has now, from what its rows
+    say and each draw of the population; shape (draws, coefficients)."""
     model, ends = fit.model, (fit.lower - now, fit.upper - now)
     mean = draws.estimate @ fit.at(covariates).T - now
     mean = mean - mean @ model.null @ model.null.T
@@ -198,12 +233,15 @@ def _of_throw(
 
 
 def _regression(at: Floats, some: Any, values: Floats) -> Floats:
-    """What is known at some points at all of them, shape (points, dimensions), by kernel ridge
-    regression on polynomials of fourth degree; within the range of what is known."""
+    """What is known at some points at all of them, shape (points, dimensions), by
+    kernel ridge regression on polynomials of fourth degree; within the range of
+    what is known."""
     centre = values.mean()
     scale = np.sqrt((at[some] ** 2).sum(1).mean())
     inner = at @ at[some].T / scale**2
     kernel = sum(inner**power for power in range(5))
-    system = kernel[some] + _RIDGE * np.trace(kernel[some]) / len(values) * np.eye(len(values))
+    system = kernel[some] + _RIDGE * np.trace(kernel[some]) / len(values) * np.eye(
+        len(values)
+    )
     found: Floats = centre + kernel @ np.linalg.solve(system, values - centre)
     return np.clip(found, values.min(), values.max())

@@ -38,10 +38,11 @@ class Variation:
     ----------
     expression : the coefficient or combination.
     each : estimate and standard error from each throw alone, None where it gives none.
-    p_value : probability of differences at least as large if the throws agree, apart from groups
-        and trends (chi squared).
+    p_value : probability of differences at least as large if the throws agree, apart
+        from groups and trends (chi squared).
     spread : standard deviation between throws beyond what the errors explain.
-    mean, stderr : mean over such throws and its standard error, including the spread between them.
+    mean, stderr : mean over such throws and its standard error, including the spread
+        between them.
     shared_stderr : standard error of an estimate of equal values as one of this mean.
     significant : p_value below 0.01.
     quantiles : of the posterior of the spread; empty if it was not sampled.
@@ -89,9 +90,10 @@ class SeparateFits:
 
     Attributes
     ----------
-    file : the table. throws : their number. stone : of most. notes : remarks on what was read.
-    starts : how the last one with some "labels" began, "start" by component; none where each throw
-        has conditions of its own.
+    file : the table. throws : their number. stone : of most. notes : remarks on
+        what was read.
+    starts : how the last one with some "labels" began, "start" by component; none where
+        each throw has conditions of its own.
     duration : of the longest record, s.
     speeds, spins : lowest and highest speed (m/s), and spin (rad/s) of either sense.
     null_directions : of what they have in common.
@@ -116,28 +118,32 @@ class JointResult(NamedEstimates):
     ----------
     law, load, share : what was fitted; names of the shared coefficients.
     converged, status, warnings : whether the fit may be used, and why it may mislead.
-    means : how the mean depends on groups and trends, and throws vary about it; None if the
-        coefficients are equal in all throws.
-    coefficients : the shared ones, by name: those of the mean of the throws, or the equal ones.
-        Where throws differ in one that is taken as equal, its standard error is that of an estimate
-        of the mean over such throws, with one degree of freedom less than throws.
-    combinations : what is determined where single shared coefficients are not; likewise.
-    rank, parameters : directions that the throws determine together, and number of free parameters,
-        not counting what varies.
+    means : how the mean depends on groups and trends, and throws vary about it; None if
+        the coefficients are equal in all throws.
+    coefficients : the shared ones, by name: those of the mean of the throws, or the
+        equal ones. Where throws differ in one that is taken as equal, its standard
+        error is that of an estimate of the mean over such throws, with one degree of
+        freedom less than throws.
+    combinations : what is determined where single shared coefficients are
+        not; likewise.
+    rank, parameters : directions that the throws determine together, and number of free
+        parameters, not counting what varies.
     variation : of each determined shared coefficient or combination.
-    groups, differences, trend : the mean of all throws and of each group, the differences of groups
-        from the first one of the same label, and the change of the mean along a trend; of each
-        quantity that varies, and of a draw to the tee.
-    throws : a `FitResult` for each throw, with its own coefficients if these vary; its standard
-        errors and its information are those of the joint fit, so that predictions from it use all
-        throws.
+    groups, differences, trend : the mean of all throws and of each group, the
+        differences of groups from the first one of the same label, and the change of
+        the mean along a trend; of each quantity that varies, and of a draw to the tee.
+    throws : a `FitResult` for each throw, with its own coefficients if these vary; its
+        standard errors and its information are those of the joint fit, so that
+        predictions from it use all throws.
     r_hat : largest of the spreads, if the posterior was sampled.
-    importance : efficiency of the importance weights by which the likelihood of throws with given
-        sigmas is not taken as quadratic: one if they are equal; None without them.
-    chain : draws of the posterior, of what varies, of its groups, trends and spreads; saved as
-        `chain.h5` beside the record.
+    importance : efficiency of the importance weights by which the likelihood of throws
+        with given sigmas is not taken as quadratic: one if they are equal; None
+        without them.
+    chain : draws of the posterior, of what varies, of its groups, trends and spreads;
+        saved as `chain.h5` beside the record.
     table : of separate fits, in place of the throws.
-    systematics : errors of what is shared due to the conditions that the fit holds fixed.
+    systematics : errors of what is shared due to the conditions that the fit
+        holds fixed.
     derived : quantities requested by `--derive` and `with_derived`.
 
     Examples
@@ -212,16 +218,23 @@ class JointResult(NamedEstimates):
         'determined'
         """
         if not self.throws:
-            raise InputError("a fit of a table has no derived quantities; give them to the batch")
+            raise InputError(
+                "a fit of a table has no derived quantities; give them to the batch"
+            )
         known = self.throws[0].first_order
         shared = {
-            name: item for name, item in known.parameters.items() if name in self.coefficients
+            name: item
+            for name, item in known.parameters.items()
+            if name in self.coefficients
         }
         inside = [row for row, name in enumerate(known.names) if name in shared]
         matrix = np.array(known.covariance["matrix"])[np.ix_(inside, inside)]
         own = known._replace(
             parameters=shared,
-            covariance={"names": [known.names[row] for row in inside], "matrix": matrix},
+            covariance={
+                "names": [known.names[row] for row in inside],
+                "matrix": matrix,
+            },
             combinations=self.combinations,
         )
         return derive(own, expression)
@@ -258,7 +271,8 @@ class JointResult(NamedEstimates):
         return replace(found, throws=throws, chain=chain)
 
     def save(self, file: str | PathLike[str]) -> None:
-        """Write the record as JSON, and the draws beside it, each whole or not at all."""
+        """Write the record as JSON, and the draws beside it, each whole
+        or not at all."""
         super().save(file)
         if self.chain is not None:
             self.chain.save(Path(file).with_name("chain.h5"))
@@ -267,15 +281,29 @@ class JointResult(NamedEstimates):
     def subject(self) -> dict[str, str]:
         """What identifies its draws."""
         means = self.means
-        return {} if means is None else {"means": digest(means.estimate, means.covariance)}
+        return (
+            {} if means is None else {"means": digest(means.estimate, means.covariance)}
+        )
 
     def require_consistent(self) -> None:
         """Raise `ValueError` where what was read contradicts itself."""
-        require("share", set(self.share) <= self.coefficients.keys(), "names of coefficients")
+        require(
+            "share",
+            set(self.share) <= self.coefficients.keys(),
+            "names of coefficients",
+        )
         if self.table and self.table.starts:
-            require("table", self.table.speeds.size * self.table.spins.size > 0, "speeds and spins")
+            require(
+                "table",
+                self.table.speeds.size * self.table.spins.size > 0,
+                "speeds and spins",
+            )
         for one in self.variation:
-            require("variation", len(one.each) == len(self.variation[0].each), "equal lengths")
+            require(
+                "variation",
+                len(one.each) == len(self.variation[0].each),
+                "equal lengths",
+            )
 
     def with_law(self, law: str | type[Law] | None) -> JointResult:
         """The result, whose law is that of a user's file; see `FitResult.with_law`."""
@@ -288,8 +316,8 @@ _Throws = keys(throws=list[Annotated[dict[str, Any], keys(file=str)]])
 
 
 def folder_names(throws: Sequence[str]) -> list[str]:
-    """The folders of throws beside `joint.json`: `evening-3` for row 3 of `evening.csv`; before
-    names that are alike stands the folder of the file."""
+    """The folders of throws beside `joint.json`: `evening-3` for row 3 of
+    `evening.csv`; before names that are alike stands the folder of the file."""
     alike = Counter(map(folder_name, set(throws)))
     return [
         safe_name(f"{Path(throw).parent.name}-{name}") if alike[name] > 1 else name
@@ -298,7 +326,8 @@ def folder_names(throws: Sequence[str]) -> list[str]:
 
 
 def folder_name(throw: str) -> str:
-    """The folder of a throw beside `joint.json`: `evening-3` for row 3 of `evening.csv`."""
+    """The folder of a throw beside `joint.json`: `evening-3` for row 3
+    of `evening.csv`."""
     file, number = file_and_number(throw)
     return safe_name("-".join(filter(None, [Path(file).stem, number])))
 
@@ -312,12 +341,15 @@ def warnings_of(throws: Sequence[FitResult]) -> list[str]:
     found = []
     for warning, some in files.items():
         named = some if len(some) <= _NAMED else [*some[:2], f"{len(some) - 2} more"]
-        found.append(warning if len(some) == len(throws) else f"{join_words(named)}: {warning}")
+        found.append(
+            warning if len(some) == len(throws) else f"{join_words(named)}: {warning}"
+        )
     return found
 
 
 def load_joint(file: str | PathLike[str]) -> JointResult:
-    """Read a saved joint fit from its folder or `joint.json`, with the single throws beside it.
+    """Read a saved joint fit from its folder or `joint.json`, with the single
+    throws beside it.
 
     Raises
     ------

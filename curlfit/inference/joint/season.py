@@ -1,7 +1,7 @@
 """Throws that were fitted one by one, about a mean that may depend on groups and drift.
 
-To first order about its optimum, the log-likelihood of a throw is a quadratic in the coefficients
-of the law, and that is all that a second fit needs of it.
+To first order about its optimum, the log-likelihood of a throw is a quadratic in the
+coefficients of the law, and that is all that a second fit needs of it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,12 @@ from curlfit.inference.joint.population import Population, ends_from, seen_of
 from curlfit.inference.joint.posterior import sampled
 from curlfit.inference.joint.result import JointResult, SeparateFits, Variation
 from curlfit.inference.joint.summary import about_mean
-from curlfit.inference.joint.variation import Alone, told_by_each, variations_of, wanted_of
+from curlfit.inference.joint.variation import (
+    Alone,
+    told_by_each,
+    variations_of,
+    wanted_of,
+)
 from curlfit.inference.model import Model
 from curlfit.inference.parameters import START
 from curlfit.inference.problem import LEVEL_AND_STILL
@@ -72,15 +77,26 @@ class Season(NamedTuple):
         }
         starts = [
             {"labels": dict(labels)}
-            | {"start": {item.name: float(self.start[row, k]) for k, item in enumerate(START)}}
+            | {
+                "start": {
+                    item.name: float(self.start[row, k]) for k, item in enumerate(START)
+                }
+            }
             for labels, row in sorted(last_of.items(), key=itemgetter(1))
         ]
         return SeparateFits(
-            self.file, len(self.told), self.stone, self.notes, tuple(starts),
-            float(self.durations.max()), np.array([speeds.min(), speeds.max()]),
-            np.array([end for one in senses if len(one) for end in (one.min(), one.max())]),
+            self.file,
+            len(self.told),
+            self.stone,
+            self.notes,
+            tuple(starts),
+            float(self.durations.max()),
+            np.array([speeds.min(), speeds.max()]),
+            np.array(
+                [end for one in senses if len(one) for end in (one.min(), one.max())]
+            ),
             null_directions,
-        )  # fmt: skip
+        )
 
 
 class _Quadratics(NamedTuple):
@@ -127,20 +143,27 @@ class _Quadratics(NamedTuple):
         model = MixedModel.of(self.rows @ seen, target, directions, columns)
         variances = model.variances(spreads**2) if len(spreads) else spreads
         fit = MixedFit(model, variances, *ends)
-        return Population(fit, self.reference, self.typical, self.bounds, dict(weights), fit)
+        return Population(
+            fit, self.reference, self.typical, self.bounds, dict(weights), fit
+        )
 
     def equal(self, share: float = 1.0) -> tuple[Covariance, dict[str, Estimate]]:
-        """What all throws say if they are equal, or what a share of their information does."""
+        """What all throws say if they are equal, or what a share of their
+        information does."""
         none, root = np.zeros((len(self.rows), 0)), share**0.5
         some = self._replace(rows=root * self.rows, target=root * self.target)
-        known = some.population({}, none, none[0]).of_mean([item.name for item in self.items])
+        known = some.population({}, none, none[0]).of_mean(
+            [item.name for item in self.items]
+        )
         found = {}
         for row, item in enumerate(self.items):
             verdict = known.classified(row)[1] if self.free[row] else "fixed"
             found[item.name] = Estimate.of(item, float(self.reference[row]), verdict)
         return known, found
 
-    def variations(self, wanted: Mapping[str, Floats], covariates: Floats) -> tuple[Variation, ...]:
+    def variations(
+        self, wanted: Mapping[str, Floats], covariates: Floats
+    ) -> tuple[Variation, ...]:
         """Of what has these weights, as each throw alone gives it."""
         free, typical = self.free, self.typical
         at = Bounded(*(part[free] for part in (self.reference, *self.bounds)))
@@ -153,7 +176,10 @@ class _Quadratics(NamedTuple):
 
 
 def mean_of(
-    season: Season, by: str | Sequence[str], trend: str | Sequence[str], seed: int | None
+    season: Season,
+    by: str | Sequence[str],
+    trend: str | Sequence[str],
+    seed: int | None,
 ) -> JointResult:
     """The mean of throws, how they vary about it, and what groups and trends do.
 
@@ -163,39 +189,55 @@ def mean_of(
 
     Raises
     ------
-    InputError : too few throws; labels that a throw lacks, or that give no groups or numbers;
-        throws that determine nothing.
+    InputError : too few throws; labels that a throw lacks, or that give no groups or
+        numbers; throws that determine nothing.
     """
     count = len(season.told)
     if count < _FEWEST:
-        raise InputError(f"{season.file}: {count} usable throws; expected {_FEWEST} or more")
+        raise InputError(
+            f"{season.file}: {count} usable throws; expected {_FEWEST} or more"
+        )
     covariates = Covariates.of(season.labels, by, trend)
     throws = _Quadratics.of(season)
     known, coefficients = throws.equal()
     if any(item.verdict == "at bound" for item in coefficients.values()):
-        # What one throw leaves open may have gone there to explain what differs between them.
+        # What one throw leaves open may have gone there to explain what differs
+        # between them.
         known, coefficients = throws.equal(1 / count)
     verdicts = {name: item.verdict for name, item in coefficients.items()}
     wanted = wanted_of(verdicts, known.combinations, tuple(coefficients))
-    variation = {one.expression: one for one in throws.variations(wanted, covariates.values)}
+    variation = {
+        one.expression: one for one in throws.variations(wanted, covariates.values)
+    }
     weights = told_by_each(
-        season.told[..., :-1], throws.typical * throws.free,
+        season.told[..., :-1],
+        throws.typical * throws.free,
         {name: wanted[name] for name in variation},
-    )  # fmt: skip
+    )
     if not weights:
         raise InputError(f"{season.file}: a throw determines no coefficient by itself")
     equal = JointResult(
-        law=season.model.law.name, load=season.model.load, share=tuple(coefficients),
-        converged=True, status=f"converged ({count} throws that were fitted one by one)",
-        warnings=(), coefficients=coefficients, combinations=known.combinations,
-        rank=known.identifiability.rank, parameters=int(throws.free.sum()),
+        law=season.model.law.name,
+        load=season.model.load,
+        share=tuple(coefficients),
+        converged=True,
+        status=f"converged ({count} throws that were fitted one by one)",
+        warnings=(),
+        coefficients=coefficients,
+        combinations=known.combinations,
+        rank=known.identifiability.rank,
+        parameters=int(throws.free.sum()),
         variation=tuple(variation.values()),
         table=season.summary(covariates.groups, known.identifiability.null_directions),
-    )  # fmt: skip
+    )
     spreads = np.array([variation[name].first_spread for name in weights])
     found = throws.population(weights, covariates.values, spreads)
     some = np.linspace(0, count - 1, min(count, _TURNING)).astype(int)
     return about_mean(
-        equal, found, covariates, Draw(season.model, season.stone),
-        (season.values[some], season.start[some, -1]), sampled(found.fit, spreads, seed),
-    )  # fmt: skip
+        equal,
+        found,
+        covariates,
+        Draw(season.model, season.stone),
+        (season.values[some], season.start[some, -1]),
+        sampled(found.fit, spreads, seed),
+    )

@@ -1,7 +1,8 @@
 """The optimum of several throws that have parameters in common.
 
-The normal matrix has the shape of an arrow (`curlfit.numerics.arrow_matrix`): each throw depends on
-the common parameters and its own only, so that time and memory grow in proportion to the throws.
+The normal matrix has the shape of an arrow (`curlfit.numerics.arrow_matrix`): each
+throw depends on the common parameters and its own only, so that time and memory grow in
+proportion to the throws.
 """
 
 from __future__ import annotations
@@ -20,24 +21,31 @@ from curlfit.numerics.batches import FEW, stacked
 
 Progress = Callable[[int, float], None]
 
-_TOGETHER = 4  # throws are computed in multiples of this many, so that few shapes are compiled
+# throws are computed in multiples of this many, so that few shapes are compiled
+_TOGETHER = 4
 JOINT = Control(1e-3, 1e-12, 1e-16)
 
 
 def minimize_jointly(
-    model: Model, throws: Tasks, common: Booleans, progress: Progress | None = None,
+    model: Model,
+    throws: Tasks,
+    common: Booleans,
+    progress: Progress | None = None,
     how: Control = JOINT,
-) -> Solution:  # fmt: skip
+) -> Solution:
     """The optimum of throws together, each along the first axis of the fields.
 
     Parameters
     ----------
-    throws : as for fits of each alone; equal bounds and priors of what they have in common.
+    throws : as for fits of each alone; equal bounds and priors of what they
+        have in common.
     common : which parameters these are, shape (parameters of a throw,).
-    progress : called at the end with the number of steps, chi squared and that of the priors.
+    progress : called at the end with the number of steps, chi squared and that
+        of the priors.
     """
     count = len(throws.start)
-    # Throws of no weight, whose parameters are fixed, make it a multiple of `_TOGETHER`.
+    # Throws of no weight, whose parameters are fixed, make it a multiple
+    # of `_TOGETHER`.
     every = np.minimum(np.arange(count + -count % _TOGETHER), count - 1)
     padded = jax.tree.map(np.array, throws.at(every))
     padded.problems.weight[count:] = 0.0
@@ -61,6 +69,10 @@ def minimize_jointly(
     if progress is not None:
         progress(int(found.steps), float(found.chi_squared.sum() + found.penalty))
     return Solution(
-        values, found.residual[:count], found.jacobian[:count], np.full(count, found.steps),
-        np.full(count, found.success), throws.penalty.chi_squared(values),
-    )  # fmt: skip
+        values,
+        found.residual[:count],
+        found.jacobian[:count],
+        np.full(count, found.steps),
+        np.full(count, found.success),
+        throws.penalty.chi_squared(values),
+    )

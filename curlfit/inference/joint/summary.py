@@ -37,8 +37,8 @@ def about_mean(
 
     Parameters
     ----------
-    throws : vectors of the common parameters and initial spins of throws, whose draws to the tee
-        have the usual angle.
+    throws : vectors of the common parameters and initial spins of throws, whose draws
+        to the tee have the usual angle.
     draws : from the posterior of the population.
     """
     names = tuple(equal.coefficients)
@@ -60,7 +60,9 @@ def about_mean(
         importance=None if draws is None else draws.efficiency,
         means=means,
         coefficients={
-            name: one if one.verdict == "fixed" else _of_mean(one, known, row, found.dof)
+            name: one
+            if one.verdict == "fixed"
+            else _of_mean(one, known, row, found.dof)
             for row, (name, one) in enumerate(equal.coefficients.items())
         },
         combinations=found.combinations(known.combinations, equal.combinations),
@@ -82,32 +84,47 @@ def about_mean(
     return replace(result, chain=_chain(found, means, draws, result.subject))
 
 
-def _chain(found: Population, means: Means, draws: Draws, subject: dict[str, str]) -> Chain:
+def _chain(
+    found: Population, means: Means, draws: Draws, subject: dict[str, str]
+) -> Chain:
     """The draws of what varies."""
     size = len(found.typical)
     weights = np.array([*found.weights.values()])
     of_mean = (found.reference + found.typical * draws.estimate[:, :size]) @ weights.T
-    values = np.concatenate([of_mean, draws.estimate[:, size:], draws.spreads], 1)[:, None]
+    values = np.concatenate([of_mean, draws.estimate[:, size:], draws.spreads], 1)[
+        :, None
+    ]
     changes = [
-        f"{by} {one} - {members[0]}" for by, members in means.groups.items() for one in members[1:]
+        f"{by} {one} - {members[0]}"
+        for by, members in means.groups.items()
+        for one in members[1:]
     ] + [f"{along} per {unit}" for along, unit in means.trends.items()]
     varies = list(found.weights)
     return Chain(
         names=(
-            *varies, *(f"{change}: {name}" for change in changes for name in varies),
+            *varies,
+            *(f"{change}: {name}" for change in changes for name in varies),
             *(f"spread of {name}" for name in varies),
         ),
-        values=values, log_posterior=np.full(values.shape[:2], np.nan), discarded=0, ensembles=1,
-        seed=draws.seed, subject=subject,
-    )  # fmt: skip
+        values=values,
+        log_posterior=np.full(values.shape[:2], np.nan),
+        discarded=0,
+        ensembles=1,
+        seed=draws.seed,
+        subject=subject,
+    )
 
 
 def _of_mean(item: Estimate, known: Covariance, row: int, dof: float) -> Estimate:
     stderr, verdict, _ = known.classified(row)
     return replace(
-        item, value=float(known.values[row]), stderr=stderr, verdict=verdict,
-        dof=None if stderr is None else dof, reason=weakness(verdict, item.typical),
-    )  # fmt: skip
+        item,
+        value=float(known.values[row]),
+        stderr=stderr,
+        verdict=verdict,
+        dof=None if stderr is None else dof,
+        reason=weakness(verdict, item.typical),
+    )
 
 
 class _Quantities(NamedTuple):
@@ -138,33 +155,46 @@ class _Quantities(NamedTuple):
         drawn = draw.quantities(
             np.concatenate([[centre], centre + steps, centre - steps]), means.angle
         )
-        slopes = (drawn[1 : size + 1] - drawn[size + 1 :]).T / (2 * _STEP * found.typical)
+        slopes = (drawn[1 : size + 1] - drawn[size + 1 :]).T / (
+            2 * _STEP * found.typical
+        )
         shown = [name for name in DRAW if name != "curl" or drawn[0, 1] > _FLAT]
         weights = np.array([*found.weights.values()])
         return cls(
-            means, draw,
+            means,
+            draw,
             {name: units.get(name, "1") for name in found.weights}
             | {name: DRAW[name] for name in shown},
-            weights, np.concatenate([weights, slopes[np.isin([*DRAW], shown)]]),
-            found.scale * (draws.estimate - found.fit.estimate) if draws else np.zeros((0, size)),
-        )  # fmt: skip
+            weights,
+            np.concatenate([weights, slopes[np.isin([*DRAW], shown)]]),
+            found.scale * (draws.estimate - found.fit.estimate)
+            if draws
+            else np.zeros((0, size)),
+        )
 
     def effects(self) -> tuple[list[Effect], list[Effect], list[Effect]]:
-        """Of all throws and of the groups; differences of these from the first one of the same
-        label; and one unit along the trends."""
+        """Of all throws and of the groups; differences of these from the first one of
+        the same label; and one unit along the trends."""
         means, nothing = self.means, self.means.of_groups({})
         groups = self._effects(means.at(nothing), self._values(nothing[None])[0])
         differences: list[Effect] = []
         trend: list[Effect] = []
         for by, members in means.groups.items():
             columns = np.array([means.of_groups({by: one}) for one in members])
-            each = list(zip(members, means.at(columns), self._values(columns), strict=True))
+            each = list(
+                zip(members, means.at(columns), self._values(columns), strict=True)
+            )
             first, to, values = each[0]
             for group, own, of_group in each:
                 groups += self._effects(own, of_group, by=by, group=group)
                 if group != first:
                     differences += self._effects(
-                        own - to, of_group - values, tested=True, by=by, group=group, against=first
+                        own - to,
+                        of_group - values,
+                        tested=True,
+                        by=by,
+                        group=group,
+                        against=first,
                     )
         for along, unit in means.trends.items():
             to = means.at(means.along_trend(along)) - means.at(0 * nothing)
@@ -173,7 +203,8 @@ class _Quantities(NamedTuple):
         return groups, differences, trend
 
     def _values(self, columns: Floats) -> Floats:
-        """The quantities where covariates have some values, shape (points, quantities)."""
+        """The quantities where covariates have some values, shape
+        (points, quantities)."""
         points = self.means.at(columns) @ self.means.estimate
         drawn = self.draw.quantities(points, self.means.angle)
         return np.concatenate(
@@ -181,12 +212,21 @@ class _Quantities(NamedTuple):
         )
 
     def _effects(
-        self, to: Floats, values: Floats, *, tested: bool = False, per: str = "1", by: str = "",
+        self,
+        to: Floats,
+        values: Floats,
+        *,
+        tested: bool = False,
+        per: str = "1",
+        by: str = "",
         **group: str,
-    ) -> list[Effect]:  # fmt: skip
-        """Values whose changes are the slopes times `to`, a matrix, times those of the estimate."""
+    ) -> list[Effect]:
+        """Values whose changes are the slopes times `to`, a matrix, times those of
+        the estimate."""
         matrix, dof, made = self.slopes @ to, self.means.dof, []
-        errors = np.sqrt(np.einsum("ij,jk,ik->i", matrix, self.means.covariance, matrix))
+        errors = np.sqrt(
+            np.einsum("ij,jk,ik->i", matrix, self.means.covariance, matrix)
+        )
         for row, (name, unit) in enumerate(self.units.items()):
             value, error = float(values[row]), float(errors[row])
             p = 2 * float(stdtr(dof, -abs(value) / error)) if tested and error else None
@@ -194,6 +234,16 @@ class _Quantities(NamedTuple):
             samples = value + self.off @ matrix[row] if len(self.off) else None
             quantiles = {} if samples is None else quantiles_of(samples)
             made.append(
-                Effect(name, value, error, dof, p, by, unit=unit, quantiles=quantiles, **group)
+                Effect(
+                    name,
+                    value,
+                    error,
+                    dof,
+                    p,
+                    by,
+                    unit=unit,
+                    quantiles=quantiles,
+                    **group,
+                )
             )
         return made

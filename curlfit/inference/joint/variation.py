@@ -1,9 +1,10 @@
 """Whether throws that were fitted together agree, apart from what covariates explain.
 
-The estimate that each throw alone would give, to first order about the joint optimum, is compared
-with the shared one (Cochran 1954). Where sigma is not given it is that of the throw alone, since
-the joint fit takes the misfit to a common value for noise. The spread between throws is that at
-which the differences are as large as expected (Paule and Mandel 1982).
+The estimate that each throw alone would give, to first order about the joint optimum,
+is compared with the shared one (Cochran 1954). Where sigma is not given it is that of
+the throw alone, since the joint fit takes the misfit to a common value for noise. The
+spread between throws is that at which the differences are as large as expected (Paule
+and Mandel 1982).
 """
 
 from __future__ import annotations
@@ -37,8 +38,11 @@ class Alone(NamedTuple):
     """1 over the standard errors along them"""
 
     @classmethod
-    def of(cls, jacobian: Floats, residual: Floats, bounded: Bounded, typical: Floats) -> Alone:
-        """`jacobian`, of the weighted residuals, is in typical sizes, shape (channels, n, p)."""
+    def of(
+        cls, jacobian: Floats, residual: Floats, bounded: Bounded, typical: Floats
+    ) -> Alone:
+        """`jacobian`, of the weighted residuals, is in typical sizes, shape
+        (channels, n, p)."""
         flat = jacobian.reshape(-1, len(typical))
         left, singular, right = np.linalg.svd(flat, full_matrices=False)
         seen = visible(singular) & ~bounded.confine(right, singular, typical)
@@ -46,14 +50,18 @@ class Alone(NamedTuple):
         return cls(-right.T @ (left.T @ residual.ravel() / singular), right, singular)
 
     def stderr(self, weights: Floats) -> float | None:
-        """Standard error of a weighted sum; None where the throw does not determine it."""
+        """Standard error of a weighted sum; None where the throw does not
+        determine it."""
         return stderr_of(weights, self.right, self.singular)
 
 
 def wanted_of(
-    verdicts: Mapping[str, str], combinations: Sequence[Combination], names: Sequence[str]
+    verdicts: Mapping[str, str],
+    combinations: Sequence[Combination],
+    names: Sequence[str],
 ) -> dict[str, Floats]:
-    """Weights of parameters in the coefficients that are determined, and in combinations."""
+    """Weights of parameters in the coefficients that are determined, and
+    in combinations."""
     combined = {name for item in combinations for name in item.weights}
     wanted = {
         name: {name: 1.0}
@@ -66,9 +74,11 @@ def wanted_of(
     }
 
 
-def told_by_each(rows: Floats, typical: Floats, wanted: Mapping[str, Floats]) -> dict[str, Floats]:
-    """Those of some coefficients and combinations that a throw of average information determines
-    beside one another, the best determined first.
+def told_by_each(
+    rows: Floats, typical: Floats, wanted: Mapping[str, Floats]
+) -> dict[str, Floats]:
+    """Those of some coefficients and combinations that a throw of average information
+    determines beside one another, the best determined first.
 
     Parameters
     ----------
@@ -85,7 +95,9 @@ def told_by_each(rows: Floats, typical: Floats, wanted: Mapping[str, Floats]) ->
         squares = np.diagonal(np.linalg.pinv(directions.T @ information @ directions))
         size = np.abs(weights).max(1)
         known = (size > 0) & (squares > 0)
-        found: Floats = np.where(known, np.sqrt(squares) / np.where(known, size, 1.0), np.inf)
+        found: Floats = np.where(
+            known, np.sqrt(squares) / np.where(known, size, 1.0), np.inf
+        )
         return found
 
     chosen: list[str] = []
@@ -106,15 +118,18 @@ def variations_of(
     typical: Floats,
     covariates: Floats,
 ) -> tuple[Variation, ...]:
-    """Variation of the shared coefficients as each throw alone gives them, to first order.
+    """Variation of the shared coefficients as each throw alone gives them, to
+    first order.
 
     Parameters
     ----------
-    throws : each with the noise that the weights in the mean are from, and with its own.
+    throws : each with the noise that the weights in the mean are from, and
+        with its own.
     free : the parameters of each that are so, shape (throws, parameters).
     best : where the parameters in common are, beside the others of any throw.
     wanted : weights of the parameters of a throw by coefficient or combination.
-    covariates : on which the coefficients depend, with mean zero, shape (throws, covariates).
+    covariates : on which the coefficients depend, with mean zero, shape
+        (throws, covariates).
     """
     found = []
     for expression, weights in wanted.items():
@@ -134,23 +149,34 @@ def variations_of(
     return tuple(found)
 
 
-def each_alone(solution: Solution, tasks: Tasks, unknown: Booleans) -> list[tuple[Alone, Alone]]:
-    """Of each throw, with the noise of the joint fit and with that of its own where it is
-    `unknown`, shape (throws, channels), since it was estimated from least squares."""
+def each_alone(
+    solution: Solution, tasks: Tasks, unknown: Booleans
+) -> list[tuple[Alone, Alone]]:
+    """Of each throw, with the noise of the joint fit and with that of its own
+    where it is `unknown`, shape (throws, channels), since it was estimated from
+    least squares."""
     free, typical = tasks.upper > tasks.lower, tasks.typical
     jacobians = solution.jacobian * typical
 
     def analysed(scale: Floats) -> list[Alone]:
         return [
             Alone.of(
-                jacobian[..., own] / sigma[:, None, None], residual / sigma[:, None],
-                Bounded(*(part[own] for part in ends)), typical[own],
+                jacobian[..., own] / sigma[:, None, None],
+                residual / sigma[:, None],
+                Bounded(*(part[own] for part in ends)),
+                typical[own],
             )
             for jacobian, residual, sigma, own, *ends in zip(
-                jacobians, solution.residual, scale, free, solution.values, tasks.lower,
-                tasks.upper, strict=True,
+                jacobians,
+                solution.residual,
+                scale,
+                free,
+                solution.values,
+                tasks.lower,
+                tasks.upper,
+                strict=True,
             )
-        ]  # fmt: skip
+        ]
 
     joint = analysed(np.ones(unknown.shape))
     steps = np.zeros(free.shape)
@@ -178,7 +204,8 @@ def _variation(
     variance, degrees = stderr**2, len(stderr) - np.linalg.matrix_rank(design)
 
     def about_mean(between: float) -> tuple[float, float, float]:
-        """Mean of the throws, its variance, and chi squared about the expected values."""
+        """Mean of the throws, its variance, and chi squared about the
+        expected values."""
         root = (variance + between) ** -0.5
         inverse = np.linalg.pinv(design * root[:, None])
         found = inverse @ (estimate * root)
@@ -190,7 +217,9 @@ def _variation(
         high = float(estimate.var())
         while about_mean(high)[2] > degrees:
             high *= 2
-        between = brentq(lambda size: about_mean(size)[2] - degrees, 0.0, high, xtol=1e-300)
+        between = brentq(
+            lambda size: about_mean(size)[2] - degrees, 0.0, high, xtol=1e-300
+        )
     mean, of_mean, _ = about_mean(between)
     share = shared / shared.sum()
     return Variation(

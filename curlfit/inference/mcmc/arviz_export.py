@@ -1,4 +1,5 @@
-"""A posterior sample for ArviZ: `InferenceData` of its versions 0.x, xarray's `DataTree` of 1.x."""
+"""A posterior sample for ArviZ: `InferenceData` of its versions 0.x, xarray's
+`DataTree` of 1.x."""
 
 from __future__ import annotations
 
@@ -32,18 +33,20 @@ def inference_data(
 
     Parameters
     ----------
-    samples : shape (ensembles, walkers, steps, parameters). log_posterior : the same without the
-        last axis.
+    samples : shape (ensembles, walkers, steps, parameters). log_posterior : the same
+        without the last axis.
     """
     if draws < 1:
         raise InputError(f"draws = {draws}: expected a positive number")
-    with warnings.catch_warnings():  # its first import of a day announces the next version
+    # its first import of a day announces the next version
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore", FutureWarning)
         arviz = optional("arviz", "arviz")
     ensembles, walkers, steps, size = samples.shape
     thin = -(-ensembles * walkers * steps // draws)
     kept = samples[:, :, ::thin]
-    # Draws of one walker are consecutive, so that autocorrelations are those of the walkers.
+    # Draws of one walker are consecutive, so that autocorrelations are those of
+    # the walkers.
     flat = kept.reshape(ensembles, -1, size)
     index = {
         "chain": np.arange(ensembles),
@@ -55,14 +58,19 @@ def inference_data(
         "posterior": (_parameters(fit, flat), index),
         "log_prior": (_log_priors(fit, flat), index),
         "sample_stats": (
-            {"lp": (_DRAWS, log_posterior[:, :, ::thin].reshape(ensembles, -1))}, index
+            {"lp": (_DRAWS, log_posterior[:, :, ::thin].reshape(ensembles, -1))},
+            index,
         ),
         **_of_data(fit, flat, index, np.random.default_rng(seed)),
-    }  # fmt: skip
+    }
     attrs = {
-        "inference_library": "curlfit", "inference_library_version": __version__,
-        "law": fit.law, "load": fit.load, "data": fit.data["file"], "thinning": thin,
-    }  # fmt: skip
+        "inference_library": "curlfit",
+        "inference_library_version": __version__,
+        "law": fit.law,
+        "load": fit.load,
+        "data": fit.data["file"],
+        "thinning": thin,
+    }
     xarray = import_module("xarray")
     sets = {name: xarray.Dataset(*each) for name, each in groups.items()}
     if arviz.__version__.startswith("0."):
@@ -74,11 +82,14 @@ def _parameters(fit: FitResult, flat: Floats) -> dict[str, Any]:
     """Free parameters and determined combinations of samples (..., parameters)."""
     found = with_combinations(fit.parameter_set.names, flat, fit.combinations)
     fixed = fit.parameter_set.fixed
-    return {name: (_DRAWS, values) for name, values in found.items() if name not in fixed}
+    return {
+        name: (_DRAWS, values) for name, values in found.items() if name not in fixed
+    }
 
 
 def _log_priors(fit: FitResult, flat: Floats) -> dict[str, Any]:
-    """Log-densities of the priors of free parameters, each up to a constant; a flat one is 0."""
+    """Log-densities of the priors of free parameters, each up to a constant; a
+    flat one is 0."""
     known = fit.parameter_set
     logs = -0.5 * known.penalty.residual_and_slope(flat)[0] ** 2
     return {
@@ -118,23 +129,28 @@ def _of_data(
         return by_channel(array.reshape(*flat.shape[:2], -1), *_DRAWS)
 
     size = flat.shape[-1]
-    paths = np.array([
-        np.asarray(predict_channels(fit.model, values, problem))[: len(seen)][seen]
-        for values in flat.reshape(-1, size) - origin.offset(size)
-    ])  # fmt: skip
+    paths = np.array(
+        [
+            np.asarray(predict_channels(fit.model, values, problem))[: len(seen)][seen]
+            for values in flat.reshape(-1, size) - origin.offset(size)
+        ]
+    )
     place, sigma = _places(fit, origin, seen), 1 / problem.weight[seen]
     mean, values = paths + place, problem.observed[seen] + place
     noise = whitening_matrix(problem)
     replicated = mean + sigma * draw_noise(random, mean.shape, noise, fit.loss)
-    pointwise = log_likelihoods((values - mean) / sigma, noise, fit.loss) - np.log(sigma)
+    pointwise = log_likelihoods((values - mean) / sigma, noise, fit.loss) - np.log(
+        sigma
+    )
     return {
         "posterior_predictive": (by_draw(replicated), index | times),
         "log_likelihood": (by_draw(pointwise), index | times),
         "observed_data": (by_channel(values), times),
         "constant_data": (
-            {"t": ("time", times["time"]), **by_channel(sigma, prefix="sigma_")}, times
+            {"t": ("time", times["time"]), **by_channel(sigma, prefix="sigma_")},
+            times,
         ),
-    }  # fmt: skip
+    }
 
 
 def _places(fit: FitResult, origin: Origin, seen: Booleans) -> Floats:
@@ -147,8 +163,8 @@ def _places(fit: FitResult, origin: Origin, seen: Booleans) -> Floats:
 
 
 def whitening_matrix(problem: Problem) -> Floats | None:
-    """The matrix W that makes the observed residuals over sigma independent, shape (m, m): their
-    covariance is (W^T W)^-1. None where they are independent.
+    """The matrix W that makes the observed residuals over sigma independent, shape (m,
+    m): their covariance is (W^T W)^-1. None where they are independent.
 
     Raises
     ------
@@ -167,7 +183,9 @@ def whitening_matrix(problem: Problem) -> Floats | None:
         )
 
     def white(values: Any) -> Any:
-        return whitened(jax.numpy.zeros(seen.shape).at[seen].set(values), problem.whitener)[seen]
+        return whitened(
+            jax.numpy.zeros(seen.shape).at[seen].set(values), problem.whitener
+        )[seen]
 
     return np.asarray(jax.jacfwd(white)(np.zeros(number)))
 
@@ -175,9 +193,10 @@ def whitening_matrix(problem: Problem) -> Floats | None:
 def log_likelihoods(residual: Floats, whitening: Floats | None, loss: str) -> Floats:
     """Log-density of each residual over its sigma, shape (draws, m).
 
-    For correlated noise it is that of the value given all others, as leave-one-out requires: with
-    C^-1 = W^T W, g = C^-1 r and c = diag C^-1, it is a normal density with mean r - g/c and
-    variance 1/c (Buerkner, Gabry and Vehtari 2021, Computational Statistics 36, eq. 9).
+    For correlated noise it is that of the value given all others, as leave-one-out
+    requires: with C^-1 = W^T W, g = C^-1 r and c = diag C^-1, it is a normal density
+    with mean r - g/c and variance 1/c (Buerkner, Gabry and Vehtari 2021, Computational
+    Statistics 36, eq. 9).
     """
     if whitening is None:
         return log_density(residual, loss)
@@ -188,9 +207,13 @@ def log_likelihoods(residual: Floats, whitening: Floats | None, loss: str) -> Fl
 
 
 def draw_noise(
-    random: np.random.Generator, shape: tuple[int, ...], whitening: Floats | None, loss: str
+    random: np.random.Generator,
+    shape: tuple[int, ...],
+    whitening: Floats | None,
+    loss: str,
 ) -> Floats:
-    """Draws of noise over its sigma, shape (draws, m): correlated, or of the density of a loss."""
+    """Draws of noise over its sigma, shape (draws, m): correlated, or of the
+    density of a loss."""
     if whitening is not None:
         return np.asarray(np.linalg.solve(whitening, random.standard_normal(shape).T).T)
     if loss == "linear":
@@ -198,5 +221,7 @@ def draw_noise(
     # Inverse transform sampling from the tabulated distribution function.
     grid = np.sinh(np.linspace(-np.arcsinh(_REACH), np.arcsinh(_REACH), 4001))
     density = np.exp(log_density(grid, loss))
-    share = np.concatenate([[0.0], np.cumsum(np.diff(grid) * (density[1:] + density[:-1]) / 2)])
+    share = np.concatenate(
+        [[0.0], np.cumsum(np.diff(grid) * (density[1:] + density[:-1]) / 2)]
+    )
     return np.interp(random.random(shape), share / share[-1], grid)

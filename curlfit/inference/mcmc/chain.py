@@ -41,21 +41,23 @@ class Chain(Displayed):
 
     Attributes
     ----------
-    names : of the parameters, fixed ones included; of throws that vary, of what does: the mean,
-        what groups and trends change, and the spread between throws.
-    values : shape (steps, walkers, parameters). log_posterior : shape (steps, walkers); NaN where
-        unknown.
+    names : of the parameters, fixed ones included; of throws that vary, of what does:
+        the mean, what groups and trends change, and the spread between throws.
+    values : shape (steps, walkers, parameters). log_posterior : shape (steps, walkers);
+        NaN where unknown.
     discarded : number of initial steps left out.
     ensembles : number of ensembles of equally many walkers. seed : of the run.
     subject : what was sampled, see `subject_of`.
-    random_state : of numpy's `RandomState` after the last step, for resuming; None where unknown.
+    random_state : of numpy's `RandomState` after the last step, for resuming; None
+        where unknown.
     mostly_ridge : whether most proposals are made along the ridge.
     fit : the one that was sampled; None where the chain was read from a file.
 
     Examples
     --------
     >>> chain
-    Chain, ... samples: 4 ensembles, 128 walkers, ... steps, of which the first ... are left out
+    Chain, ... samples: 4 ensembles, 128 walkers, ... steps,
+    of which the first ... are left out
     68 %: mu1_xi ...
     >>> chain.of({"mu1_eta": 1.0, "mu2_eta": 1.0}).mean().round(4)
     np.float64(0.0176)
@@ -97,22 +99,25 @@ class Chain(Displayed):
 
     @property
     def kept(self) -> Floats:
-        """The kept samples by ensemble, shape (ensembles, walkers, steps, parameters)."""
+        """The kept samples by ensemble, shape (ensembles, walkers,
+        steps, parameters)."""
         return self._by_ensemble(self.values)
 
     def _by_ensemble(self, series: Floats) -> Floats:
         _, walkers, *rest = series.shape
         kept = series[self.discarded :]
-        split = kept.reshape(len(kept), self.ensembles, walkers // self.ensembles, *rest)
+        split = kept.reshape(
+            len(kept), self.ensembles, walkers // self.ensembles, *rest
+        )
         return np.moveaxis(split, 0, 2)
 
     def _document(self) -> Document:
         return cast(Document, import_module("curlfit.reports.posterior").of_chain(self))
 
     def to_frame(self) -> Any:
-        """The kept samples as a pandas DataFrame: a column for each parameter, for each determined
-        combination of the fit (where the chain has one), and `log_posterior`; the index is
-        (ensemble, walker, step).
+        """The kept samples as a pandas DataFrame: a column for each parameter, for each
+        determined combination of the fit (where the chain has one), and
+        `log_posterior`; the index is (ensemble, walker, step).
 
         Raises
         ------
@@ -120,7 +125,9 @@ class Chain(Displayed):
         """
         samples = self.kept
         combinations = () if self.fit is None else self.fit.combinations
-        columns = with_combinations(self.names, samples.reshape(-1, len(self.names)), combinations)
+        columns = with_combinations(
+            self.names, samples.reshape(-1, len(self.names)), combinations
+        )
         columns["log_posterior"] = self._by_ensemble(self.log_posterior).ravel()
         names = ("ensemble", "walker", "step")
         index = optional("pandas", "notebook").MultiIndex.from_product(
@@ -139,22 +146,26 @@ class Chain(Displayed):
         own = self.subject | {"parameters": ", ".join(self.names)}
         versions = {name: own[name] for name in own if name.startswith("version")}
         if changed := _change(own, now | versions):
-            raise InputError(f"the chain is of another fit: {changed}; sample this one again")
+            raise InputError(
+                f"the chain is of another fit: {changed}; sample this one again"
+            )
         return replace(self, fit=fit)
 
-    def to_arviz(self, fit: FitResult | None = None, *, draws: int = 4000, seed: int = 0) -> Any:
-        """The kept samples for ArviZ, one chain per ensemble: its `InferenceData` where ArviZ is
-        0.x, xarray's `DataTree` where it is 1.x.
+    def to_arviz(
+        self, fit: FitResult | None = None, *, draws: int = 4000, seed: int = 0
+    ) -> Any:
+        """The kept samples for ArviZ, one chain per ensemble: its `InferenceData` where
+        ArviZ is 0.x, xarray's `DataTree` where it is 1.x.
 
-        Groups: posterior (free parameters and determined combinations), posterior_predictive and
-        log_likelihood (by channel; where noise is correlated, of each value given all others),
-        log_prior (by parameter, up to a constant: 0 where flat, so that `arviz.psense` needs a fit
-        with priors), sample_stats (`lp`, up to a constant),
-        observed_data, constant_data (`t`, `sigma_x` ...).
-        The draws of a chain are those of one walker after another, labelled by the coordinates
-        `walker` and `step` of `draw`. A channel with gaps has its own dimension, such as `time_x`.
-        ArviZ takes one channel at a time, as in `arviz.loo(data, var_name="x")`; the elpd of all
-        is the sum.
+        Groups: posterior (free parameters and determined combinations),
+        posterior_predictive and log_likelihood (by channel; where noise is correlated,
+        of each value given all others), log_prior (by parameter, up to a constant: 0
+        where flat, so that `arviz.psense` needs a fit with priors), sample_stats (`lp`,
+        up to a constant), observed_data, constant_data (`t`, `sigma_x` ...).
+        The draws of a chain are those of one walker after another, labelled by the
+        coordinates `walker` and `step` of `draw`. A channel with gaps has its own
+        dimension, such as `time_x`. ArviZ takes one channel at a time, as in
+        `arviz.loo(data, var_name="x")`; the elpd of all is the sum.
 
         Parameters
         ----------
@@ -164,7 +175,8 @@ class Chain(Displayed):
 
         Raises
         ------
-        InputError : ArviZ is not installed, there is no fit, or the chain is of another fit.
+        InputError : ArviZ is not installed, there is no fit, or the chain is of
+            another fit.
         """
         chain = self if fit is None else self.with_fit(fit)
         if chain.fit is None:
@@ -178,8 +190,8 @@ class Chain(Displayed):
         return inference_data(chain.fit, self.kept, lp, draws=draws, seed=seed)
 
     def save(self, file: str | PathLike[str]) -> None:
-        """Write `chain.h5` atomically: a group as emcee's `HDFBackend` has it, which opens it, with
-        curlfit's own attributes."""
+        """Write `chain.h5` atomically: a group as emcee's `HDFBackend` has it, which
+        opens it, with curlfit's own attributes."""
         import h5py
 
         # Made in memory: HDF5 does not recover from a full disk.
@@ -191,11 +203,19 @@ class Chain(Displayed):
             steps, walkers, dimension = self.values.shape
             state = enumerate(self.random_state or ())
             group.attrs.update(
-                version=version_of("emcee"), iteration=steps, nwalkers=walkers, ndim=dimension,
-                has_blobs=False, **{f"random_state_{place}": item for place, item in state},
-                names=list(self.names), discarded=self.discarded, ensembles=self.ensembles,
-                seed=self.seed, subject=json.dumps(self.subject), mostly_ridge=self.mostly_ridge,
-            )  # fmt: skip
+                version=version_of("emcee"),
+                iteration=steps,
+                nwalkers=walkers,
+                ndim=dimension,
+                has_blobs=False,
+                **{f"random_state_{place}": item for place, item in state},
+                names=list(self.names),
+                discarded=self.discarded,
+                ensembles=self.ensembles,
+                seed=self.seed,
+                subject=json.dumps(self.subject),
+                mostly_ridge=self.mostly_ridge,
+            )
         atomic_write(Path(file), image.getvalue())
 
 
@@ -208,8 +228,8 @@ def load_chain(file: str | PathLike[str], fit: FitResult | None = None) -> Chain
 
     Raises
     ------
-    DataError : the file is missing, not valid or of an earlier version, or the chain is of another
-        fit.
+    DataError : the file is missing, not valid or of an earlier version, or the chain is
+        of another fit.
 
     Examples
     --------
@@ -226,11 +246,17 @@ def load_chain(file: str | PathLike[str], fit: FitResult | None = None) -> Chain
         with h5py.File(path, "r") as stored:
             chain = _read_chain(stored[_GROUP])
     except (
-        OSError, LookupError, ValueError, TypeError, AttributeError, RuntimeError, OverflowError
-    ) as error:  # fmt: skip
+        OSError,
+        LookupError,
+        ValueError,
+        TypeError,
+        AttributeError,
+        RuntimeError,
+        OverflowError,
+    ) as error:
         raise DataError(
-            f"not a chain.h5 of this version of curlfit ({error}); sample again with `curlfit fit "
-            "FILE`, without --resume",
+            f"not a chain.h5 of this version of curlfit ({error}); "
+            "sample again with `curlfit fit FILE`, without --resume",
             file=path,
         ) from None
     try:
@@ -246,9 +272,12 @@ def _read_chain(group: Any) -> Chain:
     steps, walkers, _ = values.shape
     discarded = int(attrs["discarded"])
     if (
-        log_posterior.shape != (steps, walkers) or len(names) != values.shape[2]
-        or not 0 <= discarded <= steps or walkers // ensembles * ensembles != walkers or not walkers
-    ):  # fmt: skip
+        log_posterior.shape != (steps, walkers)
+        or len(names) != values.shape[2]
+        or not 0 <= discarded <= steps
+        or walkers // ensembles * ensembles != walkers
+        or not walkers
+    ):
         raise ValueError(f"{walkers} walkers, {steps} steps, {discarded} discarded")
     state = None
     if "random_state_0" in attrs:
@@ -256,11 +285,16 @@ def _read_chain(group: Any) -> Chain:
         state = (str(name), key, *(item.item() for item in rest))
         np.random.RandomState().set_state(state)  # raises an error where it is none
     return Chain(
-        names=names, values=values, log_posterior=log_posterior, discarded=discarded,
-        ensembles=ensembles, seed=int(attrs["seed"]),
-        subject=structured(json.loads(attrs["subject"]), dict[str, str]), random_state=state,
+        names=names,
+        values=values,
+        log_posterior=log_posterior,
+        discarded=discarded,
+        ensembles=ensembles,
+        seed=int(attrs["seed"]),
+        subject=structured(json.loads(attrs["subject"]), dict[str, str]),
+        random_state=state,
         mostly_ridge=attrs["mostly_ridge"].item(),
-    )  # fmt: skip
+    )
 
 
 def _numbers(data: Any) -> Floats:
@@ -279,7 +313,8 @@ def subject_of_fit(
     loss: str = "linear",
     noise: str = "white",
 ) -> dict[str, str]:
-    """What identifies a fit, as short texts by name; many numbers are replaced by digests."""
+    """What identifies a fit, as short texts by name; many numbers are
+    replaced by digests."""
     sigma = [values for _, values in sorted(throw.sigma.items())]
     text = ",".join(sorted(throw.sigma)) + "".join(map(repr, throw.events))
     return {
@@ -288,26 +323,38 @@ def subject_of_fit(
         "load": load,
         "loss": loss,
         "noise": noise,
-        "stone": ", ".join(f"{name} = {value!r}" for name, value in stone.as_dict().items()),
-        "priors": "; ".join(f"{name} {one}" for name, one in parameters.priors.items()) or "none",
+        "stone": ", ".join(
+            f"{name} = {value!r}" for name, value in stone.as_dict().items()
+        ),
+        "priors": "; ".join(f"{name} {one}" for name, one in parameters.priors.items())
+        or "none",
     } | {
-        f"bounds of {item.name}": f"{item.lower!r}:{item.upper!r}" for item in parameters.parameters
+        f"bounds of {item.name}": f"{item.lower!r}:{item.upper!r}"
+        for item in parameters.parameters
     }
 
 
 def subject_of_saved(fit: FitResult) -> dict[str, str]:
-    """The same for a fit result; without the law's file where the law is not at hand."""
+    """The same for a fit result; without the law's file where the law is
+    not at hand."""
     return subject_of_fit(
-        fit.throw, fit.law if fit.law not in LAWS else fit.law_class,
-        fit.load, fit.stone, fit.parameter_set, fit.loss, fit.noise.kind,
-    )  # fmt: skip
+        fit.throw,
+        fit.law if fit.law not in LAWS else fit.law_class,
+        fit.load,
+        fit.stone,
+        fit.parameter_set,
+        fit.loss,
+        fit.noise.kind,
+    )
 
 
 def subject_of(fit: FitResult, seed: int) -> dict[str, str]:
     """What identifies a chain, in the same form."""
     own = subject_of_saved(fit)
     noise = [fit.sigma[name] for name in sorted(fit.sigma)]
-    noise += [one[name] for one in (fit.noise.memory, fit.noise.sizes) for name in sorted(one)]
+    noise += [
+        one[name] for one in (fit.noise.memory, fit.noise.sizes) for name in sorted(one)
+    ]
     information = [np.array(fit.information[name]) for name in ("matrix", "gradient")]
     return own | {
         "least-squares result": digest(fit.values, np.array(noise), *information),
@@ -329,7 +376,9 @@ def _change(stored: Mapping[str, str], now: Mapping[str, str]) -> str:
         was = stored.get(name, "unknown")
         if was != value:
             hidden = value.startswith(_DIGEST)
-            return f"not the same {name}" if hidden else f"{name} was {was}, now {value}"
+            return (
+                f"not the same {name}" if hidden else f"{name} was {was}, now {value}"
+            )
     return ""
 
 

@@ -1,8 +1,9 @@
 """Independent proposals along the ridge of a fit's optimum.
 
-Along a null direction the posterior is as wide as the prior, and a random walk takes very long from
-one end to the other. These proposals need no walk: from a Student distribution about the optimum
-along the determined directions, and uniform over the prior along the null directions.
+Along a null direction the posterior is as wide as the prior, and a random walk takes
+very long from one end to the other. These proposals need no walk: from a Student
+distribution about the optimum along the determined directions, and uniform over the
+prior along the null directions.
 """
 
 from __future__ import annotations
@@ -31,28 +32,34 @@ from curlfit.output.text import join_words
 Indices = NDArray[np.int64]
 
 _MARGIN = 4.0  # standard errors by which the proposal extends beyond the ridge's ends
-_DEGREES = 8.0  # of freedom of the Student distribution: heavier tails than any Gaussian posterior
-_REACH = 8.0  # standard errors of a weakly determined parameter, along which optima are sought
+# of freedom of the Student distribution: heavier tails than any Gaussian posterior
+_DEGREES = 8.0
+# standard errors of a weakly determined parameter, along which optima are sought
+_REACH = 8.0
 _CELLS, _PASSES = 96, 6  # intervals of it, and how often they are chosen anew
-_ROUGH = 0.2  # of the probability, to be shared as if intervals were as dense as their neighbours
+# of the probability, to be shared as if intervals were as dense as their neighbours
+_ROUGH = 0.2
 _NOTHING = 1e-6  # probability of an interval that is given up
 _NEAR = 1e-6  # typical sizes from its bound within which a parameter is at it
 
 
 @dataclass(frozen=True)
 class RidgeProposal:
-    """Student along determined directions, uniform along null directions, exponential away from the
-    bounds that parameters are pushed against.
+    """Student along determined directions, uniform along null directions, exponential
+    away from the bounds that parameters are pushed against.
 
-    Coordinates are linear in `z = (values - centre)/typical`: determined combinations of it, for
-    each null direction one parameter that takes part in it (a pivot), and each pushed parameter.
+    Coordinates are linear in `z = (values - centre)/typical`: determined combinations
+    of it, for each null direction one parameter that takes part in it (a pivot), and
+    each pushed parameter.
 
     Attributes
     ----------
     centre, typical : of the parameters, shape (p,).
-    seen : rows of determined combinations, shape (r, p). spread : their standard deviations.
+    seen : rows of determined combinations, shape (r, p). spread : their
+        standard deviations.
     pivots : indices of the pivots. low, high : their intervals, in `z`.
-    pushed : indices of the pushed parameters. scale : mean distance from the bound in `z`, signed.
+    pushed : indices of the pushed parameters. scale : mean distance from the bound in
+        `z`, signed.
     """
 
     centre: Floats
@@ -68,14 +75,19 @@ class RidgeProposal:
     @cached_property
     def _inverse(self) -> Floats:
         unit = np.eye(len(self.centre))
-        return np.linalg.inv(np.concatenate([self.seen, unit[self.pivots], unit[self.pushed]]))
+        return np.linalg.inv(
+            np.concatenate([self.seen, unit[self.pivots], unit[self.pushed]])
+        )
 
     def draw(self, n: int, random: Any, *, gaussian: bool = False) -> Floats:
-        """n parameter vectors, shape (n, p); Student or `gaussian` along determined directions."""
+        """n parameter vectors, shape (n, p); Student or `gaussian` along
+        determined directions."""
         along = self.spread * random.standard_normal((n, len(self.seen)))
         if not gaussian:
             along *= np.sqrt(_DEGREES / random.chisquare(_DEGREES, (n, 1)))
-        across = self.low + (self.high - self.low) * random.uniform(size=(n, len(self.pivots)))
+        across = self.low + (self.high - self.low) * random.uniform(
+            size=(n, len(self.pivots))
+        )
         off = self.scale * random.standard_exponential((n, len(self.pushed)))
         z = np.concatenate([along, across, off], 1) @ self._inverse.T
         draws: Floats = self.centre + self.typical * z
@@ -88,7 +100,9 @@ class RidgeProposal:
         rank = len(self.seen)
         value = -(_DEGREES + rank) / 2 * np.log1p((along**2).sum(1) / _DEGREES)
         across, off = z[:, self.pivots], z[:, self.pushed] / self.scale
-        within = ((across >= self.low) & (across <= self.high)).all(1) & (off >= 0).all(1)
+        within = ((across >= self.low) & (across <= self.high)).all(1) & (off >= 0).all(
+            1
+        )
         return np.where(within, value - off.sum(1) - self.log_volume, -np.inf)
 
     @cached_property
@@ -98,7 +112,9 @@ class RidgeProposal:
         student = math.lgamma(half) - math.lgamma(half + rank / 2)
         student += rank / 2 * math.log(_DEGREES * math.pi)
         sizes = [*self.spread, *(self.high - self.low), *np.abs(self.scale)]
-        return float(student + np.log(sizes).sum() + np.linalg.slogdet(self._inverse)[1])
+        return float(
+            student + np.log(sizes).sum() + np.linalg.slogdet(self._inverse)[1]
+        )
 
 
 def ridge_proposal(fit: FitResult) -> RidgeProposal:
@@ -106,15 +122,22 @@ def ridge_proposal(fit: FitResult) -> RidgeProposal:
     free = fit.parameter_set.free
     verdicts = [fit.parameters[name].verdict for name in fit.information["names"]]
     return _about(
-        fit.parameter_set, fit.values[free], np.array(fit.information["matrix"]),
-        np.array(fit.information["gradient"]), np.array(verdicts) == "at bound",
-    )  # fmt: skip
+        fit.parameter_set,
+        fit.values[free],
+        np.array(fit.information["matrix"]),
+        np.array(fit.information["gradient"]),
+        np.array(verdicts) == "at bound",
+    )
 
 
 def _about(
-    parameters: ParameterSet, centre: Floats, information: Floats, gradient: Floats,
-    at_bound: Booleans, cell: tuple[int, float, float] | None = None,
-) -> RidgeProposal:  # fmt: skip
+    parameters: ParameterSet,
+    centre: Floats,
+    information: Floats,
+    gradient: Floats,
+    at_bound: Booleans,
+    cell: tuple[int, float, float] | None = None,
+) -> RidgeProposal:
     """The proposal about an optimum of the free parameters.
 
     Parameters
@@ -140,7 +163,9 @@ def _about(
     rows[:, open_] = seen
     # As another parameter moves, the open ones follow along their regression on it.
     others = np.flatnonzero(at_bound | held)
-    rows[:, others] = (seen @ information[np.ix_(open_, others)]) / singular[:, None] ** 2
+    rows[:, others] = (seen @ information[np.ix_(open_, others)]) / singular[
+        :, None
+    ] ** 2
     wide = np.zeros((len(null), len(centre)))
     wide[:, open_] = null
     reach = np.zeros(len(centre))
@@ -150,9 +175,16 @@ def _about(
     if cell is not None:
         index, *ends = cell
         begin, end = (np.array(ends) - centre[index]) / typical[index]
-        pivots, low, high = np.append(pivots, index), np.append(low, begin), np.append(high, end)
-    # Away from the bound the log-posterior falls by its slope and curvature, which set the scale.
-    curvature = np.diag(information)[pushed] - ((rows[:, pushed] * singular[:, None]) ** 2).sum(0)
+        pivots, low, high = (
+            np.append(pivots, index),
+            np.append(low, begin),
+            np.append(high, end),
+        )
+    # Away from the bound the log-posterior falls by its slope and curvature, which
+    # set the scale.
+    curvature = np.diag(information)[pushed] - (
+        (rows[:, pushed] * singular[:, None]) ** 2
+    ).sum(0)
     push = np.abs(gradient[pushed]) + np.sqrt(np.maximum(curvature, 0.0))
     off = -np.sign(gradient[pushed]) / push
     return RidgeProposal(centre, typical, rows, spread, pivots, low, high, pushed, off)
@@ -160,8 +192,8 @@ def _about(
 
 @dataclass(frozen=True)
 class CurvedRidge:
-    """Proposals about optima along a curved ridge, each for an interval of the parameter that is
-    held there, and their probabilities."""
+    """Proposals about optima along a curved ridge, each for an interval of the
+    parameter that is held there, and their probabilities."""
 
     parts: Sequence[RidgeProposal]
     shares: Floats
@@ -173,7 +205,9 @@ class CurvedRidge:
         which = random.choice(len(self.parts), n, p=self.shares)
         found = np.zeros((n, len(self.parts[0].centre)))
         for index in np.unique(which):
-            found[which == index] = self.parts[index].draw(int((which == index).sum()), random)
+            found[which == index] = self.parts[index].draw(
+                int((which == index).sum()), random
+            )
         return found
 
     def log_density(self, values: Floats) -> Floats:
@@ -182,7 +216,9 @@ class CurvedRidge:
         which = np.searchsorted(self.borders, values[:, self.held]) - 1
         for index in np.intersect1d(which, np.flatnonzero(self.shares)):
             here = which == index
-            found[here] = self.parts[index].log_density(values[here]) + np.log(self.shares[index])
+            found[here] = self.parts[index].log_density(values[here]) + np.log(
+                self.shares[index]
+            )
         return found
 
 
@@ -190,7 +226,8 @@ Proposal = RidgeProposal | CurvedRidge
 
 
 def proposed(proposal: Proposal, coords: Floats, random: Any) -> tuple[Floats, Floats]:
-    """Proposals for emcee's Metropolis-Hastings move, and the log of their factors in its ratio."""
+    """Proposals for emcee's Metropolis-Hastings move, and the log of their factors
+    in its ratio."""
     new, back = proposal.draw(len(coords), random), proposal.log_density(coords)
     # A walker outside the support of the proposal can only be moved by the other moves.
     reachable = np.isfinite(back)
@@ -199,8 +236,8 @@ def proposed(proposal: Proposal, coords: Floats, random: Any) -> tuple[Floats, F
 
 
 def posterior_proposal(fit: FitResult) -> Proposal:
-    """The proposal about the estimates of a fit; where some are weakly determined, about the optima
-    with one of them held, since such a ridge is curved."""
+    """The proposal about the estimates of a fit; where some are weakly determined,
+    about the optima with one of them held, since such a ridge is curved."""
     weakness = {
         name: item.stderr / item.typical
         for name, item in fit.parameters.items()
@@ -209,12 +246,15 @@ def posterior_proposal(fit: FitResult) -> Proposal:
     if not weakness:
         return ridge_proposal(fit)
     whole, (problem, origin) = fit.parameter_set, problem_of(fit)
-    # Of the initial state rather than of the law: two coefficients may exchange their values.
+    # Of the initial state rather than of the law: two coefficients may exchange
+    # their values.
     name = max(weakness, key=lambda name: (name in START_NAMES, weakness[name]))
     offset, place = origin.offset(len(whole)), whole.index(name)
     local, item = whole.shifted(-offset), fit.parameters[name]
     reach = _REACH * weakness[name] * item.typical
-    ends = np.clip([item.value - reach, item.value + reach], whole.lower[place], whole.upper[place])
+    ends = np.clip(
+        [item.value - reach, item.value + reach], whole.lower[place], whole.upper[place]
+    )
     borders, starts = (
         np.linspace(ends[0], ends[1], _CELLS + 1),
         np.tile(fit.values - offset, (_CELLS, 1)),
@@ -228,30 +268,42 @@ def posterior_proposal(fit: FitResult) -> Proposal:
         optima = minimize_many(fit.model, Tasks.of(tasks), FEW)
         parts = [
             _about_solution(whole, offset, one, (place, low, high))
-            for one, (low, high) in zip(unstacked(optima), pairwise(borders), strict=True)
+            for one, (low, high) in zip(
+                unstacked(optima), pairwise(borders), strict=True
+            )
         ]
-        # Laplace's approximation to the probability of each interval, and, since that of a wide one
-        # where the probability ends is rough, a part as if it were as dense as its neighbours
+        # Laplace's approximation to the probability of each interval, and, since that
+        # of a wide one where the probability ends is rough, a part as if it were as
+        # dense as its neighbours
         logs = np.array([part.log_volume for part in parts]) - optima.objective / 2
         shares, width = np.nan_to_num(np.exp(logs - np.nanmax(logs))), np.diff(borders)
         dense = np.pad(shares / width, 1)
         dense = np.maximum.reduce([dense[:-2], dense[1:-1], dense[2:]]) * width
         shares = (1 - _ROUGH) * shares / shares.sum() + _ROUGH * dense / dense.sum()
         proposal = CurvedRidge(parts, shares, int(whole.free[:place].sum()), borders)
-        # The next intervals follow the root of the density, which makes them narrow in its tails
-        # too, and are narrowest where a parameter reaches its bound.
-        turns = [list(one.pushed) != list(other.pushed) for one, other in pairwise(parts)]
+        # The next intervals follow the root of the density, which makes them narrow in
+        # its tails too, and are narrowest where a parameter reaches its bound.
+        turns = [
+            list(one.pushed) != list(other.pushed) for one, other in pairwise(parts)
+        ]
         here = np.logical_or([False, *turns], [*turns, False])
-        flat = np.sqrt(width * np.where(shares > _NOTHING, shares, 0.0)) * np.where(here, 4, 1)
+        flat = np.sqrt(width * np.where(shares > _NOTHING, shares, 0.0)) * np.where(
+            here, 4, 1
+        )
         below = np.cumsum([0.0, *flat])
         borders = np.interp(np.linspace(0, below[-1], _CELLS + 1), below, borders)
         middle = (borders[:-1] + borders[1:]) / 2 - offset[place]
-        starts = np.array([np.interp(middle, held, column) for column in optima.values.T]).T
+        starts = np.array(
+            [np.interp(middle, held, column) for column in optima.values.T]
+        ).T
     return proposal
 
 
 def _about_solution(
-    parameters: ParameterSet, offset: Floats, optimum: Solution, cell: tuple[int, float, float]
+    parameters: ParameterSet,
+    offset: Floats,
+    optimum: Solution,
+    cell: tuple[int, float, float],
 ) -> RidgeProposal:
     """The proposal about an optimum with one parameter held."""
     free, values = parameters.free, optimum.values + offset
@@ -262,9 +314,13 @@ def _about_solution(
     ends = np.stack([parameters.lower, parameters.upper])
     at_bound = (np.abs(values - ends) < _NEAR * parameters.typical).any(0)
     return _about(
-        parameters, values[free], information[np.ix_(free, free)], -gradient[free], at_bound[free],
+        parameters,
+        values[free],
+        information[np.ix_(free, free)],
+        -gradient[free],
+        at_bound[free],
         (int(free[: cell[0]].sum()), *cell[1:]),
-    )  # fmt: skip
+    )
 
 
 def _pivots(
@@ -280,8 +336,8 @@ def _pivots(
             open_ = list(names[(rest**2).sum(0) >= 1e-12])
             none_of = "which has no" if len(open_) == 1 else "and none of them has"
             raise UnusableFitError(
-                f"the path does not determine {join_words(open_)}, {none_of} finite bounds; give "
-                "bounds"
+                f"the path does not determine {join_words(open_)}, "
+                f"{none_of} finite bounds; give bounds"
             )
         pivot = int(np.argmax(size))
         pivots.append(pivot)
@@ -308,6 +364,7 @@ def _extent(along: Floats, walls: Floats, room: Floats) -> tuple[float, float]:
     from scipy.optimize import linprog  # slow, for one direction
 
     least, greatest = (
-        linprog(sign * along, A_ub=walls, b_ub=room, bounds=(None, None)).fun for sign in (1, -1)
+        linprog(sign * along, A_ub=walls, b_ub=room, bounds=(None, None)).fun
+        for sign in (1, -1)
     )
     return float(least), -float(greatest)

@@ -38,7 +38,8 @@ Progress = Callable[[float, int, float], None]
 ENSEMBLES = 4
 _MOSTLY_RIDGE = (0.8, 0.1, 0.1)  # shares: ridge, stretch, differential evolution
 _MOSTLY_ENSEMBLE = (0.2, 0.4, 0.4)  # the same where few ridge proposals are accepted
-_LEAST_ACCEPTANCE = 0.25  # of all proposals, where fewer than a fifth along the ridge are accepted
+# of all proposals, where fewer than a fifth along the ridge are accepted
+_LEAST_ACCEPTANCE = 0.25
 _JITTER = 0.1  # relative standard deviation of the steps of differential evolution
 _EVERY = 2.0  # least time between two checkpoints, s
 _FEWEST = 4  # steps that can be judged
@@ -52,10 +53,15 @@ class SideBySide(RedBlueMove):
         super().__init__(randomize_split=False)  # halves of each ensemble
         self.move, self.setup = move, move.setup
 
-    def get_proposal(self, s: Floats, c: list[Floats], random: Any) -> tuple[Floats, Floats]:
-        """Proposals for one half of each ensemble along lines through its other half."""
+    def get_proposal(
+        self, s: Floats, c: list[Floats], random: Any
+    ) -> tuple[Floats, Floats]:
+        """Proposals for one half of each ensemble along lines through
+        its other half."""
         halves = zip(np.split(s, ENSEMBLES), np.split(c[0], ENSEMBLES), strict=True)
-        each = [self.move.get_proposal(moving, [other], random) for moving, other in halves]
+        each = [
+            self.move.get_proposal(moving, [other], random) for moving, other in halves
+        ]
         coords, factors = zip(*each, strict=True)
         return np.concatenate(coords), np.concatenate(factors)
 
@@ -63,9 +69,13 @@ class SideBySide(RedBlueMove):
 def prepare_sampling(model: Model, parameters: ParameterSet, problem: Problem) -> None:
     """Start to compile what sampling of a problem needs."""
     log_posterior.prepare(
-        model, np.zeros((_walkers(parameters.free) // 2, len(parameters))), parameters.lower,
-        parameters.upper, problem, parameters.penalty,
-    )  # fmt: skip
+        model,
+        np.zeros((_walkers(parameters.free) // 2, len(parameters))),
+        parameters.lower,
+        parameters.upper,
+        problem,
+        parameters.penalty,
+    )
 
 
 def _walkers(free: Booleans) -> int:
@@ -73,12 +83,14 @@ def _walkers(free: Booleans) -> int:
 
 
 class Run:
-    """An unfinished chain. It may be interrupted at any point: completed steps are kept.
+    """An unfinished chain. It may be interrupted at any point: completed
+    steps are kept.
 
     Attributes
     ----------
-    names, free : of the parameters, and which of them are sampled; those have the bounds `lower`
-        and `upper`. subject : what is sampled. proposal : from which walkers begin.
+    names, free : of the parameters, and which of them are sampled; those have the
+        bounds `lower` and `upper`. subject : what is sampled. proposal : from which
+        walkers begin.
     """
 
     names: tuple[str, ...]
@@ -110,7 +122,11 @@ class Run:
         shares = _MOSTLY_RIDGE if mostly_ridge else _MOSTLY_ENSEMBLE
         moves = list(zip((ridge, *others), shares, strict=True))
         self._sampler = emcee.EnsembleSampler(
-            self._walkers, int(self.free.sum()), self.log_prob, vectorize=True, moves=moves
+            self._walkers,
+            int(self.free.sum()),
+            self.log_prob,
+            vectorize=True,
+            moves=moves,
         )
         # Without emcee's wrapper, which prints a message of its own at Ctrl-C.
         self._sampler.log_prob_fn = self.log_prob
@@ -121,13 +137,18 @@ class Run:
         return len(self._steps)
 
     def resume(self, file: Path) -> None:
-        """Resume where a stored chain ended. Raises `DataError` if that is not possible."""
+        """Resume where a stored chain ended. Raises `DataError` if that is
+        not possible."""
         chain = load_chain(file)
         require_same(chain.subject, self.subject, file)
         if chain.random_state is None or not len(chain.values):
-            raise DataError("cannot be resumed: the sampler's state is not in it", file=file)
+            raise DataError(
+                "cannot be resumed: the sampler's state is not in it", file=file
+            )
         self.choose_moves(mostly_ridge=chain.mostly_ridge)
-        self._steps = list(map(emcee.State, chain.values[..., self.free], chain.log_posterior))
+        self._steps = list(
+            map(emcee.State, chain.values[..., self.free], chain.log_posterior)
+        )
         self._steps[-1].random_state = chain.random_state
 
     def begin(self) -> None:
@@ -161,7 +182,9 @@ class Run:
 
     def step(self) -> None:
         """Do one step of all walkers."""
-        state = self._sampler.run_mcmc(self._last, 1, store=False, skip_initial_state_check=True)
+        state = self._sampler.run_mcmc(
+            self._last, 1, store=False, skip_initial_state_check=True
+        )
         self._steps.append(state)  # first, so that an interrupt leaves a valid chain
         self._last.random_state = None  # only the last is needed
         self._last = state
@@ -170,12 +193,16 @@ class Run:
         """The chain of the steps so far."""
         values = self.whole(np.stack([state.coords for state in self._steps]))
         return Chain(
-            names=self.names, values=values,
+            names=self.names,
+            values=values,
             log_posterior=np.stack([state.log_prob for state in self._steps]),
-            discarded=steps_to_discard(len(values)), ensembles=ENSEMBLES, seed=self.seed,
-            subject=self.subject, random_state=self._steps[-1].random_state,
+            discarded=steps_to_discard(len(values)),
+            ensembles=ENSEMBLES,
+            seed=self.seed,
+            subject=self.subject,
+            random_state=self._steps[-1].random_state,
             mostly_ridge=self.mostly_ridge,
-        )  # fmt: skip
+        )
 
     def write_if_due(self, file: Path | None) -> None:
         """Write a checkpoint if one is due."""
@@ -187,11 +214,14 @@ class Run:
         self._next_write = after + max(_EVERY, _SHARE * (after - now))
 
     def until(
-        self, effective: float, most_steps: int, progress: Progress | None = None,
+        self,
+        effective: float,
+        most_steps: int,
+        progress: Progress | None = None,
         file: Path | None = None,
-    ) -> tuple[str, Diagnosis | None]:  # fmt: skip
-        """Sample until convergence, `most_steps` or Ctrl-C; how it ended, and the diagnosis of the
-        chain, if it is known."""
+    ) -> tuple[str, Diagnosis | None]:
+        """Sample until convergence, `most_steps` or Ctrl-C; how it ended, and the
+        diagnosis of the chain, if it is known."""
         try:
             self.begin()
             while True:
@@ -200,9 +230,13 @@ class Run:
                     if self.mostly_ridge and chain.acceptance < _LEAST_ACCEPTANCE:
                         self.start_over()
                         continue
-                    diagnosis = Diagnosis(chain.values[:, :, self.free], chain.ensembles)
+                    diagnosis = Diagnosis(
+                        chain.values[:, :, self.free], chain.ensembles
+                    )
                     if progress is not None:
-                        progress(diagnosis.least_effective, self.steps, diagnosis.worst_r_hat)
+                        progress(
+                            diagnosis.least_effective, self.steps, diagnosis.worst_r_hat
+                        )
                     if diagnosis.good(effective):
                         return "converged", diagnosis
                     if self.steps >= most_steps:
@@ -222,7 +256,10 @@ class _OfFit(Run):
         parameters = fit.parameter_set
         self.names, self.free = parameters.names, parameters.free
         self.subject = subject_of(fit, seed)
-        self.lower, self.upper = parameters.lower[self.free], parameters.upper[self.free]
+        self.lower, self.upper = (
+            parameters.lower[self.free],
+            parameters.upper[self.free],
+        )
         self.proposal = posterior_proposal(fit)
         self._values, self._model = fit.values, fit.model
         problem, origin = problem_of(fit)
@@ -260,9 +297,10 @@ def sample(
 ) -> tuple[FitResult, Chain]:
     """Sample the posterior about a fit until convergence.
 
-    A parameter without a prior in the fit has a flat one within its bounds. The noise has the
-    fit's sigmas, is independent or correlated by the fit's noise model, and is Gaussian or has the
-    density of the fit's loss. Ctrl-C ends the run and keeps the steps so far.
+    A parameter without a prior in the fit has a flat one within its bounds. The noise
+    has the fit's sigmas, is independent or correlated by the fit's noise model, and is
+    Gaussian or has the density of the fit's loss. Ctrl-C ends the run and keeps the
+    steps so far.
 
     Parameters
     ----------
@@ -272,10 +310,12 @@ def sample(
     most_steps : number of steps at which to stop if that is not reached.
     progress : called at intervals with the effective sample size so far (smallest over
         parameters), the steps so far, and R-hat (largest).
-    checkpoint : a `chain.h5` to which the chain so far is written atomically: after the first
-        step, then every two seconds or less often where writing takes long, and when the run ends.
-    resume : continue where the chain in `checkpoint` ended, if there is one. The chain is then
-        that of a single run, bit for bit on the same machine with the same packages.
+    checkpoint : a `chain.h5` to which the chain so far is written atomically: after the
+        first step, then every two seconds or less often where writing takes long, and
+        when the run ends.
+    resume : continue where the chain in `checkpoint` ended, if there is one. The
+        chain is then that of a single run, bit for bit on the same machine with the
+        same packages.
 
     Returns
     -------
@@ -284,8 +324,8 @@ def sample(
     Raises
     ------
     UnusableFitError : no walker found a point of finite posterior.
-    InputError : the chain to be resumed is of other data, law, load, stone, bounds, seed or
-        version, or the checkpoint cannot be written.
+    InputError : the chain to be resumed is of other data, law, load, stone, bounds,
+        seed or version, or the checkpoint cannot be written.
 
     Examples
     --------

@@ -1,7 +1,7 @@
 """Convergence of a chain, and its summary as the posterior in the record of its fit.
 
-R-hat, bulk and tail effective sample sizes: Vehtari, Gelman, Simpson, Carpenter and Buerkner
-(2021), Bayesian Analysis 16, 667-718.
+R-hat, bulk and tail effective sample sizes: Vehtari, Gelman, Simpson, Carpenter and
+Buerkner (2021), Bayesian Analysis 16, 667-718.
 """
 
 from __future__ import annotations
@@ -25,8 +25,10 @@ from curlfit.numerics.arrays import Floats
 
 _BLOCK = 20  # steps between the first tests of convergence; later a fifth of those done
 _R_HAT = 1.01
-_TAILS = (0.05, 0.95)  # quantiles whose effective sample sizes are those of the tails (sect. 4.3)
-_SHORTEST_IN_TIMES = 30.0  # steps over autocorrelation time, below which no estimate is trusted
+# quantiles whose effective sample sizes are those of the tails (sect. 4.3)
+_TAILS = (0.05, 0.95)
+# steps over autocorrelation time, below which no estimate is trusted
+_SHORTEST_IN_TIMES = 30.0
 _FEWEST = 5  # draws of a chain whose autocorrelations say anything
 
 
@@ -44,11 +46,12 @@ def steps_to_discard(steps: int) -> int:
 
 
 class Diagnosis:
-    """Diagnostics of a sample after the first steps, by parameter, computed when they are asked
-    for.
+    """Diagnostics of a sample after the first steps, by parameter, computed when they
+    are asked for.
 
-    Walkers are the chains of effective sample sizes. Those of an ensemble move by one another, so
-    that only ensembles are independent chains for R-hat. Each is split in halves.
+    Walkers are the chains of effective sample sizes. Those of an ensemble move by
+    one another, so that only ensembles are independent chains for R-hat. Each is
+    split in halves.
     """
 
     def __init__(self, values: Floats, ensembles: int) -> None:
@@ -70,7 +73,8 @@ class Diagnosis:
 
     @cached_property
     def tail(self) -> Floats:
-        """Effective sample sizes of the tails, the smaller of those of two quantiles."""
+        """Effective sample sizes of the tails, the smaller of those of
+        two quantiles."""
         ends = np.quantile(self._kept, _TAILS, (1, 2)).T
         sizes = [
             [effective_size(draws <= end) for end in two]
@@ -80,8 +84,11 @@ class Diagnosis:
 
     @cached_property
     def r_hat(self) -> Floats:
-        """R-hat, the larger of that of the draws and that of their distances from the median."""
-        folded = [normal_scores(np.abs(draws - np.median(draws))) for draws in self._draws]
+        """R-hat, the larger of that of the draws and that of their distances
+        from the median."""
+        folded = [
+            normal_scores(np.abs(draws - np.median(draws))) for draws in self._draws
+        ]
         both = [
             [r_hat(each.reshape(self._halves)) for each in pair]
             for pair in zip(self._scores, folded, strict=True)
@@ -99,10 +106,13 @@ class Diagnosis:
         return float(self.r_hat.max())
 
     def good(self, effective: float) -> bool:
-        """Whether the sample has converged, with at least this effective sample size, and each
-        walker is 30 times as long as the autocorrelation time, its draws over those effective."""
+        """Whether the sample has converged, with at least this effective sample size,
+        and each walker is 30 times as long as the autocorrelation time, its draws over
+        those effective."""
         wanted = max(effective, _SHORTEST_IN_TIMES * self._kept.shape[1])
-        long_enough = float(self.bulk.min()) >= wanted and float(self.tail.min()) >= effective
+        long_enough = (
+            float(self.bulk.min()) >= wanted and float(self.tail.min()) >= effective
+        )
         return long_enough and self.worst_r_hat < _R_HAT
 
 
@@ -115,8 +125,9 @@ def normal_scores(draws: Floats) -> Floats:
 
 
 def effective_size(chains: Floats) -> float:
-    """Effective sample size of chains, shape (chains, draws), by Geyer's initial monotone sequence
-    (eq. 10-13). Chains too short for autocorrelations count as one draw each."""
+    """Effective sample size of chains, shape (chains, draws), by Geyer's initial
+    monotone sequence (eq. 10-13). Chains too short for autocorrelations count as
+    one draw each."""
     number, n = chains.shape
     if n < _FEWEST:
         return float(number)
@@ -147,8 +158,9 @@ def r_hat(chains: Floats) -> float:
 def unfinished_posterior(
     fit: FitResult, file: str | PathLike[str]
 ) -> tuple[FitResult, Chain] | None:
-    """An unfinished sample left on disk: the fit with a posterior marked as unfinished, and the
-    chain. None where `file` is missing, too short to be judged, or of another fit."""
+    """An unfinished sample left on disk: the fit with a posterior marked as
+    unfinished, and the chain. None where `file` is missing, too short to be judged, or
+    of another fit."""
     if not Path(file).is_file():
         return None
     chain = load_chain(file)
@@ -168,9 +180,9 @@ def summarised(
     effective: float | None = None,
     diagnosis: Diagnosis | None = None,
 ) -> FitResult:
-    """The fit with the summary of a chain. `ended` says how the run ended, `effective` is the
-    target for the effective sample size, and `diagnosis` that of the chain; None where they are
-    not known."""
+    """The fit with the summary of a chain. `ended` says how the run ended, `effective`
+    is the target for the effective sample size, and `diagnosis` that of the chain; None
+    where they are not known."""
     free = fit.parameter_set.free
     names = fit.parameter_set.names_where(free)
     diagnosis = diagnosis or Diagnosis(chain.values[:, :, free], chain.ensembles)
@@ -192,18 +204,25 @@ def summarised(
         )
     if not chain.mostly_ridge:
         status += (
-            "; its shape differs from the approximation by the fit, so most proposals were "
-            "ensemble moves"
+            "; its shape differs from the approximation by the fit, "
+            "so most proposals were ensemble moves"
         )
     posterior = Posterior(
-        samples=len(chain.flat), steps=steps, discarded=chain.discarded, walkers=walkers,
-        ensembles=chain.ensembles, seed=chain.seed, acceptance=chain.acceptance,
-        ess=by_name(diagnosis.bulk), ess_tail=by_name(diagnosis.tail),
+        samples=len(chain.flat),
+        steps=steps,
+        discarded=chain.discarded,
+        walkers=walkers,
+        ensembles=chain.ensembles,
+        seed=chain.seed,
+        acceptance=chain.acceptance,
+        ess=by_name(diagnosis.bulk),
+        ess_tail=by_name(diagnosis.tail),
         r_hat=by_name(diagnosis.r_hat),
         quantiles={name: quantiles_of(values) for name, values in quantities.items()},
         mean={name: float(values.mean()) for name, values in quantities.items()},
         sd={name: float(values.std()) for name, values in quantities.items()},
         correlation=dict(zip(names, map(by_name, correlation), strict=True)),
-        converged=effective is not None and diagnosis.good(effective), status=status,
-    )  # fmt: skip
+        converged=effective is not None and diagnosis.good(effective),
+        status=status,
+    )
     return replace(fit, posterior=posterior, sampling="ended")

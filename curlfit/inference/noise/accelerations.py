@@ -1,24 +1,27 @@
 """Model discrepancy: accelerations that the law lacks, and their effect on a path.
 
-A law that is not exact lacks an acceleration across the velocity, one along it and an angular one.
-These recur at the same speed, so each is a function of speed: a Gaussian process in the logarithm
-of the speed (friction laws are powers of it) with Matern covariance (order 5/2, length scale a
-factor e in speed). Mirroring a throw reverses the first and the last together with the spin.
+A law that is not exact lacks an acceleration across the velocity, one along it and an
+angular one. These recur at the same speed, so each is a function of speed: a Gaussian
+process in the logarithm of the speed (friction laws are powers of it) with Matern
+covariance (order 5/2, length scale a factor e in speed). Mirroring a throw reverses the
+first and the last together with the spin.
 
-Response. The friction of the law is taken as a function of speed along the path. A stone then
-passes through the same speeds at other times; with s = int a_along/v' dt, to first order,
+Response. The friction of the law is taken as a function of speed along the path. A
+stone then passes through the same speeds at other times; with s = int a_along/v' dt, to
+first order,
 
     dv = v' s,  db = int (a_across/v - b' a_along/v') dt + b' s,
     domega = int (a_angular - omega' a_along/v') dt + omega' s,
 
-for the speed v, the heading b and the spin omega at a given time, whose integrals are position and
-angle.
+for the speed v, the heading b and the spin omega at a given time, whose integrals are
+position and angle.
 
-Sizes. The size of each component has an exponential prior, a penalised-complexity prior (Simpson et
-al. 2017, Statistical Science 32, 1), with 5 % of its probability above what friction does to the
-throw in that component: along the path the mean deceleration mu g; across it the acceleration that
-bends the path, or 5 % of mu g where that is less; for the rotation mu g R/rho^2 times the mean of
-R omega/v, the relative variation of the sliding speed along the ring.
+Sizes. The size of each component has an exponential prior, a penalised-complexity prior
+(Simpson et al. 2017, Statistical Science 32, 1), with 5 % of its probability above what
+friction does to the throw in that component: along the path the mean deceleration mu g;
+across it the acceleration that bends the path, or 5 % of mu g where that is less; for
+the rotation mu g R/rho^2 times the mean of R omega/v, the relative variation of the
+sliding speed along the ring.
 """
 
 from __future__ import annotations
@@ -42,7 +45,8 @@ _TAIL = 0.05  # prior probability of a size above that of friction
 _STRAIGHT = 0.05  # acceleration across a straight path that a law may miss, over mu g
 _GRID = 400  # number of times along the path
 SPEEDS = np.geomspace(0.02, 10.0, 161)  # m/s, at which shapes are tabulated
-_SLOWEST = 0.02  # over the initial speed: lowest speed at which accelerations are evaluated
+# over the initial speed: lowest speed at which accelerations are evaluated
+_SLOWEST = 0.02
 _EDGES = np.geomspace(0.002, 1.0, 11)
 SIZES = np.sqrt(_EDGES[1:] * _EDGES[:-1])
 """Sizes over the friction, at the midpoints of equal intervals of their logarithm."""
@@ -72,7 +76,9 @@ class Responses(NamedTuple):
 
         distinct = np.flatnonzero(np.diff(times, prepend=-np.inf) > 0)
         moving = np.flatnonzero(path[3, distinct] > 0)
-        last = distinct[min(int(moving[-1]) + 1 if len(moving) else 1, len(distinct) - 1)]
+        last = distinct[
+            min(int(moving[-1]) + 1 if len(moving) else 1, len(distinct) - 1)
+        ]
         distinct = distinct[distinct <= last]
         t = np.linspace(0.0, times[last], _GRID)
         rates = CubicSpline(times[distinct], path[:3, distinct], axis=1)(t, 1)
@@ -87,8 +93,12 @@ class Responses(NamedTuple):
         ratio = float(np.mean(np.minimum(stone.R * np.abs(omega) / speed, 1.0)))
         bend = float(np.sqrt(np.mean((speed * np.gradient(heading, t)) ** 2)))
         largest = mean * np.array([1.0, 1.0, stone.R / stone.rho**2])
-        sizes = largest * np.array([np.clip(bend / mean, _STRAIGHT, 1.0), 1.0, max(ratio, 0.01)])
-        shape = np.array([np.interp(np.log(speed), np.log(SPEEDS), row) for row in shapes()])
+        sizes = largest * np.array(
+            [np.clip(bend / mean, _STRAIGHT, 1.0), 1.0, max(ratio, 0.01)]
+        )
+        shape = np.array(
+            [np.interp(np.log(speed), np.log(SPEEDS), row) for row in shapes()]
+        )
         found = np.zeros((len(CHANNELS), 3, SHAPES, _GRID))
         integral = partial(running_integral, steps=np.diff(t))
         turn, spin_up = np.gradient(heading, t), np.gradient(omega, t)
@@ -111,21 +121,25 @@ class Responses(NamedTuple):
 
     def at(self, times: Floats, channel: int) -> Floats:
         """Responses of a channel at some times, constant after the end of the path."""
-        columns = [np.interp(times, self.t, column) for column in self.by_channel[channel].T]
+        columns = [
+            np.interp(times, self.t, column) for column in self.by_channel[channel].T
+        ]
         return np.array(columns).T
 
 
 def log_prior(sizes: Any) -> Any:
-    """Logarithm of the prior density of the logarithms of the sizes, for NumPy or JAX."""
+    """Logarithm of the prior density of the logarithms of the sizes, for
+    NumPy or JAX."""
     rate = -math.log(_TAIL)
     return (namespace(sizes).log(sizes) - rate * sizes).sum(-1)
 
 
 def amplitude_root(sizes: Any, held: Any) -> Any:
-    """F of the covariance F F^T of the amplitudes given that combinations of them are zero.
+    """F of the covariance F F^T of the amplitudes given that combinations of
+    them are zero.
 
-    With D the standard deviations of the components, F = D (1 - P) with the projection P on the
-    rows of `held` D. For NumPy or JAX.
+    With D the standard deviations of the components, F = D (1 - P) with the projection
+    P on the rows of `held` D. For NumPy or JAX.
 
     Parameters
     ----------
@@ -142,8 +156,8 @@ def amplitude_root(sizes: Any, held: Any) -> Any:
 
 
 def covariance(speed: Floats, other: Floats) -> Floats:
-    """Covariance of accelerations of size 1 at two speeds: Matern, of order 5/2 and length scale 1
-    in the logarithm (Rasmussen and Williams 2006, eq. 4.17)."""
+    """Covariance of accelerations of size 1 at two speeds: Matern, of order 5/2 and
+    length scale 1 in the logarithm (Rasmussen and Williams 2006, eq. 4.17)."""
     q = math.sqrt(5) * np.abs(np.log(speed / other))
     return (1 + q + q**2 / 3) * np.exp(-q)
 
@@ -155,7 +169,8 @@ def shapes() -> Any:
 
 
 def leading_functions(matrix: Floats) -> Floats:
-    """Leading Karhunen-Loeve functions of a covariance at `SPEEDS`, shape (functions, speeds)."""
+    """Leading Karhunen-Loeve functions of a covariance at `SPEEDS`, shape
+    (functions, speeds)."""
     squares, rows = principal_axes(matrix)
     found: Floats = np.sqrt(np.maximum(squares[:SHAPES, None], 0.0)) * rows[:SHAPES]
     return found

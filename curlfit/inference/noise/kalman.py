@@ -1,8 +1,9 @@
 """The Kalman filter of noise that is partly correlated from row to row.
 
-The noise of a channel is an Ornstein-Uhlenbeck process plus independent noise. The innovations of
-its filter are independent (Schweppe 1965, IEEE Trans. Inf. Theory 11, 61): an exact whitening in a
-time proportional to the number of rows, however they are spaced.
+The noise of a channel is an Ornstein-Uhlenbeck process plus independent noise. The
+innovations of its filter are independent (Schweppe 1965, IEEE Trans. Inf. Theory
+11, 61): an exact whitening in a time proportional to the number of rows, however
+they are spaced.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ SHORTEST = 1e-9
 
 
 class KalmanFilter(NamedTuple):
-    """Predicts each row of a channel from those before it; arrays of shape (channels, n)."""
+    """Predicts each row of a channel from those before it; arrays of shape
+    (channels, n)."""
 
     decay: Any
     """of the correlated part to the next row"""
@@ -38,13 +40,16 @@ class KalmanFilter(NamedTuple):
 
         Parameters
         ----------
-        memory, white : correlation time in s and independent share of the variance, by channel.
+        memory, white : correlation time in s and independent share of the
+            variance, by channel.
         gaps : time to the next row, s, shape (n,).
         seen : which values were observed, shape (channels, n).
         """
         rate = gaps / jnp.maximum(memory, SHORTEST)[:, None]
 
-        def advance(variance: Array, row: tuple[Array, Array]) -> tuple[Array, tuple[Array, Array]]:
+        def advance(
+            variance: Array, row: tuple[Array, Array]
+        ) -> tuple[Array, tuple[Array, Array]]:
             rate, seen = row
             total = variance + white
             gain = jnp.where(seen, variance / total, 0.0)
@@ -58,15 +63,21 @@ class KalmanFilter(NamedTuple):
 
     @classmethod
     def of_noise(cls, noise: Noise, times: Floats, seen: Any) -> Self:
-        """The filter of a noise model, at times in s; rows beyond the channels are independent."""
+        """The filter of a noise model, at times in s; rows beyond the channels
+        are independent."""
         names = [*CHANNELS, ""][: len(seen)]
         memory = np.array([noise.memory.get(name, 0.0) for name in names])
         white = np.array([noise.white_share(name) for name in names])
-        return cls(*map(np.asarray, _filter(memory, white, np.diff(times, append=times[-1]), seen)))
+        return cls(
+            *map(
+                np.asarray,
+                _filter(memory, white, np.diff(times, append=times[-1]), seen),
+            )
+        )
 
     def innovations(self, columns: Any) -> Array:
-        """What the rows before do not predict, over its standard deviation, of each column; shape
-        (channels, n, columns)."""
+        """What the rows before do not predict, over its standard deviation, of each
+        column; shape (channels, n, columns)."""
         found: Array = _innovations(self, columns)
         return found
 

@@ -1,9 +1,11 @@
-"""A fitted path to first order: its changes with the parameters and with missing accelerations.
+"""A fitted path to first order: its changes with the parameters and with
+missing accelerations.
 
-Identification. The amplitudes of a discrepancy are conditioned to leave the least-squares estimates
-of the law's coefficients unchanged (as in Plumlee 2017, Journal of the American Statistical
-Association 112, 1274), while those of the initial state would adjust. A fit reports the path of the
-law nearest to the data; that adjustment is part of the error of its initial state.
+Identification. The amplitudes of a discrepancy are conditioned to leave the
+least-squares estimates of the law's coefficients unchanged (as in Plumlee 2017, Journal
+of the American Statistical Association 112, 1274), while those of the initial state
+would adjust. A fit reports the path of the law nearest to the data; that adjustment is
+part of the error of its initial state.
 """
 
 from __future__ import annotations
@@ -29,7 +31,8 @@ _NOTHING = 1e-9  # singular value over the largest, below which it is rounding e
 
 
 class Linearized(NamedTuple):
-    """A fitted path and what can change it, to first order; SI, shapes (channels, n, ...)."""
+    """A fitted path and what can change it, to first order; SI, shapes
+    (channels, n, ...)."""
 
     gaps: Any
     """time to the next row, s, shape (n,)"""
@@ -38,9 +41,11 @@ class Linearized(NamedTuple):
     residual: Any
     """measured - fitted, 0 where nothing was observed"""
     jacobian: Any
-    """derivatives by the directions of the parameters, in units of their standard errors"""
+    """derivatives by the directions of the parameters, in units of their
+    standard errors"""
     responses: Any
-    """derivatives by the amplitudes of missing accelerations; none without a discrepancy"""
+    """derivatives by the amplitudes of missing accelerations; none without
+    a discrepancy"""
     from_standard: Any
     """from directions to parameters, shape (parameters, directions)"""
     to_standard: Any
@@ -51,11 +56,17 @@ class Linearized(NamedTuple):
 
     @classmethod
     def of(
-        cls, times: Floats, weight: Floats, residual: Floats, jacobian: Floats,
-        typical: Floats, adjustable: Booleans, coefficients: int,
-    ) -> Self:  # fmt: skip
-        """From the derivatives by all parameters; without a discrepancy, of a stone that moves up
-        to the last row.
+        cls,
+        times: Floats,
+        weight: Floats,
+        residual: Floats,
+        jacobian: Floats,
+        typical: Floats,
+        adjustable: Booleans,
+        coefficients: int,
+    ) -> Self:
+        """From the derivatives by all parameters; without a discrepancy, of a stone
+        that moves up to the last row.
 
         Parameters
         ----------
@@ -74,9 +85,16 @@ class Linearized(NamedTuple):
         _, sizes, held = np.linalg.svd(law, full_matrices=False)
         held = np.where((sizes > _NOTHING * sizes.max(initial=0.0))[:, None], held, 0.0)
         return cls(
-            np.diff(times, append=times[-1]), weight, residual, jacobian @ from_standard,
-            jacobian[..., :0], from_standard, to_standard, held, np.asarray(times[-1] - times[0]),
-        )  # fmt: skip
+            np.diff(times, append=times[-1]),
+            weight,
+            residual,
+            jacobian @ from_standard,
+            jacobian[..., :0],
+            from_standard,
+            to_standard,
+            held,
+            np.asarray(times[-1] - times[0]),
+        )
 
     @property
     def columns(self) -> Any:
@@ -101,7 +119,8 @@ class Linearized(NamedTuple):
 
     @property
     def coupling(self) -> Any:
-        """Change of the least-squares estimates of the directions for each amplitude."""
+        """Change of the least-squares estimates of the directions for
+        each amplitude."""
         rows = self.weight[..., None] ** 2 * self.responses
         return (self.jacobian.mT @ rows).sum(0)
 
@@ -112,22 +131,35 @@ class Linearized(NamedTuple):
 
     def regression(self, noise: KalmanFilter, scale: Any) -> Regression:
         """After a filter of the noise, with sigma times `scale` by channel."""
-        p, columns = len(self.held.T), noise.innovations(self.columns) / scale[:, None, None]
+        p, columns = (
+            len(self.held.T),
+            noise.innovations(self.columns) / scale[:, None, None],
+        )
         columns = columns.reshape(-1, columns.shape[-1])
         own, others = columns[:, :p], columns[:, p:]
         precision = own.T @ own
         precision += jnp.diag(jnp.where(jnp.diag(precision) > 0, 0.0, 1.0))
-        # The products of what is left, not a difference of products: rounding keeps it positive.
-        left = others - own @ cho_solve((jnp.linalg.cholesky(precision), True), own.T @ others)
+        # The products of what is left, not a difference of products: rounding keeps
+        # it positive.
+        left = others - own @ cho_solve(
+            (jnp.linalg.cholesky(precision), True), own.T @ others
+        )
         return Regression(left.T @ left, precision, self.held @ self.coupling)
 
     def covariance(self, noise: Noise, times: Floats, scale: Floats) -> Floats:
-        """Of the least-squares estimates of the directions under noise with sigma times `scale`."""
+        """Of the least-squares estimates of the directions under noise with sigma
+        times `scale`."""
         found = np.zeros((len(self.held.T),) * 2)
         for row, (weight, factor) in enumerate(zip(self.weight, scale, strict=True)):
             name, seen = [*CHANNELS, ""][row], weight > 0
-            rows, t = factor * weight[seen, None] * self.jacobian[row, seen], times[seen]
-            share, memory = noise.white_share(name), max(noise.memory.get(name, 0.0), SHORTEST)
+            rows, t = (
+                factor * weight[seen, None] * self.jacobian[row, seen],
+                times[seen],
+            )
+            share, memory = (
+                noise.white_share(name),
+                max(noise.memory.get(name, 0.0), SHORTEST),
+            )
             found += share * rows.T @ rows
             if share < 1:
                 correlation = np.exp(-np.abs(t[:, None] - t) / memory)
@@ -136,7 +168,8 @@ class Linearized(NamedTuple):
 
 
 class Regression(NamedTuple):
-    """Regression of amplitudes' columns and residual on the parameters, over independent values."""
+    """Regression of amplitudes' columns and residual on the parameters, over
+    independent values."""
 
     left: Any
     """products of what is left of these columns"""
@@ -151,11 +184,15 @@ class Regression(NamedTuple):
         if not len(sizes):
             return -spent - self.left[-1, -1] / 2
         lower, white, _ = self.posterior(sizes)
-        return -spent - jnp.log(jnp.diag(lower)).sum() - (self.left[-1, -1] - white @ white) / 2
+        return (
+            -spent
+            - jnp.log(jnp.diag(lower)).sum()
+            - (self.left[-1, -1] - white @ white) / 2
+        )
 
     def posterior(self, sizes: Any) -> tuple[Array, Array, Array]:
-        """Of z, where the amplitudes are F z: the Cholesky factor L of its precision, L^T times its
-        mean, and F."""
+        """Of z, where the amplitudes are F z: the Cholesky factor L of its precision,
+        L^T times its mean, and F."""
         found: tuple[Array, Array, Array] = _posterior(self, sizes)
         return found
 
@@ -170,9 +207,14 @@ class Regression(NamedTuple):
 def _posterior(regression: Regression, sizes: Array) -> tuple[Array, Array, Array]:
     root = amplitude_root(sizes, regression.held)
     sums = root.T @ regression.left[:-1, :-1] @ root
-    floor = 1 + _ROUNDING * jnp.trace(sums)  # sums of tiny noise have rounding errors above 1
+    # sums of tiny noise have rounding errors above 1
+    floor = 1 + _ROUNDING * jnp.trace(sums)
     lower = jnp.linalg.cholesky(floor * jnp.eye(len(root)) + sums)
-    return lower, solve_triangular(lower, root.T @ regression.left[:-1, -1], lower=True), root
+    return (
+        lower,
+        solve_triangular(lower, root.T @ regression.left[:-1, -1], lower=True),
+        root,
+    )
 
 
 regression_of = compiled()(Linearized.regression)

@@ -1,9 +1,10 @@
 """Robust losses: how much a residual counts when it is too large to be noise.
 
-Each replaces the square of a residual r (in units of its sigma) by rho(r), which grows more slowly.
-Least squares minimises the sum of rho as the square of `sqrt(rho)` with the sign of r, so that one
-solver serves all. The constants of huber and cauchy are those of 95 % efficiency for Gaussian noise
-(Huber 1981; Holland and Welsch 1977); Student's t has 4 degrees of freedom.
+Each replaces the square of a residual r (in units of its sigma) by rho(r), which grows
+more slowly. Least squares minimises the sum of rho as the square of `sqrt(rho)` with
+the sign of r, so that one solver serves all. The constants of huber and cauchy are
+those of 95 % efficiency for Gaussian noise (Huber 1981; Holland and Welsch 1977);
+Student's t has 4 degrees of freedom.
 """
 
 from __future__ import annotations
@@ -50,13 +51,21 @@ def _student(r: Any) -> Any:
     return r * namespace(r).sqrt((1 + 1 / _DEGREES) * _log_ratio(r**2 / _DEGREES))
 
 
-_ROOTS: tuple[Callable[[Any], Any], ...] = (lambda r: r, _huber, _soft, _cauchy, _student)
+_ROOTS: tuple[Callable[[Any], Any], ...] = (
+    lambda r: r,
+    _huber,
+    _soft,
+    _cauchy,
+    _student,
+)
 
 
 def signed_root(r: Any, loss: Any) -> Any:
-    """sqrt(rho) with the sign of r, for NumPy or JAX; `loss` is an index in `LOSSES`, a scalar.
+    """sqrt(rho) with the sign of r, for NumPy or JAX; `loss` is an index in
+    `LOSSES`, a scalar.
 
-    A compiled program contains all losses where `loss` is traced, one where it is a number.
+    A compiled program contains all losses where `loss` is traced, one where it
+    is a number.
     """
     if isinstance(loss, jax.Array):
         return jax.lax.switch(loss, _ROOTS, jnp.asarray(r))
@@ -74,7 +83,9 @@ def influence(r: Floats, loss: str) -> Influence:
     """psi and its slope at residuals in units of their sigma."""
     z = r**2
     if loss == "huber":
-        return Influence(np.clip(r, -_HUBER, _HUBER), (np.abs(r) <= _HUBER).astype(float))
+        return Influence(
+            np.clip(r, -_HUBER, _HUBER), (np.abs(r) <= _HUBER).astype(float)
+        )
     if loss == "soft-l1":
         return Influence(r / np.sqrt(1 + z), (1 + z) ** -1.5)
     if loss == "cauchy":
@@ -89,9 +100,9 @@ def influence(r: Floats, loss: str) -> Influence:
 def log_density(r: Floats, loss: str) -> Floats:
     """Log of the density exp(-rho/2) of noise of unit sigma, which integrates to 1.
 
-    Every loss is the likelihood of some noise: Gaussian (linear); Gaussian with exponential tails
-    (huber); hyperbolic (soft-l1); Student's t, with 4 degrees of freedom (student) or, widened,
-    with 4.7 (cauchy).
+    Every loss is the likelihood of some noise: Gaussian (linear); Gaussian with
+    exponential tails (huber); hyperbolic (soft-l1); Student's t, with 4 degrees of
+    freedom (student) or, widened, with 4.7 (cauchy).
     """
     return -(signed_root(r, LOSSES.index(loss)) ** 2) / 2 - np.log(_NORMS[loss])
 
@@ -118,9 +129,12 @@ def likeliest_sigma(residual: Floats, loss: str, floor: float = 1e-12) -> float:
     """Maximum-likelihood sigma of residuals: their rms where the loss is linear."""
     largest = float(np.abs(residual).max(initial=0.0))
     if loss == "linear" or largest <= floor:
-        return max(float(np.sqrt(np.mean(residual**2))) if len(residual) else 0.0, floor)
+        return max(
+            float(np.sqrt(np.mean(residual**2))) if len(residual) else 0.0, floor
+        )
 
-    def slope(log_sigma: float) -> float:  # of the log-likelihood by log sigma, per value
+    # of the log-likelihood by log sigma, per value
+    def slope(log_sigma: float) -> float:
         r = residual / np.exp(log_sigma)
         return float(np.mean(r * influence(r, loss).psi)) - 1
 
@@ -131,7 +145,8 @@ def likeliest_sigma(residual: Floats, loss: str, floor: float = 1e-12) -> float:
 
 
 def precision(r: Floats, loss: str) -> float:
-    """Information of a residual over that of a Gaussian one of the same sigma (Huber 1981)."""
+    """Information of a residual over that of a Gaussian one of the same sigma
+    (Huber 1981)."""
     if loss == "linear" or not len(r):
         return 1.0
     found = influence(r, loss)

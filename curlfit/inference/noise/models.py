@@ -3,14 +3,15 @@
 The models:
 
 - "white": independent from row to row.
-- "ar1": independent noise, and noise whose correlation decays exponentially, as exp(-gap/memory)
-  between rows (an Ornstein-Uhlenbeck process; AR(1) where rows are evenly spaced). For noise of
-  the tracker: filters, a swaying camera.
-- "discrepancy": the same, and accelerations that the law lacks, as functions of speed, propagated
-  to all channels by the equations of motion (`curlfit.inference.noise.accelerations`). For a law
-  that is not exact (Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, 425). Slow noise and an
-  inexact law leave similar residuals, so that neither is estimated without the other;
-  "ar1+discrepancy" is another name of this model.
+- "ar1": independent noise, and noise whose correlation decays exponentially, as
+  exp(-gap/memory) between rows (an Ornstein-Uhlenbeck process; AR(1) where rows are
+  evenly spaced). For noise of the tracker: filters, a swaying camera.
+- "discrepancy": the same, and accelerations that the law lacks, as functions of speed,
+  propagated to all channels by the equations of motion
+  (`curlfit.inference.noise.accelerations`). For a law that is not exact (Kennedy and
+  O'Hagan 2001, J. R. Stat. Soc. B 63, 425). Slow noise and an inexact law leave similar
+  residuals, so that neither is estimated without the other; "ar1+discrepancy" is
+  another name of this model.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ _MATTERS = 0.2  # lag-1 correlation below which errors would hardly change
 
 
 LOSSES = LOSS.names
-"""How much large residuals count; for the formulas see `curlfit.inference.noise.losses`."""
+"""How much large residuals count; for the formulas see
+`curlfit.inference.noise.losses`."""
 
 NOISES = NOISE.names
 """How noise is correlated from row to row."""
@@ -44,12 +46,14 @@ class Noise:
     kind : one of `NOISES`.
     memory : correlation time in s by channel, 0 where the noise is independent.
     white : independent share of the variance by channel.
-    sizes : for "discrepancy", the standard deviation of the missing acceleration over that by
-        friction, by component (`across`, `along`, `turning`).
-    independent : for "discrepancy", sigma of the fit with independent noise, by channel: the
-        coefficients and the path of the law are nearest to the data with these weights.
-    initial_state : covariance of the change of the initial state (x0, y0, heading, v0, phi0,
-        omega0; SI) that compensates the discrepancy, part of the error of its estimate.
+    sizes : for "discrepancy", the standard deviation of the missing acceleration over
+        that by friction, by component (`across`, `along`, `turning`).
+    independent : for "discrepancy", sigma of the fit with independent noise, by
+        channel: the coefficients and the path of the law are nearest to the data with
+        these weights.
+    initial_state : covariance of the change of the initial state (x0, y0, heading,
+        v0, phi0, omega0; SI) that compensates the discrepancy, part of the error of
+        its estimate.
     """
 
     kind: str = "white"
@@ -72,11 +76,13 @@ class Noise:
 WHITE = Noise()
 
 
-_ROUGH = 1.0  # second over first differences, squared: 2 to 3 for noise that is not differentiable
+# second over first differences, squared: 2 to 3 for noise that is not differentiable
+_ROUGH = 1.0
 
 
 def is_rough(series: Floats) -> bool:
-    """Whether a series is as rough as noise; others are due to a law, or to a formula."""
+    """Whether a series is as rough as noise; others are due to a law, or
+    to a formula."""
     first, second = (float(np.sum(np.diff(series, order) ** 2)) for order in (1, 2))
     return second > _ROUGH * first
 
@@ -94,10 +100,10 @@ class Independence:
     Attributes
     ----------
     lag1 : correlation of neighbours.
-    runs : z-score of the number of runs of one sign, negative where there are too few (Wald and
-        Wolfowitz 1940).
-    effective : effective sample size, with the same information on a mean, n(1 - r)/(1 + r)
-        (Bayley and Hammersley 1946).
+    runs : z-score of the number of runs of one sign, negative where there are too few
+        (Wald and Wolfowitz 1940).
+    effective : effective sample size, with the same information on a mean, n(1 -
+        r)/(1 + r) (Bayley and Hammersley 1946).
     """
 
     lag1: float
@@ -118,7 +124,8 @@ class Independence:
 
     @property
     def doubtful(self) -> bool:
-        """Whether independence is rejected, with a correlation that matters for the errors."""
+        """Whether independence is rejected, with a correlation that matters
+        for the errors."""
         n = self.effective * (1 + self.lag1) / max(1 - self.lag1, 1e-9)
         sure = self.lag1 * math.sqrt(n) > _SURE or self.runs < -_SURE
         return sure and self.lag1 > _MATTERS

@@ -1,9 +1,11 @@
-"""Noise models estimated by restricted likelihood, from the residuals of a fit with white noise.
+"""Noise models estimated by restricted likelihood, from the residuals of a fit with
+white noise.
 
-The restricted likelihood (Patterson and Thompson 1971) is that of the part of the residuals that no
-change of the fitted parameters can produce, since the fit has absorbed the rest. The maximum of the
-posterior gives the scale of each channel, the independent share of its variance, one correlation
-time (the channels are measured by one camera) and the sizes of a discrepancy.
+The restricted likelihood (Patterson and Thompson 1971) is that of the part of the
+residuals that no change of the fitted parameters can produce, since the fit has
+absorbed the rest. The maximum of the posterior gives the scale of each channel, the
+independent share of its variance, one correlation time (the channels are measured by
+one camera) and the sizes of a discrepancy.
 """
 
 from __future__ import annotations
@@ -38,7 +40,8 @@ _MOST = 9.0  # limit of the logit of that of correlated noise
 _SIZE = 0.05  # initial size of a discrepancy
 _PRECISE = 1e-12  # relative change of the log-posterior at which the search ends
 _STEP = 1e-3  # of differences of slopes
-_FACTOR = 4 / 3  # mean square of a factor of the discrepancy that is uniform between 0 and 2
+# mean square of a factor of the discrepancy that is uniform between 0 and 2
+_FACTOR = 4 / 3
 GRID = np.stack(np.meshgrid(*[SIZES] * len(COMPONENTS), indexing="ij"), -1).reshape(
     -1, len(COMPONENTS)
 )
@@ -47,15 +50,16 @@ GRID = np.stack(np.meshgrid(*[SIZES] * len(COMPONENTS), indexing="ij"), -1).resh
 
 @compiled()
 def _slope(logs: Array, data: Linearized) -> tuple[Array, Array, Array]:
-    """Negative log-posterior of the logarithms of scales, shares (logits), correlation time and
-    sizes; its gradient; and the restricted log-likelihood."""
+    """Negative log-posterior of the logarithms of scales, shares (logits), correlation
+    time and sizes; its gradient; and the restricted log-likelihood."""
     channels = len(data.weight)
 
     def negative(logs: Array) -> tuple[Array, Array]:
         regression, determinant = _regression(logs, data)
         memory, sizes = logs[2 * channels], jnp.exp(logs[2 * channels + 1 :])
         likelihood = regression.log_likelihood(sizes) + determinant
-        # Exponential in the correlation time, uniform in shares and logarithms of scales.
+        # Exponential in the correlation time, uniform in shares and
+        # logarithms of scales.
         prior = memory - jnp.exp(memory) / (_TYPICAL * data.span)
         return -likelihood - prior - log_prior(sizes), likelihood
 
@@ -66,7 +70,10 @@ def _slope(logs: Array, data: Linearized) -> tuple[Array, Array, Array]:
 def _regression(logs: Array, data: Linearized) -> tuple[Regression, Array]:
     """The regression, and the log-determinant of the whitening."""
     channels, seen = len(data.weight), data.weight > 0
-    share, memory = jax.nn.sigmoid(logs[channels : 2 * channels]), jnp.exp(logs[2 * channels])
+    share, memory = (
+        jax.nn.sigmoid(logs[channels : 2 * channels]),
+        jnp.exp(logs[2 * channels]),
+    )
     own = KalmanFilter.of(jnp.full(channels, memory), share, data.gaps, seen)
     determinant = own.log_determinant() - seen.sum(-1) * logs[:channels]
     return data.regression(own, jnp.exp(logs[:channels])), determinant.sum()
@@ -104,10 +111,10 @@ class Estimate(NamedTuple):
 def estimate(kind: str, data: Linearized, known: Sequence[bool]) -> Estimate:
     """The noise of some residuals.
 
-    Independent noise is preferred unless a correlation raises the likelihood by more than its
-    number of parameters (Akaike 1974, IEEE Trans. Autom. Control 19, 716). A channel whose
-    residuals are smoother than any noise keeps its sigma: it would be fitted perfectly, at the
-    expense of the others.
+    Independent noise is preferred unless a correlation raises the likelihood by more
+    than its number of parameters (Akaike 1974, IEEE Trans. Autom. Control 19, 716). A
+    channel whose residuals are smoother than any noise keeps its sigma: it would be
+    fitted perfectly, at the expense of the others.
 
     Parameters
     ----------
@@ -156,11 +163,14 @@ class _Search:
         """Logarithm of the rms residual over sigma, by channel."""
         data = self.data
         count = np.maximum((data.weight > 0).sum(1), 1)
-        found: Floats = np.log(np.sqrt(((data.weight * data.residual) ** 2).sum(1) / count) + 1e-10)
+        found: Floats = np.log(
+            np.sqrt(((data.weight * data.residual) ** 2).sum(1) / count) + 1e-10
+        )
         return found
 
     def maximum(self, memory: float | None, correlated: Booleans) -> _Maximum:
-        """From an initial correlation time over the time of motion; None: of independent noise."""
+        """From an initial correlation time over the time of motion; None: of
+        independent noise."""
         from scipy.optimize import minimize  # slow to load
 
         data, far = self.data, _FAR * self.free
@@ -181,15 +191,19 @@ class _Search:
             return float(value), np.asarray(gradient)
 
         found = minimize(
-            slope, np.clip(start, *bounds), jac=True, method="L-BFGS-B",
-            bounds=np.transpose(bounds), options={"ftol": _PRECISE},
-        )  # fmt: skip
+            slope,
+            np.clip(start, *bounds),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=np.transpose(bounds),
+            options={"ftol": _PRECISE},
+        )
         likelihood = float(_slope(found.x, data)[2])
         return _Maximum(found.x, correlated, -float(found.fun), likelihood)
 
     def rough(self, found: _Maximum) -> Booleans:
-        """Channels whose residuals are as rough as noise, and of a size; others are due to the law,
-        or to a file without noise."""
+        """Channels whose residuals are as rough as noise, and of a size; others are due
+        to the law, or to a file without noise."""
         data = self.data
         left = data.residual
         if self.sizes:
@@ -201,16 +215,20 @@ class _Search:
         return sized & [is_rough(values[seen]) for values, seen in series]
 
     def widened(self, best: _Maximum) -> _Maximum:
-        """With the mean variance of the noise at low frequencies in place of the most probable.
+        """With the mean variance of the noise at low frequencies in place of the
+        most probable.
 
-        Noise of longer memory is larger, and the likelihood has a ridge along which the variance
-        at low frequencies grows as the square of the correlation time. For a log-normal posterior
-        its mean is at a shift of the logarithm of the time by its variance.
+        Noise of longer memory is larger, and the likelihood has a ridge along which
+        the variance at low frequencies grows as the square of the correlation time.
+        For a log-normal posterior its mean is at a shift of the logarithm of the time
+        by its variance.
         """
         place = 2 * len(self.enough)
         inside = np.abs(best.logs[place // 2 : place]) < _MOST
         moving = np.flatnonzero([*self.free, *best.correlated & inside, True])
-        hessian = slopes(lambda logs: _slope(logs, self.data)[1][moving], best.logs, _STEP, moving)
+        hessian = slopes(
+            lambda logs: _slope(logs, self.data)[1][moving], best.logs, _STEP, moving
+        )
         values, axes = np.linalg.eigh(hessian + hessian.T)
         inverse = (2 * axes / np.maximum(values, 2.0)) @ axes.T
         logs = best.logs.copy()
@@ -224,19 +242,29 @@ class _Search:
         for row in np.flatnonzero(self.enough):
             name, own = CHANNELS[row], bool(best.correlated[row])
             noise.memory[name] = math.exp(best.logs[2 * channels]) if own else 0.0
-            noise.white[name] = 1 / (1 + math.exp(-best.logs[channels + row])) if own else 1.0
+            noise.white[name] = (
+                1 / (1 + math.exp(-best.logs[channels + row])) if own else 1.0
+            )
         scale = np.exp(best.logs[:channels])
         if not self.sizes:
             return Estimate(noise, scale)
         regression: Regression = jax.tree.map(np.asarray, _at(best.logs, data))
-        found = Estimate(noise, scale, regression, np.asarray(_of_sizes(regression, GRID)))
+        found = Estimate(
+            noise, scale, regression, np.asarray(_of_sizes(regression, GRID))
+        )
         rms = np.sqrt(found.weights @ GRID**2)
         noise.sizes.update(zip(COMPONENTS, map(float, rms), strict=True))
         lower, white, root = map(np.asarray, regression.posterior(rms))
         spread = np.linalg.inv(lower.T)
         shift = data.from_standard[-STATE:] @ np.asarray(data.coupling) @ root
         noise.initial_state.extend(
-            (shift @ (spread @ spread.T + _FACTOR * np.outer(spread @ white, spread @ white))
-             @ shift.T).tolist()
-        )  # fmt: skip
+            (
+                shift
+                @ (
+                    spread @ spread.T
+                    + _FACTOR * np.outer(spread @ white, spread @ white)
+                )
+                @ shift.T
+            ).tolist()
+        )
         return found

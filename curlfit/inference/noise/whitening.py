@@ -26,10 +26,11 @@ _COUNT = len(COMPONENTS) * SHAPES
 class Whitener(NamedTuple):
     """Makes residuals with correlated noise independent.
 
-    Without a discrepancy, by the filter W of the noise alone. With one, the estimates are those of
-    least squares, b = B^T r, and independent of the rest: after the filter, the changes with the
-    parameters, of orthonormal basis G, are replaced by G V^-1/2 b with the covariance V of b, and
-    each direction in which the discrepancy is s times the noise is scaled down by sqrt(1 + s^2).
+    Without a discrepancy, by the filter W of the noise alone. With one, the estimates
+    are those of least squares, b = B^T r, and independent of the rest: after the
+    filter, the changes with the parameters, of orthonormal basis G, are replaced by G
+    V^-1/2 b with the covariance V of b, and each direction in which the discrepancy is
+    s times the noise is scaled down by sqrt(1 + s^2).
     """
 
     filter: KalmanFilter
@@ -46,9 +47,13 @@ class Whitener(NamedTuple):
 
     @classmethod
     def of(
-        cls, noise: Noise, times: Floats, weight: Floats, parameters: int,
+        cls,
+        noise: Noise,
+        times: Floats,
+        weight: Floats,
+        parameters: int,
         data: Linearized | None = None,
-    ) -> Self | None:  # fmt: skip
+    ) -> Self | None:
         """The whitener of a noise model; None where that is white.
 
         It changes nothing where the noise has neither a memory nor a size.
@@ -58,7 +63,8 @@ class Whitener(NamedTuple):
         times : s since the first row, shape (n,).
         weight : 1/sigma, 0 where nothing was observed, shape (channels, n).
         parameters : their number.
-        data : the fit with independent noise to first order; None for a noise that has no size yet.
+        data : the fit with independent noise to first order; None for a noise that has
+            no size yet.
         """
         if noise.kind == "white":
             return None
@@ -76,15 +82,17 @@ class Whitener(NamedTuple):
             size = int(determined.sum())
             g, triangle = np.linalg.qr(_filtered(own, by_parameters)[:, determined])
             directions[:, k : k + size], shrink[k : k + size] = g, 1.0
-            estimates = (scale[:, None, None] * data.weight[..., None] * data.jacobian).reshape(
-                n, -1
-            )
+            estimates = (
+                scale[:, None, None] * data.weight[..., None] * data.jacobian
+            ).reshape(n, -1)
             covariance = data.covariance(noise, times, scale)
             to_state = data.to_standard[:, -STATE:]
             covariance += to_state @ np.array(noise.initial_state) @ to_state.T
             values, axes = np.linalg.eigh(covariance[determined][:, determined])
             restored[:, determined] = g @ (axes / np.sqrt(values)) @ axes.T
-            root = amplitude_root(noise.all_sizes, data.held @ np.asarray(data.coupling))
+            root = amplitude_root(
+                noise.all_sizes, data.held @ np.asarray(data.coupling)
+            )
             rows = _filtered(own, weight[..., None] * np.asarray(data.paid)) @ root
             rows -= g @ (g.T @ rows)
             left, singular, _ = np.linalg.svd(rows, full_matrices=False)
@@ -94,12 +102,17 @@ class Whitener(NamedTuple):
             determinant -= np.log(np.abs(np.diag(triangle))).sum()
         shape = (*weight.shape, -1)
         return cls(
-            own, directions.reshape(shape), shrink, estimates.reshape(shape),
-            restored.reshape(shape), np.asarray(determinant),
-        )  # fmt: skip
+            own,
+            directions.reshape(shape),
+            shrink,
+            estimates.reshape(shape),
+            restored.reshape(shape),
+            np.asarray(determinant),
+        )
 
     def log_determinant(self) -> Floats:
-        """Log-determinant of the whitening by channel, for the likelihood; shape (channels,)."""
+        """Log-determinant of the whitening by channel, for the likelihood;
+        shape (channels,)."""
         found = np.array(self.filter.log_determinant())
         if self.determinant is not None:
             found[0] += self.determinant  # of all channels together
@@ -122,14 +135,20 @@ def whitened(residual: Array, whitener: Whitener | None) -> Array:
 
 
 def scale_between(before: Floats, weight: Floats) -> Floats:
-    """Factor between weights before and now, by channel; 1 where nothing was observed."""
+    """Factor between weights before and now, by channel; 1 where nothing
+    was observed."""
     largest = weight.max(1)
-    return np.where(largest > 0, before.max(1) / np.where(largest > 0, largest, 1.0), 1.0)
+    return np.where(
+        largest > 0, before.max(1) / np.where(largest > 0, largest, 1.0), 1.0
+    )
 
 
-def posterior_mean(noise: Noise, times: Floats, weight: Floats, data: Linearized) -> Floats:
-    """Mean of the discrepancy given the residuals (Rasmussen and Williams 2006, eq. 2.25), beside
-    the path of the law; SI, shape (channels, n). Parameters as of `Whitener.of`."""
+def posterior_mean(
+    noise: Noise, times: Floats, weight: Floats, data: Linearized
+) -> Floats:
+    """Mean of the discrepancy given the residuals (Rasmussen and Williams 2006,
+    eq. 2.25), beside the path of the law; SI, shape (channels, n). Parameters as
+    of `Whitener.of`."""
     own = KalmanFilter.of_noise(noise, times, data.weight > 0)
     regression = regression_of(data, own, scale_between(data.weight, weight))
     found: Floats = np.asarray(data.paid) @ regression.mean(noise.all_sizes)

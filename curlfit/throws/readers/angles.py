@@ -1,4 +1,5 @@
-"""Angles of a stone: their unit, their jumps, and their measurement by a second mark."""
+"""Angles of a stone: their unit, their jumps, and their measurement by a
+second mark."""
 
 from __future__ import annotations
 
@@ -21,8 +22,9 @@ _FARTHEST = 0.3  # m, of a mark; the stone's diameter is 0.29 m
 def require_radians(parsed: ParsedFile, columns: dict[str, Floats]) -> None:
     """Refuse an angle or a spin whose numbers cannot be radians.
 
-    They cannot be if they jump by 360 or 180, and are unlikely to be if the stone would turn more
-    than twice a second; columns named `phi` and `omega` then are rad and rad/s, with a note.
+    They cannot be if they jump by 360 or 180, and are unlikely to be if the stone would
+    turn more than twice a second; columns named `phi` and `omega` then are rad and
+    rad/s, with a note.
     """
     for header, (quantity, unit, factor, stated), _ in parsed.series:
         if quantity not in ("phi", "omega"):
@@ -34,11 +36,19 @@ def require_radians(parsed: ParsedFile, columns: dict[str, Floats]) -> None:
         if stated:
             named = parse_header(header)
             if jump is not None and factor == 1 and named is not None and named.stated:
-                fault = f"the header says {unit}, and the numbers jump by {jump[1]} as degrees do; "
-                raise parsed.error(f"{fault}give `--units angle=deg`", jump[0], quantity)
+                fault = (
+                    f"the header says {unit}, and the numbers jump by "
+                    f"{jump[1]} as degrees do; "
+                )
+                raise parsed.error(
+                    f"{fault}give `--units angle=deg`", jump[0], quantity
+                )
             continue
         if jump is not None:
-            fault = f"no unit is given, and the numbers jump by {jump[1]} as degrees do; give "
+            fault = (
+                f"no unit is given, and the numbers jump by {jump[1]} as "
+                "degrees do; give "
+            )
             raise parsed.error(fault + remedy, jump[0], quantity)
         rate = (
             turning_rate(columns["t"], values)
@@ -48,8 +58,8 @@ def require_radians(parsed: ParsedFile, columns: dict[str, Floats]) -> None:
         if rate <= MAX_SPIN:
             continue
         fault = (
-            f"no unit is given, and {rate:.3g} rad/s would be more than two turns a second; these "
-            f"may be degrees: give {remedy}"
+            f"no unit is given, and {rate:.3g} rad/s would be more than two turns a "
+            f"second; these may be degrees: give {remedy}"
         )
         if header.strip().lower() != quantity:
             raise parsed.error(fault, quantity=quantity)
@@ -57,14 +67,17 @@ def require_radians(parsed: ParsedFile, columns: dict[str, Floats]) -> None:
 
 
 def unwrap_angle(parsed: ParsedFile, columns: dict[str, Floats]) -> str:
-    """Undo the jumps of the angle; says how many. Raises `DataError` where their sense is
-    unclear."""
+    """Undo the jumps of the angle; says how many. Raises `DataError` where their
+    sense is unclear."""
     try:
-        columns["phi"], jumps, period = unwrap(columns["t"], columns["phi"], columns.get("omega"))
+        columns["phi"], jumps, period = unwrap(
+            columns["t"], columns["phi"], columns.get("omega")
+        )
     except AmbiguousTurnError as error:
         raise parsed.error(
-            "the angle is wrapped and the stone turns so far from row to row that the sense is "
-            "ambiguous; expected rows closer in time, an unwrapped angle, or a column of the spin",
+            "the angle is wrapped and the stone turns so far from row to row that the "
+            "sense is ambiguous; expected rows closer in time, an unwrapped angle, "
+            "or a column of the spin",
             error.args[0],
             "phi",
         ) from None
@@ -77,40 +90,48 @@ def add_angle_of_mark(
 ) -> None:
     """Add phi and sigma_phi from the direction from the stone's position to the mark.
 
-    With d = (x_mark - x, y_mark - y), phi = atan2(d_y, d_x), unwrapped. To first order the error of
-    phi is the noise of d across its direction, divided by |d|. With given sigmas, the same for mark
-    and stone, var(phi) = 2 (sigma_x^2 sin^2 phi + sigma_y^2 cos^2 phi) / |d|^2. Without them, the
-    noise across d is taken to equal that along d, where the true length is constant: sigma_phi is
-    the scatter of |d| from row to row, divided by its median.
+    With d = (x_mark - x, y_mark - y), phi = atan2(d_y, d_x), unwrapped. To first order
+    the error of phi is the noise of d across its direction, divided by |d|. With given
+    sigmas, the same for mark and stone, var(phi) = 2 (sigma_x^2 sin^2 phi + sigma_y^2
+    cos^2 phi) / |d|^2. Without them, the noise across d is taken to equal that along d,
+    where the true length is constant: sigma_phi is the scatter of |d| from row to row,
+    divided by its median.
 
     Parameters
     ----------
-    columns : with x and y in m and curlfit's axes, shape (n,); phi and sigma_phi are added.
+    columns : with x and y in m and curlfit's axes, shape (n,); phi and
+        sigma_phi are added.
     mark : x and y of the mark, likewise.
 
     Raises
     ------
-    DataError : there is an angle already, the mark is not on the stone, or it turns too fast for
-        the rows.
+    DataError : there is an angle already, the mark is not on the stone, or it turns too
+        fast for the rows.
     """
     if "phi" in columns:
         raise parsed.error(
-            "an angle and a second mark are both given; leave one of them out", quantity="phi"
+            "an angle and a second mark are both given; leave one of them out",
+            quantity="phi",
         )
     dx, dy = mark[0] - columns["x"], mark[1] - columns["y"]
     length = np.hypot(dx, dy)
     seen = np.isfinite(length)
     if seen.sum() < 2:
-        raise parsed.error("stone and mark are never seen together; expected both in many rows")
+        raise parsed.error(
+            "stone and mark are never seen together; expected both in many rows"
+        )
     typical = float(np.median(length[seen]))
     if not 0 < typical < _FARTHEST:
         raise parsed.error(
-            f"the mark is {typical:.3g} m from the stone, and a stone's diameter is 0.29 m; "
-            "expected a point of the same stone (--handle N)"
+            f"the mark is {typical:.3g} m from the stone, and a stone's diameter is "
+            "0.29 m; expected a point of the same stone (--handle N)"
         )
     columns["phi"] = phi = np.arctan2(dy, dx)
     unwrap_angle(parsed, columns)
-    note = f"phi is the direction of the mark, {1000 * typical:.3g} mm from the stone's position"
+    note = (
+        f"phi is the direction of the mark, {1000 * typical:.3g} mm from the "
+        "stone's position"
+    )
     if {"sigma_x", "sigma_y"} <= columns.keys():
         across = columns["sigma_x"] ** 2 * np.sin(phi) ** 2
         across += columns["sigma_y"] ** 2 * np.cos(phi) ** 2
@@ -120,22 +141,27 @@ def add_angle_of_mark(
         columns["sigma_phi"] = np.full(len(phi), noise / typical)
         how = f"from the scatter of that length, {1000 * noise:.2g} mm"
     if "sigma_phi" in columns:
-        note += f"; its sigma, {float(np.nanmedian(columns['sigma_phi'])):.2g} rad, {how}"
+        note += (
+            f"; its sigma, {float(np.nanmedian(columns['sigma_phi'])):.2g} rad, {how}"
+        )
     parsed.notes.append(note)
 
 
 class AmbiguousTurnError(Exception):
-    """About half a period between two rows, of ambiguous sense; its argument is the later row."""
+    """About half a period between two rows, of ambiguous sense; its argument is
+    the later row."""
 
 
-def unwrap(t: Floats, phi: Floats, omega: Floats | None = None) -> tuple[Floats, int, float]:
+def unwrap(
+    t: Floats, phi: Floats, omega: Floats | None = None
+) -> tuple[Floats, int, float]:
     """The angle without its jumps, and their number and size.
 
-    An angle that stays within one turn (or half a turn, the direction of a line) and jumps against
-    its trend was reduced modulo that period. A measured spin determines the rotation between two
-    rows; without one, the rotation from row to row must be well below half a period, and gaps are
-    bridged at the neighbouring rate. In an angle that exceeds one turn, single jumps by whole turns
-    are removed.
+    An angle that stays within one turn (or half a turn, the direction of a line) and
+    jumps against its trend was reduced modulo that period. A measured spin determines
+    the rotation between two rows; without one, the rotation from row to row must be
+    well below half a period, and gaps are bridged at the neighbouring rate. In an angle
+    that exceeds one turn, single jumps by whole turns are removed.
 
     Parameters
     ----------
@@ -171,7 +197,8 @@ def unwrap(t: Floats, phi: Floats, omega: Floats | None = None) -> tuple[Floats,
 
 
 def jump_in_degrees(angle: Floats) -> tuple[int, int] | None:
-    """Row and size (360 or 180) of the first jump of an apparently wrapped angle in degrees.
+    """Row and size (360 or 180) of the first jump of an apparently wrapped
+    angle in degrees.
 
     None if the values do not look like one.
     """
@@ -188,7 +215,8 @@ def jump_in_degrees(angle: Floats) -> tuple[int, int] | None:
 
 
 def turning_rate(t: Floats, phi: Floats) -> float:
-    """Largest turning rate in rad/s over a tenth of the rows, which averages out the noise."""
+    """Largest turning rate in rad/s over a tenth of the rows, which averages
+    out the noise."""
     finite = np.flatnonzero(np.isfinite(phi))
     some = finite[:: max(1, len(finite) // 10)]
     return float(np.abs(np.diff(phi[some]) / np.diff(t[some])).max(initial=0.0))
@@ -214,10 +242,16 @@ def _period(angle: Floats, step: Floats) -> tuple[float, bool]:
 def _integrated_spin(t: Floats, omega: Floats, time: Floats) -> Floats | None:
     """Rotation between the times, from the spin; None if it is not known throughout."""
     known = np.isfinite(omega)
-    if known.sum() < 2 or t[known][0] > time[0] + 1e-9 or t[known][-1] < time[-1] - 1e-9:
+    if (
+        known.sum() < 2
+        or t[known][0] > time[0] + 1e-9
+        or t[known][-1] < time[-1] - 1e-9
+    ):
         return None
     at, rate = t[known], omega[known]
-    turned = np.concatenate([[0.0], np.cumsum(np.diff(at) * (rate[1:] + rate[:-1]) / 2)])
+    turned = np.concatenate(
+        [[0.0], np.cumsum(np.diff(at) * (rate[1:] + rate[:-1]) / 2)]
+    )
     return np.diff(np.interp(time, at, turned))
 
 
@@ -244,7 +278,8 @@ def _unwrap_by_rate(
 
 
 def _remove_jumps(step: Floats, dt: Floats) -> Floats:
-    """Steps of an unwrapped angle, with single ones corrected that are off by whole turns."""
+    """Steps of an unwrapped angle, with single ones corrected that are off by
+    whole turns."""
     if len(step) < 5:
         return step
     rate = step / dt

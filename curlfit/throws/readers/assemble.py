@@ -1,4 +1,5 @@
-"""From the columns of a file to the values of a throw: clocks, pixels, unwrapping and axes."""
+"""From the columns of a file to the values of a throw: clocks, pixels,
+unwrapping and axes."""
 
 from __future__ import annotations
 
@@ -12,7 +13,11 @@ from curlfit.foreign import counted
 from curlfit.numerics.arrays import Floats
 from curlfit.settings.choices import Reading
 from curlfit.throws.channels import CHANNELS, block_means
-from curlfit.throws.readers.angles import add_angle_of_mark, require_radians, unwrap_angle
+from curlfit.throws.readers.angles import (
+    add_angle_of_mark,
+    require_radians,
+    unwrap_angle,
+)
 from curlfit.throws.readers.axes import AxisConvention, parse_axes
 from curlfit.throws.readers.camera import pixels_to_metres
 from curlfit.throws.readers.parsed_file import ParsedFile, clock_of
@@ -22,8 +27,8 @@ _Columns = dict[str, Floats]  # by quantity, with the times as "t"
 
 
 def assemble(parsed: ParsedFile, reading: Reading) -> dict[str, Any]:
-    """The values in a parsed file, as arguments of `Throw.from_arrays`, or of `Throw.from_events`
-    where the file has events.
+    """The values in a parsed file, as arguments of `Throw.from_arrays`, or of
+    `Throw.from_events` where the file has events.
 
     Raises
     ------
@@ -37,14 +42,16 @@ def assemble(parsed: ParsedFile, reading: Reading) -> dict[str, Any]:
         settings["as_given"] = True
     parsed = replace(parsed, notes=list(parsed.notes))
     common = {
-        "name": str(parsed.source), "reference": parsed.reference, "defaults": settings,
+        "name": str(parsed.source),
+        "reference": parsed.reference,
+        "defaults": settings,
         "labels": dict(parsed.labels),
-    }  # fmt: skip
+    }
     if parsed.events:
         if reading.reference is not None or convention != AxisConvention():
             raise InputError(
-                f"{parsed.source}: times between lines have no axes and no pixels; leave out "
-                "--axes and --reference"
+                f"{parsed.source}: times between lines have no axes and no pixels; "
+                "leave out --axes and --reference"
             )
         events = {"events": parsed.events, "assumed": parsed.assumed}
         return common | events | {"notes": tuple(parsed.notes)}
@@ -63,7 +70,9 @@ def assemble(parsed: ParsedFile, reading: Reading) -> dict[str, Any]:
         add_angle_of_mark(parsed, columns, convention.to_sheet(mark[0], mark[1]))
     return common | {
         **{name: columns.get(name) for name in ("t", *CHANNELS)},
-        "sigma": {c: columns[f"sigma_{c}"] for c in CHANNELS if f"sigma_{c}" in columns},
+        "sigma": {
+            c: columns[f"sigma_{c}"] for c in CHANNELS if f"sigma_{c}" in columns
+        },
         "relative_sigma": relative,
         "calibration": calibration,
         "notes": tuple(parsed.notes),
@@ -76,14 +85,24 @@ def assemble(parsed: ParsedFile, reading: Reading) -> dict[str, Any]:
 
 def _not_empty(parsed: ParsedFile) -> _Columns:
     """The columns with a value; those of positions must have one."""
-    empty = [s for s in parsed.series if s.column.base != "t" and not np.isfinite(s.values).any()]
-    parsed.series = [s for s in parsed.series if s.header not in {e.header for e in empty}]
-    measured = any(not s.column.quantity.startswith(("t", "sigma_")) for s in parsed.series)
+    empty = [
+        s
+        for s in parsed.series
+        if s.column.base != "t" and not np.isfinite(s.values).any()
+    ]
+    parsed.series = [
+        s for s in parsed.series if s.header not in {e.header for e in empty}
+    ]
+    measured = any(
+        not s.column.quantity.startswith(("t", "sigma_")) for s in parsed.series
+    )
     for header, column, _ in empty:
         if column.quantity in ("x", "y", "u", "v") or not measured:
             fault = f"no value of {column.quantity}: every cell is empty or NaN"
             raise parsed.error(fault, quantity=header)
-        parsed.notes.append(f"column {header} is empty: {column.quantity} is taken as not measured")
+        parsed.notes.append(
+            f"column {header} is empty: {column.quantity} is taken as not measured"
+        )
     return {s.column.quantity: s.values for s in parsed.series}
 
 
@@ -94,17 +113,22 @@ def _chosen(parsed: ParsedFile, columns: _Columns, rows: np.ndarray) -> _Columns
 
 
 def _on_one_clock(parsed: ParsedFile) -> _Columns:
-    """Every column beside the times "t", with a row for each row of each clock; gaps are NaN."""
+    """Every column beside the times "t", with a row for each row of each clock;
+    gaps are NaN."""
     if parsed.ignored:
         parsed.notes.append(f"columns ignored: {', '.join(parsed.ignored)}")
     for _, column, _ in parsed.series:
         if column.factor != 1:
             parsed.notes.append(f"{column.quantity} converted from {column.unit}")
     columns = _not_empty(parsed)
-    clocks = {name: columns.pop(name) for name in list(columns) if name.split("_")[0] == "t"}
+    clocks = {
+        name: columns.pop(name) for name in list(columns) if name.split("_")[0] == "t"
+    }
     clock = {name: clock_of(name, clocks) for name in columns}
     used = {
-        name: np.any([np.isfinite(columns[c]) for c in columns if clock[c] == name], axis=0)
+        name: np.any(
+            [np.isfinite(columns[c]) for c in columns if clock[c] == name], axis=0
+        )
         for name in clocks
         if name in clock.values()
     }
@@ -122,10 +146,13 @@ def _on_one_clock(parsed: ParsedFile) -> _Columns:
     empty = int((~np.any([*used.values(), *timed.values()], axis=0)).sum())
     if empty:
         parsed.notes.append(f"{counted(empty, 'empty row')} left out")
-    if len(used) == 1:  # of several clocks, a row counts only where one of its channels has a value
+    # of several clocks, a row counts only where one of its channels has a value
+    if len(used) == 1:
         used = timed
     else:
-        listed = ", ".join(f"{name} ({counted(int(r.sum()), 'row')})" for name, r in used.items())
+        listed = ", ".join(
+            f"{name} ({counted(int(r.sum()), 'row')})" for name, r in used.items()
+        )
         parsed.notes.append(f"clocks {listed} merged")
     origin = np.concatenate([np.flatnonzero(rows) for rows in used.values()])
     of = np.repeat(list(used), [rows.sum() for rows in used.values()])
@@ -136,7 +163,8 @@ def _on_one_clock(parsed: ParsedFile) -> _Columns:
 
 
 def _in_order(parsed: ParsedFile, columns: _Columns) -> _Columns:
-    """The rows sorted by time; repeated rows appear once, rows of equal time are averaged."""
+    """The rows sorted by time; repeated rows appear once, rows of equal time
+    are averaged."""
     merged = len({s.column.quantity for s in parsed.series if s.column.base == "t"}) > 1
     if (np.diff(columns["t"]) < 0).any():
         order = np.argsort(columns["t"], kind="stable")
@@ -152,7 +180,11 @@ def _in_order(parsed: ParsedFile, columns: _Columns) -> _Columns:
     begin, owner = np.flatnonzero(first), np.cumsum(first) - 1
     _require_one_place(parsed, columns, begin, owner)
     same = np.all(
-        [np.isclose(v, v[begin][owner], 0, 0, equal_nan=True) for v in columns.values()], axis=0
+        [
+            np.isclose(v, v[begin][owner], 0, 0, equal_nan=True)
+            for v in columns.values()
+        ],
+        axis=0,
     )
     repeated = int((same & ~first).sum())
     means = int((~first).sum()) - repeated
@@ -160,8 +192,8 @@ def _in_order(parsed: ParsedFile, columns: _Columns) -> _Columns:
         parsed.notes.append(f"{counted(repeated, 'repeated row')} left out")
     if means and not merged:
         parsed.notes.append(
-            f"{means + len(np.unique(owner[~same]))} rows share their time with others: means over "
-            "rows of one time are taken"
+            f"{means + len(np.unique(owner[~same]))} rows share their time with "
+            "others: means over rows of one time are taken"
         )
     columns = _chosen(parsed, columns, first | ~same)
     begin = np.flatnonzero(np.append(True, np.diff(columns["t"]) > 0))
@@ -172,8 +204,8 @@ def _in_order(parsed: ParsedFile, columns: _Columns) -> _Columns:
 def _require_one_place(
     parsed: ParsedFile, columns: _Columns, begin: np.ndarray, owner: np.ndarray
 ) -> None:
-    """Refuse positions at one time that are farther apart than a stone moves from one time to the
-    next (or 0.1 m): two stones, or two throws."""
+    """Refuse positions at one time that are farther apart than a stone moves from one
+    time to the next (or 0.1 m): two stones, or two throws."""
     t = columns["t"]
     if len(begin) < 2:
         raise parsed.error(f"all rows have the same time, {t[0]:g} s", 1, "t")
@@ -185,24 +217,27 @@ def _require_one_place(
         if off.max() > max(0.1, 3 * float(np.median(usual)) if len(usual) else 0.0):
             row = int(np.argmax(off))
             raise parsed.error(
-                f"time {t[row]:g} s is repeated with places {off[row]:.3g} m apart, as of two "
-                "stones; name the throw of each row in a column `stone`, and choose one with "
-                "`--stone-index N`",
+                f"time {t[row]:g} s is repeated with places {off[row]:.3g} m apart, "
+                "as of two stones; name the throw of each row in a column `stone`, "
+                "and choose one with `--stone-index N`",
                 row,
                 "t",
             )
 
 
 def _in_metres(
-    parsed: ParsedFile, columns: _Columns, reference: str | None, convention: AxisConvention
+    parsed: ParsedFile,
+    columns: _Columns,
+    reference: str | None,
+    convention: AxisConvention,
 ) -> tuple[Floats | None, tuple[str, ...]]:
     """Positions in pixels as metres; returns as `pixels_to_metres`."""
     if {"u", "v"} & columns.keys():
         return pixels_to_metres(parsed, columns, reference, convention)
     if reference is not None:
         raise InputError(
-            f"--reference {reference}: {parsed.source} has no positions in pixels (columns u, v "
-            "or x_px, y_px, or x, y without a unit)"
+            f"--reference {reference}: {parsed.source} has no positions in pixels "
+            "(columns u, v or x_px, y_px, or x, y without a unit)"
         )
     return None, ()
 

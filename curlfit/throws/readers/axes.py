@@ -13,17 +13,24 @@ from curlfit.sheet import LINES
 
 WORDS = (
     *(f"{axis}-{way}" for axis in "yx" for way in ("along", "back", "right", "left")),
-    "clockwise", "counter-clockwise", *(f"from-{line}" for line in LINES),
-)  # fmt: skip
-"""Where axes point, seen along the throw; how angles count, seen from above; where zero lies."""
+    "clockwise",
+    "counter-clockwise",
+    *(f"from-{line}" for line in LINES),
+)
+"""Where axes point, seen along the throw; how angles count, seen from above;
+where zero lies."""
 _SYNONYMS = {
-    "counterclockwise": "counter-clockwise", "ccw": "counter-clockwise", "cw": "clockwise",
+    "counterclockwise": "counter-clockwise",
+    "ccw": "counter-clockwise",
+    "cw": "clockwise",
     "from-center": "from-centre",
-}  # fmt: skip
+}
 _TWICE = {
-    "x": "x points in two directions", "y": "y points in two directions",
-    "from": "two zeros are given", "turn": "angles are both clockwise and counter-clockwise",
-}  # fmt: skip
+    "x": "x points in two directions",
+    "y": "y points in two directions",
+    "from": "two zeros are given",
+    "turn": "angles are both clockwise and counter-clockwise",
+}
 # Direction of a word in (right, along).
 _DIRECTIONS = {"right": (1, 0), "left": (-1, 0), "along": (0, 1), "back": (0, -1)}
 
@@ -34,7 +41,8 @@ class AxisConvention(NamedTuple):
     Attributes
     ----------
     x, y : where the file's axes point, as (right, along) with one component 1 or -1.
-    turn : 1 where the file's angles are counter-clockwise seen from above, -1 where clockwise.
+    turn : 1 where the file's angles are counter-clockwise seen from above, -1
+        where clockwise.
     zero : distance along the sheet from the hack to the file's zero in m.
     """
 
@@ -45,7 +53,8 @@ class AxisConvention(NamedTuple):
 
     @property
     def handedness(self) -> int:
-        """1 where y lies to the left of x (seen from above), -1 where the axes are mirrored."""
+        """1 where y lies to the left of x (seen from above), -1 where the axes
+        are mirrored."""
         return self.x[0] * self.y[1] - self.x[1] * self.y[0]
 
     @property
@@ -55,7 +64,8 @@ class AxisConvention(NamedTuple):
 
     @property
     def words(self) -> str:
-        """The fewest words that `parse_axes` reads as this convention; empty for curlfit's own."""
+        """The fewest words that `parse_axes` reads as this convention; empty for
+        curlfit's own."""
         names = {direction: word for word, direction in _DIRECTIONS.items()}
         turn = "counter-clockwise" if self.turn > 0 else "clockwise"
         line = next((name for name, y in LINES.items() if y == self.zero), "hack")
@@ -79,14 +89,16 @@ class AxisConvention(NamedTuple):
         return np.array([[a, c, 0.0], [b, d, self.zero], [0.0, 0.0, 1.0]])
 
 
-def corrected(text: str, across: int, along: int, turn: int, *, exchanged: bool = False) -> str:
+def corrected(
+    text: str, across: int, along: int, turn: int, *, exchanged: bool = False
+) -> str:
     """Corrected words for axes that `text` describes wrongly.
 
     Parameters
     ----------
-    across, along, turn : -1 where the direction to the right, that along the sheet, or the sense of
-        the angles is opposite to that assumed. exchanged : whether right and along are exchanged
-        (before the signs apply).
+    across, along, turn : -1 where the direction to the right, that along the sheet, or
+        the sense of the angles is opposite to that assumed. exchanged : whether right
+        and along are exchanged (before the signs apply).
     """
     now = parse_axes(text)
 
@@ -98,12 +110,14 @@ def corrected(text: str, across: int, along: int, turn: int, *, exchanged: bool 
 
 
 def parse_axes(text: str | None) -> AxisConvention:
-    """An axis convention from words separated by commas or spaces, such as `x-along,clockwise`.
+    """An axis convention from words separated by commas or spaces, such
+    as `x-along,clockwise`.
 
-    Whatever no word sets is as in curlfit: `x-left` alone mirrors the axes. If one axis is rotated
-    by 90 degrees, the other follows (y lies to the left of x, seen from above) unless a word sets
-    it. Angles count from the file's +x toward its +y, so that they are clockwise in mirrored axes,
-    unless `clockwise` or `counter-clockwise` sets their sense seen from above.
+    Whatever no word sets is as in curlfit: `x-left` alone mirrors the axes. If one axis
+    is rotated by 90 degrees, the other follows (y lies to the left of x, seen from
+    above) unless a word sets it. Angles count from the file's +x toward its +y, so that
+    they are clockwise in mirrored axes, unless `clockwise` or `counter-clockwise` sets
+    their sense seen from above.
 
     Raises
     ------
@@ -114,7 +128,8 @@ def parse_axes(text: str | None) -> AxisConvention:
         word = _SYNONYMS.get(given, given)
         if word not in WORDS:
             raise InputError(
-                f"axes {quoted(given)}: unknown word; expected some of {', '.join(WORDS)}"
+                f"axes {quoted(given)}: unknown word; expected some of "
+                f"{', '.join(WORDS)}"
             )
         name = word.partition("-")[0]
         aspect = name if name in _TWICE else "turn"
@@ -128,8 +143,8 @@ def parse_axes(text: str | None) -> AxisConvention:
     convention = AxisConvention(x, y, 1, LINES[found.get("from", "from-hack")[5:]])
     if convention.handedness == 0:
         raise InputError(
-            f"axes {quoted(text)}: x and y lie on one line; one runs along the sheet (along, "
-            "back), the other across it (right, left)"
+            f"axes {quoted(text)}: x and y lie on one line; one runs along the sheet "
+            "(along, back), the other across it (right, left)"
         )
     senses = {"": convention.handedness, "clockwise": -1, "counter-clockwise": 1}
     return convention._replace(turn=senses[found.get("turn", "")])

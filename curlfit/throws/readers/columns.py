@@ -33,8 +33,8 @@ class Column(NamedTuple):
     """Meaning of a column header."""
 
     quantity: str
-    """"t", "x", "y", "phi", "speed", "omega", pixels "u", "v"; "sigma_x" and so on; "t_phi" and so
-    on for a clock of one channel ("t_xy" for x and y)"""
+    """"t", "x", "y", "phi", "speed", "omega", pixels "u", "v"; "sigma_x" and so on;
+    "t_phi" and so on for a clock of one channel ("t_xy" for x and y)"""
     unit: str
     """as written, or the SI unit if none was"""
     factor: float
@@ -44,14 +44,16 @@ class Column(NamedTuple):
 
     @property
     def base(self) -> str:
-        """The quantity in whose units it is: "x" of "sigma_x" and "x_mark", "t" of all clocks."""
+        """The quantity in whose units it is: "x" of "sigma_x" and "x_mark", "t"
+        of all clocks."""
         first, _, last = self.quantity.partition("_")
         return last if first == "sigma" else first
 
 
 @lru_cache(1024)
 def parse_header(header: str, *, other_words: bool = False) -> Column | None:
-    """Meaning of a column header such as `time`, `y_ft`, `x [cm]`, `phi_rev`; None if unknown.
+    """Meaning of a column header such as `time`, `y_ft`, `x [cm]`, `phi_rev`;
+    None if unknown.
 
     Parameters
     ----------
@@ -80,7 +82,8 @@ def parse_header(header: str, *, other_words: bool = False) -> Column | None:
 
 
 def named_column(header: str, quantity: str) -> Column:
-    """The column of a quantity that the user names, in the unit that ends its header, if any.
+    """The column of a quantity that the user names, in the unit that ends its
+    header, if any.
 
     Raises
     ------
@@ -97,7 +100,8 @@ def named_column(header: str, quantity: str) -> Column:
 
 
 def resembled(header: str) -> str | None:
-    """The quantity that a header of unknown meaning reminds of; None if none or more than one."""
+    """The quantity that a header of unknown meaning reminds of; None if none or
+    more than one."""
     words = _words(header, True)
     found = {_MAY_MEAN.get(word) or _named(word, _NAMES) for word in words} - {None}
     found |= {name for name in ("omega", "phi") if "".join(words[-2:]) in _UNITS[name]}
@@ -111,13 +115,20 @@ def has_japanese_words(text: str) -> bool:
 
 def _words(header: str, other_words: bool) -> list[str]:
     """The words of a header, in English if it may be in another language."""
-    words = [word for word in _SEPARATORS.split(normalize("NFC", header).strip().lower()) if word]
+    words = [
+        word
+        for word in _SEPARATORS.split(normalize("NFC", header).strip().lower())
+        if word
+    ]
     if words and words[-1] == "1" and len(words) > 2 and "s^" in words[-2]:
         words = [*words[:-2], words[-2] + "-1"]  # "s^-1" was split at its sign
     if other_words:
-        words = [word for k, word in enumerate(words, 1) if word != "in" or k == len(words)]
+        words = [
+            word for k, word in enumerate(words, 1) if word != "in" or k == len(words)
+        ]
         words = " ".join(_MEANS.get(word, word) for word in words).split()
-        words = [word for word, _ in groupby(words)]  # the unit may say the quantity again
+        # the unit may say the quantity again
+        words = [word for word, _ in groupby(words)]
     return words
 
 
@@ -165,8 +176,9 @@ def parse_units(text: str | None) -> dict[str, str]:
             quantities = [str(quantity)]
         else:
             raise InputError(
-                f"units {quoted(part.strip())}: expected QUANTITY=UNIT such as t=ms,x=cm,angle=deg "
-                "with the quantities t, x, y, length, angle, speed, spin"
+                f"units {quoted(part.strip())}: expected QUANTITY=UNIT such "
+                "as t=ms,x=cm,angle=deg with the quantities t, x, y, length, "
+                "angle, speed, spin"
             )
         for item in quantities:
             in_unit(item, unit)
@@ -179,7 +191,9 @@ def with_unit(column: Column, unit: str | None) -> Column:
     if unit is None:
         return column
     found = in_unit(column.base, unit)
-    return found._replace(quantity=column.quantity.replace(column.base, found.quantity, 1))
+    return found._replace(
+        quantity=column.quantity.replace(column.base, found.quantity, 1)
+    )
 
 
 def quantity_of(name: str) -> str | None:
@@ -188,7 +202,9 @@ def quantity_of(name: str) -> str | None:
 
 
 def _named(name: str, patterns: Mapping[str, str]) -> str | None:
-    return next((key for key, names in patterns.items() if re.fullmatch(names, name)), None)
+    return next(
+        (key for key, names in patterns.items() if re.fullmatch(names, name)), None
+    )
 
 
 def _quantity(words: list[str]) -> str | None:

@@ -19,21 +19,38 @@ from curlfit.throws.readers.text import TextFile
 from curlfit.throws.reference import Reference
 
 _SETTINGS = (
-    "since", "until", "exclude", "swept", "law", "load", "stone", "sigma", "seed", "reference",
-    "axes", "as_given", "keep", "columns",
-)  # fmt: skip
+    "since",
+    "until",
+    "exclude",
+    "swept",
+    "law",
+    "load",
+    "stone",
+    "sigma",
+    "seed",
+    "reference",
+    "axes",
+    "as_given",
+    "keep",
+    "columns",
+)
 _MOST_SETTINGS = 500
 _FORMS = {**Modelling.forms(), **Reading.forms(), "seed": SEED}
 _REFERENCE = (
-    'a reference needs reference.law = "NAME" and reference.values.NAME = number, and may have '
-    "reference.stone.NAME and reference.rounding.NAME, NAME being R, rho, h or m"
+    'a reference needs reference.law = "NAME" and reference.values.NAME = number, '
+    "and may have reference.stone.NAME and reference.rounding.NAME, "
+    "NAME being R, rho, h or m"
 )
 
 
 def begun(
-    file: TextFile, format: str, until: int | None = None, source: Path | str | None = None
+    file: TextFile,
+    format: str,
+    until: int | None = None,
+    source: Path | str | None = None,
 ) -> ParsedFile:
-    """A parsed file with the settings, reference and notes from its comments, and no columns yet.
+    """A parsed file with the settings, reference and notes from its comments, and no
+    columns yet.
 
     Comments that are not `key = value` are skipped.
 
@@ -63,12 +80,16 @@ def begun(
     settings, fault = _settings(known)
     if fault:
         first = bisect_left(
-            range(len(known)), True, key=lambda end: bool(_settings(known[: end + 1])[1])
+            range(len(known)),
+            True,
+            key=lambda end: bool(_settings(known[: end + 1])[1]),
         )
         raise file.error(_settings(known[: first + 1])[1], known[first][0])
     more = f" and {len(unknown) - 5} more" if len(unknown) > 5 else ""
     notes = [file.note] if file.note else []
-    notes += [f"settings not known and ignored: {', '.join(unknown[:5])}{more}"] * bool(unknown)
+    notes += [f"settings not known and ignored: {', '.join(unknown[:5])}{more}"] * bool(
+        unknown
+    )
     reference = _reference(file, settings.pop("reference", None))
     return ParsedFile(
         source or file.path, format, settings=settings, reference=reference, notes=notes
@@ -76,7 +97,8 @@ def begun(
 
 
 def _settings(lines: Sequence[tuple[int, str]]) -> tuple[dict[str, Any], str]:
-    """Settings by name, and what is wrong with those of the last line, if anything is."""
+    """Settings by name, and what is wrong with those of the last line, if
+    anything is."""
     try:
         settings = tomllib.loads("\n".join(body for _, body in lines))
         _check(settings)
@@ -84,8 +106,8 @@ def _settings(lines: Sequence[tuple[int, str]]) -> tuple[dict[str, Any], str]:
         return {}, str(error)
     except (ValueError, RecursionError):
         return {}, (
-            f"cannot read the setting {quoted(lines[-1][1])}; expected key = value as in TOML, "
-            "text in quotes, each key once"
+            f"cannot read the setting {quoted(lines[-1][1])}; expected key = value as "
+            "in TOML, text in quotes, each key once"
         )
     return settings, ""
 
@@ -107,13 +129,21 @@ def _reference(file: TextFile, found: Any) -> Reference | None:
     if found is None:
         return None
     try:
-        found = {"source": "reference", "note": "", "stone": {}, "rounding": {}, **found}
+        found = {
+            "source": "reference",
+            "note": "",
+            "stone": {},
+            "rounding": {},
+            **found,
+        }
         for key in ("stone", "rounding"):
             Stone().with_values(found[key])  # checks names and signs
         tables = {
             key: {str(name): float(value) for name, value in found[key].items()}
             for key in ("values", "stone", "rounding")
         }
-        return Reference(str(found["source"]), str(found["law"]), note=str(found["note"]), **tables)
+        return Reference(
+            str(found["source"]), str(found["law"]), note=str(found["note"]), **tables
+        )
     except (AttributeError, KeyError, TypeError, ValueError, OverflowError):
         raise file.error(_REFERENCE) from None

@@ -1,14 +1,16 @@
-"""Logs of the DigitalCurling 3 server: the path of every stone of a shot, frame by frame.
+"""Logs of the DigitalCurling 3 server: the path of every stone of a shot,
+frame by frame.
 
-The format is that of github.com/digitalcurling/DigitalCurling3-Server (src/log.cpp, src/game.cpp,
-src/trajectory_compressor.cpp, commit 02e51c3). A shot's file `shot_eEEEsSS.json`, or a line of
-`server.log`, is {"tag": "sht", "log": {"end", "shot", "trajectory": ...}}; a trajectory contains
-`seconds_per_frame`, the stones at the `start` and the `finish` by `team0` and `team1` (each
-{"position": {"x", "y"}, "angle"} or null), and `frames`, each a list of what changed:
-{"team", "index", "value"}. A client sees the same in `last_move.trajectory`. Positions are in m
-from the hack that is thrown from, y along the throw and x to the right, angles in rad and
-counter-clockwise: curlfit's own axes (coordinate.hpp of digitalcurling/DigitalCurling). The log of
-a game, `game.dcl2`, has no trajectories. The server adds a last frame when every stone has
+The format is that of github.com/digitalcurling/DigitalCurling3-Server (src/log.cpp,
+src/game.cpp, src/trajectory_compressor.cpp, commit 02e51c3). A shot's file
+`shot_eEEEsSS.json`, or a line of `server.log`, is {"tag": "sht", "log": {"end", "shot",
+"trajectory": ...}}; a trajectory contains `seconds_per_frame`, the stones at the
+`start` and the `finish` by `team0` and `team1` (each {"position": {"x", "y"}, "angle"}
+or null), and `frames`, each a list of what changed: {"team", "index", "value"}. A
+client sees the same in `last_move.trajectory`. Positions are in m from the hack that is
+thrown from, y along the throw and x to the right, angles in rad and counter-clockwise:
+curlfit's own axes (coordinate.hpp of digitalcurling/DigitalCurling). The log of a game,
+`game.dcl2`, has no trajectories. The server adds a last frame when every stone has
 stopped, so that its time is accurate to one frame.
 """
 
@@ -32,15 +34,16 @@ from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile, cho
 from curlfit.throws.readers.text import TextFile, is_aside
 
 _EXPECTED = (
-    'expected a log of a DigitalCurling 3 shot with a "trajectory" (shot_*.json or server.log)'
+    'expected a log of a DigitalCurling 3 shot with a "trajectory" '
+    "(shot_*.json or server.log)"
 )
 _MOST_NUMBERS, _MOST_STONES = 2_000_000, 64
 _DEEPEST = 6  # entry around a trajectory
 _HEAD = 200  # lines whose comments are settings
 _MOVED = 1e-4  # m; positions are 32-bit numbers
 _CHANGE = (
-    "expected changes of stones of the start, each with team, index and value, this with a "
-    "position x, y and an angle, all finite numbers"
+    "expected changes of stones of the start, each with team, index and value, "
+    "this with a position x, y and an angle, all finite numbers"
 )
 
 
@@ -57,7 +60,8 @@ def _recognizes(head: list[str]) -> bool:
 
 
 def _contents(file: TextFile, reading: Reading) -> Contents:
-    """The shots of a log; of each the path of one stone, by default of the stone thrown.
+    """The shots of a log; of each the path of one stone, by default of the
+    stone thrown.
 
     Raises
     ------
@@ -71,7 +75,13 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
 
 
 DIGITALCURLING = Format(
-    "digitalcurling", _recognizes, _contents, "shot", "shot", None, ("shot", "stone_index")
+    "digitalcurling",
+    _recognizes,
+    _contents,
+    "shot",
+    "shot",
+    None,
+    ("shot", "stone_index"),
 )
 
 
@@ -89,7 +99,10 @@ def _read_shot(file: TextFile, chosen: Shot, stone_index: int | None) -> ParsedF
     stone = choose("stone", "--stone-index", stone_index, names, thrown)
     if stone not in began:
         movers = ", ".join(f"{k + 1} ({names[k]})" for k in began)
-        fault = f"stone {stone + 1} ({names[stone]}) does not move; those that do are {movers}"
+        fault = (
+            f"stone {stone + 1} ({names[stone]}) does not move; "
+            f"those that do are {movers}"
+        )
         raise file.error(fault, chosen.line - 1)
     # A free throw: from its first motion until another stone moves.
     time = period * np.arange(positions.shape[1])
@@ -98,7 +111,9 @@ def _read_shot(file: TextFile, chosen: Shot, stone_index: int | None) -> ParsedF
         end = float(time[min(others) - 1])
         parsed.settings.setdefault("until", end)
         notes.append(f"another stone moves after t = {end:g} s; until is set to that")
-    keep = np.isfinite(positions[stone, :, 0]) & (np.arange(len(time)) >= began[stone] - 1)
+    keep = np.isfinite(positions[stone, :, 0]) & (
+        np.arange(len(time)) >= began[stone] - 1
+    )
     notes.insert(
         0,
         f"{chosen.name}: stone {stone + 1} of {len(names)} ({names[stone]}"
@@ -108,8 +123,14 @@ def _read_shot(file: TextFile, chosen: Shot, stone_index: int | None) -> ParsedF
     notes.append("a simulated throw: positions are exact to the 32 bits of the log")
     parsed.lines = np.full(int(keep.sum()), chosen.line, np.int64)
     parsed.add("seconds_per_frame", Column("t", "s", 1.0), np.asarray(time[keep]))
-    measured = ("position.x", "x", "m"), ("position.y", "y", "m"), ("angle", "phi", "rad")
-    for (header, quantity, unit), values in zip(measured, positions[stone, keep].T, strict=True):
+    measured = (
+        ("position.x", "x", "m"),
+        ("position.y", "y", "m"),
+        ("angle", "phi", "rad"),
+    )
+    for (header, quantity, unit), values in zip(
+        measured, positions[stone, keep].T, strict=True
+    ):
         parsed.add(header, Column(quantity, unit, 1.0), values)
     return parsed
 
@@ -148,7 +169,8 @@ def _values(file: TextFile) -> Iterator[tuple[int, Any]]:
 def _trajectory(
     item: Any, name: str = "shot", deepest: int = _DEEPEST
 ) -> tuple[str, dict[str, Any]] | None:
-    """The first trajectory in an entry, named after the end and the shot given beside it."""
+    """The first trajectory in an entry, named after the end and the shot
+    given beside it."""
     if not isinstance(item, dict) or not deepest:
         return None
     if "frames" in item and "seconds_per_frame" in item:
@@ -160,14 +182,17 @@ def _trajectory(
 
 
 def _paths(file: TextFile, shot: Shot) -> tuple[float, Floats, list[str]]:
-    """Frame interval in s; x, y, angle by stone and frame, shape (stones, n, 3); names."""
+    """Frame interval in s; x, y, angle by stone and frame, shape (stones,
+    n, 3); names."""
 
     def refuse(message: str) -> DataError:
         return file.error(f"{shot.name}: {message}", shot.line - 1)
 
     period: Any = shot.trajectory.get("seconds_per_frame")
     if not is_number(period) or not 1e-6 <= period <= 60:
-        raise refuse(f"seconds_per_frame = {quoted(period)}; expected a positive number")
+        raise refuse(
+            f"seconds_per_frame = {quoted(period)}; expected a positive number"
+        )
     start, frames = shot.trajectory.get("start"), shot.trajectory.get("frames")
     if not isinstance(start, dict) or not isinstance(frames, list):
         raise refuse("a trajectory needs a start and frames")
@@ -196,7 +221,8 @@ def _paths(file: TextFile, shot: Shot) -> tuple[float, Floats, list[str]]:
 
 
 def _stone(value: Any) -> list[float]:
-    """x, y, angle of a logged stone, NaN for null. Raises `KeyError`, `TypeError`, `ValueError`."""
+    """x, y, angle of a logged stone, NaN for null. Raises `KeyError`,
+    `TypeError`, `ValueError`."""
     if value is None:
         return [math.nan] * 3
     numbers = [value["position"]["x"], value["position"]["y"], value["angle"]]

@@ -1,4 +1,5 @@
-"""Which columns of a table are those of a throw, by their headings or as the user names them."""
+"""Which columns of a table are those of a throw, by their headings or as the
+user names them."""
 
 from __future__ import annotations
 
@@ -55,16 +56,20 @@ class Headings(NamedTuple):
             headings = ", ".join(like.values())
             option = ", ".join(f"{key}={name}" for key, name in like.items())
             said = f"`columns={like}`" if python else f'`--columns "{option}"`'
-            note = f"not used, and perhaps {', '.join(like)}: {headings}; {said} reads them so"
+            note = (
+                f"not used, and perhaps {', '.join(like)}: {headings}; "
+                f"{said} reads them so"
+            )
             parsed.notes.insert(0, note)
         return columns
 
     def columns(self, reading: Reading, own: Mapping[str, str]) -> dict[int, Column]:
         """Columns to read, by index.
 
-        With a reference, positions are in pixels: x and y without a unit are then in pixels, and v
-        is not a speed. With a unit of t such as 25fps, a column of frame numbers is the time if
-        there is no other. What is missing is sought among headings in other words.
+        With a reference, positions are in pixels: x and y without a unit are then in
+        pixels, and v is not a speed. With a unit of t such as 25fps, a column of frame
+        numbers is the time if there is no other. What is missing is sought among
+        headings in other words.
 
         Parameters
         ----------
@@ -74,8 +79,13 @@ class Headings(NamedTuple):
         ------
         DataError : two columns have the same meaning, or a required one is missing.
         """
-        units, bare = c.parse_units(reading.units), [name.strip().lower() for name in self.names]
-        meant = {column.quantity for name in self.names if (column := c.parse_header(name))}
+        units, bare = (
+            c.parse_units(reading.units),
+            [name.strip().lower() for name in self.names],
+        )
+        meant = {
+            column.quantity for name in self.names if (column := c.parse_header(name))
+        }
         pixels = reading.reference is not None
         velocities = not pixels and {"x", "y"} <= meant and "u" in bare
         pixels = pixels or ("u" in bare and "v" in bare and not velocities)
@@ -84,7 +94,11 @@ class Headings(NamedTuple):
 
         def as_set(column: Column) -> Column:
             column = c.with_unit(column, units.get(column.base))
-            if pixels and not column.stated and column.quantity in ("x", "y", "sigma_x", "sigma_y"):
+            if (
+                pixels
+                and not column.stated
+                and column.quantity in ("x", "y", "sigma_x", "sigma_y")
+            ):
                 axis = "u" if column.base == "x" else "v"
                 return Column(column.quantity[:-1] + axis, "px", 1.0)
             return column
@@ -99,7 +113,11 @@ class Headings(NamedTuple):
                 column = Column("t", "s", 1.0, stated=False)
             if pixels and word in ("v", "sigma_v"):
                 column = Column(word, "px", 1.0)
-            if column is None or index in columns or (velocities and word in ("u", "v")):
+            if (
+                column is None
+                or index in columns
+                or (velocities and word in ("u", "v"))
+            ):
                 continue
             column = as_set(column)
             if column.quantity in chosen:
@@ -115,8 +133,11 @@ class Headings(NamedTuple):
             raise self.error(self._what_is_missing(missing, bool(frames)))
         return dict(sorted(columns.items()))
 
-    def _named(self, wanted: Mapping[str, str], units: Mapping[str, str]) -> dict[int, Column]:
-        """The columns that the user names, by index; a heading may be named without its unit."""
+    def _named(
+        self, wanted: Mapping[str, str], units: Mapping[str, str]
+    ) -> dict[int, Column]:
+        """The columns that the user names, by index; a heading may be named
+        without its unit."""
         found: dict[int, Column] = {}
         whole = [name.strip().lower() for name in self.names]
         bare = [_UNIT.sub("", name) for name in whole]
@@ -129,7 +150,11 @@ class Headings(NamedTuple):
             headings = whole if sought in whole else bare
             places = [k for k, name in enumerate(headings) if name == sought]
             if len(places) != 1 or places[0] in found:
-                many = "no column" if not places else "more than one column, or one named twice,"
+                many = (
+                    "no column"
+                    if not places
+                    else "more than one column, or one named twice,"
+                )
                 raise self.error(f"{said}{many} of this name among {self._listed}")
             heading = bare[places[0]] if quantity in units else whole[places[0]]
             try:
@@ -141,8 +166,8 @@ class Headings(NamedTuple):
     def _in_other_words(
         self, columns: Mapping[int, Column], as_set: Callable[[Column], Column]
     ) -> dict[int, Column]:
-        """Further columns by words that are less certain: of quantities that no other column has,
-        each of one column alone, positions only in pairs."""
+        """Further columns by words that are less certain: of quantities that no other
+        column has, each of one column alone, positions only in pairs."""
         taken = {column.quantity for column in columns.values()}
         found: dict[str, list[tuple[int, Column]]] = {}
         for index, name in enumerate(self.names):
@@ -152,11 +177,22 @@ class Headings(NamedTuple):
             column = as_set(column)
             if column.quantity in ("t", "x", "y", "u", "v") or self.numeric(index):
                 found.setdefault(column.quantity, []).append((index, column))
-        sole = {key: one for key, (one, *more) in found.items() if not more and key not in taken}
-        for pair, other in (("xy", taken & {"u", "v"}), ("uv", (taken | sole.keys()) & {"x", "y"})):
+        sole = {
+            key: one
+            for key, (one, *more) in found.items()
+            if not more and key not in taken
+        }
+        for pair, other in (
+            ("xy", taken & {"u", "v"}),
+            ("uv", (taken | sole.keys()) & {"x", "y"}),
+        ):
             if other or not set(pair) <= taken | sole.keys():
                 sole = {key: one for key, one in sole.items() if key not in pair}
-        return {k: column for k, column in sole.values() if not column.quantity.startswith("sigma")}
+        return {
+            k: column
+            for k, column in sole.values()
+            if not column.quantity.startswith("sigma")
+        }
 
     def _what_is_missing(self, missing: Sequence[str], counted: bool) -> str:
         names = reversed(self.names)
@@ -165,22 +201,33 @@ class Headings(NamedTuple):
         remedy = f'; or say which they are, as in `--columns "{example}"`'
         if counted and "t" in missing:
             remedy = "; `--units t=30fps`, with the camera's rate, makes frames times"
-        return f"no column for {' and '.join(missing)} among {self._listed}; {EXPECTED}{remedy}"
+        return (
+            f"no column for {' and '.join(missing)} among {self._listed}; "
+            f"{EXPECTED}{remedy}"
+        )
 
     def _unused(self, columns: Mapping[int, Column]) -> dict[str, str]:
-        """Columns of numbers that are not used although they resemble what is not measured
-        otherwise, by quantity."""
+        """Columns of numbers that are not used although they resemble what is not
+        measured otherwise, by quantity."""
         taken = {column.quantity for column in columns.values()}
         like: dict[str, str] = {}
         for index, name in enumerate(self.names):
             quantity = None if index in columns else c.resembled(name)
-            if quantity not in CHANNELS or quantity in {*taken, *like} or set(name) & set(',"$`'):
+            if (
+                quantity not in CHANNELS
+                or quantity in {*taken, *like}
+                or set(name) & set(',"$`')
+            ):
                 continue
             with suppress(InputError):
                 c.named_column(name, quantity)
                 like |= {quantity: name} if self.numeric(index) else {}
         if taken & {"u", "v"} or not {"x", "y"} <= {*taken, *like}:
-            like = {quantity: name for quantity, name in like.items() if quantity not in "xy"}
+            like = {
+                quantity: name
+                for quantity, name in like.items()
+                if quantity not in "xy"
+            }
         return like
 
     @property
@@ -191,7 +238,10 @@ class Headings(NamedTuple):
 def missing_columns(quantities: Iterable[str]) -> list[str]:
     """Quantities required for a throw that the columns lack."""
     found = set(quantities)
-    axes, others = ("u", "v") if {"u", "v"} & found else ("x", "y"), {"phi", "speed", "omega"}
+    axes, others = (
+        ("u", "v") if {"u", "v"} & found else ("x", "y"),
+        {"phi", "speed", "omega"},
+    )
     missing = [axis for axis in axes if axis not in found]
     if missing == ["x", "y"] and found & others:
         missing = []  # a gyroscope or a radar alone

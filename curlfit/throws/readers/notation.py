@@ -1,4 +1,5 @@
-"""Quantities as people write them: `14,2 s`, `4 ft left`, `3'3"`, `0.6 m past the tee`."""
+"""Quantities as people write them: `14,2 s`, `4 ft left`, `3'3"`,
+`0.6 m past the tee`."""
 
 from __future__ import annotations
 
@@ -37,12 +38,15 @@ class Quantity(NamedTuple):
     words: frozenset[str]
 
 
-def parse_quantity(text: str, quantity: str, unit: str = "", *, per: float = 1.0) -> Quantity:
+def parse_quantity(
+    text: str, quantity: str, unit: str = "", *, per: float = 1.0
+) -> Quantity:
     """A number with its unit and words of direction, or such words alone.
 
     Parameters
     ----------
-    quantity : "t", "x", "y", "phi", "speed" or "omega"; determines the units understood.
+    quantity : "t", "x", "y", "phi", "speed" or "omega"; determines the
+        units understood.
     unit : unit of numbers written without one; if empty, the SI unit times `per`.
 
     Raises
@@ -51,7 +55,8 @@ def parse_quantity(text: str, quantity: str, unit: str = "", *, per: float = 1.0
     """
     rest = text.strip()
     if units_of(quantity) is units_of("x"):
-        # a last mark of inches belongs to the number, unless the text begins with one too
+        # a last mark of inches belongs to the number, unless the text begins
+        # with one too
         rest = re.sub(r"^([\"'])(.*)\1$", r"\2", rest).lstrip("\"'")
         rest = _FEET.sub(" ft ", _INCHES.sub(" in ", rest))
     rest = re.sub(r"(?i)\bin\s+front\b", "front", rest.strip("\"'").strip())
@@ -75,7 +80,9 @@ def parse_quantity(text: str, quantity: str, unit: str = "", *, per: float = 1.0
         elif before in ("ft", "foot", "feet"):
             given = "in"  # 3 ft 6
         elif numbers:
-            raise InputError(f"{quoted(text.strip())} found, expected a unit of {match[0].strip()}")
+            raise InputError(
+                f"{quoted(text.strip())} found, expected a unit of {match[0].strip()}"
+            )
         value += size * (in_unit(quantity, given).factor if given else per)
         if match["sign"]:
             signed, sign = True, -1.0 if match["sign"] != "+" else 1.0
@@ -83,7 +90,9 @@ def parse_quantity(text: str, quantity: str, unit: str = "", *, per: float = 1.0
         given, before = unit, given
     words = re.sub(r"(?i)\b(counter|anti)[\s-]+(?=clock)", r"\1", rest)
     said_words = re.findall(r"[^\W\d_]+|\d[\d.,]*", words.lower())
-    unknown = [word for word in said_words if word not in _MEANS and word not in _FILLING]
+    unknown = [
+        word for word in said_words if word not in _MEANS and word not in _FILLING
+    ]
     if unknown or (not numbers and not said_words):
         raise InputError(f"{quoted(text.strip())} found, expected a number")
     return Quantity(

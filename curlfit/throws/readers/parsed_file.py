@@ -38,7 +38,8 @@ class ParsedFile:
     ignored : headers of unknown quantity.
     settings : defaults given in the file. notes : remarks of the reader.
     lines : line number of each row; None if there are none.
-    events, assumed, labels : as in `curlfit.throws.throw.Throw`; with events there are no columns.
+    events, assumed, labels : as in `curlfit.throws.throw.Throw`; with events there
+        are no columns.
     alone : why it determines nothing without others; None if it does.
     """
 
@@ -55,9 +56,13 @@ class ParsedFile:
     labels: dict[str, str] = field(default_factory=dict)
     alone: DataError | None = None
 
-    def error(self, message: str, row: int | None = None, quantity: str | None = None) -> DataError:
+    def error(
+        self, message: str, row: int | None = None, quantity: str | None = None
+    ) -> DataError:
         """An error with its location in the file."""
-        header = next((s.header for s in self.series if s.column.quantity == quantity), quantity)
+        header = next(
+            (s.header for s in self.series if s.column.quantity == quantity), quantity
+        )
         line = None if row is None or self.lines is None else int(self.lines[row])
         if row is not None and line is None:
             message = f"row {row}: {message}"
@@ -67,7 +72,9 @@ class ParsedFile:
         """Some of its rows; the notes and settings are copies."""
         return replace(
             self,
-            series=[series._replace(values=series.values[rows]) for series in self.series],
+            series=[
+                series._replace(values=series.values[rows]) for series in self.series
+            ],
             lines=None if self.lines is None else self.lines[rows],
             notes=list(self.notes),
             settings=dict(self.settings),
@@ -95,8 +102,10 @@ class Contents(NamedTuple):
     labels : their names; one name without meaning where the file has only one.
     parse : reads the one of an index.
     among : indices of those that are throws by themselves; all, if None.
-    note : on the one of several that is taken, with places for their number and its own.
-    left_out : indices of those that a joint fit leaves out, as the notes of the others say.
+    note : on the one of several that is taken, with places for their number
+        and its own.
+    left_out : indices of those that a joint fit leaves out, as the notes of
+        the others say.
     """
 
     labels: Sequence[str]
@@ -112,7 +121,8 @@ class Format(NamedTuple):
     Attributes
     ----------
     name : as in `--format`.
-    recognizes : whether a file is of this format, from its first lines without comments and blanks.
+    recognizes : whether a file is of this format, from its first lines without
+        comments and blanks.
     contents : the throws in a file.
     what, selected_by : what a throw is called there, and the choice that selects it.
     usual : index of the one taken if none is selected; None if one must be selected.
@@ -132,22 +142,30 @@ class Format(NamedTuple):
         for name, what in _NOTHING.items():
             if given(getattr(reading, name)) and name not in self.selections:
                 flag = name.replace("_", "-")
-                raise InputError(f"--{flag}: {source} is a {self.name} file and holds {what}")
+                raise InputError(
+                    f"--{flag}: {source} is a {self.name} file and holds {what}"
+                )
 
-    def selected(self, source: Path | str, contents: Contents, number: int | None) -> ParsedFile:
+    def selected(
+        self, source: Path | str, contents: Contents, number: int | None
+    ) -> ParsedFile:
         """The throw of a number, counting from 1, or the usual one.
 
         Raises
         ------
-        DataError : several throws, of which one must be selected, or one that determines nothing
-            by itself. InputError : no such throw.
+        DataError : several throws, of which one must be selected, or one that
+            determines nothing by itself. InputError : no such throw.
         """
         labels, count = contents.labels, len(contents.labels)
         flag = f"--{self.selected_by.replace('_', '-')}"
         if list(labels) == [""] and number is not None:
-            raise InputError(f"{flag}: {source} is a {self.name} file and holds one stone")
+            raise InputError(
+                f"{flag}: {source} is a {self.name} file and holds one stone"
+            )
         if number is None and count > 1 and self.usual is None:
-            listed = "; ".join(f"{k} {label}" for k, label in enumerate(labels[:_MOST_LISTED], 1))
+            listed = "; ".join(
+                f"{k} {label}" for k, label in enumerate(labels[:_MOST_LISTED], 1)
+            )
             more = f"; and {count - _MOST_LISTED} more" if count > _MOST_LISTED else ""
             fault = f"{count} {self.what}s; choose one with `{flag} N`: {listed}{more}"
             raise DataError(fault, file=source)
@@ -161,9 +179,13 @@ class Format(NamedTuple):
 
 
 _NOTHING = {
-    "worksheet": "no worksheets", "shot": "no shots", "stone_index": "one stone",
-    "handle": "no objects", "keep": "no throws in rows", "columns": "no columns to be named",
-}  # fmt: skip
+    "worksheet": "no worksheets",
+    "shot": "no shots",
+    "stone_index": "one stone",
+    "handle": "no objects",
+    "keep": "no throws in rows",
+    "columns": "no columns to be named",
+}
 _MOST_LISTED = 20
 
 
@@ -177,7 +199,9 @@ def clock_of(quantity: str, quantities: Any) -> str:
     return "t_xy" if of_place and "t_xy" in quantities else "t"
 
 
-def choose(what: str, flag: str, number: int | None, options: Sequence[str], default: int) -> int:
+def choose(
+    what: str, flag: str, number: int | None, options: Sequence[str], default: int
+) -> int:
     """Index of option `number` (counting from 1), or the default.
 
     Raises
@@ -188,5 +212,7 @@ def choose(what: str, flag: str, number: int | None, options: Sequence[str], def
         return default
     if not 1 <= number <= len(options):
         listed = "; ".join(f"{index} {name}" for index, name in enumerate(options, 1))
-        raise InputError(f"{flag} {number}: there is no such {what}; expected one of {listed}")
+        raise InputError(
+            f"{flag} {number}: there is no such {what}; expected one of {listed}"
+        )
     return number - 1

@@ -1,4 +1,5 @@
-"""A record of one throw by stopwatch and tape: what may be measured, and the events it makes."""
+"""A record of one throw by stopwatch and tape: what may be measured, and the
+events it makes."""
 
 from __future__ import annotations
 
@@ -17,23 +18,25 @@ SIGMA_REST = 0.05
 SIGMA_TURNS = 0.1
 """Standard deviation of the number of turns, counted by eye: a judgement."""
 SIGMA_SPEED, SIGMA_SPIN = 0.02, 0.05
-"""Standard deviations of a speed (m/s) by light barriers 2 m apart or a radar, 1 %, and of a spin
-(rad/s) from two pictures of the handle, 0.5 s apart and each within 1 degree: judgements."""
+"""Standard deviations of a speed (m/s) by light barriers 2 m apart or a radar, 1 %,
+and of a spin (rad/s) from two pictures of the handle, 0.5 s apart and each within 1
+degree: judgements."""
 USUAL_SPIN = 1.2
-"""Spin in rad/s at the near hog line where it was not measured: that of two and a half turns in
-25 s if it decreases linearly, 2 * 2.5 * 2 pi/25; a judgement."""
+"""Spin in rad/s at the near hog line where it was not measured: that of two and a half
+turns in 25 s if it decreases linearly, 2 * 2.5 * 2 pi/25; a judgement."""
 EXPECTED = (
     "expected lines such as hog_to_hog = 14.2, back_to_hog = 3.4, hog_to_tee = 18.1, "
-    "hog_to_rest = 10.3 (s), curl = 4 ft left, rest = 0.6 (m past the far tee), turns = 2.5 cw, "
-    "speed = 2.1 (m/s at the near hog line), spin = 1.4 cw (rad/s there), "
-    "handle = clockwise, sigma_time = 0.1, sigma_rest = 0.05, sigma_curl = 0.05, sigma_turns = 0.1"
+    "hog_to_rest = 10.3 (s), curl = 4 ft left, rest = 0.6 (m past the far tee), "
+    "turns = 2.5 cw, speed = 2.1 (m/s at the near hog line), spin = 1.4 cw "
+    "(rad/s there), handle = clockwise, sigma_time = 0.1, sigma_rest = 0.05, "
+    "sigma_curl = 0.05, sigma_turns = 0.1"
 )
 
 
 class Kind(NamedTuple):
-    """What may be written of a quantity: units, largest size (SI), words; only words if no unit.
-    Sizes that differ by `usual` are not odd. Lines at which, and since which, it is measured; None
-    is rest, or the throw's own axes."""
+    """What may be written of a quantity: units, largest size (SI), words; only words if
+    no unit. Sizes that differ by `usual` are not odd. Lines at which, and since which,
+    it is measured; None is rest, or the throw's own axes."""
 
     unit: str
     limit: float = 600.0
@@ -43,7 +46,8 @@ class Kind(NamedTuple):
     since: str | None = None
 
 
-# Friction of 0.002, the lowest on any ice, stops a stone from hog line to tee within 54 s.
+# Friction of 0.002, the lowest on any ice, stops a stone from hog line to tee
+# within 54 s.
 _TIME = Kind("t", 60.0)
 TIMES = {
     "back_to_hog": _TIME._replace(since="back", at="hog"),
@@ -61,21 +65,32 @@ MEASURED = TIMES | {
     "spin": Kind("omega", 50.0, _SENSES, 6.0, at="hog"),
 }
 ALONG = {*TIMES, "speed"}
-"""Measurements of the motion along the sheet; a throw without one determines no friction."""
+"""Measurements of the motion along the sheet; a throw without one determines
+no friction."""
 KINDS = MEASURED | {
-    "handle": Kind(""), "sigma_time": Kind("t"), "sigma_rest": Kind("y"), "sigma_curl": Kind("x"),
-    "sigma_turns": Kind("phi"), "sigma_speed": Kind("speed"), "sigma_spin": Kind("omega"),
-}  # fmt: skip
+    "handle": Kind(""),
+    "sigma_time": Kind("t"),
+    "sigma_rest": Kind("y"),
+    "sigma_curl": Kind("x"),
+    "sigma_turns": Kind("phi"),
+    "sigma_speed": Kind("speed"),
+    "sigma_spin": Kind("omega"),
+}
 _NEGATIVE = {"left", "short", "clockwise"}
 _SIGMAS = {
-    "time": SIGMA_TIME, "rest": SIGMA_REST, "curl": SIGMA_REST, "turns": 2 * math.pi * SIGMA_TURNS,
-    "speed": SIGMA_SPEED, "spin": SIGMA_SPIN,
-}  # fmt: skip
+    "time": SIGMA_TIME,
+    "rest": SIGMA_REST,
+    "curl": SIGMA_REST,
+    "turns": 2 * math.pi * SIGMA_TURNS,
+    "speed": SIGMA_SPEED,
+    "spin": SIGMA_SPIN,
+}
 _TOLD_BY = {
     "curl": (
         ("handle", "turns", "spin"),
-        "to which side? Expected curl = 4 ft left, or curl = 4 ft right, or a line handle = "
-        "clockwise, handle = counter-clockwise, or handle = in-turn right-handed",
+        "to which side? Expected curl = 4 ft left, or curl = 4 ft right, "
+        "or a line handle = clockwise, handle = counter-clockwise, "
+        "or handle = in-turn right-handed",
     ),
     "turns": (
         ("handle", "turns", "spin", "curl"),
@@ -83,11 +98,12 @@ _TOLD_BY = {
     ),
     "spin": (
         ("handle", "spin", "turns", "curl"),
-        "in which sense? Expected spin = 1.4 rad/s clockwise or 1.4 rad/s counter-clockwise",
+        "in which sense? Expected spin = 1.4 rad/s clockwise or 1.4 rad/s "
+        "counter-clockwise",
     ),
 }
-"""What says to which side a stone curls or in which sense it turns; what is expected if nothing
-does."""
+"""What says to which side a stone curls or in which sense it turns; what is expected if
+nothing does."""
 
 
 class Entry(NamedTuple):
@@ -99,7 +115,8 @@ class Entry(NamedTuple):
 
 
 class Row(NamedTuple):
-    """One record: the line where it begins, its measurements, and what else is said of it."""
+    """One record: the line where it begins, its measurements, and what else
+    is said of it."""
 
     line: int
     entries: dict[str, Entry]
@@ -108,7 +125,8 @@ class Row(NamedTuple):
 
 
 class Record:
-    """The parsed measurements of a row; `limited` ones may not be too large for any throw."""
+    """The parsed measurements of a row; `limited` ones may not be too large
+    for any throw."""
 
     def __init__(self, file: TextFile, row: Row, *, limited: bool = True) -> None:
         self.file, self.row, self.limited = file, row, limited
@@ -121,7 +139,9 @@ class Record:
         _, text, unit = self.row.entries[key]
         of, limit, words, *_ = KINDS[key]
         try:
-            found = parse_quantity(text, of or "x", unit, per=2 * math.pi if of == "phi" else 1.0)
+            found = parse_quantity(
+                text, of or "x", unit, per=2 * math.pi if of == "phi" else 1.0
+            )
         except InputError as error:
             raise self._error(key, str(error)) from None
         if not of:
@@ -146,7 +166,8 @@ class Record:
         return -value if words & _NEGATIVE else value
 
     def sizes(self) -> dict[str, float]:
-        """Values to compare with those of other rows; of a curl and of turns the size."""
+        """Values to compare with those of other rows; of a curl and of
+        turns the size."""
         return {
             key: self._value(key) if key == "rest" else abs(self.found[key].value)
             for key in self.found.keys() & MEASURED.keys()
@@ -154,7 +175,9 @@ class Record:
 
     def _has_side(self, key: str) -> bool:
         """Whether a sign or a word says to which side a quantity is counted."""
-        return key in self.found and bool(self.found[key].signed or self.found[key].words)
+        return key in self.found and bool(
+            self.found[key].signed or self.found[key].words
+        )
 
     def _sigma(self, name: str) -> float:
         for key in (f"sigma_{name}", *(["sigma_rest"] if name == "curl" else [])):
@@ -168,9 +191,13 @@ class Record:
         for key, kind in MEASURED.items():
             if key in self.found:
                 name, quantity = ("time", "time") if key in TIMES else (key, kind.unit)
-                at, since = (LINES[line] if line else None for line in (kind.at, kind.since))
+                at, since = (
+                    LINES[line] if line else None for line in (kind.at, kind.since)
+                )
                 found.append(
-                    Event(key, quantity, self._oriented(key), self._sigma(name), at, since)
+                    Event(
+                        key, quantity, self._oriented(key), self._sigma(name), at, since
+                    )
                 )
         return found
 
@@ -179,7 +206,9 @@ class Record:
         value = self._value(key)
         if key == "rest":
             return LINES["far-tee"] + value
-        if key not in _TOLD_BY or (key == "curl" and (self._has_side(key) or not value)):
+        if key not in _TOLD_BY or (
+            key == "curl" and (self._has_side(key) or not value)
+        ):
             return value
         told_by, expected = _TOLD_BY[key]
         sense = self._sense(*told_by)
@@ -188,9 +217,11 @@ class Record:
         return (-sense if key == "curl" else sense) * abs(value)
 
     def _handle(self) -> int:
-        """Sense of the spin from `handle`: 1 counter-clockwise, -1 clockwise, 0 if not given.
+        """Sense of the spin from `handle`: 1 counter-clockwise, -1 clockwise, 0
+        if not given.
 
-        The in-turn of a right-hander turns clockwise, as does the out-turn of a left-hander.
+        The in-turn of a right-hander turns clockwise, as does the out-turn of
+        a left-hander.
         """
         if "handle" not in self.found:
             return 0
@@ -200,18 +231,24 @@ class Record:
         turn, hand = words & {"in-turn", "out-turn"}, words & {"left", "right"}
         if len(turn) == 1 and len(hand) == 1:
             return -1 if ("in-turn" in turn) == ("right" in hand) else 1
-        sides = [self._has_side(key) for key in ("curl", "turns", "spin") if key in self.found]
+        sides = [
+            self._has_side(key)
+            for key in ("curl", "turns", "spin")
+            if key in self.found
+        ]
         if len(turn) == 1 and not hand and (any(sides) or not sides):
             return 0  # a label: the sense is given otherwise, or nothing needs it
         raise self._error(
             "handle",
             f"{quoted(self.row.entries['handle'].text)} found; expected clockwise or "
-            "counter-clockwise, or in-turn or out-turn and of which hand, such as right-handed",
+            "counter-clockwise, or in-turn or out-turn and of which hand, "
+            "such as right-handed",
         )
 
     def _sense(self, *keys: str) -> int:
-        """Sense of the spin by the first quantity that tells it; 0 if none does. A stone curls to
-        the side to which its front turns: to the left if counter-clockwise."""
+        """Sense of the spin by the first quantity that tells it; 0 if none
+        does. A stone curls to the side to which its front turns: to the left
+        if counter-clockwise."""
         for key in keys:
             value = self._value(key) if self._has_side(key) else 0.0
             found = self._handle() if key == "handle" else (value > 0) - (value < 0)
@@ -220,7 +257,8 @@ class Record:
         return 0
 
     def spin(self) -> tuple[float, str]:
-        """Spin in rad/s at which a fit fixes it if it is not determined, and a note on it."""
+        """Spin in rad/s at which a fit fixes it if it is not determined, and
+        a note on it."""
         told = ["turns are counted from the near hog line"] * ("turns" in self.found)
         told += ["the spin is that at the near hog line"] * ("spin" in self.found)
         if told:
@@ -232,8 +270,9 @@ class Record:
         word = "counter-clockwise" if sense > 0 else "clockwise"
         why = "by the handle" if by_handle else "by the side of the curl"
         return sense * USUAL_SPIN, (
-            f"the spin was not measured: it is held at {USUAL_SPIN} rad/s, {word} {why}, as for "
-            "two and a half turns; a value of `turns` gives the measured number"
+            f"the spin was not measured: it is held at {USUAL_SPIN} rad/s, "
+            f"{word} {why}, as for two and a half turns; a value of `turns` gives "
+            "the measured number"
         )
 
     def fault_alone(self) -> str:
@@ -247,11 +286,15 @@ class Record:
         if not times:
             return f"no time; {EXPECTED}"
         if len(times) == 1 and "rest" not in self.found:
-            keys = [key for key in ("hog_to_hog", "rest", "hog_to_rest") if key not in self.found]
+            keys = [
+                key
+                for key in ("hog_to_hog", "rest", "hog_to_rest")
+                if key not in self.found
+            ]
             more = ", ".join([*keys[:2], "or another time"])
             return (
-                f"{times[0]} alone gives {'the mean ' * (times[0] in TIMES)}speed and no friction; "
-                f"expected one more of {more}"
+                f"{times[0]} alone gives {'the mean ' * (times[0] in TIMES)}speed and "
+                f"no friction; expected one more of {more}"
             )
         hog, to_tee = (
             self.found[key].value if key in self.found else default
@@ -260,16 +303,18 @@ class Record:
         if to_tee <= hog:
             raise self._error(
                 "hog_to_tee",
-                f"{to_tee:g} s found, expected more than hog_to_hog = {hog:g} s: the tee line lies "
-                "behind the far hog line",
+                f"{to_tee:g} s found, expected more than hog_to_hog = {hog:g} s: "
+                "the tee line lies behind the far hog line",
             )
-        lines = ((line, key) for key in times for line in (KINDS[key].at, KINDS[key].since))
+        lines = (
+            (line, key) for key in times for line in (KINDS[key].at, KINDS[key].since)
+        )
         farthest, by = max((LINES[line], key) for line, key in lines if line)
         past = farthest - LINES["far-tee"]
         if "rest" in self.found and self._value("rest") <= past:
             raise self._error(
                 "rest",
-                f"{self._value('rest'):.3g} m past the far tee lies before a line that the stone "
-                f"has crossed by {by} ({past:.3f} m)",
+                f"{self._value('rest'):.3g} m past the far tee lies before a line "
+                f"that the stone has crossed by {by} ({past:.3f} m)",
             )
         return ""

@@ -15,17 +15,22 @@ from curlfit.errors import DataError, InputError
 def text_of_sheet(
     raw: bytes, path: Path, most_bytes: int, wanted: str | None = None
 ) -> tuple[str, str]:
-    """The cells as a table separated by semicolons, and a note on other worksheets with data.
+    """The cells as a table separated by semicolons, and a note on other
+    worksheets with data.
 
-    Row n is line n. Clock times are HH:MM, with seconds if any has some. If no worksheet is wanted,
-    the first one with data is read.
+    Row n is line n. Clock times are HH:MM, with seconds if any has some. If no
+    worksheet is wanted, the first one with data is read.
 
     Raises
     ------
-    DataError : not a spreadsheet, without data, too large, or its reader is not installed.
+    DataError : not a spreadsheet, without data, too large, or its reader is
+        not installed.
     InputError : no such worksheet.
     """
-    fault = "this is a spreadsheet or another archive, not a text file; save the sheet as CSV"
+    fault = (
+        "this is a spreadsheet or another archive, not a text file; "
+        "save the sheet as CSV"
+    )
     try:
         from python_calamine import CalamineError, CalamineWorkbook
     except ImportError:
@@ -35,7 +40,9 @@ def text_of_sheet(
         if raw.startswith(b"PK"):
             with ZipFile(BytesIO(raw)) as archive:
                 if sum(part.file_size for part in archive.infolist()) > most_bytes:
-                    raise DataError(f"larger than {most_bytes // 1000} kB unpacked", file=path)
+                    raise DataError(
+                        f"larger than {most_bytes // 1000} kB unpacked", file=path
+                    )
         book = CalamineWorkbook.from_filelike(BytesIO(raw))
         sheets = {name: book.get_sheet_by_name(name) for name in book.sheet_names}
         names = [name for name, sheet in sheets.items() if sheet.height]
@@ -43,7 +50,10 @@ def text_of_sheet(
             raise DataError("a spreadsheet without data", file=path)
         listed = ", ".join(names)
         if wanted is not None and wanted not in names:
-            fault = f"--worksheet {wanted}: {path} has no such worksheet with data; expected one of"
+            fault = (
+                f"--worksheet {wanted}: {path} has no such worksheet with "
+                "data; expected one of"
+            )
             raise InputError(f"{fault} {listed}")
         chosen = names[0] if wanted is None else wanted
         cells = sheets[chosen].to_python(skip_empty_area=False)
@@ -60,12 +70,16 @@ def text_of_sheet(
             lines.write(" ".join(filter(None, found)) + "\n")
         else:
             write(found)
-    several = f"{len(names)} worksheets: {listed}; taken: {chosen} (--worksheet selects another)"
+    several = (
+        f"{len(names)} worksheets: {listed}; taken: {chosen} "
+        "(--worksheet selects another)"
+    )
     return lines.getvalue(), several if len(names) > 1 else ""
 
 
 def _plain(cell: Any) -> Any:
-    """A cell of a spreadsheet; a duration, or a time without a date, as a clock time."""
+    """A cell of a spreadsheet; a duration, or a time without a date, as
+    a clock time."""
     if isinstance(cell, timedelta):
         return (datetime.min + cell % timedelta(days=1)).time()
     return cell.time() if isinstance(cell, datetime) and cell.year < 1901 else cell

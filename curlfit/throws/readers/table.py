@@ -1,5 +1,5 @@
-"""Tables: text with a header and settings in leading `#` lines, curlfit's own format; and tables
-in memory, of pandas, polars, xarray, or mappings of arrays.
+"""Tables: text with a header and settings in leading `#` lines, curlfit's own format;
+and tables in memory, of pandas, polars, xarray, or mappings of arrays.
 
 A table may hold several throws: named by a column, or one after another.
 """
@@ -18,7 +18,13 @@ from curlfit.errors import DataError, InputError
 from curlfit.foreign import counted, quoted
 from curlfit.settings.choices import Reading
 from curlfit.throws.readers.assemble import assemble
-from curlfit.throws.readers.columns import Column, in_unit, parse_header, parse_units, with_unit
+from curlfit.throws.readers.columns import (
+    Column,
+    in_unit,
+    parse_header,
+    parse_units,
+    with_unit,
+)
 from curlfit.throws.readers.defaults import begun
 from curlfit.throws.readers.headings import Headings
 from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile
@@ -48,20 +54,30 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
     DataError : with the line and column of the fault, and what was expected.
     """
     parsed, table = _table_of(file, reading)
-    columns = Headings(table.names, table.error, table.is_numeric).of_throw(parsed, reading)
+    columns = Headings(table.names, table.error, table.is_numeric).of_throw(
+        parsed, reading
+    )
     read_columns(parsed, table, columns)
-    others = [k for k, name in enumerate(table.names) if k not in columns and _may_name(name)]
+    others = [
+        k for k, name in enumerate(table.names) if k not in columns and _may_name(name)
+    ]
     return contents_of(parsed, {table.names[k]: table.column(k) for k in others})
 
 
 TABLE = Format(
-    "table", lambda _: True, _contents, "throw", "stone_index", None, ("stone_index", "columns")
+    "table",
+    lambda _: True,
+    _contents,
+    "throw",
+    "stone_index",
+    None,
+    ("stone_index", "columns"),
 )
 
 
 def _table_of(file: TextFile, reading: Reading) -> tuple[ParsedFile, TextTable]:
-    """The settings and the table of a file: its header may be below titles, and units in the line
-    below it.
+    """The settings and the table of a file: its header may be below titles, and units
+    in the line below it.
 
     Raises
     ------
@@ -73,7 +89,9 @@ def _table_of(file: TextFile, reading: Reading) -> tuple[ParsedFile, TextTable]:
         table = TextTable.at(file, index)
         try:
             parsed = begun(file, "table", index)
-            Headings(table.names, table.error).columns(reading, parsed.settings.get("columns", {}))
+            Headings(table.names, table.error).columns(
+                reading, parsed.settings.get("columns", {})
+            )
         except DataError:
             continue
         if titles:
@@ -85,21 +103,28 @@ def _table_of(file: TextFile, reading: Reading) -> tuple[ParsedFile, TextTable]:
 
 
 def with_units_below(table: TextTable) -> TextTable:
-    """The table with the units of a second row in its headings, if this has units alone."""
+    """The table with the units of a second row in its headings, if this has
+    units alone."""
     lines = table.file.lines
-    row = next((k for k in range(table.header + 1, len(lines)) if not is_aside(lines[k])), -1)
+    row = next(
+        (k for k in range(table.header + 1, len(lines)) if not is_aside(lines[k])), -1
+    )
     cells = header_cells(lines[row], table.separator)
     units = ["" if cell.lower() in GAPS else cell.strip("()[] ") for cell in cells]
     if len(units) != len(table.names) or any(map(is_number, cells)):
         return table
     pairs = list(zip(table.names, units, strict=True))
     names = [f"{name} ({unit})" if unit else name for name, unit in pairs]
-    read = [parse_header(names[k], other_words=True) for k, unit in enumerate(units) if unit]
+    read = [
+        parse_header(names[k], other_words=True) for k, unit in enumerate(units) if unit
+    ]
     known = any(column is not None and column.stated for column in read)
     return replace(table, header=row, names=names) if known else table
 
 
-def read_columns(parsed: ParsedFile, table: TextTable, columns: dict[int, Column]) -> None:
+def read_columns(
+    parsed: ParsedFile, table: TextTable, columns: dict[int, Column]
+) -> None:
     """Add columns, by index, to a parsed file; those of clock times become seconds.
 
     Raises
@@ -110,7 +135,9 @@ def read_columns(parsed: ParsedFile, table: TextTable, columns: dict[int, Column
     clocks = {k: found for k in times if (found := table.clock(k))}
     for k, (begin, _) in clocks.items():
         columns[k] = in_unit(columns[k].quantity, "s")
-        parsed.notes.append(f"{table.names[k]}: clock times, taken as seconds since {begin}")
+        parsed.notes.append(
+            f"{table.names[k]}: clock times, taken as seconds since {begin}"
+        )
     plain = [k for k in columns if k not in clocks]
     values = dict(zip(plain, table.numbers(plain), strict=True))
     values |= {k: seconds for k, (_, seconds) in clocks.items()}
@@ -135,8 +162,9 @@ def _may_name(header: str) -> bool:
 def contents_of(parsed: ParsedFile, words: Mapping[str, Sequence[Any]]) -> Contents:
     """The throws in a table.
 
-    A column such as `stone`, `throw_id` or `track` names them. Without one, a new throw begins
-    where the times start again, or where the stone is back at the start from one row to the next.
+    A column such as `stone`, `throw_id` or `track` names them. Without one, a new throw
+    begins where the times start again, or where the stone is back at the start from one
+    row to the next.
 
     Parameters
     ----------
@@ -144,7 +172,9 @@ def contents_of(parsed: ParsedFile, words: Mapping[str, Sequence[Any]]) -> Conte
     """
     header, groups = _by_column(words, len(parsed.series[0].values))
     if header:
-        parsed = replace(parsed, ignored=[name for name in parsed.ignored if name != header])
+        parsed = replace(
+            parsed, ignored=[name for name in parsed.ignored if name != header]
+        )
     else:
         groups = _by_restart(parsed)
     if len(groups) < 2:
@@ -160,21 +190,26 @@ def contents_of(parsed: ParsedFile, words: Mapping[str, Sequence[Any]]) -> Conte
     return Contents([f"{name} ({len(rows)} rows)" for name, rows in throws], parse)
 
 
-def _by_column(words: Mapping[str, Sequence[Any]], n: int) -> tuple[str, dict[str, np.ndarray]]:
-    """The column that names several throws, and the rows of each; empty if there is none."""
+def _by_column(
+    words: Mapping[str, Sequence[Any]], n: int
+) -> tuple[str, dict[str, np.ndarray]]:
+    """The column that names several throws, and the rows of each; empty if
+    there is none."""
     for header, cells in words.items():
         if not _may_name(header):
             continue
         names = np.array([str(cell).strip() for cell in cells])
         listed = [name for name in dict.fromkeys(names.tolist()) if name]
         if 2 <= len(listed) <= n / _FEWEST:
-            return header, {f"{header} {name}": np.flatnonzero(names == name) for name in listed}
+            return header, {
+                f"{header} {name}": np.flatnonzero(names == name) for name in listed
+            }
     return "", {}
 
 
 def _by_restart(parsed: ParsedFile) -> dict[str, np.ndarray]:
-    """Rows of each throw if the times start again, or if they run on while the stone is back at
-    the start; empty if there is one throw."""
+    """Rows of each throw if the times start again, or if they run on while the stone is
+    back at the start; empty if there is one throw."""
     series = {s.column.quantity: s.values for s in parsed.series}
     if "t" not in series or len(times := series["t"]) < 2 * _FEWEST:
         return {}
@@ -182,21 +217,24 @@ def _by_restart(parsed: ParsedFile) -> dict[str, np.ndarray]:
     pieces = np.split(np.arange(len(times)), again if len(again) else _returns(series))
     if len(pieces) < 2 or min(map(len, pieces)) < _FEWEST:
         return {}
-    # Each begins within the first fifth of the previous one, unlike rows merely out of order.
+    # Each begins within the first fifth of the previous one, unlike rows merely
+    # out of order.
     for before, after in pairwise(pieces) if len(again) else ():
         began, ended = times[before[0]], times[before[-1]]
         if not times[after[0]] < began + 0.2 * (ended - began):
             return {}
     lines = parsed.lines
     return {
-        f"from row {rows[0] + 1}" if lines is None else f"from line {lines[rows[0]]}": rows
+        f"from row {rows[0] + 1}"
+        if lines is None
+        else f"from line {lines[rows[0]]}": rows
         for rows in pieces
     }
 
 
 def _returns(series: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Rows in which the stone is back at the start: from the one before it has gone back by more
-    than half the length of the path; none if it is ever as far ahead."""
+    """Rows in which the stone is back at the start: from the one before it has gone
+    back by more than half the length of the path; none if it is ever as far ahead."""
     x, y = (series.get(axis, series.get(pixel)) for axis, pixel in ("xu", "yv"))
     none = np.array([], int)
     if x is None or y is None or not np.isfinite(x + y).any():
@@ -230,11 +268,15 @@ def values_of(table: Any, reading: Reading, name: str = "table") -> dict[str, An
     def numeric(index: int) -> bool:
         return bool(values[names[index]].dtype.kind in "fiu")
 
-    columns = Headings(names, parsed.error, numeric).of_throw(parsed, reading, python=True)
+    columns = Headings(names, parsed.error, numeric).of_throw(
+        parsed, reading, python=True
+    )
     shapes = sorted({values[names[index]].shape for index in columns})
     if len(shapes) > 1 or len(shapes[0]) != 1:
         listed = ", ".join(map(str, shapes))
-        raise parsed.error(f"columns of different lengths, or of several dimensions: {listed}")
+        raise parsed.error(
+            f"columns of different lengths, or of several dimensions: {listed}"
+        )
     if shapes == [(0,)]:
         raise parsed.error("no rows")
     for index, column in columns.items():
@@ -245,8 +287,12 @@ def values_of(table: Any, reading: Reading, name: str = "table") -> dict[str, An
             except InputError as error:
                 raise parsed.error(str(error), quantity=header) from None
         parsed.add(header, column, _numbers(values[header], column, parsed, header))
-    words = {name: values[name].tolist() for k, name in enumerate(names) if k not in columns}
-    return assemble(TABLE.selected(name, contents_of(parsed, words), reading.stone_index), reading)
+    words = {
+        name: values[name].tolist() for k, name in enumerate(names) if k not in columns
+    }
+    return assemble(
+        TABLE.selected(name, contents_of(parsed, words), reading.stone_index), reading
+    )
 
 
 def _variables(table: Any, parsed: ParsedFile) -> _Variables:
@@ -257,7 +303,8 @@ def _variables(table: Any, parsed: ParsedFile) -> _Variables:
     if isinstance(table, Mapping):
         return {str(name): _filled(values) for name, values in table.items()}, {}
     raise InputError(
-        f"{type(table).__name__}: expected a DataFrame, a Dataset or a mapping of names to arrays"
+        f"{type(table).__name__}: expected a DataFrame, a Dataset or a mapping "
+        "of names to arrays"
     )
 
 
@@ -269,15 +316,23 @@ def _filled(values: Any) -> Any:
 
 def _of_dataset(table: Any, parsed: ParsedFile) -> _Variables:
     every = {str(key): table[key] for key in [*table.coords, *table.data_vars]}
-    flat = {name: variable for name, variable in every.items() if len(variable.dims) == 1}
+    flat = {
+        name: variable for name, variable in every.items() if len(variable.dims) == 1
+    }
     if len(flat) < len(every):
         others = ", ".join(name for name in every if name not in flat)
         parsed.notes.append(f"variables ignored, not of one dimension: {others}")
-    used = {name: v.dims[0] for name, v in flat.items() if parse_header(name) is not None}
+    used = {
+        name: v.dims[0] for name, v in flat.items() if parse_header(name) is not None
+    }
     if len(set(used.values())) > 1:
         listed = ", ".join(f"{name} along {dim}" for name, dim in used.items())
-        raise parsed.error(f"variables along different dimensions ({listed}); merge them to one")
-    units = {name: str(v.attrs["units"]) for name, v in flat.items() if v.attrs.get("units")}
+        raise parsed.error(
+            f"variables along different dimensions ({listed}); merge them to one"
+        )
+    units = {
+        name: str(v.attrs["units"]) for name, v in flat.items() if v.attrs.get("units")
+    }
     return {name: np.asarray(variable.values) for name, variable in flat.items()}, units
 
 
@@ -300,17 +355,22 @@ def _is_time(name: str) -> bool:
     return column is not None and column.quantity == "t"
 
 
-def _numbers(values: Any, column: Column, parsed: ParsedFile, header: str) -> np.ndarray:
+def _numbers(
+    values: Any, column: Column, parsed: ParsedFile, header: str
+) -> np.ndarray:
     """Numbers in the column's unit; dates and durations as seconds."""
     is_time = column.quantity.startswith("t")
     if values.dtype.kind in "mM" and is_time:
         blank = np.isnat(values)
         if blank.all():
             raise parsed.error("every time is missing", quantity=header)
-        origin = values[~blank][0] if values.dtype.kind == "M" else np.timedelta64(0, "ns")
+        origin = (
+            values[~blank][0] if values.dtype.kind == "M" else np.timedelta64(0, "ns")
+        )
         numbers = (values - origin) / np.timedelta64(1, "s") / column.factor
         return np.where(blank, np.nan, numbers)
-    found = [None if type(v).__name__ == "NAType" else v for v in values.tolist()]  # of pandas
+    # of pandas
+    found = [None if type(v).__name__ == "NAType" else v for v in values.tolist()]
     if is_time and values.dtype.kind in "OU":
         clock, bad = clock_times([None if v is None else str(v) for v in found])
         if not bad and np.isfinite(clock).any():

@@ -24,10 +24,14 @@ from curlfit.throws.readers.words import WORDS
 
 GAPS = {"", *WORDS["gaps"].split()}
 """Cells without a value, among them the errors of spreadsheets."""
-EXPECTED = "expected a header such as t,x,y,phi (time in s, position in m, angle in rad)"
-_SPREADSHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")  # first bytes; of other archives too
+EXPECTED = (
+    "expected a header such as t,x,y,phi (time in s, position in m, angle in rad)"
+)
+# first bytes; of other archives too
+_SPREADSHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
 _MOST_BYTES, _MOST_OF_SETTINGS = 50_000_000, 64_000
-# Characters of a comment, a header or a setting; of a row; a line of JSON may have any number.
+# Characters of a comment, a header or a setting; of a row; a line of JSON may
+# have any number.
 _MOST_IN_HEAD, _MOST_IN_ROW = 1000, 20_000
 _MOST_LINES = 2_000_000
 # "t (s)" in a table separated by spaces
@@ -54,8 +58,8 @@ def _bytes_of(path: Path, what: str, most: int) -> bytes:
 
 
 def _decoded(raw: bytes) -> str:
-    """Text with "\\n" line ends, in UTF-8, UTF-16 with byte order mark, Windows cp932 with headings
-    in Japanese, or Windows cp1252."""
+    """Text with "\\n" line ends, in UTF-8, UTF-16 with byte order mark, Windows cp932
+    with headings in Japanese, or Windows cp1252."""
     encoding = "utf-16" if raw[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
     try:
         text = raw.decode(encoding)
@@ -66,9 +70,12 @@ def _decoded(raw: bytes) -> str:
 
 
 def _old_encoding(raw: bytes) -> str:
-    """The encoding of a file that is not in Unicode: that of Windows in Japan or in the West."""
+    """The encoding of a file that is not in Unicode: that of Windows in Japan or
+    in the West."""
     return (
-        "cp932" if has_japanese_words(raw[:_MOST_IN_ROW].decode("cp932", "replace")) else "cp1252"
+        "cp932"
+        if has_japanese_words(raw[:_MOST_IN_ROW].decode("cp932", "replace"))
+        else "cp1252"
     )
 
 
@@ -85,21 +92,26 @@ class TextFile(NamedTuple):
     note: str = ""
 
     @classmethod
-    def read(cls, path: Path, worksheet: str | None = None, *, settings: bool = False) -> TextFile:
-        """A file of data, or a worksheet of a workbook: its first one with data, if none is named;
-        or a file of `settings`, in which all lines are as short as comments.
+    def read(
+        cls, path: Path, worksheet: str | None = None, *, settings: bool = False
+    ) -> TextFile:
+        """A file of data, or a worksheet of a workbook: its first one with data,
+        if none is named; or a file of `settings`, in which all lines are as short
+        as comments.
 
         Raises
         ------
-        DataError : no such file, a folder, not readable, too large, not text, or a line is too
-            long. InputError : no such worksheet.
+        DataError : no such file, a folder, not readable, too large, not text, or a line
+            is too long. InputError : no such worksheet.
         """
         kind = ("settings", _MOST_OF_SETTINGS) if settings else ("throws", _MOST_BYTES)
         raw, note = _bytes_of(path, *kind), ""
         if raw.startswith(_SPREADSHEETS):
             text, note = text_of_sheet(raw, path, _MOST_BYTES, worksheet)
         elif worksheet is not None:
-            raise InputError(f"--worksheet: {path} is no workbook and holds no worksheets")
+            raise InputError(
+                f"--worksheet: {path} is no workbook and holds no worksheets"
+            )
         else:
             text = _decoded(raw)
         file = cls(path, text.split("\n"), note)
@@ -109,7 +121,9 @@ class TextFile(NamedTuple):
             raise file.error(f"more than {_MOST_LINES} lines; expected throws")
         if max(map(len, file.lines)) <= _MOST_IN_HEAD:
             return file
-        header = next((k for k, line in enumerate(file.lines) if not is_aside(line)), -1)
+        header = next(
+            (k for k, line in enumerate(file.lines) if not is_aside(line)), -1
+        )
         json = not settings and file.lines[header].lstrip()[:1] in ("{", "[")
         for index, line in enumerate(file.lines):
             comment = is_aside(line)
@@ -120,7 +134,9 @@ class TextFile(NamedTuple):
                 raise file.error(fault, index)
         return file
 
-    def error(self, message: str, index: int | None = None, column: str | None = None) -> DataError:
+    def error(
+        self, message: str, index: int | None = None, column: str | None = None
+    ) -> DataError:
         """An error at the line of this index."""
         line = None if index is None else index + 1
         return DataError(message, file=self.path, line=line, column=column)
@@ -132,7 +148,9 @@ class TextFile(NamedTuple):
         ------
         DataError : the file is empty or contains only comments.
         """
-        index = next((k for k, line in enumerate(self.lines) if not is_aside(line)), None)
+        index = next(
+            (k for k, line in enumerate(self.lines) if not is_aside(line)), None
+        )
         if index is None:
             blank = not any(map(str.strip, self.lines))
             what = "the file is empty" if blank else "the file holds comments only"
@@ -167,7 +185,9 @@ def cells(line: str, separator: str | None) -> list[str]:
         return [cell.strip('"') for cell in line.split()]
     if '"' in line:
         try:
-            return [cell.strip() for cell in next(csv.reader([line], delimiter=separator))]
+            return [
+                cell.strip() for cell in next(csv.reader([line], delimiter=separator))
+            ]
         except csv.Error:
             pass
     return [cell.strip() for cell in line.split(separator)]
@@ -189,13 +209,17 @@ def is_number(cell: str) -> bool:
     return parse_number(cell, decimal_comma=True) is not None
 
 
-_GROUPED = re.compile(r"[-+]?\d{1,3}(?P<mark>[.,'\u2019\s])\d{3}(?:(?P=mark)\d{3})*(?:[.,]\d+)?")
+_GROUPED = re.compile(
+    r"[-+]?\d{1,3}(?P<mark>[.,'\u2019\s])\d{3}(?:(?P=mark)\d{3})*(?:[.,]\d+)?"
+)
 
 
 def _without_groups(cell: str, mark: str) -> str:
-    """A number with a decimal point and without the marks that separate its thousands; none where
-    such a mark is anywhere else."""
-    if mark in cell and not ((found := _GROUPED.fullmatch(cell)) and found["mark"] == mark):
+    """A number with a decimal point and without the marks that separate its thousands;
+    none where such a mark is anywhere else."""
+    if mark in cell and not (
+        (found := _GROUPED.fullmatch(cell)) and found["mark"] == mark
+    ):
         return "?"
     return cell.replace(mark, "").replace(",", ".")
 
@@ -204,7 +228,8 @@ _CLOCK = re.compile(r"(?:(\d{1,2}):)?(\d{1,2}):(\d{1,2}(?:[.,]\d+)?)")
 
 
 def clock_times(found: Sequence[str | None]) -> tuple[Floats, list[int]]:
-    """Clock times such as 14:03:22.150, 03:22.15 or 2026-01-05T14:03:22.150Z, as s since the first.
+    """Clock times such as 14:03:22.150, 03:22.15 or 2026-01-05T14:03:22.150Z, as s
+    since the first.
 
     Without dates, midnight may pass from one row to the next.
 
@@ -213,7 +238,9 @@ def clock_times(found: Sequence[str | None]) -> tuple[Floats, list[int]]:
     Seconds, shape (n,), NaN for gaps; and the rows that are not clock times, also NaN.
     """
     gaps = np.array([cell is None or cell.lower() in GAPS for cell in found], bool)
-    seconds = np.array([math.nan if cell is None else _seconds(cell.strip()) for cell in found])
+    seconds = np.array(
+        [math.nan if cell is None else _seconds(cell.strip()) for cell in found]
+    )
     known = np.flatnonzero(np.isfinite(seconds))
     if len(known):
         seconds -= seconds[known[0]]
@@ -226,7 +253,11 @@ def clock_times(found: Sequence[str | None]) -> tuple[Floats, list[int]]:
 def _seconds(cell: str) -> float:
     """A clock time in s, since 1970 if it has a date; NaN if it is not one."""
     if match := _CLOCK.fullmatch(cell):
-        hours, minutes, seconds = int(match[1] or 0), int(match[2]), match[3].replace(",", ".")
+        hours, minutes, seconds = (
+            int(match[1] or 0),
+            int(match[2]),
+            match[3].replace(",", "."),
+        )
         valid = hours < 24 and float(seconds) < 60 and (minutes < 60 or not match[1])
         return 3600 * hours + 60 * minutes + float(seconds) if valid else math.nan
     try:
@@ -240,7 +271,8 @@ def _seconds(cell: str) -> float:
 
 @dataclass(frozen=True)
 class TextTable:
-    """A table of a file: the index of its header, its separator and the cells of the header."""
+    """A table of a file: the index of its header, its separator and the cells
+    of the header."""
 
     file: TextFile
     header: int
@@ -257,7 +289,8 @@ class TextTable:
 
     @classmethod
     def of(cls, file: TextFile, expected: str = EXPECTED) -> TextTable:
-        """The table with the first line as its header. Raises `DataError` if that is a row."""
+        """The table with the first line as its header. Raises `DataError` if
+        that is a row."""
         table = cls.at(file, file.head(expected))
         if all(map(is_number, cells(file.lines[table.header], table.separator))):
             raise table.error(f"the table begins with numbers; {expected}")
@@ -269,7 +302,8 @@ class TextTable:
 
     @cached_property
     def rows(self) -> list[int]:
-        """Indices of its lines, without comments and blank ones. Raises `DataError` for none."""
+        """Indices of its lines, without comments and blank ones. Raises
+        `DataError` for none."""
         lines = self.file.lines
         rows = [k for k in range(self.header + 1, len(lines)) if not is_aside(lines[k])]
         if not rows:
@@ -287,10 +321,13 @@ class TextTable:
     def is_numeric(self, place: int) -> bool:
         """Whether a column has numbers or gaps only, at least one number."""
         found = [cell for cell in self.column(place) if cell.lower() not in GAPS]
-        return bool(found) and all(is_number(cell) or self._grouped(cell) for cell in found)
+        return bool(found) and all(
+            is_number(cell) or self._grouped(cell) for cell in found
+        )
 
     def clock(self, place: int) -> tuple[str, Floats] | None:
-        """Of a column of clock times the first one, and seconds since then; None of another.
+        """Of a column of clock times the first one, and seconds since then;
+        None of another.
 
         Raises
         ------
@@ -302,7 +339,9 @@ class TextTable:
         seconds, bad = clock_times(found)
         known = np.flatnonzero(np.isfinite(seconds))
         if len(known) and bad:
-            fault = f"{quoted(found[bad[0]])} found, expected a clock time as in other rows"
+            fault = (
+                f"{quoted(found[bad[0]])} found, expected a clock time as in other rows"
+            )
             raise self.file.error(fault, self.rows[bad[0]], self.names[place])
         return (found[known[0]], seconds) if len(known) else None
 
@@ -311,8 +350,8 @@ class TextTable:
 
         Raises
         ------
-        DataError : there is no row, a row with a wrong number of cells, or a cell that is not a
-            finite number.
+        DataError : there is no row, a row with a wrong number of cells, or a cell that
+            is not a finite number.
         """
         width = len(self.names)
         lines = [self.file.lines[index] for index in self.rows]
@@ -320,7 +359,9 @@ class TextTable:
             plain = np.loadtxt(lines, delimiter=self.separator, comments=None, ndmin=2)
             if plain.shape[1] == width and not np.isinf(plain).any():
                 return list(plain[:, list(columns)].T.copy())
-        remedy = "; where numbers have decimal commas, separate the columns by semicolons"
+        remedy = (
+            "; where numbers have decimal commas, separate the columns by semicolons"
+        )
         for index, row in zip(self.rows, self._cells, strict=True):
             if len(row) < width or any(row[width:]):
                 many, head = counted(len(row), "cell"), counted(width, "column")
@@ -330,13 +371,18 @@ class TextTable:
         try:
             return [self._numbers(place) for place in columns]
         except DataError:
-            every = (self._grouped(cell) for place in columns for cell in self.column(place))
+            every = (
+                self._grouped(cell) for place in columns for cell in self.column(place)
+            )
             if (found := next(filter(None, every), None)) is None:
                 raise
             with suppress(DataError):
                 values = [self._numbers(place, found["mark"]) for place in columns]
                 number = _without_groups(found[0], found["mark"])
-                said = f"{quoted(found['mark'])} separates thousands: {quoted(found[0])} is"
+                said = (
+                    f"{quoted(found['mark'])} separates thousands: "
+                    f"{quoted(found[0])} is"
+                )
                 self.remarks.append(f"{said} {number}")
                 return values
             raise

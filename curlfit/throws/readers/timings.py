@@ -1,4 +1,5 @@
-"""Stopwatch records: times between lines, and where the stone came to rest; one, or a table."""
+"""Stopwatch records: times between lines, and where the stone came to rest;
+one, or a table."""
 
 from __future__ import annotations
 
@@ -20,7 +21,15 @@ from curlfit.throws.readers.columns import parse_header
 from curlfit.throws.readers.defaults import begun
 from curlfit.throws.readers.notation import parse_quantity
 from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile
-from curlfit.throws.readers.record import ALONG, EXPECTED, KINDS, TIMES, Entry, Record, Row
+from curlfit.throws.readers.record import (
+    ALONG,
+    EXPECTED,
+    KINDS,
+    TIMES,
+    Entry,
+    Record,
+    Row,
+)
 from curlfit.throws.readers.text import (
     GAPS,
     TextFile,
@@ -32,17 +41,25 @@ from curlfit.throws.readers.text import (
 from curlfit.throws.readers.words import WORDS
 
 LABELS = set(WORDS["labels"].split())
-"""Columns that say of which throw a row is; any other that has words in most rows is kept too."""
+"""Columns that say of which throw a row is; any other that has words in most rows
+is kept too."""
 _ALIASES = {
-    "sigma_t": "sigma_time", "rotation": "handle", "split": "back_to_hog",
-    "h2h": "hog_to_hog", "hog_hog": "hog_to_hog",
-}  # fmt: skip
+    "sigma_t": "sigma_time",
+    "rotation": "handle",
+    "split": "back_to_hog",
+    "h2h": "hog_to_hog",
+    "hog_hog": "hog_to_hog",
+}
 _FEWEST = 5  # values of a column among which one may be odd
-# A value is odd if it is farther from the median of its column than 9 median absolute deviations
-# (6 standard deviations of normal values) and 0.7 of this median, as no two weights in play are.
+# A value is odd if it is farther from the median of its column than 9 median absolute
+# deviations (6 standard deviations of normal values) and 0.7 of this median, as no two
+# weights in play are.
 _MOST_OFF, _MOST_SHARE = 9.0, 0.7
 _LIKE_MEASUREMENTS = {"hog", "tee", "rest", "curl", "turns", "split", "speed", "spin"}
-_COLUMNS = f"one of {', '.join(TIMES)}, curl, rest, turns, speed, spin, with a unit as in curl_ft"
+_COLUMNS = (
+    f"one of {', '.join(TIMES)}, curl, rest, turns, speed, spin, "
+    "with a unit as in curl_ft"
+)
 _SPLIT = re.compile(r"[\s_\-./()\[\]]+")
 _LINE = re.compile(
     r"""(?!\s*["']?[-+.\d])\s*["']?([^=:;,\t"']*?)["']?\s*[=:;,\t]\s*(\S.*?)\s*[;,]?\s*$"""
@@ -56,8 +73,8 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
 
     Raises
     ------
-    DataError : an unknown line, an impossible value, a curl without its side, or times that do not
-        determine friction.
+    DataError : an unknown line, an impossible value, a curl without its side, or times
+        that do not determine friction.
     """
     rows = _rows(file)
     keep = {*reading.keep, *begun(file, "timings").settings.get("keep", ())}
@@ -86,21 +103,28 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
             if y in crossed
         )
         parsed.notes += [
-            f"y from the hack, x from the line of delivery: the stone's centre crosses the {places}"
-            f" (far tee {LINES['far-tee']:.3f} m)",
-            of_spin, *row.notes, *said,
-        ]  # fmt: skip
+            "y from the hack, x from the line of delivery: the stone's centre "
+            f"crosses the {places} (far tee {LINES['far-tee']:.3f} m)",
+            of_spin,
+            *row.notes,
+            *said,
+        ]
         return parsed
 
     return Contents(
-        [f"line {row.line}" for row in rows], parse, left_out=left_out,
+        [f"line {row.line}" for row in rows],
+        parse,
+        left_out=left_out,
         note="{} throws, one in each row; taken: {} (--shot selects another)",
-    )  # fmt: skip
+    )
 
 
-def _left_out(file: TextFile, rows: list[Row], keep: Collection[int]) -> tuple[set[int], list[str]]:
-    """Rows that a joint fit leaves out: those without a time, and odd ones, of which a value is
-    beyond its limit or far from the median of its column, unless more than a tenth are odd."""
+def _left_out(
+    file: TextFile, rows: list[Row], keep: Collection[int]
+) -> tuple[set[int], list[str]]:
+    """Rows that a joint fit leaves out: those without a time, and odd ones, of which a
+    value is beyond its limit or far from the median of its column, unless more than a
+    tenth are odd."""
     found: dict[str, dict[int, float]] = {}
     for index, row in enumerate(rows):
         with suppress(DataError):  # the row itself is refused where it is read
@@ -108,17 +132,30 @@ def _left_out(file: TextFile, rows: list[Row], keep: Collection[int]) -> tuple[s
                 found.setdefault(key, {})[index] = size
     odd: dict[int, list[str]] = {}
     for key, sizes in found.items():
-        places, values, kind = np.array([*sizes]), np.array([*sizes.values()]), KINDS[key]
+        places, values, kind = (
+            np.array([*sizes]),
+            np.array([*sizes.values()]),
+            KINDS[key],
+        )
         middle = float(np.median(values))
         off = np.abs(values - middle)
-        allowed = max(_MOST_OFF * float(np.median(off)), _MOST_SHARE * abs(middle), kind.usual)
+        allowed = max(
+            _MOST_OFF * float(np.median(off)), _MOST_SHARE * abs(middle), kind.usual
+        )
         far = (off > allowed) | (np.abs(values) > kind.limit)
-        factor, unit = (2 * math.pi, "turns") if key == "turns" else (1, UNITS[kind.unit])
+        factor, unit = (
+            (2 * math.pi, "turns") if key == "turns" else (1, UNITS[kind.unit])
+        )
         for index, value in zip(places[far], values[far], strict=True):
             if len(values) >= _FEWEST and rows[index].line not in keep:
-                what = f"{key} {value / factor:.4g} {unit} where others have {middle / factor:.3g}"
+                what = (
+                    f"{key} {value / factor:.4g} {unit} where others have "
+                    f"{middle / factor:.3g}"
+                )
                 odd.setdefault(int(index), []).append(what)
-    listed = "; ".join(f"line {rows[k].line} ({' and '.join(odd[k])})" for k in sorted(odd))
+    listed = "; ".join(
+        f"line {rows[k].line} ({' and '.join(odd[k])})" for k in sorted(odd)
+    )
     said = []
     if len(odd) > len(rows) / 10:
         said = [f"odd rows, kept since they are more than a tenth: {listed}"]
@@ -129,12 +166,15 @@ def _left_out(file: TextFile, rows: list[Row], keep: Collection[int]) -> tuple[s
     empty = [index for index, row in enumerate(rows) if not row.entries.keys() & ALONG]
     if empty:
         listed = ", ".join(str(rows[index].line) for index in empty)
-        said.append(f"left out of a joint fit, since no time was measured: line {listed}")
+        said.append(
+            f"left out of a joint fit, since no time was measured: line {listed}"
+        )
     return {*odd, *empty}, said
 
 
 def is_table(head: list[str]) -> bool:
-    """Whether lines, comments removed, begin with a header of several known quantities."""
+    """Whether lines, comments removed, begin with a header of several
+    known quantities."""
     names = _header(head[0]) if head else []
     known = {key for key, _ in map(_key, names)} - {""}
     if len(known) == 1 and known <= TIMES.keys() and separator_of(head[0]):
@@ -161,7 +201,8 @@ TIMINGS = Format("timings", _recognizes, _contents, "row", "shot", 0, ("shot", "
 
 
 def _key(text: str) -> tuple[str, str]:
-    """A known quantity and the unit that follows it, if any, as in `curl_ft`; empty if unknown."""
+    """A known quantity and the unit that follows it, if any, as in `curl_ft`;
+    empty if unknown."""
     words = [word for word in _SPLIT.split(text.strip().strip("\"'").lower()) if word]
     for count in range(len(words), max(len(words) - 2, 0), -1):
         name = "_".join(words[:count])
@@ -175,7 +216,8 @@ def _key(text: str) -> tuple[str, str]:
 
 
 def _meant(key: str, text: str) -> str:
-    """The quantity under a heading: words alone under that of the spin are its sense."""
+    """The quantity under a heading: words alone under that of the spin
+    are its sense."""
     return "handle" if key == "spin" and not any(map(str.isdigit, text)) else key
 
 
@@ -191,11 +233,13 @@ def _pair(line: str) -> tuple[str, str, str] | None:
 
 
 def _rows(file: TextFile, *, table: bool = False) -> list[Row]:
-    """Each record in the file, which is a `table` even if it has one column of times or none."""
+    """Each record in the file, which is a `table` even if it has one column of
+    times or none."""
     body = [
         (index, text)
         for index, line in enumerate(file.lines)
-        if (text := line.split("#", 1)[0].strip(" ")).strip() and not text.startswith("[")
+        if (text := line.split("#", 1)[0].strip(" ")).strip()
+        and not text.startswith("[")
     ]
     if not table and not is_table([text for _, text in body]):
         return [Row(body[0][0] + 1 if body else 0, _entries(file, body), {}, [])]
@@ -208,7 +252,10 @@ def _rows(file: TextFile, *, table: bool = False) -> list[Row]:
     for index, text in others:
         values = _without_blank_end(_cells(text, separator, len(names)), len(names))
         if len(values) != len(names):
-            fault = f"{counted(len(values), 'cell')}, expected {len(names)} as in the header"
+            fault = (
+                f"{counted(len(values), 'cell')}, expected "
+                f"{len(names)} as in the header"
+            )
             raise file.error(fault, index)
         rows[index + 1] = ["" if cell.lower() in GAPS else cell for cell in values]
     if not rows:
@@ -230,7 +277,9 @@ def _rows(file: TextFile, *, table: bool = False) -> list[Row]:
 
 
 def _labels(
-    names: Sequence[str], header: Sequence[tuple[str, str]], rows: Sequence[Sequence[str]]
+    names: Sequence[str],
+    header: Sequence[tuple[str, str]],
+    rows: Sequence[Sequence[str]],
 ) -> tuple[dict[int, str], list[str]]:
     """Columns that are labels, by place, and notes on those that are not used."""
     kept, unused, strange = {}, [], []
@@ -251,7 +300,9 @@ def _labels(
             unused.append(name)
     notes = [f"columns not used: {', '.join(unused)}"] if unused else []
     if strange:
-        said = f"s {', '.join(strange)} are" if len(strange) > 1 else f" {strange[0]} is"
+        said = (
+            f"s {', '.join(strange)} are" if len(strange) > 1 else f" {strange[0]} is"
+        )
         notes.insert(0, f"column{said} not understood; expected {_COLUMNS}")
     return kept, notes
 
@@ -271,9 +322,15 @@ def _without_blank_end(row: list[str], fewest: int = 1) -> list[str]:
 
 def _cells(line: str, separator: str | None, width: int) -> list[str]:
     """Cells of a row, in which a quotation mark may be that of inches."""
-    found = [] if separator is None else [cell.strip() for cell in line.split(separator)]
-    if len(found) == width and all(cell[:1] != '"' or cell[-1:] == '"' for cell in found):
-        return [cell[1:-1].replace('""', '"') if cell[:1] == '"' else cell for cell in found]
+    found = (
+        [] if separator is None else [cell.strip() for cell in line.split(separator)]
+    )
+    if len(found) == width and all(
+        cell[:1] != '"' or cell[-1:] == '"' for cell in found
+    ):
+        return [
+            cell[1:-1].replace('""', '"') if cell[:1] == '"' else cell for cell in found
+        ]
     return cells(line, separator)
 
 
@@ -294,22 +351,23 @@ def _entries(file: TextFile, body: Sequence[tuple[int, str]]) -> dict[str, Entry
 
 
 def usual_law(file: TextFile) -> str:
-    """The law that a file is fitted with if none is named. Raises `DataError` as the reader."""
+    """The law that a file is fitted with if none is named. Raises `DataError`
+    as the reader."""
     return _usual_law(_rows(file))
 
 
 def _usual_law(rows: list[Row]) -> str:
-    """The law that the measurements determine: the curl needs one that curls and slows the spin as
-    stones do, and of a single throw the turns too; times and positions along the sheet determine a
-    mean friction."""
+    """The law that the measurements determine: the curl needs one that curls and slows
+    the spin as stones do, and of a single throw the turns too; times and positions
+    along the sheet determine a mean friction."""
     needed = [{"curl"}, *([] if len(rows) >= _MANY else [{"turns", "spin"}])]
     told = sum(all(keys & row.entries.keys() for keys in needed) for row in rows)
     return "front-back" if 2 * told >= len(rows) > 0 else "coulomb"
 
 
 def said_in(table: Path, source: str) -> tuple[dict[str, str], list[Event], str]:
-    """What a table with a column `file` or `track` says of a throw: labels, events that were
-    measured beside its path, and a note on it.
+    """What a table with a column `file` or `track` says of a throw: labels, events that
+    were measured beside its path, and a note on it.
 
     Parameters
     ----------
@@ -326,9 +384,15 @@ def said_in(table: Path, source: str) -> tuple[dict[str, str], list[Event], str]
         name = row.labels.pop("file", None) or row.labels.pop("track", None) or ""
         rows.append((Path(name.replace("\\", "/")).parts, row))
     if not any(parts for parts, _ in rows):
-        raise file.error("no names of throws; expected a column `file` or `track`", head)
+        raise file.error(
+            "no names of throws; expected a column `file` or `track`", head
+        )
     names = path.parts, path.with_suffix("").parts
-    ends = [(row, [name[-len(parts) :] for name in names], parts) for parts, row in rows if parts]
+    ends = [
+        (row, [name[-len(parts) :] for name in names], parts)
+        for parts, row in rows
+        if parts
+    ]
     found = [row for row, those, parts in ends if parts in those]
     if len(found) > 1:
         raise file.error(f"{quoted(path.name)} is named again", found[1].line - 1)

@@ -1,9 +1,10 @@
 """Text exports of Tracker, the video tool of Open Source Physics.
 
-A row with the name of the object, such as `mass_A`, precedes the header; several objects are side
-by side. Tracker computes `v`, `ω` and the angles `θ_{r}`, `θ` of a point mass from its positions,
-so these carry no further information on a stone, and none on its rotation: they are left out. A
-measured angle or spin has another name there, such as `phi`.
+A row with the name of the object, such as `mass_A`, precedes the header; several
+objects are side by side. Tracker computes `v`, `ω` and the angles `θ_{r}`, `θ` of a
+point mass from its positions, so these carry no further information on a stone, and
+none on its rotation: they are left out. A measured angle or spin has another name
+there, such as `phi`.
 """
 
 from __future__ import annotations
@@ -32,16 +33,23 @@ from curlfit.throws.readers.text import (
 )
 
 _COMPUTED = re.compile(r"(v|ω|(θ|theta)_?\{?r\}?|θ)\s*([(\[].*)?")
-_NUMBER = re.compile(r"(?<=[^\W\d])[ ._]?\d+(?=\s*([(\[].*)?$)")  # of an object, in a heading
-_AXES = {"x": "x", "y": "y", "u": "x", "v": "y", "speed": "y"}  # "v" alone is read as a speed
+# of an object, in a heading
+_NUMBER = re.compile(r"(?<=[^\W\d])[ ._]?\d+(?=\s*([(\[].*)?$)")
+# "v" alone is read as a speed
+_AXES = {"x": "x", "y": "y", "u": "x", "v": "y", "speed": "y"}
 
 
 def _recognizes(head: list[str]) -> bool:
-    """Whether the first lines are a title and a header, or a header with two objects."""
+    """Whether the first lines are a title and a header, or a header with
+    two objects."""
     first = _header(head[0])
     if _known(first) >= 2:
         return min(map(_quantities(first).count, "xy")) > 1
-    return len(head) > 1 and _known(_header(head[1])) >= 2 and not any(map(is_number, first))
+    return (
+        len(head) > 1
+        and _known(_header(head[1])) >= 2
+        and not any(map(is_number, first))
+    )
 
 
 def _contents(file: TextFile, reading: Reading) -> Contents:
@@ -60,7 +68,9 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
         parsed = begun(file, "tracker", first)
         if len(objects) > 1:
             listed = ", ".join(f"{k} {name}" for k, name in enumerate(labels, 1))
-            other = "; --handle N, one that marks the handle of this stone" * (not reading.handle)
+            other = "; --handle N, one that marks the handle of this stone" * (
+                not reading.handle
+            )
             parsed.notes.append(
                 f"{len(objects)} objects: {listed}; taken: {index + 1} {labels[index]} "
                 f"(--stone-index selects another{other})"
@@ -79,8 +89,11 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
             columns |= mark
         read_columns(parsed, table, columns)
         # In some frames an object is not marked.
-        own = [s.values for s in parsed.series if not s.column.quantity.endswith("_mark")
-               and s.column.quantity != "t"]  # fmt: skip
+        own = [
+            s.values
+            for s in parsed.series
+            if not s.column.quantity.endswith("_mark") and s.column.quantity != "t"
+        ]
         seen = np.asarray(np.isfinite(own).any(axis=0))
         if seen.any() and not seen.all():
             rows = counted(int((~seen).sum()), "row")
@@ -88,7 +101,9 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
             parsed = parsed.rows(seen)
         return parsed
 
-    alone = [k for k in range(len(objects)) if len(objects) == 1 or k + 1 != reading.handle]
+    alone = [
+        k for k in range(len(objects)) if len(objects) == 1 or k + 1 != reading.handle
+    ]
     return Contents(labels, parse, alone)
 
 
@@ -107,27 +122,33 @@ def _columns(
     parsed: ParsedFile, table: TextTable, places: list[int], reading: Reading
 ) -> dict[int, Column]:
     """Columns of one object, by place; those that are ignored or left out are noted."""
-    if "t" not in _quantities([table.names[k] for k in places]):  # one column of times for all
-        shared = (k for k, name in enumerate(table.names) if _quantities([name]) == ["t"])
+    # one column of times for all
+    if "t" not in _quantities([table.names[k] for k in places]):
+        shared = (
+            k for k, name in enumerate(table.names) if _quantities([name]) == ["t"]
+        )
         places = [*list(shared)[:1], *places]
     found = _quantities([table.names[k] for k in places])
     named = {**parsed.settings.get("columns", {}), **reading.columns}
     chosen = {name.strip().lower() for name in named.values()}
     computed = [
-        k for k in places
+        k
+        for k in places
         if _COMPUTED.fullmatch(table.names[k]) and table.names[k].lower() not in chosen
-    ]  # fmt: skip
+    ]
     if not {"x", "y"} <= set(found):  # pixels u, v
         computed = []
     if computed:
         listed = ", ".join(table.names[k] for k in computed)
         parsed.notes.append(
-            f"left out: {listed}: Tracker computes them from the positions, not from how the stone "
-            "turns; a measurement has another name, such as phi"
+            f"left out: {listed}: Tracker computes them from the positions, not from "
+            "how the stone turns; a measurement has another name, such as phi"
         )
     places = [k for k in places if k not in computed]
     names = [table.names[k] for k in places]
-    headings = Headings(names, table.error, lambda index: table.is_numeric(places[index]))
+    headings = Headings(
+        names, table.error, lambda index: table.is_numeric(places[index])
+    )
     columns = headings.of_throw(parsed, reading)
     return {places[k]: column for k, column in columns.items()}
 
@@ -135,16 +156,23 @@ def _columns(
 def _mark(
     table: TextTable, places: Sequence[int], columns: Mapping[int, Column]
 ) -> dict[int, Column]:
-    """Columns of the second mark on a stone, by place; in the units of the stone's `columns`."""
-    own = {_AXES[c.quantity]: c for c in columns.values() if c.quantity in ("x", "y", "u", "v")}
+    """Columns of the second mark on a stone, by place; in the units of the
+    stone's `columns`."""
+    own = {
+        _AXES[c.quantity]: c
+        for c in columns.values()
+        if c.quantity in ("x", "y", "u", "v")
+    }
     meant = {place: _quantities([table.names[place]]) for place in places}
     axes = {place: _AXES.get(found[0], "") for place, found in meant.items() if found}
-    return {k: own[a]._replace(quantity=f"{a}_mark") for k, a in axes.items() if a in own}
+    return {
+        k: own[a]._replace(quantity=f"{a}_mark") for k, a in axes.items() if a in own
+    }
 
 
 def _layout(file: TextFile, first: int) -> tuple[TextTable, list[str], list[list[int]]]:
-    """The table, and the titles and the places of the columns of its objects: each begins at its
-    title, or else where a quantity is repeated."""
+    """The table, and the titles and the places of the columns of its objects: each
+    begins at its title, or else where a quantity is repeated."""
     lines, header, titles = file.lines, first, [""]
     if _known(_header(lines[first])) < 2:
         below = range(first + 1, min(first + 5, len(lines)))
@@ -153,7 +181,9 @@ def _layout(file: TextFile, first: int) -> tuple[TextTable, list[str], list[list
     table = replace(table, names=_without_numbers(table.names))
     if header != first:
         line = lines[first]
-        titles = [line.strip()] if table.separator is None else cells(line, table.separator)
+        titles = (
+            [line.strip()] if table.separator is None else cells(line, table.separator)
+        )
     starts = [k for k, title in enumerate(titles[: len(table.names)]) if title]
     if len(starts) < 2:
         starts, seen = [0], set[str]()
@@ -165,7 +195,11 @@ def _layout(file: TextFile, first: int) -> tuple[TextTable, list[str], list[list
     ends = [*starts[1:], len(table.names)]
     starts[0] = 0
     places = [list(range(start, end)) for start, end in zip(starts, ends, strict=True)]
-    return table, [next(filter(None, titles[one[0] : one[-1] + 1]), "") for one in places], places
+    return (
+        table,
+        [next(filter(None, titles[one[0] : one[-1] + 1]), "") for one in places],
+        places,
+    )
 
 
 def _header(line: str) -> list[str]:
@@ -173,8 +207,8 @@ def _header(line: str) -> list[str]:
 
 
 def _without_numbers(names: list[str]) -> list[str]:
-    """Headings of several throws side by side, `x1, y1, x2, y2` or `t, x, y, t.1, x.1, y.1`, as
-    those of each; any others as they are."""
+    """Headings of several throws side by side, `x1, y1, x2, y2` or
+    `t, x, y, t.1, x.1, y.1`, as those of each; any others as they are."""
     plain = [_NUMBER.sub("", name) for name in names]
     found, lacking = _quantities(plain), "x" not in _quantities(names)
     whole = found.count("t") > 1 and not any(map(_COMPUTED.fullmatch, plain))
