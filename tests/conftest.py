@@ -1,5 +1,4 @@
-"""The shipped data, its fit, and an integration that shares no code with
-the program."""
+"""The shipped data, its fit, and what many tests need: commands, a browser, throws."""
 
 from __future__ import annotations
 
@@ -11,10 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import chdir, redirect_stderr, redirect_stdout, suppress
-from dataclasses import dataclass
-from functools import lru_cache
 from io import StringIO
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,7 +22,6 @@ import jax
 import numpy as np
 import pytest
 from rich.console import Console
-from scipy.integrate import solve_ivp
 
 import curlfit
 from curlfit.numerics import compiled
@@ -34,7 +29,6 @@ from curlfit.settings.choices import Reading
 from curlfit.throws.load import parts_of
 
 DATA = Path(__file__).parents[1] / "data" / "jensen_shegelski_2004.csv"
-G = 9.81
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -323,198 +317,3 @@ def shown(fit: curlfit.FitResult, width: int = 110) -> str:
     text = StringIO()
     curlfit.print_fit(fit, Console(width=width, file=text))
     return " ".join(text.getvalue().split())
-
-
-class Ring(NamedTuple):
-    """Points of the ring, lengths over R: what a law of the tests is given."""
-
-    alpha: np.ndarray
-    xi: np.ndarray
-    eta: np.ndarray
-    v_xi: np.ndarray
-    v_eta: np.ndarray
-    speed: np.ndarray
-    weight: np.ndarray
-    turned: float
-    time: float
-
-
-Traction = Callable[[Ring, np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""Force per unit normal load (right, forward), from the points and the load n/n0."""
-
-
-def front_back(
-    mu1_xi: float, mu2_xi: float, mu1_eta: float, mu2_eta: float
-) -> Traction:
-    def traction(ring: Ring, _: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        front = ring.eta > 0
-        mu_xi, mu_eta = (
-            np.where(front, mu1_xi, mu2_xi),
-            np.where(front, mu1_eta, mu2_eta),
-        )
-        return -mu_xi * ring.v_xi / ring.speed, -mu_eta * ring.v_eta / ring.speed
-
-    return traction
-
-
-Rates = Callable[[float, float, float, float], Sequence[float]]
-"""Accelerations (right, forward, angular) from speed, spin, angle turned and time."""
-
-
-def follow(
-    start: curlfit.InitialState,
-    times: np.ndarray,
-    phases: Sequence[tuple[Rates, Callable[[float, float], float] | None]],
-    inertia: float | None,
-) -> np.ndarray:
-    """x, y, phi at the times, shape (3, n); held after rest.
-
-    Each phase ends where its function of (spin, angle turned) passes zero. Without
-    `inertia` the stone rests when it stops sliding, though it may still spin.
-    """
-    state = np.array([start.x, start.y, start.v, start.heading, start.phi, start.omega])
-    now, found = 0.0, np.empty((3, len(times)))
-    found[:] = state[[0, 1, 4], None]
-    for accelerations, end in phases:
-
-        def rates(
-            t: float, state: np.ndarray, accelerations: Rates = accelerations
-        ) -> list[float]:
-            _, _, v, beta, phi, omega = state
-            a_xi, a_eta, angular = accelerations(v, omega, phi - start.phi, t)
-            return [v * np.sin(beta), v * np.cos(beta), a_eta, a_xi / v, omega, angular]
-
-        def rest(_: float, state: np.ndarray) -> float:
-            if inertia is None:
-                return float(state[2]) - 1e-9
-            v, u = state[2], inertia * abs(state[5])
-            # or all but at rest, on the spot, where a heading has no meaning
-            return float(min(np.hypot(v, u) - 1e-7, max(v - 1e-9, u - 2e-6)))
-
-        def over(
-            _: float,
-            state: np.ndarray,
-            end: Callable[[float, float], float] | None = end,
-        ) -> float:
-            return 1.0 if end is None else end(state[5], state[4] - start.phi)
-
-        rest.terminal = over.terminal = True  # type: ignore[attr-defined]
-        # With 1e-11 a step over |epsilon| = 1, where friction has a kink, may pass for
-        # exact and be off by 1e-7, this or that way by the rounding of the machine's
-        # matrix products.
-        part = solve_ivp(
-            rates,
-            (now, times[-1]),
-            state,
-            method="DOP853",
-            rtol=1e-13,
-            atol=1e-15,
-            events=(rest, over),
-            dense_output=True,
-        )
-        assert part.success
-        later = times >= now
-        found[:, later] = part.sol(np.minimum(times[later], part.t[-1]))[[0, 1, 4]]
-        now, state = part.t[-1], part.y[:, -1]
-        if not len(part.t_events[1]):
-            break
-    return found
-
-
-_TRIALS = np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1]])  # of the load
-
-
-@dataclass
-class Reference:
-    """A local law on a dense ring, in plain numpy, for scipy's order-8 integrator.
-
-    The ring is cut where the law jumps: between the halves and at the polar angles
-    in `edges`. Each piece has `nodes` Gauss points crowded by a cubic map toward
-    the place where sliding stops. `corner` is the angle turned at which friction
-    changes its course.
-    """
-
-    traction: Traction
-    R: float = 0.054
-    rho: float = 0.1
-    h: float | None = None
-    edges: Callable[[float], Sequence[float]] = lambda turned: ()
-    corner: float | None = None
-    nodes: int = 200
-
-    def __post_init__(self) -> None:
-        s, w = np.polynomial.legendre.leggauss(self.nodes)
-        self.s, self.w = (s + 1) / 2, w / 2
-        self.points = lru_cache(self.points)  # type: ignore[method-assign]
-
-    def points(self, slow: float, edges: tuple[float, ...]) -> tuple[np.ndarray, ...]:
-        """Polar angles, their cosines and sines, and weights."""
-        alpha, weight = [], []
-        for half in (1, -1):
-            gaps = [abs(abs(edge) - slow) for edge in edges if edge * half > 0]
-            # |alpha| is pi s^3 away from the slow place
-            ends = [0.0, *sorted((gap / np.pi) ** (1 / 3) for gap in gaps), 1.0]
-            for low, high in pairwise(ends):
-                s = low + (high - low) * self.s
-                alpha.append(half * np.abs(slow - np.pi * s**3))
-                weight.append((high - low) * self.w * 3 * s**2 / 2)
-        a, w = np.concatenate(alpha), np.concatenate(weight)
-        return a, np.cos(a), np.sin(a), w
-
-    def ring(self, v: float, u: float, turned: float = 0.0, time: float = 0.0) -> Ring:
-        slow = np.pi if u >= 0 else 0.0
-        a, xi, eta, w = self.points(slow, tuple(self.edges(turned)))
-        v_xi, v_eta = -u * eta, v + u * xi
-        return Ring(a, xi, eta, v_xi, v_eta, np.hypot(v_xi, v_eta), w, turned, time)
-
-    def force(
-        self, v: float, u: float, turned: float = 0.0, time: float = 0.0
-    ) -> np.ndarray:
-        """Force over m g (right, forward) and moment over m g R.
-
-        The load (p, q) = -2 (h/R) T of eq. 8-9 is found by Newton's method
-        from differences.
-        """
-        ring, tilt = self.ring(v, u, turned, time), np.zeros(2)
-        if self.h is None:
-            return self.net(ring, tilt)
-        size = -2 * self.h / self.R
-        force, *moved = self.net(ring, _TRIALS)
-        slope = np.array([(other - force)[:2] for other in moved]).T * (
-            size / _TRIALS[1, 0]
-        )
-        inverse = np.linalg.inv(np.eye(2) - slope)
-        for _ in range(100):
-            change = inverse @ (size * force[:2] - tilt)
-            if np.abs(change).max() < 1e-14:
-                return force
-            tilt = tilt + change
-            force = self.net(ring, tilt)
-        raise AssertionError("the load does not settle")
-
-    def net(self, ring: Ring, tilt: np.ndarray) -> np.ndarray:
-        """The same under the load 1 + p xi + q eta, of one or many (p, q) on
-        the last axis."""
-        p, q = tilt[..., :1], tilt[..., 1:]
-        load = 1 + p * ring.xi + q * ring.eta
-        t_xi, t_eta = self.traction(ring, load)
-        n_xi, n_eta = load * t_xi, load * t_eta
-        moment = ring.xi * n_eta - ring.eta * n_xi
-        return np.array(
-            [n_xi @ ring.weight, n_eta @ ring.weight, moment @ ring.weight]
-        ).T
-
-    def path(self, start: curlfit.InitialState, times: np.ndarray) -> np.ndarray:
-        """x, y, phi at the times, shape (3, n); held after rest."""
-
-        def accelerations(
-            v: float, omega: float, turned: float, time: float
-        ) -> Sequence[float]:
-            a_xi, a_eta, moment = G * self.force(v, self.R * omega, turned, time)
-            return a_xi, a_eta, moment * self.R / self.rho**2
-
-        phases: list = [(accelerations, None)]
-        if self.corner is not None:
-            corner = self.corner
-            phases.insert(0, (accelerations, lambda _, turned: corner - abs(turned)))
-        return follow(start, times, phases, self.rho)

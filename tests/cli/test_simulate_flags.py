@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import G
+from independent_motion import G
 
 import curlfit
 from curlfit.sheet import LINES

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import NOISE, G, filmed
+from conftest import NOISE, filmed
+from independent_motion import G
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 

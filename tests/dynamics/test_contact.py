@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest import G, Reference, front_back
+from independent_motion import G, Reference, front_back
 from scipy.special import ellipe, ellipk
 
 from curlfit import LAWS, LocalLaw, Stone, coefficient

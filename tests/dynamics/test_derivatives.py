@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from certified import certify
-from conftest import G
+from independent_motion import G
 
 from curlfit import LAWS, InitialState, Stone, simulate
 

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest import G
+from independent_motion import G
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 

@@ -9,7 +9,7 @@ from functools import partial
 import jax
 import numpy as np
 import pytest
-from conftest import G
+from independent_motion import G
 
 from curlfit import LAWS, Stone, fit, law_with, synthetic_throw
 from curlfit.dynamics.contact import accelerations

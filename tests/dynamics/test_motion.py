@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest import Reference, front_back
+from independent_motion import Reference, front_back
 
 import curlfit
 from curlfit import LAWS, InitialState, Stone, simulate

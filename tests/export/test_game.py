@@ -12,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import G, Reference, command, front_back
+from conftest import command
+from independent_motion import G, Reference, front_back
 
 from curlfit import LAWS, InitialState, LocalLaw, find_law, simulate
 from curlfit.errors import InputError

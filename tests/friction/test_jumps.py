@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest import Reference
+from independent_motion import Reference
 from scipy.integrate import quad
 
 import curlfit

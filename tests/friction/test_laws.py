@@ -11,7 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest import G, Reference, follow, front_back
+from independent_laws import motion_of_the_whole, reference
+from independent_motion import G
 
 from curlfit import LAWS, InitialState, Stone, simulate
 from curlfit.dynamics.contact import accelerations
@@ -20,166 +21,6 @@ from curlfit.friction.curl import can_curl, law_in_general
 
 STONE = Stone(R=0.065, rho=0.1, h=0.057)
 ROWS = 61  # of all paths, so that a law has one program for each load
-
-
-def against(mu):
-    """Friction against sliding, its coefficient a function of the ring and the load."""
-
-    def traction(ring, load):
-        over = mu(ring, load) / ring.speed
-        return -over * ring.v_xi, -over * ring.v_eta
-
-    return traction
-
-
-def debris(mu_clean, mu_dirty, tau=0.0):
-    def mu(ring, _):
-        # Turned back to where the front half was at release, then round with the stone.
-        round_ = np.mod(
-            ring.alpha if ring.turned >= 0 else np.pi - ring.alpha, 2 * np.pi
-        )
-        fouled = round_ < np.pi + abs(ring.turned)
-        share = 1 - np.exp(-ring.time / tau) if tau > 0 else 1.0
-        return np.where(fouled, mu_clean + share * (mu_dirty - mu_clean), mu_clean)
-
-    return against(mu)
-
-
-def radial(mu1, mu2, mu3, mu4):
-    def traction(ring, _):
-        # v = a n + b tau, n = (cos, sin), tau = (-sin, cos)
-        c, s = ring.xi, ring.eta
-        a, b = ring.v_xi * c + ring.v_eta * s, ring.v_eta * c - ring.v_xi * s
-        a = np.where(s > 0, mu1, mu2) * a
-        b = np.where(s > 0, mu3, mu4) * b
-        return -(a * c - b * s) / ring.speed, -(a * s + b * c) / ring.speed
-
-    return traction
-
-
-def tensor(b11, b22, b12):
-    def traction(ring, _):
-        force = -np.array([[b11, b12], [b12, b22]]) @ np.stack([ring.v_xi, ring.v_eta])
-        return force / ring.speed
-
-    return traction
-
-
-def motion(ring):
-    """Speed of the centre, and R omega, of a ring in motion."""
-    u = -ring.v_xi[0] / ring.eta[0]
-    return ring.v_eta[0] - u * ring.xi[0], u
-
-
-def sutor(f_min, r, v_b, alpha, u0):
-    v_a = v_b * (r - np.sqrt(r**2 - 1))
-
-    def mu(ring, _):
-        s, (_, u) = ring.speed + v_a, motion(ring)
-        asymmetry = (1 - np.exp(-alpha * np.sin(ring.alpha))) * np.exp(1 - abs(u) / u0)
-        return f_min / (2 * v_b) * (s + v_b**2 / s) * (1 - asymmetry)
-
-    return against(mu)
-
-
-def pushed(law, push, torque=0.0):
-    """A law with a force over the weight, a function of v and u, and with a
-    torque R times it."""
-
-    def traction(ring, load):
-        right, forward = law(ring, load)
-        force = push(*motion(ring))
-        # spread over the ring otherwise than in the program: round it, with a mean of 1
-        return (
-            right + force - torque * force * ring.eta,
-            forward + torque * force * ring.xi,
-        )
-
-    return traction
-
-
-def slow_side(u, exponent=0.0, slowest=1e-3):
-    return -u * (u**2 + slowest**2) ** ((exponent - 1) / 2)
-
-
-def power(c, k):
-    return against(lambda ring, load: c * (ring.speed**2 + 1e-6) ** (k / 2))
-
-
-def sideways(law, a, n):
-    return pushed(
-        law, lambda v, u: a / G * v * np.hypot(v, 1e-2) ** (n - 1) * slow_side(u)
-    )
-
-
-FORMULAS = {
-    "coulomb": lambda mu: against(lambda ring, load: mu),
-    "power": power,
-    "power-angular": lambda c, k, f0: against(
-        lambda ring, load: (
-            c * (ring.speed**2 + 1e-6) ** (k / 2) * (1 - f0 * np.sin(ring.alpha))
-        )
-    ),
-    "sutor": sutor,
-    "power+sideways": lambda c, k, a, n: sideways(power(c, k), a, n),
-    "power+transverse": lambda c, k, b: pushed(
-        power(c, k),
-        lambda v, u: (
-            -2 * b / G * np.arctan(u / np.hypot(v, 1e-2)) * v / np.hypot(v, 1e-2)
-        ),
-    ),
-    "power+pivot": lambda c, k, q: pushed(
-        power(c, k), lambda v, u: q * slow_side(u, -0.5, 1e-2), torque=1.0
-    ),
-    "front-back+sideways": lambda *values: sideways(
-        front_back(*values[:4]), *values[4:]
-    ),
-    "pressure": lambda mu0, k: against(lambda ring, load: mu0 / load**k),
-    "angular": lambda mu0, f0: against(
-        lambda ring, load: mu0 * (1 - f0 * np.sin(ring.alpha))
-    ),
-    "stribeck": lambda mu0, mu1: against(
-        lambda ring, load: mu0 + mu1 * ring.speed / load
-    ),
-    "debris": debris,
-    "radial": radial,
-    "tensor": tensor,
-    "front-back": front_back,
-}
-
-
-def reference(name, values, load, stone=STONE):
-    more = {}
-    if name == "debris":
-        more["edges"] = lambda turned: (
-            () if abs(turned) >= np.pi else (turned - np.pi if turned >= 0 else turned,)
-        )
-        more["corner"] = np.pi
-    return Reference(
-        FORMULAS[name](*values),
-        stone.R,
-        stone.rho,
-        stone.h if load == "consistent" else None,
-        **more,
-    )
-
-
-def semi_empirical(values, start, times):
-    a, c, p, q, r = values
-    sense = np.sign(start.omega)
-
-    def spinning(v, *_):
-        return -a * sense, -c * abs(v) ** p, -q * abs(v) ** r * sense
-
-    def sliding(v, *_):
-        return 0.0, -c * abs(v) ** p, 0.0
-
-    return follow(
-        start,
-        times,
-        [(spinning, lambda omega, _: omega * sense), (sliding, None)],
-        None,
-    )
 
 
 def places(path):
@@ -227,7 +68,7 @@ def assert_path(name, values, start, until, load="uniform"):
     """That of an integration which shares no code with the program."""
     times = np.linspace(0, until, ROWS)
     path = simulate(LAWS[name](*values), STONE, start, times, load=load)
-    exact = reference(name, values, load).path(start, times)
+    exact = reference(name, values, load, STONE).path(start, times)
     assert np.abs(places(path) - exact).max() < EXACT
 
 
@@ -289,7 +130,8 @@ def test_path_of_semi_empirical_agrees_with_an_independent_integration(values, o
     times = np.linspace(0, 60, ROWS)
     start = replace(THROW, omega=omega)
     path = simulate(LAWS["semi-empirical"](*values), STONE, start, times)
-    assert np.abs(places(path) - semi_empirical(values, start, times)).max() < EXACT
+    exact = motion_of_the_whole("semi-empirical", values, STONE, start, times[-1])
+    assert np.abs(places(path) - exact.at(times)).max() < EXACT
 
 
 def test_no_two_laws_are_the_same_to_jit():
@@ -412,7 +254,7 @@ ring, and with a push."""
     ],
 )
 def test_consistent_load_balances_the_friction(name, values):
-    dense = reference(name, values, "consistent")
+    dense = reference(name, values, "consistent", STONE)
     for v, omega in ((2.0, 1.0), (2.0, -9.0), (0.5, 25.0), (1.0, 0.0)):
         found = over_weight(name, values, "consistent", v, omega)
         np.testing.assert_allclose(
@@ -425,7 +267,7 @@ def test_a_load_is_found_though_a_step_towards_it_goes_too_far():
     force = over_weight("pressure", (0.6, 0.5), "consistent", 2.0, 0.5)
     tilt = -2 * STONE.h / STONE.R * force[:2]
     assert 0.9 < np.hypot(*tilt) < 1
-    dense = reference("pressure", (0.6, 0.5), "consistent")
+    dense = reference("pressure", (0.6, 0.5), "consistent", STONE)
     exact = dense.net(dense.ring(2.0, STONE.R * 0.5), tilt)
     # the ring is summed less densely
     np.testing.assert_allclose(force, exact, rtol=1e-3)

@@ -13,7 +13,8 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 import report_records
-from conftest import Reference, front_back, python
+from conftest import python
+from independent_motion import Reference, front_back
 
 import curlfit
 from curlfit.cli import app

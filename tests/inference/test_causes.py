@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import Reference, filmed, follow, front_back
+from conftest import filmed
+from independent_motion import Reference, follow, front_back
 
 import curlfit
 from curlfit import InitialState, Stone

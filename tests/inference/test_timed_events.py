@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import Reference, front_back
+from independent_motion import Reference, front_back
 from scipy.optimize import least_squares
 
 import curlfit

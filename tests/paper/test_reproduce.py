@@ -12,8 +12,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import DATA, Reference, front_back, invoke
+from conftest import DATA, invoke
 from docstring_examples import run_examples
+from independent_motion import Reference, front_back
 
 import curlfit
 from curlfit.friction.isotropic import Power, Stribeck

@@ -10,7 +10,8 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from conftest import Reference, command as curlfit_, front_back, invoke
+from conftest import command as curlfit_, invoke
+from independent_motion import Reference, front_back
 from matplotlib.patches import Ellipse
 from scipy.integrate import quad, solve_ivp
 from scipy.interpolate import CubicSpline
