@@ -101,7 +101,7 @@ def main() -> int:
             for case in all_cases(folder, options.own)
             if fnmatchcase(case.name, options.case)
         ]
-        versions = {"before": before, "after": checkout()}
+        versions = {"before": before, "after": checkout(folder / "sources")}
         answers = ask(versions, commands_by_case(cases, folder), folder, progress)
         print(file=sys.stderr)
         comparison = Comparison()

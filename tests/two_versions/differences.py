@@ -156,10 +156,14 @@ class Comparison:
             self.differ(kind, f"{place}{name}", "not there", "there")
         return sorted(before & after)
 
-    def sentence(self, kind: str, place: str, before: str, after: str) -> None:
-        """Compare the words of a sentence, and the numbers in it as printed ones."""
+    def sentence(
+        self, kind: str, place: str, before: str, after: str, relative: float = 0.0
+    ) -> None:
+        """Compare the words of a sentence, and the numbers in it as printed ones, or
+        with a relative tolerance where they have more digits."""
         if self.same(kind, place, masked(before), masked(after)):
-            self.printed(kind, place, numbers_in(before), numbers_in(after))
+            numbers = numbers_in(before), numbers_in(after)
+            self.printed(kind, place, *numbers, relative)
 
     def sentences(
         self, kind: str, place: str, before: Sequence[str], after: Sequence[str]
@@ -174,14 +178,20 @@ class Comparison:
             self.sentence(kind, place, by_words_before[words], by_words_after[words])
 
     def printed(
-        self, kind: str, place: str, before: Sequence[str], after: Sequence[str]
+        self,
+        kind: str,
+        place: str,
+        before: Sequence[str],
+        after: Sequence[str],
+        relative: float = 0.0,
     ) -> None:
         """Compare printed numbers, as many in both, by the unit of the last digit."""
         for text_before, text_after in zip(before, after, strict=True):
             number_before, unit_before = printed_number(text_before)
             number_after, unit_after = printed_number(text_after)
             unit = max(unit_before, unit_after)
-            self.number(kind, place, number_before, number_after, 1.01 * unit)
+            tolerance = max(1.01 * unit, relative * abs(number_before))
+            self.number(kind, place, number_before, number_after, tolerance)
 
     # Records in JSON.
 
@@ -400,7 +410,7 @@ class Comparison:
                 number_before, number_after = map(as_number, (cell_before, cell_after))
                 if number_before is None or number_after is None:
                     words = "verdicts" if name.endswith("verdict") else "texts"
-                    self.sentence(words, where, cell_before, cell_after)
+                    self.sentence(words, where, cell_before, cell_after, OTHER)
                 elif error is not None:  # else it is not identifiable
                     numbers = number_before, number_after
                     self.number(kind, where, *numbers, VALUE * error)

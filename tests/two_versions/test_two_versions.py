@@ -168,7 +168,9 @@ def test_the_base_answers_alike(tmp_path, capsys):
         pytest.skip("without the history of the repository there is no base")
     base = sources_of(expected.base, tmp_path / "sources")
     commands = commands_by_case([Case("quick", command_lines(QUICK))], tmp_path)
-    folders = ask({"before": base, "after": checkout()}, commands, tmp_path)
+    folders = ask(
+        {"before": base, "after": checkout(tmp_path / "checkout")}, commands, tmp_path
+    )
     comparison = Comparison()
     comparison.cases(folders["before"], folders["after"], ["quick"])
     status = report(comparison, expected, whole=False)

@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 import tarfile
+import time
 import venv
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,6 +19,8 @@ ROOT = Path(__file__).parents[2]
 ANSWERS = Path(__file__).with_name("answers.py")
 CANNOT_RUN = 3
 """Exit status of `ANSWERS` where curlfit cannot be imported."""
+LIMIT = 300.0
+"""Time for the commands of a case, in s."""
 EXTRAS = "spreadsheet"
 """What a version is installed with, beside what it requires."""
 
@@ -40,9 +43,10 @@ class Version:
         return variables
 
 
-def checkout() -> Version:
-    """The sources of this checkout, run by this Python."""
-    return Version("this checkout", sys.executable, ROOT)
+def checkout(folder: Path) -> Version:
+    """A copy of the sources of this checkout, run by this Python."""
+    shutil.copytree(ROOT / "curlfit", folder / "curlfit", dirs_exist_ok=True)
+    return Version("this checkout", sys.executable, folder)
 
 
 def installed(python: str) -> Version:
@@ -97,8 +101,8 @@ def ask(
 ) -> dict[str, Path]:
     """Have versions answer the same cases side by side.
 
-    A process ends when a command ends it or when it has taken much memory; another one
-    answers the cases that are left.
+    A process ends when a command ends it, when it has taken much memory, or when a case
+    has taken longer than `LIMIT`; another one answers the cases that are left.
 
     Parameters
     ----------
@@ -126,6 +130,8 @@ def ask(
             running[part] = start(version, file, folders[part])
         while running:
             for part, version in versions.items():
+                if part in running and stalled(folders[part]):
+                    running[part].kill()
                 if part in running and ended(running[part]):
                     if running.pop(part).returncode == CANNOT_RUN:
                         raise RuntimeError(f"{version.name} cannot be run")
@@ -137,6 +143,12 @@ def ask(
         for process in running.values():
             process.kill()
     return folders
+
+
+def stalled(folder: Path) -> bool:
+    """Whether a case has taken too long."""
+    begun = [file.stat().st_mtime for file in folder.glob("*/answers.json")]
+    return bool(begun) and time.time() - max(begun) > LIMIT
 
 
 def ended(process: subprocess.Popen[bytes]) -> bool:
