@@ -16,7 +16,7 @@ from curlfit.friction import Law, NetLaw, check_load
 from curlfit.friction.family import family_of
 from curlfit.friction.registry import laws_under
 from curlfit.friction_tables.result import FrictionFit, FrictionFits
-from curlfit.inference.fit.caveats import of_bounds
+from curlfit.inference.fit.caveats import of_bounds, of_ridges
 from curlfit.inference.fit.covariance import CONVERGED
 from curlfit.inference.joint.data_sets import DataSet, LawOnSets
 from curlfit.numerics.arrays import Floats
@@ -92,7 +92,8 @@ def _fitted(on: LawOnSets, table: FrictionTable) -> FrictionFit:
     known = joint.by(inside)
     rank = known.identifiability.rank
     dof = float(count - rank) if table.sigma is None else None
-    estimates, combinations = joint.estimates(known, dof)
+    departures = on.departures(known, found, inside, weights)
+    estimates, combinations = joint.estimates(known, dof, departures)
     chi_squared = float(found.chi_squared[inside].sum())
     raw = found.residual[inside][0, -1, :count] / weights[inside][0, -1, :count]
     # sigma, if estimated, is a parameter too
@@ -117,7 +118,10 @@ def _fitted(on: LawOnSets, table: FrictionTable) -> FrictionFit:
         sigma=float(sigma),
         rms=_rms(raw),
         bic=misfit + rank * math.log(count),
-        warnings=tuple(of_bounds(estimates, known.identifiability.names)),
+        warnings=(
+            *of_bounds(estimates, known.identifiability.names),
+            *of_ridges(estimates, departures),
+        ),
         fitted=table.mu + raw,
         curve={"speed": curve, "mu": -np.asarray(along) / GRAVITY},
     )

@@ -283,7 +283,7 @@ def analyse(
     strong = seen & (singular >= _WEAK)
     unseen = part(~seen) > _NO_PART
     weak = unseen | (part(seen & ~strong) > _LITTLE_PART)
-    null = _tidy_basis((right[~seen] * typical)[:, unseen])
+    null = _tidy_basis((right[~seen] * typical)[:, unseen], 1 / typical[unseen])
     return Identifiability(
         names=tuple(names),
         rank=int(seen.sum()),
@@ -339,7 +339,7 @@ def _combinations(
         dim = np.concatenate([null, np.where(np.abs(unit) > least, unit, 0.0)])
         _, size, rows = np.linalg.svd((dim * typical)[:, weak])
         rank = (size > size[0] * max(len(dim), weak.sum()) * np.finfo(float).eps).sum()
-        rows = _tidy_basis(rows[rank:], least or _NO_PART, wholes)
+        rows = _tidy_basis(rows[rank:], None, least or _NO_PART, wholes)
         vectors = np.zeros((len(rows), len(names)))
         vectors[:, weak] = rows
         variances = ((vectors @ covariance) * vectors).sum(-1)
@@ -376,12 +376,23 @@ def expression(weights: dict[str, float]) -> str:
 
 
 def _tidy_basis(
-    rows: Floats, close: float = _NO_PART, wholes: Floats = _WHOLE
+    rows: Floats,
+    scale: Floats | None,
+    close: float = _NO_PART,
+    wholes: Floats = _WHOLE,
 ) -> Floats:
     """A basis of the same space in reduced row echelon form, with ratios of small
-    integers where close."""
+    integers where close.
+
+    Parameters
+    ----------
+    scale : factors of the columns by which components are compared, since those of
+        parameters of other units are no smaller for being small numbers; the same for
+        all if None.
+    """
     if not rows.size:
         return rows
+    scale = np.ones(rows.shape[1]) if scale is None else scale
     rows = _echelon(rows) if len(rows) > 1 else rows
     size = np.abs(rows)
     first = np.argmax(size > 0.999 * size.max(-1, keepdims=True), -1)[:, None]
@@ -389,7 +400,8 @@ def _tidy_basis(
     near = np.round(rows * wholes) / wholes
     off = np.abs(near - rows)
     near = np.take_along_axis(near, off.argmin(0)[None], 0)[0]
-    return np.where(off.min(0) < close, near, rows)
+    share = off.min(0) * scale / scale[first]
+    return np.where(share < close, near, rows)
 
 
 def _echelon(rows: Floats) -> Floats:

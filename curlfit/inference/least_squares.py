@@ -275,7 +275,9 @@ def minimize_many(
     most : steps after which a solve ends.
     """
     count, loss = len(tasks.start), tasks.problems.loss
-    control = PRECISE if batch == 1 else _QUICK._replace(most=min(_FIRST_STEPS, most))
+    control = PRECISE._replace(most=most)
+    if batch > 1:
+        control = _QUICK._replace(most=min(_FIRST_STEPS, most))
     tasks = tasks._replace(start=np.array(tasks.start))
     due, interrupted = np.arange(count), np.zeros(count, bool)
     whole: Any = None

@@ -34,6 +34,7 @@ from curlfit.inference.identifiability import (
     r_factor,
 )
 from curlfit.numerics.arrays import Floats
+from curlfit.optimal_design.departures import expected_departures
 from curlfit.optimal_design.information import (
     Assumptions,
     PlannedThrow,
@@ -151,12 +152,13 @@ def _designed(
     if not candidates.rank:
         raise InputError(f"these throws determine no coefficient of law {law.name}")
     known = _identifiability(assumed, together)
+    departures = expected_departures(assumed, planned, together)
     quantities = {  # determined coefficients and combinations
         name: {name: 1.0}
         for name, unseen in zip(assumed.names, known.unseen, strict=True)
         if not unseen
-    } | {item.expression: item.weights for item in known.combinations}
-    best = _best(assumed, candidates, throws)
+    } | {sum_.expression: sum_.weights for sum_ in departures.kept(known.combinations)}
+    best = _best(assumed, candidates, planned, throws)
     if pair is None:
         if load == "consistent":
             uniform = assumed.by_load["uniform"]
@@ -214,7 +216,10 @@ def _identifiability(assumed: Assumptions, factor: Floats) -> Identifiability:
 
 
 def _best(
-    assumed: Assumptions, candidates: CandidateSet, throws: int
+    assumed: Assumptions,
+    candidates: CandidateSet,
+    planned: Sequence[PlannedThrow],
+    throws: int,
 ) -> dict[str, ExpectedErrors]:
     """The optimal throws and their errors by criterion."""
     criteria = {
@@ -222,7 +227,7 @@ def _best(
         "A": error_criterion(candidates, np.eye(len(assumed.free))),
     }
     best = {
-        name: _expected(assumed, indices, candidates.together(indices))
+        name: _expected(assumed, indices, planned, candidates.together(indices))
         for name, criterion in criteria.items()
         if (indices := select_design(candidates, criterion, throws)) is not None
     }
@@ -235,21 +240,33 @@ def _best(
 
 
 def _expected(
-    assumed: Assumptions, indices: tuple[int, ...], factor: Floats
+    assumed: Assumptions,
+    indices: tuple[int, ...],
+    planned: Sequence[PlannedThrow],
+    factor: Floats,
 ) -> ExpectedErrors:
     """The errors expected from some candidates, with their information together."""
     found = _identifiability(assumed, factor)
-    every = [item.name for item in assumed.law.coefficients()]
-    judged = dict.fromkeys(every, (None, "fixed")) | {
-        name: classify(float(assumed.typical[index]), False, found, index)
-        for index, name in enumerate(assumed.names)
-    }
-    stderr = {name: error for name, (error, _) in judged.items()}
+    throws = [planned[index] for index in indices]
+    departures = expected_departures(assumed, throws, factor)
+    combinations = tuple(departures.kept(found.combinations))
+    stderr: dict[str, float | None] = {}
+    verdicts: dict[str, str] = {}
+    for coefficient in assumed.law.coefficients():
+        name = coefficient.name
+        stderr[name], verdicts[name] = None, "fixed"
+        if name in assumed.names:
+            index = assumed.names.index(name)
+            typical = float(assumed.typical[index])
+            error, verdict = classify(typical, False, found, index)
+            stderr[name], verdicts[name], _ = departures.judged(
+                name, error, verdict, typical
+            )
     return ExpectedErrors(
         indices,
-        stderr | {item.expression: item.stderr for item in found.combinations},
-        {name: verdict for name, (_, verdict) in judged.items()},
-        found.combinations,
+        stderr | {sum_.expression: sum_.stderr for sum_ in combinations},
+        verdicts,
+        combinations,
         found.rank,
         tuple(found.singular_values.tolist()),
         found.null_directions,

@@ -283,7 +283,8 @@ def _summary(found: Discrimination) -> list[str]:
     if found.asked is None:
         start = "Cannot be decided by tracks of this precision"
     else:
-        start = f"{counted(count, 'throw')} of this precision do not decide"
+        verb = "does" if count == 1 else "do"
+        start = f"{counted(count, 'throw')} of this precision {verb} not decide"
     lines = [
         f"{start}: if {worst.truth} is true, it {odds} only {_percent(worst.decides)} "
         f"over {worst.rival}, after {counted(count, 'throw')}, {which}."
@@ -345,8 +346,9 @@ def _single(found: Discrimination) -> PlainTable:
 def _notes(found: Discrimination) -> tuple[str, ...]:
     notes = [
         f"log odds are natural logarithms, by BIC; odds of {ODDS} to 1 are "
-        f"{DECISIVE:.1f}. The slope of the ice, the air, the stone and the scales "
-        "have their usual uncertainties, the same in all throws; laws are taken to "
+        f"{DECISIVE:.1f}. The slope and the wear of the ice, the air, the stone and the "
+        "scales have their usual uncertainties, the same in all throws, and count to "
+        "first order, by which what is left may be a tenth too large; laws are taken to "
         "be exact and noise to be independent from row to row. What a rival leaves "
         "far below the noise decides only if nothing else is that large"
     ]

@@ -215,26 +215,36 @@ class Assumptions:
         -------
         Upper triangular, shape (columns, columns), scaled by typical sizes.
         """
-        sigma, width = self.sigma, record.factors.shape[-1]
-        rows = [
-            factor / sigma[name]
-            for name, factor in zip(CHANNELS, record.factors, strict=False)
-            if name in sigma
-        ]
+        width = record.factors.shape[-1]
         lacking = np.arange(width - record.shapes, width)
         # a priori the amplitudes of the shapes have unit variance
-        everything = np.concatenate([*rows, np.eye(width)[lacking]])
-        needed = {"x0": {"x"}, "y0": {"y"}, "phi0": {"phi"}, "heading": {"x", "y"}}
-        names = self.parameters.names
-        state = [
-            names.index(item.name)
-            for item in START
-            if needed.get(item.name, set()) <= {*sigma}
-        ]
+        everything = np.concatenate([self.rows(record), np.eye(width)[lacking]])
         wanted = everything[:, self.free if columns is None else columns]
-        wanted = apart_from(everything[:, [*state, *lacking]], wanted)
+        wanted = apart_from(everything[:, [*self.state, *lacking]], wanted)
         factor = r_factor(wanted)
         return np.pad(factor, ((0, factor.shape[1] - len(factor)), (0, 0)))
+
+    def rows(self, record: RecordInformation) -> Floats:
+        """The information of what is measured of a record, in rows over the noise."""
+        return np.concatenate(
+            [
+                factor / self.sigma[name]
+                for name, factor in zip(CHANNELS, record.factors, strict=False)
+                if name in self.sigma
+            ]
+        )
+
+    @property
+    def state(self) -> list[int]:
+        """Indices of the parameters of the initial state that are estimated: those that
+        only channels that are not measured determine are fixed, as in a fit."""
+        needed = {"x0": {"x"}, "y0": {"y"}, "phi0": {"phi"}, "heading": {"x", "y"}}
+        names = self.parameters.names
+        return [
+            names.index(item.name)
+            for item in START
+            if needed.get(item.name, set()) <= {*self.sigma}
+        ]
 
 
 def apart_from(columns: Floats, wanted: Floats) -> Floats:
@@ -348,6 +358,17 @@ def paths_of(
     (throws, 5, _ROWS)."""
     problems = _problems(throws, clocks, 3)
     return predict_many(assumed.model, _vectors(assumed, throws), problems, FEW)
+
+
+def paths_from(
+    assumed: Assumptions, throw: PlannedThrow, clock: Floats, changes: Floats
+) -> Floats:
+    """Paths of a throw at up to `_ROWS` times, with the parameters changed,
+    shape (changes, channels, _ROWS)."""
+    count = len(changes)
+    problems = _problems([throw] * count, [clock] * count, assumed.channels)
+    values = _vectors(assumed, [throw]) + changes
+    return predict_many(assumed.model, values, problems, FEW)
 
 
 def _vectors(assumed: Assumptions, throws: Sequence[PlannedThrow]) -> Floats:

@@ -56,10 +56,13 @@ def identifiability(fit: FitResult) -> str:
     )
     if unseen:
         changes = "; or when ".join(map(_change, fit.null_directions))
+        curved = [name for name in unseen if fit.parameters[name].reason]
+        near = "near these values, " if curved else ""
         said.append(
             f"{_with_verb(unseen, 'is', 'are')} not identifiable: "
-            f"the path stays the same when {changes}."
+            f"{near}the path stays the same when {changes}."
         )
+        said += [f"Of {name}, {fit.parameters[name].reason}." for name in curved]
         said += _instead(fit, unseen)
     if by_prior:
         it = "them" if len(by_prior) > 1 else "it"

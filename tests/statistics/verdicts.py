@@ -8,7 +8,8 @@ are fitted with the same law from the columns of a set:
 
 - angle: t, x, y, phi;
 - no-angle: t, x, y;
-- times: the times from hog line to hog line and from there to rest, by a stopwatch;
+- times: the times from hog line to hog line and from there to rest, by a stopwatch,
+  of a throw without spin, as the fit assumes where that was not measured;
 - no-spin: t, x, y, phi of a throw without spin;
 - friction-table: friction against speed, not a throw;
 - design: a planned throw made many times, and the errors that `curlfit.design` expects
@@ -119,10 +120,11 @@ def drawn_coefficients(law: str, random: np.random.Generator) -> dict[str, float
 
 
 def drawn(law: str, kind: str, random: np.random.Generator) -> Truth:
-    """A throw of a law; without spin in the set "no-spin"."""
+    """A throw of a law; without spin in the set "no-spin", and in the set "times", of
+    which curlfit assumes it."""
     coefficients = drawn_coefficients(law, random)
     v0 = random.uniform(2.0, 2.3)
-    sense = 0 if kind == "no-spin" else random.choice([-1, 1])
+    sense = 0 if kind in ("no-spin", "times") else random.choice([-1, 1])
     return Truth(coefficients, v0, sense * random.uniform(0.7, 1.6))
 
 

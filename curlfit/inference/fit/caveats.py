@@ -7,14 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from curlfit.inference.fit.covariance import Curvature, Rival
+from curlfit.inference.fit.covariance import Rival
+from curlfit.inference.fit.departures import Departures
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.prepared import LeastSquaresFit
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import SIGMA_FLOOR
 from curlfit.inference.noise.models import time_of_motion
 from curlfit.numerics.arrays import Floats
-from curlfit.output.text import two_digits
+from curlfit.output.text import join_words, two_digits
 from curlfit.throws.plausibility import Finding
 from curlfit.throws.throw import CHANNELS, Throw
 
@@ -37,7 +38,7 @@ def warnings_of(
     residual: Floats,
     unusual: Iterable[Finding],
     rival: Rival,
-    curvature: Curvature,
+    departures: Departures,
 ) -> tuple[str, ...]:
     """The warnings of a result, the gravest first.
 
@@ -46,10 +47,9 @@ def warnings_of(
     residual : measured - fitted, shape (channels, n).
     unusual : findings about the data and the fitted motion.
     rival : another optimum that fits as well.
-    curvature : what first order does not describe.
+    departures : how chi squared departs from its quadratic.
     """
     throw, outliers = fit.prepared.throw, result.outliers
-    rough = [name for name in curvature.rough if name not in curvature.beside]
     warnings = [*map(str, unusual), *_of_rival(rival, throw)]
     fault = fit.model.law.from_vector(fit.solution.values).fault()
     if fault is not None:
@@ -59,13 +59,13 @@ def warnings_of(
     warnings += [
         *of_bounds(result.parameters, result.covariance["names"]),
         *_of_correlation(result),
-        *_of_errors(result, rough),
+        *_of_errors(result),
     ]
     if outliers and fit.loss == "linear":
         warnings.append(outlier_warning(outliers, throw.t))
     if fit.loss == "linear" and fit.noise.kind == "white":
         warnings += _of_given_sigma(throw, residual, outliers)
-    ridges = _of_ridges(curvature.beside)
+    ridges = of_ridges(result.parameters, departures)
     return (*warnings, *_of_memory(result), *_of_events(result), *ridges)
 
 
@@ -134,15 +134,9 @@ def _of_correlation(result: FitResult) -> list[str]:
     ]
 
 
-def _of_errors(result: FitResult, nonquadratic: Iterable[str]) -> list[str]:
-    """Standard and systematic errors that first order does not describe."""
-    warnings, listed = [], ", ".join(nonquadratic)
-    if listed:
-        warnings.append(
-            f"chi squared is not quadratic within a standard error of {listed}: "
-            "these standard errors are rough; use the profile likelihood "
-            "or the posterior"
-        )
+def _of_errors(result: FitResult) -> list[str]:
+    """Systematic errors that first order does not describe."""
+    warnings = []
     errors = result.systematics.errors
     beyond = [
         name
@@ -158,22 +152,25 @@ def _of_errors(result: FitResult, nonquadratic: Iterable[str]) -> list[str]:
     return warnings
 
 
-def _of_ridges(beside: Mapping[str, bool]) -> list[str]:
-    """Sums of parameters that are constant along the tangent of a curve alone."""
-    near = [name for name, lost in beside.items() if not lost]
-    gone = [name for name, lost in beside.items() if lost]
-    parts = [f"combinations hold near this estimate only ({', '.join(near)})"] * bool(
-        near
-    )
-    parts += [
-        f"combinations are not given that change along it ({', '.join(gone)})"
-    ] * bool(gone)
-    if not parts:
-        return []
-    return [
-        f"the coefficients that fit lie on a curve: {', and '.join(parts)}; "
-        "throws of other speeds and spins determine more"
+def of_ridges(estimates: Mapping[str, Estimate], departures: Departures) -> list[str]:
+    """Parameters that are not determined since the values that fit lie on a curve."""
+    open_ = [
+        f"{name} from {low:.3g} to {high:.3g}"
+        for name, (low, high) in departures.intervals.items()
+        if estimates[name].verdict in ("weak", "not identifiable")
     ]
+    if not open_:
+        return []
+    words = f"the values that fit lie on a curve: {', '.join(open_)}"
+    remedy = departures.remedy
+    if remedy is not None:
+        known = join_words(
+            [f"{name} to {two_digits(size)}" for name, size in remedy.stderr.items()]
+        )
+        unit = "" if remedy.unit == "1" else f" {remedy.unit}"
+        value = f"{remedy.near:.2g} +- {remedy.known_to:g}{unit}"
+        words += f"; {remedy.parameter} = {value} would determine {known}"
+    return [words]
 
 
 def outlier_warning(outliers: Sequence[Mapping[str, Any]], t: Floats) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple, Self
@@ -21,7 +21,6 @@ from curlfit.inference.identifiability import (
     Identifiability,
     analyse,
     classify,
-    visible,
 )
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.noise.losses import precision, root_slope
@@ -30,24 +29,6 @@ from curlfit.numerics.arrays import Booleans, Floats
 
 CONVERGED = 0.01
 """Distance to the optimum, in standard errors, at which a fit has converged."""
-_CURVED = 0.003  # standard error over typical size below which chi squared is quadratic
-_UNKNOWN = 3.0  # the same, above which nothing is determined in any case
-# factor by which the rise of chi squared is off if a standard error is by two
-_MISLEADING = 4.0
-# standard error over typical size, below which an estimate is determined even then
-_SMALL = 0.1
-# standard error over typical size above which a direction is hardly determined
-_FAINT = 0.5
-# rise of chi squared: what fits has left the tangent by two standard errors
-_CURVED_RIDGE = 4.0
-_NARROW = 0.02
-"""Such an error over typical sizes, above which a sum is not determined: 0.008 for eq.
-12 under consistent load, where the sum hardly changes; 0.03 and more for
-`front-back+sideways`, where the truth is up to 36 standard errors off."""
-# component over the largest, above which a parameter takes part in a direction
-_TAKES_PART = 0.05
-# largest departure from one of the rise of chi squared at one standard error
-_QUADRATIC = 0.5
 # share of estimated variances in a sum below which the sum counts as known
 _KNOWN = 1e-3
 # of sigma from the median absolute residual, Gaussian noise (Huber 1981)
@@ -84,6 +65,9 @@ class Covariance:
     leverage: Floats
     """of each value on its own fitted value, 0 to 1, shape (channels, n)"""
     has_priors: bool
+    linearized: tuple[LinearizedProblem, LinearizedProblem, int]
+    """the problem at the optimum, that with the directions that only the bounds
+    determine, and its number of values"""
     others: OtherThrows | None = None
     """of a throw that is fitted together with others"""
 
@@ -146,7 +130,16 @@ class Covariance:
             sigmas.dof(leverage),
             leverage,
             has_priors,
+            (problem, whole, sigmas.total),
         )
+
+    def distance_beside(self, indices: Iterable[int]) -> float:
+        """Distance to the optimum along all parameters but these, standard errors."""
+        others = self.free.copy()
+        others[list(indices)] = False
+        problem, whole, count = self.linearized
+        whole = whole._replace(free=others)
+        return float(problem._replace(free=others).distance(count, whole))
 
     def degrees_of_freedom(self, weights: Floats) -> list[float | None]:
         """For the variances of weighted sums of the open parameters, one per row of
@@ -216,104 +209,36 @@ class Covariance:
             "matrix": (jacobian.T @ jacobian).tolist(),
         }
 
-    def one_sigma_points(self, bounded: Bounded) -> tuple[Floats, Floats]:
-        """Points one standard error from the optimum along the principal axes of
-        the covariance, within the bounds, on axes whose standard error is neither
-        tiny nor meaningless; and these axes in typical sizes, of the same shape
-        (points, parameters).
+    def stderr(self, weights: Floats) -> float:
+        """Standard error of a weighted sum of the open parameters."""
+        covariance = self.identifiability.covariance
+        return math.sqrt(weights @ covariance @ weights)
 
-        `bounded` is in the problem's coordinates.
-        """
-        # Covariance of the open parameters alone: those at a bound stay there.
-        sizes = self.typical[self.open]
-        squares, axes = np.linalg.eigh(self.matrix / np.outer(sizes, sizes))
-        some = (squares > _CURVED**2) & (squares < _UNKNOWN**2)
-        along = np.zeros((int(some.sum()), 2, len(self.typical)))
-        along[..., self.open] = axes.T[some, None]
-        size = np.sqrt(squares[some])[:, None, None] * [[1.0], [-1.0]]
-        points = bounded.values + size * along * self.typical
-        inside = ((points >= bounded.lower) & (points <= bounded.upper)).all(-1)
-        return points[inside], along[inside]
+    def in_all(self, weights: Floats) -> Floats:
+        """Weights of the open parameters as those of all."""
+        every = np.zeros(len(self.typical))
+        every[self.open] = weights
+        return every
 
-    def ridge_points(self, bounded: Bounded, coefficients: int) -> Ridge:
-        """Points along what the coefficients of the law, the first parameters, leave
-        undetermined: one standard error from the optimum, or three typical sizes if
-        that is less, whatever the bounds."""
-        sizes, known = self.typical[self.open], self.identifiability
-        factor = self.factor[:, :-1][:, self.open] * sizes
-        _, singular, rows = np.linalg.svd(factor, full_matrices=False)
-        seen = visible(singular)
-        null = [
-            np.array([one.get(name, 0.0) for name in known.names]) / sizes
-            for one in known.null_directions
-        ]
-        null = [one / np.linalg.norm(one) for one in null]
-        sigmas = np.append(1 / singular[seen], np.full(len(null), np.inf))
-        axes = np.zeros((len(sigmas), len(self.typical)))
-        axes[:, self.open] = [*rows[seen], *null]
-        ours = np.abs(axes[:, coefficients:]).max(1) < _TAKES_PART * np.abs(axes).max(1)
-        axes, sigmas = axes[ours & (sigmas > _FAINT)], sigmas[ours & (sigmas > _FAINT)]
-        steps = np.minimum(sigmas, _UNKNOWN)
-        axes, steps = np.repeat(axes, 2, axis=0), np.repeat(steps, 2)
-        signs = np.tile([1.0, -1.0], len(sigmas))
-        points = bounded.values + (signs * steps)[:, None] * axes * self.typical
-        return Ridge(points, axes, (steps / np.repeat(sigmas, 2)) ** 2)
+    def error_of(self, index: int) -> float:
+        """Standard error of a parameter; infinite where nothing is known of it."""
+        if not self.open[index]:
+            return math.inf
+        place = int(self.open[:index].sum())
+        if self.identifiability.unseen[place]:
+            return math.inf
+        return math.sqrt(self.identifiability.covariance[place, place])
 
-    def beside_a_ridge(self, ridge: Ridge, delta_chi2: Floats) -> dict[str, bool]:
-        """Combinations of parameters along a direction that is hardly determined, where
-        chi squared rises more than at first order: the values that fit lie on a curve,
-        and a sum of parameters is constant along its tangent alone. And whether it may
-        change by so much, with an error for which chi squared would rise like this,
-        that little is known of it.
 
-        `delta_chi2` is the rise of chi squared at the points of the ridge.
-        """
-        rise = np.nan_to_num(delta_chi2 - ridge.expected, nan=np.inf)
-        size = np.abs(ridge.axes)[:, self.open]
-        concerned = size > _TAKES_PART * size.max(-1, keepdims=True)
-        most = np.where(concerned, rise[:, None], 0.0).max(0, initial=0.0)
-        found = {}
-        weights = self.identifiability.determined()
-        for item in self.identifiability.combinations:
-            row = weights[item.expression]
-            worst = most[row != 0].max()
-            if item.stderr is not None and worst > _CURVED_RIDGE:
-                narrow = _NARROW * np.abs(row * self.typical[self.open]).max()
-                found[item.expression] = bool(item.stderr * np.sqrt(1 + worst) > narrow)
-        return found
-
-    def nonquadratic(self, axes: Floats, delta_chi2: Floats) -> dict[str, bool]:
-        """Parameters and combinations along which chi squared does not rise by about
-        one at one standard error, and whether it is so misleading there that nothing
-        may be determined.
-
-        An axis concerns an estimate if it contributes a quarter or more of its
-        variance. A large departure is misleading for the parameters that dominate the
-        axis, and for estimates whose standard error is not small.
-
-        Parameters
-        ----------
-        axes : from `one_sigma_points`; `delta_chi2` is the rise of chi squared at
-            these points.
-        """
-        off = ~(np.abs(delta_chi2 - 1) < _QUADRATIC)
-        if not off.any():
-            return {}
-        rise = np.maximum(np.nan_to_num(delta_chi2[off], nan=np.inf), 1e-300)
-        axes, sizes = axes[off][:, self.open], self.typical[self.open]
-        factor, longest = np.maximum(rise, 1 / rise), np.abs(axes).max(1)
-        named = {}
-        for name, row in self.identifiability.determined().items():
-            error = np.sqrt(row @ self.identifiability.covariance @ row)
-            concerned = np.abs(axes @ (row * sizes)) > 0.5 * error
-            if concerned.any():
-                dominant = (
-                    np.abs(axes @ row)[concerned] > 0.3 * longest[concerned]
-                ).any()
-                large = error > _SMALL * sizes[row != 0].max()
-                most = factor[concerned].max()
-                named[name] = bool(most > _MISLEADING and (dominant or large))
-        return named
+def first_order(
+    names: Sequence[str], factors: Factors, bounded: Bounded, typical: Floats
+) -> Covariance:
+    """What R factors say of parameters, without the data that they are of."""
+    nothing = np.zeros((1, 1, len(typical)))
+    sigmas = Sigmas(np.ones(1, int), np.zeros(1, bool), "linear", len(typical))
+    return Covariance.of(
+        names, bounded, typical, (factors, factors), nothing, sigmas, True
+    )
 
 
 def satterthwaite(parts: Floats, dof: Floats) -> list[float | None]:
@@ -327,19 +252,6 @@ def satterthwaite(parts: Floats, dof: Floats) -> list[float | None]:
     return [
         None if exact else n for n, exact in zip(found.tolist(), known, strict=True)
     ]
-
-
-class Curvature(NamedTuple):
-    """What first order does not describe."""
-
-    rough: dict[str, bool]
-    """see `Covariance.nonquadratic`"""
-    beside: dict[str, bool]
-    """see `Covariance.beside_a_ridge`"""
-
-    def lost(self) -> set[str]:
-        """Parameters and combinations that are not determined after all."""
-        return {name for name, lost in (self.rough | self.beside).items() if lost}
 
 
 class Rival(NamedTuple):
@@ -360,17 +272,6 @@ class Rival(NamedTuple):
             weight * self.between.get(name, 0.0) for name, weight in weights.items()
         )
         return None if stderr is None else math.hypot(stderr, apart)
-
-
-class Ridge(NamedTuple):
-    """Points along directions that are hardly determined, shape (points,
-    parameters)."""
-
-    points: Floats
-    axes: Floats
-    """in typical sizes"""
-    expected: Floats
-    """rise of chi squared at the points, to first order"""
 
 
 class OtherThrows(NamedTuple):

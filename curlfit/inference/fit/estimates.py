@@ -29,9 +29,9 @@ class Estimate(WithInterval):
     verdict : "determined"; "prior" (determined, but not without the priors); "weak";
         "not identifiable"; "at bound" or "fixed".
     reason : of a weak parameter: its standard error is more than half its typical size,
-        chi squared is so far from quadratic that the standard error is wrong by a
-        factor of two or more, or another value fits as well; of a parameter that rests
-        on priors: that the data alone do not determine it. Otherwise empty.
+        or values that fit nearly as well; of one that is not identifiable these values,
+        where they lie on a curve; of a parameter that rests on priors: that the data
+        alone do not determine it. Otherwise empty.
     dof : degrees of freedom of the standard error; None without one, or where
         sigma was given.
     prior : its prior, in the notation of `curlfit.inference.priors`; empty without one.

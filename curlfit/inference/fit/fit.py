@@ -218,11 +218,38 @@ def fitted(
                 one if np.isfinite(one.chi_squared) else old
                 for one, old in zip(new, found, strict=False)
             ]
+    _settle(model, tasks, followed, batch)
     _add_usual(model, tasks, followed, batch)
     return [
         rounds.failures.get(row) or _outcome(rounds, row, found, len(tried[row]))
         for row, found in enumerate(followed)
     ]
+
+
+def _settle(
+    model: Model, tasks: Tasks, followed: Sequence[list[Solution]], batch: int
+) -> None:
+    """End searches that have not ended, since along some direction chi squared is level
+    or has no slope (the spin, of a stone that hardly spins): the parameter that takes
+    part in it most is held, and the others are refitted."""
+    lower, upper = np.array(tasks.lower), np.array(tasks.upper)
+    starts: list[list[Floats]] = [[] for _ in followed]
+    for optima_of_throw, start, low, high in zip(
+        followed, starts, lower, upper, strict=True
+    ):
+        if optima_of_throw and not optima_of_throw[0].success:
+            best = optima_of_throw[0]
+            free = high > low
+            slopes = best.jacobian.reshape(-1, len(free)) * tasks.typical * free
+            _, _, rows = np.linalg.svd(slopes[:, free], full_matrices=False)
+            levellest = np.flatnonzero(free)[np.abs(rows[-1]).argmax()]
+            low[levellest] = high[levellest] = best.values[levellest]
+            start.append(best.values)
+    held = tasks._replace(lower=lower, upper=upper)
+    settled = optima(model, held, starts, batch)
+    for optima_of_throw, ended in zip(followed, settled, strict=True):
+        if ended and ended[0].objective <= optima_of_throw[0].objective:
+            optima_of_throw[0] = ended[0]
 
 
 def _add_usual(

@@ -15,11 +15,18 @@ from curlfit.inference.fit.caveats import warnings_of
 from curlfit.inference.fit.covariance import (
     CONVERGED,
     Covariance,
-    Curvature,
     Rival,
     Sigmas,
     robust_jacobians,
     with_others,
+)
+from curlfit.inference.fit.departures import (
+    Departures,
+    Probe,
+    departures_along,
+    departures_nearby,
+    probes_about,
+    to_be_held,
 )
 from curlfit.inference.fit.estimates import Estimate, Systematics
 from curlfit.inference.fit.factors import Factors, Reduction, chi_squared_change
@@ -32,10 +39,11 @@ from curlfit.inference.fit.prepared import (
 )
 from curlfit.inference.fit.residuals import outliers_of, residuals_of
 from curlfit.inference.fit.result import FitResult
+from curlfit.inference.fit.ridge import Followed, Hold, Point, Ridge, follow
 from curlfit.inference.fit.systematics import residual_changes
 from curlfit.inference.identifiability import Bounded, r_factors
-from curlfit.inference.initial_values import usual_where_astray
-from curlfit.inference.least_squares import Solution
+from curlfit.inference.initial_values import default_guess, usual_where_astray
+from curlfit.inference.least_squares import Solution, Tasks, minimize_many
 from curlfit.inference.likelihood import chi_squared_of_many, predict_many
 from curlfit.inference.model import Model
 from curlfit.inference.noise.models import Independence
@@ -44,12 +52,15 @@ from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import ROWS_OF_DATA, Problem
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.numerics.batches import stacked
+from curlfit.numerics.batches import stacked, unstacked
 from curlfit.throws.plausibility import Finding, examine_fit
+from curlfit.throws.readers.angles import MAX_SPIN
 from curlfit.throws.throw import CHANNELS
 
 IMPLAUSIBLE = "implausible"
 """First word of the status of a fit that is impossible for a curling stone."""
+_MOST_STEPS = 60
+"""Of a refit along a ridge."""
 _FEWEST = 3  # values of a channel, above which their correlation is given
 # typical sizes by which solutions that fit equally differ in a parameter
 _DIFFERENT = 0.1
@@ -71,6 +82,7 @@ def summarize_many(
     widths: Mapping[str, float] | None = None,
     common: Booleans | None = None,
     others: Floats | None = None,
+    again: bool = False,
 ) -> list[FitResult]:
     """The same for fits of one model, loss and noise model, to problems of one shape.
 
@@ -86,6 +98,8 @@ def summarize_many(
     others : rows of what other throws say of the parameters of each, in place of priors
         of these, with the residual as the last column, shape (throws, rows,
         parameters + 1).
+    again : whether the search was continued where it had not ended or where the ridge
+        leads to a lower point.
     """
     if not fits:
         return []
@@ -97,12 +111,20 @@ def summarize_many(
     )
     residuals = residuals_of(many.problems, many.solutions, paths)
     found, reduction = many.covariances(residuals)
-    curvatures = many.curvatures(found, reduction, batch)
+    departures = many.departures(found, reduction, batch)
     systematics = [Systematics()] * len(fits)
     if paths is not None and widths:
         systematics = many.systematics(found, reduction, paths, widths, batch)
     each = [None] * len(fits) if paths is None else paths
-    return list(map(_record, fits, each, residuals, found, curvatures, systematics))
+    results = list(map(_record, fits, each, residuals, found, departures, systematics))
+    if not again:
+        better = many.searched_on(found, departures, batch)
+        ended = summarize_many(
+            list(better.values()), batch, curves=curves, widths=widths, again=True
+        )
+        for row, result in zip(better, ended, strict=True):
+            results[row] = result
+    return results
 
 
 class _Many(NamedTuple):
@@ -187,40 +209,157 @@ class _Many(NamedTuple):
             found = with_others(found, estimator.reduction)
         return found, factors.reduction
 
-    def curvatures(
-        self, found: Sequence[Covariance], reduction: Reduction | None, batch: int
-    ) -> list[Curvature]:
-        """What first order does not describe in each throw."""
-        at = [
-            Bounded(*(part[row] for part in self.bounded)) for row in range(len(found))
+    def departures(
+        self, covariances: Sequence[Covariance], reduction: Reduction | None, batch: int
+    ) -> list[Departures]:
+        """How chi squared of each throw departs from its quadratic."""
+        about = [
+            probes_about(covariance, Bounded(*(part[row] for part in self.bounded)))
+            for row, covariance in enumerate(covariances)
         ]
-        around = [
-            one.one_sigma_points(there) for one, there in zip(found, at, strict=True)
+        rises = self._rises(about, reduction, batch)
+        departing = [
+            [
+                pair
+                for pair in zip(probes, rises_of_throw, strict=True)
+                if pair[0].departs(pair[1])
+            ]
+            for probes, rises_of_throw in zip(about, rises, strict=True)
         ]
-        count = len(self.model.law.coefficients())
-        ridges = [
-            one.ridge_points(there, count) for one, there in zip(found, at, strict=True)
+        if self.common is not None or self.others is not None:
+            return [
+                departures_nearby(covariance, pairs)
+                for covariance, pairs in zip(covariances, departing, strict=True)
+            ]
+        coefficients = self.model.law.coefficients()
+        usual = np.array([default_guess(item) for item in coefficients])
+        held = [
+            to_be_held(covariance, [probe for probe, _ in pairs], len(coefficients))
+            for covariance, pairs in zip(covariances, departing, strict=True)
         ]
-        each = [one for one, _ in around] + [ridge.points for ridge in ridges]
-        points = np.concatenate(each)
-        place = np.repeat(np.arange(len(each)), [len(one) for one in each])
-        owner = place % len(found)
+        ridges = self._ridges(covariances, held, batch)
+        return [
+            departures_along(covariance, ridge, usual)
+            for covariance, ridge in zip(covariances, ridges, strict=True)
+        ]
+
+    def _rises(
+        self,
+        about: Sequence[Sequence[Probe]],
+        reduction: Reduction | None,
+        batch: int,
+    ) -> list[Floats]:
+        """Rises of chi squared from the optimum of each throw to its probes."""
+        numbers = [len(probes) for probes in about]
+        owner = np.repeat(np.arange(len(about)), numbers)
+        points = np.array([probe.point for probes in about for probe in probes])
+        points = points.reshape(len(owner), self.solutions.values.shape[1])
         best = self.solutions.values[owner]
         problems = jax.tree.map(itemgetter(owner), self.problems)
-        delta = chi_squared_of_many(self.model, points, problems, batch)
-        delta = delta - self.solutions.chi_squared[owner]
+        rises = np.zeros(0)
+        if len(owner):
+            rises = chi_squared_of_many(self.model, points, problems, batch)
+        rises = rises - self.solutions.chi_squared[owner]
         priors = Penalty(*(part[owner] for part in self.penalty))
-        delta += priors.chi_squared(points) - priors.chi_squared(best)
+        rises += priors.chi_squared(points) - priors.chi_squared(best)
         rows = self.others if reduction is None else reduction.others
         if rows is not None:
-            delta += chi_squared_change(rows[owner], points - best)
-        named = []
-        for row, (one, (_, axes), ridge) in enumerate(
-            zip(found, around, ridges, strict=True)
+            rises += chi_squared_change(rows[owner], points - best)
+        rises = np.nan_to_num(rises, nan=np.inf)
+        return np.split(rises, np.cumsum(numbers)[:-1])
+
+    def _ridges(
+        self,
+        covariances: Sequence[Covariance],
+        held: Sequence[Sequence[int]],
+        batch: int,
+    ) -> list[Ridge]:
+        """The ridge of each throw, followed with these parameters held."""
+        lowest, highest = self._bounds_of_thrown()
+        followed = []
+        for row, (covariance, indices) in enumerate(
+            zip(covariances, held, strict=True)
         ):
-            curved = one.beside_a_ridge(ridge, delta[place == len(found) + row])
-            named.append(Curvature(one.nonquadratic(axes, delta[place == row]), curved))
-        return named
+            priors = Penalty(*(part[row] for part in self.penalty))
+            optimum = Point.of(self.fits[row].solution, priors)
+            errors = {index: covariance.error_of(index) for index in indices}
+            ends = lowest[row], highest[row]
+            followed.append(Followed(optimum, *ends, self.typical, errors))
+
+        def refit(holds: Sequence[Hold]) -> list[Point]:
+            owner = np.array([hold.fit for hold in holds])
+            start = np.array([hold.start for hold in holds])
+            lower, upper = lowest[owner], highest[owner]
+            for row, hold in enumerate(holds):
+                held_at = start[row, hold.parameter]
+                lower[row, hold.parameter] = upper[row, hold.parameter] = held_at
+            problems, penalty = jax.tree.map(
+                itemgetter(owner), (self.problems, self.penalty)
+            )
+            tasks = Tasks(problems, start, lower, upper, self.typical, penalty)
+            optima = minimize_many(self.model, tasks, batch, _MOST_STEPS)
+            return [
+                Point.of(optimum, priors, hold.parameter)
+                for optimum, priors, hold in zip(
+                    unstacked(optima), unstacked(penalty), holds, strict=True
+                )
+            ]
+
+        return follow(followed, refit)
+
+    def _bounds_of_thrown(self) -> tuple[Floats, Floats]:
+        """Bounds of each throw, with spins that a stone may have: far beyond them, its
+        friction may fall as it spins so that its path stays the same."""
+        values, lower, upper = map(np.array, self.bounded)
+        spin = self.throws[0].parameters.index("omega0")
+        fastest = np.maximum(np.abs(values[:, spin]), MAX_SPIN)
+        lower[:, spin] = np.maximum(lower[:, spin], -fastest)
+        upper[:, spin] = np.minimum(upper[:, spin], fastest)
+        return lower, upper
+
+    def searched_on(
+        self,
+        covariances: Sequence[Covariance],
+        departures: Sequence[Departures],
+        batch: int,
+    ) -> dict[int, LeastSquaresFit]:
+        """Fits by number of throws whose search had not ended, or that the ridge leads
+        to a lower point, searched on from there: with all parameters, and with that
+        held which the ridge holds, since a search may stall where a stone hardly spins.
+        """
+        if self.common is not None or self.others is not None:
+            return {}
+        owner: list[int] = []
+        starts: list[Floats] = []
+        held: list[int | None] = []
+        for row, (covariance, departure) in enumerate(
+            zip(covariances, departures, strict=True)
+        ):
+            if departure.lower is not None:
+                owner += [row, row]
+                starts += [departure.lower.values, departure.lower.values]
+                held += [departure.lower.held, None]
+            elif covariance.distance >= CONVERGED:
+                owner.append(row)
+                starts.append(self.solutions.values[row])
+                held.append(None)
+        if not owner:
+            return {}
+        lower, upper = (part[owner] for part in self._bounds_of_thrown())
+        for number, index in enumerate(held):
+            if index is not None:
+                lower[number, index] = upper[number, index] = starts[number][index]
+        problems, penalty = jax.tree.map(
+            itemgetter(np.array(owner)), (self.problems, self.penalty)
+        )
+        tasks = Tasks(problems, np.array(starts), lower, upper, self.typical, penalty)
+        better: dict[int, LeastSquaresFit] = {}
+        optima = unstacked(minimize_many(self.model, tasks, batch))
+        for row, optimum in zip(owner, optima, strict=True):
+            best = better.get(row, self.fits[row]).solution
+            if optimum.objective < best.objective:
+                better[row] = self.fits[row]._replace(solution=optimum)
+        return better
 
     def systematics(
         self,
@@ -262,7 +401,7 @@ def _record(
     path: Floats | None,
     residual: Floats,
     found: Covariance,
-    curvature: Curvature,
+    departures: Departures,
     systematics: Systematics,
 ) -> FitResult:
     law, throw, known = fit.model.law, fit.prepared.throw, found.identifiability
@@ -272,17 +411,19 @@ def _record(
     series = _by_channel(fit, residual)
     enough = {name: pair for name, pair in series.items() if len(pair[0]) > _FEWEST}
     lag1 = {name: Independence.of(off).lag1 for name, (off, _) in enough.items()}
-    misleading, rival = curvature.lost(), _rival(fit)
-    estimates = _estimates(fit.prepared.parameters, found, misleading, rival)
+    rival = _rival(fit)
+    distance = found.distance
+    if departures.distance is not None:
+        distance = departures.distance
+    estimates = _estimates(fit.prepared.parameters, found, departures, rival)
     unusual = _unusual(fit, estimates["v0"], curves)
     result = FitResult(
         law=law.name,
         load=fit.model.load,
         stone=fit.prepared.stone,
         data=_data(fit),
-        converged=found.distance < CONVERGED
-        and not any(one.refused for one in unusual),
-        status=_status(fit, found.distance, unusual),
+        converged=distance < CONVERGED and not any(one.refused for one in unusual),
+        status=_status(fit, distance, unusual),
         warnings=(),
         n_observations=throw.n_observations,
         rms={
@@ -296,8 +437,7 @@ def _record(
         prior_chi_squared=float(fit.solution.penalty),
         combinations=tuple(
             replace(one, stderr=rival.widened(one.stderr, one.weights))
-            for one in found.combinations
-            if one.expression not in misleading
+            for one in departures.kept(found.combinations)
         ),
         rank=known.rank,
         singular_values=tuple(map(float, known.singular_values)),
@@ -321,7 +461,7 @@ def _record(
             for event, off in zip(throw.events, residual[-1], strict=False)
         ),
     )
-    warnings = warnings_of(fit, result, residual, unusual, rival, curvature)
+    warnings = warnings_of(fit, result, residual, unusual, rival, departures)
     return replace(result, warnings=warnings)
 
 
@@ -433,6 +573,11 @@ def _status(fit: LeastSquaresFit, distance: float, unusual: Sequence[Finding]) -
             f"not converged: the optimum is still about {distance:.2g} standard "
             f"errors away ({steps})"
         )
+    if not fit.solution.success:
+        return (
+            f"stopped at the limit of {steps}, about {distance:.1g} standard errors "
+            "from an optimum"
+        )
     if unusual:
         return f"converged ({steps}), but the data are unusual: see the first warning"
     return f"converged ({steps})"
@@ -453,7 +598,7 @@ def _rival(fit: LeastSquaresFit) -> Rival:
 
 
 def _estimates(
-    parameters: ParameterSet, found: Covariance, misleading: set[str], rival: Rival
+    parameters: ParameterSet, found: Covariance, departures: Departures, rival: Rival
 ) -> dict[str, Estimate]:
     """Estimates by name; see `Estimate` for the verdicts."""
     estimates = {}
@@ -461,16 +606,10 @@ def _estimates(
         stderr, verdict, dof = None, "fixed", None
         if item.name not in parameters.fixed:
             stderr, verdict, dof = found.classified(row)
-        reason, prior = "", parameters.priors.get(item.name)
-        if verdict == "prior":
-            reason = "without the priors the data do not determine it"
-        elif verdict in ("determined", "weak") and item.name in misleading:
-            verdict, reason = (
-                "weak",
-                "chi squared is far from quadratic within its standard error",
-            )
-        else:
-            reason = weakness(verdict, item.typical)
+        stderr, verdict, reason = departures.judged(
+            item.name, stderr, verdict, item.typical
+        )
+        prior = parameters.priors.get(item.name)
         if verdict == "determined" and item.name in rival.values:
             verdict, reason = "weak", f"{rival.values[item.name]:.3g} fits as well"
         estimates[item.name] = Estimate.of(
@@ -483,11 +622,3 @@ def _estimates(
             prior="" if prior is None else str(prior),
         )
     return estimates
-
-
-def weakness(verdict: str, typical: float) -> str:
-    """Why an estimate of a typical size is weakly determined; nothing for
-    another verdict."""
-    if verdict != "weak":
-        return ""
-    return f"its standard error is more than half its typical size, {typical:g}"

@@ -20,12 +20,19 @@ from curlfit.friction import Law, Load, no_motion_because
 from curlfit.friction.family import LawFamily
 from curlfit.inference.fit.advice import NOISE
 from curlfit.inference.fit.covariance import Covariance
+from curlfit.inference.fit.departures import NO_DEPARTURES, Departures, departures_along
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.factors import Reduction
 from curlfit.inference.fit.prepared import PreparedThrow, local_bounds
+from curlfit.inference.fit.ridge import Followed, Hold, Point, follow
 from curlfit.inference.fit.rounds import Rounds
-from curlfit.inference.fit.summary import weakness
-from curlfit.inference.identifiability import Bounded, Combination, r_factors, visible
+from curlfit.inference.identifiability import (
+    Bounded,
+    Combination,
+    r_factor,
+    r_factors,
+    visible,
+)
 from curlfit.inference.initial_values import default_guess
 from curlfit.inference.joint.population import told_by_data
 from curlfit.inference.joint.solver import JOINT, minimize_jointly
@@ -213,10 +220,14 @@ class LawOnSets:
         return found
 
     def optimum(
-        self, inside: Booleans, start: Floats, weight: Floats | None = None
+        self,
+        inside: Booleans,
+        start: Floats,
+        weight: Floats | None = None,
+        held: int | None = None,
     ) -> Solution:
         """Of some throws and tables from initial values, shape (throws and tables,
-        parameters); the others keep these."""
+        parameters); the others keep these, as does the coefficient `held`."""
         problems, common = self.tasks.problems, self.common
         weight = problems.weight if weight is None else weight
         lower, upper, begin = (np.array(part) for part in (*self.tasks[2:4], start))
@@ -224,6 +235,8 @@ class LawOnSets:
         begin[~inside, self.speed] = _ASIDE
         for end in (lower, upper):
             end[np.ix_(~inside, ~common)] = begin[np.ix_(~inside, ~common)]
+            if held is not None:
+                end[:, held] = begin[:, held]
         some = problems._replace(weight=weight * inside[:, None, None])
         if self.throws:
             moment = np.where(inside, 1.0, _MOMENT)[:, None]
@@ -296,6 +309,43 @@ class LawOnSets:
             for one in starts[: 1 if len(own) == 1 else None]
         )
 
+    def departures(
+        self, known: Covariance, optimum: Solution, inside: Booleans, weight: Floats
+    ) -> Departures:
+        """How chi squared of tables departs from its quadratic in the coefficients.
+
+        Parameters
+        ----------
+        known : what they say of the coefficients to first order, at the optimum.
+        """
+        begin = np.array(optimum.values)
+
+        def point_of(solution: Solution, parameter: int | None = None) -> Point:
+            rows = self.told(solution).reduction.rows[inside]
+            slopes = rows[..., :-1][..., self.common].reshape(-1, len(self.names))
+            chi_squared = float(solution.chi_squared[inside].sum())
+            values = solution.values[inside][0, self.common]
+            return Point(values, r_factor(slopes), chi_squared, parameter)
+
+        def refit(holds: Sequence[Hold]) -> list[Point]:
+            points = []
+            for hold in holds:
+                start = begin.copy()
+                start[:, self.common] = hold.start
+                held = int(np.flatnonzero(self.common)[hold.parameter])
+                solution = self.optimum(inside, start, weight, held)
+                points.append(point_of(solution, hold.parameter))
+            return points
+
+        lower, upper = (end[0, self.common] for end in self.tasks[2:4])
+        typical = self.tasks.typical[self.common]
+        indices = np.flatnonzero(known.open).tolist()
+        errors = {index: known.error_of(index) for index in indices}
+        followed = Followed(point_of(optimum), lower, upper, typical, errors)
+        (ridge,) = follow([followed], refit)
+        usual = np.array([default_guess(item) for item in self.law.coefficients()])
+        return departures_along(known, ridge, usual)
+
     def told(self, found: Solution) -> Told:
         """What throws and tables at their optimum say of the coefficients."""
         factors = r_factors(found.jacobian, found.residual)
@@ -318,7 +368,10 @@ class Told(NamedTuple):
         return told_by_data(self.of.tasks, self.solution, some, self.of.names)
 
     def estimates(
-        self, known: Covariance, dof: float | None = None
+        self,
+        known: Covariance,
+        dof: float | None = None,
+        departures: Departures = NO_DEPARTURES,
     ) -> tuple[dict[str, Estimate], tuple[Combination, ...]]:
         """Of the coefficients and of determined sums of them, by some of the data sets;
         `dof` are the degrees of freedom of their errors."""
@@ -328,15 +381,21 @@ class Told(NamedTuple):
             stderr, verdict, _ = (
                 known.classified(place) if free else (None, "fixed", None)
             )
+            stderr, verdict, reason = departures.judged(
+                item.name, stderr, verdict, item.typical
+            )
             found[item.name] = Estimate.of(
                 item,
                 float(known.values[place]),
                 verdict,
                 stderr=stderr,
                 dof=None if stderr is None else dof,
-                reason=weakness(verdict, item.typical),
+                reason=reason,
             )
-        return found, tuple(replace(one, dof=dof) for one in known.combinations)
+        combinations = tuple(
+            replace(one, dof=dof) for one in departures.kept(known.combinations)
+        )
+        return found, combinations
 
     def parameters(self) -> Floats:
         """Number of parameters spent on each, with its share of the coefficients."""

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from curlfit.inference.fit.covariance import Covariance, Sigmas
+from curlfit.inference.fit.covariance import Covariance, first_order
 from curlfit.inference.fit.factors import Factors, Reduction, combined
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.identifiability import Bounded, Combination, r_factor, r_factors
@@ -104,7 +104,7 @@ class Population(NamedTuple):
         factors = told(self.fit)
         if self.of_data is not self.fit:
             factors = factors._replace(of_data=told(self.of_data).whole)
-        return _covariance(names, factors, bounded, self.typical)
+        return first_order(names, factors, bounded, self.typical)
 
     def means(
         self, names: tuple[str, ...], covariates: Covariates, angle: float
@@ -125,16 +125,6 @@ class Population(NamedTuple):
             dof=self.dof,
             angle=angle,
         )
-
-
-def _covariance(
-    names: Sequence[str], factors: Factors, bounded: Bounded, typical: Floats
-) -> Covariance:
-    nothing = np.zeros((1, 1, len(typical)))
-    sigmas = Sigmas(np.ones(1, int), np.zeros(1, bool), "linear", len(typical))
-    return Covariance.of(
-        names, bounded, typical, (factors, factors), nothing, sigmas, True
-    )
 
 
 def ends_from(
@@ -260,7 +250,7 @@ def told_by_data(
     )
     typical = tasks.typical[common]
     rows = r_factor(reduction.in_common().reshape(-1, len(typical) + 1))
-    return _covariance(names, Factors.of(rows, bounded, typical), bounded, typical)
+    return first_order(names, Factors.of(rows, bounded, typical), bounded, typical)
 
 
 def _of_throws(throws: Together) -> Penalty:

@@ -11,8 +11,8 @@ from scipy.special import stdtr
 
 from curlfit.inference.derived import Quantiles, quantiles_of
 from curlfit.inference.fit.covariance import Covariance
+from curlfit.inference.fit.departures import NO_DEPARTURES
 from curlfit.inference.fit.estimates import Estimate
-from curlfit.inference.fit.summary import weakness
 from curlfit.inference.joint.draw import DRAW, Draw
 from curlfit.inference.joint.effects import Covariates, Effect, Means
 from curlfit.inference.joint.population import Population
@@ -117,13 +117,15 @@ def _chain(
 
 def _of_mean(item: Estimate, known: Covariance, row: int, dof: float) -> Estimate:
     stderr, verdict, _ = known.classified(row)
+    name = known.names[row]
+    stderr, verdict, reason = NO_DEPARTURES.judged(name, stderr, verdict, item.typical)
     return replace(
         item,
         value=float(known.values[row]),
         stderr=stderr,
         verdict=verdict,
         dof=None if stderr is None else dof,
-        reason=weakness(verdict, item.typical),
+        reason=reason,
     )
 
 

@@ -1,0 +1,357 @@
+"""How chi squared departs from its quadratic about an optimum, and what that makes of
+what the optimum determines to first order.
+
+Probes are points at which chi squared is compared with its quadratic: they cost a path
+each. Where it departs, the ridge is followed (`curlfit.inference.fit.ridge`), and what
+is said of a parameter or combination is what the ridge says.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from curlfit.inference.fit.covariance import CONVERGED, Covariance
+from curlfit.inference.fit.ridge import Point, Ridge
+from curlfit.inference.identifiability import (
+    WEAK_ERROR,
+    Bounded,
+    Combination,
+    r_factor,
+    stderr_of,
+    visible,
+)
+from curlfit.numerics.arrays import Floats
+
+_PROBED = 2.0
+"""Standard errors from an estimate at which chi squared is compared with its
+quadratic: about those of a 95 % interval."""
+_QUADRATIC = 0.003
+"""Standard error over typical size below which chi squared is quadratic."""
+_ABOUT = 2.0
+"""Factor within which a rise of chi squared is about that of the quadratic."""
+_LEVEL = 1.0
+"""Rise of chi squared up to which a direction is level, along which the quadratic does
+not rise."""
+_MISLEADING = 4.0
+"""Factor of this rise where a standard error is off by two."""
+_UNKNOWN = 3.0
+"""Typical sizes from an estimate, beyond which nothing is known in any case."""
+_FAINT = 0.5
+"""Standard error over typical size above which a direction is hardly determined."""
+_TAKES_PART = 0.05
+"""Component over the largest, above which a parameter takes part in a direction."""
+_STRETCHED = 2.0
+"""Factor by which the error of an estimate may be larger along the ridge than at the
+optimum, so that it is still determined ..."""
+_WIDE = 0.1
+"""... or this error over the typical size, up to which a sum is determined even then.
+Where only the tangent is known, sums along a curve are given up beyond ..."""
+_NARROW = 0.02
+"""... this one: 0.008 of the sum for eq. 12 under consistent load, 0.03 and more of
+false sums under `front-back+sideways`."""
+KNOWN_TO = {"omega0": 0.05, "v0": 0.01}
+"""Standard error of a measured initial spin and speed, rad/s and m/s."""
+UNITS = {"omega0": "rad/s", "v0": "m/s"}
+_LOWER = 0.1
+"""Fall of chi squared along a ridge below which its optimum is as good as any."""
+_LITTLE = math.sqrt(_ABOUT)
+"""Factor up to which an error along the ridge is about that at the optimum."""
+_NO_SPIN = 3.0
+"""Standard errors of the spin within which a stone may not have spun."""
+
+
+class Probe(NamedTuple):
+    """A point about an optimum, and the rise of chi squared there to first order."""
+
+    point: Floats
+    expected: float
+    parameters: tuple[str, ...]
+    """those that the point tells about"""
+    statement: str = ""
+    """the parameter or combination whose error leads to the point, if any"""
+
+    def departs(self, rise: float) -> bool:
+        """Whether chi squared is not near its quadratic at this point."""
+        if self.statement:
+            return not 1 / _ABOUT < rise / self.expected < _ABOUT
+        return not abs(rise - self.expected) < _LEVEL
+
+
+class Remedy(NamedTuple):
+    """What a parameter would have to be known to, so that others are determined."""
+
+    parameter: str
+    unit: str
+    near: float
+    """its value there"""
+    known_to: float
+    stderr: dict[str, float]
+    """that the others then have"""
+
+
+class Departures(NamedTuple):
+    """How chi squared departs from its quadratic about an optimum."""
+
+    stretched: dict[str, float]
+    """of parameters and combinations, how many times as far they move along the ridge
+    as first order says"""
+    lost: set[str]
+    """those of which the fit therefore says nothing"""
+    intervals: dict[str, tuple[float, float]]
+    """of parameters, between values that fit as well"""
+    remedy: Remedy | None = None
+    distance: float | None = None
+    """to the optimum, standard errors: along the ridge, where there is no lower point,
+    the quadratic says nothing of it"""
+    lower: Point | None = None
+    """where chi squared is lower, if the ridge leads there"""
+
+    def judged(
+        self, name: str, stderr: float | None, verdict: str, typical: float
+    ) -> tuple[float | None, str, str]:
+        """What the ridge makes of an estimate of a typical size: its standard error,
+        its verdict, and the reason of that, if there is one."""
+        stderr = self.widened(stderr, name)
+        if stderr is not None and math.isinf(stderr):
+            return None, "not identifiable", self.range_of(name)
+        if name in self.lost:
+            return stderr, "weak", self.range_of(name)
+        if verdict == "not identifiable" and name in self.intervals:
+            return stderr, verdict, self.range_of(name)
+        if verdict == "prior":
+            return stderr, verdict, "without the priors the data do not determine it"
+        wide = stderr is not None and stderr >= WEAK_ERROR * typical
+        if verdict == "weak" or (verdict == "determined" and wide):
+            reason = (
+                f"its standard error is more than half its typical size, {typical:g}"
+            )
+            return stderr, "weak", reason
+        return stderr, verdict, ""
+
+    def range_of(self, name: str) -> str:
+        """Why a parameter is not determined."""
+        if name not in self.intervals:
+            return "values that fit nearly as well are more than its typical size apart"
+        low, high = self.intervals[name]
+        return f"values from {low:.3g} to {high:.3g} fit nearly as well"
+
+    def kept(self, combinations: Iterable[Combination]) -> list[Combination]:
+        """Combinations that are determined along the ridge, with their errors there."""
+        return [
+            replace(sum_, stderr=self.widened(sum_.stderr, sum_.expression))
+            for sum_ in combinations
+            if sum_.expression not in self.lost
+        ]
+
+    def widened(self, stderr: float | None, name: str) -> float | None:
+        """The standard error of a parameter or combination along the ridge."""
+        return None if stderr is None else stderr * self.stretched.get(name, 1.0)
+
+
+NO_DEPARTURES = Departures({}, set(), {})
+"""Of chi squared that is a quadratic, or is taken for one."""
+
+
+def probes_about(covariance: Covariance, bounded: Bounded) -> list[Probe]:
+    """Points about the optimum that show whether chi squared is a quadratic.
+
+    Two standard errors from the estimate of each parameter and combination that is
+    determined, where the others follow to first order, if these points are within
+    the bounds; and on either side along what is hardly determined, one standard
+    error from the optimum, or three typical sizes if that is less, whatever the
+    bounds.
+
+    Parameters
+    ----------
+    bounded : values and bounds in the problem's coordinates.
+    """
+    probes = []
+    for name, weights in covariance.identifiability.determined().items():
+        follow = covariance.matrix @ weights
+        error = math.sqrt(max(float(weights @ follow), 0.0))
+        if error == 0.0:
+            continue
+        step = covariance.in_all(_PROBED * follow / error)
+        if np.abs(step / covariance.typical).max() < _QUADRATIC:
+            continue
+        names = _names_at(covariance, np.flatnonzero(covariance.in_all(weights)))
+        for point in (bounded.values + step, bounded.values - step):
+            if ((point >= bounded.lower) & (point <= bounded.upper)).all():
+                probes.append(Probe(point, _PROBED**2, names, name))
+    for direction, singular in _loose_directions(covariance):
+        length = _UNKNOWN if singular == 0 else min(1 / singular, _UNKNOWN)
+        names = _taking_part(covariance, direction)
+        step = length * direction * covariance.typical
+        for point in (bounded.values + step, bounded.values - step):
+            probes.append(Probe(point, (length * singular) ** 2, names))
+    return probes
+
+
+def _taking_part(covariance: Covariance, direction: Floats) -> tuple[str, ...]:
+    """The parameters that take part in a direction."""
+    size = np.abs(direction)
+    return _names_at(covariance, np.flatnonzero(size > _TAKES_PART * size.max()))
+
+
+def _names_at(covariance: Covariance, indices: NDArray[np.int64]) -> tuple[str, ...]:
+    return tuple(covariance.names[index] for index in indices.tolist())
+
+
+def to_be_held(
+    covariance: Covariance, departing: Sequence[Probe], coefficients: int
+) -> list[int]:
+    """Indices of the parameters along which the ridge is to be followed: those that
+    probes tell about at which chi squared departs from its quadratic; where the
+    search has not ended, those that are hardly determined; of a stone that may not
+    have spun, the spin and the coefficients, the first parameters, since the force
+    on it depends on the sense of the spin."""
+    names = {name for probe in departing for name in probe.parameters}
+    if covariance.distance >= CONVERGED:
+        for direction, _ in _loose_directions(covariance):
+            names |= set(_taking_part(covariance, direction))
+    indices = {index for index, name in enumerate(covariance.names) if name in names}
+    spin = list(covariance.names).index("omega0")
+    error = covariance.error_of(spin)
+    if (
+        covariance.open[spin]
+        and abs(covariance.values[spin]) < _NO_SPIN * error < math.inf
+    ):
+        indices |= {spin, *np.flatnonzero(covariance.open[:coefficients]).tolist()}
+    if indices:
+        indices |= {
+            index
+            for index in np.flatnonzero(covariance.open).tolist()
+            if WEAK_ERROR * covariance.typical[index]
+            <= covariance.error_of(index)
+            < math.inf
+        }
+    return sorted(indices)
+
+
+def departures_along(covariance: Covariance, ridge: Ridge, usual: Floats) -> Departures:
+    """What the ridge says of the parameters and combinations that are determined to
+    first order.
+
+    Parameters
+    ----------
+    usual : coefficients of the law, the first parameters.
+    """
+    statements = covariance.identifiability.determined()
+    weights = np.array([covariance.in_all(row) for row in statements.values()])
+    errors = np.array([covariance.stderr(row) for row in statements.values()])
+    sizes = covariance.in_all(covariance.typical[covariance.open])
+    stretched = {}
+    lost = set()
+    if ridge.points and statements:
+        stretches = ridge.stretches(weights, errors, sizes)
+        typical = np.abs(weights * covariance.typical).max(1)
+        relative = np.maximum(stretches, 1.0) * errors / typical
+        about = zip(statements, stretches.tolist(), relative.tolist(), strict=True)
+        for name, stretch, error in about:
+            if stretch > _LITTLE:
+                stretched[name] = stretch
+            if name in covariance.names:
+                is_lost = error >= WEAK_ERROR
+            else:
+                is_lost = stretch > _STRETCHED and error > _WIDE
+            if is_lost:
+                lost.add(name)
+    offset = covariance.values - ridge.optimum.values
+    intervals = {
+        covariance.names[index]: (low + offset[index], high + offset[index])
+        for index, (low, high) in ridge.intervals.items()
+    }
+    distance = covariance.distance
+    if intervals and ridge.rises.min(initial=0.0) > -_LOWER:
+        distance = min(distance, covariance.distance_beside(ridge.intervals))
+    remedy = _remedy(covariance, lost, ridge, usual)
+    fall = -float(ridge.rises.min(initial=0.0))
+    has_lower = fall > (0.0 if covariance.distance >= CONVERGED else _LOWER)
+    lower = ridge.lowest() if has_lower else None
+    return Departures(stretched, lost, intervals, remedy, distance, lower)
+
+
+def departures_nearby(
+    covariance: Covariance, departing: Sequence[tuple[Probe, float]]
+) -> Departures:
+    """The same from the probes alone at which chi squared departs from its
+    quadratic, and its rise there, where the ridge is not followed.
+
+    A sum of parameters along a direction that is hardly determined is lost where
+    the values that fit leave the tangent by much.
+    """
+    lost = {
+        probe.statement
+        for probe, rise in departing
+        if probe.statement and not 1 / _MISLEADING < rise / probe.expected < _MISLEADING
+    }
+    weights = covariance.identifiability.determined()
+    for combination in covariance.identifiability.combinations:
+        row = weights[combination.expression]
+        size = np.abs(row * covariance.typical[covariance.open]).max()
+        for probe, rise in departing:
+            aside = covariance.stderr(row) * math.sqrt(1 + max(rise, 0.0))
+            concerned = set(probe.parameters) & combination.weights.keys()
+            if concerned and not probe.statement and aside > _NARROW * size:
+                lost.add(combination.expression)
+    return Departures({}, lost, {})
+
+
+def _remedy(
+    covariance: Covariance, lost: set[str], ridge: Ridge, usual: Floats
+) -> Remedy | None:
+    """What would determine coefficients that the ridge leaves open: another
+    parameter along it, known as well as it is usually measured. That depends on the
+    place along the ridge: it is told of the most usual coefficients."""
+    if not ridge.points:
+        return None
+    typical = covariance.typical[covariance.open]
+    names = covariance.identifiability.names
+    unseen = itertools.compress(names, covariance.identifiability.unseen)
+    unknown = lost | set(unseen)
+    wanted = [name for name in covariance.names[: len(usual)] if name in unknown]
+    point = ridge.nearest(usual, covariance.typical[: len(usual)])
+    rows = point.slopes[:, covariance.open] * typical
+    for index in sorted(ridge.intervals, reverse=True):
+        name = covariance.names[index]
+        if name not in names:
+            continue
+        place = names.index(name)
+        known_to = KNOWN_TO.get(name, 0.1 * float(typical[place]))
+        known = np.zeros(len(names))
+        known[place] = typical[place] / known_to
+        _, singular, right = np.linalg.svd(r_factor(np.vstack([rows, known])))
+        seen = visible(singular)
+        errors = {}
+        for other in wanted:
+            unit = np.eye(len(names))[names.index(other)]
+            error = stderr_of(unit, right[seen], singular[seen])
+            if other != name and error is not None and error < WEAK_ERROR:
+                errors[other] = error * float(typical[names.index(other)])
+        if errors:
+            offset = float(covariance.values[index] - ridge.optimum.values[index])
+            near = float(point.values[index]) + offset
+            return Remedy(name, UNITS.get(name, "1"), near, known_to, errors)
+    return None
+
+
+def _loose_directions(covariance: Covariance) -> list[tuple[Floats, float]]:
+    """Unit vectors in typical sizes along which hardly anything is determined, and
+    the singular value of each, 0 of null directions."""
+    sizes = covariance.typical[covariance.open]
+    factor = covariance.factor[:, :-1][:, covariance.open] * sizes
+    _, singular, rows = np.linalg.svd(factor, full_matrices=False)
+    weak = visible(singular) & (singular < 1 / _FAINT)
+    directions = list(zip(rows[weak], singular[weak].tolist(), strict=True))
+    names = covariance.identifiability.names
+    for null in covariance.identifiability.null_directions:
+        row = np.array([null.get(name, 0.0) for name in names]) / sizes
+        directions.append((row / np.linalg.norm(row), 0.0))
+    return [(covariance.in_all(row), size) for row, size in directions]

@@ -1,0 +1,275 @@
+"""The ridge of a fit: values of the parameters that fit about as well as the optimum.
+
+Where data hold fewer numbers than the law has parameters, chi squared is no quadratic:
+without the angle only the product of a coefficient and the spin may be determined, and
+the values that fit lie on a hyperbola. A sum of parameters that is constant along its
+tangent is then no more determined than each of them.
+
+The ridge is followed with one parameter held at values ever farther from its estimate,
+while the others are refitted, until chi squared has risen by `HIGHEST` or a bound is
+met. What a fit states of a parameter or of a sum is then compared with what these
+points say: to first order, its value is within sqrt(rise) standard errors of the
+estimate at all points where chi squared has risen by no more than that.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple, Self
+
+import numpy as np
+
+from curlfit.inference.identifiability import r_factor, visible
+from curlfit.inference.least_squares import Solution
+from curlfit.inference.priors import Penalty
+from curlfit.numerics.arrays import Floats
+
+HIGHEST = 10.83
+"""Rise of chi squared at the ends of a 99.9 % interval, of one degree of freedom."""
+INTERVAL = 6.63
+"""The same for 99 %: values within it fit nearly as well."""
+_MOST_POINTS = 16
+"""On either side: with steps that double, 30,000 times the first step."""
+_GROWTH = 2.0
+_FIRST_STEP = 0.1
+"""In typical sizes, where the standard error is larger or not known."""
+_FARTHEST = 1e3
+"""In typical sizes: nothing is known of what may be as far away."""
+_ROUNDING = 1e-9
+_UNDETERMINED = 1e-3
+"""Share of a sum outside what is determined, above which it is not determined."""
+_FAR_LESS = 4.0
+"""Error at a point of the ridge over that at the optimum, above which far less is known
+there: nothing of a force of the spin, where a stone may not have spun."""
+
+
+class Hold(NamedTuple):
+    """A refit that the ridge asks for: one parameter held at a value, from a start."""
+
+    fit: int
+    """number of the fit"""
+    parameter: int
+    """index of it"""
+    start: Floats
+    """values of all parameters, with that of the held one"""
+
+
+class Point(NamedTuple):
+    """Values of the parameters, optimal but for one that is held, or an optimum."""
+
+    values: Floats
+    """shape (parameters,)"""
+    slopes: Floats
+    """R factor of the derivatives of the residuals over their sigma, those of priors
+    among them, of at most as many rows as parameters"""
+    chi_squared: float
+    """with what the priors add to it"""
+    held: int | None = None
+    """index of the parameter that is held"""
+
+    def errors(self, weights: Floats, sizes: Floats) -> Floats:
+        """Standard errors of weighted sums of the parameters to first order here, with
+        that one held; infinite where nothing is known of a sum.
+
+        Parameters
+        ----------
+        weights : shape (sums, parameters).
+        sizes : of the parameters; 0 of those that do not move.
+        """
+        sizes = np.array(sizes)
+        if self.held is not None:
+            sizes[self.held] = 0.0
+        _, singular, right = np.linalg.svd(self.slopes * sizes, full_matrices=False)
+        seen = visible(singular)
+        scaled = weights * sizes
+        along = scaled @ right[seen].T
+        outside = np.linalg.norm(scaled - along @ right[seen], axis=1)
+        unknown = outside > _UNDETERMINED * np.linalg.norm(scaled, axis=1)
+        known = np.linalg.norm(along / singular[seen], axis=1)
+        return np.where(unknown, np.inf, known)
+
+    @classmethod
+    def of(cls, solution: Solution, penalty: Penalty, held: int | None = None) -> Self:
+        """The optimum of a throw, with what its priors add to chi squared."""
+        values = np.asarray(solution.values)
+        slopes = np.asarray(solution.jacobian).reshape(-1, len(values))
+        priors = penalty.rows(values)[:, :-1]
+        rows = r_factor(np.concatenate([slopes, priors]))
+        return cls(values, rows, float(solution.objective), held)
+
+
+Refit = Callable[[Sequence[Hold]], Sequence[Point]]
+"""Carries out refits, in any number side by side."""
+
+
+class Ridge(NamedTuple):
+    """Points near which the data are fitted about as well as at the optimum."""
+
+    optimum: Point
+    points: tuple[Point, ...]
+    """in the coordinates of the problem"""
+    rises: Floats
+    """of chi squared from the optimum, at most `HIGHEST`, shape (points,)"""
+    intervals: dict[int, tuple[float, float]]
+    """by index of the parameters that were held, values between which chi squared rises
+    by less than `INTERVAL`"""
+
+    def stretches(self, weights: Floats, errors: Floats, sizes: Floats) -> Floats:
+        """How many times as large the errors of weighted sums of the parameters are
+        along the ridge as to first order at the optimum: by how far a sum moves, and by
+        its error at points where far less is known of it.
+
+        Parameters
+        ----------
+        weights : shape (sums, parameters).
+        errors : of the sums to first order at the optimum.
+        sizes : of the parameters; 0 of those that do not move.
+        """
+        largest = np.zeros(len(weights))
+        for point, rise in zip(self.points, self.rises, strict=True):
+            moved = np.abs(weights @ (point.values - self.optimum.values))
+            expected = errors * math.sqrt(max(float(rise), 1.0))
+            largest = np.maximum(largest, moved / expected)
+            there = point.errors(weights, sizes) / errors
+            largest = np.where(there > _FAR_LESS, np.maximum(largest, there), largest)
+        return largest
+
+    def lowest(self) -> Point:
+        """The point with the least chi squared."""
+        return self.points[int(self.rises.argmin())]
+
+    def nearest(self, usual: Floats, typical: Floats) -> Point:
+        """The point with the most usual coefficients, the first parameters."""
+        count = len(usual)
+        return min(
+            self.points,
+            key=lambda point: np.sum(((point.values[:count] - usual) / typical) ** 2),
+        )
+
+
+@dataclass
+class _Side:
+    """The points on one side of the estimate of a parameter."""
+
+    hold_of: tuple[int, int]
+    """number of the fit, and index of the parameter"""
+    sign: float
+    step: float
+    """of the next point, in the unit of the parameter"""
+    optimum: Point
+    lower: Floats
+    upper: Floats
+    typical: Floats
+    points: list[Point] = field(default_factory=list)
+    goes_on: bool = True
+
+    def next_hold(self) -> Hold:
+        """The next value, and the others where the tangent at the last point leads."""
+        fit, index = self.hold_of
+        last = self.points[-1] if self.points else self.optimum
+        values = np.array(last.values)
+        held = values[index] + self.sign * self.step
+        if held * values[index] < 0.0:  # a sense of spin, or a sign of a force, ends
+            held = 0.0
+        if not self.lower[index] < held < self.upper[index]:
+            held = float(np.clip(held, self.lower[index], self.upper[index]))
+            self.goes_on = False
+        moved = held - values[index]
+        slopes = last.slopes * self.typical
+        others = self.upper > self.lower
+        others[index] = False
+        follow, *_ = np.linalg.lstsq(
+            slopes[:, others], slopes[:, index] / self.typical[index], rcond=_ROUNDING
+        )
+        values[others] -= moved * follow * self.typical[others]
+        values = np.clip(values, self.lower, self.upper)
+        values[index] = held
+        return Hold(fit, index, values)
+
+    def add(self, point: Point) -> None:
+        """Add the refit at the value that was asked for."""
+        index = self.hold_of[1]
+        rise = _rise(point, self.optimum)
+        self.points.append(point)
+        far = abs(point.values[index] - self.optimum.values[index])
+        self.goes_on &= (
+            rise < HIGHEST
+            and far < _FARTHEST * self.typical[index]
+            and len(self.points) < _MOST_POINTS
+        )
+        self.step *= _GROWTH
+
+    def end_of_interval(self) -> float:
+        """The value at which chi squared has risen by `INTERVAL`, between two points;
+        the last value if it has not risen by so much."""
+        index = self.hold_of[1]
+        value = float(self.optimum.values[index])
+        root = 0.0
+        for point in self.points:
+            next_value = float(point.values[index])
+            rise = _rise(point, self.optimum)
+            next_root = math.sqrt(max(rise, 0.0))
+            if rise >= INTERVAL:
+                share = (math.sqrt(INTERVAL) - root) / (next_root - root)
+                return value + share * (next_value - value)
+            value, root = next_value, next_root
+        return value
+
+
+class Followed(NamedTuple):
+    """A fit whose ridge is to be followed."""
+
+    optimum: Point
+    lower: Floats
+    upper: Floats
+    typical: Floats
+    stderr: dict[int, float]
+    """of the parameters to be held by index, infinite where nothing is known"""
+
+
+def follow(fits: Sequence[Followed], refit: Refit) -> list[Ridge]:
+    """Follow the ridges of fits, those of all fits and parameters side by side."""
+    sides = []
+    for number, fit in enumerate(fits):
+        for index, stderr in fit.stderr.items():
+            step = min(stderr, _FIRST_STEP * fit.typical[index])
+            bounds = np.array(fit.lower), np.array(fit.upper), fit.typical
+            sides += [
+                _Side((number, index), sign, step, fit.optimum, *bounds)
+                for sign in (-1.0, 1.0)
+            ]
+    going = sides
+    while going:
+        points = refit([side.next_hold() for side in going])
+        for side, point in zip(going, points, strict=True):
+            side.add(point)
+        going = [side for side in going if side.goes_on]
+    return [
+        _ridge(fit, [side for side in sides if side.hold_of[0] == number])
+        for number, fit in enumerate(fits)
+    ]
+
+
+def _ridge(fit: Followed, sides: Sequence[_Side]) -> Ridge:
+    """The points of all sides of a fit that fit about as well as the optimum."""
+    points = [point for side in sides for point in side.points]
+    rises = {number: _rise(point, fit.optimum) for number, point in enumerate(points)}
+    near = [number for number, rise in rises.items() if rise <= HIGHEST]
+    ends: dict[int, list[float]] = {}
+    for side in sides:
+        ends.setdefault(side.hold_of[1], []).append(side.end_of_interval())
+    intervals = {index: (min(pair), max(pair)) for index, pair in ends.items()}
+    return Ridge(
+        fit.optimum,
+        tuple(points[number] for number in near),
+        np.array([rises[number] for number in near]),
+        intervals,
+    )
+
+
+def _rise(point: Point, optimum: Point) -> float:
+    """Rise of chi squared from the optimum; infinite where there is no path."""
+    rise = point.chi_squared - optimum.chi_squared
+    return rise if math.isfinite(rise) else math.inf

@@ -1,0 +1,91 @@
+"""Throws whose data hold fewer numbers than the law has parameters.
+
+The files were made by a simulation that shares no code with curlfit: 18 s at 10 Hz,
+released with 2.1 m/s and 1.1 rad/s (0 in `no_spin_...`), noise of 5 mm and 10 mrad.
+"""
+
+import re
+from pathlib import Path
+
+import pytest
+
+import curlfit
+from curlfit.inference.fit.fit import fit_throws
+
+FOLDER = Path(__file__).parent / "open_throws"
+NOISE = {"x": 0.005, "y": 0.005}
+NOT_KNOWN = ("weak", "not identifiable")
+
+
+def fits_of(file: str, law: str, **choices) -> list[curlfit.FitResult]:
+    """The fit of a throw as `curlfit fit` and as `curlfit batch` make it."""
+    throw = curlfit.load_throw(FOLDER / file)
+    (beside_others,) = fit_throws([throw], law, **choices)
+    return [curlfit.fit(throw, law, details=False, **choices), beside_others]
+
+
+def curve_warning(fit: curlfit.FitResult) -> str:
+    """The warning that the values that fit lie on a curve."""
+    (warning,) = [words for words in fit.warnings if "lie on a curve" in words]
+    return warning
+
+
+def test_without_the_angle_nothing_tells_the_force_from_the_spin():
+    """Only b omega0 enters: 0.05 times 1.1."""
+    for fit in fits_of("no_angle_transverse.csv", "power+transverse", sigma=NOISE):
+        assert {fit["b"].verdict, fit["omega0"].verdict} <= {*NOT_KNOWN}
+        assert not fit.combinations
+        assert fit["c"].verdict == "determined"
+        assert fit["c"].value == pytest.approx(0.008, abs=2 * fit["c"].stderr)
+        assert fit["k"].value == pytest.approx(-0.5, abs=2 * fit["k"].stderr)
+        warning = curve_warning(fit)
+        assert re.search(r"; omega0 = 1.* \+- 0.05 rad/s would determine b to", warning)
+
+
+def test_a_known_spin_determines_what_the_warning_says():
+    (open_, _) = fits_of("no_angle_transverse.csv", "power+transverse", sigma=NOISE)
+    throw = curlfit.load_throw(FOLDER / "no_angle_transverse.csv")
+    law = "power+transverse"
+    known = curlfit.fit(
+        throw, law, sigma=NOISE, priors={"omega0": "1.1+-0.05"}, details=False
+    )
+    promised = curve_warning(open_).partition("determine b to ")[2].split()[0]
+    # which is at another spin: the error of b falls with its square
+    assert known["b"].stderr == pytest.approx(float(promised), rel=0.3)
+    assert known["b"].value == pytest.approx(0.05, abs=2 * known["b"].stderr)
+
+
+def test_the_forward_friction_is_determined_without_the_angle():
+    for fit in fits_of("no_angle_front_back.csv", "front-back", sigma=NOISE):
+        assert fit["mu1_xi"].verdict in NOT_KNOWN
+        assert fit["mu2_xi"].verdict in NOT_KNOWN
+        assert fit["omega0"].verdict in NOT_KNOWN
+        (forward,) = fit.combinations
+        assert forward.expression == "mu1_eta + mu2_eta"
+        assert forward.value == pytest.approx(0.018, abs=2 * forward.stderr)
+
+
+def test_two_times_determine_no_exponent():
+    """Each exponent from -0.7 to 1 has values that fit exactly."""
+    for fit in fits_of("two_times.txt", "power"):
+        assert {fit[name].verdict for name in ("c", "k", "v0")} <= {*NOT_KNOWN}
+        assert not fit.combinations
+        assert "k from -0.7 to" in curve_warning(fit)
+
+
+def test_of_a_stone_that_may_not_have_spun_no_force_of_the_spin_is_known():
+    """The force is 0.005 m/s^2 to either side; without spin there is none."""
+    sigma = NOISE | {"phi": 0.01}
+    for fit in fits_of("no_spin_semi_empirical.csv", "semi-empirical", sigma=sigma):
+        assert fit["a"].verdict in NOT_KNOWN
+        assert fit["c"].verdict == "determined"
+        assert fit["c"].value == pytest.approx(0.085, abs=2 * fit["c"].stderr)
+
+
+def test_a_table_of_friction_determines_no_scale_of_the_spin():
+    """Under sutor's law only f_min (1 + e (I0(alpha) - 1)) enters."""
+    fit = curlfit.fit_friction(FOLDER / "friction_table.csv", "sutor").fits[0]
+    assert not fit.combinations
+    for name in ("f_min", "alpha"):
+        assert fit.coefficients[name].verdict in NOT_KNOWN
+    assert any("lie on a curve" in warning for warning in fit.warnings)
