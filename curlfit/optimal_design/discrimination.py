@@ -346,11 +346,11 @@ def _single(found: Discrimination) -> PlainTable:
 def _notes(found: Discrimination) -> tuple[str, ...]:
     notes = [
         f"log odds are natural logarithms, by BIC; odds of {ODDS} to 1 are "
-        f"{DECISIVE:.1f}. The slope and the wear of the ice, the air, the stone and the "
-        "scales have their usual uncertainties, the same in all throws, and count to "
-        "first order, by which what is left may be a tenth too large; laws are taken to "
-        "be exact and noise to be independent from row to row. What a rival leaves "
-        "far below the noise decides only if nothing else is that large"
+        f"{DECISIVE:.1f}. The slope and the wear of the ice, the air, the stone and "
+        "the scales have their usual uncertainties, the same in all throws, and count "
+        "to first order, by which what is left may be a tenth too large; laws are "
+        "taken to be exact and noise to be independent from row to row. What a rival "
+        "leaves far below the noise decides only if nothing else is that large"
     ]
     if found.left_out:
         which = ", ".join(

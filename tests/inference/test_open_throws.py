@@ -89,3 +89,24 @@ def test_a_table_of_friction_determines_no_scale_of_the_spin():
     for name in ("f_min", "alpha"):
         assert fit.coefficients[name].verdict in NOT_KNOWN
     assert any("lie on a curve" in warning for warning in fit.warnings)
+
+
+@pytest.mark.parametrize(
+    ("file", "law"),
+    [
+        ("no_angle_front_back.csv", "front-back"),
+        ("no_angle_transverse.csv", "power+transverse"),
+    ],
+)
+def test_the_posterior_does_not_contradict_a_verdict(file, law):
+    """What is called determined is as narrow in the posterior as its error says."""
+    throw = curlfit.load_throw(FOLDER / file)
+    fit = curlfit.fit(throw, law, sigma=NOISE, details=False)
+    fit, _ = curlfit.sample(fit, seed=1, effective=500)
+    sd, mean = fit.posterior.sd, fit.posterior.mean
+    names = [name for name in fit.parameters if fit[name].verdict == "determined"]
+    names += [combination.expression for combination in fit.combinations]
+    assert {"v0", "heading"} <= {*names}
+    for name in names:
+        assert sd[name] < 1.5 * fit[name].stderr
+        assert abs(mean[name] - fit[name].value) < 2 * fit[name].stderr
