@@ -18,6 +18,7 @@ from curlfit.inference.conditions import CONDITIONS
 from curlfit.inference.priors import Penalty, Prior, parse_priors, penalty_of
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.stone import Stone
+from curlfit.throws.readers.angles import MAX_SPIN
 from curlfit.throws.throw import Throw
 
 FEWEST_ROWS = 3
@@ -141,21 +142,22 @@ class ParameterSet:
         ------
         InputError : as in `build`. DataError : fewer rows than parameters.
         """
-        parameters = cls.build(law, **choices)
-        unseen = [f"{name}0" for name in ("x", "y", "phi") if name not in throw.seen]
-        if throw.has_path and ("x" not in throw.seen or "y" not in throw.seen):
-            unseen.append("heading")
         named = {
             name
             for key in ("bounds", "free", "priors")
             for name in choices.get(key) or ()
         }
         measured = {event.quantity for event in throw.events}
-        if (
-            not throw.has_path
-            and not {"phi", "omega"} & measured
-            and "omega0" not in named
-        ):
+        turning = bool({"phi", "omega"} & ({*throw.seen} | measured))
+        if not turning and "omega0" not in named | {*(choices.get("fix") or ())}:
+            # far beyond these a path stays the same as friction and spin grow
+            spins = {"omega0": (-MAX_SPIN, MAX_SPIN)}
+            choices["bounds"] = {**(choices.get("bounds") or {}), **spins}
+        parameters = cls.build(law, **choices)
+        unseen = [f"{name}0" for name in ("x", "y", "phi") if name not in throw.seen]
+        if throw.has_path and ("x" not in throw.seen or "y" not in throw.seen):
+            unseen.append("heading")
+        if not throw.has_path and not turning and "omega0" not in named:
             unseen.append("omega0")
         for name in unseen:
             if name not in parameters.fixed:

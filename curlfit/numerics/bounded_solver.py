@@ -38,6 +38,8 @@ _HEAVY = 1.0  # damping above which a small reduction says nothing about the opt
 # share of the loss, or of values, left to gain where no trial is accepted
 _STALLED = 1e-6
 _SMALL = 1e-10  # negligible step, relative to the size of the values
+# longest step that is taken without an evaluation, over the size of the values
+_UNSEEN_STEP = 0.1
 _REGULAR = 1e-14  # damping that keeps the normal matrix nonsingular on an exact ridge
 
 Quadratic = Any
@@ -296,7 +298,8 @@ class BoundedLeastSquares(optx.AbstractLeastSquaresSolver):
         stalled = (damping > _MOST_DAMPING) & settled
         success = (~failed & (last | (not_shrinking & light) | small)) | stalled
 
-        step = jnp.where(last, change, 0.0)
+        # A far step gains nothing along a level direction, and is not taken unseen.
+        step = jnp.where(last & (share <= _UNSEEN_STEP).all(), change, 0.0)
         along = step[self.blocks.index].reshape(
             -1, *(1,) * (residual.ndim - 1), jacobian.shape[-1]
         )

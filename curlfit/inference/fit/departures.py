@@ -209,9 +209,10 @@ def to_be_held(
 ) -> list[int]:
     """Indices of the parameters along which the ridge is to be followed: those that
     probes tell about at which chi squared departs from its quadratic; where the
-    search has not ended, those that are hardly determined; of a stone that may not
-    have spun, the spin and the coefficients, the first parameters, since the force
-    on it depends on the sense of the spin."""
+    search has not ended, those that are hardly determined; a spin that is not known, on
+    whose square friction depends; of a stone that may not have spun, the coefficients
+    too, the first parameters, since the force on it depends on the sense of the spin;
+    and then all that are weak."""
     names = {name for probe in departing for name in probe.parameters}
     if covariance.distance >= CONVERGED:
         for direction, _ in _loose_directions(covariance):
@@ -219,11 +220,11 @@ def to_be_held(
     indices = {index for index, name in enumerate(covariance.names) if name in names}
     spin = list(covariance.names).index("omega0")
     error = covariance.error_of(spin)
-    if (
-        covariance.open[spin]
-        and abs(covariance.values[spin]) < _NO_SPIN * error < math.inf
-    ):
-        indices |= {spin, *np.flatnonzero(covariance.open[:coefficients]).tolist()}
+    if covariance.open[spin]:
+        if abs(covariance.values[spin]) < _NO_SPIN * error < math.inf:
+            indices |= {spin, *np.flatnonzero(covariance.open[:coefficients]).tolist()}
+        if error >= WEAK_ERROR * covariance.typical[spin]:
+            indices.add(spin)
     if indices:
         indices |= {
             index

@@ -54,7 +54,6 @@ from curlfit.inference.problem import ROWS_OF_DATA, Problem
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import stacked, unstacked
 from curlfit.throws.plausibility import Finding, examine_fit
-from curlfit.throws.readers.angles import MAX_SPIN
 from curlfit.throws.throw import CHANNELS
 
 IMPLAUSIBLE = "implausible"
@@ -275,7 +274,7 @@ class _Many(NamedTuple):
         batch: int,
     ) -> list[Ridge]:
         """The ridge of each throw, followed with these parameters held."""
-        lowest, highest = self._bounds_of_thrown()
+        _, lowest, highest = self.bounded
         followed = []
         for row, (covariance, indices) in enumerate(
             zip(covariances, held, strict=True)
@@ -307,16 +306,6 @@ class _Many(NamedTuple):
 
         return follow(followed, refit)
 
-    def _bounds_of_thrown(self) -> tuple[Floats, Floats]:
-        """Bounds of each throw, with spins that a stone may have: far beyond them, its
-        friction may fall as it spins so that its path stays the same."""
-        values, lower, upper = map(np.array, self.bounded)
-        spin = self.throws[0].parameters.index("omega0")
-        fastest = np.maximum(np.abs(values[:, spin]), MAX_SPIN)
-        lower[:, spin] = np.maximum(lower[:, spin], -fastest)
-        upper[:, spin] = np.minimum(upper[:, spin], fastest)
-        return lower, upper
-
     def searched_on(
         self,
         covariances: Sequence[Covariance],
@@ -345,7 +334,7 @@ class _Many(NamedTuple):
                 held.append(None)
         if not owner:
             return {}
-        lower, upper = (part[owner] for part in self._bounds_of_thrown())
+        _, lower, upper = (part[owner] for part in self.bounded)
         for number, index in enumerate(held):
             if index is not None:
                 lower[number, index] = upper[number, index] = starts[number][index]
