@@ -32,8 +32,9 @@ from curlfit.numerics.arrays import Floats
 _PROBED = 2.0
 """Standard errors from an estimate at which chi squared is compared with its
 quadratic: about those of a 95 % interval."""
-_QUADRATIC = 0.003
-"""Standard error over typical size below which chi squared is quadratic."""
+_QUADRATIC = 0.02
+"""Step over typical size below which chi squared is quadratic: two standard errors of a
+hundredth of it."""
 _ABOUT = 2.0
 """Factor within which a rise of chi squared is about that of the quadratic."""
 _LEVEL = 1.0

@@ -21,6 +21,7 @@ from curlfit.inference.fit.covariance import (
     with_others,
 )
 from curlfit.inference.fit.departures import (
+    NO_DEPARTURES,
     Departures,
     Probe,
     departures_along,
@@ -236,11 +237,12 @@ class _Many(NamedTuple):
             to_be_held(covariance, [probe for probe, _ in pairs], len(coefficients))
             for covariance, pairs in zip(covariances, departing, strict=True)
         ]
-        ridges = self._ridges(covariances, held, batch)
-        return [
-            departures_along(covariance, ridge, usual)
-            for covariance, ridge in zip(covariances, ridges, strict=True)
-        ]
+        departures = [NO_DEPARTURES] * len(covariances)
+        due = [row for row, indices in enumerate(held) if indices]
+        ridges = self._ridges(due, covariances, held, batch)
+        for row, ridge in zip(due, ridges, strict=True):
+            departures[row] = departures_along(covariances[row], ridge, usual)
+        return departures
 
     def _rises(
         self,
@@ -269,24 +271,23 @@ class _Many(NamedTuple):
 
     def _ridges(
         self,
+        due: Sequence[int],
         covariances: Sequence[Covariance],
         held: Sequence[Sequence[int]],
         batch: int,
     ) -> list[Ridge]:
-        """The ridge of each throw, followed with these parameters held."""
+        """The ridges of throws that are due, followed with these parameters held."""
         _, lowest, highest = self.bounded
         followed = []
-        for row, (covariance, indices) in enumerate(
-            zip(covariances, held, strict=True)
-        ):
+        for row in due:
             priors = Penalty(*(part[row] for part in self.penalty))
             optimum = Point.of(self.fits[row].solution, priors)
-            errors = {index: covariance.error_of(index) for index in indices}
+            errors = {index: covariances[row].error_of(index) for index in held[row]}
             ends = lowest[row], highest[row]
             followed.append(Followed(optimum, *ends, self.typical, errors))
 
         def refit(holds: Sequence[Hold]) -> list[Point]:
-            owner = np.array([hold.fit for hold in holds])
+            owner = np.array([due[hold.fit] for hold in holds])
             start = np.array([hold.start for hold in holds])
             lower, upper = lowest[owner], highest[owner]
             for row, hold in enumerate(holds):
