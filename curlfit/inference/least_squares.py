@@ -36,7 +36,7 @@ Indices = NDArray[np.intp]
 Stacks = tuple[Any, Any, Any, Penalty, Problem]
 """Initial values, bounds, priors and problems, along the first axis."""
 
-_MOST_STEPS = 200
+MOST_STEPS = 200
 _FIRST_STEPS = 12  # of many problems, until those that are not done are grouped anew
 _MIXED = "mixed"  # in place of the name of a loss
 # length of a column, over the longest, below which it is rounding error
@@ -59,7 +59,7 @@ class Control(NamedTuple):
     """share of chi squared that the last step, which is not evaluated, may gain"""
     remaining: float
     """share of chi squared that the step after it might gain"""
-    most: int = _MOST_STEPS
+    most: int = MOST_STEPS
     """evaluations"""
 
 
@@ -265,7 +265,7 @@ def prepare_minimize(
 
 
 def minimize_many(
-    model: Model, tasks: Tasks, batch: int = BATCH, most: int = _MOST_STEPS
+    model: Model, tasks: Tasks, batch: int = BATCH, most: int = MOST_STEPS
 ) -> Solution:
     """The optima of many problems.
 

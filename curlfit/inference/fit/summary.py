@@ -44,7 +44,7 @@ from curlfit.inference.fit.ridge import Followed, Hold, Point, Ridge, follow
 from curlfit.inference.fit.systematics import residual_changes
 from curlfit.inference.identifiability import Bounded, r_factors
 from curlfit.inference.initial_values import default_guess, usual_where_astray
-from curlfit.inference.least_squares import Solution, Tasks, minimize_many
+from curlfit.inference.least_squares import MOST_STEPS, Solution, Tasks, minimize_many
 from curlfit.inference.likelihood import chi_squared_of_many, predict_many
 from curlfit.inference.model import Model
 from curlfit.inference.noise.models import Independence
@@ -287,25 +287,36 @@ class _Many(NamedTuple):
             followed.append(Followed(optimum, *ends, self.typical, errors))
 
         def refit(holds: Sequence[Hold]) -> list[Point]:
-            owner = np.array([due[hold.fit] for hold in holds])
-            start = np.array([hold.start for hold in holds])
-            lower, upper = lowest[owner], highest[owner]
-            for row, hold in enumerate(holds):
-                held_at = start[row, hold.parameter]
-                lower[row, hold.parameter] = upper[row, hold.parameter] = held_at
-            problems, penalty = jax.tree.map(
-                itemgetter(owner), (self.problems, self.penalty)
-            )
-            tasks = Tasks(problems, start, lower, upper, self.typical, penalty)
-            optima = minimize_many(self.model, tasks, batch, _MOST_STEPS)
-            return [
-                Point.of(optimum, priors, hold.parameter)
-                for optimum, priors, hold in zip(
-                    unstacked(optima), unstacked(penalty), holds, strict=True
-                )
-            ]
+            rows = [due[hold.fit] for hold in holds]
+            starts = [hold.start for hold in holds]
+            parameters = [hold.parameter for hold in holds]
+            optima = self._minima(rows, starts, parameters, batch, _MOST_STEPS)
+            priors = [Penalty(*(part[row] for part in self.penalty)) for row in rows]
+            return list(map(Point.of, optima, priors, parameters))
 
         return follow(followed, refit)
+
+    def _minima(
+        self,
+        rows: Sequence[int],
+        starts: Sequence[Floats],
+        held: Sequence[int | None],
+        batch: int,
+        most: int = MOST_STEPS,
+    ) -> list[Solution]:
+        """Optima of throws, by their rows, from initial values; one parameter of each
+        may be held at its own."""
+        owner = np.array(rows)
+        start = np.array(starts)
+        _, lower, upper = (part[owner] for part in self.bounded)
+        for number, index in enumerate(held):
+            if index is not None:
+                lower[number, index] = upper[number, index] = start[number, index]
+        problems, penalty = jax.tree.map(
+            itemgetter(owner), (self.problems, self.penalty)
+        )
+        tasks = Tasks(problems, start, lower, upper, self.typical, penalty)
+        return unstacked(minimize_many(self.model, tasks, batch, most))
 
     def searched_on(
         self,
@@ -335,16 +346,8 @@ class _Many(NamedTuple):
                 held.append(None)
         if not owner:
             return {}
-        _, lower, upper = (part[owner] for part in self.bounded)
-        for number, index in enumerate(held):
-            if index is not None:
-                lower[number, index] = upper[number, index] = starts[number][index]
-        problems, penalty = jax.tree.map(
-            itemgetter(np.array(owner)), (self.problems, self.penalty)
-        )
-        tasks = Tasks(problems, np.array(starts), lower, upper, self.typical, penalty)
         better: dict[int, LeastSquaresFit] = {}
-        optima = unstacked(minimize_many(self.model, tasks, batch))
+        optima = self._minima(owner, starts, held, batch)
         for row, optimum in zip(owner, optima, strict=True):
             best = better.get(row, self.fits[row]).solution
             if optimum.objective < best.objective:
