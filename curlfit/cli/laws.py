@@ -32,14 +32,14 @@ def laws(
     """
     from curlfit.errors import InputError
     from curlfit.friction import LAWS, TERMS, find_law
-    from curlfit.inference.conditions import CONDITIONS, SPIN
+    from curlfit.inference.conditions import ASSUMED, CONDITIONS
     from curlfit.output.console import terminal
 
     if conditions and names:
         raise InputError("--conditions are those of any law; give no names")
     width = terminal().width
     if conditions:
-        print("\n".join(_listed("", _condition, (*CONDITIONS, SPIN), width)))
+        print("\n".join(_listed("", _condition, (*CONDITIONS, *ASSUMED), width)))
         return
     every = (*LAWS.values(), *TERMS.values())
     chosen = [TERMS.get(name) or find_law(name) for name in names] if names else every

@@ -170,7 +170,21 @@ SPIN = Condition(
     "judgement: most stones turn two to three times",
 )
 """It can be estimated as `omega0` alone."""
-WIDTHS = {item.name: item.width for item in (*CONDITIONS, SPIN)}
+UNMEASURED_SPIN = Condition(
+    "unmeasured_spin",
+    "rad/s",
+    0.0,
+    5.0,
+    1.0,
+    "",
+    "spin of a throw that is taken not to turn, since nothing tells its spin",
+    1.2,
+    "judgement: most stones turn two to three times",
+)
+"""It acts on the times of a throw with its square, whichever way the stone turns."""
+ASSUMED = (SPIN, UNMEASURED_SPIN)
+"""Conditions of throws whose spin was not measured."""
+WIDTHS = {item.name: item.width for item in (*CONDITIONS, *ASSUMED)}
 ALL = "all"
 CALIBRATION = "calibration"
 """The map from pixels to metres; its width is in units of its own standard
@@ -206,6 +220,7 @@ def if_off(name: str, width: float) -> str:
         "length_scale": f"if measured lengths are {100 * width:g} % too long",
         "time_scale": f"if measured times are {100 * width:g} % too long",
         SPIN.name: f"if stones turn {100 * width:g} % more than assumed",
+        UNMEASURED_SPIN.name: f"if the stone turns, at {width:g} rad/s",
     }
     meaning = {item.name: item.meaning for item in CONDITIONS}
     return texts.get(name) or f"if the {meaning[name]} is {1e3 * width:g} mm larger"

@@ -60,7 +60,7 @@ def test_what_is_called_determined_is_beside_its_true_value():
     }
     weights = {"mu1": 1.0, "mu2": -0.25}
     combination = estimate(0.6 + FAR, expression="mu1 - 0.25 mu2", weights=weights)
-    statements = statements_of(estimates, [combination], truth)
+    statements = statements_of(estimates, [combination], truth, {})
     assert [statement.name for statement in statements] == [
         "mu1",
         "omega0",

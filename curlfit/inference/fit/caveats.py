@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from curlfit.inference.fit.covariance import Rival
 from curlfit.inference.fit.departures import Departures
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.prepared import LeastSquaresFit
@@ -37,7 +36,7 @@ def warnings_of(
     result: FitResult,
     residual: Floats,
     unusual: Iterable[Finding],
-    rival: Rival,
+    rival: Mapping[str, float],
     departures: Departures,
 ) -> tuple[str, ...]:
     """The warnings of a result, the gravest first.
@@ -46,7 +45,7 @@ def warnings_of(
     ----------
     residual : measured - fitted, shape (channels, n).
     unusual : findings about the data and the fitted motion.
-    rival : another optimum that fits as well.
+    rival : parameters that differ in another solution, with their values there.
     departures : how chi squared departs from its quadratic.
     """
     throw, outliers = fit.prepared.throw, result.outliers
@@ -69,15 +68,10 @@ def warnings_of(
     return (*warnings, *_of_memory(result), *_of_events(result), *ridges)
 
 
-def _of_rival(rival: Rival, throw: Throw) -> list[str]:
-    if not rival.values:
+def _of_rival(rival: Mapping[str, float], throw: Throw) -> list[str]:
+    if not rival:
         return []
-    listed = ", ".join(f"{name} = {value:.3g}" for name, value in rival.values.items())
-    if rival.between:
-        return [
-            f"other values fit as well: {listed}; standard errors include "
-            "how far they are"
-        ]
+    listed = ", ".join(f"{name} = {value:.3g}" for name, value in rival.items())
     unmeasured = [
         said
         for said, channels in (("x", {"x"}), ("the angle", {"phi", "omega"}))
@@ -88,7 +82,7 @@ def _of_rival(rival: Rival, throw: Throw) -> list[str]:
     )
     return [
         f"other values fit as well: {listed}; the estimates are one of two "
-        f"solutions{remedy}"
+        f"solutions, and standard errors include how far they are{remedy}"
     ]
 
 

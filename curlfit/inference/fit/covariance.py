@@ -254,26 +254,6 @@ def satterthwaite(parts: Floats, dof: Floats) -> list[float | None]:
     ]
 
 
-class Rival(NamedTuple):
-    """Another optimum that fits as well; empty without one."""
-
-    values: Mapping[str, float]
-    """of the parameters that differ"""
-    between: Mapping[str, float]
-    """from the estimates to it, of all parameters, where a coefficient went astray:
-    what lies between fits too"""
-
-    def widened(
-        self, stderr: float | None, weights: Mapping[str, float]
-    ) -> float | None:
-        """The standard error of a weighted sum of parameters, with the distance to
-        this optimum."""
-        apart = sum(
-            weight * self.between.get(name, 0.0) for name, weight in weights.items()
-        )
-        return None if stderr is None else math.hypot(stderr, apart)
-
-
 class OtherThrows(NamedTuple):
     """What the noise of the other throws contributes to the variances of a
     throw's estimates."""

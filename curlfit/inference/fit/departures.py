@@ -51,7 +51,7 @@ _TAKES_PART = 0.05
 _STRETCHED = 2.0
 """Factor by which the error of an estimate may be larger along the ridge than at the
 optimum, so that it is still determined ..."""
-_WIDE = 0.1
+_WIDE = 0.25
 """... or this error over the typical size, up to which a sum is determined even then.
 Where only the tangent is known, sums along a curve are given up beyond ..."""
 _NARROW = 0.02

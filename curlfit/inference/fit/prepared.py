@@ -88,6 +88,12 @@ class PreparedThrow(NamedTuple):
         return spin if self.parameters.fixed.get("omega0") == spin else 0.0
 
     @property
+    def spin_taken_for_zero(self) -> bool:
+        """Whether only lines and times were measured, and nothing tells the spin."""
+        held_at_zero = self.parameters.fixed.get("omega0") == 0.0
+        return held_at_zero and self.throw.assumed.get("omega0") == 0.0
+
+    @property
     def offset(self) -> Floats:
         """From the problem's coordinates to the data's."""
         return self.origin.offset(len(self.parameters))
@@ -148,8 +154,8 @@ class LeastSquaresFit(NamedTuple):
     solution: Solution
     tried: int
     """number of initial values tried"""
-    rival: Floats | None = None
-    """another optimum that fits as well, in the coordinates of the problem"""
+    rival: Solution | None = None
+    """another optimum that fits as well"""
 
 
 def problem_of(fit: FitResult) -> tuple[Problem, Origin]:

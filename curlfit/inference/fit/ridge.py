@@ -136,6 +136,11 @@ class Ridge(NamedTuple):
             largest = np.where(there > _FAR_LESS, np.maximum(largest, there), largest)
         return largest
 
+    def joined(self, other: Point) -> Ridge:
+        """The same with one more point: another solution."""
+        rises = np.append(self.rises, _rise(other, self.optimum))
+        return self._replace(points=(*self.points, other), rises=rises)
+
     def lowest(self) -> Point:
         """The point with the least chi squared."""
         return self.points[int(self.rises.argmin())]

@@ -197,7 +197,7 @@ class Rounds:
         index: int,
         solution: Solution,
         tried: int = 1,
-        rival: Floats | None = None,
+        rival: Solution | None = None,
     ) -> LeastSquaresFit:
         """The outcome of the fit of a throw."""
         estimated = np.flatnonzero(self.unknown[index])

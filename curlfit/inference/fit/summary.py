@@ -15,7 +15,6 @@ from curlfit.inference.fit.caveats import warnings_of
 from curlfit.inference.fit.covariance import (
     CONVERGED,
     Covariance,
-    Rival,
     Sigmas,
     robust_jacobians,
     with_others,
@@ -43,7 +42,7 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.ridge import Followed, Hold, Point, Ridge, follow
 from curlfit.inference.fit.systematics import residual_changes
 from curlfit.inference.identifiability import Bounded, r_factors
-from curlfit.inference.initial_values import default_guess, usual_where_astray
+from curlfit.inference.initial_values import default_guess
 from curlfit.inference.least_squares import MOST_STEPS, Solution, Tasks, minimize_many
 from curlfit.inference.likelihood import chi_squared_of_many, predict_many
 from curlfit.inference.model import Model
@@ -238,7 +237,8 @@ class _Many(NamedTuple):
             for covariance, pairs in zip(covariances, departing, strict=True)
         ]
         departures = [NO_DEPARTURES] * len(covariances)
-        due = [row for row, indices in enumerate(held) if indices]
+        rivals = [fit.rival for fit in self.fits]
+        due = [row for row, rival in enumerate(rivals) if held[row] or rival]
         ridges = self._ridges(due, covariances, held, batch)
         for row, ridge in zip(due, ridges, strict=True):
             departures[row] = departures_along(covariances[row], ridge, usual)
@@ -294,7 +294,13 @@ class _Many(NamedTuple):
             priors = [Penalty(*(part[row] for part in self.penalty)) for row in rows]
             return list(map(Point.of, optima, priors, parameters))
 
-        return follow(followed, refit)
+        ridges = follow(followed, refit)
+        for number, row in enumerate(due):
+            rival = self.fits[row].rival
+            if rival is not None:
+                priors = Penalty(*(part[row] for part in self.penalty))
+                ridges[number] = ridges[number].joined(Point.of(rival, priors))
+        return ridges
 
     def _minima(
         self,
@@ -428,10 +434,7 @@ def _record(
         systematics=systematics,
         chi_squared=float(fit.solution.chi_squared),
         prior_chi_squared=float(fit.solution.penalty),
-        combinations=tuple(
-            replace(one, stderr=rival.widened(one.stderr, one.weights))
-            for one in departures.kept(found.combinations)
-        ),
+        combinations=tuple(departures.kept(found.combinations)),
         rank=known.rank,
         singular_values=tuple(map(float, known.singular_values)),
         null_directions=known.null_directions,
@@ -576,22 +579,23 @@ def _status(fit: LeastSquaresFit, distance: float, unusual: Sequence[Finding]) -
     return f"converged ({steps})"
 
 
-def _rival(fit: LeastSquaresFit) -> Rival:
-    """What is known of another optimum that fits as well."""
+def _rival(fit: LeastSquaresFit) -> dict[str, float]:
+    """Parameters that differ in another solution that fits as well, with their values
+    there; empty without one."""
     if fit.rival is None:
-        return Rival({}, {})
-    parameters, apart = fit.prepared.parameters, fit.rival - fit.solution.values
-    far = np.abs(apart) > _DIFFERENT * parameters.typical
-    values = parameters.values_of(fit.rival + fit.prepared.offset)
-    valley = np.isfinite(
-        usual_where_astray(fit.model.law, fit.solution.values, parameters.typical)[far]
-    ).any()
-    between = dict(zip(parameters.names, apart.tolist(), strict=True)) if valley else {}
-    return Rival({name: values[name] for name in parameters.names_where(far)}, between)
+        return {}
+    parameters = fit.prepared.parameters
+    apart = np.abs(fit.rival.values - fit.solution.values)
+    values = parameters.values_of(fit.rival.values + fit.prepared.offset)
+    different = parameters.names_where(apart > _DIFFERENT * parameters.typical)
+    return {name: values[name] for name in different}
 
 
 def _estimates(
-    parameters: ParameterSet, found: Covariance, departures: Departures, rival: Rival
+    parameters: ParameterSet,
+    found: Covariance,
+    departures: Departures,
+    rival: Mapping[str, float],
 ) -> dict[str, Estimate]:
     """Estimates by name; see `Estimate` for the verdicts."""
     estimates = {}
@@ -603,15 +607,16 @@ def _estimates(
             item.name, stderr, verdict, item.typical
         )
         prior = parameters.priors.get(item.name)
-        if verdict == "determined" and item.name in rival.values:
-            verdict, reason = "weak", f"{rival.values[item.name]:.3g} fits as well"
+        if verdict == "determined" and item.name in rival:
+            verdict = "weak"
+            reason = f"{rival[item.name]:.3g} fits as well"
         estimates[item.name] = Estimate.of(
             item,
             float(found.values[row]),
             verdict,
             reason=reason,
             dof=dof,
-            stderr=rival.widened(stderr, {item.name: 1.0}),
+            stderr=stderr,
             prior="" if prior is None else str(prior),
         )
     return estimates

@@ -18,6 +18,7 @@ from curlfit.inference.conditions import (
     ALL,
     CALIBRATION,
     SPIN,
+    UNMEASURED_SPIN,
     WIDTHS,
     check_systematics,
 )
@@ -70,10 +71,11 @@ def widths_of(
     } | given
     errors = _calibrations(throws, jointly=jointly).shape[1]
     found |= {f"{CALIBRATION}_{k + 1}": of_calibration for k in range(errors)}
-    known = {
-        *model.conditions,
-        *([] if any(one.assumed_spin for one in throws) else [SPIN.name]),
-    }
+    known = {*model.conditions}
+    if not any(throw.assumed_spin for throw in throws):
+        known.add(SPIN.name)
+    if not any(throw.spin_taken_for_zero for throw in throws):
+        known.add(UNMEASURED_SPIN.name)
     return {name: width for name, width in found.items() if width and name not in known}
 
 
@@ -130,7 +132,8 @@ def residual_changes(
     -------
     By condition, each of the shape of the residuals, (throws, channels, n).
     """
-    channels, names = problems.observed.shape[1], list(widths)
+    channels = problems.observed.shape[1]
+    names = [name for name in widths if name != UNMEASURED_SPIN.name]
     calibrations = _calibrations(throws, jointly=jointly)
     spins = np.array([one.assumed_spin for one in throws])
 
@@ -149,9 +152,17 @@ def residual_changes(
     changes = (
         slopes(measured, none, _STEP, value=paths[:, :channels]) if names else none
     )
+    by_name = dict(zip(names, np.moveaxis(changes, -1, 0), strict=True))
+    if UNMEASURED_SPIN.name in widths:
+        # the whole change: it is even in the spin, and has no slope where there is none
+        turning = np.array([throw.spin_taken_for_zero for throw in throws])
+        moved = values.copy()
+        moved[:, _SPIN] += widths[UNMEASURED_SPIN.name] * turning
+        measured_then = _measured(model, problems, moved, {}, batch, calibrations)
+        by_name[UNMEASURED_SPIN.name] = (measured_then - paths)[:, :channels]
     residual = (paths[:, :channels] - problems.observed) * problems.weight
     by_loss, found = root_slope(residual, LOSSES[problems.loss.max()]), {}
-    for name, change in zip(names, np.moveaxis(changes, -1, 0), strict=True):
+    for name, change in by_name.items():
         change = change * problems.weight
         if problems.whitener is not None:
             pairs = zip(change, unstacked(problems.whitener), strict=True)
