@@ -113,6 +113,8 @@ class Departures(NamedTuple):
     the quadratic says nothing of it"""
     lower: Point | None = None
     """where chi squared is lower, if the ridge leads there"""
+    ridge: Ridge | None = None
+    """None where it was not followed"""
 
     def judged(
         self, name: str, stderr: float | None, verdict: str, typical: float
@@ -277,7 +279,7 @@ def departures_along(covariance: Covariance, ridge: Ridge, usual: Floats) -> Dep
     fall = -float(ridge.rises.min(initial=0.0))
     has_lower = fall > (0.0 if covariance.distance >= CONVERGED else _LOWER)
     lower = ridge.lowest() if has_lower else None
-    return Departures(stretched, lost, intervals, remedy, distance, lower)
+    return Departures(stretched, lost, intervals, remedy, distance, lower, ridge)
 
 
 def departures_nearby(

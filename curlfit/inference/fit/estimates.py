@@ -66,6 +66,24 @@ class Estimate(WithInterval):
         return found and (max(found[0], self.lower), min(found[1], self.upper))
 
 
+@dataclass(frozen=True)
+class RidgePoint:
+    """Values of the parameters that fit about as well as the estimates, where chi
+    squared is no quadratic (`curlfit.inference.fit.ridge`).
+
+    Attributes
+    ----------
+    held : the parameter that was held while the others were refitted; None of another
+        solution.
+    rise : of chi squared, with what the priors add to it, from that of the estimates.
+    values : of all parameters, in their order.
+    """
+
+    held: str | None
+    rise: float
+    values: tuple[float, ...]
+
+
 @dataclass(frozen=True, repr=False)
 class Posterior(Displayed):
     """Summary of a posterior sample; the sample itself is in `chain.h5`.

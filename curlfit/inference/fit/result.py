@@ -22,6 +22,7 @@ from curlfit.inference.fit.estimates import (
     Estimate,
     NamedEstimates,
     Posterior,
+    RidgePoint,
     Systematics,
 )
 from curlfit.inference.identifiability import Combination
@@ -30,7 +31,7 @@ from curlfit.inference.noise.models import LOSSES, WHITE, Independence, Noise
 from curlfit.inference.parameters import START, ParameterSet
 from curlfit.inference.priors import parse_priors
 from curlfit.numerics.arrays import Floats
-from curlfit.records import SERIES, Choice, Names, keys, require, require_rows
+from curlfit.records import ADDED, SERIES, Choice, Names, keys, require, require_rows
 from curlfit.stone import Stone
 from curlfit.throws.events import QUANTITIES, Event
 from curlfit.throws.throw import (
@@ -121,6 +122,9 @@ class FitResult(NamedEstimates):
     information : the Gauss-Newton information matrix J^T J of all free parameters, in
         the same form, with the "gradient" of the log-likelihood, zero except for
         parameters at a bound.
+    ridge : where chi squared is no quadratic, values of all parameters that fit about
+        as well as the estimates: a `RidgePoint` each. Empty where it is one, and of
+        fits of several throws.
     reference : published or true values of the same law, if the data file has them.
     reference_fits : fits repeated with other constants of the stone, where the
         reference gives them: {"stone": constants, "values": by name or expression}.
@@ -194,6 +198,7 @@ class FitResult(NamedEstimates):
     null_directions: tuple[dict[str, float], ...]
     covariance: Annotated[dict[str, Any], keys(**_Matrix)]
     information: Annotated[dict[str, Any], keys(**_Matrix, gradient=list[float])]
+    ridge: tuple[RidgePoint, ...] = field(default=(), metadata=ADDED | SERIES)
     reference: Reference | None
     reference_fits: tuple[_ReferenceFit, ...] = ()
     systematics: Systematics = field(default_factory=Systematics)
@@ -225,6 +230,7 @@ class FitResult(NamedEstimates):
                 [name for one in self.combinations for name in one.weights],
             ),
             ("posterior", self.posterior.ess if self.posterior else ()),
+            ("ridge", [point.held for point in self.ridge if point.held is not None]),
         ):
             require(place, set(names) <= parameters, "names of parameters")
         for place in ("observed", "fitted", "discrepancy"):
@@ -247,6 +253,8 @@ class FitResult(NamedEstimates):
                 *map(len, (found["matrix"], *found["matrix"])),
             }
             require(place, len(sizes) == 1, "a square matrix")
+        complete = all(len(one.values) == len(parameters) for one in self.ridge)
+        require("ridge", complete, "a value of each parameter")
         shape = (len(START),) * 2 if self.noise.sizes else (0,)
         require("noise", np.shape(self.noise.initial_state) == shape, "a covariance")
         gradient = self.information["gradient"]

@@ -28,7 +28,7 @@ from curlfit.inference.fit.departures import (
     probes_about,
     to_be_held,
 )
-from curlfit.inference.fit.estimates import Estimate, Systematics
+from curlfit.inference.fit.estimates import Estimate, RidgePoint, Systematics
 from curlfit.inference.fit.factors import Factors, Reduction, chi_squared_change
 from curlfit.inference.fit.prepared import (
     LeastSquaresFit,
@@ -440,6 +440,7 @@ def _record(
         null_directions=known.null_directions,
         covariance={"names": list(known.names), "matrix": known.covariance.tolist()},
         information=found.information(),
+        ridge=_ridge_points(fit, departures),
         reference=reference if reference and reference.law == law.name else None,
         observed=_observed(fit),
         fitted=curves,
@@ -459,6 +460,22 @@ def _record(
     )
     warnings = warnings_of(fit, result, residual, unusual, rival, departures)
     return replace(result, warnings=warnings)
+
+
+def _ridge_points(
+    fit: LeastSquaresFit, departures: Departures
+) -> tuple[RidgePoint, ...]:
+    """The ridge in the data's coordinates."""
+    if departures.ridge is None:
+        return ()
+    names = fit.prepared.parameters.names
+    points = []
+    pairs = zip(departures.ridge.points, departures.ridge.rises, strict=True)
+    for point, rise in pairs:
+        held = None if point.held is None else names[point.held]
+        values = (point.values + fit.prepared.offset).tolist()
+        points.append(RidgePoint(held, float(rise), tuple(values)))
+    return tuple(points)
 
 
 def _curves(fit: LeastSquaresFit, path: Floats | None) -> dict[str, Floats]:
