@@ -117,12 +117,16 @@ class Departures(NamedTuple):
     """None where it was not followed"""
 
     def judged(
-        self, name: str, stderr: float | None, verdict: str, typical: float
+        self, name: str, stderr: float | None, verdict: str, typical: float, room: float
     ) -> tuple[float | None, str, str]:
         """What the ridge makes of an estimate of a typical size: its standard error,
-        its verdict, and the reason of that, if there is one."""
+        its verdict, and the reason of that, if there is one.
+
+        An error along the ridge that is larger than the room between the bounds says
+        nothing.
+        """
         stderr = self.widened(stderr, name)
-        if stderr is not None and math.isinf(stderr):
+        if stderr is not None and name in self.stretched and stderr >= room:
             return None, "not identifiable", self.range_of(name)
         if name in self.lost:
             return stderr, "weak", self.range_of(name)
@@ -210,12 +214,14 @@ def _names_at(covariance: Covariance, indices: NDArray[np.int64]) -> tuple[str, 
 def to_be_held(
     covariance: Covariance, departing: Sequence[Probe], coefficients: int
 ) -> list[int]:
-    """Indices of the parameters along which the ridge is to be followed: those that
-    probes tell about at which chi squared departs from its quadratic; where the
-    search has not ended, those that are hardly determined; a spin that is not known, on
-    whose square friction depends; of a stone that may not have spun, the coefficients
-    too, the first parameters, since the force on it depends on the sense of the spin;
-    and then all that are weak."""
+    """Indices of the parameters along which the ridge is to be followed.
+
+    Those that probes tell about at which chi squared departs from its quadratic; where
+    the search has not ended, those that are hardly determined; a spin that is not
+    known, on whose square friction depends, or that is at its bound; of a stone that
+    may not have spun, the coefficients too, the first parameters, since the force on it
+    depends on the sense of the spin; and then all that are weak.
+    """
     names = {name for probe in departing for name in probe.parameters}
     if covariance.distance >= CONVERGED:
         for direction, _ in _loose_directions(covariance):
@@ -228,6 +234,8 @@ def to_be_held(
             indices |= {spin, *np.flatnonzero(covariance.open[:coefficients]).tolist()}
         if error >= WEAK_ERROR * covariance.typical[spin]:
             indices.add(spin)
+    elif covariance.at_bound[spin]:
+        indices.add(spin)
     if indices:
         indices |= {
             index

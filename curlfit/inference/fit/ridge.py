@@ -33,6 +33,9 @@ INTERVAL = 6.63
 _MOST_POINTS = 16
 """On either side: with steps that double, 30,000 times the first step."""
 _GROWTH = 2.0
+_TOWARD_ZERO = 4.0
+_NEXT_TO_ZERO = 0.01
+"""In typical sizes."""
 _FIRST_STEP = 0.1
 """In typical sizes, where the standard error is larger or not known."""
 _FARTHEST = 1e3
@@ -136,10 +139,31 @@ class Ridge(NamedTuple):
             largest = np.where(there > _FAR_LESS, np.maximum(largest, there), largest)
         return largest
 
-    def joined(self, other: Point) -> Ridge:
-        """The same with one more point: another solution."""
-        rises = np.append(self.rises, _rise(other, self.optimum))
-        return self._replace(points=(*self.points, other), rises=rises)
+    @classmethod
+    def of_point(cls, optimum: Point) -> Self:
+        """Of an optimum from which no ridge was followed."""
+        return cls(optimum, (), np.zeros(0), {})
+
+    def joined(self, other: Ridge) -> Ridge:
+        """The same with another ridge of the fit: about another solution, or one from
+        which the search went on."""
+        near: list[Point] = []
+        rises: list[float] = []
+        for point in (other.optimum, *other.points):
+            rise = _rise(point, self.optimum)
+            if rise <= HIGHEST:
+                near.append(point)
+                rises.append(rise)
+        intervals = dict(other.intervals)
+        for index, (low, high) in self.intervals.items():
+            before = intervals.get(index, (low, high))
+            intervals[index] = min(low, before[0]), max(high, before[1])
+        return Ridge(
+            self.optimum,
+            (*self.points, *near),
+            np.append(self.rises, rises),
+            intervals,
+        )
 
     def lowest(self) -> Point:
         """The point with the least chi squared."""
@@ -176,8 +200,11 @@ class _Side:
         last = self.points[-1] if self.points else self.optimum
         values = np.array(last.values)
         held = values[index] + self.sign * self.step
-        if held * values[index] < 0.0:  # a sense of spin, or a sign of a force, ends
-            held = 0.0
+        if held * values[index] <= 0.0 != values[index]:
+            # Toward zero in ratios, since what fits may be a product; there a sense of
+            # spin, or the sign of a force, ends.
+            is_near = abs(values[index]) < _NEXT_TO_ZERO * self.typical[index]
+            held = 0.0 if is_near else values[index] / _TOWARD_ZERO
         if not self.lower[index] < held < self.upper[index]:
             held = float(np.clip(held, self.lower[index], self.upper[index]))
             self.goes_on = False

@@ -81,7 +81,7 @@ def summarize_many(
     widths: Mapping[str, float] | None = None,
     common: Booleans | None = None,
     others: Floats | None = None,
-    again: bool = False,
+    earlier: Sequence[Ridge | None] | None = None,
 ) -> list[FitResult]:
     """The same for fits of one model, loss and noise model, to problems of one shape.
 
@@ -97,8 +97,8 @@ def summarize_many(
     others : rows of what other throws say of the parameters of each, in place of priors
         of these, with the residual as the last column, shape (throws, rows,
         parameters + 1).
-    again : whether the search was continued where it had not ended or where the ridge
-        leads to a lower point.
+    earlier : of searches that went on, where they had not ended or where the ridge
+        leads to a lower point: the ridges followed before.
     """
     if not fits:
         return []
@@ -110,16 +110,20 @@ def summarize_many(
     )
     residuals = residuals_of(many.problems, many.solutions, paths)
     found, reduction = many.covariances(residuals)
-    departures = many.departures(found, reduction, batch)
+    departures = many.departures(found, reduction, batch, earlier)
     systematics = [Systematics()] * len(fits)
     if paths is not None and widths:
         systematics = many.systematics(found, reduction, paths, widths, batch)
     each = [None] * len(fits) if paths is None else paths
     results = list(map(_record, fits, each, residuals, found, departures, systematics))
-    if not again:
+    if earlier is None:
         better = many.searched_on(found, departures, batch)
         ended = summarize_many(
-            list(better.values()), batch, curves=curves, widths=widths, again=True
+            list(better.values()),
+            batch,
+            curves=curves,
+            widths=widths,
+            earlier=[departures[row].ridge for row in better],
         )
         for row, result in zip(better, ended, strict=True):
             results[row] = result
@@ -209,7 +213,11 @@ class _Many(NamedTuple):
         return found, factors.reduction
 
     def departures(
-        self, covariances: Sequence[Covariance], reduction: Reduction | None, batch: int
+        self,
+        covariances: Sequence[Covariance],
+        reduction: Reduction | None,
+        batch: int,
+        earlier: Sequence[Ridge | None] | None,
     ) -> list[Departures]:
         """How chi squared of each throw departs from its quadratic."""
         about = [
@@ -237,12 +245,29 @@ class _Many(NamedTuple):
             for covariance, pairs in zip(covariances, departing, strict=True)
         ]
         departures = [NO_DEPARTURES] * len(covariances)
-        rivals = [fit.rival for fit in self.fits]
-        due = [row for row, rival in enumerate(rivals) if held[row] or rival]
+        beside = self._ridges_beside(earlier)
+        due = [row for row, ridges in enumerate(beside) if held[row] or ridges]
         ridges = self._ridges(due, covariances, held, batch)
         for row, ridge in zip(due, ridges, strict=True):
+            for other in beside[row]:
+                ridge = ridge.joined(other)
             departures[row] = departures_along(covariances[row], ridge, usual)
         return departures
+
+    def _ridges_beside(
+        self, earlier: Sequence[Ridge | None] | None
+    ) -> list[list[Ridge]]:
+        """What is known of each throw besides its own ridge: another solution, and the
+        ridge from which its search went on."""
+        beside: list[list[Ridge]] = [[] for _ in self.fits]
+        for row, fit in enumerate(self.fits):
+            if fit.rival is not None:
+                priors = Penalty(*(part[row] for part in self.penalty))
+                beside[row].append(Ridge.of_point(Point.of(fit.rival, priors)))
+        for row, ridge in enumerate(earlier or ()):
+            if ridge is not None:
+                beside[row].append(ridge)
+        return beside
 
     def _rises(
         self,
@@ -294,13 +319,7 @@ class _Many(NamedTuple):
             priors = [Penalty(*(part[row] for part in self.penalty)) for row in rows]
             return list(map(Point.of, optima, priors, parameters))
 
-        ridges = follow(followed, refit)
-        for number, row in enumerate(due):
-            rival = self.fits[row].rival
-            if rival is not None:
-                priors = Penalty(*(part[row] for part in self.penalty))
-                ridges[number] = ridges[number].joined(Point.of(rival, priors))
-        return ridges
+        return follow(followed, refit)
 
     def _minima(
         self,
@@ -621,7 +640,7 @@ def _estimates(
         if item.name not in parameters.fixed:
             stderr, verdict, dof = found.classified(row)
         stderr, verdict, reason = departures.judged(
-            item.name, stderr, verdict, item.typical
+            item.name, stderr, verdict, item.typical, item.upper - item.lower
         )
         prior = parameters.priors.get(item.name)
         if verdict == "determined" and item.name in rival:
