@@ -260,7 +260,7 @@ def _expected(
             typical = float(assumed.typical[index])
             error, verdict = classify(typical, False, found, index)
             stderr[name], verdicts[name], _ = departures.judged(
-                name, error, verdict, typical
+                name, error, verdict, typical, coefficient.upper - coefficient.lower
             )
     return ExpectedErrors(
         indices,

@@ -382,7 +382,7 @@ class Told(NamedTuple):
                 known.classified(place) if free else (None, "fixed", None)
             )
             stderr, verdict, reason = departures.judged(
-                item.name, stderr, verdict, item.typical
+                item.name, stderr, verdict, item.typical, item.upper - item.lower
             )
             found[item.name] = Estimate.of(
                 item,
