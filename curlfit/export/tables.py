@@ -332,7 +332,9 @@ def _number(text: str) -> str:
 
 
 def _interval(posterior: Any, row: Row) -> str:
-    found = posterior and posterior.quantiles.get(row.cells["name"])
+    if posterior is None or not posterior.converged:
+        return ""
+    found = posterior.quantiles.get(row.cells["name"])
     if not found:
         return ""
     low, _, high = from_to(found["16"], found["84"]).partition(" .. ")

@@ -96,6 +96,10 @@ class RidgeProposal:
         draws: Floats = self.centre + self.typical * z
         return draws
 
+    def unreached(self, values: Floats) -> float:
+        """Nothing: there are no ends to reach."""
+        return 0.0
+
     def log_density(self, values: Floats) -> Floats:
         """Log-density of the proposal up to a constant, shape (n,)."""
         z = (values - self.centre) / self.typical
@@ -219,6 +223,13 @@ class CurvedRidge:
                 int((which == index).sum()), random
             )
         return found
+
+    def unreached(self, values: Floats) -> float:
+        """Probability beyond the ends of what the values, shape (n, p), reach."""
+        column = values[:, self.held]
+        below = self.borders[1:] < column.min()
+        above = self.borders[:-1] > column.max()
+        return float(self.shares[below | above].sum())
 
     def log_density(self, values: Floats) -> Floats:
         """Log-density of the proposal up to a constant, shape (n,)."""

@@ -22,6 +22,7 @@ from curlfit.inference.mcmc.chain import Chain, load_chain, require_same, subjec
 from curlfit.inference.mcmc.density import PosteriorDensity, lanes
 from curlfit.inference.mcmc.ridge import Proposal, posterior_proposal, proposed
 from curlfit.inference.mcmc.summary import (
+    CONVERGED,
     Diagnosis,
     is_test_due,
     steps_to_discard,
@@ -42,6 +43,8 @@ _LEAST_ACCEPTANCE = 0.25
 _JITTER = 0.1  # relative standard deviation of the steps of differential evolution
 _EVERY = 2.0  # least time between two checkpoints, s
 _FEWEST = 4  # steps that can be judged
+# probability beyond what a chain has reached, above which it has not converged
+_UNREACHED = 0.01
 _SHARE = 50  # of the time, in which checkpoints are written once
 
 
@@ -232,10 +235,15 @@ class Run:
                         progress(
                             diagnosis.least_effective, self.steps, diagnosis.worst_r_hat
                         )
-                    if diagnosis.good(effective):
-                        return "converged", diagnosis
+                    kept = chain.flat[:, self.free]
+                    reaches_ends = self.proposal.unreached(kept) < _UNREACHED
+                    if diagnosis.good(effective) and reaches_ends:
+                        return CONVERGED, diagnosis
                     if self.steps >= most_steps:
-                        return f"not converged after {self.steps} steps", diagnosis
+                        ended = f"not converged after {self.steps} steps"
+                        if not reaches_ends:
+                            ended += ", without the ends of the values that fit"
+                        return ended, diagnosis
                 self.step()
                 self.write_if_due(file)
         except KeyboardInterrupt:
