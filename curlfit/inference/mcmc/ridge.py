@@ -287,7 +287,8 @@ class Axis(NamedTuple):
 
     @classmethod
     def _of_ridge(cls, fit: FitResult) -> Axis:
-        """From end to end of a ridge that is known, and half of this farther."""
+        """From end to end of a ridge that is known, and half of this farther; as far
+        about another solution as about the first."""
         points = np.array([fit.values, *(point.values for point in fit.ridge)])
         columns = dict(zip(fit.parameters, points.T, strict=True))
         held = {point.held for point in fit.ridge if point.held is not None}
@@ -303,10 +304,16 @@ class Axis(NamedTuple):
         }
         name = _preferred(extents)
         item = fit.parameters[name]
-        beyond = _BEYOND * float(np.ptp(columns[name]))
-        low = max(float(columns[name].min()) - beyond, item.lower)
-        high = min(float(columns[name].max()) + beyond, item.upper)
-        return cls(name, low, high, points)
+        column = columns[name]
+        reach = np.abs(column - item.value)
+        is_solution = np.array([True, *(point.held is None for point in fit.ridge)])
+        if not is_solution[1:].all():
+            reach = reach[~is_solution]
+        solutions = column[is_solution]
+        beyond = (1 + _BEYOND) * float(reach.max())
+        low = max(min(column.min(), solutions.min() - beyond), item.lower)
+        high = min(max(column.max(), solutions.max() + beyond), item.upper)
+        return cls(name, float(low), float(high), points)
 
 
 def _preferred(extents: Mapping[str, float]) -> str:
