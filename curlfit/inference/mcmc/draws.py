@@ -22,7 +22,8 @@ class WeightedProposals(NamedTuple):
     values: Floats
     """of all parameters, shape (proposals, parameters)"""
     log_ratio: Floats
-    """of the posterior density over that of the proposal, up to a constant"""
+    """of the posterior density, over that at the estimates, to the density of the
+    proposal, in units of the free parameters; minus infinity outside the bounds"""
 
     @classmethod
     def of(cls, fit: FitResult, number: int, random: np.random.Generator) -> Self:
@@ -30,7 +31,11 @@ class WeightedProposals(NamedTuple):
         density = PosteriorDensity(fit)
         proposal: Proposal = posterior_proposal(fit)
         free_values = proposal.draw(number, random)
-        log_ratio = density.log(free_values) - proposal.log_density(free_values)
+        at_estimates = density.log(fit.values[None, density.free])
+        relative = density.log(free_values) - at_estimates
+        typical = fit.parameter_set.typical[density.free]
+        log_proposed = proposal.log_density(free_values) - np.log(typical).sum()
+        log_ratio = relative - log_proposed
         log_ratio = np.where(np.isfinite(log_ratio), log_ratio, -np.inf)
         return cls(density.whole(free_values), log_ratio)
 

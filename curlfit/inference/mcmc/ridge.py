@@ -209,7 +209,8 @@ class CurvedRidge:
     """Proposals about optima along a curved ridge, each for an interval of the
     parameter that is held there, and their probabilities."""
 
-    parts: Sequence[RidgeProposal]
+    parts: Sequence[RidgeProposal | None]
+    """None where no values fit, with the share 0"""
     shares: Floats
     held: int
     borders: Floats
@@ -217,12 +218,14 @@ class CurvedRidge:
     def draw(self, n: int, random: Any) -> Floats:
         """n parameter vectors, shape (n, p)."""
         which = random.choice(len(self.parts), n, p=self.shares)
-        found = np.zeros((n, len(self.parts[0].centre)))
-        for index in np.unique(which):
-            found[which == index] = self.parts[index].draw(
-                int((which == index).sum()), random
-            )
-        return found
+        draws: dict[int, Floats] = {}
+        for index in np.unique(which).tolist():
+            part = self.parts[index]
+            assert part is not None  # its share is not 0
+            draws[index] = part.draw(int((which == index).sum()), random)
+        values = np.concatenate([draws[index] for index in sorted(draws)])
+        order = np.argsort(np.argsort(which, kind="stable"), kind="stable")
+        return np.asarray(values[order])
 
     def unreached(self, values: Floats) -> float:
         """Probability beyond the ends of what the values, shape (n, p), reach."""
@@ -235,11 +238,12 @@ class CurvedRidge:
         """Log-density of the proposal up to a constant, shape (n,)."""
         found = np.full(len(values), -np.inf)
         which = np.searchsorted(self.borders, values[:, self.held]) - 1
-        for index in np.intersect1d(which, np.flatnonzero(self.shares)):
+        for index in np.intersect1d(which, np.flatnonzero(self.shares)).tolist():
             here = which == index
-            found[here] = self.parts[index].log_density(values[here]) + np.log(
-                self.shares[index]
-            )
+            part = self.parts[index]
+            assert part is not None  # its share is not 0
+            log_share = math.log(self.shares[index])
+            found[here] = part.log_density(values[here]) + log_share
         return found
 
 
@@ -347,21 +351,23 @@ def _along(fit: FitResult, axis: Axis) -> Proposal:
         ]
         optima = minimize_many(fit.model, Tasks.of(tasks), FEW)
         parts = [
-            _about_solution(whole, offset, one, (place, low, high))
-            for one, (low, high) in zip(
+            _about_solution(whole, offset, optimum, (place, low, high))
+            for optimum, (low, high) in zip(
                 unstacked(optima), pairwise(borders), strict=True
             )
         ]
+        exists = np.array([part is not None for part in parts])
         # Laplace's approximation to the probability of each interval, and, since that
         # of a wide one where the probability ends is rough, a part as if it were as
         # dense as its neighbours
-        logs = np.array([part.log_volume for part in parts]) - optima.objective / 2
+        volumes = [-np.inf if part is None else part.log_volume for part in parts]
+        logs = np.array(volumes) - optima.objective / 2
         logs = np.where(np.isfinite(logs), logs, -np.inf)
         if np.isneginf(logs).all():
             return ridge_proposal(fit)
         shares, width = np.exp(logs - logs.max()), np.diff(borders)
         dense = np.pad(shares / width, 1)
-        dense = np.maximum.reduce([dense[:-2], dense[1:-1], dense[2:]]) * width
+        dense = np.maximum.reduce([dense[:-2], dense[1:-1], dense[2:]]) * width * exists
         shares = (1 - _ROUGH) * shares / shares.sum() + _ROUGH * dense / dense.sum()
         proposal = CurvedRidge(parts, shares, int(whole.free[:place].sum()), borders)
         below = np.cumsum([0.0, *_desired_density(parts, shares, width)])
@@ -374,7 +380,7 @@ def _along(fit: FitResult, axis: Axis) -> Proposal:
 
 
 def _desired_density(
-    parts: Sequence[RidgeProposal], shares: Floats, width: Floats
+    parts: Sequence[RidgeProposal | None], shares: Floats, width: Floats
 ) -> Floats:
     """How many of the next intervals each of these should hold.
 
@@ -383,10 +389,17 @@ def _desired_density(
     that the ridge leaves its tangents by as much in each: by the square of the width.
     """
     likely = shares > _NOTHING
-    turns = [list(part.pushed) != list(other.pushed) for part, other in pairwise(parts)]
+    turns = []
+    bends = []
+    for part, other in pairwise(parts):
+        if part is None or other is None:
+            turns.append(False)
+            bends.append(_FAR)
+        else:
+            turns.append(list(part.pushed) != list(other.pushed))
+            bends.append(min(part.distance(other.centre), _FAR))
     at_turns = np.logical_or([False, *turns], [*turns, False])
     by_density = np.sqrt(width * shares) * np.where(at_turns, 4, 1) * likely
-    bends = [min(part.distance(other.centre), _FAR) for part, other in pairwise(parts)]
     by_bend = np.sqrt([0.0, *bends]) + np.sqrt([*bends, 0.0])
     by_bend = np.nan_to_num(by_bend) * likely
     density = by_density / by_density.sum()
@@ -400,8 +413,12 @@ def _about_solution(
     offset: Floats,
     optimum: Solution,
     cell: tuple[int, float, float],
-) -> RidgeProposal:
-    """The proposal about an optimum with one parameter held."""
+) -> RidgeProposal | None:
+    """The proposal about an optimum with one parameter held; None where there is no
+    path, or nothing that tells a parameter without bounds: where a stone does not
+    move."""
+    if not np.isfinite(optimum.objective):
+        return None
     free, values = parameters.free, optimum.values + offset
     jacobian = optimum.jacobian.reshape(-1, len(values))
     gradient, information = optimum.residual.ravel() @ jacobian, jacobian.T @ jacobian
@@ -409,14 +426,17 @@ def _about_solution(
     gradient, information = gradient + slope, information + np.diag(square)
     ends = np.stack([parameters.lower, parameters.upper])
     at_bound = (np.abs(values - ends) < _NEAR * parameters.typical).any(0)
-    return _about(
-        parameters,
-        values[free],
-        information[np.ix_(free, free)],
-        -gradient[free],
-        at_bound[free],
-        (int(free[: cell[0]].sum()), *cell[1:]),
-    )
+    try:
+        return _about(
+            parameters,
+            values[free],
+            information[np.ix_(free, free)],
+            -gradient[free],
+            at_bound[free],
+            (int(free[: cell[0]].sum()), *cell[1:]),
+        )
+    except UnusableFitError:
+        return None
 
 
 def _pivots(
