@@ -92,7 +92,7 @@ def rows_of(result: FitResult | JointResult, *, in_words: bool = False) -> list[
         **estimates,
         **{item.expression: item for item in result.combinations},
         **{name: item for name, item in others.items() if name not in estimates},
-        **{item.expression: item for item in result.derived},
+        **{item.expression: item for item in result.all_derived},
         **quoted,
     }
     for name, item in everything.items():

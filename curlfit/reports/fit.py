@@ -77,7 +77,7 @@ def document(fit: FitResult) -> Document:
         Section(
             "coefficients",
             "Coefficients",
-            (_estimates(fit), _few_values(fit), derived_table(fit.derived)),
+            (_estimates(fit), _few_values(fit), derived_table(fit.all_derived)),
         ),
         Section("path", "The path", (_quantities(fit), _draw(fit))),
         Section(
