@@ -256,7 +256,12 @@ def _ridge(fit: Followed, sides: Sequence[_Side]) -> Ridge:
     ends: dict[int, list[float]] = {}
     for side in sides:
         ends.setdefault(side.hold_of[1], []).append(side.end_of_interval())
-    intervals = {index: (min(pair), max(pair)) for index, pair in ends.items()}
+    for index, pair in ends.items():
+        # values that another parameter leads to count as well
+        pair += [points[row].values[index] for row in near if rises[row] <= INTERVAL]
+    intervals = {
+        index: (float(min(pair)), float(max(pair))) for index, pair in ends.items()
+    }
     return Ridge(
         fit.optimum,
         tuple(points[number] for number in near),
