@@ -524,8 +524,8 @@ def _along_ridge(
     if np.isfinite(near).all():
         reason = f"values from {min(near):.3g} to {max(near):.3g} fit nearly as well"
     return AlongRidge(
-        error=float(np.nan_to_num(demanded, nan=math.inf).max()),
-        size=float(np.nan_to_num(sizes, nan=math.inf).min()),
+        error=float(np.nan_to_num(demanded, nan=math.inf, posinf=math.inf).max()),
+        size=float(np.nan_to_num(sizes, nan=math.inf, posinf=math.inf).min()),
         held=held,
         reason=reason,
     )

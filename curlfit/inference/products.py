@@ -124,9 +124,8 @@ def _powers(first: Floats, second: Floats, rises: Floats) -> tuple[int, int] | N
         with np.errstate(divide="ignore", invalid="ignore"):
             product = first**power * second ** float(other)
             moved = np.abs(product / product[0] - 1.0)
-        largest = float(
-            demanded_errors(np.nan_to_num(moved, nan=math.inf), rises).max()
-        )
+        moved = np.nan_to_num(moved, nan=math.inf, posinf=math.inf)
+        largest = float(demanded_errors(moved, rises).max())
         if largest < least:
             least = largest
             powers = power, other

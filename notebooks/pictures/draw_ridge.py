@@ -73,9 +73,7 @@ def picture() -> str:
         draw_curve(left, fit)
         draw_profile(right, profile)
         text = io.StringIO()
-        figure.savefig(
-            text, format="svg", transparent=True, metadata={"Date": None}
-        )
+        figure.savefig(text, format="svg", transparent=True, metadata={"Date": None})
     return text.getvalue()
 
 
