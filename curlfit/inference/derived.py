@@ -355,6 +355,8 @@ class FirstOrder(NamedTuple):
         hidden = {key for key in free if used[key].verdict == "not identifiable"}
         sums = [item for item in self.combinations if hidden & set(item.weights)]
         dof = [*(used[key].dof for key in free), *(item.dof for item in sums)]
+        if spoiled:  # of parameters that have no error of their own
+            dof += [item.dof for item in self.parameters.values()]
         known = [one for one in dof if one is not None]
         row = self.vector(gradient)
         by_condition = [
