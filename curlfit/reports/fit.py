@@ -80,7 +80,7 @@ def document(fit: FitResult) -> Document:
             (
                 _estimates(fit),
                 _few_values(fit),
-                derived_table([_shown(fit, item) for item in fit.derived]),
+                derived_table([_shown(fit, item) for item in fit.all_derived]),
             ),
         ),
         Section("path", "The path", (_quantities(fit), _draw(fit))),

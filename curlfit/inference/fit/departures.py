@@ -20,7 +20,10 @@ from numpy.typing import NDArray
 from curlfit.inference.fit.covariance import CONVERGED, Covariance
 from curlfit.inference.fit.ridge import Point, Ridge
 from curlfit.inference.identifiability import (
+    LITTLE,
+    STRETCHED,
     WEAK_ERROR,
+    WIDE,
     Bounded,
     Combination,
     r_factor,
@@ -48,22 +51,15 @@ _FAINT = 0.5
 """Standard error over typical size above which a direction is hardly determined."""
 _TAKES_PART = 0.05
 """Component over the largest, above which a parameter takes part in a direction."""
-_STRETCHED = 2.0
-"""Factor by which the error of an estimate may be larger along the ridge than at the
-optimum, so that it is still determined ..."""
-_WIDE = 0.25
-"""... or this error over the typical size, up to which a sum is determined even then.
-Where only the tangent is known, sums along a curve are given up beyond ..."""
 _NARROW = 0.02
-"""... this one: 0.008 of the sum for eq. 12 under consistent load, 0.03 and more of
-false sums under `front-back+sideways`."""
+"""Error over the typical size, beyond which sums along a curve are given up where only
+the tangent is known: 0.008 of the sum for eq. 12 under consistent load, 0.03 and more
+of false sums under `front-back+sideways`."""
 KNOWN_TO = {"omega0": 0.05, "v0": 0.01}
 """Standard error of a measured initial spin and speed, rad/s and m/s."""
 UNITS = {"omega0": "rad/s", "v0": "m/s"}
 _LOWER = 0.1
 """Fall of chi squared along a ridge below which its optimum is as good as any."""
-_LITTLE = math.sqrt(_ABOUT)
-"""Factor up to which an error along the ridge is about that at the optimum."""
 _NO_SPIN = 3.0
 """Standard errors of the spin within which a stone may not have spun."""
 
@@ -267,12 +263,12 @@ def departures_along(covariance: Covariance, ridge: Ridge, usual: Floats) -> Dep
         relative = np.maximum(stretches, 1.0) * errors / typical
         about = zip(statements, stretches.tolist(), relative.tolist(), strict=True)
         for name, stretch, error in about:
-            if stretch > _LITTLE:
+            if stretch > LITTLE:
                 stretched[name] = stretch
             if name in covariance.names:
                 is_lost = error >= WEAK_ERROR
             else:
-                is_lost = stretch > _STRETCHED and error > _WIDE
+                is_lost = stretch > STRETCHED and error > WIDE
             if is_lost:
                 lost.add(name)
     offset = covariance.values - ridge.optimum.values

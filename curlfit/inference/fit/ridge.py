@@ -21,15 +21,19 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from curlfit.inference.identifiability import r_factor, visible
+from curlfit.inference.identifiability import (
+    FAR_LESS,
+    INTERVAL,
+    demanded_errors,
+    errors_of,
+    r_factor,
+)
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.priors import Penalty
 from curlfit.numerics.arrays import Floats
 
 HIGHEST = 10.83
 """Rise of chi squared at the ends of a 99.9 % interval, of one degree of freedom."""
-INTERVAL = 6.63
-"""The same for 99 %: values within it fit nearly as well."""
 _MOST_POINTS = 16
 """On either side: with steps that double, 30,000 times the first step."""
 _GROWTH = 2.0
@@ -41,11 +45,6 @@ _FIRST_STEP = 0.1
 _FARTHEST = 1e3
 """In typical sizes: nothing is known of what may be as far away."""
 _ROUNDING = 1e-9
-_UNDETERMINED = 1e-3
-"""Share of a sum outside what is determined, above which it is not determined."""
-_FAR_LESS = 4.0
-"""Error at a point of the ridge over that at the optimum, above which far less is known
-there: nothing of a force of the spin, where a stone may not have spun."""
 
 
 class Hold(NamedTuple):
@@ -84,14 +83,7 @@ class Point(NamedTuple):
         sizes = np.array(sizes)
         if self.held is not None:
             sizes[self.held] = 0.0
-        _, singular, right = np.linalg.svd(self.slopes * sizes, full_matrices=False)
-        seen = visible(singular)
-        scaled = weights * sizes
-        along = scaled @ right[seen].T
-        outside = np.linalg.norm(scaled - along @ right[seen], axis=1)
-        unknown = outside > _UNDETERMINED * np.linalg.norm(scaled, axis=1)
-        known = np.linalg.norm(along / singular[seen], axis=1)
-        return np.where(unknown, np.inf, known)
+        return errors_of(self.slopes, weights, sizes)
 
     @classmethod
     def of(cls, solution: Solution, penalty: Penalty, held: int | None = None) -> Self:
@@ -133,10 +125,9 @@ class Ridge(NamedTuple):
         largest = np.zeros(len(weights))
         for point, rise in zip(self.points, self.rises, strict=True):
             moved = np.abs(weights @ (point.values - self.optimum.values))
-            expected = errors * math.sqrt(max(float(rise), 1.0))
-            largest = np.maximum(largest, moved / expected)
+            largest = np.maximum(largest, demanded_errors(moved, rise) / errors)
             there = point.errors(weights, sizes) / errors
-            largest = np.where(there > _FAR_LESS, np.maximum(largest, there), largest)
+            largest = np.where(there > FAR_LESS, np.maximum(largest, there), largest)
         return largest
 
     @classmethod
@@ -292,7 +283,12 @@ def _ridge(fit: Followed, sides: Sequence[_Side]) -> Ridge:
     ends: dict[int, list[float]] = {}
     for side in sides:
         ends.setdefault(side.hold_of[1], []).append(side.end_of_interval())
-    intervals = {index: (min(pair), max(pair)) for index, pair in ends.items()}
+    for index, pair in ends.items():
+        # values that another parameter leads to count as well
+        pair += [points[row].values[index] for row in near if rises[row] <= INTERVAL]
+    intervals = {
+        index: (float(min(pair)), float(max(pair))) for index, pair in ends.items()
+    }
     return Ridge(
         fit.optimum,
         tuple(points[number] for number in near),

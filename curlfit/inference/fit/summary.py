@@ -11,6 +11,7 @@ import jax
 import numpy as np
 
 from curlfit.foreign import counted
+from curlfit.inference.derived import derive, gradient_of
 from curlfit.inference.fit.caveats import warnings_of
 from curlfit.inference.fit.covariance import (
     CONVERGED,
@@ -51,6 +52,7 @@ from curlfit.inference.noise.whitening import posterior_mean
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import ROWS_OF_DATA, Problem
+from curlfit.inference.products import products_of
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import stacked, unstacked
 from curlfit.throws.plausibility import Finding, examine_fit
@@ -111,11 +113,14 @@ def summarize_many(
     residuals = residuals_of(many.problems, many.solutions, paths)
     found, reduction = many.covariances(residuals)
     departures = many.departures(found, reduction, batch, earlier)
-    systematics = [Systematics()] * len(fits)
+    shifts: list[dict[str, Floats]] = [{}] * len(fits)
     if paths is not None and widths:
-        systematics = many.systematics(found, reduction, paths, widths, batch)
+        shifts = many.shifts(found, reduction, paths, widths, batch)
     each = [None] * len(fits) if paths is None else paths
-    results = list(map(_record, fits, each, residuals, found, departures, systematics))
+    widths_of_each = [widths or {}] * len(fits)
+    results = list(
+        map(_record, fits, each, residuals, found, departures, shifts, widths_of_each)
+    )
     if earlier is None:
         better = many.searched_on(found, departures, batch)
         ended = summarize_many(
@@ -379,16 +384,16 @@ class _Many(NamedTuple):
                 better[row] = self.fits[row]._replace(solution=optimum)
         return better
 
-    def systematics(
+    def shifts(
         self,
         found: Sequence[Covariance],
         reduction: Reduction | None,
         paths: Floats,
         widths: Mapping[str, float],
         batch: int,
-    ) -> list[Systematics]:
-        """Errors due to conditions, which are common to throws that are
-        fitted together."""
+    ) -> list[dict[str, Floats]]:
+        """Shifts of the open parameters of each throw due to conditions, which are
+        common to throws that are fitted together."""
         changes = residual_changes(
             self.model,
             self.problems,
@@ -406,10 +411,7 @@ class _Many(NamedTuple):
                 gradient if reduction is None else reduction.gradient(gradient)
             )
         return [
-            Systematics(
-                dict(widths),
-                one.shifts({name: g[row] for name, g in gradients.items()}),
-            )
+            one.shifts({name: g[row] for name, g in gradients.items()})
             for row, one in enumerate(found)
         ]
 
@@ -420,7 +422,8 @@ def _record(
     residual: Floats,
     found: Covariance,
     departures: Departures,
-    systematics: Systematics,
+    shifts: Mapping[str, Floats],
+    widths: Mapping[str, float],
 ) -> FitResult:
     law, throw, known = fit.model.law, fit.prepared.throw, found.identifiability
     reference, residual = throw.reference, residual[:, : len(throw)]
@@ -435,6 +438,9 @@ def _record(
         distance = departures.distance
     estimates = _estimates(fit.prepared.parameters, found, departures, rival)
     unusual = _unusual(fit, estimates["v0"], curves)
+    systematics = Systematics()
+    if shifts:
+        systematics = Systematics(dict(widths), found.shifts_of_determined(shifts))
     result = FitResult(
         law=law.name,
         load=fit.model.load,
@@ -477,8 +483,33 @@ def _record(
             for event, off in zip(throw.events, residual[-1], strict=False)
         ),
     )
+    result = _with_products(result, shifts)
     warnings = warnings_of(fit, result, residual, unusual, rival, departures)
     return replace(result, warnings=warnings)
+
+
+def _with_products(result: FitResult, shifts: Mapping[str, Floats]) -> FitResult:
+    """The result with the products that are determined along its ridge, and with their
+    systematic errors, from the shifts of the open parameters by condition."""
+    known = result.first_order
+    found = products_of(known)
+    by_product = {}
+    for product in found:
+        gradient = gradient_of(known, product.expression)
+        by_product[product.expression] = {
+            condition: known.across(gradient, shift)
+            for condition, shift in shifts.items()
+        }
+    systematics = result.systematics
+    if shifts:
+        together = systematics.shifts | by_product
+        systematics = replace(systematics, shifts=together)
+    known = known._replace(shifts=systematics.shifts, products=tuple(by_product))
+    products = tuple(
+        replace(derive(known, product.expression), meaning=product.meaning)
+        for product in found
+    )
+    return replace(result, products=products, systematics=systematics)
 
 
 def _ridge_points(
@@ -493,7 +524,8 @@ def _ridge_points(
     for point, rise in pairs:
         held = None if point.held is None else names[point.held]
         values = (point.values + fit.prepared.offset).tolist()
-        points.append(RidgePoint(held, float(rise), tuple(values)))
+        slopes = tuple(map(tuple, point.slopes.tolist()))
+        points.append(RidgePoint(held, float(rise), tuple(values), slopes))
     return tuple(points)
 
 

@@ -335,4 +335,9 @@ def sample(
     sampled = summarised(fit, chain, ended, effective, diagnosis)
     sampled = replace(sampled, quantities=quantities_of(sampled, chain))
     sampled = sampled.with_derived((item.expression for item in fit.derived), chain)
+    products = tuple(
+        replace(sampled.derive(item.expression, chain), meaning=item.meaning)
+        for item in fit.products
+    )
+    sampled = replace(sampled, products=products)
     return sampled, replace(chain, fit=sampled)
