@@ -33,6 +33,8 @@ _WHOLE = np.arange(1.0, 7)[:, None, None]  # denominators of simple ratios
 # singular value below which a direction is known to no better than typical sizes
 _WEAK = 1.0
 # share of a sum outside the determined directions, above which it is unknown
+_FARTHEST = 3.0
+"""Typical sizes from an estimate, beyond which nothing is known in any case."""
 _UNDETERMINED = 1e-3
 WEAK_ERROR = 0.5
 """Standard error over typical size, from which an estimate is weakly determined: a 95 %
@@ -227,6 +229,9 @@ def errors_of(slopes: Floats, weights: Floats, sizes: Floats) -> Floats:
     """Standard errors of weighted sums of parameters to first order; infinite where
     nothing is known of a sum.
 
+    A null direction that a sum hardly has a part in moves it by what its parameters may
+    move along it.
+
     Parameters
     ----------
     slopes : R factor of the derivatives of the residuals over their sigma.
@@ -240,7 +245,7 @@ def errors_of(slopes: Floats, weights: Floats, sizes: Floats) -> Floats:
     outside = np.linalg.norm(scaled - along @ right[seen], axis=1)
     unknown = outside > _UNDETERMINED * np.linalg.norm(scaled, axis=1)
     known = np.linalg.norm(along / singular[seen], axis=1)
-    return np.where(unknown, np.inf, known)
+    return np.where(unknown, np.inf, np.hypot(known, _FARTHEST * outside))
 
 
 def stderr_of(weights: Floats, right: Floats, singular: Floats) -> float | None:

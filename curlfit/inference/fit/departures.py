@@ -167,21 +167,17 @@ def probes_about(covariance: Covariance, bounded: Bounded) -> list[Probe]:
 
     Two standard errors from the estimate of each parameter and combination that is
     determined, where the others follow to first order, if these points are within
-    the bounds; and on either side along what is hardly determined, one standard
+    the bounds; on either side along what is hardly determined, one standard
     error from the optimum, or three typical sizes if that is less, whatever the
-    bounds.
+    bounds; and there, along null directions, two standard errors from combinations.
 
     Parameters
     ----------
     bounded : values and bounds in the problem's coordinates.
     """
-    probes = []
+    probes = _probes_of_sums_elsewhere(covariance, bounded)
     for name, weights in covariance.identifiability.determined().items():
-        follow = covariance.matrix @ weights
-        error = math.sqrt(max(float(weights @ follow), 0.0))
-        if error == 0.0:
-            continue
-        step = covariance.in_all(_PROBED * follow / error)
+        step = _step_of(covariance, weights)
         if np.abs(step / covariance.typical).max() < _QUADRATIC:
             continue
         names = _names_at(covariance, np.flatnonzero(covariance.in_all(weights)))
@@ -195,6 +191,45 @@ def probes_about(covariance: Covariance, bounded: Bounded) -> list[Probe]:
         for point in (bounded.values + step, bounded.values - step):
             probes.append(Probe(point, (length * singular) ** 2, names))
     return probes
+
+
+def _probes_of_sums_elsewhere(covariance: Covariance, bounded: Bounded) -> list[Probe]:
+    """Two standard errors from combinations, three typical sizes along the null
+    directions in which their parameters take part, or as far as the bounds leave: where
+    only a ratio is known, a sum is known the worse the larger its parameters are."""
+    probes = []
+    statements = covariance.identifiability.determined()
+    for direction, singular in _loose_directions(covariance):
+        if singular > 0.0:
+            continue
+        names = _taking_part(covariance, direction)
+        far = _UNKNOWN * direction * covariance.typical
+        for combination in covariance.identifiability.combinations:
+            if not combination.weights.keys() & set(names):
+                continue
+            expression = combination.expression
+            across = _step_of(covariance, statements[expression])
+            for along in (far, -far):
+                point = bounded.values + _room_for(bounded, along) * along + across
+                probes.append(Probe(point, _PROBED**2, names, expression))
+    return probes
+
+
+def _room_for(bounded: Bounded, step: Floats) -> float:
+    """How much of a step the bounds leave."""
+    end = np.where(step > 0.0, bounded.upper, bounded.lower)
+    moves = step != 0.0
+    return min(1.0, float(((end - bounded.values)[moves] / step[moves]).min()))
+
+
+def _step_of(covariance: Covariance, weights: Floats) -> Floats:
+    """Change of the parameters along which a weighted sum of the open ones changes by
+    two standard errors, the others following to first order; zero if it has none."""
+    follow = covariance.matrix @ weights
+    error = math.sqrt(max(float(weights @ follow), 0.0))
+    if error == 0.0:
+        return np.zeros(len(covariance.typical))
+    return covariance.in_all(_PROBED * follow / error)
 
 
 def _taking_part(covariance: Covariance, direction: Floats) -> tuple[str, ...]:
