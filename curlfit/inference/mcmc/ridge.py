@@ -40,6 +40,9 @@ _CELLS, _PASSES = 96, 6  # intervals of it, and how often they are chosen anew
 # of the probability, to be shared as if intervals were as dense as their neighbours
 _ROUGH = 0.2
 _BEYOND = 0.5  # of a ridge, by which the proposal extends beyond its ends
+# probability density at an end over the highest, above which it has not ended, and
+# share of the next intervals that lie beyond it
+_ENDED, _BEYOND_ENDS = 1e-5, 0.1
 _FAINT = 1e-9  # push against a bound that is none
 _FAR = 100.0  # standard errors from a tangent, above which it says nothing
 _NOTHING = 1e-6  # probability of an interval that is given up
@@ -200,7 +203,9 @@ def _about(
     push = np.abs(gradient[pushed]) + np.sqrt(np.maximum(curvature, 0.0))
     room = (upper - lower)[pushed]
     least = 1 / np.where(np.isfinite(room), room, 1 / _FAINT)
-    off = -np.sign(gradient[pushed]) / np.maximum(push, least)
+    inward = np.where(np.abs(lower) < np.abs(upper), 1.0, -1.0)[pushed]
+    sense = np.where(gradient[pushed] == 0.0, inward, -np.sign(gradient[pushed]))
+    off = sense / np.maximum(push, least)
     return RidgeProposal(centre, typical, rows, spread, pivots, low, high, pushed, off)
 
 
@@ -370,13 +375,39 @@ def _along(fit: FitResult, axis: Axis) -> Proposal:
         dense = np.maximum.reduce([dense[:-2], dense[1:-1], dense[2:]]) * width * exists
         shares = (1 - _ROUGH) * shares / shares.sum() + _ROUGH * dense / dense.sum()
         proposal = CurvedRidge(parts, shares, int(whole.free[:place].sum()), borders)
-        below = np.cumsum([0.0, *_desired_density(parts, shares, width)])
+        density = _desired_density(parts, shares, width)
+        bounds = whole.lower[place], whole.upper[place]
+        borders, density = _extended(borders, density, shares / width, bounds)
+        below = np.cumsum([0.0, *density])
         borders = np.interp(np.linspace(0, below[-1], _CELLS + 1), below, borders)
         middle = (borders[:-1] + borders[1:]) / 2 - offset[place]
         starts = np.array(
             [np.interp(middle, held, column) for column in optima.values.T]
         ).T
     return proposal
+
+
+def _extended(
+    borders: Floats, density: Floats, heights: Floats, bounds: tuple[float, float]
+) -> tuple[Floats, Floats]:
+    """Borders of intervals and the density of the next ones, with one more interval at
+    an end where the probability has not ended, as long as all of them if the bounds
+    leave as much.
+
+    Parameters
+    ----------
+    heights : probability of each interval over its width.
+    """
+    lower, upper = bounds
+    length = borders[-1] - borders[0]
+    share = _BEYOND_ENDS * density.sum()
+    low = max(borders[0] - length, lower)
+    high = min(borders[-1] + length, upper)
+    if heights[0] > _ENDED * heights.max() and low < borders[0]:
+        borders, density = np.append(low, borders), np.append(share, density)
+    if heights[-1] > _ENDED * heights.max() and high > borders[-1]:
+        borders, density = np.append(borders, high), np.append(density, share)
+    return borders, density
 
 
 def _desired_density(
