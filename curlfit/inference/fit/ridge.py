@@ -28,6 +28,8 @@ from curlfit.numerics.arrays import Floats
 
 HIGHEST = 10.83
 """Rise of chi squared at the ends of a 99.9 % interval, of one degree of freedom."""
+REFIT_STEPS = 60
+"""Of a refit along a ridge, which begins near its optimum."""
 INTERVAL = 6.63
 """The same for 99 %: values within it fit nearly as well."""
 _MOST_POINTS = 16
