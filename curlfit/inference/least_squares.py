@@ -65,6 +65,7 @@ class Control(NamedTuple):
 
 PRECISE = Control(1e-2, 1e-14, 1e-18)  # for one throw
 _QUICK = Control(1e-4, 1e-8, 1e-10)  # for many: within 1e-5 standard errors
+ALONG_RIDGE = Control(1e-4, 1e-5, 1e-5)
 
 
 class Solution(NamedTuple):
@@ -265,7 +266,11 @@ def prepare_minimize(
 
 
 def minimize_many(
-    model: Model, tasks: Tasks, batch: int = BATCH, most: int = MOST_STEPS
+    model: Model,
+    tasks: Tasks,
+    batch: int = BATCH,
+    most: int = MOST_STEPS,
+    how: Control | None = None,
 ) -> Solution:
     """The optima of many problems.
 
@@ -275,9 +280,9 @@ def minimize_many(
     most : steps after which a solve ends.
     """
     count, loss = len(tasks.start), tasks.problems.loss
-    control = PRECISE._replace(most=most)
+    control = (how or PRECISE)._replace(most=most)
     if batch > 1:
-        control = _QUICK._replace(most=min(_FIRST_STEPS, most))
+        control = (how or _QUICK)._replace(most=min(_FIRST_STEPS, most))
     tasks = tasks._replace(start=np.array(tasks.start))
     due, interrupted = np.arange(count), np.zeros(count, bool)
     whole: Any = None

@@ -39,7 +39,12 @@ from curlfit.inference.fit.ridge import (
 from curlfit.inference.identifiability import Bounded, r_factor
 from curlfit.inference.initial_values import default_guess
 from curlfit.inference.joint.solver import JOINT, minimize_jointly
-from curlfit.inference.least_squares import Solution, Tasks, minimize_many
+from curlfit.inference.least_squares import (
+    ALONG_RIDGE,
+    Solution,
+    Tasks,
+    minimize_many,
+)
 from curlfit.inference.likelihood import linearize, whitened_residuals_of_many
 from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Problem
@@ -52,6 +57,9 @@ from curlfit.optimal_design.information import (
     apart_from,
     exact_problems,
 )
+
+_FAR = 1e12
+"""m/s: a pull of a few 1e-10 on the speed, in the unit of half chi squared."""
 
 
 def expected_departures(
@@ -240,10 +248,21 @@ class _Plan:
         upper = np.array(self.bounded.upper)
         lower[hold.parameter] = upper[hold.parameter] = hold.start[hold.parameter]
         start = hold.start[self.index]
-        penalty = Penalty.none(*start.shape)
         typical = self.assumed.parameters.typical
         bounds = lower[self.index], upper[self.index]
-        return Tasks(self.problems, start, *bounds, typical, penalty)
+        return Tasks(self.problems, start, *bounds, typical, self.chi_squared_of_noise)
+
+    @property
+    def chi_squared_of_noise(self) -> Penalty:
+        """What noise adds to chi squared, wherever the parameters are, as a prior of
+        the speed that is so far away that it hardly pulls: a search ends where a step
+        gains a small share of chi squared, of which exact data have nearly none."""
+        penalty = Penalty.none(*self.index.shape)
+        speed = self.assumed.parameters.index("v0")
+        number = (self.problems.weight > 0).sum((1, 2))
+        penalty.location[:, speed] = _FAR
+        penalty.weight[:, speed] = np.sqrt(number) / _FAR
+        return penalty
 
     def point(self, solution: Solution, held: int) -> Point:
         """The optimum of the throws, along the first axis, with a parameter held."""
@@ -355,7 +374,7 @@ def _refitted(plans: Sequence[_Plan], holds: Sequence[Hold]) -> list[Point]:
         )
         stack = stack._replace(typical=tasks[alone[0]].typical)
         model = plans[0].assumed.model
-        together = minimize_many(model, stack, FEW, REFIT_STEPS)
+        together = minimize_many(model, stack, FEW, REFIT_STEPS, ALONG_RIDGE)
         for number, solution in zip(alone, unstacked(together), strict=True):
             solutions[number] = stacked([solution])
     for number, (hold, task) in enumerate(zip(holds, tasks, strict=True)):

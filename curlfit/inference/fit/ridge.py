@@ -187,9 +187,11 @@ class _Side:
         slopes = last.slopes * self.typical
         others = self.upper > self.lower
         others[index] = False
-        follow, *_ = np.linalg.lstsq(
-            slopes[:, others], slopes[:, index] / self.typical[index], rcond=_ROUNDING
-        )
+        # what is known to no better than its typical size stays where it is
+        stay = np.eye(int(others.sum()))
+        rows = np.concatenate([slopes[:, others], stay])
+        right = np.concatenate([slopes[:, index] / self.typical[index], 0.0 * stay[0]])
+        follow, *_ = np.linalg.lstsq(rows, right, rcond=_ROUNDING)
         values[others] -= moved * follow * self.typical[others]
         values = np.clip(values, self.lower, self.upper)
         values[index] = held
