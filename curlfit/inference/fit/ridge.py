@@ -28,8 +28,6 @@ from curlfit.numerics.arrays import Floats
 
 HIGHEST = 10.83
 """Rise of chi squared at the ends of a 99.9 % interval, of one degree of freedom."""
-REFIT_STEPS = 60
-"""Of a refit along a ridge, which begins near its optimum."""
 INTERVAL = 6.63
 """The same for 99 %: values within it fit nearly as well."""
 _MOST_POINTS = 16
@@ -187,11 +185,9 @@ class _Side:
         slopes = last.slopes * self.typical
         others = self.upper > self.lower
         others[index] = False
-        # what is known to no better than its typical size stays where it is
-        stay = np.eye(int(others.sum()))
-        rows = np.concatenate([slopes[:, others], stay])
-        right = np.concatenate([slopes[:, index] / self.typical[index], 0.0 * stay[0]])
-        follow, *_ = np.linalg.lstsq(rows, right, rcond=_ROUNDING)
+        follow, *_ = np.linalg.lstsq(
+            slopes[:, others], slopes[:, index] / self.typical[index], rcond=_ROUNDING
+        )
         values[others] -= moved * follow * self.typical[others]
         values = np.clip(values, self.lower, self.upper)
         values[index] = held

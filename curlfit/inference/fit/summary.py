@@ -39,14 +39,7 @@ from curlfit.inference.fit.prepared import (
 )
 from curlfit.inference.fit.residuals import outliers_of, residuals_of
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.fit.ridge import (
-    REFIT_STEPS,
-    Followed,
-    Hold,
-    Point,
-    Ridge,
-    follow,
-)
+from curlfit.inference.fit.ridge import Followed, Hold, Point, Ridge, follow
 from curlfit.inference.fit.systematics import residual_changes
 from curlfit.inference.identifiability import Bounded, r_factors
 from curlfit.inference.initial_values import default_guess
@@ -65,6 +58,8 @@ from curlfit.throws.throw import CHANNELS
 
 IMPLAUSIBLE = "implausible"
 """First word of the status of a fit that is impossible for a curling stone."""
+_MOST_STEPS = 60
+"""Of a refit along a ridge."""
 _FEWEST = 3  # values of a channel, above which their correlation is given
 # typical sizes by which solutions that fit equally differ in a parameter
 _DIFFERENT = 0.1
@@ -295,7 +290,7 @@ class _Many(NamedTuple):
             rows = [due[hold.fit] for hold in holds]
             starts = [hold.start for hold in holds]
             parameters = [hold.parameter for hold in holds]
-            optima = self._minima(rows, starts, parameters, batch, REFIT_STEPS)
+            optima = self._minima(rows, starts, parameters, batch, _MOST_STEPS)
             priors = [Penalty(*(part[row] for part in self.penalty)) for row in rows]
             return list(map(Point.of, optima, priors, parameters))
 
