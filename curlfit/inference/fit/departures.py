@@ -126,6 +126,10 @@ class Departures(NamedTuple):
             return None, "not identifiable", self.range_of(name)
         if name in self.lost:
             return stderr, "weak", self.range_of(name)
+        if verdict == "at bound" and name in self.intervals:
+            low, high = self.intervals[name]
+            if high - low > typical:
+                return None, "not identifiable", self.range_of(name)
         if verdict == "not identifiable" and name in self.intervals:
             return stderr, verdict, self.range_of(name)
         if verdict == "prior":
