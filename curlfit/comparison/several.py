@@ -185,6 +185,7 @@ def _judged(one: _Alone, noise: Noise) -> dict[str, Any]:
     count, unknown = law.counts() * noise.share, law.unknown & ~noise.assumed
     joint = law.told(common)
     known, made, ranks = joint.by(), [], 0
+    departures = law.departures_of_all(known, common, weight)
     for inside, found in zip(groups, alone, strict=True):
         own = law.told(found)
         numbers = float(count[inside].sum())
@@ -201,7 +202,7 @@ def _judged(one: _Alone, noise: Noise) -> dict[str, Any]:
     converged = bool(known.distance < CONVERGED and np.isfinite(common.residual).all())
     return (
         about(law.law, law.model.load)
-        | described(*joint.estimates(known))
+        | described(*joint.estimates(known, departures=departures))
         | {
             "converged": converged,
             "status": "converged" if converged else "not converged",

@@ -65,6 +65,8 @@ class Control(NamedTuple):
 
 PRECISE = Control(1e-2, 1e-14, 1e-18)  # for one throw
 _QUICK = Control(1e-4, 1e-8, 1e-10)  # for many: within 1e-5 standard errors
+ALONG_RIDGE = Control(1e-4, 1e-5, 1e-5)
+"""For points of a ridge: of 1,000 values, within 0.01 of chi squared."""
 
 
 class Solution(NamedTuple):
@@ -265,7 +267,11 @@ def prepare_minimize(
 
 
 def minimize_many(
-    model: Model, tasks: Tasks, batch: int = BATCH, most: int = MOST_STEPS
+    model: Model,
+    tasks: Tasks,
+    batch: int = BATCH,
+    most: int = MOST_STEPS,
+    how: Control | None = None,
 ) -> Solution:
     """The optima of many problems.
 
@@ -273,11 +279,12 @@ def minimize_many(
     ----------
     batch : `BATCH`, `FEW`, or 1 to solve one after another, more precisely.
     most : steps after which a solve ends.
+    how : how a solve begins and ends, by default as the number of problems demands.
     """
     count, loss = len(tasks.start), tasks.problems.loss
-    control = PRECISE._replace(most=most)
+    control = (how or PRECISE)._replace(most=most)
     if batch > 1:
-        control = _QUICK._replace(most=min(_FIRST_STEPS, most))
+        control = (how or _QUICK)._replace(most=min(_FIRST_STEPS, most))
     tasks = tasks._replace(start=np.array(tasks.start))
     due, interrupted = np.arange(count), np.zeros(count, bool)
     whole: Any = None

@@ -44,6 +44,10 @@ START = (
     ),
 )
 
+BOUNDS_WITHOUT_ANGLE = {"omega0": (-MAX_SPIN, MAX_SPIN)}
+"""Bounds of the spin where neither it nor the angle was measured: far beyond these a
+path stays the same as friction and spin grow."""
+
 
 def parameter_names(law: type[Law]) -> list[str]:
     """Names of all possible parameters of a fit of a law, in order."""
@@ -150,9 +154,8 @@ class ParameterSet:
         measured = {event.quantity for event in throw.events}
         turning = bool({"phi", "omega"} & ({*throw.seen} | measured))
         if not turning and "omega0" not in named | {*(choices.get("fix") or ())}:
-            # far beyond these a path stays the same as friction and spin grow
-            spins = {"omega0": (-MAX_SPIN, MAX_SPIN)}
-            choices["bounds"] = {**(choices.get("bounds") or {}), **spins}
+            given = choices.get("bounds") or {}
+            choices["bounds"] = {**given, **BOUNDS_WITHOUT_ANGLE}
         parameters = cls.build(law, **choices)
         unseen = [f"{name}0" for name in ("x", "y", "phi") if name not in throw.seen]
         if throw.has_path and ("x" not in throw.seen or "y" not in throw.seen):

@@ -13,9 +13,10 @@ to first order (`curlfit.inference.fit.systematics`).
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from typing import Any
@@ -25,6 +26,7 @@ import numpy as np
 from curlfit.errors import InputError
 from curlfit.foreign import quoted
 from curlfit.friction import Law, check_load
+from curlfit.inference.fit.departures import Departures
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.systematics import shifts, widths_of
 from curlfit.inference.identifiability import (
@@ -34,7 +36,7 @@ from curlfit.inference.identifiability import (
     r_factor,
 )
 from curlfit.numerics.arrays import Floats
-from curlfit.optimal_design.departures import expected_departures
+from curlfit.optimal_design.departures import errors_along, expected_departures
 from curlfit.optimal_design.information import (
     Assumptions,
     PlannedThrow,
@@ -152,20 +154,26 @@ def _designed(
     if not candidates.rank:
         raise InputError(f"these throws determine no coefficient of law {law.name}")
     known = _identifiability(assumed, together)
-    departures = expected_departures(assumed, planned, together)
-    quantities = {  # determined coefficients and combinations
-        name: {name: 1.0}
-        for name, unseen in zip(assumed.names, known.unseen, strict=True)
-        if not unseen
-    } | {sum_.expression: sum_.weights for sum_ in departures.kept(known.combinations)}
-    best = _best(assumed, candidates, planned, throws)
+    selections = _selections(candidates, throws)
+    plans = [[planned[index] for index in indices] for indices in selections.values()]
+    singles = [[throw] for throw in planned]
+    departures = expected_departures(assumed, [*plans, *singles])
+    best = {
+        criterion: _expected(
+            assumed, indices, candidates.together(indices), departures_of_plan
+        )
+        for (criterion, indices), departures_of_plan in zip(
+            selections.items(), departures, strict=False
+        )
+    }
+    quantities = _quantities(assumed, known, best.values())
     if pair is None:
         if load == "consistent":
             uniform = assumed.by_load["uniform"]
             known = _identifiability(uniform, combined(uniform.factors(planned)))
         names = _undetermined_pair(known)
         pair = None if names is None else CoefficientPair(assumed, names)
-    made = [planned[index] for index in next(iter(best.values())).throws]
+    made = plans[0]
     curves = _curves(assumed, made, candidates, quantities)
     found, separation = scenarios(assumed, made, quantities), None
     if pair is not None:
@@ -191,9 +199,11 @@ def _designed(
                 one.last,
                 one.rest,
                 one.distance,
-                assumed.errors(factor, quantities),
+                errors_along(assumed, factor, quantities, departures_of_throw),
             )
-            for throw, one, factor in zip(planned, records, factors, strict=True)
+            for throw, one, factor, departures_of_throw in zip(
+                planned, records, factors, departures[len(plans) :], strict=True
+            )
         ),
         quantities=quantities,
         rank=candidates.rank,
@@ -215,40 +225,47 @@ def _identifiability(assumed: Assumptions, factor: Floats) -> Identifiability:
     )
 
 
-def _best(
-    assumed: Assumptions,
-    candidates: CandidateSet,
-    planned: Sequence[PlannedThrow],
-    throws: int,
-) -> dict[str, ExpectedErrors]:
-    """The optimal throws and their errors by criterion."""
+def _quantities(
+    assumed: Assumptions, known: Identifiability, best: Iterable[ExpectedErrors]
+) -> dict[str, dict[str, float]]:
+    """What all candidates determine, as weights: coefficients, and combinations that
+    hold for the best throws too."""
+    names = itertools.compress(assumed.names, ~known.unseen)
+    quantities = {name: {name: 1.0} for name in names}
+    expected = [errors.stderr.keys() for errors in best]
+    for combination in known.combinations:
+        if all(combination.expression in errors for errors in expected):
+            quantities[combination.expression] = combination.weights
+    return quantities
+
+
+def _selections(candidates: CandidateSet, throws: int) -> dict[str, tuple[int, ...]]:
+    """Indices of the optimal throws by criterion."""
     criteria = {
         "D": d_criterion,
-        "A": error_criterion(candidates, np.eye(len(assumed.free))),
+        "A": error_criterion(candidates, np.eye(len(candidates.basis))),
     }
-    best = {
-        name: _expected(assumed, indices, planned, candidates.together(indices))
-        for name, criterion in criteria.items()
-        if (indices := select_design(candidates, criterion, throws)) is not None
-    }
-    if not best:
+    selections = {}
+    for name, criterion in criteria.items():
+        indices = select_design(candidates, criterion, throws)
+        if indices is not None:
+            selections[name] = indices
+    if not selections:
         raise InputError(
             f"no {throws} of these throws determine what all of them together do; "
             "increase the number of throws, or give other candidates"
         )
-    return best
+    return selections
 
 
 def _expected(
     assumed: Assumptions,
     indices: tuple[int, ...],
-    planned: Sequence[PlannedThrow],
     factor: Floats,
+    departures: Departures,
 ) -> ExpectedErrors:
     """The errors expected from some candidates, with their information together."""
     found = _identifiability(assumed, factor)
-    throws = [planned[index] for index in indices]
-    departures = expected_departures(assumed, throws, factor)
     combinations = tuple(departures.kept(found.combinations))
     stderr: dict[str, float | None] = {}
     verdicts: dict[str, str] = {}

@@ -31,7 +31,11 @@ from curlfit.inference.least_squares import Indices
 from curlfit.inference.likelihood import linearize, predict_many
 from curlfit.inference.model import Model
 from curlfit.inference.noise.accelerations import Responses
-from curlfit.inference.parameters import START, ParameterSet
+from curlfit.inference.parameters import (
+    BOUNDS_WITHOUT_ANGLE,
+    START,
+    ParameterSet,
+)
 from curlfit.inference.problem import LEVEL_AND_STILL, Problem
 from curlfit.inference.system import motions
 from curlfit.numerics.arrays import Floats
@@ -110,6 +114,13 @@ class Assumptions:
         """The coefficients and the initial state."""
         return ParameterSet.build(self.law)
 
+    @cached_property
+    def parameters_of_fit(self) -> ParameterSet:
+        """The same with the bounds of a fit of what is measured."""
+        turning = {"phi", "omega"} & self.sigma.keys()
+        bounds = {} if turning else BOUNDS_WITHOUT_ANGLE
+        return ParameterSet.build(self.law, bounds=bounds)
+
     @property
     def model(self) -> Model:
         """Law and load."""
@@ -162,9 +173,25 @@ class Assumptions:
         factor = (
             confined(factor / self.typical, self.bounded, self.typical) * self.typical
         )
-        return {
+        errors = {
             name: standard_error(factor, self.weights(of))
             for name, of in quantities.items()
+        }
+        return self.within_bounds(errors)
+
+    def within_bounds(
+        self, errors: Mapping[str, float | None]
+    ) -> dict[str, float | None]:
+        """Standard errors by name, None where that of a coefficient is wider than the
+        interval between its bounds, which then alone limit it."""
+        widths = dict(
+            zip(self.names, self.bounded.upper - self.bounded.lower, strict=True)
+        )
+        return {
+            name: None
+            if error is not None and error > widths.get(name, math.inf)
+            else error
+            for name, error in errors.items()
         }
 
     def noisier(self, channels: Iterable[str], factor: float) -> Assumptions:
@@ -360,15 +387,29 @@ def paths_of(
     return predict_many(assumed.model, _vectors(assumed, throws), problems, FEW)
 
 
-def paths_from(
-    assumed: Assumptions, throw: PlannedThrow, clock: Floats, changes: Floats
-) -> Floats:
-    """Paths of a throw at up to `_ROWS` times, with the parameters changed,
-    shape (changes, channels, _ROWS)."""
-    count = len(changes)
-    problems = _problems([throw] * count, [clock] * count, assumed.channels)
-    values = _vectors(assumed, [throw]) + changes
-    return predict_many(assumed.model, values, problems, FEW)
+def exact_problems(
+    assumed: Assumptions, throws: Sequence[PlannedThrow]
+) -> tuple[Problem, Floats]:
+    """Problems of throws, along the first axis, whose data have no noise, and the
+    values of their parameters, shape (throws, parameters).
+
+    Each has `_ROWS` rows at most, evenly spread, whose weights stand for all rows of
+    the record.
+    """
+    clocks = []
+    shares = []
+    for throw, record in zip(throws, assumed.records(throws), strict=True):
+        clock = clock_of(assumed, throw, record.rest)
+        places = np.linspace(0, len(clock) - 1, _ROWS)
+        chosen = clock[np.unique(places.round().astype(int))]
+        clocks.append(chosen)
+        shares.append(len(chosen) / len(clock))
+    problems = _problems(throws, clocks, assumed.channels)
+    sigma = np.array([assumed.sigma.get(name, np.inf) for name in CHANNELS])
+    noise = sigma[: assumed.channels, None] * np.sqrt(shares)[:, None, None]
+    observed = paths_of(assumed, throws, clocks)[:, : assumed.channels]
+    problems = problems._replace(observed=observed, weight=problems.weight / noise)
+    return problems, _vectors(assumed, throws)
 
 
 def _vectors(assumed: Assumptions, throws: Sequence[PlannedThrow]) -> Floats:

@@ -43,7 +43,13 @@ from curlfit.inference.fit.fit import fit_throws
 
 LAWS = tuple(curlfit.LAWS)
 LAWS_OF_TABLES = ("coulomb", "power", "stribeck", "sutor")
-LAWS_OF_DESIGNS = ("front-back", "power+transverse", "power-angular", "sutor")
+LAWS_OF_DESIGNS = (
+    "front-back",
+    "power+transverse",
+    "power-angular",
+    "power+pivot",
+    "sutor",
+)
 CHANNELS = {
     "angle": ("x", "y", "phi"),
     "no-angle": ("x", "y"),

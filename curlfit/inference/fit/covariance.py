@@ -226,6 +226,13 @@ class Covariance:
         every[self.open] = weights
         return every
 
+    def rooms(self) -> dict[str, float]:
+        """Widths of the intervals between the bounds of the parameters, over their
+        typical sizes, by name."""
+        problem, _, _ = self.linearized
+        widths = (problem.upper - problem.lower) / self.typical
+        return dict(zip(self.names, widths.tolist(), strict=True))
+
     def error_of(self, index: int) -> float:
         """Standard error of a parameter; infinite where nothing is known of it."""
         if not self.open[index]:

@@ -126,6 +126,10 @@ class Departures(NamedTuple):
             return None, "not identifiable", self.range_of(name)
         if name in self.lost:
             return stderr, "weak", self.range_of(name)
+        if verdict == "at bound" and name in self.intervals:
+            low, high = self.intervals[name]
+            if high - low > typical:
+                return None, "not identifiable", self.range_of(name)
         if verdict == "not identifiable" and name in self.intervals:
             return stderr, verdict, self.range_of(name)
         if verdict == "prior":
@@ -156,6 +160,19 @@ class Departures(NamedTuple):
     def widened(self, stderr: float | None, name: str) -> float | None:
         """The standard error of a parameter or combination along the ridge."""
         return None if stderr is None else stderr * self.stretched.get(name, 1.0)
+
+    def error_along(self, weights: Floats, stderr: float, sizes: Floats) -> float:
+        """The standard error along the ridge of any weighted sum of the parameters.
+
+        Parameters
+        ----------
+        weights, sizes : of the parameters, as in `Ridge.stretches`.
+        stderr : to first order at the optimum.
+        """
+        if self.ridge is None or not self.ridge.points:
+            return stderr
+        (stretch,) = self.ridge.stretches(weights[None], np.array([stderr]), sizes)
+        return stderr * float(stretch) if stretch > _LITTLE else stderr
 
 
 NO_DEPARTURES = Departures({}, set(), {})
@@ -258,9 +275,11 @@ def to_be_held(
         for direction, _ in _loose_directions(covariance):
             names |= set(_taking_part(covariance, direction))
     indices = {index for index, name in enumerate(covariance.names) if name in names}
-    spin = list(covariance.names).index("omega0")
-    error = covariance.error_of(spin)
-    if covariance.open[spin]:
+    spins = [index for index, name in enumerate(covariance.names) if name == "omega0"]
+    for spin in spins:  # none among the coefficients of several throws
+        if not covariance.open[spin]:
+            continue
+        error = covariance.error_of(spin)
         if abs(covariance.values[spin]) < _NO_SPIN * error < math.inf:
             indices |= {spin, *np.flatnonzero(covariance.open[:coefficients]).tolist()}
         if error >= WEAK_ERROR * covariance.typical[spin]:
@@ -296,12 +315,15 @@ def departures_along(covariance: Covariance, ridge: Ridge, usual: Floats) -> Dep
         stretches = ridge.stretches(weights, errors, sizes)
         typical = np.abs(weights * covariance.typical).max(1)
         relative = np.maximum(stretches, 1.0) * errors / typical
+        rooms = covariance.rooms()
         about = zip(statements, stretches.tolist(), relative.tolist(), strict=True)
         for name, stretch, error in about:
             if stretch > LITTLE:
                 stretched[name] = stretch
             if name in covariance.names:
                 is_lost = error >= WEAK_ERROR
+                if error > rooms[name]:  # no error: the bounds alone limit it
+                    stretched[name] = math.inf
             else:
                 is_lost = stretch > STRETCHED and error > WIDE
             if is_lost:

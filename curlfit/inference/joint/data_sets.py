@@ -8,6 +8,7 @@ family. A table of friction takes the place of a throw whose initial state is fi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -20,7 +21,13 @@ from curlfit.friction import Law, Load, no_motion_because
 from curlfit.friction.family import LawFamily
 from curlfit.inference.fit.advice import NOISE
 from curlfit.inference.fit.covariance import Covariance
-from curlfit.inference.fit.departures import NO_DEPARTURES, Departures, departures_along
+from curlfit.inference.fit.departures import (
+    NO_DEPARTURES,
+    Departures,
+    departures_along,
+    probes_about,
+    to_be_held,
+)
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.factors import Reduction
 from curlfit.inference.fit.prepared import PreparedThrow, local_bounds
@@ -224,10 +231,10 @@ class LawOnSets:
         inside: Booleans,
         start: Floats,
         weight: Floats | None = None,
-        held: int | None = None,
+        held: Sequence[int] = (),
     ) -> Solution:
         """Of some throws and tables from initial values, shape (throws and tables,
-        parameters); the others keep these, as does the coefficient `held`."""
+        parameters); the others keep these, as do the parameters `held`."""
         problems, common = self.tasks.problems, self.common
         weight = problems.weight if weight is None else weight
         lower, upper, begin = (np.array(part) for part in (*self.tasks[2:4], start))
@@ -235,8 +242,7 @@ class LawOnSets:
         begin[~inside, self.speed] = _ASIDE
         for end in (lower, upper):
             end[np.ix_(~inside, ~common)] = begin[np.ix_(~inside, ~common)]
-            if held is not None:
-                end[:, held] = begin[:, held]
+            end[:, [*held]] = begin[:, [*held]]
         some = problems._replace(weight=weight * inside[:, None, None])
         if self.throws:
             moment = np.where(inside, 1.0, _MOMENT)[:, None]
@@ -309,14 +315,49 @@ class LawOnSets:
             for one in starts[: 1 if len(own) == 1 else None]
         )
 
-    def departures(
-        self, known: Covariance, optimum: Solution, inside: Booleans, weight: Floats
+    def departures_of_all(
+        self, known: Covariance, optimum: Solution, weight: Floats
     ) -> Departures:
-        """How chi squared of tables departs from its quadratic in the coefficients.
+        """How chi squared of all throws and tables departs from its quadratic in the
+        coefficients: the ridge is followed along those that probes tell about, as in a
+        fit, the initial states refitted.
 
         Parameters
         ----------
         known : what they say of the coefficients to first order, at the optimum.
+        """
+        every = np.ones(len(self.owner), bool)
+        coefficients = np.flatnonzero(self.common).tolist()
+        lower, upper = (end[0, self.common] for end in self.tasks[2:4])
+        bounded = Bounded(optimum.values[0, self.common], lower, upper)
+        departing = []
+        for probe in probes_about(known, bounded):
+            start = np.array(optimum.values)
+            start[:, self.common] = probe.point
+            refitted = self.optimum(every, start, weight, coefficients)
+            rise = float((refitted.chi_squared - optimum.chi_squared).sum())
+            if probe.departs(rise if math.isfinite(rise) else math.inf):
+                departing.append(probe)
+        held = to_be_held(known, departing, len(coefficients))
+        if not held:
+            return NO_DEPARTURES
+        return self.departures(known, optimum, every, weight, held)
+
+    def departures(
+        self,
+        known: Covariance,
+        optimum: Solution,
+        inside: Booleans,
+        weight: Floats,
+        indices: Sequence[int] | None = None,
+    ) -> Departures:
+        """How chi squared of throws and tables departs from its quadratic in the
+        coefficients.
+
+        Parameters
+        ----------
+        known : what they say of the coefficients to first order, at the optimum.
+        indices : of the coefficients to be held, by default all that can move.
         """
         begin = np.array(optimum.values)
 
@@ -333,13 +374,14 @@ class LawOnSets:
                 start = begin.copy()
                 start[:, self.common] = hold.start
                 held = int(np.flatnonzero(self.common)[hold.parameter])
-                solution = self.optimum(inside, start, weight, held)
+                solution = self.optimum(inside, start, weight, [held])
                 points.append(point_of(solution, hold.parameter))
             return points
 
         lower, upper = (end[0, self.common] for end in self.tasks[2:4])
         typical = self.tasks.typical[self.common]
-        indices = np.flatnonzero(known.open).tolist()
+        if indices is None:
+            indices = np.flatnonzero(known.open).tolist()
         errors = {index: known.error_of(index) for index in indices}
         followed = Followed(point_of(optimum), lower, upper, typical, errors)
         (ridge,) = follow([followed], refit)
