@@ -277,7 +277,7 @@ def _expected(
             typical = float(assumed.typical[index])
             error, verdict = classify(typical, False, found, index)
             stderr[name], verdicts[name], _ = departures.judged(
-                name, error, verdict, typical, coefficient.upper - coefficient.lower
+                name, error, verdict, typical
             )
     return ExpectedErrors(
         indices,

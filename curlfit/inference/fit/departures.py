@@ -113,16 +113,12 @@ class Departures(NamedTuple):
     """None where it was not followed"""
 
     def judged(
-        self, name: str, stderr: float | None, verdict: str, typical: float, room: float
+        self, name: str, stderr: float | None, verdict: str, typical: float
     ) -> tuple[float | None, str, str]:
         """What the ridge makes of an estimate of a typical size: its standard error,
-        its verdict, and the reason of that, if there is one.
-
-        An error along the ridge that is larger than the room between the bounds says
-        nothing.
-        """
+        its verdict, and the reason of that, if there is one."""
         stderr = self.widened(stderr, name)
-        if stderr is not None and name in self.stretched and stderr >= room:
+        if stderr is not None and math.isinf(stderr):
             return None, "not identifiable", self.range_of(name)
         if name in self.lost:
             return stderr, "weak", self.range_of(name)
@@ -172,7 +168,7 @@ class Departures(NamedTuple):
         if self.ridge is None or not self.ridge.points:
             return stderr
         (stretch,) = self.ridge.stretches(weights[None], np.array([stderr]), sizes)
-        return stderr * float(stretch) if stretch > _LITTLE else stderr
+        return stderr * float(stretch) if stretch > LITTLE else stderr
 
 
 NO_DEPARTURES = Departures({}, set(), {})
@@ -277,6 +273,8 @@ def to_be_held(
     indices = {index for index, name in enumerate(covariance.names) if name in names}
     spins = [index for index, name in enumerate(covariance.names) if name == "omega0"]
     for spin in spins:  # none among the coefficients of several throws
+        if covariance.at_bound[spin]:
+            indices.add(spin)
         if not covariance.open[spin]:
             continue
         error = covariance.error_of(spin)
@@ -284,8 +282,6 @@ def to_be_held(
             indices |= {spin, *np.flatnonzero(covariance.open[:coefficients]).tolist()}
         if error >= WEAK_ERROR * covariance.typical[spin]:
             indices.add(spin)
-    elif covariance.at_bound[spin]:
-        indices.add(spin)
     if indices:
         indices |= {
             index

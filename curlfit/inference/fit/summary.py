@@ -672,7 +672,7 @@ def _estimates(
         if item.name not in parameters.fixed:
             stderr, verdict, dof = found.classified(row)
         stderr, verdict, reason = departures.judged(
-            item.name, stderr, verdict, item.typical, item.upper - item.lower
+            item.name, stderr, verdict, item.typical
         )
         prior = parameters.priors.get(item.name)
         if verdict == "determined" and item.name in rival:

@@ -424,7 +424,7 @@ class Told(NamedTuple):
                 known.classified(place) if free else (None, "fixed", None)
             )
             stderr, verdict, reason = departures.judged(
-                item.name, stderr, verdict, item.typical, item.upper - item.lower
+                item.name, stderr, verdict, item.typical
             )
             found[item.name] = Estimate.of(
                 item,

@@ -118,10 +118,7 @@ def _chain(
 def _of_mean(item: Estimate, known: Covariance, row: int, dof: float) -> Estimate:
     stderr, verdict, _ = known.classified(row)
     name = known.names[row]
-    room = item.upper - item.lower
-    stderr, verdict, reason = NO_DEPARTURES.judged(
-        name, stderr, verdict, item.typical, room
-    )
+    stderr, verdict, reason = NO_DEPARTURES.judged(name, stderr, verdict, item.typical)
     return replace(
         item,
         value=float(known.values[row]),
