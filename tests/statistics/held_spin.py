@@ -19,11 +19,11 @@ from scipy.optimize import least_squares
 from scipy.special import gammaln, logsumexp
 from simulator import simulated
 
-SPINS = 50
+SPINS = 80
 """Held spins of each sense: two neighbours differ by a tenth, between which b of
 power+transverse, which falls as 1/omega0, is straight to 0.1 %; its error is 1 %."""
-SLOWEST = 0.03
-"""rad/s: a stone turns by 30 degrees in 18 s, and does not curl."""
+SLOWEST = 0.005
+"""rad/s: a stone turns by 5 degrees in 18 s, and does not curl."""
 DRAWS = 4000
 DEGREES = 6.0
 """Of freedom of the Student distribution, which has heavier tails than the

@@ -6,7 +6,8 @@
 Throws by a simulator that shares no code with curlfit (`simulator.py`) are fitted with
 the law that they obey, from data that leave some of its coefficients open:
 
-- no-angle: t, x, y;
+- no-angle: t, x, y, with bounds that a curler would find wide;
+- no-angle-wide: the same with the bounds that the program has by itself;
 - no-spin: t, x, y, phi of a throw that all but does not spin;
 - times: two times of a stopwatch;
 - season: throws of one evening without the angle, fitted one by one by
@@ -15,7 +16,7 @@ the law that they obey, from data that leave some of its coefficients open:
 - sampler: one throw without the angle of each law, the posterior beside importance
   sampling at held spins (`held_spin.py`).
 
-In the first three sets, coefficients, speed and spin are drawn evenly from ranges that
+In the first four sets, coefficients, speed and spin are drawn evenly from ranges that
 are also the bounds of the fit, and so from its prior: of all such throws, posterior
 intervals contain the truth exactly as often as they should, whatever the path leaves
 open. Which throws are kept is decided by what was measured, which changes nothing in
@@ -36,6 +37,7 @@ import sys
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -44,12 +46,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from held_spin import DRAWS, posterior_sample, problem_of_track, weighted_quantiles
-from simulator import distance, moved
+from simulator import crossing, distance, moved
 from tables import Table, put_merged, reasons, share
 from verdicts import (
     CHANNELS,
     FAR_HOG_LINE,
     NOISE,
+    SIGMA_TIME,
     TIMES,
     Answer,
     Statement,
@@ -74,17 +77,33 @@ from curlfit.batch.table import Table as BatchTable
 Box = Mapping[str, tuple[float, float]]
 
 FRICTION = {"c": (0.004, 0.014), "k": (-0.7, 0.3)}
-BOXES: dict[str, Box] = {
+PLAUSIBLE: dict[str, Box] = {
     "front-back": {
         "mu1_xi": (0.0, 0.05),
         "mu2_xi": (0.0, 0.1),
         "mu1_eta": (0.003, 0.015),
         "mu2_eta": (0.003, 0.015),
     },
-    "power": FRICTION,
     "power-angular": {**FRICTION, "f0": (-1.0, 1.0)},
     "power+transverse": {**FRICTION, "b": (0.0, 0.3)},
     "power+pivot": {**FRICTION, "q": (0.0, 0.0005)},
+}
+"""From a fraction of the defaults to twice them or more."""
+WIDE_FRICTION = {"c": (0.002, 0.03), "k": (-0.7, 1.0)}
+WIDE: dict[str, Box] = {
+    "front-back": {
+        "mu1_xi": (0.0, 1.0),
+        "mu2_xi": (0.0, 1.0),
+        "mu1_eta": (0.0, 0.04),
+        "mu2_eta": (0.0, 0.04),
+    },
+    "power-angular": {**WIDE_FRICTION, "f0": (-1.0, 1.0)},
+    "power+transverse": {**WIDE_FRICTION, "b": (0.0, 1.0)},
+}
+"""What the path leaves open has the bounds of its law, and what brakes the stone all
+values with which it comes so far. Not of power+pivot: with most q from 0 to 1 the spin
+ends at once."""
+SPINLESS: dict[str, Box] = {
     "semi-empirical": {
         "a": (0.0, 0.02),
         "c": (0.05, 0.13),
@@ -101,13 +120,25 @@ BOXES: dict[str, Box] = {
         "q": (0.005, 0.06),
     },
 }
-"""From which coefficients are drawn, and the bounds of the fit: from a fraction of the
-defaults to twice them or more."""
-SPINS = {"no-angle": 4.0, "no-spin": 0.005, "times": 0.0}
+BOXES = {
+    "no-angle": PLAUSIBLE,
+    "no-angle-wide": WIDE,
+    "no-spin": SPINLESS,
+    "times": {"power": {"c": (0.001, 0.03), "k": (-0.7, 1.0)}},
+}
+"""From which the coefficients of a set are drawn, and the bounds of its fits."""
+SPINS = {"no-angle": 4.0, "no-angle-wide": 4 * np.pi, "no-spin": 0.005, "times": 0.0}
 """Largest spin of either sense, rad/s. A fast stone makes ten turns in 18 s; one that
-all but does not spin turns by 5 degrees."""
-SPEEDS = {"no-angle": (1.9, 2.4), "no-spin": (1.9, 2.4), "times": (1.5, 3.5)}
+all but does not spin turns by 5 degrees; the program's own bound is two turns a
+second."""
+SPEEDS = {
+    "no-angle": (1.9, 2.4),
+    "no-angle-wide": (1.9, 2.4),
+    "no-spin": (1.9, 2.4),
+    "times": (1.5, 3.5),
+}
 """m/s; from two times the speed is not determined, so that these are its bounds."""
+MEASURED = {**CHANNELS, "no-angle-wide": CHANNELS["no-angle"]}
 SEEN_ACROSS = 2.4
 """m from the centre line, on the sheet."""
 SEEN_ALONG = (15.0, 45.0)
@@ -115,18 +146,21 @@ SEEN_ALONG = (15.0, 45.0)
 SEEN_TIMES = {"hog_to_hog": (8.0, 18.0), "hog_to_rest": (4.0, 25.0)}
 """s"""
 
-LAWS_BY_SET = {
-    "no-angle": ("front-back", "power-angular", "power+transverse", "power+pivot"),
-    "no-spin": ("semi-empirical", "fcv1"),
-    "times": ("power",),
-    "season": ("front-back", "power+transverse"),
-    "joint": ("front-back", "power+transverse"),
-    "sampler": ("power-angular", "power+transverse", "power+pivot"),
+OF_ONE_THROW = tuple(BOXES)
+OF_MANY = ("season", "joint")
+SAMPLED = {
+    "power-angular": "no-angle-wide",
+    "power+transverse": "no-angle-wide",
+    "power+pivot": "no-angle",
+}
+"""The set from which the throw of a law is, whose posterior is compared."""
+LAWS_BY_SET: dict[str, tuple[str, ...]] = {
+    **{kind: tuple(boxes) for kind, boxes in BOXES.items()},
+    **dict.fromkeys(OF_MANY, ("front-back", "power+transverse")),
+    "sampler": tuple(SAMPLED),
 }
 SETS = tuple(LAWS_BY_SET)
-OF_ONE_THROW = ("no-angle", "no-spin", "times")
-OF_MANY = ("season", "joint")
-LAWS = tuple(BOXES)
+LAWS = (*PLAUSIBLE, *SPINLESS, "power")
 ORDER = [(law, kind) for kind in SETS for law in LAWS]
 """Of the rows of all tables."""
 
@@ -138,6 +172,9 @@ TO_TEE = FAR_HOG_LINE + 6.401
 PRODUCT = "b*omega0"
 """What a path under power+transverse determines without the angle."""
 EFFECTIVE = 1000
+CURLED = 0.3
+"""m, of the throws whose posterior is compared: a straight path has another, which
+goes through a spin of zero."""
 THROWS_OF_SEASON = 24
 TRACKS_OF_JOINT = 10
 QUANTILES = ("2.5", "16", "50", "84", "97.5")
@@ -159,12 +196,17 @@ class Case(NamedTuple):
     kind: str
 
     @property
+    def box(self) -> Box:
+        """From which coefficients are drawn."""
+        return BOXES[self.kind][self.law]
+
+    @property
     def bounds(self) -> dict[str, tuple[float, float]]:
         """The bounds of the fit: what the truth is drawn from."""
         if self.kind == "times":
-            return {**BOXES[self.law], "v0": SPEEDS[self.kind]}
+            return {**self.box, "v0": SPEEDS[self.kind]}
         fastest = SPINS[self.kind]
-        return {**BOXES[self.law], "omega0": (-fastest, fastest)}
+        return {**self.box, "omega0": (-fastest, fastest)}
 
 
 class Quantity(NamedTuple):
@@ -195,15 +237,23 @@ REST = {"rest_x": "rest across", "rest_y": "rest along", "time": "time to rest"}
 # Throws
 
 
+def within_limits(
+    values: Mapping[str, float],
+    limits: Mapping[str, tuple[float, float]],
+    margin: float = 0.0,
+) -> bool:
+    """Whether values are within their limits, or so much beyond them."""
+    return all(
+        low - margin < values[name] < high + margin
+        for name, (low, high) in limits.items()
+    )
+
+
 def looks_like_a_throw(kind: str, throw: curlfit.Throw) -> bool:
     """Whether what was measured is that of a stone on a sheet."""
     if kind == "times":
-        return all(
-            low < event.value < high
-            for event, (low, high) in zip(
-                throw.events, SEEN_TIMES.values(), strict=True
-            )
-        )
+        times = {event.name: event.value for event in throw.events}
+        return within_limits(times, SEEN_TIMES)
     low, high = SEEN_ALONG
     return bool((np.abs(throw.x) < SEEN_ACROSS).all() and low < throw.y[-1] < high)
 
@@ -211,10 +261,16 @@ def looks_like_a_throw(kind: str, throw: curlfit.Throw) -> bool:
 def measured(
     case: Case, truth: Truth, random: np.random.Generator
 ) -> curlfit.Throw | None:
-    """What is measured of a throw; None of one whose times cannot be taken."""
+    """What is measured of a throw; None of one whose times are far from those that a
+    throw may have, which cannot be read."""
     if case.kind != "times":
-        return filmed(case.law, truth, CHANNELS[case.kind], random)
-    if distance(moved(case.law, *truth)) < FAR_HOG_LINE:
+        return filmed(case.law, truth, MEASURED[case.kind], random)
+    motion = moved(case.law, *truth)
+    if distance(motion) < FAR_HOG_LINE:
+        return None
+    hog_to_hog = crossing(motion, FAR_HOG_LINE)
+    times = {"hog_to_hog": hog_to_hog, "hog_to_rest": motion.end - hog_to_hog}
+    if not within_limits(times, SEEN_TIMES, margin=10 * SIGMA_TIME):
         return None
     return timed(case.law, truth, random)
 
@@ -226,13 +282,14 @@ def drawn_from_prior(
     fastest = SPINS[case.kind]
     while True:
         truth = Truth(
-            {name: random.uniform(*limits) for name, limits in BOXES[case.law].items()},
+            {name: random.uniform(*limits) for name, limits in case.box.items()},
             random.uniform(*SPEEDS[case.kind]),
             random.uniform(-fastest, fastest),
         )
         throw = measured(case, truth, random)
         if throw is not None and looks_like_a_throw(case.kind, throw):
-            return truth, throw
+            # Whether the friction is usual is no matter here.
+            return truth, replace(throw, defaults={"as_given": True})
 
 
 def planned(kind: str, random: np.random.Generator) -> Planned:
@@ -335,15 +392,18 @@ def outcomes_of_sample(
     sources = (POSTERIOR, BANDS_OF_SAMPLES)
     try:
         sampled, chain = curlfit.sample(fit, seed=seed, effective=EFFECTIVE)
+        derived = {
+            quantity.name: sampled.derive(quantity.name, chain).quantiles
+            for quantity in quantities
+            if quantity.name == PRODUCT and quantity.source == POSTERIOR
+        }
     except Exception as error:
         return every(quantities, fault_of(error), *sources)
     posterior = sampled.posterior
     assert posterior is not None
     if not posterior.converged:
         return every(quantities, "not converged", *sources)
-    quantiles = dict(posterior.quantiles)
-    if Quantity(PRODUCT, POSTERIOR) in quantities:
-        quantiles[PRODUCT] = sampled.derive(PRODUCT, chain).quantiles
+    quantiles = posterior.quantiles | derived
     outcomes: Outcomes = {
         quantity: within(quantiles[quantity.name], values[quantity.name])
         for quantity in quantities
@@ -372,15 +432,15 @@ def outcomes_of_throw(
             systematics={"all": 0.0},
             details=False,
         )
+        outcomes: Outcomes = {
+            quantity: of_estimate(fit.derive(quantity.name), values[quantity.name])
+            for quantity in quantities
+            if quantity.source == FIT
+        }
     except Exception as error:
         return every(quantities, fault_of(error), *sources)
     if not fit.converged:
         return every(quantities, "fit not converged", *sources)
-    outcomes: Outcomes = {
-        quantity: of_estimate(fit.derive(quantity.name), values[quantity.name])
-        for quantity in quantities
-        if quantity.source == FIT
-    }
     outcomes |= bands_of(
         case,
         BANDS,
@@ -529,12 +589,14 @@ def row_of_many(case: Case, answers: Sequence[Answer]) -> list[object]:
 def rows_of_sampler(case: Case, seed: int) -> Iterator[list[object]]:
     """Quantiles by importance sampling, and how far those of the posterior are from
     them, in widths of the interval of 68 %."""
-    like = Case(case.law, "no-angle")
-    _, throw = drawn_from_prior(like, random_of(case, seed, 0))
-    box = BOXES[case.law]
+    like = Case(case.law, SAMPLED[case.law])
+    random = random_of(case, seed, 0)
+    _, throw = drawn_from_prior(like, random)
+    while abs(throw.x[-1] - throw.x[0]) < CURLED:
+        _, throw = drawn_from_prior(like, random)
     track = np.stack([throw.x, throw.y])
     problem = problem_of_track(
-        case.law, TIMES, track, NOISE["x"], box, SPINS["no-angle"]
+        case.law, TIMES, track, NOISE["x"], like.box, SPINS[like.kind]
     )
     sample = posterior_sample(problem, DRAWS, seed)
     try:
@@ -547,7 +609,9 @@ def rows_of_sampler(case: Case, seed: int) -> Iterator[list[object]]:
     assert posterior is not None
     ending = "off, 68 % widths" if posterior.converged else "off, not converged"
     shares = [float(level) / 100 for level in QUANTILES]
-    draws = dict(zip(box, sample.values.T, strict=False)) | {"omega0": sample.spins}
+    draws = dict(zip(like.box, sample.values.T, strict=False)) | {
+        "omega0": sample.spins
+    }
     for name, values in draws.items():
         expected = weighted_quantiles(values, sample.weights, shares)
         given = np.array([posterior.quantiles[name][level] for level in QUANTILES])

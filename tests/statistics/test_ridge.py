@@ -17,10 +17,10 @@ from held_spin import (
 )
 from ridge import (
     BANDS,
-    BOXES,
     FIT,
     LAWS_BY_SET,
     OF_ONE_THROW,
+    PLAUSIBLE,
     POSTERIOR,
     PRODUCT,
     TO_TEE,
@@ -61,8 +61,8 @@ def test_truths_are_drawn_from_the_bounds_of_their_fit(kind):
         case = Case(law, kind)
         coefficients = curlfit.LAWS[law].coefficients()
         limits = {item.name: (item.lower, item.upper) for item in coefficients}
-        assert list(BOXES[law]) == list(limits)
-        for name, (low, high) in BOXES[law].items():
+        assert list(case.box) == list(limits)
+        for name, (low, high) in case.box.items():
             lower, upper = limits[name]
             assert lower <= low < high <= upper
         truth, throw = drawn_from_prior(case, random_of(case, 1, 0))
@@ -277,7 +277,7 @@ def test_a_track_is_where_the_simulator_says():
     path = simulated("power+transverse", TRANSVERSE, 2.1, 1.2, TIMES)
     turned = np.array([[np.cos(0.03), np.sin(0.03)], [-np.sin(0.03), np.cos(0.03)]])
     track = turned @ path[:2] + np.array([[0.2], [-0.1]])
-    box = BOXES["power+transverse"]
+    box = PLAUSIBLE["power+transverse"]
     problem = problem_of_track("power+transverse", TIMES, track, 0.005, box, 4.0)
     assert np.abs(problem.residuals(1.2, np.array(truth))).max() < 1e-9
     optimum = held_spin.optimum_at(problem, 1.2, problem.guess)
