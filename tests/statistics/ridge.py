@@ -39,7 +39,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -73,6 +72,7 @@ import curlfit
 from curlfit.batch.fit_many import fit_files
 from curlfit.batch.settings import BatchSettings, columns
 from curlfit.batch.table import Table as BatchTable
+from curlfit.numerics.processes import worker_processes
 
 Box = Mapping[str, tuple[float, float]]
 
@@ -680,7 +680,7 @@ def main() -> None:
     kinds = chosen_names(options.sets, SETS)
     by_mark = tables()
     os.environ.update(ONE_THREAD)  # of the processes, which load JAX
-    with ProcessPoolExecutor(options.workers, get_context("spawn")) as pool:
+    with worker_processes(options.workers) as pool:
         for kind in kinds:
             mark = table_of(kind)
             for law in LAWS_BY_SET[kind]:
