@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -30,6 +31,9 @@ DEGREES = 6.0
 posterior."""
 WIDER = 1.15
 """How much wider than the approximation draws are."""
+LARGEST_SHARE = 0.05
+"""Probability of an interval of the spin above which it is halved."""
+HALVINGS = 8
 NEGLIGIBLE = 1e-5
 """Probability of an interval of the spin, over the largest, that is left out."""
 
@@ -80,6 +84,35 @@ class Optimum(NamedTuple):
     """logarithm of the integral of the posterior over all but the spin"""
 
 
+class Cell(NamedTuple):
+    """An interval of the spin, and the optima at its ends."""
+
+    spins: tuple[float, float]
+    optima: tuple[Optimum, Optimum]
+
+    @property
+    def width(self) -> float:
+        """rad/s"""
+        return abs(self.spins[1] - self.spins[0])
+
+    @property
+    def log_mass(self) -> float:
+        """Logarithm of the integral of the posterior over it, up to a constant, from
+        the larger of both ends: the posterior may end within it, at a bound."""
+        height = max(optimum.log_mass for optimum in self.optima)
+        return height + float(np.log(self.width))
+
+    def halves(self, problem: Problem) -> list[Cell]:
+        """Both halves, with the optimum between them."""
+        first, last = self.spins
+        middle = np.sign(first) * np.sqrt(first * last)
+        (optimum,) = optima_along(problem, [middle], self.optima[0].values)
+        return [
+            Cell((first, middle), (self.optima[0], optimum)),
+            Cell((middle, last), (optimum, self.optima[1])),
+        ]
+
+
 class Sample(NamedTuple):
     """Weighted draws."""
 
@@ -115,12 +148,13 @@ def optimum_at(problem: Problem, spin: float, guess: np.ndarray) -> Optimum:
     return Optimum(fit.x, spread, float(log_mass))
 
 
-def optima_along(problem: Problem, spins: Sequence[float]) -> list[Optimum]:
-    """The optima at some spins, each from the one before."""
+def optima_along(
+    problem: Problem, spins: Sequence[float], guess: np.ndarray
+) -> list[Optimum]:
+    """The optima at some spins, the first from a guess, each from the one before."""
     optima: list[Optimum] = []
     inside = problem.upper - problem.lower
     margin = np.where(np.isfinite(inside), 1e-3 * inside, 0.0)
-    guess = problem.guess
     for spin in spins:
         # scipy needs a guess within the bounds
         guess = np.clip(guess, problem.lower + margin, problem.upper - margin)
@@ -137,24 +171,39 @@ def student_log_density(offsets: np.ndarray) -> float:
     return constant - (DEGREES + size) / 2 * np.log1p((offsets**2).sum() / DEGREES)
 
 
+def shares_of(cells: Sequence[Cell]) -> np.ndarray:
+    """Probabilities of the intervals, shape (cells,); 0 of those left out."""
+    log_masses = np.array([cell.log_mass for cell in cells])
+    masses = np.exp(log_masses - log_masses.max())
+    masses[masses < NEGLIGIBLE] = 0.0
+    return masses / masses.sum()
+
+
+def cells_of(problem: Problem) -> list[Cell]:
+    """Intervals of the spin, narrow where the posterior is."""
+    speeds = np.geomspace(problem.fastest, SLOWEST, SPINS + 1)
+    cells: list[Cell] = []
+    for spins in (-speeds, speeds):
+        optima = optima_along(problem, spins, problem.guess)
+        ends = zip(pairwise(spins), pairwise(optima), strict=True)
+        cells += [Cell(*end) for end in ends]
+    for _ in range(HALVINGS):
+        large = shares_of(cells) > LARGEST_SHARE
+        if not large.any():
+            break
+        cells = [
+            part
+            for cell, halve in zip(cells, large, strict=True)
+            for part in (cell.halves(problem) if halve else [cell])
+        ]
+    return cells
+
+
 def posterior_sample(problem: Problem, number: int, seed: int = 0) -> Sample:
     """Weighted draws from the posterior of all parameters and the spin."""
     random = np.random.default_rng(seed)
-    speeds = np.geomspace(problem.fastest, SLOWEST, SPINS + 1)
-    senses = [sense * speeds for sense in (-1, 1)]
-    optima_by_sense = [optima_along(problem, spins) for spins in senses]
-    cells = [
-        (spins[place : place + 2], optima[place : place + 2])
-        for spins, optima in zip(senses, optima_by_sense, strict=True)
-        for place in range(SPINS)
-    ]
-    # The larger of both ends, so that the draws reach where the posterior ends within
-    # an interval, at a bound.
-    heights = np.array([max(end.log_mass for end in ends) for _, ends in cells])
-    widths = np.array([abs(np.diff(spins)[0]) for spins, _ in cells])
-    masses = np.exp(heights - heights.max()) * widths
-    masses[masses < NEGLIGIBLE * masses.max()] = 0.0
-    shares = masses / masses.sum()
+    cells = cells_of(problem)
+    shares = shares_of(cells)
     drawn_spins = np.empty(number)
     drawn_values = np.empty((number, len(problem.guess)))
     log_weights = np.empty(number)
@@ -167,7 +216,7 @@ def posterior_sample(problem: Problem, number: int, seed: int = 0) -> Sample:
         offsets = random.standard_normal(len(centre))
         offsets *= np.sqrt(DEGREES / random.chisquare(DEGREES))
         values = centre + spread @ offsets
-        log_proposal = np.log(shares[cell] / widths[cell])
+        log_proposal = np.log(shares[cell] / cells[cell].width)
         log_proposal += student_log_density(offsets) - np.log(np.diag(spread)).sum()
         drawn_spins[draw] = spin
         drawn_values[draw] = values

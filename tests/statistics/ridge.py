@@ -149,11 +149,12 @@ SEEN_TIMES = {"hog_to_hog": (8.0, 18.0), "hog_to_rest": (4.0, 25.0)}
 OF_ONE_THROW = tuple(BOXES)
 OF_MANY = ("season", "joint")
 SAMPLED = {
-    "power-angular": "no-angle-wide",
-    "power+transverse": "no-angle-wide",
-    "power+pivot": "no-angle",
+    "power-angular": ("no-angle-wide", 0),
+    "power+transverse": ("no-angle-wide", 0),
+    "power+pivot": ("no-angle", 2),
 }
-"""The set from which the throw of a law is, whose posterior is compared."""
+"""The set from which the throw of a law is, whose posterior is compared, and its
+number, such that its spin is open."""
 LAWS_BY_SET: dict[str, tuple[str, ...]] = {
     **{kind: tuple(boxes) for kind, boxes in BOXES.items()},
     **dict.fromkeys(OF_MANY, ("front-back", "power+transverse")),
@@ -173,7 +174,7 @@ PRODUCT = "b*omega0"
 """What a path under power+transverse determines without the angle."""
 EFFECTIVE = 1000
 CURLED = 0.3
-"""m, of the throws whose posterior is compared: a straight path has another, which
+"""m, of these throws: a straight path has another posterior, which
 goes through a spin of zero."""
 THROWS_OF_SEASON = 24
 TRACKS_OF_JOINT = 10
@@ -589,8 +590,9 @@ def row_of_many(case: Case, answers: Sequence[Answer]) -> list[object]:
 def rows_of_sampler(case: Case, seed: int) -> Iterator[list[object]]:
     """Quantiles by importance sampling, and how far those of the posterior are from
     them, in widths of the interval of 68 %."""
-    like = Case(case.law, SAMPLED[case.law])
-    random = random_of(case, seed, 0)
+    kind, place = SAMPLED[case.law]
+    like = Case(case.law, kind)
+    random = random_of(case, seed, place)
     _, throw = drawn_from_prior(like, random)
     while abs(throw.x[-1] - throw.x[0]) < CURLED:
         _, throw = drawn_from_prior(like, random)
