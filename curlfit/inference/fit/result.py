@@ -7,7 +7,7 @@ drawn and sampled again without the data file and without fitting.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from os import PathLike
 from typing import Annotated, Any, ClassVar, NotRequired
@@ -25,7 +25,13 @@ from curlfit.inference.fit.estimates import (
     RidgePoint,
     Systematics,
 )
-from curlfit.inference.identifiability import Combination
+from curlfit.inference.fit.ridge_information import information_along
+from curlfit.inference.identifiability import (
+    WEAK_ERROR,
+    Combination,
+    stderr_of,
+    visible,
+)
 from curlfit.inference.model import Model
 from curlfit.inference.noise.models import LOSSES, WHITE, Independence, Noise
 from curlfit.inference.parameters import START, ParameterSet
@@ -474,10 +480,64 @@ class FitResult(NamedEstimates):
             self, derived=tuple(self.derive(text, chain) for text in expressions)
         )
 
+    def _moves_along_ridge(self, names: Sequence[str]) -> Floats:
+        """Moves of parameters from the estimates to the points of the ridge, shape
+        (points, parameters)."""
+        places = [list(self.parameters).index(name) for name in names]
+        points = np.array([point.values for point in self.ridge])
+        return (points.reshape(-1, len(self.parameters)) - self.values)[:, places]
+
+    def coefficient_rows_along_ridge(self) -> tuple[Floats, Floats]:
+        """What the throw says of the coefficients of its law where chi squared is no
+        quadratic: rows as those of `coefficient_rows`, of which the second are as wide
+        as the ridge, each of shape (coefficients, coefficients + 1)."""
+        names = list(self.coefficients)
+        known = self.information["names"]
+        typical = np.array([self.parameters[name].typical for name in known])
+        matrix = np.array(self.information["matrix"]) * typical * typical[:, None]
+        gradient = np.array(self.information["gradient"]) * typical
+        rises = np.array([point.rise for point in self.ridge])
+        moves = self._moves_along_ridge(known) / typical
+        step: Any = np.linalg.pinv(matrix, rcond=_SEEN, hermitian=True) @ gradient
+        own = np.isin(known, names)
+        values = np.array([self.parameters[name].value for name in names])
+        free = np.append(np.isin(names, known), True)
+        parts = []
+        for part in information_along(matrix, moves, rises).of(own, step):
+            rows = np.zeros((len(names), len(names) + 1))
+            rows[: len(part), free] = part / np.append(typical[own], 1.0)
+            rows[:, -1] += rows[:, :-1] @ values
+            parts.append(rows)
+        kept, stretched = parts
+        return kept, stretched
+
+    def left_open(self) -> tuple[str, ...]:
+        """Coefficients that the ridge leaves open: that differ along it, and of which
+        the throw says too little. None where chi squared is a quadratic."""
+        if not self.ridge:
+            return ()
+        names = [
+            name for name in self.coefficients if name in self.information["names"]
+        ]
+        typical = np.array([self.parameters[name].typical for name in names])
+        moves = np.abs(self._moves_along_ridge(names) / typical)
+        places = [list(self.coefficients).index(name) for name in names]
+        rows = np.vstack(self.coefficient_rows_along_ridge())[:, places] * typical
+        _, singular, axes = np.linalg.svd(rows, full_matrices=False)
+        seen = visible(singular)
+        left = []
+        for name, unit, far in zip(
+            names, np.eye(len(names)), moves.max(0), strict=True
+        ):
+            error = stderr_of(unit, axes[seen], singular[seen])
+            if far > WEAK_ERROR and (error is None or error >= WEAK_ERROR):
+                left.append(name)
+        return tuple(left)
+
     def coefficient_rows(self) -> Floats:
-        """What the throw says of the coefficients of its law: rows that are multiplied
-        by these, with what they then give as the last column, shape (coefficients,
-        coefficients + 1); errors are one."""
+        """What the throw says of the coefficients of its law to first order about its
+        optimum: rows that are multiplied by these, with what they then give as the last
+        column, shape (coefficients, coefficients + 1); errors are one."""
         names, known = list(self.coefficients), self.information["names"]
         typical = np.array([self.parameters[name].typical for name in known])
         matrix = np.array(self.information["matrix"]) * typical * typical[:, None]
