@@ -29,6 +29,7 @@ from curlfit.inference.fit.ridge_information import information_along
 from curlfit.inference.identifiability import (
     WEAK_ERROR,
     Combination,
+    directions,
     stderr_of,
     visible,
 )
@@ -513,7 +514,8 @@ class FitResult(NamedEstimates):
 
     def left_open(self) -> tuple[str, ...]:
         """Coefficients that the ridge leaves open: that differ along it, and of which
-        the throw says too little. None where chi squared is a quadratic."""
+        the throw says too little, though it would with its initial state known. None
+        where chi squared is a quadratic."""
         if not self.ridge:
             return ()
         names = [
@@ -521,17 +523,21 @@ class FitResult(NamedEstimates):
         ]
         typical = np.array([self.parameters[name].typical for name in names])
         moves = np.abs(self._moves_along_ridge(names) / typical)
+        places = [self.information["names"].index(name) for name in names]
+        of_start_known = np.array(self.information["matrix"])[np.ix_(places, places)]
+        axes, _, null = directions(of_start_known, typical)
+        told = np.linalg.norm(null, axis=0) < np.linalg.norm(axes, axis=0)
         places = [list(self.coefficients).index(name) for name in names]
         rows = np.vstack(self.coefficient_rows_along_ridge())[:, places] * typical
         _, singular, axes = np.linalg.svd(rows, full_matrices=False)
         seen = visible(singular)
         left = []
-        for name, unit, far in zip(
-            names, np.eye(len(names)), moves.max(0), strict=True
-        ):
+        for place, far in enumerate(moves.max(0)):
+            unit = np.eye(len(names))[place]
             error = stderr_of(unit, axes[seen], singular[seen])
-            if far > WEAK_ERROR and (error is None or error >= WEAK_ERROR):
-                left.append(name)
+            is_weak = error is None or error >= WEAK_ERROR
+            if far > WEAK_ERROR and told[place] and is_weak:
+                left.append(names[place])
         return tuple(left)
 
     def coefficient_rows(self) -> Floats:
