@@ -111,7 +111,9 @@ def _read(file: Path, law: str | type[Law] | None = None) -> Season:
                 name = f"{file} row {reader.line_num - 1}"
                 if LEFT_OPEN not in head and not _is_quadratic(row):
                     doubtful += 1
-                left_open.append(tuple(filter(None, row.get(LEFT_OPEN, "").split("; "))))
+                left_open.append(
+                    tuple(filter(None, row.get(LEFT_OPEN, "").split("; ")))
+                )
                 labels.append((name, _labels(row, added)))
                 numbers.append(
                     [float(row[one]) for one in (*names, *of_start, DURATION)]

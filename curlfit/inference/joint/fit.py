@@ -13,6 +13,7 @@ from curlfit.errors import InputError, UnusableFitError, require_kind
 from curlfit.foreign import quoted
 from curlfit.friction import Law, find_law, no_motion_because
 from curlfit.inference.derived import check_derived
+from curlfit.inference.fit.departures import NO_DEPARTURES
 from curlfit.inference.fit.factors import Reduction
 from curlfit.inference.fit.prepared import (
     PreparedThrow,
@@ -21,6 +22,7 @@ from curlfit.inference.fit.prepared import (
 )
 from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.fit.result import FitResult
+from curlfit.inference.fit.ridge import Ridge
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.summary import summarize_many
 from curlfit.inference.fit.systematics import widths_of
@@ -31,6 +33,7 @@ from curlfit.inference.joint.effects import Covariates
 from curlfit.inference.joint.population import Together, pool, told_by_data
 from curlfit.inference.joint.posterior import corrected, sampled
 from curlfit.inference.joint.result import JointResult, Variation
+from curlfit.inference.joint.ridge import JointRidge, follow_jointly
 from curlfit.inference.joint.solver import Progress, minimize_jointly
 from curlfit.inference.joint.summary import about_mean
 from curlfit.inference.joint.variation import (
@@ -119,10 +122,10 @@ def fit_together(
         [(throw.name, throw.labels) for throw in throws], by, trend
     )
     together = solved_together(throws, chosen, shared, covariates, progress)
-    result, weights = _equal(together, chosen[0].systematics)
+    result, weights, ridge = _equal(together, chosen[0].systematics)
     usual = share is None and len(throws) >= _VARYING and chosen[0].loss == "linear"
     if weights and (by or trend or usual):
-        result = _varying(together, result, weights, seed)
+        result = _varying(together, result, weights, ridge, seed)
     each = tuple(replace(one, quantities=quantities_of(one)) for one in result.throws)
     return replace(result, throws=each).with_derived(chosen[0].derive)
 
@@ -230,13 +233,22 @@ def _summarized(
 
 def _equal(
     together: Together, given: Mapping[str, float] | None
-) -> tuple[JointResult, dict[str, Floats]]:
+) -> tuple[JointResult, dict[str, Floats], JointRidge | None]:
     """The result where the shared coefficients are equal in all throws, with the
-    systematic errors due to the `given` conditions, and the weights of the parameters
-    in what may vary."""
+    systematic errors due to the `given` conditions, the weights of the parameters
+    in what may vary, and the ridge, where there is one."""
     rounds, tasks, solution, common, covariates = together
     widths = widths_of(rounds.model, given, rounds.throws, jointly=True)
-    throws = _summarized(together, solution, widths=widths, common=common)
+    joint_ridges: list[JointRidge] = []
+
+    def ridges(stderr: dict[int, float]) -> list[Ridge]:
+        joint_ridges.append(follow_jointly(together, solution, stderr))
+        return joint_ridges[-1].of_throws
+
+    throws = _summarized(
+        together, solution, widths=widths, common=common, ridges=ridges
+    )
+    ridge = joint_ridges[-1] if joint_ridges else None
     first, parameters = throws[0], rounds.throws[0].parameters
     shared = tuple(parameters.names_where(common))
     coefficients = {name: first.parameters[name] for name in shared}
@@ -252,11 +264,17 @@ def _equal(
     verdicts = {name: one.verdict for name, one in coefficients.items()}
     if tasks.penalty.informative:  # what varies is what the throws themselves determine
         alone = told_by_data(tasks, solution, reduction, shared)
+        departures = NO_DEPARTURES if ridge is None else ridge.departures(alone)
         verdicts = {
-            name: known if known == "fixed" else alone.classified(row)[1]
+            name: known
+            if known == "fixed"
+            else departures.judged(
+                name, *alone.classified(row)[:2], coefficients[name].typical
+            )[1]
             for row, (name, known) in enumerate(verdicts.items())
         }
-        known = {item.expression: item for item in (*alone.combinations, *combinations)}
+        of_data = departures.kept(alone.combinations)
+        known = {item.expression: item for item in (*of_data, *combinations)}
         combinations = tuple(known.values())
     weights = wanted_of(verdicts, combinations, parameters.names)
     plain = rounds.loss == "linear" and rounds.noises[0].kind == "white"
@@ -298,7 +316,7 @@ def _equal(
     of_law = np.isin(
         parameters.names, [item.name for item in rounds.model.law.coefficients()]
     )
-    return with_throws(result, throws, solution), told_by_each(
+    varying = told_by_each(
         reduction.rows[..., :-1],
         tasks.typical * (tasks.upper > tasks.lower)[0],
         {
@@ -307,6 +325,7 @@ def _equal(
             if name in told and not own[~of_law].any()
         },
     )
+    return with_throws(result, throws, solution), varying, ridge
 
 
 def _among(item: Any, differing: Mapping[str, Variation], name: str) -> Any:
@@ -319,9 +338,14 @@ def _among(item: Any, differing: Mapping[str, Variation], name: str) -> Any:
 
 
 def _varying(
-    together: Together, equal: JointResult, weights: dict[str, Floats], seed: int | None
+    together: Together,
+    equal: JointResult,
+    weights: dict[str, Floats],
+    ridge: JointRidge | None,
+    seed: int | None,
 ) -> JointResult:
-    """The result where what the throws determine varies about its mean."""
+    """The result where what the throws determine varies about its mean; the ridge is
+    that of equal coefficients, since the mean is as free along it."""
     variation = {one.expression: one for one in equal.variation}
     guess = np.array([variation[name].first_spread for name in weights])
     try:
@@ -331,6 +355,7 @@ def _varying(
             "how these throws vary cannot be estimated: their coefficients become "
             "unbounded; fix some of them, or fit with share='all' (--share all)"
         ) from None
+    ridges = None if ridge is None else lambda _: ridge.of_throws
     ended = bool(np.all(solution.success))
     draws = sampled(found.fit, guess, seed) if ended else None
     if draws is not None and seed is not None and not together.rounds.unknown.any():
@@ -338,7 +363,9 @@ def _varying(
     throws = [
         replace(one, systematics=before.systematics)
         for one, before in zip(
-            _summarized(together, solution, others=others), equal.throws, strict=True
+            _summarized(together, solution, others=others, ridges=ridges),
+            equal.throws,
+            strict=True,
         )
     ]
     spins = np.array([one.parameters["omega0"].value for one in throws])
@@ -349,5 +376,6 @@ def _varying(
         Draw(together.rounds.model, together.rounds.throws[0].stone),
         (solution.values[:, together.common], spins),
         draws,
+        ridge,
     )
     return with_throws(result, throws, solution)

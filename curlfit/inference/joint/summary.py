@@ -11,13 +11,14 @@ from scipy.special import stdtr
 
 from curlfit.inference.derived import Quantiles, quantiles_of
 from curlfit.inference.fit.covariance import Covariance
-from curlfit.inference.fit.departures import NO_DEPARTURES
+from curlfit.inference.fit.departures import NO_DEPARTURES, Departures
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.joint.draw import DRAW, Draw
 from curlfit.inference.joint.effects import Covariates, Effect, Means
 from curlfit.inference.joint.population import Population
 from curlfit.inference.joint.posterior import Draws
 from curlfit.inference.joint.result import JointResult
+from curlfit.inference.joint.ridge import JointRidge
 from curlfit.inference.mcmc.chain import Chain
 from curlfit.numerics.arrays import Floats
 
@@ -32,6 +33,7 @@ def about_mean(
     draw: Draw,
     throws: tuple[Floats, Floats],
     draws: Draws | None,
+    ridge: JointRidge | None = None,
 ) -> JointResult:
     """The result where throws vary, from that where they are equal.
 
@@ -40,9 +42,11 @@ def about_mean(
     throws : vectors of the common parameters and initial spins of throws, whose draws
         to the tee have the usual angle.
     draws : from the posterior of the population.
+    ridge : of equal coefficients, where chi squared is no quadratic.
     """
     names = tuple(equal.coefficients)
     known, angle = found.of_mean(names), float(np.median(np.abs(draw.angle(*throws))))
+    departures = NO_DEPARTURES if ridge is None else ridge.departures(known)
     means = found.means(names, covariates, angle)
     units = {name: item.unit for name, item in equal.coefficients.items()}
     told = _Quantities.of(means, found, draw, units, draws)
@@ -62,10 +66,12 @@ def about_mean(
         coefficients={
             name: one
             if one.verdict == "fixed"
-            else _of_mean(one, known, row, found.dof)
+            else _of_mean(one, known, row, found.dof, departures)
             for row, (name, one) in enumerate(equal.coefficients.items())
         },
-        combinations=found.combinations(known.combinations, equal.combinations),
+        combinations=found.combinations(
+            departures.kept(known.combinations), equal.combinations
+        ),
         variation=tuple(
             replace(
                 one,
@@ -115,10 +121,12 @@ def _chain(
     )
 
 
-def _of_mean(item: Estimate, known: Covariance, row: int, dof: float) -> Estimate:
+def _of_mean(
+    item: Estimate, known: Covariance, row: int, dof: float, departures: Departures
+) -> Estimate:
     stderr, verdict, _ = known.classified(row)
     name = known.names[row]
-    stderr, verdict, reason = NO_DEPARTURES.judged(name, stderr, verdict, item.typical)
+    stderr, verdict, reason = departures.judged(name, stderr, verdict, item.typical)
     return replace(
         item,
         value=float(known.values[row]),
