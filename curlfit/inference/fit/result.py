@@ -512,6 +512,17 @@ class FitResult(NamedEstimates):
         kept, stretched = parts
         return kept, stretched
 
+    def stderr_of_coefficients(self, weights: Floats) -> float | None:
+        """Standard error of a weighted sum of the coefficients of the law, as wide as
+        the ridge; None where the throw says nothing of it."""
+        typical = np.array([item.typical for item in self.coefficients.values()])
+        rows = self.coefficient_rows()
+        if self.ridge:
+            rows = np.vstack(self.coefficient_rows_along_ridge())
+        _, singular, axes = np.linalg.svd(rows[:, :-1] * typical, full_matrices=False)
+        seen = visible(singular)
+        return stderr_of(weights * typical, axes[seen], singular[seen])
+
     def left_open(self) -> tuple[str, ...]:
         """Coefficients that the ridge leaves open: that differ along it, and of which
         the throw says too little, though it would with its initial state known. None
@@ -522,22 +533,20 @@ class FitResult(NamedEstimates):
             name for name in self.coefficients if name in self.information["names"]
         ]
         typical = np.array([self.parameters[name].typical for name in names])
-        moves = np.abs(self._moves_along_ridge(names) / typical)
+        moves = np.abs(self._moves_along_ridge(names) / typical).max(0)
         places = [self.information["names"].index(name) for name in names]
-        of_start_known = np.array(self.information["matrix"])[np.ix_(places, places)]
-        axes, _, null = directions(of_start_known, typical)
+        with_start_known = np.array(self.information["matrix"])[np.ix_(places, places)]
+        axes, _, null = directions(with_start_known, typical)
         told = np.linalg.norm(null, axis=0) < np.linalg.norm(axes, axis=0)
-        places = [list(self.coefficients).index(name) for name in names]
-        rows = np.vstack(self.coefficient_rows_along_ridge())[:, places] * typical
-        _, singular, axes = np.linalg.svd(rows, full_matrices=False)
-        seen = visible(singular)
         left = []
-        for place, far in enumerate(moves.max(0)):
-            unit = np.eye(len(names))[place]
-            error = stderr_of(unit, axes[seen], singular[seen])
-            is_weak = error is None or error >= WEAK_ERROR
-            if far > WEAK_ERROR and told[place] and is_weak:
-                left.append(names[place])
+        for name, move, is_told in zip(names, moves, told, strict=True):
+            unit = np.array(
+                [1.0 if other == name else 0.0 for other in self.coefficients]
+            )
+            stderr = self.stderr_of_coefficients(unit)
+            weak = WEAK_ERROR * self.parameters[name].typical
+            if move > WEAK_ERROR and is_told and (stderr is None or stderr >= weak):
+                left.append(name)
         return tuple(left)
 
     def coefficient_rows(self) -> Floats:

@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from curlfit.errors import InputError, UnusableFitError, require_kind
+from curlfit.errors import CurlfitError, InputError, UnusableFitError, require_kind
 from curlfit.foreign import quoted
 from curlfit.friction import Law, find_law, no_motion_because
 from curlfit.inference.derived import check_derived
 from curlfit.inference.fit.departures import NO_DEPARTURES
 from curlfit.inference.fit.factors import Reduction
+from curlfit.inference.fit.fit import fitted
 from curlfit.inference.fit.prepared import (
     PreparedThrow,
     local_bounds,
@@ -37,6 +38,7 @@ from curlfit.inference.joint.ridge import JointRidge, follow_jointly
 from curlfit.inference.joint.solver import Progress, minimize_jointly
 from curlfit.inference.joint.summary import about_mean
 from curlfit.inference.joint.variation import (
+    as_fitted_alone,
     each_alone,
     told_by_each,
     variations_of,
@@ -286,6 +288,12 @@ def _equal(
         tasks.typical,
         covariates.values,
     )
+    if ridge is not None:
+        alone_by_throw = _fitted_alone(together)
+        variation = tuple(
+            as_fitted_alone(one, weights[one.expression], alone_by_throw, covariates)
+            for one in variation
+        )
     among = {item.expression: item for item in variation if item.significant}
     open_ = np.array(
         [np.isin(parameters.names, one.covariance["names"]) for one in throws]
@@ -326,6 +334,30 @@ def _equal(
         },
     )
     return with_throws(result, throws, solution), varying, ridge
+
+
+def _fitted_alone(together: Together) -> list[FitResult | None]:
+    """Each throw fitted by itself; None where that does not converge."""
+    rounds = together.rounds
+    loss = rounds.loss
+    noise = rounds.noises[0].kind
+    again = Rounds(
+        rounds.model,
+        rounds.throws,
+        loss=loss,
+        noise=noise,
+        shape=rounds.problems.observed.shape[1:],
+        batch=side_by_side(len(rounds.throws)),
+    )
+    fits = fitted(again, None)
+    usable = [one for one in fits if not isinstance(one, CurlfitError)]
+    curves = (loss, noise) != ("linear", "white")
+    records = iter(summarize_many(usable, again.batch, curves=curves))
+    alone: list[FitResult | None] = []
+    for fit in fits:
+        record = None if isinstance(fit, CurlfitError) else next(records)
+        alone.append(record if record is not None and record.converged else None)
+    return alone
 
 
 def _among(item: Any, differing: Mapping[str, Variation], name: str) -> Any:

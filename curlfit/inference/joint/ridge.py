@@ -4,7 +4,6 @@ fit all of them about as well as their optimum."""
 from __future__ import annotations
 
 import itertools
-
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple, Self
 

@@ -100,9 +100,9 @@ class Season(NamedTuple):
             for count, names in names_by_count.items()
         )
         return (
-            f"{left}: values far apart fit each of them about as well. What would help: "
-            "`curlfit batch` with an angle, or with the spin (`--fix omega0=...`); or "
-            "the files themselves, `curlfit fit *.csv`",
+            f"{left}: values far apart fit each of them about as well. What would "
+            "help: `curlfit batch` with an angle, or with the spin "
+            "(`--fix omega0=...`); or the files themselves, `curlfit fit *.csv`",
         )
 
     def summary(
