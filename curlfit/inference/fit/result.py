@@ -52,6 +52,9 @@ from curlfit.throws.throw import (
 # eigenvalue over the largest, of information in typical sizes, that is not rounding
 _SEEN = 1e-10
 
+# share of a coefficient in what the data cannot tell in any case
+_HARDLY_TOLD = 0.5
+
 ChannelName = Annotated[str, Choice(CHANNELS)]
 LoadName = Annotated[str, Choice(("uniform", "consistent"))]
 LossName = Annotated[str, Choice(LOSSES)]
@@ -536,8 +539,9 @@ class FitResult(NamedEstimates):
         moves = np.abs(self._moves_along_ridge(names) / typical).max(0)
         places = [self.information["names"].index(name) for name in names]
         with_start_known = np.array(self.information["matrix"])[np.ix_(places, places)]
-        axes, _, null = directions(with_start_known, typical)
-        told = np.linalg.norm(null, axis=0) < np.linalg.norm(axes, axis=0)
+        *_, null = directions(with_start_known, typical)
+        # Each of two coefficients of which only the sum enters has a share of 0.7.
+        told = np.linalg.norm(null, axis=0) < _HARDLY_TOLD
         left = []
         for name, move, is_told in zip(names, moves, told, strict=True):
             unit = np.array(

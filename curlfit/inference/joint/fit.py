@@ -47,13 +47,16 @@ from curlfit.inference.joint.variation import (
 from curlfit.inference.least_squares import Solution, Tasks
 from curlfit.inference.model import Model
 from curlfit.inference.problem import problem_shape
-from curlfit.numerics.arrays import Floats
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import side_by_side, unstacked
 from curlfit.settings.choices import Fitting, takes
 from curlfit.throws.throw import Throw, require_throw
 
 _VARYING = 4  # throws from which on their coefficients may vary
 _FEWEST = 3  # throws that determine what varies
+_MORE_SEARCHES = 4
+"""After one that ended at its limit of 200 steps: 10 tracks without an angle took
+up to 133."""
 
 
 @takes(Fitting, "law", "load")
@@ -207,13 +210,13 @@ def solved_together(
         parameters.typical,
         penalties(prepared, first=True),
     )
-    solution = minimize_jointly(model, tasks, common, progress)
+    solution = _ended(model, tasks, common, progress)
     every = np.arange(len(prepared))
     while np.isfinite(solution.chi_squared).all() and len(
         rounds.revise(every, solution)
     ):
         tasks = tasks._replace(start=solution.values, penalty=penalties(prepared))
-        solution = minimize_jointly(model, tasks, common, progress)
+        solution = _ended(model, tasks, common, progress)
     for failure in rounds.failures.values():
         raise failure
     if not np.isfinite(solution.chi_squared).all():
@@ -222,6 +225,22 @@ def solved_together(
             "for these throws" + no_motion_because(first.load)
         )
     return Together(rounds, tasks, solution, common, covariates)
+
+
+def _ended(
+    model: Model, tasks: Tasks, common: Booleans, progress: Progress | None
+) -> Solution:
+    """The optimum of throws together; a search at its limit of steps goes on, as along
+    a ridge it may have to."""
+    solution = minimize_jointly(model, tasks, common, progress)
+    for _ in range(_MORE_SEARCHES):
+        if np.all(solution.success) or not np.isfinite(solution.chi_squared).all():
+            break
+        steps = solution.steps
+        tasks = tasks._replace(start=solution.values)
+        solution = minimize_jointly(model, tasks, common, progress)
+        solution = solution._replace(steps=solution.steps + steps)
+    return solution
 
 
 def _summarized(
@@ -401,12 +420,17 @@ def _varying(
         )
     ]
     spins = np.array([one.parameters["omega0"].value for one in throws])
+    at_spins = solution.values[:, together.common], spins
+    if ridge is not None:
+        # The mean stays near equal coefficients, and so must the spins beside it.
+        spins = np.array([one.parameters["omega0"].value for one in equal.throws])
+        at_spins = together.solution.values[:, together.common], spins
     result = about_mean(
         equal,
         found,
         together.covariates,
         Draw(together.rounds.model, together.rounds.throws[0].stone),
-        (solution.values[:, together.common], spins),
+        at_spins,
         draws,
         ridge,
     )

@@ -85,19 +85,22 @@ class Season(NamedTuple):
         """That of one throw in what all say roughly."""
         return 1.0 / max(int(self.stretched.any((1, 2)).sum()), 1)
 
+    def counts_left_open(self) -> dict[str, int]:
+        """Numbers of throws by coefficient that they leave open."""
+        counts = Counter(name for names in self.left_open for name in names)
+        names = [item.name for item in self.model.law.coefficients()]
+        return {name: counts[name] for name in names if name in counts}
+
     def warnings(self) -> tuple[str, ...]:
         """What the throws leave open, and what would help."""
-        counts = Counter(name for names in self.left_open for name in names)
+        counts = self.counts_left_open()
         if not counts:
             return ()
-        names_by_count: dict[int, list[str]] = {}
-        for item in self.model.law.coefficients():
-            if item.name in counts:
-                names_by_count.setdefault(counts[item.name], []).append(item.name)
         throws = len(self.left_open)
         left = "; ".join(
-            f"{count} of {throws} throws leave {join_words(names)} open"
-            for count, names in names_by_count.items()
+            f"{count} of {throws} throws leave "
+            f"{join_words([name for name in counts if counts[name] == count])} open"
+            for count in dict.fromkeys(counts.values())
         )
         return (
             f"{left}: values far apart fit each of them about as well. What would "
@@ -287,4 +290,5 @@ def mean_of(
         Draw(season.model, season.stone),
         (season.values[some], season.start[some, -1]),
         sampled(found.fit, spreads, seed),
+        left_open=season.counts_left_open(),
     )
