@@ -6,10 +6,13 @@ from collections.abc import Sequence
 from os import PathLike
 from typing import Any
 
+import numpy as np
+
 from curlfit.batch.settings import (
     DURATION,
     INFORMATION,
     LABELS,
+    LEFT_OPEN,
     QUANTILES,
     BatchSettings,
     columns,
@@ -98,10 +101,12 @@ def _row(result: FitResult, plan: BatchSettings, sums: Sequence[str]) -> dict[st
         item.expression: item for item in result.combinations if item.expression in sums
     }
     if result.converged:
-        told = ", ".join(
-            f"{number:.17g}" for number in result.coefficient_rows().ravel()
-        )
+        rows = result.coefficient_rows()
+        if result.ridge:
+            rows = np.vstack(result.coefficient_rows_along_ridge())
+        told = ", ".join(f"{number:.17g}" for number in rows.ravel())
         row[INFORMATION] = f"[{told}]"
+        row[LEFT_OPEN] = "; ".join(result.left_open())
         known |= {
             item.expression: item for item in result.with_derived(plan.derive).derived
         }

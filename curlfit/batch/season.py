@@ -9,7 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from curlfit.batch.settings import DURATION, INFORMATION, LABELS, BatchSettings, columns
+from curlfit.batch.settings import (
+    DURATION,
+    INFORMATION,
+    LABELS,
+    LEFT_OPEN,
+    BatchSettings,
+    columns,
+)
 from curlfit.batch.table import plan_of, settings_file
 from curlfit.errors import DataError
 from curlfit.foreign import counted, printable
@@ -83,6 +90,8 @@ def _read(file: Path, law: str | type[Law] | None = None) -> Season:
     known, names = columns(chosen), [item.name for item in kind.coefficients()]
     of_start = [item.name for item in START]
     labels, numbers, told, others = [], [], [], 0
+    left_open: list[tuple[str, ...]] = []
+    doubtful = 0
     try:
         with file.open(encoding="utf-8", newline="") as stream:
             reader = csv.DictReader(stream)
@@ -90,6 +99,8 @@ def _read(file: Path, law: str | type[Law] | None = None) -> Season:
             for name in (*names, *of_start, "status", DURATION, INFORMATION, LABELS):
                 if name not in head:
                     raise KeyError(f"no column {name}; {_AGAIN}")
+            if LEFT_OPEN not in head:
+                known.remove(LEFT_OPEN)
             added = [name for name in head if name not in known]
             for row in reader:
                 if any(len(cell or "") > _LONGEST for cell in row.values()):
@@ -98,6 +109,11 @@ def _read(file: Path, law: str | type[Law] | None = None) -> Season:
                     others += 1
                     continue
                 name = f"{file} row {reader.line_num - 1}"
+                if LEFT_OPEN not in head and not _is_quadratic(row):
+                    doubtful += 1
+                left_open.append(
+                    tuple(filter(None, row.get(LEFT_OPEN, "").split("; ")))
+                )
                 labels.append((name, _labels(row, added)))
                 numbers.append(
                     [float(row[one]) for one in (*names, *of_start, DURATION)]
@@ -105,16 +121,24 @@ def _read(file: Path, law: str | type[Law] | None = None) -> Season:
                 told.append(
                     [float(cell) for cell in row[INFORMATION].strip("[]").split(",")]
                 )
-                if len(told[-1]) != len(names) * (len(names) + 1):
+                size = len(names) * (len(names) + 1)
+                if len(told[-1]) not in (size, 2 * size):
                     raise ValueError("another number of numbers")
+                told[-1] += [0.0] * (2 * size - len(told[-1]))
     except KeyError as error:
         raise DataError(error.args[0], file=file, line=1) from None
     except (AttributeError, TypeError, ValueError, csv.Error) as error:
         fault = f"not a row of `curlfit batch`: {printable(str(error))}"
         raise DataError(fault, file=file, line=reader.line_num) from None
+    if doubtful:
+        raise DataError(
+            f"{counted(doubtful, 'throw')} without an angle, which an earlier version "
+            f"of curlfit took for quadratics in the coefficients; {_AGAIN}",
+            file=file,
+        )
     found = np.array(numbers).reshape(len(numbers), len(names) + len(of_start) + 1)
     values, start, durations = np.split(found, [len(names), -1], 1)
-    rows = np.array(told).reshape(len(told), len(names), len(names) + 1)
+    rows = np.array(told).reshape(len(told), 2, len(names), len(names) + 1)
     if not (np.isfinite(found).all() and np.isfinite(rows).all()):
         raise DataError("numbers that are not finite", file=file)
     are = "is" if others == 1 else "are"
@@ -127,10 +151,19 @@ def _read(file: Path, law: str | type[Law] | None = None) -> Season:
         values,
         start,
         durations[:, 0],
-        rows,
+        rows[:, 0],
         tuple(notes),
         tuple({*chosen.parameter_set().conditions} - {"sweep"}),
+        rows[:, 1],
+        tuple(left_open),
     )
+
+
+def _is_quadratic(row: Mapping[str, str]) -> bool:
+    """Whether a throw of an earlier version, which took all for quadratics, is one
+    as a rule: the angle was measured, or the path of a stone whose spin was given."""
+    has_path = bool(row["rms_x"] or row["rms_y"])
+    return bool(row["rms_phi"]) or (has_path and row["omega0_verdict"] == "fixed")
 
 
 def _labels(row: Mapping[str, str], added: Sequence[str]) -> dict[str, str]:

@@ -18,6 +18,9 @@ CHUNK = 128
 INFORMATION, LABELS, DURATION = "information", "labels", "duration"
 """Columns from which a second fit takes what a throw says of its coefficients, its
 groups, and how long it was seen, in s."""
+LEFT_OPEN = "left_open"
+"""Column of the coefficients that values along a ridge leave open (`FitResult.ridge`);
+tables of earlier versions lack it."""
 QUANTILES = ("16", "50", "84")
 """Quantiles of the posterior, in percent."""
 
@@ -84,4 +87,5 @@ def columns(plan: BatchSettings) -> list[str]:
         found += [name, *(f"{name} {what}" for what in ("stderr", *more))]
     for text in plan.derive:
         found += [text, f"{text} stderr"]
-    return [*found, DURATION, INFORMATION, LABELS, "combinations", "warnings", "reason"]
+    texts = LEFT_OPEN, LABELS, "combinations", "warnings", "reason"
+    return [*found, DURATION, INFORMATION, *texts]

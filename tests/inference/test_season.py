@@ -270,3 +270,36 @@ def test_the_figure_of_a_table_names_all_groups(season):
         "sheet 2",
     }
     assert others
+
+
+def without_column(table: str, name: str, empty: tuple[str, ...] = ()) -> str:
+    """A table of a batch without a column, and without the cells of some others."""
+    rows = list(csv.reader(table.splitlines()))
+    place = rows[0].index(name)
+    emptied = [rows[0].index(other) for other in empty]
+    for row in rows[1:]:
+        for column in emptied:
+            row[column] = ""
+    text = StringIO()
+    kept = [[*row[:place], *row[place + 1 :]] for row in rows]
+    csv.writer(text, lineterminator="\n").writerows(kept)
+    return text.getvalue()
+
+
+def test_a_table_of_an_earlier_version_is_read_where_its_throws_are_quadratics(
+    season, tmp_path
+):
+    """It has no column of what ridges leave open. Without the angle its throws were
+    taken for quadratics nevertheless."""
+    folder, *_ = season
+    table = (folder / "season.csv").read_text()
+    settings = (folder / "season.settings.json").read_text()
+    (tmp_path / "a.settings.json").write_text(settings)
+    file = tmp_path / "a.csv"
+    file.write_text(without_column(table, "left_open"))
+    earlier = curlfit.fit_season(file)
+    now = curlfit.fit_season(folder / "season.csv")
+    assert earlier.to_json()["coefficients"] == now.to_json()["coefficients"]
+    file.write_text(without_column(table, "left_open", ("rms_phi",)))
+    with pytest.raises(curlfit.DataError, match="10 throws without an angle, which"):
+        curlfit.fit_season(file)

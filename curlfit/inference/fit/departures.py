@@ -339,6 +339,16 @@ def departures_along(covariance: Covariance, ridge: Ridge, usual: Floats) -> Dep
     return Departures(stretched, lost, intervals, remedy, distance, lower, ridge)
 
 
+def departures_together(
+    covariance: Covariance, ridge: Ridge, usual: Floats
+) -> Departures:
+    """The same of a throw that is fitted together with others, along the ridge of all,
+    in whose record no points are kept: to know a parameter of one throw determines
+    little of what all have in common."""
+    departures = departures_along(covariance, ridge, usual)
+    return departures._replace(remedy=None, lower=None, ridge=None)
+
+
 def departures_nearby(
     covariance: Covariance, departing: Sequence[tuple[Probe, float]]
 ) -> Departures:

@@ -7,7 +7,7 @@ drawn and sampled again without the data file and without fitting.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from os import PathLike
 from typing import Annotated, Any, ClassVar, NotRequired
@@ -25,7 +25,14 @@ from curlfit.inference.fit.estimates import (
     RidgePoint,
     Systematics,
 )
-from curlfit.inference.identifiability import Combination
+from curlfit.inference.fit.ridge_information import information_along
+from curlfit.inference.identifiability import (
+    WEAK_ERROR,
+    Combination,
+    directions,
+    stderr_of,
+    visible,
+)
 from curlfit.inference.model import Model
 from curlfit.inference.noise.models import LOSSES, WHITE, Independence, Noise
 from curlfit.inference.parameters import START, ParameterSet
@@ -44,6 +51,9 @@ from curlfit.throws.throw import (
 
 # eigenvalue over the largest, of information in typical sizes, that is not rounding
 _SEEN = 1e-10
+
+# share of a coefficient in what the data cannot tell in any case
+_HARDLY_TOLD = 0.5
 
 ChannelName = Annotated[str, Choice(CHANNELS)]
 LoadName = Annotated[str, Choice(("uniform", "consistent"))]
@@ -487,10 +497,79 @@ class FitResult(NamedEstimates):
             self, derived=tuple(self.derive(text, chain) for text in expressions)
         )
 
+    def _moves_along_ridge(self, names: Sequence[str]) -> Floats:
+        """Moves of parameters from the estimates to the points of the ridge, shape
+        (points, parameters)."""
+        places = [list(self.parameters).index(name) for name in names]
+        points = np.array([point.values for point in self.ridge])
+        return (points.reshape(-1, len(self.parameters)) - self.values)[:, places]
+
+    def coefficient_rows_along_ridge(self) -> tuple[Floats, Floats]:
+        """What the throw says of the coefficients of its law where chi squared is no
+        quadratic: rows as those of `coefficient_rows`, of which the second are as wide
+        as the ridge, each of shape (coefficients, coefficients + 1)."""
+        names = list(self.coefficients)
+        known = self.information["names"]
+        typical = np.array([self.parameters[name].typical for name in known])
+        matrix = np.array(self.information["matrix"]) * typical * typical[:, None]
+        gradient = np.array(self.information["gradient"]) * typical
+        rises = np.array([point.rise for point in self.ridge])
+        moves = self._moves_along_ridge(known) / typical
+        step: Any = np.linalg.pinv(matrix, rcond=_SEEN, hermitian=True) @ gradient
+        own = np.isin(known, names)
+        values = np.array([self.parameters[name].value for name in names])
+        free = np.append(np.isin(names, known), True)
+        parts = []
+        for part in information_along(matrix, moves, rises).of(own, step):
+            rows = np.zeros((len(names), len(names) + 1))
+            rows[: len(part), free] = part / np.append(typical[own], 1.0)
+            rows[:, -1] += rows[:, :-1] @ values
+            parts.append(rows)
+        kept, stretched = parts
+        return kept, stretched
+
+    def stderr_of_coefficients(self, weights: Floats) -> float | None:
+        """Standard error of a weighted sum of the coefficients of the law, as wide as
+        the ridge; None where the throw says nothing of it."""
+        typical = np.array([item.typical for item in self.coefficients.values()])
+        rows = self.coefficient_rows()
+        if self.ridge:
+            rows = np.vstack(self.coefficient_rows_along_ridge())
+        _, singular, axes = np.linalg.svd(rows[:, :-1] * typical, full_matrices=False)
+        seen = visible(singular)
+        return stderr_of(weights * typical, axes[seen], singular[seen])
+
+    def left_open(self) -> tuple[str, ...]:
+        """Coefficients that the ridge leaves open: that differ along it, and of which
+        the throw says too little, though it would with its initial state known. None
+        where chi squared is a quadratic."""
+        if not self.ridge:
+            return ()
+        names = [
+            name for name in self.coefficients if name in self.information["names"]
+        ]
+        typical = np.array([self.parameters[name].typical for name in names])
+        moves = np.abs(self._moves_along_ridge(names) / typical).max(0)
+        places = [self.information["names"].index(name) for name in names]
+        with_start_known = np.array(self.information["matrix"])[np.ix_(places, places)]
+        *_, null = directions(with_start_known, typical)
+        # Each of two coefficients of which only the sum enters has a share of 0.7.
+        told = np.linalg.norm(null, axis=0) < _HARDLY_TOLD
+        left = []
+        for name, move, is_told in zip(names, moves, told, strict=True):
+            unit = np.array(
+                [1.0 if other == name else 0.0 for other in self.coefficients]
+            )
+            stderr = self.stderr_of_coefficients(unit)
+            weak = WEAK_ERROR * self.parameters[name].typical
+            if move > WEAK_ERROR and is_told and (stderr is None or stderr >= weak):
+                left.append(name)
+        return tuple(left)
+
     def coefficient_rows(self) -> Floats:
-        """What the throw says of the coefficients of its law: rows that are multiplied
-        by these, with what they then give as the last column, shape (coefficients,
-        coefficients + 1); errors are one."""
+        """What the throw says of the coefficients of its law to first order about its
+        optimum: rows that are multiplied by these, with what they then give as the last
+        column, shape (coefficients, coefficients + 1); errors are one."""
         names, known = list(self.coefficients), self.information["names"]
         typical = np.array([self.parameters[name].typical for name in known])
         matrix = np.array(self.information["matrix"]) * typical * typical[:, None]

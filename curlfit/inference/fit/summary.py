@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from operator import itemgetter
 from typing import Any, NamedTuple, Self
@@ -26,6 +26,7 @@ from curlfit.inference.fit.departures import (
     Probe,
     departures_along,
     departures_nearby,
+    departures_together,
     probes_about,
     to_be_held,
 )
@@ -83,6 +84,7 @@ def summarize_many(
     widths: Mapping[str, float] | None = None,
     common: Booleans | None = None,
     others: Floats | None = None,
+    ridges: Callable[[dict[int, float]], Sequence[Ridge]] | None = None,
     earlier: Sequence[Ridge | None] | None = None,
 ) -> list[FitResult]:
     """The same for fits of one model, loss and noise model, to problems of one shape.
@@ -99,6 +101,8 @@ def summarize_many(
     others : rows of what other throws say of the parameters of each, in place of priors
         of these, with the residual as the last column, shape (throws, rows,
         parameters + 1).
+    ridges : of throws that are fitted together, follows the ridge of all with some
+        parameters in common held, given by index with their standard errors.
     earlier : of searches that went on, where they had not ended or where the ridge
         leads to a lower point: the ridges followed before.
     """
@@ -112,7 +116,7 @@ def summarize_many(
     )
     residuals = residuals_of(many.problems, many.solutions, paths)
     found, reduction = many.covariances(residuals)
-    departures = many.departures(found, reduction, batch, earlier)
+    departures = many.departures(found, reduction, batch, ridges, earlier)
     shifts: list[dict[str, Floats]] = [{}] * len(fits)
     if paths is not None and widths:
         shifts = many.shifts(found, reduction, paths, widths, batch)
@@ -222,6 +226,7 @@ class _Many(NamedTuple):
         covariances: Sequence[Covariance],
         reduction: Reduction | None,
         batch: int,
+        ridges_together: Callable[[dict[int, float]], Sequence[Ridge]] | None,
         earlier: Sequence[Ridge | None] | None,
     ) -> list[Departures]:
         """How chi squared of each throw departs from its quadratic."""
@@ -238,13 +243,18 @@ class _Many(NamedTuple):
             ]
             for probes, rises_of_throw in zip(about, rises, strict=True)
         ]
+        coefficients = self.model.law.coefficients()
+        usual = np.array([default_guess(item) for item in coefficients])
         if self.common is not None or self.others is not None:
+            together = self._held_together(covariances, departing, len(coefficients))
+            if ridges_together is not None and together:
+                ridges = ridges_together(together)
+                pairs = zip(covariances, ridges, strict=True)
+                return [departures_together(*pair, usual) for pair in pairs]
             return [
                 departures_nearby(covariance, pairs)
                 for covariance, pairs in zip(covariances, departing, strict=True)
             ]
-        coefficients = self.model.law.coefficients()
-        usual = np.array([default_guess(item) for item in coefficients])
         held = [
             to_be_held(covariance, [probe for probe, _ in pairs], len(coefficients))
             for covariance, pairs in zip(covariances, departing, strict=True)
@@ -273,6 +283,29 @@ class _Many(NamedTuple):
             if ridge is not None:
                 beside[row].append(ridge)
         return beside
+
+    def _held_together(
+        self,
+        covariances: Sequence[Covariance],
+        departing: Sequence[Sequence[tuple[Probe, float]]],
+        coefficients: int,
+    ) -> dict[int, float]:
+        """Parameters that throws have in common along which their ridge is to be
+        followed, by index, with their standard errors."""
+        if self.common is None:
+            return {}
+        held = {
+            index
+            for covariance, pairs in zip(covariances, departing, strict=True)
+            if pairs
+            for index in to_be_held(
+                covariance, [probe for probe, _ in pairs], coefficients
+            )
+        }
+        shared = np.flatnonzero(self.common & covariances[0].open).tolist()
+        return {
+            index: covariances[0].error_of(index) for index in shared if index in held
+        }
 
     def _rises(
         self,

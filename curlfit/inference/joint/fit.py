@@ -9,11 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from curlfit.errors import InputError, UnusableFitError, require_kind
+from curlfit.errors import CurlfitError, InputError, UnusableFitError, require_kind
 from curlfit.foreign import quoted
 from curlfit.friction import Law, find_law, no_motion_because
 from curlfit.inference.derived import check_derived
+from curlfit.inference.fit.departures import NO_DEPARTURES
 from curlfit.inference.fit.factors import Reduction
+from curlfit.inference.fit.fit import fitted
 from curlfit.inference.fit.prepared import (
     PreparedThrow,
     local_bounds,
@@ -21,6 +23,7 @@ from curlfit.inference.fit.prepared import (
 )
 from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.fit.result import FitResult
+from curlfit.inference.fit.ridge import Ridge
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.summary import summarize_many
 from curlfit.inference.fit.systematics import widths_of
@@ -31,9 +34,11 @@ from curlfit.inference.joint.effects import Covariates
 from curlfit.inference.joint.population import Together, pool, told_by_data
 from curlfit.inference.joint.posterior import corrected, sampled
 from curlfit.inference.joint.result import JointResult, Variation
+from curlfit.inference.joint.ridge import JointRidge, follow_jointly
 from curlfit.inference.joint.solver import Progress, minimize_jointly
 from curlfit.inference.joint.summary import about_mean
 from curlfit.inference.joint.variation import (
+    as_fitted_alone,
     each_alone,
     told_by_each,
     variations_of,
@@ -42,13 +47,16 @@ from curlfit.inference.joint.variation import (
 from curlfit.inference.least_squares import Solution, Tasks
 from curlfit.inference.model import Model
 from curlfit.inference.problem import problem_shape
-from curlfit.numerics.arrays import Floats
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import side_by_side, unstacked
 from curlfit.settings.choices import Fitting, takes
 from curlfit.throws.throw import Throw, require_throw
 
 _VARYING = 4  # throws from which on their coefficients may vary
 _FEWEST = 3  # throws that determine what varies
+_MORE_SEARCHES = 4
+"""After one that ended at its limit of 200 steps: 10 tracks without an angle took
+up to 133."""
 
 
 @takes(Fitting, "law", "load")
@@ -119,10 +127,10 @@ def fit_together(
         [(throw.name, throw.labels) for throw in throws], by, trend
     )
     together = solved_together(throws, chosen, shared, covariates, progress)
-    result, weights = _equal(together, chosen[0].systematics)
+    result, weights, ridge = _equal(together, chosen[0].systematics)
     usual = share is None and len(throws) >= _VARYING and chosen[0].loss == "linear"
     if weights and (by or trend or usual):
-        result = _varying(together, result, weights, seed)
+        result = _varying(together, result, weights, ridge, seed)
     each = tuple(replace(one, quantities=quantities_of(one)) for one in result.throws)
     return replace(result, throws=each).with_derived(chosen[0].derive)
 
@@ -202,13 +210,13 @@ def solved_together(
         parameters.typical,
         penalties(prepared, first=True),
     )
-    solution = minimize_jointly(model, tasks, common, progress)
+    solution = _ended(model, tasks, common, progress)
     every = np.arange(len(prepared))
     while np.isfinite(solution.chi_squared).all() and len(
         rounds.revise(every, solution)
     ):
         tasks = tasks._replace(start=solution.values, penalty=penalties(prepared))
-        solution = minimize_jointly(model, tasks, common, progress)
+        solution = _ended(model, tasks, common, progress)
     for failure in rounds.failures.values():
         raise failure
     if not np.isfinite(solution.chi_squared).all():
@@ -217,6 +225,22 @@ def solved_together(
             "for these throws" + no_motion_because(first.load)
         )
     return Together(rounds, tasks, solution, common, covariates)
+
+
+def _ended(
+    model: Model, tasks: Tasks, common: Booleans, progress: Progress | None
+) -> Solution:
+    """The optimum of throws together; a search at its limit of steps goes on, as along
+    a ridge it may have to."""
+    solution = minimize_jointly(model, tasks, common, progress)
+    for _ in range(_MORE_SEARCHES):
+        if np.all(solution.success) or not np.isfinite(solution.chi_squared).all():
+            break
+        steps = solution.steps
+        tasks = tasks._replace(start=solution.values)
+        solution = minimize_jointly(model, tasks, common, progress)
+        solution = solution._replace(steps=solution.steps + steps)
+    return solution
 
 
 def _summarized(
@@ -230,13 +254,22 @@ def _summarized(
 
 def _equal(
     together: Together, given: Mapping[str, float] | None
-) -> tuple[JointResult, dict[str, Floats]]:
+) -> tuple[JointResult, dict[str, Floats], JointRidge | None]:
     """The result where the shared coefficients are equal in all throws, with the
-    systematic errors due to the `given` conditions, and the weights of the parameters
-    in what may vary."""
+    systematic errors due to the `given` conditions, the weights of the parameters
+    in what may vary, and the ridge, where there is one."""
     rounds, tasks, solution, common, covariates = together
     widths = widths_of(rounds.model, given, rounds.throws, jointly=True)
-    throws = _summarized(together, solution, widths=widths, common=common)
+    joint_ridges: list[JointRidge] = []
+
+    def ridges(stderr: dict[int, float]) -> list[Ridge]:
+        joint_ridges.append(follow_jointly(together, solution, stderr))
+        return joint_ridges[-1].of_throws
+
+    throws = _summarized(
+        together, solution, widths=widths, common=common, ridges=ridges
+    )
+    ridge = joint_ridges[-1] if joint_ridges else None
     first, parameters = throws[0], rounds.throws[0].parameters
     shared = tuple(parameters.names_where(common))
     coefficients = {name: first.parameters[name] for name in shared}
@@ -252,11 +285,17 @@ def _equal(
     verdicts = {name: one.verdict for name, one in coefficients.items()}
     if tasks.penalty.informative:  # what varies is what the throws themselves determine
         alone = told_by_data(tasks, solution, reduction, shared)
+        departures = NO_DEPARTURES if ridge is None else ridge.departures(alone)
         verdicts = {
-            name: known if known == "fixed" else alone.classified(row)[1]
+            name: known
+            if known == "fixed"
+            else departures.judged(
+                name, *alone.classified(row)[:2], coefficients[name].typical
+            )[1]
             for row, (name, known) in enumerate(verdicts.items())
         }
-        known = {item.expression: item for item in (*alone.combinations, *combinations)}
+        of_data = departures.kept(alone.combinations)
+        known = {item.expression: item for item in (*of_data, *combinations)}
         combinations = tuple(known.values())
     weights = wanted_of(verdicts, combinations, parameters.names)
     plain = rounds.loss == "linear" and rounds.noises[0].kind == "white"
@@ -268,6 +307,12 @@ def _equal(
         tasks.typical,
         covariates.values,
     )
+    if ridge is not None:
+        alone_by_throw = _fitted_alone(together)
+        variation = tuple(
+            as_fitted_alone(one, weights[one.expression], alone_by_throw, covariates)
+            for one in variation
+        )
     among = {item.expression: item for item in variation if item.significant}
     open_ = np.array(
         [np.isin(parameters.names, one.covariance["names"]) for one in throws]
@@ -298,7 +343,7 @@ def _equal(
     of_law = np.isin(
         parameters.names, [item.name for item in rounds.model.law.coefficients()]
     )
-    return with_throws(result, throws, solution), told_by_each(
+    varying = told_by_each(
         reduction.rows[..., :-1],
         tasks.typical * (tasks.upper > tasks.lower)[0],
         {
@@ -307,6 +352,31 @@ def _equal(
             if name in told and not own[~of_law].any()
         },
     )
+    return with_throws(result, throws, solution), varying, ridge
+
+
+def _fitted_alone(together: Together) -> list[FitResult | None]:
+    """Each throw fitted by itself; None where that does not converge."""
+    rounds = together.rounds
+    loss = rounds.loss
+    noise = rounds.noises[0].kind
+    again = Rounds(
+        rounds.model,
+        rounds.throws,
+        loss=loss,
+        noise=noise,
+        shape=rounds.problems.observed.shape[1:],
+        batch=side_by_side(len(rounds.throws)),
+    )
+    fits = fitted(again, None)
+    usable = [one for one in fits if not isinstance(one, CurlfitError)]
+    curves = (loss, noise) != ("linear", "white")
+    records = iter(summarize_many(usable, again.batch, curves=curves))
+    alone: list[FitResult | None] = []
+    for fit in fits:
+        record = None if isinstance(fit, CurlfitError) else next(records)
+        alone.append(record if record is not None and record.converged else None)
+    return alone
 
 
 def _among(item: Any, differing: Mapping[str, Variation], name: str) -> Any:
@@ -319,9 +389,14 @@ def _among(item: Any, differing: Mapping[str, Variation], name: str) -> Any:
 
 
 def _varying(
-    together: Together, equal: JointResult, weights: dict[str, Floats], seed: int | None
+    together: Together,
+    equal: JointResult,
+    weights: dict[str, Floats],
+    ridge: JointRidge | None,
+    seed: int | None,
 ) -> JointResult:
-    """The result where what the throws determine varies about its mean."""
+    """The result where what the throws determine varies about its mean; the ridge is
+    that of equal coefficients, since the mean is as free along it."""
     variation = {one.expression: one for one in equal.variation}
     guess = np.array([variation[name].first_spread for name in weights])
     try:
@@ -331,6 +406,7 @@ def _varying(
             "how these throws vary cannot be estimated: their coefficients become "
             "unbounded; fix some of them, or fit with share='all' (--share all)"
         ) from None
+    ridges = None if ridge is None else lambda _: ridge.of_throws
     ended = bool(np.all(solution.success))
     draws = sampled(found.fit, guess, seed) if ended else None
     if draws is not None and seed is not None and not together.rounds.unknown.any():
@@ -338,16 +414,24 @@ def _varying(
     throws = [
         replace(one, systematics=before.systematics)
         for one, before in zip(
-            _summarized(together, solution, others=others), equal.throws, strict=True
+            _summarized(together, solution, others=others, ridges=ridges),
+            equal.throws,
+            strict=True,
         )
     ]
     spins = np.array([one.parameters["omega0"].value for one in throws])
+    at_spins = solution.values[:, together.common], spins
+    if ridge is not None:
+        # The mean stays near equal coefficients, and so must the spins beside it.
+        spins = np.array([one.parameters["omega0"].value for one in equal.throws])
+        at_spins = together.solution.values[:, together.common], spins
     result = about_mean(
         equal,
         found,
         together.covariates,
         Draw(together.rounds.model, together.rounds.throws[0].stone),
-        (solution.values[:, together.common], spins),
+        at_spins,
         draws,
+        ridge,
     )
     return with_throws(result, throws, solution)

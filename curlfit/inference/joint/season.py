@@ -1,11 +1,17 @@
 """Throws that were fitted one by one, about a mean that may depend on groups and drift.
 
 To first order about its optimum, the log-likelihood of a throw is a quadratic in the
-coefficients of the law, and that is all that a second fit needs of it.
+coefficients of the law, and that is all that a second fit needs of it. Where it is no
+quadratic, the throw says twice what it says: exactly, where its ridge leaves it, and as
+roughly as the ridge is wide (`curlfit.inference.fit.ridge_information`). The place of
+the estimate on its ridge is no matter of chance: ridges of throws alike bend the same
+way, and the mean of many estimates is no nearer to the truth than one. So what throws
+say roughly counts once, for all of them.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from operator import itemgetter
 from typing import Any, NamedTuple, Self
@@ -35,6 +41,7 @@ from curlfit.inference.problem import LEVEL_AND_STILL
 from curlfit.inference.system import motions
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.mixed_model import MixedFit, MixedModel
+from curlfit.output.text import join_words
 from curlfit.stone import Stone
 
 _TURNING = 200  # throws from which the usual angle of a draw is taken
@@ -55,10 +62,51 @@ class Season(NamedTuple):
     durations: Floats
     """of the records, s"""
     told: Floats
-    """by each, see `FitResult.coefficient_rows`"""
+    """by each, see `FitResult.coefficient_rows`; of a throw with a ridge, the first
+    part of `FitResult.coefficient_rows_along_ridge`"""
     notes: tuple[str, ...]
     conditions: tuple[str, ...] = ()
     """that each throw has for itself"""
+    stretched: Floats = np.zeros((0, 0, 0))
+    """by throws with a ridge, its second part; zero of others, and empty where there
+    are none"""
+    left_open: tuple[tuple[str, ...], ...] = ()
+    """by throw, coefficients that its ridge leaves open"""
+
+    def rows(self, share: float = 1.0) -> Floats:
+        """All that throws say of the coefficients, with a share of what they say
+        roughly."""
+        if not self.stretched.any():
+            return self.told
+        return np.concatenate([self.told, share**0.5 * self.stretched], 1)
+
+    @property
+    def share(self) -> float:
+        """That of one throw in what all say roughly."""
+        return 1.0 / max(int(self.stretched.any((1, 2)).sum()), 1)
+
+    def counts_left_open(self) -> dict[str, int]:
+        """Numbers of throws by coefficient that they leave open."""
+        counts = Counter(name for names in self.left_open for name in names)
+        names = [item.name for item in self.model.law.coefficients()]
+        return {name: counts[name] for name in names if name in counts}
+
+    def warnings(self) -> tuple[str, ...]:
+        """What the throws leave open, and what would help."""
+        counts = self.counts_left_open()
+        if not counts:
+            return ()
+        throws = len(self.left_open)
+        left = "; ".join(
+            f"{count} of {throws} throws leave "
+            f"{join_words([name for name in counts if counts[name] == count])} open"
+            for count in dict.fromkeys(counts.values())
+        )
+        return (
+            f"{left}: values far apart fit each of them about as well. What would "
+            "help: `curlfit batch` with an angle, or with the spin "
+            "(`--fix omega0=...`); or the files themselves, `curlfit fit *.csv`",
+        )
 
     def summary(
         self, by: Iterable[str], null_directions: tuple[dict[str, float], ...]
@@ -114,18 +162,19 @@ class _Quadratics(NamedTuple):
     """optima of the throws"""
 
     @classmethod
-    def of(cls, season: Season) -> Self:
-        """About the median of the throws."""
+    def of(cls, season: Season, share: float = 1.0) -> Self:
+        """About the median of the throws, with a share of what they say roughly."""
         items = season.model.law.coefficients()
         typical, lower, upper = (
             np.array([getattr(item, name) for item in items])
             for name in ("typical", "lower", "upper")
         )
         reference = np.clip(np.median(season.values, axis=0), lower, upper)
-        rows = season.told[..., :-1]
+        told = season.rows(share)
+        rows = told[..., :-1]
         free = rows.any((0, 1)) | (np.ptp(season.values, axis=0) > 0)
         bounds = np.where(free, lower, reference), np.where(free, upper, reference)
-        target = season.told[..., -1] - rows @ reference
+        target = told[..., -1] - rows @ reference
         own = (season.values - reference) / typical
         return cls(items, reference, typical, free, bounds, rows * typical, target, own)
 
@@ -198,7 +247,7 @@ def mean_of(
             f"{season.file}: {count} usable throws; expected {_FEWEST} or more"
         )
     covariates = Covariates.of(season.labels, by, trend)
-    throws = _Quadratics.of(season)
+    throws = _Quadratics.of(season, season.share)
     known, coefficients = throws.equal()
     if any(item.verdict == "at bound" for item in coefficients.values()):
         # What one throw leaves open may have gone there to explain what differs
@@ -207,10 +256,11 @@ def mean_of(
     verdicts = {name: item.verdict for name, item in coefficients.items()}
     wanted = wanted_of(verdicts, known.combinations, tuple(coefficients))
     variation = {
-        one.expression: one for one in throws.variations(wanted, covariates.values)
+        one.expression: one
+        for one in _Quadratics.of(season).variations(wanted, covariates.values)
     }
     weights = told_by_each(
-        season.told[..., :-1],
+        season.rows(season.share)[..., :-1],
         throws.typical * throws.free,
         {name: wanted[name] for name in variation},
     )
@@ -222,7 +272,7 @@ def mean_of(
         share=tuple(coefficients),
         converged=True,
         status=f"converged ({count} throws that were fitted one by one)",
-        warnings=(),
+        warnings=season.warnings(),
         coefficients=coefficients,
         combinations=known.combinations,
         rank=known.identifiability.rank,
@@ -240,4 +290,5 @@ def mean_of(
         Draw(season.model, season.stone),
         (season.values[some], season.start[some, -1]),
         sampled(found.fit, spreads, seed),
+        left_open=season.counts_left_open(),
     )

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from typing import NamedTuple, Self
 
@@ -11,18 +12,25 @@ from scipy.special import stdtr
 
 from curlfit.inference.derived import Quantiles, quantiles_of
 from curlfit.inference.fit.covariance import Covariance
-from curlfit.inference.fit.departures import NO_DEPARTURES
+from curlfit.inference.fit.departures import NO_DEPARTURES, Departures
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.joint.draw import DRAW, Draw
 from curlfit.inference.joint.effects import Covariates, Effect, Means
 from curlfit.inference.joint.population import Population
 from curlfit.inference.joint.posterior import Draws
 from curlfit.inference.joint.result import JointResult
+from curlfit.inference.joint.ridge import JointRidge
 from curlfit.inference.mcmc.chain import Chain
 from curlfit.numerics.arrays import Floats
 
 _STEP = 1e-3  # typical sizes, of differences
 _FLAT = 1e-4  # m, curl of a law that cannot curl
+_UNSEEN = 0.05
+"""Share of the change of a draw outside what is determined, above which it is not
+known: that of the friction of a draw, which hardly depends on b, is 0.01."""
+_ROUGH = 0.5
+"""Standard error over value, from which nothing is said of a draw: its 95 % interval
+then contains zero."""
 
 
 def about_mean(
@@ -32,6 +40,9 @@ def about_mean(
     draw: Draw,
     throws: tuple[Floats, Floats],
     draws: Draws | None,
+    ridge: JointRidge | None = None,
+    *,
+    left_open: Collection[str] = (),
 ) -> JointResult:
     """The result where throws vary, from that where they are equal.
 
@@ -40,12 +51,17 @@ def about_mean(
     throws : vectors of the common parameters and initial spins of throws, whose draws
         to the tee have the usual angle.
     draws : from the posterior of the population.
+    ridge : of equal coefficients, where chi squared is no quadratic.
+    left_open : coefficients that ridges of single throws leave open; a bound may hold
+        the mean of one, which tells no more of it.
     """
     names = tuple(equal.coefficients)
     known, angle = found.of_mean(names), float(np.median(np.abs(draw.angle(*throws))))
+    departures = NO_DEPARTURES if ridge is None else ridge.departures(known)
     means = found.means(names, covariates, angle)
     units = {name: item.unit for name, item in equal.coefficients.items()}
-    told = _Quantities.of(means, found, draw, units, draws)
+    rough = bool(left_open) or ridge is not None
+    told = _Quantities.of(means, found, draw, units, draws, left_open=rough)
     groups, differences, trend = map(tuple, told.effects())
     spreads = dict(zip(found.weights, map(float, found.spreads), strict=True))
     sampled: dict[str, Quantiles] = {}
@@ -62,10 +78,12 @@ def about_mean(
         coefficients={
             name: one
             if one.verdict == "fixed"
-            else _of_mean(one, known, row, found.dof)
+            else _of_mean(one, known, row, found.dof, departures, left_open)
             for row, (name, one) in enumerate(equal.coefficients.items())
         },
-        combinations=found.combinations(known.combinations, equal.combinations),
+        combinations=found.combinations(
+            departures.kept(known.combinations), equal.combinations
+        ),
         variation=tuple(
             replace(
                 one,
@@ -115,10 +133,20 @@ def _chain(
     )
 
 
-def _of_mean(item: Estimate, known: Covariance, row: int, dof: float) -> Estimate:
+def _of_mean(
+    item: Estimate,
+    known: Covariance,
+    row: int,
+    dof: float,
+    departures: Departures,
+    left_open: Collection[str],
+) -> Estimate:
     stderr, verdict, _ = known.classified(row)
     name = known.names[row]
-    stderr, verdict, reason = NO_DEPARTURES.judged(name, stderr, verdict, item.typical)
+    stderr, verdict, reason = departures.judged(name, stderr, verdict, item.typical)
+    if verdict == "at bound" and name in left_open:
+        verdict = "weak"
+        reason = departures.range_of(name)
     return replace(
         item,
         value=float(known.values[row]),
@@ -151,7 +179,11 @@ class _Quantities(NamedTuple):
         draw: Draw,
         units: Mapping[str, str],
         draws: Draws | None,
+        *,
+        left_open: bool,
     ) -> Self:
+        """Of a mean; where throws leave coefficients open, without what is then not
+        known of a draw."""
         size = len(found.typical)
         centre, steps = means.estimate[:size], _STEP * np.diag(found.typical)
         drawn = draw.quantities(
@@ -161,6 +193,15 @@ class _Quantities(NamedTuple):
             2 * _STEP * found.typical
         )
         shown = [name for name in DRAW if name != "curl" or drawn[0, 1] > _FLAT]
+        if left_open:
+            scaled = slopes * found.typical
+            outside = np.linalg.norm(scaled @ found.fit.model.null, axis=1)
+            unseen = outside > _UNSEEN * np.linalg.norm(scaled, axis=1)
+            variances = ((slopes @ means.covariance[:size, :size]) * slopes).sum(1)
+            errors = np.sqrt(np.maximum(variances, 0.0))
+            rough = unseen | (errors >= _ROUGH * np.abs(drawn[0]))
+            unknown = set(itertools.compress(DRAW, rough)) - {"friction"}
+            shown = [name for name in shown if name not in unknown]
         weights = np.array([*found.weights.values()])
         return cls(
             means,
@@ -226,9 +267,8 @@ class _Quantities(NamedTuple):
         """Values whose changes are the slopes times `to`, a matrix, times those of
         the estimate."""
         matrix, dof, made = self.slopes @ to, self.means.dof, []
-        errors = np.sqrt(
-            np.einsum("ij,jk,ik->i", matrix, self.means.covariance, matrix)
-        )
+        variances = np.einsum("ij,jk,ik->i", matrix, self.means.covariance, matrix)
+        errors = np.sqrt(np.maximum(variances, 0.0))
         for row, (name, unit) in enumerate(self.units.items()):
             value, error = float(values[row]), float(errors[row])
             p = 2 * float(stdtr(dof, -abs(value) / error)) if tested and error else None

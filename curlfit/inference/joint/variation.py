@@ -10,11 +10,13 @@ and Mandel 1982).
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtrc
 
+from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import (
     WEAK_ERROR,
     Bounded,
@@ -22,6 +24,7 @@ from curlfit.inference.identifiability import (
     stderr_of,
     visible,
 )
+from curlfit.inference.joint.effects import Covariates
 from curlfit.inference.joint.result import Variation
 from curlfit.inference.least_squares import Solution, Tasks, residual_sigma
 from curlfit.numerics.arrays import Booleans, Floats
@@ -147,6 +150,38 @@ def variations_of(
         if len(weight) > 1 + covariates.shape[1]:
             found.append(_variation(expression, each, np.array(weight), covariates))
     return tuple(found)
+
+
+def as_fitted_alone(
+    variation: Variation,
+    weights: Floats,
+    fits: Sequence[FitResult | None],
+    covariates: Covariates,
+) -> Variation:
+    """The same with the fit of each throw alone in place of a step from the joint
+    optimum, which is far from it where chi squared is no quadratic; of what contains
+    conditions the same as before.
+
+    Parameters
+    ----------
+    weights : of the parameters of a throw, the coefficients first.
+    fits : None of a throw whose fit failed.
+    """
+    first = next((fit for fit in fits if fit is not None), None)
+    if first is None or weights[len(first.coefficients) :].any():
+        return variation
+    weights = weights[: len(first.coefficients)]
+    each: list[tuple[float, float] | None] = []
+    for fit in fits:
+        stderr = None if fit is None else fit.stderr_of_coefficients(weights)
+        if fit is None or stderr is None:
+            each.append(None)
+        else:
+            each.append((float(weights @ fit.values[: len(weights)]), stderr))
+    errors = np.array([one[1] for one in each if one is not None])
+    if len(errors) <= 1 + covariates.values.shape[1]:
+        return replace(variation, each=tuple(each), p_value=1.0, spread=0.0)
+    return _variation(variation.expression, each, errors**-2, covariates.values)
 
 
 def each_alone(

@@ -1,0 +1,166 @@
+"""The ridge of throws that are fitted together: values of what they have in common that
+fit all of them about as well as their optimum."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, Self
+
+import numpy as np
+
+from curlfit.inference.fit.covariance import Covariance
+from curlfit.inference.fit.departures import Departures, departures_together
+from curlfit.inference.fit.factors import Reduction, combined
+from curlfit.inference.fit.ridge import Followed, Hold, Point, Ridge, follow
+from curlfit.inference.identifiability import Bounded, r_factor, r_factors
+from curlfit.inference.initial_values import default_guess
+from curlfit.inference.joint.population import Together
+from curlfit.inference.joint.solver import JOINT, minimize_jointly
+from curlfit.inference.least_squares import Solution, Tasks
+from curlfit.inference.priors import Penalty
+from curlfit.numerics.arrays import Booleans, Floats
+
+_REFIT = JOINT._replace(most=60)
+"""As many steps as a refit of one throw along its ridge."""
+
+
+class _Refit(NamedTuple):
+    """The optimum of all throws, or that with a parameter in common held."""
+
+    solution: Solution
+    factors: Floats
+    """R factors of each throw with its own priors, the residual as the last column"""
+    reduction: Reduction
+    of_common: Floats
+    """rows of the priors of what they have in common, which count once"""
+    chi_squared: float
+    """with what the priors add to it"""
+    held: int | None
+    """index of the parameter that is held"""
+
+    @classmethod
+    def of(
+        cls, solution: Solution, tasks: Tasks, common: Booleans, held: int | None
+    ) -> Self:
+        values = np.asarray(solution.values)
+        priors = tasks.penalty.rows(values)
+        factors = r_factors(solution.jacobian, solution.residual)
+        factors = combined(factors, priors * ~common[:, None])
+        bounded = Bounded(values, tasks.lower, tasks.upper)
+        reduction = Reduction.of(factors, bounded, tasks.typical, common)
+        penalty = Penalty(*(part[0] for part in tasks.penalty))
+        shared = penalty._replace(weight=penalty.weight * common)
+        own = tasks.penalty._replace(weight=tasks.penalty.weight * ~common)
+        added = own.chi_squared(values).sum() + shared.chi_squared(values[0])
+        chi_squared = float(solution.chi_squared.sum() + added)
+        of_common = priors[0] * common[:, None]
+        return cls(solution, factors, reduction, of_common, chi_squared, held)
+
+    def of_throw(self, row: int) -> Point:
+        """The point among the parameters of a throw, with what the others say."""
+        others = self.reduction.others[row]
+        rows = combined(self.factors[row], others, self.of_common)
+        values = self.solution.values[row]
+        return Point(values, rows[:, :-1], self.chi_squared, self.held)
+
+    def in_common(self) -> Point:
+        """The point among the parameters in common."""
+        common = self.reduction.common
+        rows = self.reduction.in_common().reshape(-1, int(common.sum()) + 1)
+        of_common = self.of_common[:, np.append(common, True)]
+        slopes = r_factor(np.concatenate([rows, of_common]))[:, :-1]
+        values = self.solution.values[0, common]
+        held = self.held
+        if held is not None:
+            held = int(common[:held].sum())
+        return Point(values, slopes, self.chi_squared, held)
+
+    def near(self, values: Floats) -> Floats:
+        """Initial values of all throws for some values of what they have in common,
+        where the tangent here leads."""
+        common = self.reduction.common
+        step = values - self.solution.values[0, common]
+        starts = self.solution.values + self.reduction.follow[:, :, common] @ step
+        return np.asarray(starts)
+
+
+class JointRidge(NamedTuple):
+    """The ridge of throws that are fitted together."""
+
+    in_common: Ridge
+    """among the parameters in common"""
+    of_throws: list[Ridge]
+    """among the parameters of each throw"""
+    usual: Floats
+    """coefficients of the law where nothing is known, of those in common"""
+
+    def departures(self, covariance: Covariance) -> Departures:
+        """What the ridge makes of what throws say of the parameters in common."""
+        return departures_together(covariance, self.in_common, self.usual)
+
+
+def follow_jointly(
+    together: Together, solution: Solution, stderr: Mapping[int, float]
+) -> JointRidge:
+    """Follow the ridge of throws from their optimum.
+
+    Parameters
+    ----------
+    stderr : of the parameters in common that are to be held, by index among those of a
+        throw; infinite where nothing is known.
+    """
+    tasks = together.tasks
+    common = together.common
+    places = np.flatnonzero(common)
+    refits = [_Refit.of(solution, tasks, common, None)]
+
+    def refit(holds: Sequence[Hold]) -> list[Point]:
+        points = []
+        for hold in holds:
+            index = int(places[hold.parameter])
+            apart = [
+                np.abs(
+                    (one.solution.values[0, common] - hold.start)
+                    / tasks.typical[common]
+                )
+                for one in refits
+            ]
+            nearest = refits[int(np.argmin([distance.max() for distance in apart]))]
+            start = np.clip(nearest.near(hold.start), tasks.lower, tasks.upper)
+            lower = np.array(tasks.lower)
+            upper = np.array(tasks.upper)
+            start[:, index] = hold.start[hold.parameter]
+            lower[:, index] = start[:, index]
+            upper[:, index] = start[:, index]
+            held = tasks._replace(start=start, lower=lower, upper=upper)
+            model = together.rounds.model
+            optimum = minimize_jointly(model, held, common, how=_REFIT)
+            refits.append(_Refit.of(optimum, tasks, common, index))
+            points.append(refits[-1].in_common())
+        return points
+
+    bounds = tasks.lower[0, common], tasks.upper[0, common]
+    errors = {int(common[:index].sum()): error for index, error in stderr.items()}
+    followed = Followed(refits[0].in_common(), *bounds, tasks.typical[common], errors)
+    (ridge,) = follow([followed], refit)
+    near = [
+        next(one for one in refits if one.chi_squared == point.chi_squared)
+        for point in ridge.points
+    ]
+    intervals = {int(places[index]): pair for index, pair in ridge.intervals.items()}
+    of_throws = [
+        Ridge(
+            refits[0].of_throw(row),
+            tuple(one.of_throw(row) for one in near),
+            ridge.rises,
+            intervals,
+        )
+        for row in range(len(tasks.start))
+    ]
+    law = together.rounds.model.law
+    of_law = common[: len(law.coefficients())]
+    usual = [
+        default_guess(item) for item in itertools.compress(law.coefficients(), of_law)
+    ]
+    return JointRidge(ridge, of_throws, np.array(usual))
