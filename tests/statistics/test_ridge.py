@@ -238,8 +238,8 @@ def test_the_density_of_draws_is_that_of_scipy():
 
 
 def product_is_measured(highest: float, error: float = 0.001) -> Problem:
-    """Of b and a second parameter: b omega0 is 0.06 within an error, and d + b = 1.0(1),
-    with b between 0 and `highest`."""
+    """Of b and a second parameter: b omega0 is 0.06 within an error, d + b is 1.0(1),
+    and b is between 0 and `highest`."""
 
     def residuals(spin: float, values: np.ndarray) -> np.ndarray:
         b, d = values
