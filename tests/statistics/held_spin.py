@@ -21,8 +21,7 @@ from scipy.special import gammaln, logsumexp
 from simulator import simulated
 
 SPINS = 80
-"""Held spins of each sense: two neighbours differ by a tenth, between which b of
-power+transverse, which falls as 1/omega0, is straight to 0.1 %; its error is 1 %."""
+"""Held spins of each sense at first, two neighbours a tenth apart."""
 SLOWEST = 0.005
 """rad/s: a stone turns by 5 degrees in 18 s, and does not curl."""
 DRAWS = 4000
@@ -33,6 +32,11 @@ WIDER = 1.15
 """How much wider than the approximation draws are."""
 LARGEST_SHARE = 0.05
 """Probability of an interval of the spin above which it is halved."""
+COUNTS = 1e-3
+"""Probability of an interval above which it is also halved until it is straight."""
+MOST_BENT = 0.3
+"""Standard errors at most between the optimum in the middle of an interval and the
+mean of those at its ends: draws are about the straight line between these."""
 HALVINGS = 8
 NEGLIGIBLE = 1e-5
 """Probability of an interval of the spin, over the largest, that is left out."""
@@ -89,6 +93,8 @@ class Cell(NamedTuple):
 
     spins: tuple[float, float]
     optima: tuple[Optimum, Optimum]
+    straight: bool = False
+    """whether the optima between are known to be on the straight line"""
 
     @property
     def width(self) -> float:
@@ -102,15 +108,23 @@ class Cell(NamedTuple):
         height = max(optimum.log_mass for optimum in self.optima)
         return height + float(np.log(self.width))
 
-    def halves(self, problem: Problem) -> list[Cell]:
-        """Both halves, with the optimum between them."""
+    def refined(self, problem: Problem, share: float) -> list[Cell]:
+        """Its halves, if its probability is large or it is bent; otherwise itself."""
+        if share <= COUNTS or (self.straight and share <= LARGEST_SHARE):
+            return [self]
         first, last = self.spins
-        middle = np.sign(first) * np.sqrt(first * last)
-        (optimum,) = optima_along(problem, [middle], self.optima[0].values)
-        return [
-            Cell((first, middle), (self.optima[0], optimum)),
-            Cell((middle, last), (optimum, self.optima[1])),
-        ]
+        spin = np.sign(first) * np.sqrt(first * last)
+        start, end = self.optima
+        (middle,) = optima_along(problem, [spin], start.values)
+        off = middle.values - (start.values + end.values) / 2
+        bent = np.linalg.norm(np.linalg.solve(middle.spread, off)) > MOST_BENT
+        if share <= LARGEST_SHARE and not bent:
+            return [self._replace(straight=True)]
+        halves = (
+            Cell((first, spin), (start, middle)),
+            Cell((spin, last), (middle, end)),
+        )
+        return [half._replace(straight=not bent) for half in halves]
 
 
 class Sample(NamedTuple):
@@ -188,13 +202,11 @@ def cells_of(problem: Problem) -> list[Cell]:
         ends = zip(pairwise(spins), pairwise(optima), strict=True)
         cells += [Cell(*end) for end in ends]
     for _ in range(HALVINGS):
-        large = shares_of(cells) > LARGEST_SHARE
-        if not large.any():
-            break
+        shares = shares_of(cells)
         cells = [
             part
-            for cell, halve in zip(cells, large, strict=True)
-            for part in (cell.halves(problem) if halve else [cell])
+            for cell, share in zip(cells, shares, strict=True)
+            for part in cell.refined(problem, share)
         ]
     return cells
 
@@ -208,7 +220,8 @@ def posterior_sample(problem: Problem, number: int, seed: int = 0) -> Sample:
     drawn_values = np.empty((number, len(problem.guess)))
     log_weights = np.empty(number)
     for draw, cell in enumerate(random.choice(len(cells), number, p=shares)):
-        spins, (first, last) = cells[cell]
+        spins = cells[cell].spins
+        first, last = cells[cell].optima
         spin = random.uniform(*sorted(spins))
         part = np.log(spin / spins[0]) / np.log(spins[1] / spins[0])
         centre = (1 - part) * first.values + part * last.values

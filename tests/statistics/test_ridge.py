@@ -237,13 +237,13 @@ def test_the_density_of_draws_is_that_of_scipy():
     assert student_log_density(offsets) == pytest.approx(expected.logpdf(offsets))
 
 
-def product_is_measured(highest: float) -> Problem:
-    """Of b and a second parameter: b omega0 = 0.060(1) and d + b = 1.0(1), with
-    b between 0 and `highest`."""
+def product_is_measured(highest: float, error: float = 0.001) -> Problem:
+    """Of b and a second parameter: b omega0 is 0.06 within an error, d + b is 1.0(1),
+    and b is between 0 and `highest`."""
 
     def residuals(spin: float, values: np.ndarray) -> np.ndarray:
         b, d = values
-        return np.array([(b * spin - 0.06) / 0.001, (d + b - 1.0) / 0.1])
+        return np.array([(b * spin - 0.06) / error, (d + b - 1.0) / 0.1])
 
     return Problem(
         residuals,
@@ -270,6 +270,19 @@ def test_importance_sampling_of_a_curve_gives_quantiles_in_closed_form():
     assert sample.effective > 1500
     assert sample.spins[sample.weights > 1e-6].min() > 0
     assert np.sum(sample.weights * (d + b)) == pytest.approx(1.0, abs=0.01)
+
+
+def test_intervals_of_the_spin_are_halved_until_the_curve_is_straight():
+    error = 1e-4  # of 0.06: neighbours a tenth apart are 0.75 errors off the curve
+    cells = held_spin.cells_of(product_is_measured(0.3, error))
+    for cell, share in zip(cells, held_spin.shares_of(cells), strict=True):
+        if share > held_spin.COUNTS:
+            first, last = np.abs(cell.spins)
+            middle = np.sqrt(first * last)
+            on_line = (0.06 / first + 0.06 / last) / 2
+            # at a bound, b does not follow the curve
+            if 0.06 / last < 0.3:
+                assert abs(on_line * middle - 0.06) / error < held_spin.MOST_BENT + 0.01
 
 
 def test_a_track_is_where_the_simulator_says():
