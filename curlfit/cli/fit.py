@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from curlfit.errors import InputError
+from curlfit.errors import InputError, UnusableFitError
 from curlfit.foreign import say
 from curlfit.options import settings as s
 from curlfit.options.output import COMPILES, Output, Saved, progress_line
@@ -195,6 +195,7 @@ def _fit_one(
         remove_figure(folder, "corner")  # of an earlier fit
         chain_file.unlink(missing_ok=True)
     drawn.replace(folder, ["fit"], partial(figures_of, result))
+    chain: Chain | None = None
     if not sampling.no_sample:
         try:
             result, chain = _sample(
@@ -209,10 +210,18 @@ def _fit_one(
         except KeyboardInterrupt:
             drawn.written()
             raise
+        except UnusableFitError as error:
+            if not result.converged:
+                raise
+            # the fit holds, though its posterior has no end or no beginning
+            say(f"curlfit: warning: no posterior: {error}", error=True)
+            result, chain = replace(result, sampling="none"), None
         result.save(record)
-        drawn.replace(folder, ["corner"], partial(corner_of, result, chain))
+        if chain is not None:
+            drawn.replace(folder, ["corner"], partial(corner_of, result, chain))
     console.print(document_of(result))
-    written = [record, *[chain_file] * (not sampling.no_sample), *drawn.written()]
+    chains = [] if chain is None else [chain_file]
+    written = [record, *chains, *drawn.written()]
     done = output.written(folder, written, console)
     if (
         result.converged

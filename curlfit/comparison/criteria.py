@@ -35,6 +35,9 @@ its half-line, and the others the probability of the box under their joint norma
 density. A parameter p with a lognormal prior is replaced by its logarithm, q = p1 (1 +
 ln(p/p1)) about the estimate p1: the prior is normal in q, and the integral exact both
 where the data determine p and where only the prior does (MacKay 1998).
+
+Where chi squared is no quadratic, and the values that fit lie on a curve, the integral
+is that of importance sampling along it (`curlfit.inference.mcmc.draws`).
 """
 
 from __future__ import annotations
@@ -44,11 +47,12 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple, Self
 
 import numpy as np
-from scipy.special import log_ndtr
+from scipy.special import log_ndtr, logsumexp
 
 from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import SIGMA_FLOOR
+from curlfit.inference.mcmc.draws import WeightedProposals
 from curlfit.inference.noise.losses import likeliest_sigma, log_density
 from curlfit.inference.noise.whitening import whitened
 from curlfit.numerics.arrays import Booleans, Floats
@@ -59,6 +63,7 @@ NULL = 1e-13
 # standard deviation of a coefficient's prior over its typical size or default
 _ORDER = 3.0
 _FAR = 8.0  # standard deviations within which a bound matters
+_PROPOSALS, _FEWEST = 4096, 100  # along a ridge, and how many must count
 _LEAST = 1e-12  # smallest probability of a box, and stiffness
 
 
@@ -282,6 +287,10 @@ def log_evidence(result: FitResult, log_likelihood: float) -> float:
     root = np.sqrt(precision[normal])
     ends = ((end - mean)[normal] * root for end in (known.lower, known.upper))
     total += float((np.log(root / np.sqrt(2 * np.pi)) - _log_between(*ends)).sum())
+    if result.ridge:
+        along = _log_integral_along_ridge(result, known)
+        if along is not None:
+            return total + along
     return total + _log_integral(
         known.gradient + precision * off,
         known.information + np.diag(precision),
@@ -289,6 +298,27 @@ def log_evidence(result: FitResult, log_likelihood: float) -> float:
         known.upper - known.estimates,
         known.at_bound,
     )
+
+
+def _log_integral_along_ridge(result: FitResult, known: Posterior) -> float | None:
+    """Logarithm of the integral of the posterior density over that at the estimates;
+    None where the proposals do not follow the ridge, or a prior is lognormal."""
+    priors = result.parameter_set.priors
+    if any(prior.kind == "lognormal" for prior in priors.values()):
+        return None
+    random = np.random.default_rng(0)
+    proposals = WeightedProposals.of(result, _PROPOSALS, random)
+    # the priors of the fit are in its posterior, those of the evidence are not
+    free = result.parameter_set.free
+    names = result.parameter_set.names_where(free)
+    precision = np.where(np.isin(names, [*priors]), 0.0, known.prior.precision)
+    square = precision * (proposals.values[:, free] - known.prior.mean) ** 2
+    at_estimates = precision * known.away**2
+    log_prior = -0.5 * (square.sum(1) - at_estimates.sum())
+    proposals = proposals._replace(log_ratio=proposals.log_ratio + log_prior)
+    if proposals.effective < _FEWEST:
+        return None
+    return float(logsumexp(proposals.log_ratio) - math.log(_PROPOSALS))
 
 
 def effective_parameters(result: FitResult) -> float:

@@ -92,7 +92,7 @@ def rows_of(result: FitResult | JointResult, *, in_words: bool = False) -> list[
         **estimates,
         **{item.expression: item for item in result.combinations},
         **{name: item for name, item in others.items() if name not in estimates},
-        **{item.expression: item for item in result.derived},
+        **{item.expression: item for item in result.all_derived},
         **quoted,
     }
     for name, item in everything.items():
@@ -297,7 +297,8 @@ def _label(row: Row, symbols: dict[str, str]) -> str:
             size = "" if abs(weight) == 1 else rf"{abs(weight):.4g}\,"
             text += f"{sign}{size}{symbols.get(name, escaped(name))}"
         return f"${text}$"
-    meaning = item.meaning if isinstance(item, Derived) else ""
+    # of quantities of the path, which have units
+    meaning = item.meaning if isinstance(item, Derived) and item.unit else ""
     return escaped(meaning) or _expression(name, symbols)
 
 
@@ -332,7 +333,9 @@ def _number(text: str) -> str:
 
 
 def _interval(posterior: Any, row: Row) -> str:
-    found = posterior and posterior.quantiles.get(row.cells["name"])
+    if posterior is None or not posterior.converged:
+        return ""
+    found = posterior.quantiles.get(row.cells["name"])
     if not found:
         return ""
     low, _, high = from_to(found["16"], found["84"]).partition(" .. ")

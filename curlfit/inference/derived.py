@@ -1,26 +1,38 @@
-"""Quantities derived from the parameters of a fit, with errors to first order."""
+"""Quantities derived from the parameters of a fit, with errors to first order.
+
+Where the values that fit lie on a curve, the ridge of the fit, a quantity is followed
+along it: what moves there is as uncertain as it moves, and what is constant there is
+determined, whatever its form. The product of a coefficient and the spin may be known
+though neither is.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
 from curlfit.errors import InputError
 from curlfit.foreign import quoted
-from curlfit.inference.expression import CONSTANTS, parse
+from curlfit.inference.expression import CONSTANTS, Expression, parse
 from curlfit.inference.identifiability import (
+    INTERVAL,
+    LITTLE,
+    STRETCHED,
     WEAK_ERROR,
+    WIDE,
     Combination,
     Verdict,
     WithInterval,
+    errors_of,
 )
 from curlfit.numerics.arrays import Floats
 from curlfit.output.text import sided
-from curlfit.records import Names
+from curlfit.records import ADDED, Names
 from curlfit.stone import UNITS as STONE_UNITS
 
 LEVELS = ("2.5", "16", "50", "84", "97.5")
@@ -28,7 +40,12 @@ LEVELS = ("2.5", "16", "50", "84", "97.5")
 Quantiles = Annotated[dict[str, float], Names(LEVELS)]
 # share of a gradient along null directions below which it counts as zero
 _NO_PART = 1e-3
-_TRIES = 4  # further points of the ridge at which the gradient is checked
+_TRIES = 4  # further points along null directions at which the gradient is checked
+_UNKNOWN = 3.0
+"""Typical sizes from an estimate, beyond which nothing is known in any case."""
+_FOLLOWED = 0.5
+"""Share of what a parameter may be, by its standard error and bounds, that the ridge
+has followed: it may end early where no path was found."""
 
 
 @dataclass(frozen=True)
@@ -39,18 +56,22 @@ class Derived(WithInterval):
     ----------
     expression : arithmetic of the parameters, or the name of a quantity of the path.
     value : at the estimates.
-    stderr : standard error, from the covariance to first order; None where the quantity
-        is not determined, or depends on a parameter at its bound.
+    stderr : standard error, from the covariance to first order, or what the ridge of
+        the fit demands; None where the quantity is not determined, or depends on a
+        parameter at its bound.
     verdict : "determined"; "prior" (it rests on priors); "weak" (its standard error is
-        more than half of what typical sizes of its parameters imply); "not
-        identifiable" (it depends on a direction that the path does not determine); "at
-        bound" or "fixed".
+        more than half of what typical sizes of its parameters imply, or it moves along
+        the ridge by more than a quarter of that); "not identifiable" (it depends on a
+        direction that the path does not determine); "at bound" or "fixed".
     systematic : error due to the conditions that the fit holds fixed; None where
-        there is none.
+        there is none, or where it is not known.
     dof : degrees of freedom of `stderr`, the smallest of its parameters'; None where
         sigma was given.
     quantiles : of the posterior, "2.5" to "97.5"; empty without a chain.
-    meaning, unit : of a quantity of the path.
+    meaning : of a quantity of the path; of a product that the fit derives, how its
+        factors change along the ridge.
+    unit : of a quantity of the path.
+    reason : of one that moves along the ridge, the values that fit nearly as well.
     """
 
     expression: str
@@ -62,6 +83,7 @@ class Derived(WithInterval):
     quantiles: Quantiles = field(default_factory=dict)
     meaning: str = ""
     unit: str = ""
+    reason: str = field(default="", metadata=ADDED)
 
 
 def scaled(item: Derived, factor: float) -> Derived:
@@ -86,6 +108,18 @@ def to_its_side(item: Derived) -> Derived:
     return scaled(replace(item, meaning=meaning), sign) if sign < 0 else item
 
 
+class AlongRidge(NamedTuple):
+    """What the ridge of a fit says of a quantity."""
+
+    error: float
+    """standard error by its profile, infinite where it is not determined"""
+    size: float
+    """the smallest, along the ridge, of what typical sizes of the parameters imply"""
+    held: frozenset[str]
+    """the parameters that were held"""
+    reason: str
+
+
 class FirstOrder(NamedTuple):
     """What a fit says about its parameters, to first order."""
 
@@ -98,13 +132,30 @@ class FirstOrder(NamedTuple):
     widths: Mapping[str, float]
     """standard uncertainties of the conditions that the fit holds fixed"""
     shifts: Mapping[str, Mapping[str, float]]
-    """by determined parameter or combination, and by condition"""
+    """by determined parameter, combination or product, and by condition"""
     stone: Mapping[str, float]
+    ridge: Sequence[Any] = ()
+    """a `RidgePoint` each (`curlfit.inference.fit.estimates`)"""
+    products: Sequence[str] = ()
+    """expressions of products that are determined along the ridge"""
 
     @property
     def names(self) -> tuple[str, ...]:
         """The parameters that can move."""
         return tuple(self.covariance["names"])
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The estimates of all parameters."""
+        return {name: item.value for name, item in self.parameters.items()}
+
+    @property
+    def points(self) -> list[dict[str, float]]:
+        """Values of all parameters along the ridge."""
+        return [
+            dict(zip(self.parameters, point.values, strict=True))
+            for point in self.ridge
+        ]
 
     def vector(self, weights: Mapping[str, float]) -> Floats:
         """Weights in the order of the parameters that can move."""
@@ -117,6 +168,13 @@ class FirstOrder(NamedTuple):
         return math.sqrt(
             max(float(row @ np.array(self.covariance["matrix"]) @ row), 0.0)
         )
+
+    def size(self, gradient: Mapping[str, float]) -> float:
+        """The change of a quantity that typical sizes of the parameters imply."""
+        typical = [
+            slope * self.parameters[name].typical for name, slope in gradient.items()
+        ]
+        return math.hypot(*typical)
 
     def null_space(self) -> Floats:
         """Orthonormal null directions in units of typical sizes, shape
@@ -138,22 +196,104 @@ class FirstOrder(NamedTuple):
         size = float(np.linalg.norm(row))
         return not np.linalg.norm(self.null_space() @ row) > _NO_PART * size
 
+    def follow(self, name: str) -> Floats:
+        """How the parameters change with one of them, to first order: along the null
+        direction in which it takes part, or as the others are refitted; 0 of one that
+        does not move."""
+        index = self.names.index(name)
+        in_space = self.null_space()[:, index]
+        if np.linalg.norm(in_space) > _NO_PART:
+            follow = (in_space @ self.null_space()) * self._typical
+        else:
+            follow = np.array(self.covariance["matrix"])[:, index]
+        if follow[index] == 0.0:
+            return np.zeros(len(follow))
+        return np.asarray(follow / follow[index])
+
+    def holding(self, name: str) -> FirstOrder:
+        """The same while a parameter is held at its estimate."""
+        if name not in self.names:
+            return self
+        index = self.names.index(name)
+        hold = np.eye(len(self.names))
+        hold[:, index] -= self.follow(name)
+        matrix = hold @ np.array(self.covariance["matrix"]) @ hold.T
+        space = self.null_space()
+        in_space = space[:, index]
+        if np.linalg.norm(in_space) > _NO_PART:
+            # turned so that the parameter takes part in the first direction alone
+            _, _, turned = np.linalg.svd(in_space[None])
+            space = turned[1:] @ space
+        null_directions = [
+            dict(zip(self.names, (row * self._typical).tolist(), strict=True))
+            for row in space
+        ]
+        covariance = {"names": list(self.names), "matrix": matrix}
+        return self._replace(covariance=covariance, null_directions=null_directions)
+
+    def across(self, gradient: Mapping[str, float], shift: Floats) -> float:
+        """The part across the ridge of the change of a quantity with this gradient, for
+        a shift of the parameters that can move: while that parameter is held which
+        leaves the least error."""
+        row = self.vector(gradient)
+        errors = {}
+        for name in {point.held for point in self.ridge} & set(self.names):
+            others = self.holding(name)
+            if others.sees(gradient):
+                errors[name] = others.stderr(gradient)
+        if errors:
+            held = min(errors, key=lambda name: errors[name])
+            shift = shift - self.follow(held) * shift[self.names.index(held)]
+        return float(row @ shift)
+
+    def _sums(self) -> dict[str, Mapping[str, float]]:
+        """Combinations and products whose shifts are known, to first order, with their
+        weights."""
+        weights: dict[str, Mapping[str, float]] = {
+            item.expression: item.weights for item in self.combinations
+        }
+        weights |= {text: gradient_of(self, text) for text in self.products}
+        return {text: row for text, row in weights.items() if text in self.shifts}
+
+    def _shifted(self) -> Floats:
+        """Which parameters have shifts of their own, and not those of products alone,
+        shape (parameters,)."""
+        in_products = {
+            name for text in self.products for name in gradient_of(self, text)
+        }
+        return np.array(
+            [name in self.shifts and name not in in_products for name in self.names]
+        )
+
     def shift(self, condition: str) -> Floats:
         """Shift from the estimates to the true values if a condition is off by
         one width, along the determined directions, in the order of the parameters
         that can move."""
-        known = [name for name in self.names if name in self.shifts]
-        found = self.vector(
-            {name: self.shifts[name].get(condition, 0.0) for name in known}
+        shifted = self._shifted()
+        shift = shifted * self.vector(
+            {name: by.get(condition, 0.0) for name, by in self.shifts.items()}
         )
-        sums = [item for item in self.combinations if item.expression in self.shifts]
-        hidden = np.array([name not in known for name in self.names])
+        sums = self._sums()
+        hidden = np.logical_not(shifted)
         if hidden.any() and sums:
-            rows = np.array([self.vector(item.weights) for item in sums])
-            right = [self.shifts[item.expression].get(condition, 0.0) for item in sums]
-            rest = np.array(right) - rows @ found
-            found[hidden] = np.linalg.lstsq(rows[:, hidden], rest, rcond=None)[0]
-        return found
+            rows = np.array([self.vector(weights) for weights in sums.values()])
+            right = [self.shifts[text].get(condition, 0.0) for text in sums]
+            rest = np.array(right) - rows @ shift
+            shift[hidden] = np.linalg.lstsq(rows[:, hidden], rest, rcond=None)[0]
+        return shift
+
+    def knows_shift(self, gradient: Mapping[str, float]) -> bool:
+        """Whether a quantity depends on parameters without shifts of their own only as
+        combinations and products do."""
+        hidden = np.logical_not(self._shifted())
+        scaled = self._typical * hidden
+        row = self.vector(gradient) * scaled
+        rows = [self.vector(weights) * scaled for weights in self._sums().values()]
+        if not rows:
+            return not row.any()
+        along, *_ = np.linalg.lstsq(np.array(rows).T, row, rcond=None)
+        rest = row - along @ np.array(rows)
+        return not np.linalg.norm(rest) > _NO_PART * np.linalg.norm(row)
 
     def assess(
         self,
@@ -164,6 +304,7 @@ class FirstOrder(NamedTuple):
         *,
         seen: bool = True,
         held_counts: bool = True,
+        along: AlongRidge | None = None,
     ) -> Derived:
         """The quantity with its errors.
 
@@ -171,36 +312,74 @@ class FirstOrder(NamedTuple):
         ----------
         gradient : by the parameters. changes : for one width of each condition, at
             fixed parameters.
-        seen : whether it is determined elsewhere on the ridge as well.
+        seen : whether it is determined elsewhere along straight null directions as
+            well.
         held_counts : whether dependence on a parameter at its bound leaves it
             without an error.
+        along : what the ridge of the fit says of it, if there is one.
         """
         used = {key: self.parameters[key] for key, slope in gradient.items() if slope}
         free = [key for key, item in used.items() if item.verdict != "fixed"]
         if not free:
             return Derived(name, value, None, "fixed")
-        if not (seen and self.sees(gradient)):
+        on_tangent = seen and self.sees(gradient)
+        stuck = {key for key in free if key not in self.names}
+        if along is not None and stuck:
+            on_tangent = False
+            stuck -= along.held
+        if along is None and not on_tangent:
             return Derived(name, value, None, "not identifiable")
-        verdicts = {used[key].verdict for key in free}
-        if held_counts and any(key not in self.names for key in free):
+        if held_counts and stuck:
             return Derived(name, value, None, "at bound")
-        stderr = self.stderr(gradient)
+        stderr = self.stderr(gradient) if on_tangent else math.inf
+        size = self.size({key: gradient[key] for key in free if key in self.names})
+        stretch = 1.0
+        spoiled = False
+        if along is not None:
+            stretch = along.error / stderr if stderr > 0 else math.inf
+            spoiled = stretch < 1 / LITTLE
+            if spoiled or stretch > LITTLE:
+                stderr = along.error
+            size = min(along.size, size)
+        reason = "" if along is None else along.reason
+        if math.isinf(stderr):
+            return Derived(name, value, None, "not identifiable", reason=reason)
+        verdicts = {used[key].verdict for key in free}
+        verdict = "prior" if "prior" in verdicts else "determined"
+        if stderr >= WEAK_ERROR * size or (
+            along is not None and stretch > STRETCHED and stderr > WIDE * size
+        ):
+            verdict = "weak"
+        if verdict == "weak" and not on_tangent:
+            return Derived(name, value, None, "not identifiable", reason=reason)
         hidden = {key for key in free if used[key].verdict == "not identifiable"}
         sums = [item for item in self.combinations if hidden & set(item.weights)]
         dof = [*(used[key].dof for key in free), *(item.dof for item in sums)]
+        if spoiled:  # of parameters that have no error of their own
+            dof += [item.dof for item in self.parameters.values()]
         known = [one for one in dof if one is not None]
-        verdict = "prior" if "prior" in verdicts else "determined"
-        if stderr >= WEAK_ERROR * np.linalg.norm(self.vector(gradient) * self._typical):
-            verdict = "weak"
         row = self.vector(gradient)
         by_condition = [
             float(row @ self.shift(condition)) + changes.get(condition, 0.0)
             for condition in self.widths
         ]
         systematic = math.hypot(*by_condition) if by_condition else None
+        if spoiled and not self.knows_shift(gradient):
+            systematic = None
         return Derived(
-            name, value, stderr, verdict, systematic, dof=min(known) if known else None
+            name,
+            value,
+            stderr,
+            verdict,
+            systematic,
+            dof=min(known) if known else None,
+            reason=reason if verdict == "weak" else "",
         )
+
+
+def gradient_of(known: FirstOrder, product: str) -> dict[str, float]:
+    """The gradient of a product of parameters at the estimates, by their names."""
+    return parse(product, known.values, {}).gradient(known.values)
 
 
 def check_derived(texts: Sequence[str], names: Sequence[str]) -> None:
@@ -262,11 +441,44 @@ def derive(
         found = expression.gradient({**constants, **moved})
         return {name: slope for name, slope in found.items() if name in values}
 
-    seen = _seen_along_the_ridge(known, values, slopes)
-    found = known.assess(expression.text, value, own, changes, seen=seen)
+    seen = _seen_along_null_directions(known, values, slopes)
+    along = None
+    if known.ridge:
+        along = _along_ridge(known, partial(_value, expression, constants), slopes)
+    found = known.assess(expression.text, value, own, changes, seen=seen, along=along)
+    if along is not None:
+        found = _as_the_fit_says(known, found)
     if samples is None:
         return found
     return with_quantiles(found, expression.of({**constants, **samples}))
+
+
+def _value(
+    expression: Expression, constants: Mapping[str, float], point: Mapping[str, float]
+) -> float:
+    """An expression at values of the parameters."""
+    return float(expression.of({**constants, **point}))
+
+
+def _as_the_fit_says(known: FirstOrder, quantity: Derived) -> Derived:
+    """The quantity with the error and verdict of the parameter or combination that it
+    is, if it is one."""
+    estimate = known.parameters.get(quantity.expression)
+    if estimate is not None:
+        stderr = estimate.stderr
+        verdict = estimate.verdict
+        systematic = quantity.systematic if stderr is not None else None
+        return replace(
+            quantity,
+            stderr=stderr,
+            verdict=verdict,
+            systematic=systematic,
+            reason=estimate.reason,
+        )
+    for combination in known.combinations:
+        if combination.expression == quantity.expression:
+            return replace(quantity, stderr=combination.stderr, verdict="determined")
+    return quantity
 
 
 def with_quantiles(quantity: Derived, samples: Floats) -> Derived:
@@ -281,12 +493,104 @@ def quantiles_of(samples: Floats) -> dict[str, float]:
     return dict(zip(LEVELS, map(float, found), strict=True))
 
 
-def _seen_along_the_ridge(
+def _along_ridge(
+    known: FirstOrder,
+    value_at: Callable[[Mapping[str, float]], float],
+    slopes: Callable[[Mapping[str, float]], dict[str, float]],
+) -> AlongRidge:
+    """What the ridge says of a quantity, from its value and gradient at a point."""
+    values = known.values
+    points = known.points
+    estimate = value_at(values)
+    along = np.array([value_at(point) for point in points])
+    gradients = [slopes(point) for point in (values, *points)]
+    sizes = [known.size(gradient) for gradient in gradients]
+    held = frozenset(point.held for point in known.ridge if point.held is not None)
+    errors = [math.inf]
+    for name in held:
+        if _is_followed(known, name):
+            others = known.holding(name)
+            if _seen_along_null_directions(others, values, slopes) and others.sees(
+                gradients[0]
+            ):
+                errors.append(others.stderr(gradients[0]))
+    demanded = [min(errors)]
+    near = [estimate]
+    for point, value, gradient in zip(known.ridge, along, gradients[1:], strict=True):
+        moved = abs(value - estimate)
+        error = _error_at(known, point, gradient, held)
+        demanded.append(_demanded(moved, error, max(point.rise, 0.0)))
+        if point.rise <= INTERVAL:
+            near.append(value)
+    reason = ""
+    if np.isfinite(near).all():
+        reason = f"values from {min(near):.3g} to {max(near):.3g} fit nearly as well"
+    return AlongRidge(
+        error=float(np.nan_to_num(demanded, nan=math.inf, posinf=math.inf).max()),
+        size=float(np.nan_to_num(sizes, nan=math.inf, posinf=math.inf).min()),
+        held=held,
+        reason=reason,
+    )
+
+
+def _demanded(moved: float, error: float, rise: float) -> float:
+    """The standard error that a point of the ridge demands of a quantity.
+
+    By its profile: where chi squared has risen by k^2 in all, by `rise` along the ridge
+    and by the rest across it, the quantity is off by moved + error sqrt(k^2 - rise),
+    which is at most k standard errors. Of all k from 1 up, the largest of these counts.
+
+    Parameters
+    ----------
+    moved : distance of its value at the point from the estimate.
+    error : its standard error across the ridge, at the point.
+    rise : of chi squared at the point.
+    """
+    if not math.isfinite(moved + error):
+        return math.inf
+    # the k at which it is largest: sqrt(rise) hypot(...) / moved
+    at_largest = math.hypot(moved, math.sqrt(rise) * error)
+    if at_largest * math.sqrt(rise) < moved:
+        return moved + error * math.sqrt(1.0 - rise)
+    return at_largest / math.sqrt(rise) if rise > 0.0 else error
+
+
+def _error_at(
+    known: FirstOrder, point: Any, gradient: Mapping[str, float], held: Collection[str]
+) -> float:
+    """Standard error of a quantity at a point of the ridge with a parameter held: that
+    of the point, or of another solution the one that leaves the least."""
+    names = list(known.parameters)
+    row = np.array([[gradient.get(name, 0.0) for name in names]])
+    if not np.isfinite(row).all():
+        return math.inf
+    free = [item.verdict != "fixed" for item in known.parameters.values()]
+    typical = np.array([item.typical for item in known.parameters.values()]) * free
+    errors = [math.inf]
+    for name in held if point.held is None else (point.held,):
+        sizes = typical.copy()
+        sizes[names.index(name)] = 0.0
+        errors.append(float(errors_of(np.array(point.slopes), row, sizes)[0]))
+    return min(errors)
+
+
+def _is_followed(known: FirstOrder, name: str) -> bool:
+    """Whether the ridge has followed a parameter over what its standard error and its
+    bounds leave open."""
+    item = known.parameters[name]
+    along = [known.values[name], *(point[name] for point in known.points)]
+    open_ = min(item.upper - item.lower, _UNKNOWN * item.typical)
+    if name in known.names and known.sees({name: 1.0}):
+        open_ = min(open_, known.stderr({name: 1.0}))
+    return max(along) - min(along) >= _FOLLOWED * open_
+
+
+def _seen_along_null_directions(
     known: FirstOrder,
     values: Mapping[str, float],
     slopes: Callable[[Mapping[str, float]], dict[str, float]],
 ) -> bool:
-    """Whether the gradient vanishes along the null directions elsewhere on the ridge as
+    """Whether the gradient vanishes along the null directions elsewhere along them as
     well: that of a product a b vanishes along a - b only where a = b."""
     space = known.null_space()
     if not len(space):

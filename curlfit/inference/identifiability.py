@@ -33,11 +33,25 @@ _WHOLE = np.arange(1.0, 7)[:, None, None]  # denominators of simple ratios
 # singular value below which a direction is known to no better than typical sizes
 _WEAK = 1.0
 # share of a sum outside the determined directions, above which it is unknown
+_FARTHEST = 3.0
+"""Typical sizes from an estimate, beyond which nothing is known in any case."""
 _UNDETERMINED = 1e-3
 WEAK_ERROR = 0.5
 """Standard error over typical size, from which an estimate is weakly determined: a 95 %
 interval then reaches a typical size to either side."""
-
+LITTLE = math.sqrt(2.0)
+"""Factor up to which an error along the ridge is about that at the optimum."""
+STRETCHED = 2.0
+"""Factor by which the error of a sum or a derived quantity may be larger along the
+ridge than at the optimum, so that it is still determined ..."""
+WIDE = 0.25
+"""... or this error over the typical size, up to which it is determined even then."""
+FAR_LESS = 4.0
+"""Error at a point of the ridge over that at the optimum, above which far less is known
+there: nothing of a force of the spin, where a stone may not have spun."""
+INTERVAL = 6.63
+"""Rise of chi squared at the ends of a 99 % interval, of one degree of freedom: values
+within it fit nearly as well."""
 
 Verdict = Annotated[
     str,
@@ -197,6 +211,41 @@ def confined(jacobian: Floats, bounded: Bounded, typical: Floats) -> Floats:
         return jacobian
     rows = right * null[..., None]
     return jacobian - (scaled @ rows.mT) @ rows / typical[..., None, :]
+
+
+def demanded_errors(moved: Floats, rises: Floats) -> Floats:
+    """Standard errors that the points of a ridge demand of a quantity: to first order,
+    its value is within sqrt(rise) of them of the estimate.
+
+    Parameters
+    ----------
+    moved : distances of its values there from the estimate. rises : of chi squared.
+    """
+    demanded: Floats = moved / np.sqrt(np.maximum(rises, 1.0))
+    return demanded
+
+
+def errors_of(slopes: Floats, weights: Floats, sizes: Floats) -> Floats:
+    """Standard errors of weighted sums of parameters to first order; infinite where
+    nothing is known of a sum.
+
+    A null direction that a sum hardly has a part in moves it by what its parameters may
+    move along it.
+
+    Parameters
+    ----------
+    slopes : R factor of the derivatives of the residuals over their sigma.
+    weights : shape (sums, parameters).
+    sizes : typical sizes of the parameters; 0 of those that do not move.
+    """
+    _, singular, right = np.linalg.svd(slopes * sizes, full_matrices=False)
+    seen = visible(singular)
+    scaled = weights * sizes
+    along = scaled @ right[seen].T
+    outside = np.linalg.norm(scaled - along @ right[seen], axis=1)
+    unknown = outside > _UNDETERMINED * np.linalg.norm(scaled, axis=1)
+    known = np.linalg.norm(along / singular[seen], axis=1)
+    return np.where(unknown, np.inf, np.hypot(known, _FARTHEST * outside))
 
 
 def stderr_of(weights: Floats, right: Floats, singular: Floats) -> float | None:

@@ -39,12 +39,25 @@ _NOTHING = 1e-13
 # singular value over the largest, below which derivatives are not accurate enough
 _FAINT = 1e-6
 _USUAL_SPEED = 2.0  # m/s, where no measurement determines it
+# typical sizes from its initial guess, where a coefficient hardly acts any more
+_ASTRAY = 20.0
 
 
 def default_guess(item: Coefficient) -> float:
     """Initial guess of a coefficient; an optional one that is fitted is not at
     its default."""
     return item.typical if item.optional else item.default
+
+
+def usual_where_astray(law: type[Law], values: Floats, typical: Floats) -> Floats:
+    """Initial guesses of the coefficients that are so far from these that they hardly
+    act any more; NaN for the other parameters."""
+    found = np.full(len(values), np.nan)
+    for place, item in enumerate(law.coefficients()):
+        usual = default_guess(item)
+        if abs(values[place] - usual) > _ASTRAY * typical[place]:
+            found[place] = usual
+    return found
 
 
 class SmoothPath(NamedTuple):

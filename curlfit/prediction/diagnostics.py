@@ -97,7 +97,12 @@ def _null_direction_effects(
     fit: FitResult, found: Simulation
 ) -> tuple[list[str], list[str]]:
     """Warnings about null directions of the fit that affect the throw, and notes
-    on the others."""
+    on the others; of a curve of values that fit, along which the bands are drawn, where
+    they lead says nothing."""
+    if fit.ridge:
+        return [], [
+            "the bands are drawn along the values that fit, which lie on a curve"
+        ]
     warnings: list[str] = []
     notes: list[str] = []
     for index, direction in enumerate(fit.null_directions):

@@ -3,7 +3,8 @@ the same ice.
 
 Two errors are propagated separately. The error of the parameters: each draw from the
 posterior (the chain or, without one, the covariance of the fit: Gaussian along
-determined directions, uniform within the bounds along the others) is simulated to rest.
+determined directions, uniform within the bounds along the others; where values that fit
+lie on a curve, draws along it) is simulated to rest.
 The error of the law, the model discrepancy (see `curlfit.prediction.discrepancy`): each
 draw is simulated again with missing accelerations. Neither contains measurement noise,
 which is added where a prediction is compared with measured rows.
@@ -33,6 +34,7 @@ from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.inference.joint.another import another
 from curlfit.inference.joint.result import JointResult
 from curlfit.inference.mcmc.chain import Chain
+from curlfit.inference.mcmc.draws import draws_along_ridge
 from curlfit.inference.mcmc.ridge import ridge_proposal
 from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Floats
@@ -44,6 +46,7 @@ from curlfit.prediction.simulation import Simulation
 from curlfit.throws.throw import CHANNELS, Throw
 
 _ROUNDS = 200  # of draws, until enough are within the bounds
+_FEW = 100  # independent draws, below which the ends of a 95 % band are rough
 
 
 def predict(
@@ -121,12 +124,13 @@ def predict(
         return replace(first, other=other)
     random = np.random.default_rng(seed)
     notes: list[str] = []
+    of_draws: list[str] = []
     if together := isinstance(fit, JointResult):
         fit, values = another(fit, call.labels, draws, random)
         source = "throws"
     else:
         fit, chain, notes = _with_white_noise(fit, chain, call, draws)
-        values, source = _drawn_values(fit, chain, draws, random)
+        values, source = _drawn_values(fit, chain, draws, random, of_draws)
     _require_predictable(fit, draws)
     throw = planned(fit, call, start or {}, line, target, weight, tee_speed)
     _require_alike(throw, together, check)
@@ -159,7 +163,7 @@ def predict(
         call=call,
         weights=weights_of(fit, throw.values["omega0"]) if together else (),
         measured={} if together else _measured_rows(throw),
-        warnings=tuple(warned),
+        warnings=(*of_draws, *warned),
         notes=(*notes, *noted),
         check=comparison,
         **found.summary(),
@@ -254,14 +258,27 @@ def held_out(
 
 
 def _drawn_values(
-    fit: FitResult, chain: Chain | None, draws: int, random: np.random.Generator
+    fit: FitResult,
+    chain: Chain | None,
+    draws: int,
+    random: np.random.Generator,
+    warnings: list[str],
 ) -> tuple[Floats, str]:
-    """Parameter vectors from the posterior, and their source."""
+    """Parameter vectors from the posterior, and their source; adds to the warnings
+    where they are few."""
     if chain is not None:
         if chain.names != tuple(fit.parameters):
             raise InputError("the chain is of another fit: its parameters differ")
         flat = chain.flat
         return flat[random.choice(len(flat), draws, replace=len(flat) < draws)], "chain"
+    if fit.ridge:
+        values, effective = draws_along_ridge(fit, draws, random)
+        if effective < _FEW:
+            warnings.append(
+                f"the bands rest on {effective:.0f} independent draws: the values that "
+                "fit lie on a curve that proposals do not follow; sample the posterior"
+            )
+        return values, "ridge"
     free, proposal = fit.parameter_set.free, ridge_proposal(fit)
     lower, upper = fit.parameter_set.lower[free], fit.parameter_set.upper[free]
     accepted: list[Floats] = []

@@ -56,6 +56,13 @@ _CHANGES = {
     "hog_to_hog": "s longer hog to hog",
     "broom": "m (1 ft) of broom to the right",
 }
+_SOURCES = {
+    "throws": "the throws of the joint fit, by Student's t",
+    "chain": "the chain",
+    "ridge": "the posterior, along the values that fit (there is no chain.h5)",
+    "covariance": "the covariance of the fit (there is no chain.h5): Gaussian along "
+    "determined directions, uniform along the others",
+}
 _ALONG = ("beyond", "before")
 _SIDES = ("right of", "left of")
 
@@ -83,14 +90,7 @@ def document(prediction: Prediction) -> Document:
     )
     aim = [] if prediction.goal is None else [_aim(prediction)]
     aim += [] if fitted else [_called(prediction)]
-    source = (
-        "the throws of the joint fit, by Student's t"
-        if draws["source"] == "throws"
-        else "the chain"
-        if draws["source"] == "chain"
-        else "the covariance of the fit (there is no "
-        "chain.h5): Gaussian along determined directions, uniform along the others"
-    )
+    source = _SOURCES[draws["source"]]
     return Document(
         finding=lower(rest).rstrip("."),
         subject=Text.assemble(

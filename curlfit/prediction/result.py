@@ -172,7 +172,8 @@ class HeldOut:
 _Origin = Annotated[str, Choice(("given", "call", "fitted", "default", "found"))]
 _Start = Annotated[dict[str, Any], keys(value=float, unit=str, origin=_Origin)]
 _Goal = Annotated[dict[str, Any], keys(words=str, x=float | None, y=float, speed=float)]
-_Draws = Annotated[dict[str, Any], keys(number=int, used=int, source=str, seed=int)]
+_Source = Annotated[str, Choice(("chain", "covariance", "ridge", "throws"))]
+_Draws = Annotated[dict[str, Any], keys(number=int, used=int, source=_Source, seed=int)]
 _Covariance = tuple[tuple[float, float], tuple[float, float]]
 _Rest = Annotated[
     dict[str, Any],
@@ -199,8 +200,8 @@ class Prediction(Record):
     line : the line on which it starts, "data" for the start of the data, "" for a
         given position.
     goal : None, or "words", "x", "y" (m from the tee; x None where free), "speed".
-    draws : "number", "used", "source" ("chain", "covariance" or "throws" of a joint
-        fit), "seed".
+    draws : "number", "used", "source" ("chain", "covariance", "ridge" where values that
+        fit lie on a curve, or "throws" of a joint fit), "seed".
     call : the throw in curlers' terms, as asked for.
     command : that made it; empty if it was made in Python.
     weights : what to throw for several places, on the ice of a joint fit.

@@ -76,6 +76,9 @@ def identifiability(fit: FitResult) -> str:
         said.append(f"{_with_verb(alike, 'is', 'are')} weakly determined{why}.")
     if not unseen:
         said += _instead(fit, weak)
+    said += [
+        f"Of {item.expression}, {item.reason}." for item in fit.derived if item.reason
+    ]
     return " ".join(said + [_remedy(fit, one) for one in fit.remedies])
 
 
@@ -84,11 +87,17 @@ def _with_verb(names: list[str], one: str, several: str) -> str:
 
 
 def _instead(fit: FitResult, names: list[str]) -> list[str]:
-    """The combinations of some parameters that are determined, as a sentence."""
+    """The combinations of some parameters that are determined, and all products, as a
+    sentence."""
     what = [
         item.expression for item in fit.combinations if set(item.weights) & set(names)
     ]
-    return [f"Only {_with_verb(what, 'is', 'are')} determined."] if what else []
+    what += [item.expression for item in fit.products]
+    if not what:
+        return []
+    changes = "; ".join(item.meaning for item in fit.products)
+    why = f": {changes}" if changes else ""
+    return [f"Only {_with_verb(what, 'is', 'are')} determined{why}."]
 
 
 def _remedy(fit: FitResult, remedy: dict[str, Any]) -> str:

@@ -38,7 +38,7 @@ def style_of(result: Any) -> str:
 
 
 def lines_of(result: Any) -> list[str]:
-    """Coefficients and determined combinations in a line, and what is
+    """Coefficients, determined combinations and products in a line, and what is
     not identifiable."""
     known, unseen = [], []
     for name, item in result.coefficients.items():
@@ -49,7 +49,7 @@ def lines_of(result: Any) -> list[str]:
         known.append(f"{name} = {compact(item.value, item.stderr)}{how}")
     known += [
         f"{one.expression} = {compact(one.value, one.stderr)}"
-        for one in result.combinations
+        for one in (*result.combinations, *getattr(result, "products", ()))
     ]
     return [
         ", ".join(known),
@@ -85,12 +85,15 @@ def of_posterior(quantiles: Quantiles | None) -> dict[str, str]:
 
 
 def reported(result: Any) -> dict[str, tuple[float, float | None]]:
-    """Value and standard error of coefficients and determined combinations."""
+    """Value and standard error of coefficients, determined combinations and
+    products."""
     found = {
         name: (item.value, item.stderr) for name, item in result.coefficients.items()
     }
+    products = getattr(result, "products", ())
     return found | {
-        item.expression: (item.value, item.stderr) for item in result.combinations
+        item.expression: (item.value, item.stderr)
+        for item in (*result.combinations, *products)
     }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.text import Text
 
 from curlfit.foreign import counted, file_and_number
-from curlfit.inference.derived import scaled, to_its_side
+from curlfit.inference.derived import Derived, Quantiles, scaled, to_its_side
 from curlfit.inference.parameters import START
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Section, command_line, show
@@ -77,7 +77,11 @@ def document(fit: FitResult) -> Document:
         Section(
             "coefficients",
             "Coefficients",
-            (_estimates(fit), _few_values(fit), derived_table(fit.derived)),
+            (
+                _estimates(fit),
+                _few_values(fit),
+                derived_table([_shown(fit, item) for item in fit.all_derived]),
+            ),
         ),
         Section("path", "The path", (_quantities(fit), _draw(fit))),
         Section(
@@ -126,7 +130,9 @@ def extent(fit: FitResult) -> str:
 
 def _estimates(fit: FitResult) -> PlainTable:
     """The combinations stand between coefficients and initial state."""
-    sampled = fit.posterior.quantiles if fit.posterior else {}
+    sampled: Mapping[str, Quantiles] = {}
+    if fit.posterior is not None and fit.posterior.converged:
+        sampled = fit.posterior.quantiles
     items: dict[str, Any] = {}
     for name, item in fit.parameters.items():
         if name == START[0].name:
@@ -167,13 +173,20 @@ def _few_values(fit: FitResult) -> str:
     return text
 
 
+def _shown(fit: FitResult, item: Derived) -> Derived:
+    """A quantity without the quantiles of a sample that has not converged."""
+    if fit.posterior is None or fit.posterior.converged:
+        return item
+    return replace(item, quantiles={})
+
+
 def _quantities(fit: FitResult) -> PlainTable:
     """Quantities of the fitted path within the record, or of that of the law without
     the model discrepancy."""
     discrepancy, rows = bool(fit.noise.sizes), []
     along = f"along the {'path of the law' if discrepancy else 'fitted path'}"
     for name, item in fit.quantities.items():
-        item = to_its_side(item)
+        item = to_its_side(_shown(fit, item))
         units = [item, scaled(replace(item, unit="ft"), 1 / FOOT)][
             : 1 + (name == "curl")
         ]

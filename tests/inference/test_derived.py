@@ -3,19 +3,29 @@
 from __future__ import annotations
 
 import json
+import math
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.optimize import approx_fprime
 
 import curlfit
+from curlfit.environment import Environment
 from curlfit.errors import InputError
+from curlfit.inference.derived import FirstOrder, _demanded, derive
 from curlfit.inference.expression import parse
+from curlfit.inference.fit.estimates import Estimate, RidgePoint
 from curlfit.inference.fit.quantities import quantities_of
+from curlfit.inference.products import products_of
+from curlfit.output.text import compact
+from curlfit.reports.fit import document
 from curlfit.sheet import LINES, TEE
 from curlfit.throws.synthetic import write_table
 
+ROOT = Path(__file__).parents[2]
 G = 9.81
 MU, V0, Y0, T_END = 0.0095, 2.45, 9.5, 24.0
 NAMES = ("a", "b", "c")
@@ -224,6 +234,286 @@ def test_what_is_at_a_bound_or_fixed_has_no_error(throw, fit):
     stuck = curlfit.fit(throw, "coulomb", bounds={"mu": (0.0, bound)})
     found = stuck.derive("mu*v0")
     assert (found.verdict, found.stderr) == ("at bound", None)
+
+
+# --- along the ridge
+
+
+def known_of(residual, names, values, held, typical=1.0):
+    """What a fit says of parameters whose residuals are a function of them, in closed
+    form, with points of its ridge.
+
+    `held` has, by name, values at which that parameter is held and the others there.
+    """
+
+    def slopes(at):
+        return approx_fprime(np.array(at), residual, 1e-7)
+
+    jacobian = slopes(values)
+    squares, axes = np.linalg.eigh(jacobian.T @ jacobian * typical**2)
+    seen = squares > 1e-6
+    covariance = (axes[:, seen] / squares[seen]) @ axes[:, seen].T * typical**2
+    null = [dict(zip(names, row, strict=True)) for row in axes[:, ~seen].T]
+    ridge = []
+    for name, points in held.items():
+        for at in points:
+            factor = np.linalg.qr(slopes(at), mode="r")
+            rise = float(np.sum(residual(np.array(at)) ** 2))
+            point = RidgePoint(name, rise, tuple(at), tuple(map(tuple, factor)))
+            ridge.append(point)
+    verdict = "not identifiable" if null else "weak"
+    estimates = {
+        name: Estimate(value, None, verdict, "1", name, name, -1e3, 1e3, typical)
+        for name, value in zip(names, values, strict=True)
+    }
+    return FirstOrder(
+        parameters=estimates,
+        covariance={"names": list(names), "matrix": covariance},
+        null_directions=null,
+        combinations=(),
+        widths={},
+        shifts={},
+        stone={},
+        ridge=tuple(ridge),
+    )
+
+
+SIGMA = 0.02
+
+
+@pytest.fixture(scope="module")
+def hyperbola():
+    """Two parameters of which the data tell only the product, 1 +- 0.02."""
+    sizes = [0.1, 0.25, 0.5, 2.0, 4.0, 10.0]
+    return known_of(
+        lambda p: np.array([(p[0] * p[1] - 1.0) / SIGMA, 0.0]),
+        ("a", "b"),
+        (1.25, 0.8),
+        {"a": [(size, 1 / size) for size in sizes]},
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "stderr"),
+    [
+        ("a*b", SIGMA),
+        ("2*b*a", 2 * SIGMA),
+        ("log(a*b)", SIGMA),
+        ("(a*b)**2", 2 * SIGMA),
+        ("1/(a*b)", SIGMA),
+    ],
+)
+def test_what_is_constant_along_the_ridge_is_determined(hyperbola, text, stderr):
+    found = derive(hyperbola, text)
+    assert found.verdict == "determined"
+    assert found.stderr == pytest.approx(stderr, rel=1e-3)
+    # without the ridge, its null direction is all that is known
+    alone = derive(hyperbola._replace(ridge=()), text)
+    assert (alone.verdict, alone.stderr) == ("not identifiable", None)
+
+
+@pytest.mark.parametrize("text", ["a", "a/b", "a**2*b", "a + 1.5625*b", "a - b"])
+def test_what_moves_along_the_ridge_is_not(hyperbola, text):
+    """The fourth is constant along the tangent at the estimates."""
+    found = derive(hyperbola, text)
+    assert found.verdict in ("weak", "not identifiable")
+    if text != "a":
+        values = [
+            parse(text, ("a", "b"), {}).of(point)
+            for point in (hyperbola.values, *hyperbola.points)
+        ]
+        low, high = (f"{value:.3g}" for value in (min(values), max(values)))
+        assert found.reason == f"values from {low} to {high} fit nearly as well"
+
+
+def test_the_error_is_the_largest_of_a_profile():
+    """Of all intervals of the profile, from one standard error up."""
+    random = np.random.default_rng(1)
+    k = np.linspace(1.0, 60.0, 600_001)
+    for moved, error, rise in random.exponential((0.5, 0.5, 1.0), (200, 3)):
+        beyond = k[k**2 >= rise]
+        ratios = (moved + error * np.sqrt(beyond**2 - rise)) / beyond
+        assert _demanded(moved, error, rise) == pytest.approx(ratios.max(), rel=1e-3)
+    assert _demanded(0.0, 0.3, 0.0) == 0.3
+    assert _demanded(0.2, 0.0, 4.0) == pytest.approx(0.1)
+    assert math.isinf(_demanded(0.0, math.inf, 1.0))
+
+
+def test_a_ridge_that_drifts_widens_the_error():
+    """The data tell a b + a/10 and, by a second value, little of a: the product moves
+    along the ridge by a tenth of a."""
+    sizes = np.array([0.6, 0.8, 1.2, 1.4])
+
+    def residual(p):
+        return np.array([(p[0] * p[1] + p[0] / 10 - 1.1) / 0.001, (p[0] - 1) / 0.3])
+
+    points = [(size, 1.1 / size - 0.1) for size in sizes]
+    known = known_of(residual, ("a", "b"), (1.0, 1.0), {"a": points})
+    found = derive(known, "a*b")
+    assert found.stderr == pytest.approx(0.03, rel=0.02)
+    assert derive(known, "a*b + a/10").stderr == pytest.approx(0.001, rel=0.1)
+
+
+def test_far_less_may_be_known_at_a_point_of_the_ridge():
+    """Nothing of a force of the spin, where there is none."""
+    spins = [1.5, 0.5, 0.0]
+
+    def residual(p):
+        return np.array([p[0] * p[1] / 0.1, (p[1] - 1.0) / 0.6])
+
+    points = [(0.0, spin) for spin in spins]
+    known = known_of(residual, ("a", "w"), (0.0, 1.0), {"w": points})
+    found = derive(known, "2*a")
+    assert (found.verdict, found.stderr) == ("not identifiable", None)
+    without = known._replace(ridge=known.ridge[:-1])
+    assert derive(without, "2*a").stderr == pytest.approx(2 * 0.1 / 0.5, rel=1e-3)
+
+
+# --- products
+
+
+@pytest.mark.parametrize("power", [1, -1, 2, -2, 0.5])
+def test_products_are_found_from_a_ridge(power):
+    sizes = np.array([0.2, 0.5, 2.0, 5.0])
+    points = [(size, size ** (-1 / power)) for size in sizes]
+    known = known_of(
+        lambda p: np.array([(p[0] * p[1] ** power - 1.0) / SIGMA, 0.0]),
+        ("a", "b"),
+        (1.0, 1.0),
+        {"a": points},
+    )
+    (found,) = products_of(known)
+    expected = {1: "a*b", -1: "a/b", 2: "a*b**2", -2: "a/b**2", 0.5: "a**2*b"}
+    assert found.expression == expected[power]
+    assert found.value == pytest.approx(1.0)
+    assert found.stderr == pytest.approx(SIGMA * (2 if power == 0.5 else 1), rel=1e-3)
+    words = "a falls as b grows" if power > 0 else "a grows with b"
+    assert found.meaning == words
+
+
+def test_a_product_of_a_difference_is_found():
+    sizes = np.array([0.5, 0.7, 2.0, 4.0])
+    points = [(0.2 + 1 / size, 0.2, size) for size in sizes]
+    points += [(shift + 1.0, shift, 1.0) for shift in (0.1, 0.5, 1.0)]
+    known = known_of(
+        lambda p: np.array([((p[0] - p[1]) * p[2] - 1.0) / SIGMA, 0.0, 0.0]),
+        ("a", "b", "omega0"),
+        (1.2, 0.2, 1.0),
+        {"omega0": points[:4], "b": points[4:]},
+    )
+    # two directions are free, of which one held parameter leaves one
+    (found,) = products_of(known)
+    assert found.expression == "(a - b)*omega0"
+    assert found.stderr == pytest.approx(SIGMA, rel=1e-3)
+    assert found.meaning == "a - b falls as omega0 grows"
+
+
+def test_no_product_is_said_of_a_straight_ridge(hyperbola):
+    points = [(3.0 - size, size) for size in (0.3, 0.7, 2.0, 2.5)]
+    known = known_of(
+        lambda p: np.array([(p[0] + p[1] - 3.0) / SIGMA, 0.0]),
+        ("a", "b"),
+        (1.5, 1.5),
+        {"b": points},
+    )
+    assert products_of(known) == ()
+    assert products_of(hyperbola._replace(ridge=())) == ()
+
+
+@pytest.fixture(scope="module")
+def on_a_curve():
+    """A track without an angle, see `data/README.md`."""
+    throw = curlfit.load_throw(ROOT / "data" / "without_angle.csv")
+    return throw, curlfit.fit(throw, "power+transverse")
+
+
+def test_the_product_has_the_error_of_its_profile(on_a_curve):
+    """By fits at fixed spins, where nothing is undetermined: the profile of b omega0 is
+    the least chi squared over all spins."""
+    throw, fit = on_a_curve
+    product = fit["b*omega0"]
+    assert fit.products == (product,)
+    assert product.verdict == "determined"
+    assert abs(product.value - 0.055) < 2 * product.stderr
+    sigma = dict(fit.sigma)
+    values, errors, rises = [], [], []
+    spins = np.array([0.1, 1.0, 3.0, 5.0, 7.0, 9.0, 11.0, 12.5])
+    for spin in spins:
+        held = curlfit.fit(
+            throw, "power+transverse", fix={"omega0": spin}, sigma=sigma, details=False
+        )
+        values.append(spin * held["b"].value)
+        errors.append(spin * held["b"].stderr)
+        rises.append(held.chi_squared)
+    between = np.linspace(0.1, 12.5, 500)
+    value, error, rise = (
+        np.interp(between, spins, each) for each in (values, errors, rises)
+    )
+    at = np.linspace(0.05, 0.065, 1501)
+    profile = (rise + ((at[:, None] - value) / error) ** 2).min(1)
+    profile -= profile.min()
+    widths = [
+        np.abs(at[profile <= k**2] - product.value).max() / k for k in (1.0, 1.5, 2.0)
+    ]
+    assert product.stderr == pytest.approx(max(widths), rel=0.1)
+    # a twentieth of it would be the tangent's, if that were all
+    assert min(errors) < 0.3 * product.stderr
+
+
+def test_a_fit_says_the_same_of_a_parameter_and_of_an_expression(on_a_curve):
+    _, fit = on_a_curve
+    for name in ("c", "v0", "b"):
+        found = fit.derive(name)
+        assert (found.stderr, found.verdict) == (fit[name].stderr, fit[name].verdict)
+    assert fit.derive("2*c").stderr == pytest.approx(2 * fit["c"].stderr, rel=0.01)
+    ratio = fit["omega0"].value / fit["b"].value
+    tangent = fit.derive(f"omega0 + {ratio!r}*b")
+    assert tangent.verdict in ("weak", "not identifiable")
+    assert "fit nearly as well" in tangent.reason
+
+
+def test_the_systematic_error_of_a_product_is_that_of_a_fit(on_a_curve):
+    """Of a path without noise on ice that slopes as assumed, fitted as if level."""
+    _, fit = on_a_curve
+    slope = 1e-4
+    law = curlfit.law_with("power+transverse", {"c": 0.008, "k": -0.5, "b": 0.05})
+    ice = Environment(slope_x=slope)
+    made = curlfit.synthetic_throw(
+        law, curlfit.Stone(), v0=2.1, omega0=1.1, until=18, environment=ice
+    )
+    sigma = {"x": 0.005, "y": 0.005}
+    track = curlfit.Throw.from_arrays(made.t, made.x, made.y, sigma=sigma)
+    sloping = curlfit.fit(track, "power+transverse", systematics={"slope_x": slope})
+    off = 0.055 - sloping["b*omega0"].value
+    shift = fit.systematics.shifts["b*omega0"]["slope_x"]
+    assert shift == pytest.approx(off, rel=0.1)
+    assert fit["b*omega0"].systematic == pytest.approx(abs(off), rel=0.1)
+    twice = fit.derive("2*omega0*b").systematic
+    assert twice == pytest.approx(2 * fit["b*omega0"].systematic, rel=1e-6)
+
+
+def test_the_report_names_the_product(on_a_curve):
+    _, fit = on_a_curve
+    said = " ".join(str(document(fit)).split())
+    product = fit["b*omega0"]
+    assert "Only b*omega0 is determined: b falls as omega0 grows." in said
+    value = compact(product.value, product.stderr)
+    assert f"b*omega0 = {value} is determined" in fit.warnings[-1]
+    again = curlfit.FitResult.from_json(json.loads(json.dumps(fit.to_json())))
+    assert again.products == fit.products
+    assert fit.to_frame().loc["b*omega0", "verdict"] == "determined"
+    # one that is requested as well is not shown twice
+    both = fit.with_derived(["b*omega0"]).all_derived
+    assert [item.expression for item in both] == ["b*omega0"]
+
+
+def test_the_track_of_the_page_is_made_by_its_lines(tmp_path, monkeypatch):
+    page = (ROOT / "notebooks" / "book" / "ridge.md").read_text()
+    (lines,) = re.findall(r"```python\n(.*?)```", page, re.S)
+    monkeypatch.chdir(tmp_path)
+    exec(lines, {})
+    made = (tmp_path / "without_angle.csv").read_text()
+    assert made == (ROOT / "data" / "without_angle.csv").read_text()
 
 
 # --- what is quoted of the path

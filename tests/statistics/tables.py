@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -77,6 +77,34 @@ class Table(list[str]):
     def put(self, name: str, before: str = "") -> None:
         """Replace a table in README.md, with a sentence before it."""
         put(name, f"{before}\n\n" * bool(before) + "\n".join(self) + "\n")
+
+
+def law_and_set(line: str) -> tuple[str, str]:
+    """The law and the set of a line, which are its first two cells."""
+    _, law, kind, *_ = line.split("|")
+    return law.strip(" `"), kind.strip()
+
+
+def merged(
+    present: str, table: Sequence[str], order: Iterable[tuple[str, str]]
+) -> list[str]:
+    """The lines of a new table, and those of the present one of other laws and sets,
+    each law and set at its place in the order."""
+    lines: dict[tuple[str, str], list[str]] = {}
+    new = {law_and_set(line) for line in table[2:]}
+    kept = [line for line in present.splitlines()[2:] if law_and_set(line) not in new]
+    for line in (*kept, *table[2:]):
+        lines.setdefault(law_and_set(line), []).append(line)
+    return [*table[:2], *(line for case in order for line in lines.get(case, ()))]
+
+
+def put_merged(
+    name: str, table: Sequence[str], order: Iterable[tuple[str, str]]
+) -> None:
+    """Put the lines of a table into that of README.md, in place of those of the same
+    laws and sets."""
+    _, present, _ = (HERE / "README.md").read_text().split(f"<!-- {name} -->\n")
+    put(name, "\n".join(merged(present, table, order)) + "\n")
 
 
 def reasons(found: Iterable[str]) -> str:

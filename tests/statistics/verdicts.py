@@ -36,7 +36,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from simulator import braking, crossing, distance, moved, simulated
-from tables import HERE, Table, put, reasons, share
+from tables import Table, put_merged, reasons, share
 
 import curlfit
 from curlfit.inference.fit.fit import fit_throws
@@ -119,6 +119,8 @@ class Answer(NamedTuple):
 GROUPS = ("coefficients", "initial state", "combinations")
 CELLS = ("n", "within 95 %", "beyond 5 errors")
 MARK = "verdicts"
+ORDER = [(law, kind) for kind in SETS for law in LAWS]
+"""Of the rows."""
 
 
 # Throws
@@ -412,22 +414,6 @@ def row_of(law: str, kind: str, answers: Sequence[Answer]) -> list[object]:
     ]
 
 
-def law_and_set(line: str) -> tuple[str, str]:
-    """The law and the set of a line of the table."""
-    _, law, kind, *_ = line.split("|")
-    return law.strip(" `"), kind.strip()
-
-
-def put_rows(table: Table) -> None:
-    """Put the rows of a table in their places in that of README.md."""
-    _, present, _ = (HERE / "README.md").read_text().split(f"<!-- {MARK} -->\n")
-    rows = {law_and_set(line): line for line in present.splitlines()[2:]}
-    rows |= {law_and_set(line): line for line in table[2:]}
-    ordered = [(law, kind) for kind in SETS for law in LAWS if (law, kind) in rows]
-    lines = [*table[:2], *(rows[place] for place in ordered)]
-    put(MARK, "\n".join(lines) + "\n")
-
-
 def chosen_names(text: str, names: Sequence[str]) -> list[str]:
     """The names in a list with commas, or all if it is empty; ends the program where
     there is no such name."""
@@ -480,7 +466,7 @@ def count_verdicts(
                 answers = answers_of(law, kind, options.throws, options.seed)
                 table.add(*row_of(law, kind, answers))
                 if not options.print:
-                    put_rows(table)
+                    put_merged(MARK, table, ORDER)
 
 
 def compare_designs(laws: Sequence[str], options: argparse.Namespace) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from curlfit.inference.derived import Derived
 from curlfit.inference.fit.departures import Departures
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.prepared import LeastSquaresFit
@@ -14,7 +15,7 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import SIGMA_FLOOR
 from curlfit.inference.noise.models import time_of_motion
 from curlfit.numerics.arrays import Floats
-from curlfit.output.text import join_words, two_digits
+from curlfit.output.text import compact, join_words, two_digits
 from curlfit.throws.plausibility import Finding
 from curlfit.throws.throw import CHANNELS, Throw
 
@@ -64,7 +65,7 @@ def warnings_of(
         warnings.append(outlier_warning(outliers, throw.t))
     if fit.loss == "linear" and fit.noise.kind == "white":
         warnings += _of_given_sigma(throw, residual, outliers)
-    ridges = of_ridges(result.parameters, departures)
+    ridges = of_ridges(result.parameters, departures, result.products)
     return (*warnings, *_of_memory(result), *_of_events(result), *ridges)
 
 
@@ -146,8 +147,13 @@ def _of_errors(result: FitResult) -> list[str]:
     return warnings
 
 
-def of_ridges(estimates: Mapping[str, Estimate], departures: Departures) -> list[str]:
-    """Parameters that are not determined since the values that fit lie on a curve."""
+def of_ridges(
+    estimates: Mapping[str, Estimate],
+    departures: Departures,
+    products: Iterable[Derived] = (),
+) -> list[str]:
+    """Parameters that are not determined since the values that fit lie on a curve, and
+    their products that are."""
     open_ = [
         f"{name} from {low:.3g} to {high:.3g}"
         for name, (low, high) in departures.intervals.items()
@@ -156,6 +162,9 @@ def of_ridges(estimates: Mapping[str, Estimate], departures: Departures) -> list
     if not open_:
         return []
     words = f"the values that fit lie on a curve: {', '.join(open_)}"
+    for product in products:
+        value = compact(product.value, product.stderr)
+        words += f"; {product.expression} = {value} is determined: {product.meaning}"
     remedy = departures.remedy
     if remedy is not None:
         known = join_words(

@@ -184,13 +184,19 @@ class Covariance:
             verdict = verdict if alone == verdict else "prior"
         return stderr, verdict, self._dof_of_each[index]
 
-    def shifts(self, gradients: Mapping[str, Floats]) -> dict[str, dict[str, float]]:
-        """Shifts from the estimates to the true values, by determined parameter or
-        combination and by condition; `gradients` are J^T times the change of the
-        residuals by each condition."""
+    def shifts(self, gradients: Mapping[str, Floats]) -> dict[str, Floats]:
+        """Shifts of the open parameters from the estimates to the true values, by
+        condition; `gradients` are J^T times the change of the residuals by each
+        condition."""
         typical = self.typical[self.open]
         mine = {name: gradient[self.open] for name, gradient in gradients.items()}
-        by_condition = shifts(self.factor[:, :-1][:, self.open], mine, typical)
+        return shifts(self.factor[:, :-1][:, self.open], mine, typical)
+
+    def shifts_of_determined(
+        self, by_condition: Mapping[str, Floats]
+    ) -> dict[str, dict[str, float]]:
+        """Shifts of what is determined, by parameter or combination and by condition,
+        from those of the open parameters."""
         return {
             name: {
                 condition: float(row @ shift)

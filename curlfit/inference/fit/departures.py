@@ -20,7 +20,10 @@ from numpy.typing import NDArray
 from curlfit.inference.fit.covariance import CONVERGED, Covariance
 from curlfit.inference.fit.ridge import Point, Ridge
 from curlfit.inference.identifiability import (
+    LITTLE,
+    STRETCHED,
     WEAK_ERROR,
+    WIDE,
     Bounded,
     Combination,
     r_factor,
@@ -48,22 +51,15 @@ _FAINT = 0.5
 """Standard error over typical size above which a direction is hardly determined."""
 _TAKES_PART = 0.05
 """Component over the largest, above which a parameter takes part in a direction."""
-_STRETCHED = 2.0
-"""Factor by which the error of an estimate may be larger along the ridge than at the
-optimum, so that it is still determined ..."""
-_WIDE = 0.25
-"""... or this error over the typical size, up to which a sum is determined even then.
-Where only the tangent is known, sums along a curve are given up beyond ..."""
 _NARROW = 0.02
-"""... this one: 0.008 of the sum for eq. 12 under consistent load, 0.03 and more of
-false sums under `front-back+sideways`."""
+"""Error over the typical size, beyond which sums along a curve are given up where only
+the tangent is known: 0.008 of the sum for eq. 12 under consistent load, 0.03 and more
+of false sums under `front-back+sideways`."""
 KNOWN_TO = {"omega0": 0.05, "v0": 0.01}
 """Standard error of a measured initial spin and speed, rad/s and m/s."""
 UNITS = {"omega0": "rad/s", "v0": "m/s"}
 _LOWER = 0.1
 """Fall of chi squared along a ridge below which its optimum is as good as any."""
-_LITTLE = math.sqrt(_ABOUT)
-"""Factor up to which an error along the ridge is about that at the optimum."""
 _NO_SPIN = 3.0
 """Standard errors of the spin within which a stone may not have spun."""
 
@@ -172,7 +168,7 @@ class Departures(NamedTuple):
         if self.ridge is None or not self.ridge.points:
             return stderr
         (stretch,) = self.ridge.stretches(weights[None], np.array([stderr]), sizes)
-        return stderr * float(stretch) if stretch > _LITTLE else stderr
+        return stderr * float(stretch) if stretch > LITTLE else stderr
 
 
 NO_DEPARTURES = Departures({}, set(), {})
@@ -184,21 +180,17 @@ def probes_about(covariance: Covariance, bounded: Bounded) -> list[Probe]:
 
     Two standard errors from the estimate of each parameter and combination that is
     determined, where the others follow to first order, if these points are within
-    the bounds; and on either side along what is hardly determined, one standard
+    the bounds; on either side along what is hardly determined, one standard
     error from the optimum, or three typical sizes if that is less, whatever the
-    bounds.
+    bounds; and there, along null directions, two standard errors from combinations.
 
     Parameters
     ----------
     bounded : values and bounds in the problem's coordinates.
     """
-    probes = []
+    probes = _probes_of_sums_elsewhere(covariance, bounded)
     for name, weights in covariance.identifiability.determined().items():
-        follow = covariance.matrix @ weights
-        error = math.sqrt(max(float(weights @ follow), 0.0))
-        if error == 0.0:
-            continue
-        step = covariance.in_all(_PROBED * follow / error)
+        step = _step_of(covariance, weights)
         if np.abs(step / covariance.typical).max() < _QUADRATIC:
             continue
         names = _names_at(covariance, np.flatnonzero(covariance.in_all(weights)))
@@ -214,6 +206,45 @@ def probes_about(covariance: Covariance, bounded: Bounded) -> list[Probe]:
     return probes
 
 
+def _probes_of_sums_elsewhere(covariance: Covariance, bounded: Bounded) -> list[Probe]:
+    """Two standard errors from combinations, three typical sizes along the null
+    directions in which their parameters take part, or as far as the bounds leave: where
+    only a ratio is known, a sum is known the worse the larger its parameters are."""
+    probes = []
+    statements = covariance.identifiability.determined()
+    for direction, singular in _loose_directions(covariance):
+        if singular > 0.0:
+            continue
+        names = _taking_part(covariance, direction)
+        far = _UNKNOWN * direction * covariance.typical
+        for combination in covariance.identifiability.combinations:
+            if not combination.weights.keys() & set(names):
+                continue
+            expression = combination.expression
+            across = _step_of(covariance, statements[expression])
+            for along in (far, -far):
+                point = bounded.values + _room_for(bounded, along) * along + across
+                probes.append(Probe(point, _PROBED**2, names, expression))
+    return probes
+
+
+def _room_for(bounded: Bounded, step: Floats) -> float:
+    """How much of a step the bounds leave."""
+    end = np.where(step > 0.0, bounded.upper, bounded.lower)
+    moves = step != 0.0
+    return min(1.0, float(((end - bounded.values)[moves] / step[moves]).min()))
+
+
+def _step_of(covariance: Covariance, weights: Floats) -> Floats:
+    """Change of the parameters along which a weighted sum of the open ones changes by
+    two standard errors, the others following to first order; zero if it has none."""
+    follow = covariance.matrix @ weights
+    error = math.sqrt(max(float(weights @ follow), 0.0))
+    if error == 0.0:
+        return np.zeros(len(covariance.typical))
+    return covariance.in_all(_PROBED * follow / error)
+
+
 def _taking_part(covariance: Covariance, direction: Floats) -> tuple[str, ...]:
     """The parameters that take part in a direction."""
     size = np.abs(direction)
@@ -227,12 +258,14 @@ def _names_at(covariance: Covariance, indices: NDArray[np.int64]) -> tuple[str, 
 def to_be_held(
     covariance: Covariance, departing: Sequence[Probe], coefficients: int
 ) -> list[int]:
-    """Indices of the parameters along which the ridge is to be followed: those that
-    probes tell about at which chi squared departs from its quadratic; where the
-    search has not ended, those that are hardly determined; a spin that is not known, on
-    whose square friction depends; of a stone that may not have spun, the coefficients
-    too, the first parameters, since the force on it depends on the sense of the spin;
-    and then all that are weak."""
+    """Indices of the parameters along which the ridge is to be followed.
+
+    Those that probes tell about at which chi squared departs from its quadratic; where
+    the search has not ended, those that are hardly determined; a spin that is not
+    known, on whose square friction depends, or that is at its bound; of a stone that
+    may not have spun, the coefficients too, the first parameters, since the force on it
+    depends on the sense of the spin; and then all that are weak.
+    """
     names = {name for probe in departing for name in probe.parameters}
     if covariance.distance >= CONVERGED:
         for direction, _ in _loose_directions(covariance):
@@ -240,6 +273,8 @@ def to_be_held(
     indices = {index for index, name in enumerate(covariance.names) if name in names}
     spins = [index for index, name in enumerate(covariance.names) if name == "omega0"]
     for spin in spins:  # none among the coefficients of several throws
+        if covariance.at_bound[spin]:
+            indices.add(spin)
         if not covariance.open[spin]:
             continue
         error = covariance.error_of(spin)
@@ -279,14 +314,14 @@ def departures_along(covariance: Covariance, ridge: Ridge, usual: Floats) -> Dep
         rooms = covariance.rooms()
         about = zip(statements, stretches.tolist(), relative.tolist(), strict=True)
         for name, stretch, error in about:
-            if stretch > _LITTLE:
+            if stretch > LITTLE:
                 stretched[name] = stretch
             if name in covariance.names:
                 is_lost = error >= WEAK_ERROR
                 if error > rooms[name]:  # no error: the bounds alone limit it
                     stretched[name] = math.inf
             else:
-                is_lost = stretch > _STRETCHED and error > _WIDE
+                is_lost = stretch > STRETCHED and error > WIDE
             if is_lost:
                 lost.add(name)
     offset = covariance.values - ridge.optimum.values

@@ -15,7 +15,7 @@ from curlfit.inference.identifiability import Combination, Verdict, WithInterval
 from curlfit.output.display import Displayed
 from curlfit.output.document import Document
 from curlfit.output.frames import frame
-from curlfit.records import Record
+from curlfit.records import ADDED, Record
 
 
 @dataclass(frozen=True)
@@ -77,11 +77,14 @@ class RidgePoint:
         solution.
     rise : of chi squared, with what the priors add to it, from that of the estimates.
     values : of all parameters, in their order.
+    slopes : R factor of the derivatives of the residuals over their sigma by the
+        parameters there: what is known at this point.
     """
 
     held: str | None
     rise: float
     values: tuple[float, ...]
+    slopes: tuple[tuple[float, ...], ...] = field(default=(), metadata=ADDED)
 
 
 @dataclass(frozen=True, repr=False)
@@ -185,6 +188,11 @@ class NamedEstimates(Record):
     derived: tuple[Derived, ...]
 
     @property
+    def all_derived(self) -> tuple[Derived, ...]:
+        """Derived quantities, with those that the fit derives of itself first."""
+        return self.derived
+
+    @property
     def _estimates(self) -> dict[str, Estimate]:
         """The parameters by name."""
         raise NotImplementedError
@@ -194,7 +202,9 @@ class NamedEstimates(Record):
         # A combination that was requested as a derived quantity is not repeated.
         named = self._estimates.keys() | sums.keys()
         others = {
-            one.expression: one for one in self.derived if one.expression not in named
+            one.expression: one
+            for one in self.all_derived
+            if one.expression not in named
         }
         return {**self._estimates, **sums, **others}
 

@@ -26,6 +26,7 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.summary import summarize, summarize_many
 from curlfit.inference.fit.systematics import widths_of
+from curlfit.inference.initial_values import usual_where_astray
 from curlfit.inference.least_squares import (
     Solution,
     Tasks,
@@ -218,6 +219,7 @@ def fitted(
                 for one, old in zip(new, found, strict=False)
             ]
     _settle(model, tasks, followed, batch)
+    _add_usual(model, tasks, followed, batch)
     return [
         rounds.failures.get(row) or _outcome(rounds, row, found, len(tried[row]))
         for row, found in enumerate(followed)
@@ -248,6 +250,25 @@ def _settle(
     for optima_of_throw, ended in zip(followed, settled, strict=True):
         if ended and ended[0].objective <= optima_of_throw[0].objective:
             optima_of_throw[0] = ended[0]
+
+
+def _add_usual(
+    model: Model, tasks: Tasks, followed: Sequence[list[Solution]], batch: int
+) -> None:
+    """Where coefficients went astray, add the optimum with their defaults, which may
+    fit equally: about the first, where they hardly act, the others seem better
+    determined than they are."""
+    lower, upper = np.array(tasks.lower), np.array(tasks.upper)
+    starts: list[list[Floats]] = [[] for _ in followed]
+    for found, start, low, high in zip(followed, starts, lower, upper, strict=True):
+        if found:
+            usual = usual_where_astray(model.law, found[0].values, tasks.typical)
+            if (astray := np.isfinite(usual) & (high > low)).any():
+                start.append(np.where(astray, usual, found[0].values))
+                low[astray] = high[astray] = usual[astray]
+    held = tasks._replace(lower=lower, upper=upper)
+    for found, more in zip(followed, optima(model, held, starts, batch), strict=True):
+        found += more
 
 
 def _outcome(

@@ -149,6 +149,8 @@ class FitResult(NamedEstimates):
     events : measured times and positions at lines and at rest, each with the attributes
         of `curlfit.throws.events.Event` and its value in the fit, "fitted".
     derived : quantities requested by `--derive` and `with_derived`.
+    products : of parameters that are not determined, where they are determined along
+        the ridge: "b*omega0". Empty without a ridge.
     quantities : of the path within the record, by name: "friction" (mean
         deceleration over g), "curl", "turns", "hog_to_hog" ..., as far as the record
         determines them.
@@ -205,6 +207,7 @@ class FitResult(NamedEstimates):
     chi_squared: float = math.nan
     prior_chi_squared: float = 0.0
     derived: tuple[Derived, ...] = ()
+    products: tuple[Derived, ...] = field(default=(), metadata=ADDED)
     quantities: dict[str, Derived] = field(default_factory=dict)
     sampling: Annotated[str, Choice(("none", "unfinished", "ended"))] = "none"
     posterior: Posterior | None = None
@@ -401,6 +404,14 @@ class FitResult(NamedEstimates):
         return self.parameters
 
     @property
+    def all_derived(self) -> tuple[Derived, ...]:
+        """The products that are determined, and the derived quantities that were
+        requested, each once."""
+        requested = {item.expression for item in self.derived}
+        own = (item for item in self.products if item.expression not in requested)
+        return (*own, *self.derived)
+
+    @property
     def residuals(self) -> dict[str, Floats]:
         """Measured - fitted by measured channel (SI, rad), NaN where there is no value;
         at the times `observed["t"]`."""
@@ -437,6 +448,8 @@ class FitResult(NamedEstimates):
             self.systematics.widths,
             self.systematics.shifts,
             self.stone.as_dict(),
+            self.ridge,
+            tuple(item.expression for item in self.products),
         )
 
     def derive(self, expression: str, chain: Any = None) -> Derived:

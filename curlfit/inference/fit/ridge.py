@@ -21,28 +21,30 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from curlfit.inference.identifiability import r_factor, visible
+from curlfit.inference.identifiability import (
+    FAR_LESS,
+    INTERVAL,
+    demanded_errors,
+    errors_of,
+    r_factor,
+)
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.priors import Penalty
 from curlfit.numerics.arrays import Floats
 
 HIGHEST = 10.83
 """Rise of chi squared at the ends of a 99.9 % interval, of one degree of freedom."""
-INTERVAL = 6.63
-"""The same for 99 %: values within it fit nearly as well."""
 _MOST_POINTS = 16
 """On either side: with steps that double, 30,000 times the first step."""
 _GROWTH = 2.0
+_TOWARD_ZERO = 4.0
+_NEXT_TO_ZERO = 0.01
+"""In typical sizes."""
 _FIRST_STEP = 0.1
 """In typical sizes, where the standard error is larger or not known."""
 _FARTHEST = 1e3
 """In typical sizes: nothing is known of what may be as far away."""
 _ROUNDING = 1e-9
-_UNDETERMINED = 1e-3
-"""Share of a sum outside what is determined, above which it is not determined."""
-_FAR_LESS = 4.0
-"""Error at a point of the ridge over that at the optimum, above which far less is known
-there: nothing of a force of the spin, where a stone may not have spun."""
 
 
 class Hold(NamedTuple):
@@ -81,14 +83,7 @@ class Point(NamedTuple):
         sizes = np.array(sizes)
         if self.held is not None:
             sizes[self.held] = 0.0
-        _, singular, right = np.linalg.svd(self.slopes * sizes, full_matrices=False)
-        seen = visible(singular)
-        scaled = weights * sizes
-        along = scaled @ right[seen].T
-        outside = np.linalg.norm(scaled - along @ right[seen], axis=1)
-        unknown = outside > _UNDETERMINED * np.linalg.norm(scaled, axis=1)
-        known = np.linalg.norm(along / singular[seen], axis=1)
-        return np.where(unknown, np.inf, known)
+        return errors_of(self.slopes, weights, sizes)
 
     @classmethod
     def of(cls, solution: Solution, penalty: Penalty, held: int | None = None) -> Self:
@@ -130,16 +125,36 @@ class Ridge(NamedTuple):
         largest = np.zeros(len(weights))
         for point, rise in zip(self.points, self.rises, strict=True):
             moved = np.abs(weights @ (point.values - self.optimum.values))
-            expected = errors * math.sqrt(max(float(rise), 1.0))
-            largest = np.maximum(largest, moved / expected)
+            largest = np.maximum(largest, demanded_errors(moved, rise) / errors)
             there = point.errors(weights, sizes) / errors
-            largest = np.where(there > _FAR_LESS, np.maximum(largest, there), largest)
+            largest = np.where(there > FAR_LESS, np.maximum(largest, there), largest)
         return largest
 
-    def joined(self, other: Point) -> Ridge:
-        """The same with one more point: another solution."""
-        rises = np.append(self.rises, _rise(other, self.optimum))
-        return self._replace(points=(*self.points, other), rises=rises)
+    @classmethod
+    def of_point(cls, optimum: Point) -> Self:
+        """Of an optimum from which no ridge was followed."""
+        return cls(optimum, (), np.zeros(0), {})
+
+    def joined(self, other: Ridge) -> Ridge:
+        """The same with another ridge of the fit: about another solution, or one from
+        which the search went on."""
+        near: list[Point] = []
+        rises: list[float] = []
+        for point in (other.optimum, *other.points):
+            rise = _rise(point, self.optimum)
+            if rise <= HIGHEST:
+                near.append(point)
+                rises.append(rise)
+        intervals = dict(other.intervals)
+        for index, (low, high) in self.intervals.items():
+            before = intervals.get(index, (low, high))
+            intervals[index] = min(low, before[0]), max(high, before[1])
+        return Ridge(
+            self.optimum,
+            (*self.points, *near),
+            np.append(self.rises, rises),
+            intervals,
+        )
 
     def lowest(self) -> Point:
         """The point with the least chi squared."""
@@ -176,8 +191,11 @@ class _Side:
         last = self.points[-1] if self.points else self.optimum
         values = np.array(last.values)
         held = values[index] + self.sign * self.step
-        if held * values[index] < 0.0:  # a sense of spin, or a sign of a force, ends
-            held = 0.0
+        if held * values[index] <= 0.0 != values[index]:
+            # Toward zero in ratios, since what fits may be a product; there a sense of
+            # spin, or the sign of a force, ends.
+            is_near = abs(values[index]) < _NEXT_TO_ZERO * self.typical[index]
+            held = 0.0 if is_near else values[index] / _TOWARD_ZERO
         if not self.lower[index] < held < self.upper[index]:
             held = float(np.clip(held, self.lower[index], self.upper[index]))
             self.goes_on = False
@@ -265,7 +283,12 @@ def _ridge(fit: Followed, sides: Sequence[_Side]) -> Ridge:
     ends: dict[int, list[float]] = {}
     for side in sides:
         ends.setdefault(side.hold_of[1], []).append(side.end_of_interval())
-    intervals = {index: (min(pair), max(pair)) for index, pair in ends.items()}
+    for index, pair in ends.items():
+        # values that another parameter leads to count as well
+        pair += [points[row].values[index] for row in near if rises[row] <= INTERVAL]
+    intervals = {
+        index: (float(min(pair)), float(max(pair))) for index, pair in ends.items()
+    }
     return Ridge(
         fit.optimum,
         tuple(points[number] for number in near),

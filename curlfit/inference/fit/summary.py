@@ -11,6 +11,7 @@ import jax
 import numpy as np
 
 from curlfit.foreign import counted
+from curlfit.inference.derived import derive, gradient_of
 from curlfit.inference.fit.caveats import warnings_of
 from curlfit.inference.fit.covariance import (
     CONVERGED,
@@ -51,6 +52,7 @@ from curlfit.inference.noise.whitening import posterior_mean
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import ROWS_OF_DATA, Problem
+from curlfit.inference.products import products_of
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import stacked, unstacked
 from curlfit.throws.plausibility import Finding, examine_fit
@@ -81,7 +83,7 @@ def summarize_many(
     widths: Mapping[str, float] | None = None,
     common: Booleans | None = None,
     others: Floats | None = None,
-    again: bool = False,
+    earlier: Sequence[Ridge | None] | None = None,
 ) -> list[FitResult]:
     """The same for fits of one model, loss and noise model, to problems of one shape.
 
@@ -97,8 +99,8 @@ def summarize_many(
     others : rows of what other throws say of the parameters of each, in place of priors
         of these, with the residual as the last column, shape (throws, rows,
         parameters + 1).
-    again : whether the search was continued where it had not ended or where the ridge
-        leads to a lower point.
+    earlier : of searches that went on, where they had not ended or where the ridge
+        leads to a lower point: the ridges followed before.
     """
     if not fits:
         return []
@@ -110,16 +112,23 @@ def summarize_many(
     )
     residuals = residuals_of(many.problems, many.solutions, paths)
     found, reduction = many.covariances(residuals)
-    departures = many.departures(found, reduction, batch)
-    systematics = [Systematics()] * len(fits)
+    departures = many.departures(found, reduction, batch, earlier)
+    shifts: list[dict[str, Floats]] = [{}] * len(fits)
     if paths is not None and widths:
-        systematics = many.systematics(found, reduction, paths, widths, batch)
+        shifts = many.shifts(found, reduction, paths, widths, batch)
     each = [None] * len(fits) if paths is None else paths
-    results = list(map(_record, fits, each, residuals, found, departures, systematics))
-    if not again:
+    widths_of_each = [widths or {}] * len(fits)
+    results = list(
+        map(_record, fits, each, residuals, found, departures, shifts, widths_of_each)
+    )
+    if earlier is None:
         better = many.searched_on(found, departures, batch)
         ended = summarize_many(
-            list(better.values()), batch, curves=curves, widths=widths, again=True
+            list(better.values()),
+            batch,
+            curves=curves,
+            widths=widths,
+            earlier=[departures[row].ridge for row in better],
         )
         for row, result in zip(better, ended, strict=True):
             results[row] = result
@@ -209,7 +218,11 @@ class _Many(NamedTuple):
         return found, factors.reduction
 
     def departures(
-        self, covariances: Sequence[Covariance], reduction: Reduction | None, batch: int
+        self,
+        covariances: Sequence[Covariance],
+        reduction: Reduction | None,
+        batch: int,
+        earlier: Sequence[Ridge | None] | None,
     ) -> list[Departures]:
         """How chi squared of each throw departs from its quadratic."""
         about = [
@@ -237,12 +250,29 @@ class _Many(NamedTuple):
             for covariance, pairs in zip(covariances, departing, strict=True)
         ]
         departures = [NO_DEPARTURES] * len(covariances)
-        rivals = [fit.rival for fit in self.fits]
-        due = [row for row, rival in enumerate(rivals) if held[row] or rival]
+        beside = self._ridges_beside(earlier)
+        due = [row for row, ridges in enumerate(beside) if held[row] or ridges]
         ridges = self._ridges(due, covariances, held, batch)
         for row, ridge in zip(due, ridges, strict=True):
+            for other in beside[row]:
+                ridge = ridge.joined(other)
             departures[row] = departures_along(covariances[row], ridge, usual)
         return departures
+
+    def _ridges_beside(
+        self, earlier: Sequence[Ridge | None] | None
+    ) -> list[list[Ridge]]:
+        """What is known of each throw besides its own ridge: another solution, and the
+        ridge from which its search went on."""
+        beside: list[list[Ridge]] = [[] for _ in self.fits]
+        for row, fit in enumerate(self.fits):
+            if fit.rival is not None:
+                priors = Penalty(*(part[row] for part in self.penalty))
+                beside[row].append(Ridge.of_point(Point.of(fit.rival, priors)))
+        for row, ridge in enumerate(earlier or ()):
+            if ridge is not None:
+                beside[row].append(ridge)
+        return beside
 
     def _rises(
         self,
@@ -294,13 +324,7 @@ class _Many(NamedTuple):
             priors = [Penalty(*(part[row] for part in self.penalty)) for row in rows]
             return list(map(Point.of, optima, priors, parameters))
 
-        ridges = follow(followed, refit)
-        for number, row in enumerate(due):
-            rival = self.fits[row].rival
-            if rival is not None:
-                priors = Penalty(*(part[row] for part in self.penalty))
-                ridges[number] = ridges[number].joined(Point.of(rival, priors))
-        return ridges
+        return follow(followed, refit)
 
     def _minima(
         self,
@@ -360,16 +384,16 @@ class _Many(NamedTuple):
                 better[row] = self.fits[row]._replace(solution=optimum)
         return better
 
-    def systematics(
+    def shifts(
         self,
         found: Sequence[Covariance],
         reduction: Reduction | None,
         paths: Floats,
         widths: Mapping[str, float],
         batch: int,
-    ) -> list[Systematics]:
-        """Errors due to conditions, which are common to throws that are
-        fitted together."""
+    ) -> list[dict[str, Floats]]:
+        """Shifts of the open parameters of each throw due to conditions, which are
+        common to throws that are fitted together."""
         changes = residual_changes(
             self.model,
             self.problems,
@@ -387,10 +411,7 @@ class _Many(NamedTuple):
                 gradient if reduction is None else reduction.gradient(gradient)
             )
         return [
-            Systematics(
-                dict(widths),
-                one.shifts({name: g[row] for name, g in gradients.items()}),
-            )
+            one.shifts({name: g[row] for name, g in gradients.items()})
             for row, one in enumerate(found)
         ]
 
@@ -401,7 +422,8 @@ def _record(
     residual: Floats,
     found: Covariance,
     departures: Departures,
-    systematics: Systematics,
+    shifts: Mapping[str, Floats],
+    widths: Mapping[str, float],
 ) -> FitResult:
     law, throw, known = fit.model.law, fit.prepared.throw, found.identifiability
     reference, residual = throw.reference, residual[:, : len(throw)]
@@ -416,6 +438,9 @@ def _record(
         distance = departures.distance
     estimates = _estimates(fit.prepared.parameters, found, departures, rival)
     unusual = _unusual(fit, estimates["v0"], curves)
+    systematics = Systematics()
+    if shifts:
+        systematics = Systematics(dict(widths), found.shifts_of_determined(shifts))
     result = FitResult(
         law=law.name,
         load=fit.model.load,
@@ -458,8 +483,33 @@ def _record(
             for event, off in zip(throw.events, residual[-1], strict=False)
         ),
     )
+    result = _with_products(result, shifts)
     warnings = warnings_of(fit, result, residual, unusual, rival, departures)
     return replace(result, warnings=warnings)
+
+
+def _with_products(result: FitResult, shifts: Mapping[str, Floats]) -> FitResult:
+    """The result with the products that are determined along its ridge, and with their
+    systematic errors, from the shifts of the open parameters by condition."""
+    known = result.first_order
+    found = products_of(known)
+    by_product = {}
+    for product in found:
+        gradient = gradient_of(known, product.expression)
+        by_product[product.expression] = {
+            condition: known.across(gradient, shift)
+            for condition, shift in shifts.items()
+        }
+    systematics = result.systematics
+    if shifts:
+        together = systematics.shifts | by_product
+        systematics = replace(systematics, shifts=together)
+    known = known._replace(shifts=systematics.shifts, products=tuple(by_product))
+    products = tuple(
+        replace(derive(known, product.expression), meaning=product.meaning)
+        for product in found
+    )
+    return replace(result, products=products, systematics=systematics)
 
 
 def _ridge_points(
@@ -474,7 +524,8 @@ def _ridge_points(
     for point, rise in pairs:
         held = None if point.held is None else names[point.held]
         values = (point.values + fit.prepared.offset).tolist()
-        points.append(RidgePoint(held, float(rise), tuple(values)))
+        slopes = tuple(map(tuple, point.slopes.tolist()))
+        points.append(RidgePoint(held, float(rise), tuple(values), slopes))
     return tuple(points)
 
 

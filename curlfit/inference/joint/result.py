@@ -236,6 +236,8 @@ class JointResult(NamedEstimates):
                 "matrix": matrix,
             },
             combinations=self.combinations,
+            ridge=(),
+            products=(),
         )
         return derive(own, expression)
 

@@ -9,11 +9,11 @@ prior along the null directions.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,12 @@ _REACH = 8.0
 _CELLS, _PASSES = 96, 6  # intervals of it, and how often they are chosen anew
 # of the probability, to be shared as if intervals were as dense as their neighbours
 _ROUGH = 0.2
+_BEYOND = 0.5  # of a ridge, by which the proposal extends beyond its ends
+# probability density at an end over the highest, above which it has not ended, and
+# share of the next intervals that lie beyond it
+_ENDED, _BEYOND_ENDS = 1e-5, 0.1
+_FAINT = 1e-9  # push against a bound that is none
+_FAR = 100.0  # standard errors from a tangent, above which it says nothing
 _NOTHING = 1e-6  # probability of an interval that is given up
 _NEAR = 1e-6  # typical sizes from its bound within which a parameter is at it
 
@@ -93,6 +99,10 @@ class RidgeProposal:
         draws: Floats = self.centre + self.typical * z
         return draws
 
+    def unreached(self, values: Floats) -> float:
+        """Nothing: there are no ends to reach."""
+        return 0.0
+
     def log_density(self, values: Floats) -> Floats:
         """Log-density of the proposal up to a constant, shape (n,)."""
         z = (values - self.centre) / self.typical
@@ -104,6 +114,11 @@ class RidgeProposal:
             1
         )
         return np.where(within, value - off.sum(1) - self.log_volume, -np.inf)
+
+    def distance(self, values: Floats) -> float:
+        """Of values from the tangent of the ridge, in standard errors."""
+        z = (values - self.centre) / self.typical
+        return float(np.linalg.norm(self.seen @ z / self.spread))
 
     @cached_property
     def log_volume(self) -> float:
@@ -186,7 +201,11 @@ def _about(
         (rows[:, pushed] * singular[:, None]) ** 2
     ).sum(0)
     push = np.abs(gradient[pushed]) + np.sqrt(np.maximum(curvature, 0.0))
-    off = -np.sign(gradient[pushed]) / push
+    room = (upper - lower)[pushed]
+    least = 1 / np.where(np.isfinite(room), room, 1 / _FAINT)
+    inward = np.where(np.abs(lower) < np.abs(upper), 1.0, -1.0)[pushed]
+    sense = np.where(gradient[pushed] == 0.0, inward, -np.sign(gradient[pushed]))
+    off = sense / np.maximum(push, least)
     return RidgeProposal(centre, typical, rows, spread, pivots, low, high, pushed, off)
 
 
@@ -195,7 +214,8 @@ class CurvedRidge:
     """Proposals about optima along a curved ridge, each for an interval of the
     parameter that is held there, and their probabilities."""
 
-    parts: Sequence[RidgeProposal]
+    parts: Sequence[RidgeProposal | None]
+    """None where no values fit, with the share 0"""
     shares: Floats
     held: int
     borders: Floats
@@ -203,22 +223,32 @@ class CurvedRidge:
     def draw(self, n: int, random: Any) -> Floats:
         """n parameter vectors, shape (n, p)."""
         which = random.choice(len(self.parts), n, p=self.shares)
-        found = np.zeros((n, len(self.parts[0].centre)))
-        for index in np.unique(which):
-            found[which == index] = self.parts[index].draw(
-                int((which == index).sum()), random
-            )
-        return found
+        draws: dict[int, Floats] = {}
+        for index in np.unique(which).tolist():
+            part = self.parts[index]
+            assert part is not None  # its share is not 0
+            draws[index] = part.draw(int((which == index).sum()), random)
+        values = np.concatenate([draws[index] for index in sorted(draws)])
+        order = np.argsort(np.argsort(which, kind="stable"), kind="stable")
+        return np.asarray(values[order])
+
+    def unreached(self, values: Floats) -> float:
+        """Probability beyond the ends of what the values, shape (n, p), reach."""
+        column = values[:, self.held]
+        below = self.borders[1:] < column.min()
+        above = self.borders[:-1] > column.max()
+        return float(self.shares[below | above].sum())
 
     def log_density(self, values: Floats) -> Floats:
         """Log-density of the proposal up to a constant, shape (n,)."""
         found = np.full(len(values), -np.inf)
         which = np.searchsorted(self.borders, values[:, self.held]) - 1
-        for index in np.intersect1d(which, np.flatnonzero(self.shares)):
+        for index in np.intersect1d(which, np.flatnonzero(self.shares)).tolist():
             here = which == index
-            found[here] = self.parts[index].log_density(values[here]) + np.log(
-                self.shares[index]
-            )
+            part = self.parts[index]
+            assert part is not None  # its share is not 0
+            log_share = math.log(self.shares[index])
+            found[here] = part.log_density(values[here]) + log_share
         return found
 
 
@@ -235,62 +265,120 @@ def proposed(proposal: Proposal, coords: Floats, random: Any) -> tuple[Floats, F
     return new, np.where(reachable, there, -np.inf)
 
 
+class Axis(NamedTuple):
+    """The parameter that is held along a ridge."""
+
+    name: str
+    low: float
+    high: float
+    starts: Floats
+    """values of all parameters from which the others are refitted: those whose own
+    value of this one is nearest, shape (starts, p)"""
+
+    @classmethod
+    def of(cls, fit: FitResult) -> Axis | None:
+        """The axis of a fit; None where chi squared is a quadratic, and what is
+        determined at all is determined well."""
+        if fit.ridge:
+            return cls._of_ridge(fit)
+        weakness = {
+            name: item.stderr / item.typical
+            for name, item in fit.parameters.items()
+            if item.verdict == "weak" and item.stderr is not None
+        }
+        if not weakness:
+            return None
+        name = _preferred(weakness)
+        item = fit.parameters[name]
+        reach = _REACH * weakness[name] * item.typical
+        ends = np.clip([item.value - reach, item.value + reach], item.lower, item.upper)
+        return cls(name, float(ends[0]), float(ends[1]), fit.values[None])
+
+    @classmethod
+    def _of_ridge(cls, fit: FitResult) -> Axis:
+        """From end to end of a ridge that is known, and half of this farther; as far
+        about another solution as about the first."""
+        points = np.array([fit.values, *(point.values for point in fit.ridge)])
+        columns = dict(zip(fit.parameters, points.T, strict=True))
+        held = {point.held for point in fit.ridge if point.held is not None}
+        moving = held or {*fit.parameter_set.names_where(fit.parameter_set.free)}
+        open_ = {
+            name
+            for name in moving
+            if fit.parameters[name].verdict in ("weak", "not identifiable")
+        }
+        extents = {
+            name: float(np.ptp(columns[name])) / fit.parameters[name].typical
+            for name in open_ or moving
+        }
+        name = _preferred(extents)
+        item = fit.parameters[name]
+        column = columns[name]
+        reach = np.abs(column - item.value)
+        is_solution = np.array([True, *(point.held is None for point in fit.ridge)])
+        if not is_solution[1:].all():
+            reach = reach[~is_solution]
+        solutions = column[is_solution]
+        beyond = (1 + _BEYOND) * float(reach.max())
+        low = max(min(column.min(), solutions.min() - beyond), item.lower)
+        high = min(max(column.max(), solutions.max() + beyond), item.upper)
+        return cls(name, float(low), float(high), points)
+
+
+def _preferred(extents: Mapping[str, float]) -> str:
+    """The parameter that extends farthest, of the initial state rather than of the law:
+    two coefficients may exchange their values."""
+    return max(extents, key=lambda name: (name in START_NAMES, extents[name]))
+
+
 def posterior_proposal(fit: FitResult) -> Proposal:
-    """The proposal about the estimates of a fit; where some are weakly determined,
-    about the optima with one of them held, since such a ridge is curved."""
-    weakness = {
-        name: item.stderr / item.typical
-        for name, item in fit.parameters.items()
-        if item.verdict == "weak" and item.stderr is not None
-    }
-    if not weakness:
-        return ridge_proposal(fit)
+    """The proposal about the estimates of a fit; where chi squared is no quadratic, or
+    some are weakly determined, about the optima with one of them held, since such a
+    ridge is curved."""
+    axis = Axis.of(fit)
+    return ridge_proposal(fit) if axis is None else _along(fit, axis)
+
+
+def _along(fit: FitResult, axis: Axis) -> Proposal:
+    """The proposal along an axis."""
     whole, (problem, origin) = fit.parameter_set, problem_of(fit)
-    # Of the initial state rather than of the law: two coefficients may exchange
-    # their values.
-    name = max(weakness, key=lambda name: (name in START_NAMES, weakness[name]))
-    offset, place = origin.offset(len(whole)), whole.index(name)
-    local, item = whole.shifted(-offset), fit.parameters[name]
-    reach = _REACH * weakness[name] * item.typical
-    ends = np.clip(
-        [item.value - reach, item.value + reach], whole.lower[place], whole.upper[place]
-    )
-    borders, starts = (
-        np.linspace(ends[0], ends[1], _CELLS + 1),
-        np.tile(fit.values - offset, (_CELLS, 1)),
-    )
+    offset, place = origin.offset(len(whole)), whole.index(axis.name)
+    local = whole.shifted(-offset)
+    borders = np.linspace(axis.low, axis.high, _CELLS + 1)
+    middle = (borders[:-1] + borders[1:]) / 2
+    nearest = np.abs(axis.starts[:, place] - middle[:, None]).argmin(1)
+    starts = axis.starts[nearest] - offset
     for _ in range(_PASSES):
         held = (borders[:-1] + borders[1:]) / 2 - offset[place]
         tasks = [
-            (local.with_fixed(name, value), problem, start)
+            (local.with_fixed(axis.name, value), problem, start)
             for value, start in zip(held, starts, strict=True)
         ]
         optima = minimize_many(fit.model, Tasks.of(tasks), FEW)
         parts = [
-            _about_solution(whole, offset, one, (place, low, high))
-            for one, (low, high) in zip(
+            _about_solution(whole, offset, optimum, (place, low, high))
+            for optimum, (low, high) in zip(
                 unstacked(optima), pairwise(borders), strict=True
             )
         ]
+        exists = np.array([part is not None for part in parts])
         # Laplace's approximation to the probability of each interval, and, since that
         # of a wide one where the probability ends is rough, a part as if it were as
         # dense as its neighbours
-        logs = np.array([part.log_volume for part in parts]) - optima.objective / 2
-        shares, width = np.nan_to_num(np.exp(logs - np.nanmax(logs))), np.diff(borders)
+        volumes = [-np.inf if part is None else part.log_volume for part in parts]
+        logs = np.array(volumes) - optima.objective / 2
+        logs = np.where(np.isfinite(logs), logs, -np.inf)
+        if np.isneginf(logs).all():
+            return ridge_proposal(fit)
+        shares, width = np.exp(logs - logs.max()), np.diff(borders)
         dense = np.pad(shares / width, 1)
-        dense = np.maximum.reduce([dense[:-2], dense[1:-1], dense[2:]]) * width
+        dense = np.maximum.reduce([dense[:-2], dense[1:-1], dense[2:]]) * width * exists
         shares = (1 - _ROUGH) * shares / shares.sum() + _ROUGH * dense / dense.sum()
         proposal = CurvedRidge(parts, shares, int(whole.free[:place].sum()), borders)
-        # The next intervals follow the root of the density, which makes them narrow in
-        # its tails too, and are narrowest where a parameter reaches its bound.
-        turns = [
-            list(one.pushed) != list(other.pushed) for one, other in pairwise(parts)
-        ]
-        here = np.logical_or([False, *turns], [*turns, False])
-        flat = np.sqrt(width * np.where(shares > _NOTHING, shares, 0.0)) * np.where(
-            here, 4, 1
-        )
-        below = np.cumsum([0.0, *flat])
+        density = _desired_density(parts, shares, width)
+        bounds = whole.lower[place], whole.upper[place]
+        borders, density = _extended(borders, density, shares / width, bounds)
+        below = np.cumsum([0.0, *density])
         borders = np.interp(np.linspace(0, below[-1], _CELLS + 1), below, borders)
         middle = (borders[:-1] + borders[1:]) / 2 - offset[place]
         starts = np.array(
@@ -299,13 +387,69 @@ def posterior_proposal(fit: FitResult) -> Proposal:
     return proposal
 
 
+def _extended(
+    borders: Floats, density: Floats, heights: Floats, bounds: tuple[float, float]
+) -> tuple[Floats, Floats]:
+    """Borders of intervals and the density of the next ones, with one more interval at
+    an end where the probability has not ended, as long as all of them if the bounds
+    leave as much.
+
+    Parameters
+    ----------
+    heights : probability of each interval over its width.
+    """
+    lower, upper = bounds
+    length = borders[-1] - borders[0]
+    share = _BEYOND_ENDS * density.sum()
+    low = max(borders[0] - length, lower)
+    high = min(borders[-1] + length, upper)
+    if heights[0] > _ENDED * heights.max() and low < borders[0]:
+        borders, density = np.append(low, borders), np.append(share, density)
+    if heights[-1] > _ENDED * heights.max() and high > borders[-1]:
+        borders, density = np.append(borders, high), np.append(density, share)
+    return borders, density
+
+
+def _desired_density(
+    parts: Sequence[RidgeProposal | None], shares: Floats, width: Floats
+) -> Floats:
+    """How many of the next intervals each of these should hold.
+
+    Half of them follow the root of the density, which makes them narrow in its tails
+    too, and are narrowest where a parameter reaches its bound. The other half are such
+    that the ridge leaves its tangents by as much in each: by the square of the width.
+    """
+    likely = shares > _NOTHING
+    turns = []
+    bends = []
+    for part, other in pairwise(parts):
+        if part is None or other is None:
+            turns.append(False)
+            bends.append(_FAR)
+        else:
+            turns.append(list(part.pushed) != list(other.pushed))
+            bends.append(min(part.distance(other.centre), _FAR))
+    at_turns = np.logical_or([False, *turns], [*turns, False])
+    by_density = np.sqrt(width * shares) * np.where(at_turns, 4, 1) * likely
+    by_bend = np.sqrt([0.0, *bends]) + np.sqrt([*bends, 0.0])
+    by_bend = np.nan_to_num(by_bend) * likely
+    density = by_density / by_density.sum()
+    if by_bend.any():
+        density = density + by_bend / by_bend.sum()
+    return density
+
+
 def _about_solution(
     parameters: ParameterSet,
     offset: Floats,
     optimum: Solution,
     cell: tuple[int, float, float],
-) -> RidgeProposal:
-    """The proposal about an optimum with one parameter held."""
+) -> RidgeProposal | None:
+    """The proposal about an optimum with one parameter held; None where there is no
+    path, or nothing that tells a parameter without bounds: where a stone does not
+    move."""
+    if not np.isfinite(optimum.objective):
+        return None
     free, values = parameters.free, optimum.values + offset
     jacobian = optimum.jacobian.reshape(-1, len(values))
     gradient, information = optimum.residual.ravel() @ jacobian, jacobian.T @ jacobian
@@ -313,14 +457,17 @@ def _about_solution(
     gradient, information = gradient + slope, information + np.diag(square)
     ends = np.stack([parameters.lower, parameters.upper])
     at_bound = (np.abs(values - ends) < _NEAR * parameters.typical).any(0)
-    return _about(
-        parameters,
-        values[free],
-        information[np.ix_(free, free)],
-        -gradient[free],
-        at_bound[free],
-        (int(free[: cell[0]].sum()), *cell[1:]),
-    )
+    try:
+        return _about(
+            parameters,
+            values[free],
+            information[np.ix_(free, free)],
+            -gradient[free],
+            at_bound[free],
+            (int(free[: cell[0]].sum()), *cell[1:]),
+        )
+    except UnusableFitError:
+        return None
 
 
 def _pivots(

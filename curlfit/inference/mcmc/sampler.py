@@ -15,13 +15,14 @@ import numpy as np
 from emcee.moves import DEMove, MHMove, RedBlueMove, StretchMove
 
 from curlfit.errors import DataError, InputError, UnusableFitError
-from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.inference.likelihood import log_posterior
 from curlfit.inference.mcmc.chain import Chain, load_chain, require_same, subject_of
+from curlfit.inference.mcmc.density import PosteriorDensity, lanes
 from curlfit.inference.mcmc.ridge import Proposal, posterior_proposal, proposed
 from curlfit.inference.mcmc.summary import (
+    CONVERGED,
     Diagnosis,
     is_test_due,
     steps_to_discard,
@@ -31,7 +32,6 @@ from curlfit.inference.model import Model
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.numerics.batches import in_batches
 
 Progress = Callable[[float, int, float], None]
 
@@ -43,6 +43,8 @@ _LEAST_ACCEPTANCE = 0.25
 _JITTER = 0.1  # relative standard deviation of the steps of differential evolution
 _EVERY = 2.0  # least time between two checkpoints, s
 _FEWEST = 4  # steps that can be judged
+# probability beyond what a chain has reached, above which it has not converged
+_UNREACHED = 0.01
 _SHARE = 50  # of the time, in which checkpoints are written once
 
 
@@ -70,16 +72,12 @@ def prepare_sampling(model: Model, parameters: ParameterSet, problem: Problem) -
     """Start to compile what sampling of a problem needs."""
     log_posterior.prepare(
         model,
-        np.zeros((_walkers(parameters.free) // 2, len(parameters))),
+        np.zeros((lanes(parameters.free), len(parameters))),
         parameters.lower,
         parameters.upper,
         problem,
         parameters.penalty,
     )
-
-
-def _walkers(free: Booleans) -> int:
-    return ENSEMBLES * max(32, 4 * ((2 * int(free.sum()) + 3) // 4))
 
 
 class Run:
@@ -237,10 +235,15 @@ class Run:
                         progress(
                             diagnosis.least_effective, self.steps, diagnosis.worst_r_hat
                         )
-                    if diagnosis.good(effective):
-                        return "converged", diagnosis
+                    kept = chain.flat[:, self.free]
+                    reaches_ends = self.proposal.unreached(kept) < _UNREACHED
+                    if diagnosis.good(effective) and reaches_ends:
+                        return CONVERGED, diagnosis
                     if self.steps >= most_steps:
-                        return f"not converged after {self.steps} steps", diagnosis
+                        ended = f"not converged after {self.steps} steps"
+                        if not reaches_ends:
+                            ended += ", without the ends of the values that fit"
+                        return ended, diagnosis
                 self.step()
                 self.write_if_due(file)
         except KeyboardInterrupt:
@@ -253,36 +256,20 @@ class _OfFit(Run):
     """A chain about the optimum of a fit."""
 
     def __init__(self, fit: FitResult, seed: int) -> None:
-        parameters = fit.parameter_set
-        self.names, self.free = parameters.names, parameters.free
+        self._density = PosteriorDensity(fit)
+        self.names, self.free = self._density.names, self._density.free
+        self.lower, self.upper = self._density.lower, self._density.upper
         self.subject = subject_of(fit, seed)
-        self.lower, self.upper = (
-            parameters.lower[self.free],
-            parameters.upper[self.free],
-        )
         self.proposal = posterior_proposal(fit)
-        self._values, self._model = fit.values, fit.model
-        problem, origin = problem_of(fit)
-        self._offset = origin.offset(len(parameters))
-        local = parameters.shifted(-self._offset)
-        self._posterior = local.lower, local.upper, problem, local.penalty
-        super().__init__(seed, _walkers(self.free))
+        super().__init__(seed, 2 * self._density.batch)
 
     def whole(self, free_values: Floats) -> Floats:
         """The same with those that are held."""
-        values = np.tile(self._values, (*free_values.shape[:-1], 1))
-        values[..., self.free] = free_values
-        return values
+        return self._density.whole(free_values)
 
     def log_prob(self, free_values: Floats) -> Floats:
         """That of the path's data."""
-
-        def of(values: Floats) -> Any:
-            return log_posterior(self._model, values, *self._posterior)
-
-        # Half of the walkers at a time, as ensemble moves need them.
-        values = self.whole(free_values) - self._offset
-        return np.asarray(in_batches(of, (values,), self._walkers // 2))
+        return self._density.log(free_values)
 
 
 def sample(
@@ -348,4 +335,9 @@ def sample(
     sampled = summarised(fit, chain, ended, effective, diagnosis)
     sampled = replace(sampled, quantities=quantities_of(sampled, chain))
     sampled = sampled.with_derived((item.expression for item in fit.derived), chain)
+    products = tuple(
+        replace(sampled.derive(item.expression, chain), meaning=item.meaning)
+        for item in fit.products
+    )
+    sampled = replace(sampled, products=products)
     return sampled, replace(chain, fit=sampled)

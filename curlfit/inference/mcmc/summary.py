@@ -23,6 +23,8 @@ from curlfit.inference.identifiability import with_combinations
 from curlfit.inference.mcmc.chain import Chain, load_chain
 from curlfit.numerics.arrays import Floats
 
+CONVERGED = "converged"
+"""How a run ended that reached its targets."""
 _BLOCK = 20  # steps between the first tests of convergence; later a fifth of those done
 _R_HAT = 1.01
 # quantiles whose effective sample sizes are those of the tails (sect. 4.3)
@@ -196,7 +198,7 @@ def summarised(
 
     steps, walkers, _ = chain.values.shape
     status = ended
-    if ended != "converged":
+    if ended != CONVERGED:
         wanted = "" if effective is None else f" of {effective:.0f} wanted"
         status += (
             f": {diagnosis.least_effective:.0f} effective samples{wanted}, "
@@ -222,7 +224,7 @@ def summarised(
         mean={name: float(values.mean()) for name, values in quantities.items()},
         sd={name: float(values.std()) for name, values in quantities.items()},
         correlation=dict(zip(names, map(by_name, correlation), strict=True)),
-        converged=effective is not None and diagnosis.good(effective),
+        converged=ended == CONVERGED,
         status=status,
     )
     return replace(fit, posterior=posterior, sampling="ended")

@@ -1,0 +1,152 @@
+"""Posterior, predictions and evidence of throws whose values that fit lie on a curve.
+
+The files are those of `test_open_throws.py`. What is compared is integrated over the
+spin, with all other parameters refitted at each, and Gaussian about these optima.
+"""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+import curlfit
+from curlfit.comparison.criteria import log_evidence, log_likelihood
+from curlfit.inference.mcmc.draws import WeightedProposals, draws_along_ridge
+
+FOLDER = Path(__file__).parent / "open_throws"
+NOISE = {"x": 0.005, "y": 0.005}
+
+
+@cache
+def fit_of(file: str, law: str) -> curlfit.FitResult:
+    """The fit of a throw without the angle."""
+    throw = curlfit.load_throw(FOLDER / file)
+    return curlfit.fit(throw, law, sigma=NOISE, details=False)
+
+
+class AtSpins(NamedTuple):
+    """A coefficient and the probability where the spin is held, for a flat prior."""
+
+    spins: np.ndarray
+    values: np.ndarray
+    errors: np.ndarray
+    densities: np.ndarray
+
+    @classmethod
+    def of(cls, file: str, law: str, name: str, spins: np.ndarray) -> "AtSpins":
+        """By a fit at each of the spins."""
+        throw = curlfit.load_throw(FOLDER / file)
+        values, errors, logs = [], [], []
+        for spin in spins:
+            fix = {"omega0": float(spin)}
+            fit = curlfit.fit(throw, law, sigma=NOISE, fix=fix, details=False)
+            values.append(fit[name].value)
+            errors.append(fit[name].stderr)
+            _, log_volume = np.linalg.slogdet(np.array(fit.covariance["matrix"]))
+            logs.append((log_volume - fit.chi_squared) / 2)
+        densities = np.exp(np.array(logs) - max(logs))
+        return cls(spins, np.array(values), np.array(errors), densities)
+
+    def quantiles(self, levels: tuple[float, ...]) -> np.ndarray:
+        """Of the coefficient."""
+        random = np.random.default_rng(0)
+        width = np.gradient(self.spins)
+        weights = self.densities * width
+        chosen = random.choice(len(width), 200_000, p=weights / weights.sum())
+        spins = self.spins[chosen] + width[chosen] * random.uniform(-0.5, 0.5, 200_000)
+        values = np.interp(spins, self.spins, self.values)
+        errors = np.interp(spins, self.spins, self.errors)
+        return np.quantile(values + errors * random.standard_normal(200_000), levels)
+
+
+def test_the_posterior_leads_along_the_whole_ridge():
+    """b, from 0.007 to 0.86, is a constant over the spin."""
+    fit = fit_of("no_angle_transverse_2.csv", "power+transverse")
+    spins = np.geomspace(0.056, 12.5, 60)
+    about = AtSpins.of("no_angle_transverse_2.csv", "power+transverse", "b", spins)
+    expected = about.quantiles((0.025, 0.16, 0.5, 0.84, 0.975))
+    fit, chain = curlfit.sample(fit, seed=1, effective=2000)
+    assert fit.posterior.converged
+    quantiles = np.array([*fit.posterior.quantiles["b"].values()])
+    # 2000 independent draws: a standard error of 0.011 in probability
+    assert np.log(quantiles / expected) == pytest.approx(np.zeros(5), abs=0.2)
+    product = chain.of({"b": 1.0}) * chain.of({"omega0": 1.0})
+    assert np.ptp(np.quantile(product, (0.16, 0.84))) < 0.1 * np.median(product)
+
+
+def test_the_posterior_holds_both_solutions():
+    """Turning the other way with the opposite sign of f0 leads along the same path."""
+    fit = fit_of("no_angle_angular.csv", "power-angular")
+    fit, chain = curlfit.sample(fit, seed=1, effective=1000)
+    assert fit.posterior.converged
+    f0 = chain.of({"f0": 1.0})
+    assert np.mean(f0 > 0) == pytest.approx(0.5, abs=0.06)
+    low, high = np.quantile(f0, (0.025, 0.975))
+    assert -0.8 < low < -0.45
+    assert 0.45 < high < 0.8
+
+
+def test_draws_without_a_chain_are_those_of_the_posterior():
+    fit = fit_of("no_angle_pivot.csv", "power+pivot")
+    values, effective = draws_along_ridge(fit, 2000, np.random.default_rng(0))
+    assert effective > 2000
+    spin = values[:, list(fit.parameters).index("omega0")]
+    spins = np.geomspace(0.4, 12.0, 60)
+    about = AtSpins.of("no_angle_pivot.csv", "power+pivot", "q", spins)
+    q = values[:, list(fit.parameters).index("q")]
+    levels = (0.025, 0.16, 0.5, 0.84, 0.975)
+    assert np.quantile(q, levels) == pytest.approx(about.quantiles(levels), rel=0.1)
+    below = about.densities * np.gradient(spins)
+    median = np.interp(0.5, np.cumsum(below) / below.sum(), spins)
+    assert np.median(spin) == pytest.approx(median, rel=0.1)
+
+
+def test_a_fit_whose_law_stays_open_is_sampled_without_a_fault():
+    """Of a stone thrown without spin; many steps would be needed."""
+    throw = curlfit.load_throw(FOLDER / "no_spin_fcv1.csv")
+    sigma = NOISE | {"phi": 0.01}
+    fit = curlfit.fit(throw, "fcv1", sigma=sigma, details=False)
+    fit, _ = curlfit.sample(fit, seed=1, effective=200, most_steps=20)
+    assert not fit.posterior.converged
+    report = str(fit)
+    assert "68 %" not in report
+
+
+def test_the_evidence_is_that_of_all_spins():
+    fit = fit_of("no_angle_pivot.csv", "power+pivot")
+    likelihood = sum(log_likelihood(fit).values())
+    throw = curlfit.load_throw(FOLDER / "no_angle_pivot.csv")
+    spins = np.geomspace(0.4, 12.0, 60)
+    logs = []
+    for spin in spins:
+        fix = {"omega0": float(spin)}
+        held = curlfit.fit(throw, "power+pivot", sigma=NOISE, fix=fix, details=False)
+        own = sum(log_likelihood(held).values())
+        logs.append(log_evidence(replace(held, ridge=()), own))
+    highest = max(logs)
+    expected = highest + np.log(np.trapezoid(np.exp(np.array(logs) - highest), spins))
+    assert log_evidence(fit, likelihood) == pytest.approx(expected, abs=0.05)
+
+
+def test_proposals_integrate_a_quadratic_exactly(eq12):
+    """As Laplace's integral."""
+    fit = curlfit.fit(eq12, "tensor", details=False)
+    proposals = WeightedProposals.of(fit, 4096, np.random.default_rng(0))
+    assert proposals.effective > 2000
+    log_integral = np.log(np.mean(np.exp(proposals.log_ratio)))
+    size = len(fit.covariance["names"])
+    _, log_volume = np.linalg.slogdet(np.array(fit.covariance["matrix"]))
+    expected = (size * np.log(2 * np.pi) + log_volume) / 2
+    assert log_integral == pytest.approx(expected, abs=0.05)
+
+
+@pytest.mark.parametrize("given", [None, {"v0": 2.0, "omega0": 1.4}])
+def test_bands_without_a_chain_are_drawn_along_the_ridge(given):
+    fit = fit_of("no_angle_pivot.csv", "power+pivot")
+    prediction = curlfit.predict(fit, start=given, draws=400)
+    assert prediction.draws["source"] == "ridge"
+    said = "the bands are drawn along the values that fit, which lie on a curve"
+    assert said in prediction.notes
