@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import NOISE, TIMES, shown
+from conftest import DATA, NOISE, TIMES, shown
 
 import curlfit
 from curlfit import LAWS, InitialState, InputError, Stone, Throw, load_fit, simulate
@@ -312,3 +312,17 @@ def test_unknown_conditions_are_refused():
             curlfit.fit(throw, **choices)
         with pytest.raises(InputError, match=said):
             curlfit.fit_together([throw, throw], **choices)
+
+
+def test_the_error_beside_a_condition_at_its_bound_is_that_of_the_profile():
+    """Under consistent load nothing tells mu1_eta from mu2_eta, which could make up for
+    any drag far beyond their own bounds: drag at zero adds nothing to other errors."""
+    throw = curlfit.load_throw(DATA)
+    first = curlfit.fit(throw, "front-back", load="consistent", details=False)
+    options = {"load": "consistent", "sigma": first.sigma, "details": False}
+    fit = curlfit.fit(throw, "front-back", free=["drag"], **options)
+    assert fit["drag"].verdict == "at bound"
+    value, stderr = fit["mu1_xi"].value, fit["mu1_xi"].stderr
+    held = {"mu1_xi": value - stderr}
+    beside = curlfit.fit(throw, "front-back", free=["drag"], fix=held, **options)
+    assert beside.chi_squared - fit.chi_squared == pytest.approx(1.0, abs=0.05)

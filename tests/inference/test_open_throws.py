@@ -110,3 +110,45 @@ def test_the_posterior_does_not_contradict_a_verdict(file, law):
     for name in names:
         assert sd[name] < 1.5 * fit[name].stderr
         assert abs(mean[name] - fit[name].value) < 2 * fit[name].stderr
+
+
+@pytest.mark.parametrize(
+    ("file", "law"),
+    [
+        ("no_angle_transverse.csv", "power+transverse"),
+        ("no_angle_front_back.csv", "front-back"),
+    ],
+)
+def test_compare_says_of_a_throw_what_its_fit_says(file, law):
+    throw = curlfit.load_throw(FOLDER / file)
+    fit = curlfit.fit(throw, law, sigma=NOISE, details=False)
+    (candidate,) = curlfit.compare(throw, [law], sigma=NOISE).candidates
+    verdicts = {name: item["verdict"] for name, item in candidate.coefficients.items()}
+    assert verdicts == {name: item.verdict for name, item in fit.coefficients.items()}
+    expressions = {item["expression"] for item in candidate.combinations}
+    of_law = fit.coefficients.keys()
+    sums = [item for item in fit.combinations if item.weights.keys() & of_law]
+    assert expressions == {item.expression for item in sums}
+
+
+def test_compare_of_several_tracks_says_of_no_force_that_it_is_at_its_bound():
+    """Two tracks without an angle, of the same spin: f0 may be anything."""
+    throws = []
+    for seed, v0 in enumerate((2.0, 2.2)):
+        law = curlfit.LAWS["power-angular"]()
+        motion = {"v0": v0, "omega0": 1.1, "until": 18.0, "dt": 0.1}
+        whole = curlfit.synthetic_throw(
+            law, curlfit.Stone(), **motion, noise_xy=0.005, seed=seed
+        )
+        columns = {"x": whole.x, "y": whole.y}
+        name = f"throw {seed}"
+        throws.append(
+            curlfit.Throw.from_arrays(whole.t, **columns, sigma=NOISE, name=name)
+        )
+    (candidate,) = curlfit.compare(throws, ["power-angular"]).candidates
+    coefficients = candidate.coefficients
+    assert coefficients["f0"]["verdict"] in NOT_KNOWN
+    assert not candidate.at_bound
+    assert coefficients["c"]["verdict"] == "determined"
+    stderr = coefficients["c"]["stderr"]
+    assert coefficients["c"]["value"] == pytest.approx(0.008, abs=2.5 * stderr)

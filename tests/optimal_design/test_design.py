@@ -13,6 +13,7 @@ import curlfit
 from curlfit import LAWS, InitialState, Stone
 from curlfit.dynamics.contact import accelerations
 from curlfit.inference.noise.accelerations import Responses
+from curlfit.optimal_design.departures import expected_departures
 from curlfit.optimal_design.design import design
 from curlfit.optimal_design.information import (
     Assumptions,
@@ -33,6 +34,8 @@ LAW = LAWS["front-back"]
 STONE = Stone()
 TRUE = np.array([0.005, 0.05, 0.009, 0.009])
 TYPICAL = np.full(4, 0.01)
+DEFAULTS = np.array([0.008, -0.5, 0.3])
+"""c, k and f0 of `power-angular`."""
 NOISE = {"x": 0.005, "y": 0.005, "phi": 0.01}
 SUM = "mu1_eta + mu2_eta"
 DIFFERENCE = np.array([0.0, 0.0, 0.01, -0.01])  # by typical sizes
@@ -121,6 +124,73 @@ def test_errors_are_those_that_a_fit_of_such_a_throw_reports(single, seed, toler
     verdicts = {name: item.verdict for name, item in found.coefficients.items()}
     assert single.best["D"].verdicts == verdicts
     assert single.candidates[0].rows == len(found.throw)
+
+
+PLACE = {"x": 0.005, "y": 0.005}
+
+
+def without_angle(law, throws=1, **options):
+    """A design of throws of 18 s whose angle is not measured."""
+    grid = {"v0": [2.15], "omega0": [1.2], "rate": 10, "until": 18.0}
+    return design(law, sigma=PLACE, throws=throws, **(grid | options))
+
+
+@pytest.mark.parametrize(
+    ("law", "turning"), [("power-angular", "f0"), ("power+pivot", "q")]
+)
+def test_without_the_angle_a_design_says_what_fits_of_the_throw_say(law, turning):
+    """Only the product of what turns the path and the spin enters."""
+    expected = without_angle(law).best["D"]
+    fits = []
+    for seed in range(3):
+        motion = {"v0": 2.15, "omega0": 1.2, "until": 18.0, "dt": 0.1}
+        throw = curlfit.synthetic_throw(
+            LAWS[law](), STONE, **motion, noise_xy=0.005, seed=seed
+        )
+        columns = {"x": throw.x, "y": throw.y}
+        path = curlfit.Throw.from_arrays(throw.t, **columns, sigma=PLACE)
+        fits.append(curlfit.fit(path, law, details=False))
+    assert expected.verdicts[turning] in ("weak", "not identifiable")
+    for name, verdict in expected.verdicts.items():
+        verdicts = {fit.coefficients[name].verdict for fit in fits}
+        if name != turning:
+            errors = [fit.coefficients[name].stderr for fit in fits]
+            assert verdicts == {"determined"} == {verdict}
+            assert 0.3 < expected.stderr[name] / np.median(errors) < 3
+        else:
+            assert verdicts & {"weak", "not identifiable"}
+
+
+def test_no_error_is_wider_than_the_bounds():
+    """f0 lies from -1 to 1; to first order its error is 18."""
+    assumed = Assumptions(LAWS["power-angular"], "uniform", DEFAULTS, PLACE, 18.0)
+    throw = PlannedThrow(2.15, 1.2, 10.0, STONE)
+    factor = combined(assumed.factors([throw]))
+    to_first_order = standard_error(factor, assumed.weights({"f0": 1.0}))
+    assert to_first_order > 5
+    plan = without_angle("power-angular")
+    assert plan.candidates[0].stderr["f0"] is None
+    assert plan.best["D"].stderr["f0"] is None
+
+
+def test_a_throw_made_four_times_is_one_with_half_the_noise():
+    assumed = Assumptions(LAWS["power-angular"], "uniform", DEFAULTS, PLACE, 18.0)
+    throw = PlannedThrow(2.15, 1.2, 10.0, STONE)
+    halved = assumed.noisier(PLACE, 0.5)
+    (four,) = expected_departures(assumed, [[throw] * 4])
+    (precise,) = expected_departures(halved, [[throw]])
+    assert four.stretched
+    assert four.stretched == pytest.approx(precise.stretched, rel=1e-2)
+    assert four.lost == precise.lost
+
+
+def test_throws_of_one_spin_determine_no_force_together():
+    """At each spin f0 may be anything: so it may be for both throws together."""
+    plan = without_angle("power-angular", throws=2, v0=[2.0, 2.2])
+    assert len(set(plan.best["D"].throws)) > 1
+    for expected in plan.best.values():
+        assert expected.stderr["f0"] is None
+        assert expected.verdicts["c"] == "determined"
 
 
 def series_of(values, load, times):

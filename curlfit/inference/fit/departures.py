@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -103,6 +103,8 @@ class Departures(NamedTuple):
     """those of which the fit therefore says nothing"""
     intervals: dict[str, tuple[float, float]]
     """of parameters, between values that fit as well"""
+    released: frozenset[str] = frozenset()
+    """parameters at a bound from which values far away fit as well"""
     remedy: Remedy | None = None
     distance: float | None = None
     """to the optimum, standard errors: along the ridge, where there is no lower point,
@@ -122,10 +124,8 @@ class Departures(NamedTuple):
             return None, "not identifiable", self.range_of(name)
         if name in self.lost:
             return stderr, "weak", self.range_of(name)
-        if verdict == "at bound" and name in self.intervals:
-            low, high = self.intervals[name]
-            if high - low > typical:
-                return None, "not identifiable", self.range_of(name)
+        if name in self.released:
+            return None, "not identifiable", self.range_of(name)
         if verdict == "not identifiable" and name in self.intervals:
             return stderr, verdict, self.range_of(name)
         if verdict == "prior":
@@ -332,11 +332,40 @@ def departures_along(covariance: Covariance, ridge: Ridge, usual: Floats) -> Dep
     distance = covariance.distance
     if intervals and ridge.rises.min(initial=0.0) > -_LOWER:
         distance = min(distance, covariance.distance_beside(ridge.intervals))
+    released = (
+        frozenset() if _knows_spin(covariance) else _released(covariance, intervals)
+    )
     remedy = _remedy(covariance, lost, ridge, usual)
     fall = -float(ridge.rises.min(initial=0.0))
     has_lower = fall > (0.0 if covariance.distance >= CONVERGED else _LOWER)
     lower = ridge.lowest() if has_lower else None
-    return Departures(stretched, lost, intervals, remedy, distance, lower, ridge)
+    return Departures(
+        stretched, lost, intervals, released, remedy, distance, lower, ridge
+    )
+
+
+def _knows_spin(covariance: Covariance) -> bool:
+    """Whether the spin is a parameter that is fixed or known."""
+    if "omega0" not in covariance.names:
+        return False
+    spin = list(covariance.names).index("omega0")
+    known_to = WEAK_ERROR * covariance.typical[spin]
+    return not covariance.free[spin] or covariance.error_of(spin) < known_to
+
+
+def _released(
+    covariance: Covariance, intervals: Mapping[str, tuple[float, float]]
+) -> frozenset[str]:
+    """Parameters at a bound that fit as well more than their typical size from there:
+    without the spin, a coefficient is at its bound by chance."""
+    names = []
+    for index in np.flatnonzero(covariance.at_bound).tolist():
+        name = covariance.names[index]
+        if name in intervals:
+            low, high = intervals[name]
+            if high - low > covariance.typical[index]:
+                names.append(name)
+    return frozenset(names)
 
 
 def departures_together(

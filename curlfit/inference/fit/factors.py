@@ -23,7 +23,6 @@ _LOOSE = 0.1  # typical sizes inside its bound from which a parameter is not hel
 _NEAR = 1e-6  # typical sizes from a bound within which a parameter is at the bound
 # least push against a bound over the slopes by the parameters inside theirs ...
 _PUSHED = 10.0
-_ROUNDING = 1e-9  # singular value over the largest
 _WIDEST = 1e3  # typical sizes, beyond which nothing is known
 # ... within these limits, half chi squared per typical size
 _LEAST_PUSH, _CLEAR_PUSH = 1e-6, 1e-3
@@ -91,6 +90,7 @@ class LinearizedProblem(NamedTuple):
                 self.jacobian[:, open_],
                 self.jacobian[:, held],
                 push[held],
+                self.typical[open_],
                 self.typical[held],
                 room[held],
             )
@@ -127,10 +127,16 @@ class LinearizedProblem(NamedTuple):
 
 
 def _slack(
-    jacobian: Floats, bounded: Floats, push: Floats, typical: Floats, room: Floats
+    jacobian: Floats,
+    bounded: Floats,
+    push: Floats,
+    open_typical: Floats,
+    typical: Floats,
+    room: Floats,
 ) -> tuple[Floats, Floats]:
     """Spread of parameters at a bound, each a normal truncated there; the open
-    ones follow.
+    ones follow, along directions that the data determine: along others a small change
+    at the bound would move them far beyond their own bounds.
 
     An optimum at a bound leaves the parameter a one-sided spread: wide where the
     data hardly push against the bound, as at the end of a ridge, and of scale 1/push
@@ -143,6 +149,7 @@ def _slack(
         parameters and to those at a bound.
     push : decrease of half of chi squared per unit beyond the bound, >= 0, for
         each at a bound.
+    open_typical : typical sizes of the open parameters.
     typical, room : of those at a bound: typical size, and width of the
         interval of bounds.
 
@@ -153,11 +160,9 @@ def _slack(
     """
     from scipy.special import log_ndtr  # slow to load
 
-    size = np.linalg.norm(jacobian, axis=0)
-    size[size == 0] = 1.0
-    follow = (
-        -np.linalg.lstsq(jacobian / size, bounded, rcond=_ROUNDING)[0] / size[:, None]
-    )
+    left, singular, right = np.linalg.svd(jacobian * open_typical, full_matrices=False)
+    inverse = inverted(singular, visible(singular))[:, None] * left.T
+    follow = -open_typical[:, None] * (right.T @ (inverse @ bounded))
     stiff = np.linalg.norm(bounded + jacobian @ follow, axis=0)
     sigma = 1 / np.maximum(stiff, 1 / (_WIDEST * typical))
     alpha = push * sigma
