@@ -170,8 +170,8 @@ SPIN = Condition(
     "judgement: most stones turn two to three times",
 )
 """It can be estimated as `omega0` alone."""
-UNMEASURED_SPIN = Condition(
-    "unmeasured_spin",
+UNKNOWN_SPIN = Condition(
+    "unknown_spin",
     "rad/s",
     0.0,
     5.0,
@@ -182,7 +182,7 @@ UNMEASURED_SPIN = Condition(
     "judgement: most stones turn two to three times",
 )
 """It acts on the times of a throw with its square, whichever way the stone turns."""
-ASSUMED = (SPIN, UNMEASURED_SPIN)
+ASSUMED = (SPIN, UNKNOWN_SPIN)
 """Conditions of throws whose spin was not measured."""
 WIDTHS = {item.name: item.width for item in (*CONDITIONS, *ASSUMED)}
 ALL = "all"
@@ -220,7 +220,7 @@ def if_off(name: str, width: float) -> str:
         "length_scale": f"if measured lengths are {100 * width:g} % too long",
         "time_scale": f"if measured times are {100 * width:g} % too long",
         SPIN.name: f"if stones turn {100 * width:g} % more than assumed",
-        UNMEASURED_SPIN.name: f"if the stone turns, at {width:g} rad/s",
+        UNKNOWN_SPIN.name: f"if the stone turns, at {width:g} rad/s",
     }
     meaning = {item.name: item.meaning for item in CONDITIONS}
     return texts.get(name) or f"if the {meaning[name]} is {1e3 * width:g} mm larger"

@@ -73,7 +73,7 @@ SIGMA_MU = 4e-4
 PLANNED = {"v0": 2.15, "omega0": 1.2}
 RATE = 10.0  # Hz, of TIMES
 
-SYSTEMATICS = {"all": 0.0, "unmeasured_spin": 1.2}
+SYSTEMATICS = {"all": 0.0, "unknown_spin": 1.2}
 """Of times of a throw that turns: nothing else differs from what the fit assumes."""
 NORMAL = 1.96  # standard errors of a 95 % interval
 FAR = 5.0

@@ -18,7 +18,7 @@ from curlfit.inference.conditions import (
     ALL,
     CALIBRATION,
     SPIN,
-    UNMEASURED_SPIN,
+    UNKNOWN_SPIN,
     WIDTHS,
     check_systematics,
 )
@@ -75,7 +75,7 @@ def widths_of(
     if not any(throw.assumed_spin for throw in throws):
         known.add(SPIN.name)
     if not any(throw.spin_taken_for_zero for throw in throws):
-        known.add(UNMEASURED_SPIN.name)
+        known.add(UNKNOWN_SPIN.name)
     return {name: width for name, width in found.items() if width and name not in known}
 
 
@@ -133,7 +133,7 @@ def residual_changes(
     By condition, each of the shape of the residuals, (throws, channels, n).
     """
     channels = problems.observed.shape[1]
-    names = [name for name in widths if name != UNMEASURED_SPIN.name]
+    names = [name for name in widths if name != UNKNOWN_SPIN.name]
     calibrations = _calibrations(throws, jointly=jointly)
     spins = np.array([one.assumed_spin for one in throws])
 
@@ -153,13 +153,13 @@ def residual_changes(
         slopes(measured, none, _STEP, value=paths[:, :channels]) if names else none
     )
     by_name = dict(zip(names, np.moveaxis(changes, -1, 0), strict=True))
-    if UNMEASURED_SPIN.name in widths:
+    if UNKNOWN_SPIN.name in widths:
         # the whole change: it is even in the spin, and has no slope where there is none
         turning = np.array([throw.spin_taken_for_zero for throw in throws])
         moved = values.copy()
-        moved[:, _SPIN] += widths[UNMEASURED_SPIN.name] * turning
+        moved[:, _SPIN] += widths[UNKNOWN_SPIN.name] * turning
         measured_then = _measured(model, problems, moved, {}, batch, calibrations)
-        by_name[UNMEASURED_SPIN.name] = (measured_then - paths)[:, :channels]
+        by_name[UNKNOWN_SPIN.name] = (measured_then - paths)[:, :channels]
     residual = (paths[:, :channels] - problems.observed) * problems.weight
     by_loss, found = root_slope(residual, LOSSES[problems.loss.max()]), {}
     for name, change in by_name.items():
