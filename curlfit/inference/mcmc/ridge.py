@@ -223,14 +223,14 @@ class CurvedRidge:
     def draw(self, n: int, random: Any) -> Floats:
         """n parameter vectors, shape (n, p)."""
         which = random.choice(len(self.parts), n, p=self.shares)
-        draws: dict[int, Floats] = {}
+        some_part = next(part for part in self.parts if part is not None)
+        values = np.zeros((n, len(some_part.centre)))
         for index in np.unique(which).tolist():
             part = self.parts[index]
             assert part is not None  # its share is not 0
-            draws[index] = part.draw(int((which == index).sum()), random)
-        values = np.concatenate([draws[index] for index in sorted(draws)])
-        order = np.argsort(np.argsort(which, kind="stable"), kind="stable")
-        return np.asarray(values[order])
+            here = which == index
+            values[here] = part.draw(int(here.sum()), random)
+        return values
 
     def unreached(self, values: Floats) -> float:
         """Probability beyond the ends of what the values, shape (n, p), reach."""
