@@ -301,6 +301,7 @@ def departures_along(covariance: Covariance, ridge: Ridge, usual: Floats) -> Dep
     ----------
     usual : coefficients of the law, the first parameters.
     """
+    knows_spin = _knows_spin(covariance)
     statements = covariance.identifiability.determined()
     weights = np.array([covariance.in_all(row) for row in statements.values()])
     errors = np.array([covariance.stderr(row) for row in statements.values()])
@@ -318,7 +319,8 @@ def departures_along(covariance: Covariance, ridge: Ridge, usual: Floats) -> Dep
                 stretched[name] = stretch
             if name in covariance.names:
                 is_lost = error >= WEAK_ERROR
-                if error > rooms[name]:  # no error: the bounds alone limit it
+                # Where the spin is not known, that is no error: the bounds limit it.
+                if error > rooms[name] and not knows_spin:
                     stretched[name] = math.inf
             else:
                 is_lost = stretch > STRETCHED and error > WIDE
@@ -332,9 +334,7 @@ def departures_along(covariance: Covariance, ridge: Ridge, usual: Floats) -> Dep
     distance = covariance.distance
     if intervals and ridge.rises.min(initial=0.0) > -_LOWER:
         distance = min(distance, covariance.distance_beside(ridge.intervals))
-    released = (
-        frozenset() if _knows_spin(covariance) else _released(covariance, intervals)
-    )
+    released = frozenset() if knows_spin else _released(covariance, intervals)
     remedy = _remedy(covariance, lost, ridge, usual)
     fall = -float(ridge.rises.min(initial=0.0))
     has_lower = fall > (0.0 if covariance.distance >= CONVERGED else _LOWER)
