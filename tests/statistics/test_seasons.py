@@ -82,7 +82,7 @@ def test_rows_say_what_their_ridge_leaves(season_without_angle):
 
 @pytest.fixture(scope="module")
 def evening_without_angle():
-    """Four tracks of front-back alike, with x and y alone, together."""
+    """Four tracks alike of front-back, of which x and y were measured, together."""
     random = np.random.default_rng(4)
     times = np.linspace(0.0, 18.0, 91)
     throws = []

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -127,10 +127,11 @@ def fit_together(
         [(throw.name, throw.labels) for throw in throws], by, trend
     )
     together = solved_together(throws, chosen, shared, covariates, progress)
-    result, weights, ridge = _equal(together, chosen[0].systematics)
+    equal = _equal(together, chosen[0].systematics)
+    result = equal.result
     usual = share is None and len(throws) >= _VARYING and chosen[0].loss == "linear"
-    if weights and (by or trend or usual):
-        result = _varying(together, result, weights, ridge, seed)
+    if equal.weights and (by or trend or usual):
+        result = _varying(together, equal, seed)
     each = tuple(replace(one, quantities=quantities_of(one)) for one in result.throws)
     return replace(result, throws=each).with_derived(chosen[0].derive)
 
@@ -252,12 +253,21 @@ def _summarized(
     return summarize_many(records, side_by_side(len(records)), **known)
 
 
-def _equal(
-    together: Together, given: Mapping[str, float] | None
-) -> tuple[JointResult, dict[str, Floats], JointRidge | None]:
+class _Equal(NamedTuple):
+    """Throws with equal shared coefficients."""
+
+    result: JointResult
+    weights: dict[str, Floats]
+    """of the parameters in what may vary"""
+    spreads: Floats
+    """of this between throws, from which better ones are searched"""
+    ridge: JointRidge | None
+    """None where chi squared is a quadratic"""
+
+
+def _equal(together: Together, given: Mapping[str, float] | None) -> _Equal:
     """The result where the shared coefficients are equal in all throws, with the
-    systematic errors due to the `given` conditions, the weights of the parameters
-    in what may vary, and the ridge, where there is one."""
+    systematic errors due to the `given` conditions."""
     rounds, tasks, solution, common, covariates = together
     widths = widths_of(rounds.model, given, rounds.throws, jointly=True)
     joint_ridges: list[JointRidge] = []
@@ -307,6 +317,7 @@ def _equal(
         tasks.typical,
         covariates.values,
     )
+    first_spreads = {one.expression: one.first_spread for one in variation}
     if ridge is not None:
         alone_by_throw = _fitted_alone(together)
         variation = tuple(
@@ -352,7 +363,8 @@ def _equal(
             if name in told and not own[~of_law].any()
         },
     )
-    return with_throws(result, throws, solution), varying, ridge
+    spreads = np.array([first_spreads[name] for name in varying])
+    return _Equal(with_throws(result, throws, solution), varying, spreads, ridge)
 
 
 def _fitted_alone(together: Together) -> list[FitResult | None]:
@@ -388,17 +400,12 @@ def _among(item: Any, differing: Mapping[str, Variation], name: str) -> Any:
     return replace(item, stderr=differing[name].shared_stderr, dof=float(throws - 1))
 
 
-def _varying(
-    together: Together,
-    equal: JointResult,
-    weights: dict[str, Floats],
-    ridge: JointRidge | None,
-    seed: int | None,
-) -> JointResult:
-    """The result where what the throws determine varies about its mean; the ridge is
-    that of equal coefficients, since the mean is as free along it."""
-    variation = {one.expression: one for one in equal.variation}
-    guess = np.array([variation[name].first_spread for name in weights])
+def _varying(together: Together, equal: _Equal, seed: int | None) -> JointResult:
+    """The result where what the throws determine varies about its mean, which is as
+    free along the ridge as equal coefficients are."""
+    weights = equal.weights
+    ridge = equal.ridge
+    guess = equal.spreads
     try:
         found, solution, others = pool(together, weights, guess)
     except np.linalg.LinAlgError:
@@ -415,7 +422,7 @@ def _varying(
         replace(one, systematics=before.systematics)
         for one, before in zip(
             _summarized(together, solution, others=others, ridges=ridges),
-            equal.throws,
+            equal.result.throws,
             strict=True,
         )
     ]
@@ -423,10 +430,12 @@ def _varying(
     at_spins = solution.values[:, together.common], spins
     if ridge is not None:
         # The mean stays near equal coefficients, and so must the spins beside it.
-        spins = np.array([one.parameters["omega0"].value for one in equal.throws])
+        spins = np.array(
+            [one.parameters["omega0"].value for one in equal.result.throws]
+        )
         at_spins = together.solution.values[:, together.common], spins
     result = about_mean(
-        equal,
+        equal.result,
         found,
         together.covariates,
         Draw(together.rounds.model, together.rounds.throws[0].stone),
