@@ -15,14 +15,18 @@ from curlfit.inference.fit.factors import Reduction, combined
 from curlfit.inference.fit.ridge import Followed, Hold, Point, Ridge, follow
 from curlfit.inference.identifiability import Bounded, r_factor, r_factors
 from curlfit.inference.initial_values import default_guess
+from curlfit.inference.joint.draw import DRAW, Draw
 from curlfit.inference.joint.population import Together
 from curlfit.inference.joint.solver import JOINT, minimize_jointly
 from curlfit.inference.least_squares import Solution, Tasks
+from curlfit.inference.parameters import START
 from curlfit.inference.priors import Penalty
 from curlfit.numerics.arrays import Booleans, Floats
 
 _REFIT = JOINT._replace(most=60)
 """As many steps as a refit of one throw along its ridge."""
+_DRAWN = 16
+"""Points of the ridge at most at which a draw is computed."""
 
 
 class _Refit(NamedTuple):
@@ -98,6 +102,28 @@ class JointRidge(NamedTuple):
     def departures(self, covariance: Covariance) -> Departures:
         """What the ridge makes of what throws say of the parameters in common."""
         return departures_together(covariance, self.in_common, self.usual)
+
+
+def errors_of_draw(ridge: JointRidge, draw: Draw, common: Booleans) -> dict[str, float]:
+    """Errors of the quantities of a draw to the tee with the usual angle, by how far
+    they move along the ridge: at each of its points by the coefficients and spins of
+    that point."""
+    spin = len(common) - len(START) + [item.name for item in START].index("omega0")
+    centre = _drawn([one.optimum for one in ridge.of_throws], draw, common, spin)
+    errors = np.zeros(len(DRAW))
+    rises = ridge.in_common.rises
+    for number in range(0, len(rises), -(-len(rises) // _DRAWN) or 1):
+        points = [one.points[number] for one in ridge.of_throws]
+        moved = np.abs(_drawn(points, draw, common, spin) - centre)
+        errors = np.maximum(errors, moved / np.sqrt(max(rises[number], 1.0)))
+    return dict(zip(DRAW, errors.tolist(), strict=True))
+
+
+def _drawn(points: Sequence[Point], draw: Draw, common: Booleans, spin: int) -> Floats:
+    """Quantities of a draw that turns as throws usually do, a point of each throw."""
+    values = np.array([point.values for point in points])
+    angle = float(np.median(np.abs(draw.angle(values[:, common], values[:, spin]))))
+    return draw.quantities(values[:1, common], angle)[0]
 
 
 def follow_jointly(

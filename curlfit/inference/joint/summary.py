@@ -19,8 +19,9 @@ from curlfit.inference.joint.effects import Covariates, Effect, Means
 from curlfit.inference.joint.population import Population
 from curlfit.inference.joint.posterior import Draws
 from curlfit.inference.joint.result import JointResult
-from curlfit.inference.joint.ridge import JointRidge
+from curlfit.inference.joint.ridge import JointRidge, errors_of_draw
 from curlfit.inference.mcmc.chain import Chain
+from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Floats
 
 _STEP = 1e-3  # typical sizes, of differences
@@ -61,7 +62,10 @@ def about_mean(
     means = found.means(names, covariates, angle)
     units = {name: item.unit for name, item in equal.coefficients.items()}
     rough = bool(left_open) or ridge is not None
-    told = _Quantities.of(means, found, draw, units, draws, left_open=rough)
+    common = np.ones(len(names) + len(START), bool)
+    common[len(names) :] = False
+    least = {} if ridge is None else errors_of_draw(ridge, draw, common)
+    told = _Quantities.of(means, found, draw, units, draws, least, left_open=rough)
     groups, differences, trend = map(tuple, told.effects())
     spreads = dict(zip(found.weights, map(float, found.spreads), strict=True))
     sampled: dict[str, Quantiles] = {}
@@ -170,6 +174,8 @@ class _Quantities(NamedTuple):
     """derivatives by the parameters of the mean, shape (quantities, parameters)"""
     off: Floats
     """samples of the posterior about the estimate, shape (samples, numbers)"""
+    least: Floats
+    """least errors of the quantities, as far as they move along the ridge"""
 
     @classmethod
     def of(
@@ -179,11 +185,17 @@ class _Quantities(NamedTuple):
         draw: Draw,
         units: Mapping[str, str],
         draws: Draws | None,
+        least: Mapping[str, float],
         *,
         left_open: bool,
     ) -> Self:
         """Of a mean; where throws leave coefficients open, without what is then not
-        known of a draw."""
+        known of a draw.
+
+        Parameters
+        ----------
+        least : errors of a draw along the ridge; those of first order are no smaller.
+        """
         size = len(found.typical)
         centre, steps = means.estimate[:size], _STEP * np.diag(found.typical)
         drawn = draw.quantities(
@@ -199,6 +211,7 @@ class _Quantities(NamedTuple):
             unseen = outside > _UNSEEN * np.linalg.norm(scaled, axis=1)
             variances = ((slopes @ means.covariance[:size, :size]) * slopes).sum(1)
             errors = np.sqrt(np.maximum(variances, 0.0))
+            errors = np.maximum(errors, [least.get(name, 0.0) for name in DRAW])
             rough = unseen | (errors >= _ROUGH * np.abs(drawn[0]))
             unknown = set(itertools.compress(DRAW, rough)) - {"friction"}
             shown = [name for name in shown if name not in unknown]
@@ -213,6 +226,7 @@ class _Quantities(NamedTuple):
             found.scale * (draws.estimate - found.fit.estimate)
             if draws
             else np.zeros((0, size)),
+            np.array([least.get(name, 0.0) for name in (*found.weights, *shown)]),
         )
 
     def effects(self) -> tuple[list[Effect], list[Effect], list[Effect]]:
@@ -269,6 +283,8 @@ class _Quantities(NamedTuple):
         matrix, dof, made = self.slopes @ to, self.means.dof, []
         variances = np.einsum("ij,jk,ik->i", matrix, self.means.covariance, matrix)
         errors = np.sqrt(np.maximum(variances, 0.0))
+        if not tested:
+            errors = np.maximum(errors, self.least)
         for row, (name, unit) in enumerate(self.units.items()):
             value, error = float(values[row]), float(errors[row])
             p = 2 * float(stdtr(dof, -abs(value) / error)) if tested and error else None
