@@ -15,7 +15,7 @@ import pytest
 from conftest import DATA, command, invoke, started
 
 from curlfit import DataError, InputError, load_chain, load_fit, sample
-from curlfit.inference.mcmc import chain, sampler as sampling
+from curlfit.inference.mcmc import chain, density, sampler as sampling
 
 ENDLESS = ("--effective", "100000000", "--max-steps", "1000000")
 
@@ -100,7 +100,7 @@ def short(eq12_fit):
 
 def stopped_at_call(number, monkeypatch):
     """Ctrl-C within the posterior's evaluation of that number."""
-    calls, real = [], sampling.log_posterior
+    calls, real = [], density.log_posterior
 
     def stopping(*arguments):
         calls.append(1)
@@ -108,7 +108,7 @@ def stopped_at_call(number, monkeypatch):
             raise KeyboardInterrupt
         return real(*arguments)
 
-    monkeypatch.setattr(sampling, "log_posterior", stopping)
+    monkeypatch.setattr(density, "log_posterior", stopping)
 
 
 @pytest.mark.parametrize("call", [16, 47, 66])
