@@ -150,3 +150,11 @@ def test_bands_without_a_chain_are_drawn_along_the_ridge(given):
     assert prediction.draws["source"] == "ridge"
     said = "the bands are drawn along the values that fit, which lie on a curve"
     assert said in prediction.notes
+
+
+def test_two_times_tell_the_time_to_rest_and_no_speed():
+    """Each exponent fits; the time is the sum of two that were measured to 0.1 s."""
+    fit = curlfit.fit(curlfit.load_throw(FOLDER / "two_times.txt"), "power")
+    prediction = curlfit.predict(fit, draws=400)
+    assert prediction.quantities["time"].parameter_sd < 0.2
+    assert prediction.quantities["speed_at_hog"].parameter_sd > 0.3

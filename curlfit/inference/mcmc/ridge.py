@@ -172,7 +172,9 @@ def _about(
     pushed, open_ = np.flatnonzero(at_bound & ~held), np.flatnonzero(~at_bound & ~held)
 
     block = information[np.ix_(open_, open_)]
-    seen, singular, null = directions(block, np.ones(len(open_)))
+    seen, singular, null = np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0))
+    if len(open_):  # not all of the others at a bound
+        seen, singular, null = directions(block, np.ones(len(open_)))
     spread = 1 / singular
     rows = np.zeros((len(seen), len(centre)))
     rows[:, open_] = seen
