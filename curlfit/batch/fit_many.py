@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from os import PathLike
 from typing import Any
 
@@ -17,7 +17,7 @@ from curlfit.batch.settings import (
     BatchSettings,
     columns,
 )
-from curlfit.errors import CurlfitError
+from curlfit.errors import CurlfitError, UnusableFitError
 from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.fit.result import FitResult
 from curlfit.settings.choices import Fitting
@@ -116,11 +116,26 @@ def _row(result: FitResult, plan: BatchSettings, sums: Sequence[str]) -> dict[st
         for name, error in result.systematics.errors.items():
             row[column(name, "systematic")] = error
     if plan.posterior and result.converged:
-        from curlfit.inference.mcmc.sampler import sample
-
-        sampled, _ = sample(result, seed=plan.seed)
-        assert sampled.posterior is not None
-        for name, quantiles in sampled.posterior.quantiles.items():
+        quantiles_of_all, warning = _sampled(result, plan.seed)
+        row["warnings"] = "; ".join(filter(None, [row["warnings"], warning]))
+        for name, quantiles in quantiles_of_all.items():
             if name in known:
                 row |= {column(name, q): quantiles[q] for q in QUANTILES}
     return row
+
+
+def _sampled(
+    result: FitResult, seed: int
+) -> tuple[Mapping[str, Mapping[str, float]], str]:
+    """Quantiles of the posterior by name, or why there are none."""
+    from curlfit.inference.mcmc.sampler import sample
+
+    try:
+        sampled, _ = sample(result, seed=seed)
+    except UnusableFitError as error:
+        return {}, f"no posterior: {error}"
+    posterior = sampled.posterior
+    assert posterior is not None
+    if not posterior.converged:
+        return {}, f"posterior {posterior.status}"
+    return posterior.quantiles, ""

@@ -12,12 +12,12 @@ from contextlib import suppress
 import numpy as np
 import psutil
 import pytest
-from conftest import command, process, started
+from conftest import DATA, command, process, started
 from distributed import LocalCluster
 from sample_files import log, shot, two_masses
 
 import curlfit
-from curlfit import Stone
+from curlfit import Stone, UnusableFitError
 from curlfit.batch.fit_many import fit_files
 from curlfit.batch.settings import BatchSettings, columns
 from curlfit.batch.table import Table
@@ -25,6 +25,7 @@ from curlfit.friction import LAWS
 from curlfit.friction.family import family_of
 from curlfit.friction.registry import laws_under
 from curlfit.inference.initial_values import POINTS, accelerations_and_slopes
+from curlfit.inference.mcmc import sampler
 from curlfit.inference.model import Model
 from curlfit.numerics.batches import stacked
 from curlfit.throws.synthetic import law_with, synthetic_throw, write_table
@@ -412,3 +413,15 @@ def test_a_stopped_batch_ends_at_once_with_all_its_processes(
     out, err = run.communicate(timeout=100)
     assert not psutil.wait_procs(children, timeout=20)[1]
     assert (run.returncode, out, err) == (status, "", said)
+
+
+def test_a_throw_whose_posterior_cannot_be_sampled_keeps_its_row(monkeypatch):
+    def without_beginning(*_, **__):
+        raise UnusableFitError("no point of finite posterior was found near the fit")
+
+    monkeypatch.setattr(sampler, "sample", without_beginning)
+    (row,) = fit_files([DATA], BatchSettings.of(posterior=True))
+    assert row["status"] == "ok"
+    assert row["mu2_xi"] == pytest.approx(0.0556, abs=1e-4)
+    assert "no posterior: no point of finite posterior" in row["warnings"]
+    assert row["mu2_xi_50"] is None
