@@ -6,8 +6,6 @@ from collections.abc import Mapping, Sequence
 from os import PathLike
 from typing import Any
 
-import numpy as np
-
 from curlfit.batch.settings import (
     DURATION,
     INFORMATION,
@@ -101,10 +99,8 @@ def _row(result: FitResult, plan: BatchSettings, sums: Sequence[str]) -> dict[st
         item.expression: item for item in result.combinations if item.expression in sums
     }
     if result.converged:
-        rows = result.coefficient_rows()
-        if result.ridge:
-            rows = np.vstack(result.coefficient_rows_along_ridge())
-        told = ", ".join(f"{number:.17g}" for number in rows.ravel())
+        numbers = result.rows_told().ravel()
+        told = ", ".join(f"{number:.17g}" for number in numbers)
         row[INFORMATION] = f"[{told}]"
         row[LEFT_OPEN] = "; ".join(result.left_open())
         known |= {

@@ -23,6 +23,7 @@ from curlfit.inference.identifiability import (
     INTERVAL,
     LITTLE,
     STRETCHED,
+    UNKNOWN,
     WEAK_ERROR,
     WIDE,
     Combination,
@@ -41,8 +42,6 @@ Quantiles = Annotated[dict[str, float], Names(LEVELS)]
 # share of a gradient along null directions below which it counts as zero
 _NO_PART = 1e-3
 _TRIES = 4  # further points along null directions at which the gradient is checked
-_UNKNOWN = 3.0
-"""Typical sizes from an estimate, beyond which nothing is known in any case."""
 _FOLLOWED = 0.5
 """Share of what a parameter may be, by its standard error and bounds, that the ridge
 has followed: it may end early where no path was found."""
@@ -579,7 +578,7 @@ def _is_followed(known: FirstOrder, name: str) -> bool:
     bounds leave open."""
     item = known.parameters[name]
     along = [known.values[name], *(point[name] for point in known.points)]
-    open_ = min(item.upper - item.lower, _UNKNOWN * item.typical)
+    open_ = min(item.upper - item.lower, UNKNOWN * item.typical)
     if name in known.names and known.sees({name: 1.0}):
         open_ = min(open_, known.stderr({name: 1.0}))
     return max(along) - min(along) >= _FOLLOWED * open_

@@ -33,9 +33,9 @@ _WHOLE = np.arange(1.0, 7)[:, None, None]  # denominators of simple ratios
 # singular value below which a direction is known to no better than typical sizes
 _WEAK = 1.0
 # share of a sum outside the determined directions, above which it is unknown
-_FARTHEST = 3.0
-"""Typical sizes from an estimate, beyond which nothing is known in any case."""
 _UNDETERMINED = 1e-3
+UNKNOWN = 3.0
+"""Typical sizes from an estimate, beyond which nothing is known in any case."""
 WEAK_ERROR = 0.5
 """Standard error over typical size, from which an estimate is weakly determined: a 95 %
 interval then reaches a typical size to either side."""
@@ -245,7 +245,7 @@ def errors_of(slopes: Floats, weights: Floats, sizes: Floats) -> Floats:
     outside = np.linalg.norm(scaled - along @ right[seen], axis=1)
     unknown = outside > _UNDETERMINED * np.linalg.norm(scaled, axis=1)
     known = np.linalg.norm(along / singular[seen], axis=1)
-    return np.where(unknown, np.inf, np.hypot(known, _FARTHEST * outside))
+    return np.where(unknown, np.inf, np.hypot(known, UNKNOWN * outside))
 
 
 def stderr_of(weights: Floats, right: Floats, singular: Floats) -> float | None:

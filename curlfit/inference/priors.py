@@ -115,6 +115,10 @@ class Penalty(NamedTuple):
         """That of no priors."""
         return cls(*np.zeros((3, *shape)))
 
+    def at(self, which: Any) -> Penalty:
+        """That of some of many parameter vectors, by an index of their arrays."""
+        return Penalty(*(part[which] for part in self))
+
     @property
     def informative(self) -> bool:
         """Whether there is any prior."""

@@ -124,13 +124,13 @@ def predict(
         return replace(first, other=other)
     random = np.random.default_rng(seed)
     notes: list[str] = []
-    of_draws: list[str] = []
+    few: tuple[str, ...] = ()
     if together := isinstance(fit, JointResult):
         fit, values = another(fit, call.labels, draws, random)
         source = "throws"
     else:
         fit, chain, notes = _with_white_noise(fit, chain, call, draws)
-        values, source = _drawn_values(fit, chain, draws, random, of_draws)
+        values, source, few = _drawn_values(fit, chain, draws, random)
     _require_predictable(fit, draws)
     throw = planned(fit, call, start or {}, line, target, weight, tee_speed)
     _require_alike(throw, together, check)
@@ -163,7 +163,7 @@ def predict(
         call=call,
         weights=weights_of(fit, throw.values["omega0"]) if together else (),
         measured={} if together else _measured_rows(throw),
-        warnings=(*of_draws, *warned),
+        warnings=(*few, *warned),
         notes=(*notes, *noted),
         check=comparison,
         **found.summary(),
@@ -258,27 +258,23 @@ def held_out(
 
 
 def _drawn_values(
-    fit: FitResult,
-    chain: Chain | None,
-    draws: int,
-    random: np.random.Generator,
-    warnings: list[str],
-) -> tuple[Floats, str]:
-    """Parameter vectors from the posterior, and their source; adds to the warnings
-    where they are few."""
+    fit: FitResult, chain: Chain | None, draws: int, random: np.random.Generator
+) -> tuple[Floats, str, tuple[str, ...]]:
+    """Parameter vectors from the posterior, their source, and a warning where they are
+    few."""
     if chain is not None:
         if chain.names != tuple(fit.parameters):
             raise InputError("the chain is of another fit: its parameters differ")
         flat = chain.flat
-        return flat[random.choice(len(flat), draws, replace=len(flat) < draws)], "chain"
+        chosen = random.choice(len(flat), draws, replace=len(flat) < draws)
+        return flat[chosen], "chain", ()
     if fit.ridge:
         values, effective = draws_along_ridge(fit, draws, random)
-        if effective < _FEW:
-            warnings.append(
-                f"the bands rest on {effective:.0f} independent draws: the values that "
-                "fit lie on a curve that proposals do not follow; sample the posterior"
-            )
-        return values, "ridge"
+        warning = (
+            f"the bands rest on {effective:.0f} independent draws: the values that "
+            "fit lie on a curve that proposals do not follow; sample the posterior"
+        )
+        return values, "ridge", (warning,) if effective < _FEW else ()
     free, proposal = fit.parameter_set.free, ridge_proposal(fit)
     lower, upper = fit.parameter_set.lower[free], fit.parameter_set.upper[free]
     accepted: list[Floats] = []
@@ -290,7 +286,7 @@ def _drawn_values(
     accepted.extend(np.clip(proposed, lower, upper))
     values = np.tile(fit.values, (draws, 1))
     values[:, free] = accepted[:draws]
-    return values, "covariance"
+    return values, "covariance", ()
 
 
 def _measured_rows(throw: PlannedThrow) -> dict[str, Floats]:

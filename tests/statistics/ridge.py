@@ -64,6 +64,7 @@ from verdicts import (
     largest_pull,
     most_common,
     of_group,
+    parser_of,
     statements_of,
     timed,
 )
@@ -75,6 +76,13 @@ from curlfit.batch.table import Table as BatchTable
 from curlfit.numerics.processes import worker_processes
 
 Box = Mapping[str, tuple[float, float]]
+
+ONE_THREAD = {
+    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+}
+"""Of each worker process."""
 
 FRICTION = {"c": (0.004, 0.014), "k": (-0.7, 0.3)}
 PLAUSIBLE: dict[str, Box] = {
@@ -663,15 +671,8 @@ def rows_of(
 
 def asked() -> argparse.Namespace:
     """What the command line asks for."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--throws", type=int, default=40, help="of a law and a set")
-    parser.add_argument("--laws", default="", help="all by default")
-    parser.add_argument("--sets", default="", help="all by default")
-    parser.add_argument("--seed", type=int, default=0)
+    parser = parser_of(__doc__)
     parser.add_argument("--workers", type=int, default=1, help="processes")
-    parser.add_argument("--print", action="store_true", help="and write nothing")
     return parser.parse_args()
 
 
@@ -691,13 +692,6 @@ def main() -> None:
                         by_mark[mark].add(*row)
                     if not options.print:
                         put_merged(mark, by_mark[mark], ORDER)
-
-
-ONE_THREAD = {
-    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
-    "OMP_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-}
 
 
 if __name__ == "__main__":

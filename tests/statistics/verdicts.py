@@ -424,17 +424,17 @@ def chosen_names(text: str, names: Sequence[str]) -> list[str]:
     return chosen
 
 
-def asked() -> argparse.Namespace:
-    """What the command line asks for."""
+def parser_of(description: str | None) -> argparse.ArgumentParser:
+    """The options of a run of many throws of laws in sets of columns."""
     parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        description=description, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--throws", type=int, default=40, help="of a law and a set")
     parser.add_argument("--laws", default="", help="all by default")
     parser.add_argument("--sets", default="", help="all by default")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--print", action="store_true", help="and write nothing")
-    return parser.parse_args()
+    return parser
 
 
 def answers_of(law: str, kind: str, number: int, seed: int) -> list[Answer]:
@@ -492,7 +492,7 @@ def compare_designs(laws: Sequence[str], options: argparse.Namespace) -> None:
 
 def main() -> None:
     """Run what is asked for, and write its tables."""
-    options = asked()
+    options = parser_of(__doc__).parse_args()
     laws = chosen_names(options.laws, LAWS)
     kinds = chosen_names(options.sets, SETS)
     count_verdicts(laws, [kind for kind in kinds if kind != "design"], options)

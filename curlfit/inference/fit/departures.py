@@ -22,6 +22,7 @@ from curlfit.inference.fit.ridge import Point, Ridge
 from curlfit.inference.identifiability import (
     LITTLE,
     STRETCHED,
+    UNKNOWN,
     WEAK_ERROR,
     WIDE,
     Bounded,
@@ -45,8 +46,6 @@ _LEVEL = 1.0
 not rise."""
 _MISLEADING = 4.0
 """Factor of this rise where a standard error is off by two."""
-_UNKNOWN = 3.0
-"""Typical sizes from an estimate, beyond which nothing is known in any case."""
 _FAINT = 0.5
 """Standard error over typical size above which a direction is hardly determined."""
 _TAKES_PART = 0.05
@@ -198,7 +197,7 @@ def probes_about(covariance: Covariance, bounded: Bounded) -> list[Probe]:
             if ((point >= bounded.lower) & (point <= bounded.upper)).all():
                 probes.append(Probe(point, _PROBED**2, names, name))
     for direction, singular in _loose_directions(covariance):
-        length = _UNKNOWN if singular == 0 else min(1 / singular, _UNKNOWN)
+        length = UNKNOWN if singular == 0 else min(1 / singular, UNKNOWN)
         names = _taking_part(covariance, direction)
         step = length * direction * covariance.typical
         for point in (bounded.values + step, bounded.values - step):
@@ -216,7 +215,7 @@ def _probes_of_sums_elsewhere(covariance: Covariance, bounded: Bounded) -> list[
         if singular > 0.0:
             continue
         names = _taking_part(covariance, direction)
-        far = _UNKNOWN * direction * covariance.typical
+        far = UNKNOWN * direction * covariance.typical
         for combination in covariance.identifiability.combinations:
             if not combination.weights.keys() & set(names):
                 continue

@@ -528,13 +528,18 @@ class FitResult(NamedEstimates):
         kept, stretched = parts
         return kept, stretched
 
+    def rows_told(self) -> Floats:
+        """All that the throw says of the coefficients of its law: `coefficient_rows`,
+        or both parts along the ridge, one after the other."""
+        if self.ridge:
+            return np.vstack(self.coefficient_rows_along_ridge())
+        return self.coefficient_rows()
+
     def stderr_of_coefficients(self, weights: Floats) -> float | None:
         """Standard error of a weighted sum of the coefficients of the law, as wide as
         the ridge; None where the throw says nothing of it."""
         typical = np.array([item.typical for item in self.coefficients.values()])
-        rows = self.coefficient_rows()
-        if self.ridge:
-            rows = np.vstack(self.coefficient_rows_along_ridge())
+        rows = self.rows_told()
         _, singular, axes = np.linalg.svd(rows[:, :-1] * typical, full_matrices=False)
         seen = visible(singular)
         return stderr_of(weights * typical, axes[seen], singular[seen])

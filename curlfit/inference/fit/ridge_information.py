@@ -11,17 +11,17 @@ hundreds of its standard errors away.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
-from curlfit.inference.identifiability import directions, visible
+from curlfit.inference.identifiability import (
+    LITTLE,
+    demanded_errors,
+    directions,
+    visible,
+)
 from curlfit.numerics.arrays import Booleans, Floats
-
-LITTLE = math.sqrt(2.0)
-"""Factor up to which a distance along the ridge is about that of the quadratic, where
-chi squared itself is within a factor of two."""
 
 
 class RidgeInformation(NamedTuple):
@@ -77,9 +77,8 @@ def information_along(
     """
     axes, singular, _ = directions(information, np.ones(len(information)))
     rows = singular[:, None] * axes
-    places = moves @ rows.T
     # A point within one standard error is where any estimate may be by its noise.
-    places /= np.sqrt(np.maximum(rises, 1.0))[:, None]
+    places = demanded_errors(moves @ rows.T, rises[:, None])
     taken = np.zeros((len(rows), 0))
     left = places
     while (direction := _farthest(left)) is not None:

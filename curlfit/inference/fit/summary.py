@@ -277,7 +277,7 @@ class _Many(NamedTuple):
         beside: list[list[Ridge]] = [[] for _ in self.fits]
         for row, fit in enumerate(self.fits):
             if fit.rival is not None:
-                priors = Penalty(*(part[row] for part in self.penalty))
+                priors = self.penalty.at(row)
                 beside[row].append(Ridge.of_point(Point.of(fit.rival, priors)))
         for row, ridge in enumerate(earlier or ()):
             if ridge is not None:
@@ -324,7 +324,7 @@ class _Many(NamedTuple):
         if len(owner):
             rises = chi_squared_of_many(self.model, points, problems, batch)
         rises = rises - self.solutions.chi_squared[owner]
-        priors = Penalty(*(part[owner] for part in self.penalty))
+        priors = self.penalty.at(owner)
         rises += priors.chi_squared(points) - priors.chi_squared(best)
         rows = self.others if reduction is None else reduction.others
         if rows is not None:
@@ -343,7 +343,7 @@ class _Many(NamedTuple):
         _, lowest, highest = self.bounded
         followed = []
         for row in due:
-            priors = Penalty(*(part[row] for part in self.penalty))
+            priors = self.penalty.at(row)
             optimum = Point.of(self.fits[row].solution, priors)
             errors = {index: covariances[row].error_of(index) for index in held[row]}
             ends = lowest[row], highest[row]
@@ -354,7 +354,7 @@ class _Many(NamedTuple):
             starts = [hold.start for hold in holds]
             parameters = [hold.parameter for hold in holds]
             optima = self._minima(rows, starts, parameters, batch, _MOST_STEPS)
-            priors = [Penalty(*(part[row] for part in self.penalty)) for row in rows]
+            priors = [self.penalty.at(row) for row in rows]
             return list(map(Point.of, optima, priors, parameters))
 
         return follow(followed, refit)

@@ -265,7 +265,7 @@ def _prior(
     """Rows of the priors of what throws have in common, in typical sizes from the first
     optimum, on what is seen of it, and what they then give."""
     common, typical = throws.common, throws.tasks.typical[throws.common]
-    penalty = Penalty(*(one[0, common] for one in throws.tasks.penalty))
+    penalty = throws.tasks.penalty.at((0, common))
     if not penalty.informative:
         return None
     off, slope = penalty.residual_and_slope(centre)

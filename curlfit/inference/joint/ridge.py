@@ -13,14 +13,18 @@ from curlfit.inference.fit.covariance import Covariance
 from curlfit.inference.fit.departures import Departures, departures_together
 from curlfit.inference.fit.factors import Reduction, combined
 from curlfit.inference.fit.ridge import Followed, Hold, Point, Ridge, follow
-from curlfit.inference.identifiability import Bounded, r_factor, r_factors
+from curlfit.inference.identifiability import (
+    Bounded,
+    demanded_errors,
+    r_factor,
+    r_factors,
+)
 from curlfit.inference.initial_values import default_guess
 from curlfit.inference.joint.draw import DRAW, Draw
 from curlfit.inference.joint.population import Together
 from curlfit.inference.joint.solver import JOINT, minimize_jointly
 from curlfit.inference.least_squares import Solution, Tasks
 from curlfit.inference.parameters import START
-from curlfit.inference.priors import Penalty
 from curlfit.numerics.arrays import Booleans, Floats
 
 _REFIT = JOINT._replace(most=60)
@@ -53,7 +57,7 @@ class _Refit(NamedTuple):
         factors = combined(factors, priors * ~common[:, None])
         bounded = Bounded(values, tasks.lower, tasks.upper)
         reduction = Reduction.of(factors, bounded, tasks.typical, common)
-        penalty = Penalty(*(part[0] for part in tasks.penalty))
+        penalty = tasks.penalty.at(0)
         shared = penalty._replace(weight=penalty.weight * common)
         own = tasks.penalty._replace(weight=tasks.penalty.weight * ~common)
         added = own.chi_squared(values).sum() + shared.chi_squared(values[0])
@@ -115,7 +119,7 @@ def errors_of_draw(ridge: JointRidge, draw: Draw, common: Booleans) -> dict[str,
     for number in range(0, len(rises), -(-len(rises) // _DRAWN) or 1):
         points = [one.points[number] for one in ridge.of_throws]
         moved = np.abs(_drawn(points, draw, common, spin) - centre)
-        errors = np.maximum(errors, moved / np.sqrt(max(rises[number], 1.0)))
+        errors = np.maximum(errors, demanded_errors(moved, rises[number]))
     return dict(zip(DRAW, errors.tolist(), strict=True))
 
 
@@ -140,9 +144,10 @@ def follow_jointly(
     common = together.common
     places = np.flatnonzero(common)
     refits = [_Refit.of(solution, tasks, common, None)]
+    points = [refits[0].in_common()]
 
     def refit(holds: Sequence[Hold]) -> list[Point]:
-        points = []
+        first = len(points)
         for hold in holds:
             index = int(places[hold.parameter])
             apart = [
@@ -164,21 +169,19 @@ def follow_jointly(
             optimum = minimize_jointly(model, held, common, how=_REFIT)
             refits.append(_Refit.of(optimum, tasks, common, index))
             points.append(refits[-1].in_common())
-        return points
+        return points[first:]
 
     bounds = tasks.lower[0, common], tasks.upper[0, common]
     errors = {int(common[:index].sum()): error for index, error in stderr.items()}
-    followed = Followed(refits[0].in_common(), *bounds, tasks.typical[common], errors)
+    followed = Followed(points[0], *bounds, tasks.typical[common], errors)
     (ridge,) = follow([followed], refit)
-    near = [
-        next(one for one in refits if one.chi_squared == point.chi_squared)
-        for point in ridge.points
-    ]
+    refit_at = {id(point): of_all for point, of_all in zip(points, refits, strict=True)}
+    near = [refit_at[id(point)] for point in ridge.points]
     intervals = {int(places[index]): pair for index, pair in ridge.intervals.items()}
     of_throws = [
         Ridge(
             refits[0].of_throw(row),
-            tuple(one.of_throw(row) for one in near),
+            tuple(of_all.of_throw(row) for of_all in near),
             ridge.rises,
             intervals,
         )

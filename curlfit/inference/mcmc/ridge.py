@@ -204,7 +204,7 @@ def _about(
     ).sum(0)
     push = np.abs(gradient[pushed]) + np.sqrt(np.maximum(curvature, 0.0))
     room = (upper - lower)[pushed]
-    least = 1 / np.where(np.isfinite(room), room, 1 / _FAINT)
+    least = np.where(np.isfinite(room), 1 / room, _FAINT)
     inward = np.where(np.abs(lower) < np.abs(upper), 1.0, -1.0)[pushed]
     sense = np.where(gradient[pushed] == 0.0, inward, -np.sign(gradient[pushed]))
     off = sense / np.maximum(push, least)
