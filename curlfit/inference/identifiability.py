@@ -229,8 +229,8 @@ def errors_of(slopes: Floats, weights: Floats, sizes: Floats) -> Floats:
     """Standard errors of weighted sums of parameters to first order; infinite where
     nothing is known of a sum.
 
-    A null direction that a sum hardly has a part in moves it by what its parameters may
-    move along it.
+    A direction moves a sum by no more than its parameters may move along it. Nothing is
+    known of a sum that null directions move by more than `WIDE` of its size.
 
     Parameters
     ----------
@@ -242,10 +242,11 @@ def errors_of(slopes: Floats, weights: Floats, sizes: Floats) -> Floats:
     seen = visible(singular)
     scaled = weights * sizes
     along = scaled @ right[seen].T
-    outside = np.linalg.norm(scaled - along @ right[seen], axis=1)
-    unknown = outside > _UNDETERMINED * np.linalg.norm(scaled, axis=1)
-    known = np.linalg.norm(along / singular[seen], axis=1)
-    return np.where(unknown, np.inf, np.hypot(known, UNKNOWN * outside))
+    outside = UNKNOWN * np.linalg.norm(scaled - along @ right[seen], axis=1)
+    unknown = outside > WIDE * np.abs(scaled).max(axis=1)
+    reach = np.minimum(1 / singular[seen], UNKNOWN)
+    inside = np.linalg.norm(along * reach, axis=1)
+    return np.where(unknown, np.inf, np.hypot(inside, outside))
 
 
 def stderr_of(weights: Floats, right: Floats, singular: Floats) -> float | None:

@@ -322,7 +322,7 @@ def departures_along(covariance: Covariance, ridge: Ridge, usual: Floats) -> Dep
                 if error > rooms[name] and not knows_spin:
                     stretched[name] = math.inf
             else:
-                is_lost = stretch > STRETCHED and error > WIDE
+                is_lost = error > (WIDE if stretch > STRETCHED else WEAK_ERROR)
             if is_lost:
                 lost.add(name)
     offset = covariance.values - ridge.optimum.values
