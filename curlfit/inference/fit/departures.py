@@ -260,16 +260,18 @@ def to_be_held(
     """Indices of the parameters along which the ridge is to be followed.
 
     Those that probes tell about at which chi squared departs from its quadratic; where
-    the search has not ended, those that are hardly determined; a spin that is not
-    known, on whose square friction depends, or that is at its bound; of a stone that
-    may not have spun, the coefficients too, the first parameters, since the force on it
-    depends on the sense of the spin; and then all that are weak.
+    the search has not ended, those that are hardly determined; those that the data
+    hardly push against their bound; a spin that is not known, on whose square friction
+    depends, or that is at its bound; of a stone that may not have spun, the
+    coefficients too, the first parameters, since the force on it depends on the sense
+    of the spin; and then all that are weak.
     """
     names = {name for probe in departing for name in probe.parameters}
     if covariance.distance >= CONVERGED:
         for direction, _ in _loose_directions(covariance):
             names |= set(_taking_part(covariance, direction))
     indices = {index for index, name in enumerate(covariance.names) if name in names}
+    indices |= set(np.flatnonzero(covariance.at_bound & covariance.open).tolist())
     spins = [index for index, name in enumerate(covariance.names) if name == "omega0"]
     for spin in spins:  # none among the coefficients of several throws
         if covariance.at_bound[spin]:
