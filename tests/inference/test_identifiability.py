@@ -9,7 +9,14 @@ import pytest
 from conftest import NOISE, TIMES, filmed
 
 import curlfit
-from curlfit.inference.identifiability import Bounded, analyse, expression
+from curlfit.inference.identifiability import (
+    UNKNOWN,
+    WIDE,
+    Bounded,
+    analyse,
+    errors_of,
+    expression,
+)
 
 
 def _analysed(jacobian, names, typical=None):
@@ -51,6 +58,19 @@ def test_two_null_directions_leave_two_sums():
     found = _analysed(jacobian, ["a", "b", "c", "d"])
     assert found.rank == 2
     assert {item.expression for item in found.combinations} == {"a + c", "b + d"}
+
+
+@pytest.mark.parametrize(("share", "known"), [(0.0, True), (0.05, True), (0.2, False)])
+def test_a_null_direction_moves_a_sum_by_what_its_parameters_may(share, known):
+    """Only a - share b is measured: a is known as well as b is, of size 1."""
+    error = 0.01
+    slopes = np.array([[1.0, -share]]) / error
+    (found,) = errors_of(slopes, np.array([[1.0, 0.0]]), np.ones(2))
+    if known:
+        assert found == pytest.approx(np.hypot(error, UNKNOWN * share), rel=0.01)
+        assert found < WIDE
+    else:
+        assert found == np.inf
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,8 @@
 """Throws whose data hold fewer numbers than the law has parameters.
 
 The files were made by a simulation that shares no code with curlfit: 18 s at 10 Hz,
-released with 2.1 m/s and 1.1 rad/s (0 in `no_spin_...`), noise of 5 mm and 10 mrad.
+released with 2.1 m/s and 1.1 rad/s (0 in `no_spin_...`; 2.12 m/s and -1.44 rad/s in
+`no_angle_sutor.csv`), noise of 5 mm and 10 mrad.
 """
 
 import re
@@ -63,6 +64,24 @@ def test_the_forward_friction_is_determined_without_the_angle():
         (forward,) = fit.combinations
         assert forward.expression == "mu1_eta + mu2_eta"
         assert forward.value == pytest.approx(0.018, abs=2 * forward.stderr)
+
+
+def test_the_forward_friction_is_determined_beside_a_sideways_force():
+    """The sum moves by a few percent along the ridge, which bends."""
+    throw = curlfit.load_throw(FOLDER / "no_angle_sideways.csv")
+    (fit,) = fit_throws([throw], "front-back+sideways", sigma=NOISE, curves=False)
+    (forward,) = fit.combinations
+    assert forward.expression == "mu1_eta + mu2_eta"
+    assert forward.stderr < 0.1 * forward.value
+    assert forward.value == pytest.approx(0.018, abs=2 * forward.stderr)
+
+
+def test_a_coefficient_at_its_bound_by_chance_determines_no_other():
+    """The speed v_b is 1.87 m/s, r 2.3; with r at its upper bound it is 1.50 m/s."""
+    throw = curlfit.load_throw(FOLDER / "no_angle_sutor.csv")
+    fit = curlfit.fit(throw, "sutor", sigma=NOISE, details=False)
+    assert {fit["r"].verdict, fit["v_b"].verdict} <= {*NOT_KNOWN}
+    assert fit["v0"].verdict == "determined"
 
 
 def test_two_times_determine_no_exponent():
