@@ -22,7 +22,7 @@ from curlfit.errors import UnusableFitError
 from curlfit.friction.base import START_NAMES
 from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.identifiability import directions
+from curlfit.inference.identifiability import Bounded, directions
 from curlfit.inference.least_squares import Solution, Tasks, minimize_many
 from curlfit.inference.parameters import ParameterSet
 from curlfit.numerics.arrays import Booleans, Floats
@@ -46,6 +46,9 @@ _ENDED, _BEYOND_ENDS = 1e-5, 0.1
 _FAINT = 1e-9  # push against a bound that is none
 _FAR = 100.0  # standard errors from a tangent, above which it says nothing
 _NOTHING = 1e-6  # probability of an interval that is given up
+_LEVEL = 1.0
+"""Room within the bounds, in standard errors, below which the probability is all but
+uniform along a direction."""
 _NEAR = 1e-6  # typical sizes from its bound within which a parameter is at it
 
 
@@ -174,7 +177,15 @@ def _about(
     block = information[np.ix_(open_, open_)]
     seen, singular, null = np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0))
     if len(open_):  # not all of the others at a bound
-        seen, singular, null = directions(block, np.ones(len(open_)))
+        ones = np.ones(len(open_))
+        seen, singular, null = directions(block, ones)
+        ends = Bounded(np.zeros(len(open_)), lower[open_], upper[open_])
+        level = ends.room(seen, singular, ones) < _LEVEL
+        seen, singular, null = (
+            seen[~level],
+            singular[~level],
+            np.concatenate([null, seen[level]]),
+        )
     spread = 1 / singular
     rows = np.zeros((len(seen), len(centre)))
     rows[:, open_] = seen
