@@ -23,6 +23,9 @@ from run import DATA, Usage, measured, row
 sys.path.append(str(Path(__file__).parents[1] / "two_versions"))
 from versions import Version, commit_in_environment, git
 
+WITHOUT_ANGLE = [str(DATA.with_name("without_angle.csv"))]
+WITHOUT_ANGLE += ["--law", "power+transverse", "--sigma", "x=0.005,y=0.005"]
+"""Values of `b` and the spin that fit lie on a curve."""
 THROWS = 2000
 """Of a batch, whose time is that of the processor, with all workers."""
 TURNS = 5
@@ -55,6 +58,8 @@ def commands(folder: Path) -> dict[str, list[str]]:
     return {
         "fit": ["fit", str(DATA), "--no-sample", "--out", fitted],
         "fit with posterior": ["fit", str(DATA), *out],
+        "fit without an angle": ["fit", *WITHOUT_ANGLE, "--no-sample", *out],
+        "the same with posterior": ["fit", *WITHOUT_ANGLE, *out],
         "compare --load both": ["compare", str(DATA), "--load", "both", *out],
         "predict --to-tee": ["predict", fitted, "--to-tee", *out],
     }

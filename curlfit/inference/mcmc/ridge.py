@@ -179,8 +179,8 @@ def _about(
     if len(open_):  # not all of the others at a bound
         ones = np.ones(len(open_))
         seen, singular, null = directions(block, ones)
-        ends = Bounded(np.zeros(len(open_)), lower[open_], upper[open_])
-        level = ends.room(seen, singular, ones) < _LEVEL
+        bounded = Bounded(np.zeros(len(open_)), lower[open_], upper[open_])
+        level = bounded.room(seen, singular, ones) < _LEVEL
         seen, singular, null = (
             seen[~level],
             singular[~level],
