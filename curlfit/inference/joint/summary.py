@@ -22,7 +22,7 @@ from curlfit.inference.joint.result import JointResult
 from curlfit.inference.joint.ridge import JointRidge, errors_of_draw
 from curlfit.inference.mcmc.chain import Chain
 from curlfit.inference.parameters import START
-from curlfit.numerics.arrays import Floats
+from curlfit.numerics.arrays import Booleans, Floats
 
 _STEP = 1e-3  # typical sizes, of differences
 _FLAT = 1e-4  # m, curl of a law that cannot curl
@@ -61,11 +61,24 @@ def about_mean(
     departures = NO_DEPARTURES if ridge is None else ridge.departures(known)
     means = found.means(names, covariates, angle)
     units = {name: item.unit for name, item in equal.coefficients.items()}
-    rough = bool(left_open) or ridge is not None
+    coefficients = {
+        name: one
+        if one.verdict == "fixed"
+        else _of_mean(one, known, row, found.dof, departures, left_open)
+        for row, (name, one) in enumerate(equal.coefficients.items())
+    }
+    open_along = None
+    if left_open or ridge is not None:
+        open_along = np.array(
+            [
+                name in left_open and one.verdict != "determined"
+                for name, one in coefficients.items()
+            ]
+        )
     common = np.ones(len(names) + len(START), bool)
     common[len(names) :] = False
     least = {} if ridge is None else errors_of_draw(ridge, draw, common)
-    told = _Quantities.of(means, found, draw, units, draws, least, left_open=rough)
+    told = _Quantities.of(means, found, draw, units, draws, least, open_along)
     groups, differences, trend = map(tuple, told.effects())
     spreads = dict(zip(found.weights, map(float, found.spreads), strict=True))
     sampled: dict[str, Quantiles] = {}
@@ -79,12 +92,7 @@ def about_mean(
         r_hat=None if draws is None else draws.r_hat,
         importance=None if draws is None else draws.efficiency,
         means=means,
-        coefficients={
-            name: one
-            if one.verdict == "fixed"
-            else _of_mean(one, known, row, found.dof, departures, left_open)
-            for row, (name, one) in enumerate(equal.coefficients.items())
-        },
+        coefficients=coefficients,
         combinations=found.combinations(
             departures.kept(known.combinations), equal.combinations
         ),
@@ -186,8 +194,7 @@ class _Quantities(NamedTuple):
         units: Mapping[str, str],
         draws: Draws | None,
         least: Mapping[str, float],
-        *,
-        left_open: bool,
+        open_along: Booleans | None,
     ) -> Self:
         """Of a mean; where throws leave coefficients open, without what is then not
         known of a draw.
@@ -195,6 +202,9 @@ class _Quantities(NamedTuple):
         Parameters
         ----------
         least : errors of a draw along the ridge; those of first order are no smaller.
+        open_along : the coefficients that single throws leave open and all do not
+            determine; None where throws leave nothing open. A draw that depends on one
+            turns as throws do whose spin is not known either.
         """
         size = len(found.typical)
         centre, steps = means.estimate[:size], _STEP * np.diag(found.typical)
@@ -205,9 +215,10 @@ class _Quantities(NamedTuple):
             2 * _STEP * found.typical
         )
         shown = [name for name in DRAW if name != "curl" or drawn[0, 1] > _FLAT]
-        if left_open:
+        if open_along is not None:
             scaled = slopes * found.typical
             outside = np.linalg.norm(scaled @ found.fit.model.null, axis=1)
+            outside = np.maximum(outside, np.linalg.norm(scaled * open_along, axis=1))
             unseen = outside > _UNSEEN * np.linalg.norm(scaled, axis=1)
             variances = ((slopes @ means.covariance[:size, :size]) * slopes).sum(1)
             errors = np.sqrt(np.maximum(variances, 0.0))
