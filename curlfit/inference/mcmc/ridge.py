@@ -181,11 +181,9 @@ def _about(
         seen, singular, null = directions(block, ones)
         bounded = Bounded(np.zeros(len(open_)), lower[open_], upper[open_])
         level = bounded.room(seen, singular, ones) < _LEVEL
-        seen, singular, null = (
-            seen[~level],
-            singular[~level],
-            np.concatenate([null, seen[level]]),
-        )
+        null = np.concatenate([null, seen[level]])
+        seen = seen[~level]
+        singular = singular[~level]
     spread = 1 / singular
     rows = np.zeros((len(seen), len(centre)))
     rows[:, open_] = seen
