@@ -502,6 +502,16 @@ def fitted_together(case: Case, throws: Sequence[curlfit.Throw]) -> curlfit.Join
         return season_on_disk(case.law, throws, Path(folder))
 
 
+def angle_of_draw(law: str, coefficients: dict[str, float], omega0: float) -> float:
+    """Angle by which a stone with this spin turns on its way to rest at the tee."""
+    v0 = 2.2
+    for _ in range(ROUNDS):
+        motion = moved(law, coefficients, v0, omega0)
+        _, y, phi = motion.at(np.array([motion.end]))[:, 0]
+        v0 *= np.sqrt(TO_TEE / y)  # nearly in proportion to the square of the speed
+    return abs(float(phi))
+
+
 def true_curl(law: str, coefficients: dict[str, float], angle: float) -> float:
     """Curl of a draw to the tee that turns by an angle, to the side to which its front
     turns, m."""
@@ -510,24 +520,28 @@ def true_curl(law: str, coefficients: dict[str, float], angle: float) -> float:
     for _ in range(ROUNDS):
         motion = moved(law, coefficients, v0, omega0)
         x, y, phi = motion.at(np.array([motion.end]))[:, 0]
-        # nearly in proportion to the square of the speed, and to the spin
         v0 *= np.sqrt(TO_TEE / y)
-        omega0 *= angle / phi
+        omega0 *= angle / phi  # nearly in proportion to the spin
     return -float(np.sign(angle) * x)
 
 
-def curls_of(law: str, joint: curlfit.JointResult, truth: Truth) -> list[Statement]:
-    """The curl of the usual draw, where the fit gives one, beside its true value."""
-    if joint.means is None:
+def curls_of(
+    law: str, joint: curlfit.JointResult, truths: Sequence[Truth]
+) -> list[Statement]:
+    """The curl of a draw that turns as these throws would, where the fit gives one,
+    beside its true value."""
+    curls = [effect for effect in joint.groups if effect.parameter == "curl"]
+    if not curls:
         return []
-    value = true_curl(law, truth.coefficients, joint.means.angle)
+    coefficients = truths[0].coefficients
+    angles = [angle_of_draw(law, coefficients, truth.omega0) for truth in truths]
+    value = true_curl(law, coefficients, float(np.median(angles)))
     statements = []
-    for effect in joint.groups:
-        if effect.parameter == "curl":
-            pull = (effect.value - value) / effect.stderr
-            low, high = effect.interval(0.95)
-            inside = low <= value <= high
-            statements.append(Statement("curl of a draw", "curl", pull, inside))
+    for effect in curls:
+        pull = (effect.value - value) / effect.stderr
+        low, high = effect.interval(0.95)
+        inside = low <= value <= high
+        statements.append(Statement("curl of a draw", "curl", pull, inside))
     return statements
 
 
@@ -536,9 +550,11 @@ def answer_together(case: Case, seed: int, place: int) -> Answer:
     random = random_of(case, seed, place)
     number = TRACKS_OF_JOINT if case.kind == "joint" else THROWS_OF_SEASON
     coefficients = drawn_coefficients(case.law, random)
+    truths = []
     throws = []
     for _ in range(number):
         truth = drawn(case.law, "no-angle", random)._replace(coefficients=coefficients)
+        truths.append(truth)
         throws.append(filmed(case.law, truth, CHANNELS["no-angle"], random))
     try:
         joint = fitted_together(case, throws)
@@ -548,7 +564,7 @@ def answer_together(case: Case, seed: int, place: int) -> Answer:
         return Answer((), "not converged")
     truth = Truth(coefficients, v0=0.0, omega0=0.0)
     statements = statements_of(joint.coefficients, joint.combinations, truth, {})
-    return Answer((*statements, *curls_of(case.law, joint, truth)))
+    return Answer((*statements, *curls_of(case.law, joint, truths)))
 
 
 # Tables

@@ -28,6 +28,7 @@ from ridge import (
     Held,
     Planned,
     Quantity,
+    angle_of_draw,
     curls_of,
     drawn_from_prior,
     of_estimate,
@@ -171,7 +172,8 @@ def test_seasons_are_counted_by_what_they_call_determined():
 
 
 def test_the_curl_of_a_draw_is_beside_that_of_the_true_coefficients():
-    angle = 14.0
+    truths = [Truth(TRANSVERSE, v0=2.2, omega0=spin) for spin in (0.9, -1.1, 1.5)]
+    angle = angle_of_draw("power+transverse", TRANSVERSE, 1.1)
     curl = true_curl("power+transverse", TRANSVERSE, angle)
 
     def effect(parameter: str, value: float) -> SimpleNamespace:
@@ -180,15 +182,12 @@ def test_the_curl_of_a_draw_is_beside_that_of_the_true_coefficients():
             parameter=parameter, value=value, stderr=0.01, interval=lambda _: interval
         )
 
-    joint = SimpleNamespace(
-        means=SimpleNamespace(angle=angle),
-        groups=[effect("friction", 0.01), effect("curl", curl + 0.03)],
-    )
-    truth = Truth(TRANSVERSE, v0=0.0, omega0=0.0)
-    (statement,) = curls_of("power+transverse", joint, truth)
-    assert statement.pull == pytest.approx(3.0)
+    groups = [effect("friction", 0.01), effect("curl", curl + 0.03)]
+    (statement,) = curls_of("power+transverse", SimpleNamespace(groups=groups), truths)
+    assert statement.pull == pytest.approx(3.0, abs=0.01)
     assert not statement.inside
-    assert curls_of("power+transverse", SimpleNamespace(means=None), truth) == []
+    without = SimpleNamespace(groups=groups[:1])
+    assert curls_of("power+transverse", without, truths) == []
 
 
 # Tables
