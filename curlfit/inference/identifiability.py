@@ -187,11 +187,6 @@ class Bounded(NamedTuple):
         """Which weakly determined directions, rows of `right` in scaled parameters,
         have so little room within the bounds, compared with their standard error
         1/`singular`, that only the bounds limit them."""
-        confined: Booleans = self.room(right, singular, typical) < _ROOM
-        return confined & (singular < _WEAK)
-
-    def room(self, right: Floats, singular: Floats, typical: Floats) -> Floats:
-        """Room of directions within the bounds, in their standard errors."""
         step = right * typical / np.maximum(singular, 1e-300)[..., None]
         moved = (self.upper > self.lower)[..., None, :] & (np.abs(right) > _ROUNDING)
         below = np.where(moved, (self.values - self.lower)[..., None, :], np.inf)
@@ -199,8 +194,10 @@ class Bounded(NamedTuple):
         size = np.maximum(np.abs(step), 1e-300)
         forward = np.where(step > 0, above, below) / size
         backward = np.where(step > 0, below, above) / size
-        room: Floats = forward.min(-1) + backward.min(-1)
-        return room
+        found: Booleans = (forward.min(-1) + backward.min(-1) < _ROOM) & (
+            singular < _WEAK
+        )
+        return found
 
 
 def confined(jacobian: Floats, bounded: Bounded, typical: Floats) -> Floats:

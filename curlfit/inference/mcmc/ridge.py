@@ -22,7 +22,7 @@ from curlfit.errors import UnusableFitError
 from curlfit.friction.base import START_NAMES
 from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.identifiability import Bounded, directions
+from curlfit.inference.identifiability import directions
 from curlfit.inference.least_squares import Solution, Tasks, minimize_many
 from curlfit.inference.parameters import ParameterSet
 from curlfit.numerics.arrays import Booleans, Floats
@@ -47,7 +47,7 @@ _FAINT = 1e-9  # push against a bound that is none
 _FAR = 100.0  # standard errors from a tangent, above which it says nothing
 _NOTHING = 1e-6  # probability of an interval that is given up
 _LEVEL = 1.0
-"""Room within the bounds, in standard errors, below which the probability is all but
+"""Width of the bounds in standard errors, below which the probability is all but
 uniform along a direction."""
 _NEAR = 1e-6  # typical sizes from its bound within which a parameter is at it
 
@@ -177,10 +177,10 @@ def _about(
     block = information[np.ix_(open_, open_)]
     seen, singular, null = np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0))
     if len(open_):  # not all of the others at a bound
-        ones = np.ones(len(open_))
-        seen, singular, null = directions(block, ones)
-        bounded = Bounded(np.zeros(len(open_)), lower[open_], upper[open_])
-        level = bounded.room(seen, singular, ones) < _LEVEL
+        seen, singular, null = directions(block, np.ones(len(open_)))
+        width = (upper - lower)[open_]
+        size = np.maximum(np.abs(seen), 1e-300)
+        level = (width / size).min(1) * singular < _LEVEL
         null = np.concatenate([null, seen[level]])
         seen = seen[~level]
         singular = singular[~level]
