@@ -179,8 +179,8 @@ def _about(
     if len(open_):  # not all of the others at a bound
         seen, singular, null = directions(block, np.ones(len(open_)))
         width = (upper - lower)[open_]
-        size = np.maximum(np.abs(seen), 1e-300)
-        level = (width / size).min(1) * singular < _LEVEL
+        share = (np.abs(seen) / width).max(1, initial=0.0)
+        level = singular < _LEVEL * share
         null = np.concatenate([null, seen[level]])
         seen = seen[~level]
         singular = singular[~level]
