@@ -504,27 +504,29 @@ def fitted_together(case: Case, throws: Sequence[curlfit.Throw]) -> curlfit.Join
         return season_on_disk(case.law, throws, Path(folder))
 
 
-def angle_of_draw(law: str, coefficients: dict[str, float], omega0: float) -> float:
-    """Angle by which a stone with this spin turns on its way to rest at the tee."""
+def end_of_draw(
+    law: str,
+    coefficients: dict[str, float],
+    omega0: float,
+    angle: float | None = None,
+) -> tuple[float, float]:
+    """x in m, and the angle in rad, at which a draw from the near hog line rests at the
+    tee; with this spin, or if an angle is given with that which leads to it."""
     v0 = 2.2
     for _ in range(ROUNDS):
         motion = moved(law, coefficients, v0, omega0)
-        _, y, phi = motion.at(np.array([motion.end]))[:, 0]
+        x, y, phi = motion.at(np.array([motion.end]))[:, 0]
         v0 *= np.sqrt(TO_TEE / y)  # nearly in proportion to the square of the speed
-    return abs(float(phi))
+        if angle is not None:
+            omega0 *= angle / phi  # nearly in proportion to the spin
+    return float(x), float(phi)
 
 
 def true_curl(law: str, coefficients: dict[str, float], angle: float) -> float:
     """Curl of a draw to the tee that turns by an angle, to the side to which its front
     turns, m."""
-    v0 = 2.2
-    omega0 = angle / 25
-    for _ in range(ROUNDS):
-        motion = moved(law, coefficients, v0, omega0)
-        x, y, phi = motion.at(np.array([motion.end]))[:, 0]
-        v0 *= np.sqrt(TO_TEE / y)
-        omega0 *= angle / phi  # nearly in proportion to the spin
-    return -float(np.sign(angle) * x)
+    x, _ = end_of_draw(law, coefficients, angle / 25, angle)
+    return -float(np.sign(angle)) * x
 
 
 def curls_of(
@@ -536,8 +538,9 @@ def curls_of(
     if not curls:
         return []
     coefficients = truths[0].coefficients
-    angles = [angle_of_draw(law, coefficients, truth.omega0) for truth in truths]
-    value = true_curl(law, coefficients, float(np.median(angles)))
+    ends = [end_of_draw(law, coefficients, truth.omega0) for truth in truths]
+    angle = float(np.median([abs(turned) for _, turned in ends]))
+    value = true_curl(law, coefficients, angle)
     statements = []
     for effect in curls:
         pull = (effect.value - value) / effect.stderr

@@ -28,9 +28,9 @@ from ridge import (
     Held,
     Planned,
     Quantity,
-    angle_of_draw,
     curls_of,
     drawn_from_prior,
+    end_of_draw,
     of_estimate,
     quantities_of,
     random_of,
@@ -173,7 +173,8 @@ def test_seasons_are_counted_by_what_they_call_determined():
 
 def test_the_curl_of_a_draw_is_beside_that_of_the_true_coefficients():
     truths = [Truth(TRANSVERSE, v0=2.2, omega0=spin) for spin in (0.9, -1.1, 1.5)]
-    angle = angle_of_draw("power+transverse", TRANSVERSE, 1.1)
+    _, turned = end_of_draw("power+transverse", TRANSVERSE, -1.1)
+    angle = abs(turned)
     curl = true_curl("power+transverse", TRANSVERSE, angle)
 
     def effect(parameter: str, value: float) -> SimpleNamespace:
@@ -184,7 +185,7 @@ def test_the_curl_of_a_draw_is_beside_that_of_the_true_coefficients():
 
     groups = [effect("friction", 0.01), effect("curl", curl + 0.03)]
     (statement,) = curls_of("power+transverse", SimpleNamespace(groups=groups), truths)
-    assert statement.pull == pytest.approx(3.0, abs=0.01)
+    assert statement.pull == pytest.approx(3.0)
     assert not statement.inside
     without = SimpleNamespace(groups=groups[:1])
     assert curls_of("power+transverse", without, truths) == []

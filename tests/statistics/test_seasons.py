@@ -8,9 +8,11 @@ import csv
 import numpy as np
 import pytest
 from conftest import command
+from ridge import season_on_disk
 from simulator import simulated
 
 import curlfit
+from curlfit.inference.joint import summary
 
 TRANSVERSE = {"c": 0.008, "k": -0.5, "b": 0.05}
 FRONT_BACK = {"mu1_xi": 0.004, "mu2_xi": 0.05, "mu1_eta": 0.009, "mu2_eta": 0.009}
@@ -81,8 +83,8 @@ def test_rows_say_what_their_ridge_leaves(season_without_angle):
 
 
 @pytest.fixture(scope="module")
-def evening_without_angle():
-    """Four tracks alike of front-back, of which x and y were measured, together."""
+def tracks_alike():
+    """Four tracks of front-back, of which x and y were measured."""
     random = np.random.default_rng(4)
     times = np.linspace(0.0, 18.0, 91)
     throws = []
@@ -94,7 +96,26 @@ def evening_without_angle():
         throws.append(
             curlfit.Throw.from_arrays(times, x=x, y=y, sigma=sigma, name=name)
         )
-    return curlfit.fit_together(throws, law="front-back")
+    return throws
+
+
+@pytest.fixture(scope="module")
+def evening_without_angle(tracks_alike):
+    """The tracks together."""
+    return curlfit.fit_together(tracks_alike, law="front-back")
+
+
+def test_no_curl_is_told_that_depends_on_an_open_coefficient(
+    tracks_alike, tmp_path, monkeypatch
+):
+    """However small its error to first order: how far the throws turned is not known
+    either."""
+    monkeypatch.setattr(summary, "_ROUGH", np.inf)
+    season = season_on_disk("front-back", tracks_alike, tmp_path)
+    assert season.coefficients["mu1_xi"].verdict == "weak"
+    told = {effect.parameter for effect in season.groups}
+    assert "curl" not in told
+    assert "hog_to_hog" in told
 
 
 def test_what_is_told_of_several_throws_holds_along_their_ridge(evening_without_angle):

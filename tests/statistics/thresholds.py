@@ -16,26 +16,9 @@ import argparse
 import contextlib
 import sys
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
 
-import numpy as np
-from tables import Table, reasons, share
-from verdicts import (
-    CHANNELS,
-    FAR,
-    LAWS,
-    SETS,
-    Answer,
-    Truth,
-    answer_of,
-    chosen_names,
-    drawn,
-    filmed,
-    parser_of,
-)
-
-import curlfit
-from curlfit.inference.fit.fit import fit_throws
+from tables import Table, reasons
+from verdicts import answers_of, chosen_names, counts_of, parser_of
 
 TRIED = ("front-back", "power+transverse", "power-angular", "power+pivot")
 """Laws of which a path without the angle leaves coefficients open."""
@@ -65,85 +48,61 @@ CONSTANTS = {
 """By the module in which each has its value and its meaning."""
 
 
-class Throws(NamedTuple):
-    """Throws of a law, and their true parameters."""
-
-    law: str
-    throws: list[curlfit.Throw]
-    truths: list[Truth]
-
-
-def drawn_throws(law: str, number: int, seed: int) -> Throws:
-    """The throws of a law that `verdicts.py` draws without the angle."""
-    random = np.random.default_rng([seed, LAWS.index(law), SETS.index(KIND)])
-    throws = []
-    truths = []
-    for _ in range(number):
-        truth = drawn(law, KIND, random)
-        truths.append(truth)
-        throws.append(filmed(law, truth, CHANNELS[KIND], random))
-    return Throws(law, throws, truths)
-
-
 @contextlib.contextmanager
 def constant_at(module: str, name: str, factor: float) -> Iterator[float]:
-    """A constant at a multiple of its value, wherever it was imported; the value."""
+    """A constant at a multiple of its value, wherever it was imported."""
     value = getattr(sys.modules[module], name)
+    changed = factor * value
     users = [
         user
         for title, user in list(sys.modules.items())
         if title.startswith("curlfit.") and getattr(user, name, None) is value
     ]
     for user in users:
-        setattr(user, name, factor * value)
+        setattr(user, name, changed)
     try:
-        yield value
+        yield changed
     finally:
         for user in users:
             setattr(user, name, value)
 
 
-def answers_of(drawn_by_law: Sequence[Throws]) -> list[Answer]:
-    """What the fits of all throws say."""
-    answers = []
-    for law, throws, truths in drawn_by_law:
-        fits = fit_throws(throws, law, curves=False)
-        answers += [
-            answer_of(fit, truth) for fit, truth in zip(fits, truths, strict=True)
-        ]
-    return answers
-
-
-def row_of(name: str, value: object, answers: Sequence[Answer]) -> list[object]:
-    """How many statements there are, and how many of them are false."""
+def row_of(
+    name: str, value: str, laws: Sequence[str], options: argparse.Namespace
+) -> list[object]:
+    """How many statements there are with a constant at a value, and how many of them
+    are false."""
+    answers = [
+        answer
+        for law in laws
+        for answer in answers_of(law, KIND, options.throws, options.seed)
+    ]
     statements = [statement for answer in answers for statement in answer.statements]
-    number = len(statements)
-    inside = sum(statement.inside for statement in statements)
-    far = sum(abs(statement.pull) > FAR for statement in statements)
     failures = reasons(answer.failure for answer in answers)
-    return [name, value, number, share(inside, number, 0.95), far or "", failures]
+    return [name, value, *counts_of(statements), failures]
 
 
 def count_by_constant(laws: Sequence[str], options: argparse.Namespace) -> Table:
     """A row for the constants as they are, and two for each of them."""
-    drawn_by_law = [drawn_throws(law, options.throws, options.seed) for law in laws]
     table = Table(
         "constant", "value", "statements", "within 95 %", "beyond 5 errors", "not given"
     )
-    table.add(*row_of("as they are", "", answers_of(drawn_by_law)))
+    table.add(*row_of("as they are", "", laws, options))
     for module, names in CONSTANTS.items():
         for name in names:
             for factor in FACTORS:
-                with constant_at(module, name, factor) as value:
-                    answers = answers_of(drawn_by_law)
                 label = f"`{name.lstrip('_')}`"
-                table.add(*row_of(label, f"{factor * value:.3g}", answers))
+                with constant_at(module, name, factor) as value:
+                    table.add(*row_of(label, f"{value:.3g}", laws, options))
     return table
 
 
 def main() -> None:
     """Run what is asked for, and write its table."""
-    options = parser_of(__doc__).parse_args()
+    parser = parser_of(__doc__)
+    options = parser.parse_args()
+    if options.sets not in ("", KIND):
+        parser.error(f"--sets: expected {KIND}, the set that is fitted")
     laws = chosen_names(options.laws, TRIED)
     table = count_by_constant(laws, options)
     if not options.print:
