@@ -26,6 +26,12 @@ _POSITIONS = ("x0", "y0", "heading", "phi0")
 _VARIES = 1.5
 """Largest over smallest size along the ridge, from which a parameter takes part: along
 a shorter ridge a sum is as constant as a product."""
+_STRAIGHT = 1e-3
+"""One minus the correlation of two factors along the ridge, below which they lie on a
+line: of b and omega0 it is 0.007 or more where b varies by half of itself."""
+_ORIGIN = 0.1
+"""Distance over size within which such a line passes through the origin, so that a
+ratio is constant."""
 _POWERS = ((1, 1), (1, -1), (2, 1), (2, -1), (1, 2), (1, -2))
 """Of the first and the second factor; those that leave the product the most constant
 are taken."""
@@ -52,7 +58,7 @@ def products_of(known: FirstOrder) -> tuple[Derived, ...]:
     rises = np.array([0.0, *(point.rise for point in known.ridge)])
     determined = []
     for first, second in itertools.combinations(_factors(known, rises), 2):
-        if first.names & second.names:
+        if first.names & second.names or _on_a_line(first.along, second.along):
             continue
         powers = _powers(first.along, second.along, rises)
         if powers is None:
@@ -113,6 +119,15 @@ def _varies(values: Floats) -> bool:
     """Whether values are nowhere zero, and of sizes that differ."""
     sizes = np.abs(values)
     return bool(sizes.min() > 0 and sizes.max() > _VARIES * sizes.min())
+
+
+def _on_a_line(first: Floats, second: Floats) -> bool:
+    """Whether two factors lie along the ridge on a line that does not pass through the
+    origin, so that a sum is constant there and no product is."""
+    correlation = np.corrcoef(first, second)[0, 1]
+    _, at_zero = np.polyfit(second, first, 1)
+    straight = abs(correlation) > 1.0 - _STRAIGHT
+    return bool(straight and abs(at_zero) > _ORIGIN * np.abs(first).max())
 
 
 def _powers(first: Floats, second: Floats, rises: Floats) -> tuple[int, int] | None:

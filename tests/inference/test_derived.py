@@ -420,6 +420,24 @@ def test_no_product_is_said_of_a_straight_ridge(hyperbola):
     assert products_of(hyperbola._replace(ridge=())) == ()
 
 
+def test_no_product_is_said_of_a_ridge_that_a_bound_makes_short():
+    """The sums of the radial law are straight; over so short a way mu2^2/(mu3 - mu1)
+    hardly moves."""
+    throw = curlfit.synthetic_throw(
+        curlfit.law_with("radial", {}),
+        curlfit.Stone(),
+        load="consistent",
+        v0=2.1,
+        omega0=1.2,
+        until=18.0,
+        noise_xy=0.005,
+        noise_phi=0.01,
+    )
+    fit = curlfit.fit(throw, "radial", load="consistent", bounds={"mu1": (0.0, 0.0048)})
+    assert fit.ridge
+    assert fit.products == ()
+
+
 @pytest.fixture(scope="module")
 def on_a_curve():
     """A track without an angle, see `data/README.md`."""
