@@ -73,12 +73,14 @@ class Coefficient(Parameter):
     """A parameter of a law, with its default value.
 
     An `optional` one is fixed at the default in a fit unless bounds are given for it. A
-    `signed` one (such as an exponent) has no natural sign.
+    `signed` one (such as an exponent) has no natural sign. What is `usual`, a mean and
+    a standard deviation, is known of it from other ice.
     """
 
     default: float
     optional: bool = False
     signed: bool = False
+    usual: tuple[float, float] | None = None
 
     def unbounded(self) -> Coefficient:
         """The coefficient with negative values allowed; signed and optional ones
@@ -99,6 +101,7 @@ def coefficient(
     symbol: str = "",
     optional: bool = False,
     signed: bool = False,
+    usual: tuple[float, float] | None = None,
 ) -> Any:
     """Declare a coefficient as a field of a law.
 
@@ -112,6 +115,9 @@ def coefficient(
     symbol : LaTeX without dollar signs; the name if empty.
     optional : whether it is fixed at `default` in a fit unless bounds are given for it.
     signed : whether it has no natural sign, such as an exponent.
+    usual : mean and standard deviation on other ice, of a coefficient that times of
+        lines and a tape hardly tell: the prior of an evening of such draws, in which it
+        is the same for all.
 
     Examples
     --------
@@ -133,6 +139,7 @@ def coefficient(
         "meaning": meaning,
         "optional": optional,
         "signed": signed,
+        "usual": usual,
     }
     return dataclasses.field(default=default, metadata={"coefficient": metadata})
 

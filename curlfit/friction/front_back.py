@@ -11,7 +11,10 @@ class _FrontBackCoefficients(Law):
     sums = (("mu1_eta", "mu2_eta"),)
 
     mu1_xi: float = coefficient(
-        0.005, "front half, across the motion", symbol=r"\mu_{1\xi}"
+        0.005,
+        "front half, across the motion",
+        symbol=r"\mu_{1\xi}",
+        usual=(0.005, 0.005),  # eq. 12
     )
     mu2_xi: float = coefficient(
         0.05, "back half, across the motion", symbol=r"\mu_{2\xi}"

@@ -46,6 +46,7 @@ class Power(LocalLaw):
         typical=0.5,
         symbol="k",
         signed=True,
+        usual=(-0.25, 0.25),  # from constant friction to that of Penner (2001)
     )
 
     SLOWEST = 1e-3  # m/s

@@ -15,6 +15,8 @@ _SLOWEST = 1e-2
 """Speed in m/s below which a force ceases, lest a stone turn ever faster as it comes to
 rest, and R omega below which the torque of a pivot does, which ends the spin of a
 moving stone"""
+_USUAL_RIM = 0.065
+"""R omega in m/s of a ring of 65 mm at 1 rad/s, a turn in 6 s"""
 _SIDE = 1e-3
 """R omega in m/s below which the side of a force changes gradually"""
 
@@ -52,6 +54,7 @@ class Sideways(LocalLaw):
         typical=0.5,
         symbol="n",
         signed=True,
+        usual=(0.0, 1.0),  # from n = -1/2 to n = 2 in the models of it
     )
 
     def traction(self, point: RingPoint) -> tuple[Any, Any]:
@@ -62,6 +65,47 @@ class Sideways(LocalLaw):
             * power(point.v**2 + _SLOWEST**2, (self.n - 1) / 2)
         )
         return size * _to_the_slow_side(point.u, 0.0), 0.0
+
+
+class Deflection(LocalLaw):
+    """A force to the slow side without torque, a power of the rate of spin whatever the
+    speed: what the curl of a draw tells, and no more.
+
+    Models whose force grows with R omega/v give m = 1, those that hold whatever the
+    spin m = 0.
+    """
+
+    name = "deflection"
+    brakes = False
+    formula = "a_xi = -sgn(omega) a (R |omega|/(0.065 m/s))^m, no torque"
+    source = (
+        "an empirical law in the numbers of a draw: between the forces of `sideways` "
+        "(m = 0) and `transverse` (m = 1)"
+    )
+    predicts = "left"
+
+    a: float = coefficient(
+        0.005,
+        "sideways acceleration at R omega = 0.065 m/s",
+        unit="m/s^2",
+        typical=0.005,
+        symbol="a",
+    )
+    m: float = coefficient(
+        0.5,
+        "exponent of the spin",
+        lower=-1.0,
+        upper=2.0,
+        typical=0.5,
+        symbol="m",
+        signed=True,
+        usual=(0.5, 0.5),  # what the models of it say, from m = 0 to m = 1
+    )
+
+    def traction(self, point: RingPoint) -> tuple[Any, Any]:
+        moving = point.v * power(point.v**2 + _SLOWEST**2, -0.5)
+        side = _to_the_slow_side(point.u / _USUAL_RIM, self.m, _SIDE / _USUAL_RIM)
+        return self.a / GRAVITY * moving * side, 0.0
 
 
 class Transverse(LocalLaw):

@@ -15,7 +15,7 @@ from typing import Annotated, Any, ClassVar, NotRequired
 import numpy as np
 
 from curlfit.errors import InputError, require_kind
-from curlfit.friction import LAWS, Law, Parameter, check_load, find_law
+from curlfit.friction import Law, Parameter, check_load, find_law
 from curlfit.inference.conditions import CONDITIONS
 from curlfit.inference.derived import Derived, FirstOrder, derive
 from curlfit.inference.fit.estimates import (
@@ -287,13 +287,14 @@ class FitResult(NamedEstimates):
         ------
         InputError : it is not known, or has other coefficients.
         """
-        if self.law not in LAWS:
+        try:
+            found = find_law(self.law, from_files=False)
+        except InputError:
             raise InputError(
                 f"{self.law} is not a law of curlfit, and a saved result does "
                 "not run the file of its law; name it with --law FILE.py:CLASS "
                 "(`find_law` in Python)"
-            )
-        found = find_law(self.law)
+            ) from None
         own = tuple(item.name for item in found.coefficients())
         if own != tuple(self.coefficients):
             raise InputError(

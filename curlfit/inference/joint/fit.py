@@ -31,6 +31,7 @@ from curlfit.inference.identifiability import Bounded, r_factors
 from curlfit.inference.joint.advice import with_throws
 from curlfit.inference.joint.draw import Draw
 from curlfit.inference.joint.effects import Covariates
+from curlfit.inference.joint.evening import same_in_all, with_usual_priors
 from curlfit.inference.joint.population import Together, pool, told_by_data
 from curlfit.inference.joint.posterior import corrected, sampled
 from curlfit.inference.joint.result import JointResult, Variation
@@ -123,6 +124,7 @@ def fit_together(
         Fitting.of(throw.settings, **choices, law=law, load=load) for throw in throws
     ]
     shared = _shared(law, share or "all", chosen[0], mean=bool(by or trend))
+    chosen = with_usual_priors(throws, chosen, law)
     covariates = Covariates.of(
         [(throw.name, throw.labels) for throw in throws], by, trend
     )
@@ -293,12 +295,16 @@ def _equal(together: Together, given: Mapping[str, float] | None) -> _Equal:
         common,
     )
     verdicts = {name: one.verdict for name, one in coefficients.items()}
+    same = np.isin(
+        parameters.names,
+        same_in_all([one.throw for one in rounds.throws], rounds.model.law),
+    )
     if tasks.penalty.informative:  # what varies is what the throws themselves determine
-        alone = told_by_data(tasks, solution, reduction, shared)
+        alone = told_by_data(tasks, solution, reduction, shared, held=same)
         departures = NO_DEPARTURES if ridge is None else ridge.departures(alone)
         verdicts = {
             name: known
-            if known == "fixed"
+            if known == "fixed" or same[list(parameters.names).index(name)]
             else departures.judged(
                 name, *alone.classified(row)[:2], coefficients[name].typical
             )[1]
@@ -307,11 +313,13 @@ def _equal(together: Together, given: Mapping[str, float] | None) -> _Equal:
         of_data = departures.kept(alone.combinations)
         known = {item.expression: item for item in (*of_data, *combinations)}
         combinations = tuple(known.values())
-    weights = wanted_of(verdicts, combinations, parameters.names)
+    of_each = (tasks.upper > tasks.lower) & ~same
+    wanted = wanted_of(verdicts, combinations, parameters.names)
+    weights = {name: own for name, own in wanted.items() if not own[same].any()}
     plain = rounds.loss == "linear" and rounds.noises[0].kind == "white"
     variation = variations_of(
-        each_alone(solution, tasks, rounds.unknown & plain),
-        tasks.upper > tasks.lower,
+        each_alone(solution, tasks, rounds.unknown & plain, of_each),
+        of_each,
         solution.values[0],
         weights,
         tasks.typical,
@@ -356,7 +364,7 @@ def _equal(together: Together, given: Mapping[str, float] | None) -> _Equal:
     )
     varying = told_by_each(
         reduction.rows[..., :-1],
-        tasks.typical * (tasks.upper > tasks.lower)[0],
+        tasks.typical * of_each[0],
         {
             name: own
             for name, own in weights.items()

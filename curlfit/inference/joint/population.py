@@ -240,16 +240,26 @@ def at_coefficients(throws: Together, values: Floats, most: int = _STEPS) -> Sol
 
 
 def told_by_data(
-    tasks: Tasks, solution: Solution, reduction: Reduction, names: Sequence[str]
+    tasks: Tasks,
+    solution: Solution,
+    reduction: Reduction,
+    names: Sequence[str],
+    held: Booleans | None = None,
 ) -> Covariance:
     """What all throws, or those of which the reduction has rows, say of what they have
-    in common, without priors."""
+    in common, without priors; some parameters may be `held`, as if they were known."""
     common = reduction.common
-    bounded = Bounded(
-        *(part[0, common] for part in (solution.values, tasks.lower, tasks.upper))
+    values, lower, upper = (
+        part[0, common] for part in (solution.values, tasks.lower, tasks.upper)
     )
     typical = tasks.typical[common]
     rows = r_factor(reduction.in_common().reshape(-1, len(typical) + 1))
+    if held is not None:
+        known = held[common]
+        lower = np.where(known, values, lower)
+        upper = np.where(known, values, upper)
+        rows[:, :-1] *= ~known
+    bounded = Bounded(values, lower, upper)
     return first_order(names, Factors.of(rows, bounded, typical), bounded, typical)
 
 

@@ -185,12 +185,12 @@ def as_fitted_alone(
 
 
 def each_alone(
-    solution: Solution, tasks: Tasks, unknown: Booleans
+    solution: Solution, tasks: Tasks, unknown: Booleans, free: Booleans
 ) -> list[tuple[Alone, Alone]]:
-    """Of each throw, with the noise of the joint fit and with that of its own
-    where it is `unknown`, shape (throws, channels), since it was estimated from
-    least squares."""
-    free, typical = tasks.upper > tasks.lower, tasks.typical
+    """Of each throw and its `free` parameters, shape (throws, parameters), with the
+    noise of the joint fit and with that of its own where it is `unknown`, shape
+    (throws, channels), since it was estimated from least squares."""
+    typical = tasks.typical
     jacobians = solution.jacobian * typical
 
     def analysed(scale: Floats) -> list[Alone]:

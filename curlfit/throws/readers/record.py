@@ -35,8 +35,8 @@ EXPECTED = (
 
 class Kind(NamedTuple):
     """What may be written of a quantity: units, largest size (SI), words; only words if
-    no unit. Sizes that differ by `usual` are not odd. Lines at which, and since which,
-    it is measured; None is rest, or the throw's own axes."""
+    no unit. Throws may differ by `usual`. Lines at which, and since which, it is
+    measured; None is rest, or the throw's own axes."""
 
     unit: str
     limit: float = 600.0
@@ -85,6 +85,13 @@ _SIGMAS = {
     "speed": SIGMA_SPEED,
     "spin": SIGMA_SPIN,
 }
+
+
+def usual_sigma(key: str) -> float:
+    """Standard deviation of a measurement, where a file does not say it."""
+    return _SIGMAS["time" if key in TIMES else key]
+
+
 _TOLD_BY = {
     "curl": (
         ("handle", "turns", "spin"),

@@ -13,6 +13,7 @@ import numpy as np
 
 from curlfit.errors import DataError, InputError
 from curlfit.foreign import counted, file_and_number, quoted
+from curlfit.numerics.arrays import Floats
 from curlfit.settings.choices import Reading
 from curlfit.sheet import LINES
 from curlfit.throws.channels import UNITS
@@ -20,6 +21,7 @@ from curlfit.throws.events import RATES, Event
 from curlfit.throws.readers.columns import parse_header
 from curlfit.throws.readers.defaults import begun
 from curlfit.throws.readers.notation import parse_quantity
+from curlfit.throws.readers.odd_rows import odd_values
 from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile
 from curlfit.throws.readers.record import (
     ALONG,
@@ -29,6 +31,7 @@ from curlfit.throws.readers.record import (
     Entry,
     Record,
     Row,
+    usual_sigma,
 )
 from curlfit.throws.readers.text import (
     GAPS,
@@ -50,11 +53,6 @@ _ALIASES = {
     "h2h": "hog_to_hog",
     "hog_hog": "hog_to_hog",
 }
-_FEWEST = 5  # values of a column among which one may be odd
-# A value is odd if it is farther from the median of its column than 9 median absolute
-# deviations (6 standard deviations of normal values) and 0.7 of this median, as no two
-# weights in play are.
-_MOST_OFF, _MOST_SHARE = 9.0, 0.7
 _LIKE_MEASUREMENTS = {"hog", "tee", "rest", "curl", "turns", "split", "speed", "spin"}
 _COLUMNS = (
     f"one of {', '.join(TIMES)}, curl, rest, turns, speed, spin, "
@@ -65,7 +63,7 @@ _LINE = re.compile(
     r"""(?!\s*["']?[-+.\d])\s*["']?([^=:;,\t"']*?)["']?\s*[=:;,\t]\s*(\S.*?)\s*[;,]?\s*$"""
 )
 _MOST_ROWS = 100_000
-_MANY = 4  # throws of a table whose curls determine an asymmetry of the friction
+_MANY = 4  # throws of a table, from which on it is an evening
 
 
 def _contents(file: TextFile, reading: Reading) -> Contents:
@@ -123,42 +121,35 @@ def _left_out(
     file: TextFile, rows: list[Row], keep: Collection[int]
 ) -> tuple[set[int], list[str]]:
     """Rows that a joint fit leaves out: those without a time, and odd ones, of which a
-    value is beyond its limit or far from the median of its column, unless more than a
-    tenth are odd."""
-    found: dict[str, dict[int, float]] = {}
+    value is beyond its limit or contradicts the others, unless more than a fifth are
+    odd."""
+    columns: dict[str, Floats] = {}
     for index, row in enumerate(rows):
         with suppress(DataError):  # the row itself is refused where it is read
             for key, size in Record(file, row, limited=False).sizes().items():
-                found.setdefault(key, {})[index] = size
-    odd: dict[int, list[str]] = {}
-    for key, sizes in found.items():
-        places, values, kind = (
-            np.array([*sizes]),
-            np.array([*sizes.values()]),
-            KINDS[key],
+                empty_column = np.full(len(rows), np.nan)
+                columns.setdefault(key, empty_column)[index] = size
+    odd: dict[int, str] = {}
+    for key, values in columns.items():
+        for place in np.flatnonzero(np.abs(values) > KINDS[key].limit).tolist():
+            odd.setdefault(place, f"{_in_words(key, values[place])}, beyond any stone")
+            values[place] = np.nan
+    floors = {key: usual_sigma(key) / 2 for key in columns}
+    usual = {key: KINDS[key].usual for key in columns}
+    for value in odd_values(columns, floors, usual, [row.labels for row in rows]):
+        odd.setdefault(
+            value.row,
+            f"{_in_words(value.column, value.value)}: "
+            f"{_in_words(value.column, abs(value.off), named=False)} "
+            f"{'more' if value.off > 0 else 'less'} than the other rows say",
         )
-        middle = float(np.median(values))
-        off = np.abs(values - middle)
-        allowed = max(
-            _MOST_OFF * float(np.median(off)), _MOST_SHARE * abs(middle), kind.usual
-        )
-        far = (off > allowed) | (np.abs(values) > kind.limit)
-        factor, unit = (
-            (2 * math.pi, "turns") if key == "turns" else (1, UNITS[kind.unit])
-        )
-        for index, value in zip(places[far], values[far], strict=True):
-            if len(values) >= _FEWEST and rows[index].line not in keep:
-                what = (
-                    f"{key} {value / factor:.4g} {unit} where others have "
-                    f"{middle / factor:.3g}"
-                )
-                odd.setdefault(int(index), []).append(what)
+    odd = {row: what for row, what in odd.items() if rows[row].line not in keep}
     listed = "; ".join(
-        f"line {rows[k].line} ({' and '.join(odd[k])})" for k in sorted(odd)
+        f"line {rows[k].line} (row {k + 1}, {odd[k]})" for k in sorted(odd)
     )
     said = []
-    if len(odd) > len(rows) / 10:
-        said = [f"odd rows, kept since they are more than a tenth: {listed}"]
+    if len(odd) > len(rows) / 5:
+        said = [f"odd rows, kept since they are more than a fifth: {listed}"]
         odd = {}
     elif odd:
         flag = ",".join(str(rows[k].line) for k in sorted(odd))
@@ -170,6 +161,15 @@ def _left_out(
             f"left out of a joint fit, since no time was measured: line {listed}"
         )
     return {*odd, *empty}, said
+
+
+def _in_words(key: str, size: float, *, named: bool = True) -> str:
+    """A value with its unit, turns as such: hog to hog 16.93 s."""
+    unit = UNITS[KINDS[key].unit]
+    if key == "turns":
+        size, unit = size / (2 * math.pi), "turns"
+    name = f"{key.replace('_', ' ')} " if named else ""
+    return f"{name}{size:.4g} {unit}"
 
 
 def is_table(head: list[str]) -> bool:
@@ -357,12 +357,17 @@ def usual_law(file: TextFile) -> str:
 
 
 def _usual_law(rows: list[Row]) -> str:
-    """The law that the measurements determine: the curl needs one that curls and slows
-    the spin as stones do, and of a single throw the turns too; times and positions
-    along the sheet determine a mean friction."""
-    needed = [{"curl"}, *([] if len(rows) >= _MANY else [{"turns", "spin"}])]
+    """The law that the measurements determine. Of an evening of draws: in the numbers
+    of a draw, with a force that turns it where the curl was measured. Of single ones:
+    where curl and turns were, one that curls and slows the spin as stones do; times and
+    positions along the sheet determine a mean friction."""
+    evening = len(rows) >= _MANY
+    needed = [{"curl"}] if evening else [{"curl"}, {"turns", "spin"}]
     told = sum(all(keys & row.entries.keys() for keys in needed) for row in rows)
-    return "front-back" if 2 * told >= len(rows) > 0 else "coulomb"
+    curls = 2 * told >= len(rows) > 0
+    if evening:
+        return "power+deflection" if curls else "power"
+    return "front-back" if curls else "coulomb"
 
 
 def said_in(table: Path, source: str) -> tuple[dict[str, str], list[Event], str]:
