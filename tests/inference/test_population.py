@@ -301,6 +301,7 @@ def test_on_the_command_line(joint, tmp_path):
         )
     (tmp_path / "evening.csv").write_text("\n".join(table))
     words = "--by", "sheet", "--trend", "start", "--stone", "R=0.065", "--out", "out"
+    words += "--law", "front-back"
     done = command(
         "fit", "evening.csv", *words, "--no-figures", "--no-sample", cwd=tmp_path
     )

@@ -1,200 +1,365 @@
-"""Coverage of joint fits: evenings of draws on two sheets, and the draw after them.
+"""Evenings of draws by stopwatch and tape: what is said of sheets, trend and next draw.
 
-    python tests/statistics/evenings.py stopwatch|tracks EVENINGS
+    python tests/statistics/evenings.py [--evenings N] [--laws A,B] [--columns A,B]
 
-writes its table into README.md beside this file. Throws vary about the mean of their
-sheet, and the ice slows with time. Each evening gives one answer to each question, so
-that counts are binomial.
+Evenings of 12 to 24 draws on two sheets in turn are simulated by none of curlfit's code
+(`simulator.py`), under four laws of which curlfit knows nothing, and fitted with what
+it takes by itself. The sheets differ in friction, in curl, in both or in none; friction
+has a trend; throws vary. Three sets of columns: hog to hog and rest; with curl and
+turns; with hog to rest, too. Counted is how often intervals contain the difference of
+friction and of curl between draws to the tee that turn by the same angle, the trend of
+friction, and where the next draw comes to rest.
+
+Beside them stands a plain regression of what was measured on sheet, time and turns: of
+the friction that each draw has if its deceleration is constant, and of its curl. The
+rows take their places in the table "evenings" of README.md beside this file.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
-from dataclasses import replace
+import itertools
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
-from tables import Table, share
+from scipy.optimize import brentq
+from scipy.stats import t as student
+from simulator import crossing, distance, moved
+from tables import Table, put_merged, share
 
 import curlfit
 from curlfit.prediction.result import Call
-from curlfit.sheet import LINES, TEE
 from curlfit.throws.events import Event
 
-DRAWS, EVERY = 16, 7 / 60  # h between draws
-MEAN = curlfit.law_with("front-back", {"mu1_xi": 0.004, "mu2_xi": 0.05})
-SUM = MEAN.mu1_eta + MEAN.mu2_eta
-APART, RISING, SPREAD, OF_CURL = 0.05, 0.01, 0.012, 0.02
-STONE = curlfit.Stone(R=0.065)
-SIGMA_TIME, SIGMA_TAPE, SIGMA_TURNS = 0.05, 0.05, 0.05 * 2 * np.pi
-WEIGHT, SPIN = 13.4, 1.3  # hog to hog of the draw that is predicted, s; rad/s
+HOG, FAR_HOG, TEE = 10.059, 32.004, 38.405  # m from the hack
+HOG_TO_HOG, HOG_TO_TEE, GRAVITY = FAR_HOG - HOG, TEE - HOG, 9.81
+EVERY = 7 / 60  # h between draws
+SIGMA_TIME, SIGMA_REST_TIME, SIGMA_TAPE, SIGMA_TURNS = 0.07, 0.1, 0.05, 0.12
+SPREAD_FRICTION, SPREAD_CURL = 0.02, 0.04
+FRICTION_APART, CURL_APART = 0.05, 0.25
 LEVELS = {"68 %": 0.68, "95 %": 0.95}
-GRID = np.append(np.linspace(0.0, 40.0, 401), 300.0)
+
+
+class Truth(NamedTuple):
+    """A law, and which of its coefficients are in proportion to friction and curl."""
+
+    law: str
+    coefficients: dict[str, float]
+    friction: tuple[str, ...]
+    curl: str
+
+    def at(self, friction: float, curl: float) -> dict[str, float]:
+        """The coefficients where friction and curl are so many times as large."""
+        scale = dict.fromkeys(self.friction, friction) | {self.curl: curl}
+        return {
+            name: value * scale.get(name, 1.0)
+            for name, value in self.coefficients.items()
+        }
+
+
+TRUTHS = {
+    "front-back": Truth(
+        "front-back",
+        {"mu1_xi": 0.004, "mu2_xi": 0.05, "mu1_eta": 0.009, "mu2_eta": 0.009},
+        ("mu1_eta", "mu2_eta"),
+        "mu2_xi",
+    ),
+    "power -0.2 + sideways": Truth(
+        "power+sideways", {"c": 0.0085, "k": -0.2, "a": 0.006, "n": 0.0}, ("c",), "a"
+    ),
+    "power -0.5 + angular": Truth(
+        "power-angular", {"c": 0.0078, "k": -0.5, "f0": 0.3}, ("c",), "f0"
+    ),
+    "coulomb + transverse": Truth(
+        "power+transverse", {"c": 0.0092, "k": 0.0, "b": 0.05}, ("c",), "b"
+    ),
+}
+COLUMNS = {
+    "two": ("hog_to_hog", "rest"),
+    "curl": ("hog_to_hog", "rest", "curl", "turns"),
+    "three": ("hog_to_hog", "hog_to_rest", "rest", "curl", "turns"),
+}
+
+
+class Draw(NamedTuple):
+    """A draw from the near hog line along the centre line, without errors."""
+
+    hog_to_hog: float
+    hog_to_rest: float
+    rest: float
+    """m past the tee"""
+    curl: float
+    """m, to the left"""
+    turns: float
+    """rad, counter-clockwise"""
 
 
 class Answer(NamedTuple):
-    """Of one evening, by question: the truth, the estimate, its error and its
-    two intervals."""
+    """Of one question: the truth, the estimate, and its intervals."""
 
     truth: float
     value: float
-    error: float
     intervals: dict[str, tuple[float, float]]
 
+    @property
+    def width(self) -> float:
+        """Of the 95 % interval."""
+        low, high = self.intervals["95 %"]
+        return high - low
 
-def law_at(draw: int, sheet: int, random: np.random.Generator) -> curlfit.Law:
-    """The law of a draw, with its own deviations from the mean of its sheet."""
-    factor = (
-        1
-        + (sheet - 1.5) * APART
-        + RISING * EVERY * draw
-        + SPREAD * random.standard_normal()
+
+def thrown(law: str, coefficients: Mapping[str, float], v: float, w: float) -> Draw:
+    """The draw with a speed in m/s and a spin in rad/s at the near hog line."""
+    motion = moved(law, coefficients, v, w)
+    x, y, turns = motion.at(np.array([motion.end]))[:, 0]
+    hog = crossing(motion, HOG_TO_HOG) if y > HOG_TO_HOG else np.nan
+    return Draw(hog, motion.end - hog, y - HOG_TO_TEE, -x, turns)
+
+
+def weight_of(law: str, coefficients: Mapping[str, float], w: float) -> float:
+    """The speed in m/s of a draw to the tee."""
+
+    def beyond(v: float) -> float:
+        return distance(moved(law, coefficients, v, w)) - HOG_TO_TEE
+
+    return brentq(beyond, 1.6, 3.2, xtol=1e-3)
+
+
+def draw_to_the_tee(law: str, coefficients: Mapping[str, float], turns: float) -> Draw:
+    """The draw that rests at the tee and has turned by some rad."""
+    w = turns / 25.0
+    for _ in range(4):
+        draw = thrown(law, coefficients, weight_of(law, coefficients, w), w)
+        w *= turns / draw.turns
+    return draw
+
+
+def measured(
+    draw: Draw, columns: tuple[str, ...], random: np.random.Generator
+) -> dict[str, float]:
+    """The draw by stopwatch, tape and eye, rounded as people write."""
+    sizes = {
+        "hog_to_hog": (SIGMA_TIME, 0.01),
+        "hog_to_rest": (SIGMA_REST_TIME, 0.01),
+        "rest": (SIGMA_TAPE, 0.0254),
+        "curl": (SIGMA_TAPE, 0.0254),
+        "turns": (2 * np.pi * SIGMA_TURNS, 2 * np.pi / 4),
+    }
+    values = {}
+    for name in columns:
+        sigma, step = sizes[name]
+        value = getattr(draw, name) + sigma * random.standard_normal()
+        values[name] = round(value / step) * step
+    return values
+
+
+def as_throw(
+    values: Mapping[str, float], labels: dict[str, str]
+) -> tuple[curlfit.Throw, str]:
+    """What curlfit makes of a row of a table, and the law that it takes."""
+    events = {
+        "hog_to_hog": ("hog_to_hog", "time", SIGMA_TIME, FAR_HOG, HOG),
+        "hog_to_rest": ("hog_to_rest", "time", SIGMA_REST_TIME, None, FAR_HOG),
+        "rest": ("rest", "y", SIGMA_TAPE, None, None),
+        "curl": ("curl", "x", SIGMA_TAPE, None, HOG),
+        "turns": ("turns", "phi", 2 * np.pi * SIGMA_TURNS, None, HOG),
+    }
+    made = []
+    for name, value in values.items():
+        key, quantity, sigma, at, since = events[name]
+        value = {"rest": TEE + value, "curl": -value}.get(name, value)
+        made.append(Event(key, quantity, value, sigma, at, since))
+    throw = curlfit.Throw.from_events(made, labels=labels)
+    law = "power+deflection" if "curl" in values else "power"
+    return throw, law
+
+
+def regression(
+    rows: list[dict[str, float]], sheets: np.ndarray, hours: np.ndarray
+) -> dict[str, tuple[float, float, float]]:
+    """Estimate, error and degrees of freedom by ordinary least squares, by question."""
+    terms = [np.ones(len(rows)), sheets - sheets.mean(), hours - hours.mean()]
+    length = HOG_TO_TEE + np.array([row["rest"] for row in rows])
+    time = np.array([row["hog_to_hog"] for row in rows])
+    slowed = 1 - np.sqrt(1 - HOG_TO_HOG / length)
+    friction = 2 * length * slowed**2 / (GRAVITY * time**2)
+    answers = {}
+    columns = {"friction": (friction / friction.mean(), terms)}
+    if "curl" in rows[0]:
+        curl = np.abs([row["curl"] for row in rows])
+        turns = np.abs([row["turns"] for row in rows])
+        columns["curl"] = (curl, [*terms, turns - turns.mean()])
+    for name, (values, design) in columns.items():
+        matrix = np.column_stack(design)
+        inverse = np.linalg.inv(matrix.T @ matrix)
+        solution = inverse @ matrix.T @ values
+        freedom = len(rows) - matrix.shape[1]
+        variance = ((values - matrix @ solution) ** 2).sum() / freedom
+        errors = np.sqrt(variance * np.diagonal(inverse))
+        answers[f"{name} of the sheets"] = (solution[1], errors[1], freedom)
+        answers[f"{name} per hour"] = (solution[2], errors[2], freedom)
+    return answers
+
+
+def evening(
+    truth: Truth, columns: tuple[str, ...], seed: int
+) -> tuple[dict[str, Answer], dict[str, float]]:
+    """The answers of one evening, and the widths of those by regression; none where
+    the fit is not usable."""
+    random = np.random.default_rng([seed, len(columns), *truth.law.encode()])
+    draws = int(random.integers(12, 25))
+    kind = ((0, 0), (1, 0), (0, 1), (1, 1))[seed % 4]
+    side = random.choice([-1, 1], 2)
+    apart = np.array(kind) * side * (FRICTION_APART, CURL_APART)
+    rising = random.uniform(-0.02, 0.02)
+    ice = random.uniform(0.9, 1.1, 2)
+    middle = (draws - 1) / 2 * EVERY
+
+    def means(sheet: int, hour: float) -> np.ndarray:
+        about = apart * (sheet - 1.5) + (rising * (hour - middle), 0.0)
+        return ice * (1 + about)
+
+    def law_of_a_draw(sheet: int, hour: float) -> dict[str, float]:
+        own = random.standard_normal(2) * (SPREAD_FRICTION, SPREAD_CURL)
+        return truth.at(*means(sheet, hour) * (1 + own))
+
+    sheets = np.arange(draws) % 2 + 1
+    hours = EVERY * np.arange(draws)
+    usual = weight_of(truth.law, truth.at(*ice), 1.2)
+    rows = []
+    throws = []
+    for sheet, hour in zip(sheets.tolist(), hours.tolist(), strict=True):
+        own = law_of_a_draw(sheet, hour)
+        w = random.choice([-1, 1]) * random.uniform(0.9, 1.5)
+        v = usual * np.sqrt(means(sheet, hour)[0] / ice[0])
+        draw = thrown(truth.law, own, v * (1 + 0.01 * random.standard_normal()), w)
+        rows.append(measured(draw, columns, random))
+        labels = {"sheet": f"{sheet}", "hour": f"{hour:.6f}"}
+        throw, law = as_throw(rows[-1], labels)
+        throws.append(throw)
+    joint = curlfit.fit_together(
+        throws, law, by="sheet", trend="hour", systematics={"all": 0.0}
     )
-    curl = 1 + OF_CURL * random.standard_normal()
-    half = SUM / 2 * factor
-    return replace(MEAN, mu2_xi=MEAN.mu2_xi * curl, mu1_eta=half, mu2_eta=half)
-
-
-def path_of(law: curlfit.Law, v: float, omega: float) -> curlfit.Trajectory:
-    """The path of a draw from the near hog line along the centre line."""
-    start = curlfit.InitialState(y=LINES["hog"], v=v, omega=omega)
-    return curlfit.simulate(law, STONE, start, GRID).to_numpy()
-
-
-def hog_to_hog(path: curlfit.Trajectory) -> float:
-    """s, from the near line, where the path starts."""
-    return float(np.interp(LINES["far-hog"], path.y[:-1], path.t[:-1]))
-
-
-def timed(path: curlfit.Trajectory, random: np.random.Generator) -> curlfit.Throw:
-    """What a stopwatch, a tape and an eye measure."""
-    moving = int(np.flatnonzero(path.speed > 0)[-1])
-    rest = float(path.t[moving] + path.speed[moving] / (0.009 * 9.81))
-    hog = hog_to_hog(path)
-
-    def off(sigma: float) -> float:
-        return float(sigma * random.standard_normal())
-
-    far, near = LINES["far-hog"], LINES["hog"]
-    return curlfit.Throw.from_events(
-        [
-            Event("hog_to_hog", "time", hog + off(SIGMA_TIME), SIGMA_TIME, far, near),
-            Event(
-                "hog_to_rest",
-                "time",
-                rest - hog + off(SIGMA_TIME),
-                SIGMA_TIME,
-                None,
-                far,
-            ),
-            Event("rest", "y", path.y[-1] + off(SIGMA_TAPE), SIGMA_TAPE),
-            Event("curl", "x", path.x[-1] + off(SIGMA_TAPE), SIGMA_TAPE, since=near),
-            Event(
-                "turns", "phi", path.phi[-1] + off(SIGMA_TURNS), SIGMA_TURNS, since=near
-            ),
-        ]
+    if not joint.converged:
+        return {}, {}
+    answers = {}
+    by_regression = regression(rows, sheets, hours)
+    friction = next(one for one in joint.groups if one.parameter == "friction").value
+    turn = joint.means.angle
+    first, second = (
+        draw_to_the_tee(truth.law, truth.at(*means(sheet, middle)), turn)
+        for sheet in (1, 2)
     )
+    truths = {
+        "friction of the sheets": apart[0],
+        "friction per hour": rising,
+        "curl of the sheets": abs(second.curl) - abs(first.curl),
+        "curl per hour": 0.0,
+    }
+    for name, effects in (
+        ("of the sheets", joint.differences),
+        ("per hour", joint.trend),
+    ):
+        for one in effects:
+            question = f"{one.parameter} {name}"
+            if one.parameter not in ("friction", "curl"):
+                continue
+            unit = friction if one.parameter == "friction" else 1.0
+            spans = {}
+            for level, size in LEVELS.items():
+                low, high = one.interval(size)
+                spans[level] = (low / unit, high / unit)
+            answers[question] = Answer(truths[question], one.value / unit, spans)
+    answers |= next_draw(truth, joint, law_of_a_draw(2, draws * EVERY), draws, seed)
+    widths = {
+        name: 2 * error * float(student.ppf(0.975, freedom))
+        for name, (_, error, freedom) in by_regression.items()
+    }
+    return answers, widths
 
 
-def tracked(path: curlfit.Trajectory, random: np.random.Generator) -> curlfit.Throw:
-    """A track at 10 Hz."""
-    seen = slice(0, 241)
-    noise = random.standard_normal((3, 241)) * np.array([0.005, 0.005, 0.01])[:, None]
-    places = (getattr(path, name)[seen] for name in ("x", "y", "phi"))
-    return curlfit.Throw.from_arrays(
-        path.t[seen], *(a + b for a, b in zip(places, noise, strict=True))
-    )
+def next_draw(
+    truth: Truth,
+    joint: curlfit.JointResult,
+    own: Mapping[str, float],
+    draws: int,
+    seed: int,
+) -> dict[str, Answer]:
+    """Where the draw after the evening comes to rest, thrown on sheet 2 with the hog to
+    hog time of a draw to the tee."""
+    w = 1.2
+    v = weight_of(truth.law, own, w)
+    draw = thrown(truth.law, own, v, w)
+    labels = {"sheet": "2", "hour": f"{draws * EVERY:.6f}"}
+    call = Call(labels, hog_to_hog=draw.hog_to_hog)
+    predicted = curlfit.predict(joint, call=call, start={"omega0": w}, seed=seed)
+    answers = {}
+    places = {"rest_y": draw.rest}
+    if "curl" in {one.parameter for one in joint.groups}:
+        places["rest_x"] = -draw.curl
+    for name, place in places.items():
+        item = predicted.quantities[name]
+        spans = {
+            "68 %": (item.quantiles["16"], item.quantiles["84"]),
+            "95 %": (item.quantiles["2.5"], item.quantiles["97.5"]),
+        }
+        way = "along" if name == "rest_y" else "across"
+        answers[f"next draw, {way}"] = Answer(place, item.value, spans)
+    return answers
 
 
-def answers(kind: str, evenings: int) -> Iterator[dict[str, Answer]]:
-    """The answers of each evening by question."""
-    measured = {"stopwatch": timed, "tracks": tracked}[kind]
-    for seed in range(evenings):
-        random = np.random.default_rng(1000 + seed)
-        throws = []
-        for draw in range(DRAWS):
-            sheet, side = draw % 2 + 1, 1 if draw // 2 % 2 else -1
-            law = law_at(draw, sheet, random)
-            path = path_of(
-                law, random.uniform(2.19, 2.29), side * random.uniform(1.0, 1.6)
+def rows_of(truth: str, columns: str, evenings: int) -> Iterator[tuple[str, ...]]:
+    """Rows of the table: of each question of some evenings."""
+    tried = [evening(TRUTHS[truth], COLUMNS[columns], seed) for seed in range(evenings)]
+    usable = [one for one in tried if one[0]]
+    yield (truth, columns, "usable", f"{len(usable)} of {len(tried)}", "", "", "")
+    for question in {name: None for answers, _ in usable for name in answers}:
+        mine = [answers[question] for answers, _ in usable if question in answers]
+        counts = []
+        for level, size in LEVELS.items():
+            inside = sum(
+                one.intervals[level][0] <= one.truth <= one.intervals[level][1]
+                for one in mine
             )
-            throw = measured(path, random)
-            labels = {"sheet": f"{sheet}", "hour": f"{draw * EVERY:.6f}"}
-            throws.append(replace(throw, labels=labels))
-        joint = curlfit.fit_together(
-            throws,
-            "front-back",
-            stone=STONE,
-            by="sheet",
-            trend="hour",
-            systematics={"all": 0.0},
+            counts.append(share(inside, len(mine), size))
+        scatter = np.sqrt(np.mean([(one.value - one.truth) ** 2 for one in mine]))
+        widths = [widths.get(question, np.nan) for _, widths in usable]
+        ratio = np.median([one.width for one in mine]) / np.median(widths)
+        yield (
+            truth,
+            columns,
+            question,
+            f"{len(mine)}",
+            *counts,
+            f"{scatter:.2g}",
+            f"{ratio:.2f}" if np.isfinite(ratio) else "",
         )
-        found = {}
-        for name, effects, truth in (
-            ("difference of the sheets", joint.differences, APART * SUM),
-            ("trend per hour", joint.trend, RISING * SUM),
-        ):
-            (one,) = (item for item in effects if "eta" in item.parameter)
-            spans = {level: one.interval(size) for level, size in LEVELS.items()}
-            found[f"{name}, mu1_eta + mu2_eta"] = Answer(
-                truth, one.value, one.stderr, spans
-            )
-        labels = {"sheet": "2", "hour": f"{DRAWS * EVERY:.6f}"}
-        law = law_at(DRAWS, 2, random)
-        low, high = 1.8, 3.0
-        for _ in range(40):
-            v = (low + high) / 2
-            low, high = (
-                (v, high) if hog_to_hog(path_of(law, v, SPIN)) > WEIGHT else (low, v)
-            )
-        end = path_of(law, v, SPIN)
-        call = Call(labels, hog_to_hog=WEIGHT)
-        predicted = curlfit.predict(joint, call=call, start={"omega0": SPIN}, seed=seed)
-        for name, truth in (("rest_y", end.y[-1] - TEE), ("rest_x", end.x[-1])):
-            item = predicted.quantities[name]
-            spans = {
-                "68 %": (item.quantiles["16"], item.quantiles["84"]),
-                "95 %": (item.quantiles["2.5"], item.quantiles["97.5"]),
-            }
-            found[f"the next draw, {name} (m)"] = Answer(
-                truth, item.value, item.sd, spans
-            )
-        yield found
 
 
 def main() -> None:
     """Run what is asked for, and write its table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("kind", choices=("stopwatch", "tracks"))
-    parser.add_argument("evenings", type=int)
+    parser.add_argument("--evenings", type=int, default=100)
+    parser.add_argument("--laws", default=",".join(TRUTHS))
+    parser.add_argument("--columns", default=",".join(COLUMNS))
     asked = parser.parse_args()
-    found = list(answers(asked.kind, asked.evenings))
     table = Table(
-        "",
+        "the law of the evening",
+        "columns",
+        "question",
+        "evenings",
         "inside 68 %",
         "inside 95 %",
-        "rms pull",
-        "median error stated",
         "true scatter",
+        "width over that of a regression",
     )
-    for name in found[0]:
-        mine = [one[name] for one in found]
-        true = np.array([one.truth for one in mine])
-        off = np.array([one.value for one in mine]) - true
-        error = np.array([one.error for one in mine])
-        counts = []
-        for level, size in LEVELS.items():
-            low, high = np.array([one.intervals[level] for one in mine]).T
-            inside = int(((low <= true) & (true <= high)).sum())
-            counts.append(share(inside, len(mine), size))
-        numbers = (
-            np.sqrt(np.mean((off / error) ** 2)),
-            np.median(error),
-            np.sqrt(np.mean(off**2)),
-        )
-        table.add(name, *counts, *(f"{number:.2g}" for number in numbers))
-    table.put(f"evenings {asked.kind}", f"{len(found)} evenings.")
+    for truth, columns in itertools.product(
+        asked.laws.split(","), asked.columns.split(",")
+    ):
+        for cells in rows_of(truth, columns, asked.evenings):
+            table.add(*cells)
+    put_merged("evenings", table, itertools.product(TRUTHS, COLUMNS))
 
 
 if __name__ == "__main__":
