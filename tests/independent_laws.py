@@ -117,6 +117,13 @@ def transverse(law, b):
     return pushed(law, push)
 
 
+def deflection(law, a, m):
+    def push(v, u):
+        return a / G * v / np.hypot(v, 1e-2) * slow_side(u / 0.065, m, 1e-3 / 0.065)
+
+    return pushed(law, push)
+
+
 def pivot(law, q):
     return pushed(law, lambda v, u: q * slow_side(u, -0.5, 1e-2), torque=1.0)
 
@@ -136,6 +143,7 @@ FORMULAS = {
     "sutor": sutor,
     "power+sideways": lambda c, k, a, n: sideways(power(c, k), a, n),
     "power+transverse": lambda c, k, b: transverse(power(c, k), b),
+    "power+deflection": lambda c, k, a, m: deflection(power(c, k), a, m),
     "power+pivot": lambda c, k, q: pivot(power(c, k), q),
     "front-back+sideways": lambda *c: sideways(front_back(*c[:4]), *c[4:]),
     "pressure": lambda mu0, k: against(lambda ring, load: mu0 / load**k),

@@ -14,10 +14,12 @@ import pytest
 from independent_laws import motion_of_the_whole, reference
 from independent_motion import G
 
-from curlfit import LAWS, InitialState, Stone, simulate
+import curlfit
+from curlfit import LAWS, InitialState, Stone, find_law, simulate
 from curlfit.dynamics.contact import accelerations
 from curlfit.friction import LOADS
 from curlfit.friction.curl import can_curl, law_in_general
+from curlfit.reports.fit import document
 
 STONE = Stone(R=0.065, rho=0.1, h=0.057)
 ROWS = 61  # of all paths, so that a law has one program for each load
@@ -50,6 +52,8 @@ LAWS_OF_THE_RING = [
     ("power+sideways", (0.008, -0.5, 0.005, -0.5)),
     ("power+sideways", (0.008, 0.0, 0.005, 2.0)),
     ("power+transverse", (0.008, -0.5, 0.05)),
+    ("power+deflection", (0.008, -0.25, 0.005, 0.5)),
+    ("power+deflection", (0.008, 0.0, 0.007, 1.0)),
     ("power+pivot", (0.008, -0.5, 1.1e-4)),
     ("power+pivot", (0.008, 0.0, 1e-3)),  # its spin ends early
     ("front-back+sideways", (0.005, 0.05, 0.009, 0.009, 0.005, 2.0)),
@@ -67,7 +71,7 @@ SLOW = pytest.mark.slow
 def assert_path(name, values, start, until, load="uniform"):
     """That of an integration which shares no code with the program."""
     times = np.linspace(0, until, ROWS)
-    path = simulate(LAWS[name](*values), STONE, start, times, load=load)
+    path = simulate(find_law(name)(*values), STONE, start, times, load=load)
     exact = reference(name, values, load, STONE).path(start, times)
     assert np.abs(places(path) - exact).max() < EXACT
 
@@ -196,7 +200,7 @@ def over_weight(name, values, load, *motion, of=net):
     """Of v, omega and the angle turned, which is 0 where not given."""
     # of one type, for one program
     motion = [np.float64(item) for item in (*motion, 0.0)[:3]]
-    a = of(LAWS[name](*values), STONE, load, *motion)
+    a = of(find_law(name)(*values), STONE, load, *motion)
     return np.array([a.xi, a.eta, a.angular * STONE.rho**2 / STONE.R]) / G
 
 
@@ -342,3 +346,19 @@ def test_a_throw_in_the_mirror(name, load):
 def test_a_tensor_that_is_not_positive_definite_is_named(values):
     assert "not positive definite" in LAWS["tensor"](*values).fault()
     assert LAWS["tensor"](0.01, 0.01, -0.009).fault() is None
+
+
+def test_a_sum_that_nobody_listed_is_fitted_saved_and_read(tmp_path):
+    """Its law is found by the names of its parts, also in another process."""
+    throw = curlfit.synthetic_throw(
+        curlfit.law_with("coulomb+sideways", {"mu": 0.009, "a": 0.005, "n": 0.0}),
+        STONE,
+        noise_xy=0.005,
+        noise_phi=0.01,
+    )
+    fit = curlfit.fit(throw, "coulomb+sideways")
+    fit.save(tmp_path / "fit.json")
+    again = curlfit.load_fit(tmp_path)
+    assert again.law_class.parts == fit.law_class.parts
+    assert again.parameters["mu"].value == pytest.approx(0.009, rel=1e-3)
+    assert "coulomb+sideways law" in str(document(again))

@@ -229,11 +229,13 @@ def evening(
     usual = weight_of(truth.law, truth.at(*ice), 1.2)
     rows = []
     throws = []
+    sense = 1.0  # of the last draw on sheet 2
     for sheet, hour in zip(sheets.tolist(), hours.tolist(), strict=True):
         own = law_of_a_draw(sheet, hour)
         w = random.choice([-1, 1]) * random.uniform(0.9, 1.5)
         v = usual * np.sqrt(means(sheet, hour)[0] / ice[0])
         draw = thrown(truth.law, own, v * (1 + 0.01 * random.standard_normal()), w)
+        sense = sense if sheet == 1 else np.sign(w)
         rows.append(measured(draw, columns, random))
         labels = {"sheet": f"{sheet}", "hour": f"{hour:.6f}"}
         throw, law = as_throw(rows[-1], labels)
@@ -271,7 +273,8 @@ def evening(
                 low, high = one.interval(size)
                 spans[level] = (low / unit, high / unit)
             answers[question] = Answer(truths[question], one.value / unit, spans)
-    answers |= next_draw(truth, joint, law_of_a_draw(2, draws * EVERY), draws, seed)
+    own = law_of_a_draw(2, draws * EVERY)
+    answers |= next_draw(truth, joint, own, draws, sense * turn, seed)
     widths = {
         name: 2 * error * float(student.ppf(0.975, freedom))
         for name, (_, error, freedom) in by_regression.items()
@@ -284,16 +287,15 @@ def next_draw(
     joint: curlfit.JointResult,
     own: Mapping[str, float],
     draws: int,
+    turn: float,
     seed: int,
 ) -> dict[str, Answer]:
     """Where the draw after the evening comes to rest, thrown on sheet 2 with the hog to
-    hog time of a draw to the tee."""
-    w = 1.2
-    v = weight_of(truth.law, own, w)
-    draw = thrown(truth.law, own, v, w)
+    hog time of a draw to the tee that turns as usual."""
+    draw = draw_to_the_tee(truth.law, own, turn)
     labels = {"sheet": "2", "hour": f"{draws * EVERY:.6f}"}
     call = Call(labels, hog_to_hog=draw.hog_to_hog)
-    predicted = curlfit.predict(joint, call=call, start={"omega0": w}, seed=seed)
+    predicted = curlfit.predict(joint, call=call, seed=seed)
     answers = {}
     places = {"rest_y": draw.rest}
     if "curl" in {one.parameter for one in joint.groups}:

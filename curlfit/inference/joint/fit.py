@@ -278,11 +278,22 @@ def _equal(together: Together, given: Mapping[str, float] | None) -> _Equal:
         joint_ridges.append(follow_jointly(together, solution, stderr))
         return joint_ridges[-1].of_throws
 
+    first_throw = rounds.throws[0]
+    same = np.isin(
+        first_throw.parameters.names,
+        same_in_all([one.throw for one in rounds.throws], rounds.model.law),
+    )
+    # With what is usual as a prior, an evening of draws is near a quadratic.
+    evening = same.any() and len(rounds.throws) >= _VARYING
     throws = _summarized(
-        together, solution, widths=widths, common=common, ridges=ridges
+        together,
+        solution,
+        widths=widths,
+        common=common,
+        ridges=None if evening else ridges,
     )
     ridge = joint_ridges[-1] if joint_ridges else None
-    first, parameters = throws[0], rounds.throws[0].parameters
+    first, parameters = throws[0], first_throw.parameters
     shared = tuple(parameters.names_where(common))
     coefficients = {name: first.parameters[name] for name in shared}
     combinations = tuple(
@@ -295,10 +306,6 @@ def _equal(together: Together, given: Mapping[str, float] | None) -> _Equal:
         common,
     )
     verdicts = {name: one.verdict for name, one in coefficients.items()}
-    same = np.isin(
-        parameters.names,
-        same_in_all([one.throw for one in rounds.throws], rounds.model.law),
-    )
     if tasks.penalty.informative:  # what varies is what the throws themselves determine
         alone = told_by_data(tasks, solution, reduction, shared, held=same)
         departures = NO_DEPARTURES if ridge is None else ridge.departures(alone)
