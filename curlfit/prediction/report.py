@@ -63,6 +63,10 @@ _SOURCES = {
     "covariance": "the covariance of the fit (there is no chain.h5): Gaussian along "
     "determined directions, uniform along the others",
 }
+_STRAIGHT = 0.005
+"""Curl in m, below which a path is called straight."""
+_ACROSS = ("rest_x", "rest_to_tee", "curl")
+"""Quantities that a law without a curl says nothing of."""
 _ALONG = ("beyond", "before")
 _SIDES = ("right of", "left of")
 
@@ -154,6 +158,13 @@ def _other(prediction: Prediction) -> Section:
     )
 
 
+def _knows_no_curl(prediction: Prediction) -> bool:
+    """Whether it is of draws without a measured curl, whose law leaves it open: such a
+    law goes straight on, and no stone does."""
+    curl = prediction.quantities["curl"].value
+    return prediction.draws["source"] == "throws" and abs(curl) < _STRAIGHT
+
+
 def describe_rest(prediction: Prediction) -> tuple[str, str]:
     """Position and time of rest, and the curl, as a sentence each."""
     found = prediction.quantities
@@ -162,12 +173,12 @@ def describe_rest(prediction: Prediction) -> tuple[str, str]:
     text = "On longer ice it would come to rest" if far else "It comes to rest"
     text += f" after {found['time'].value:.1f} s and {abs(turns):.2f} turns"
     text += " counter-clockwise" if turns > 0 else " clockwise" if turns < 0 else ""
-    text += (
-        f", {_off(found['rest_y'].value, _ALONG)} the tee line and "
-        f"{_off(found['rest_x'].value, _SIDES)} the centre line."
-    )
+    text += f", {_off(found['rest_y'].value, _ALONG)} the tee line"
+    if _knows_no_curl(prediction):
+        return f"{text}.", f"The {prediction.law} law says nothing of its curl."
+    text += f" and {_off(found['rest_x'].value, _SIDES)} the centre line."
     side = "right" if curl > 0 else "left"
-    if abs(curl) < 0.005:
+    if abs(curl) < _STRAIGHT:
         return text, "It does not curl."
     return (
         text,
@@ -218,8 +229,10 @@ def _called(prediction: Prediction) -> str:
     found = [f"{name} {label}" for name, label in prediction.call.labels.items()]
     if "hog_to_hog" in prediction.quantities:
         found.append(f"{prediction.quantities['hog_to_hog'].value:.2f} s hog to hog")
-    aimed = _broom(broom).replace(" in ", " in to the ")
-    found.append(f"broom {f'{aimed} of' if aimed else 'on'} the centre line at the tee")
+    if not _knows_no_curl(prediction):
+        aimed = _broom(broom).replace(" in ", " in to the ")
+        place = f"{aimed} of" if aimed else "on"
+        found.append(f"broom {place} the centre line at the tee")
     text = ", ".join(found)
     return f"{capital(text)}."
 
@@ -253,7 +266,10 @@ def _broom(place: float) -> str:
 
 def _quantities(prediction: Prediction) -> PlainTable:
     rows, both = [], prediction.misfit is not None
+    unknown = _ACROSS if _knows_no_curl(prediction) else ()
     for name, item in prediction.quantities.items():
+        if name in unknown:
+            continue
         meaning, unit = QUANTITIES[name]
         meaning, sign = sided(meaning, item.value)
         share = "" if item.share == 1 else f"{100 * item.share:.3g} %"
@@ -299,6 +315,8 @@ def _row(item: Quantity, sign: float, both: bool) -> dict[str, str]:
 
 
 def _outcomes(prediction: Prediction) -> str:
+    if _knows_no_curl(prediction):
+        return ""
     likely = [
         f"in {100 * chance:.3g} % of the draws it {OUTCOMES[name]}"
         for name, chance in prediction.chances.items()

@@ -134,6 +134,8 @@ def fit_together(
     usual = share is None and len(throws) >= _VARYING and chosen[0].loss == "linear"
     if equal.weights and (by or trend or usual):
         result = _varying(together, equal, seed)
+    if not result.converged:  # nothing is told of what was not found
+        result = replace(result, groups=(), differences=(), trend=())
     each = tuple(replace(one, quantities=quantities_of(one)) for one in result.throws)
     return replace(result, throws=each).with_derived(chosen[0].derive)
 

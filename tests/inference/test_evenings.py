@@ -1,0 +1,122 @@
+"""Evenings by stopwatch and tape, simulated elsewhere, with known truth."""
+
+from pathlib import Path
+
+import pytest
+
+import curlfit
+from curlfit.prediction.report import document as prediction_of
+from curlfit.prediction.result import Call
+from curlfit.reports.joint import document
+
+FOLDER = Path(__file__).parent / "evenings"
+SLOW = pytest.mark.slow
+
+
+def fitted(name, **choices):
+    throws = curlfit.load_throws(FOLDER / f"{name}.csv")
+    return curlfit.fit_together(throws, systematics={"all": 0.0}, **choices)
+
+
+def difference(joint, quantity):
+    """Of sheet 2 from sheet 1, of a draw to the tee."""
+    (effect,) = (one for one in joint.differences if one.parameter == quantity)
+    return effect
+
+
+@pytest.mark.parametrize(
+    ("name", "friction", "curl"),
+    [
+        ("D05", -0.001, -0.35),
+        pytest.param("D06", 0.003, 0.29, marks=SLOW),
+        pytest.param("C05", 0.006, -0.27, marks=SLOW),
+    ],
+)
+def test_the_sheets_differ_as_they_do(name, friction, curl):
+    """Without hog to rest nothing tells how friction depends on speed, and by the law
+    of front and back the difference of curl was 0.04 m."""
+    joint = fitted(name, by="sheet", trend="start")
+    assert joint.converged
+    assert not joint.warnings
+    of_curl = difference(joint, "curl")
+    assert abs(of_curl.value - curl) < 2.5 * of_curl.stderr
+    assert of_curl.stderr < 0.06
+    of_friction = difference(joint, "friction")
+    mean = joint.groups[[one.parameter for one in joint.groups].index("friction")]
+    assert abs(of_friction.value / mean.value - friction) < 0.025
+    assert of_friction.stderr / mean.value < 0.015
+
+
+def test_what_the_draws_do_not_tell_is_in_the_error_of_friction_not_of_the_difference():
+    joint = fitted("D05", by="sheet", trend="start")
+    exponent = joint.coefficients["k"]
+    assert exponent.verdict == "prior"
+    assert 0.15 < exponent.stderr < 0.25
+    (mean,) = (
+        one for one in joint.groups if one.parameter == "friction" and not one.by
+    )
+    assert 0.04 < mean.stderr / mean.value < 0.08
+    assert difference(joint, "friction").stderr < 0.3 * mean.stderr
+
+
+def test_two_times_tell_how_friction_depends_on_speed():
+    """Friction falls with v^-0.15; a draw to the tee takes 12.86 s."""
+    joint = fitted("e04")
+    assert joint.coefficients["k"].verdict == "determined"
+    (time,) = (one for one in joint.groups if one.parameter == "hog_to_hog")
+    assert abs(time.value - 12.86) < 2 * time.stderr
+    assert time.stderr < 0.06
+
+
+def test_an_exchanged_digit_is_named_and_left_out():
+    """Row 5 has 16.93 for 12.93; sheet 2 has 3.0 % less friction."""
+    joint = fitted("slip", by="sheet")
+    assert joint.converged
+    assert joint.count == 15
+    said = " ".join(str(document(joint)).split())
+    assert "line 6 (row 5, hog to hog 16.93 s: 3.9" in said
+    assert "--keep 6 uses them" in said
+    of_friction = difference(joint, "friction")
+    (mean,) = (
+        one for one in joint.groups if one.parameter == "friction" and not one.by
+    )
+    assert abs(of_friction.value / mean.value + 0.03) < 0.025
+
+
+@SLOW
+def test_a_wrong_digit_makes_no_evening_unusable():
+    joint = fitted("e03b")
+    assert joint.converged
+    assert joint.count == 23
+    assert not joint.warnings
+
+
+def test_nothing_is_said_of_a_curl_that_nobody_measured():
+    joint = fitted("e09d", by="rink", trend="when")
+    assert {one.parameter for one in joint.groups} == {"c", "friction", "hog_to_hog"}
+    call = Call({"rink": "South"}, hog_to_hog=13.0)
+    prediction = curlfit.predict(joint, call=call, draws=100)
+    said = " ".join(str(prediction_of(prediction)).split())
+    assert "The power law says nothing of its curl." in said
+    for words in ("broom", "does not curl", "right of centre", "button"):
+        assert words not in said.split("Sensitivity")[0], words
+
+
+@SLOW
+def test_curl_without_turns_is_told_at_the_usual_spin(tmp_path):
+    joint = fitted("e10")
+    assert joint.converged
+    assert joint.coefficients["a"].verdict == "determined"
+    assert joint.coefficients["m"].verdict == "weak"
+    joint.save(tmp_path / "joint.json")
+
+
+def test_nothing_is_told_of_what_was_not_found(monkeypatch):
+    """No difference of sheets stands beside a fit that cannot be used."""
+    from curlfit.inference.joint import population
+
+    monkeypatch.setattr(population, "_SETTLED", 0.0)
+    joint = fitted("slip", by="sheet")
+    assert not joint.converged
+    assert joint.groups == joint.differences == joint.trend == ()
+    assert "Sheet 2" not in str(document(joint))
