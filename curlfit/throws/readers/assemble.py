@@ -11,6 +11,7 @@ import numpy as np
 from curlfit.errors import InputError
 from curlfit.foreign import counted
 from curlfit.numerics.arrays import Floats
+from curlfit.output.text import join_words
 from curlfit.settings.choices import Reading
 from curlfit.throws.channels import CHANNELS, block_means
 from curlfit.throws.readers.angles import (
@@ -23,6 +24,11 @@ from curlfit.throws.readers.camera import pixels_to_metres
 from curlfit.throws.readers.parsed_file import ParsedFile, clock_of
 from curlfit.throws.reference import Conventions
 
+_MEASURED = ("x", "y", "u", "v", "phi")
+_PLACEHOLDERS = (0.0, -1.0, -99.0, -999.0, -9999.0, 999.0, 9999.0)
+"""What programs write for a value that was lost."""
+_MANY = 10
+"""Values of a channel that are not the same by chance."""
 _Columns = dict[str, Floats]  # by quantity, with the times as "t"
 
 
@@ -56,6 +62,8 @@ def assemble(parsed: ParsedFile, reading: Reading) -> dict[str, Any]:
         events = {"events": parsed.events, "assumed": parsed.assumed}
         return common | events | {"notes": tuple(parsed.notes)}
     columns = _in_order(parsed, _on_one_clock(parsed))
+    if not settings.get("as_given"):
+        columns = _only_measured(parsed, columns)
     calibration, unknown = _in_metres(parsed, columns, reading.reference, convention)
     if not settings.get("as_given"):
         require_radians(parsed, columns)
@@ -104,6 +112,54 @@ def _not_empty(parsed: ParsedFile) -> _Columns:
             f"column {header} is empty: {column.quantity} is taken as not measured"
         )
     return {s.column.quantity: s.values for s in parsed.series}
+
+
+def _only_measured(parsed: ParsedFile, columns: _Columns) -> _Columns:
+    """The columns without what stands for no measurement: a number such as -1 in all of
+    a row, and a channel that is the same in all rows. Zeros before the stone moves are
+    those of a stone at rest."""
+    factors = {s.column.quantity: s.column.factor for s in parsed.series}
+    channels = [name for name in columns if name in _MEASURED]
+    written = np.column_stack([columns[name] / factors[name] for name in channels])
+    alike = np.isclose(written, written[:, :1], rtol=1e-12, atol=0.0).all(axis=1)
+    lost = alike & np.isin(written[:, 0], _PLACEHOLDERS)
+    lost &= np.maximum.accumulate(~alike)
+    if len(channels) > 1 and lost.any():
+        number = join_words([f"{one:g}" for one in np.unique(written[lost, 0])])
+        parsed.notes.append(
+            f"{counted(int(lost.sum()), 'row')} with {number} in every column taken as "
+            f"not measured, the first {_place(parsed, lost)}; --as-given keeps them"
+        )
+        columns = {
+            name: np.where(lost, np.nan, values) if name in channels else values
+            for name, values in columns.items()
+        }
+    constant = [name for name in channels if _never_changes(columns[name])]
+    if constant and len(constant) < len(channels):
+        for name in constant:
+            value = columns[name][np.isfinite(columns[name])][0] / factors[name]
+            parsed.notes.append(
+                f"{name} is {value:g} in every row, which is no measurement: left out; "
+                "--as-given keeps it"
+            )
+        left_out = {*constant, *(f"sigma_{name}" for name in constant)}
+        columns = {name: v for name, v in columns.items() if name not in left_out}
+        parsed.series = [s for s in parsed.series if s.column.quantity not in left_out]
+    return columns
+
+
+def _never_changes(values: Floats) -> bool:
+    """Whether many values are all the same."""
+    known = values[np.isfinite(values)]
+    return len(known) >= _MANY and bool(np.ptp(known) == 0)
+
+
+def _place(parsed: ParsedFile, rows: np.ndarray) -> str:
+    """Where the first of some rows is, by its line if that is known."""
+    first = int(np.argmax(rows))
+    if parsed.lines is None:
+        return f"in row {first + 1}"
+    return f"in line {int(parsed.lines[first])}"
 
 
 def _chosen(parsed: ParsedFile, columns: _Columns, rows: np.ndarray) -> _Columns:
