@@ -120,6 +120,8 @@ def _only_measured(parsed: ParsedFile, columns: _Columns) -> _Columns:
     those of a stone at rest."""
     factors = {s.column.quantity: s.column.factor for s in parsed.series}
     channels = [name for name in columns if name in _MEASURED]
+    if not channels:
+        return columns
     written = np.column_stack([columns[name] / factors[name] for name in channels])
     alike = np.isclose(written, written[:, :1], rtol=1e-12, atol=0.0).all(axis=1)
     lost = alike & np.isin(written[:, 0], _PLACEHOLDERS)
