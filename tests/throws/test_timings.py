@@ -184,7 +184,9 @@ def test_a_column_of_words_about_the_spin_is_the_handle(read):
 
 
 def test_a_path_with_its_speed_and_spin_is_a_path(read):
-    rows = "\n".join(f"{k / 10},{0.01 * k},{0.2 * k},0,{2.0 - k / 50},1.0" for k in range(20))
+    rows = "\n".join(
+        f"{k / 10},{0.01 * k},{0.2 * k},0,{2.0 - k / 50},1.0" for k in range(20)
+    )
     throw = read(f"t,x,y,rest,speed,spin\n{rows}")
     assert throw.seen == ("x", "y", "speed", "omega")
 

@@ -351,23 +351,33 @@ def _entries(file: TextFile, body: Sequence[tuple[int, str]]) -> dict[str, Entry
 
 
 def usual_law(file: TextFile) -> str:
-    """The law that a file is fitted with if none is named. Raises `DataError`
-    as the reader."""
-    return _usual_law(_rows(file))
+    """The law by which each row of a file is fitted for itself if none is named. Raises
+    `DataError` as the reader."""
+    return _law_of_draws(_rows(file))
 
 
 def _usual_law(rows: list[Row]) -> str:
-    """The law that the measurements determine. Of an evening of draws: in the numbers
-    of a draw, with a force that turns it where the curl was measured. Of single ones:
-    where curl and turns were, one that curls and slows the spin as stones do; times and
-    positions along the sheet determine a mean friction."""
-    evening = len(rows) >= _MANY
-    needed = [{"curl"}] if evening else [{"curl"}, {"turns", "spin"}]
-    told = sum(all(keys & row.entries.keys() for keys in needed) for row in rows)
-    curls = 2 * told >= len(rows) > 0
-    if evening:
-        return "power+deflection" if curls else "power"
+    """The law that the measurements determine: of an evening, in the numbers of a draw,
+    with a force that turns it where the curl was measured."""
+    if len(rows) < _MANY:
+        return _law_of_draws(rows)
+    return "power+deflection" if _told({"curl"}, rows) else "power"
+
+
+def _law_of_draws(rows: list[Row]) -> str:
+    """The law of draws one by one: the curl needs one that curls and slows the spin as
+    stones do, and of a single throw the turns too; times and positions along the sheet
+    determine a mean friction."""
+    curls = _told({"curl"}, rows)
+    if len(rows) < _MANY:
+        curls = curls and _told({"turns", "spin"}, rows)
     return "front-back" if curls else "coulomb"
+
+
+def _told(keys: set[str], rows: list[Row]) -> bool:
+    """Whether half of the rows or more have one of some quantities."""
+    told = sum(bool(keys & row.entries.keys()) for row in rows)
+    return 2 * told >= len(rows) > 0
 
 
 def said_in(table: Path, source: str) -> tuple[dict[str, str], list[Event], str]:
