@@ -251,9 +251,9 @@ def test_a_table_of_curl_against_spin_gives_the_law(write):
         found = found * [3.6, 30 / np.pi, 100, 1, 0.5 / np.pi] - [0, 0, 0, TEE, 0]
         rows.append("{:.4f},{:+.4f},{:+.3f},{:.5f},{:+.4f},0.02".format(*found))
         states.append((v, omega))
-    joint = curlfit.fit_together(
-        curlfit.load_throws(write("\n".join(rows))), "front-back", share="all"
-    )
+    throws = curlfit.load_throws(write("\n".join(rows)))
+    assert {throw.defaults["law"] for throw in throws} == {"power+deflection"}
+    joint = curlfit.fit_together(throws, "front-back", share="all")
     assert joint.converged
     for name, value in truth.items():
         found = joint.derive(name)

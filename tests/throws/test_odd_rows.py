@@ -101,3 +101,13 @@ def test_too_few_rows_contradict_nobody():
     columns, labels, _ = evening(3, rows=3)
     columns["hog_to_hog"][1] = 50.0
     assert odd_values(columns, FLOORS, USUAL, labels) == []
+
+
+def test_a_label_with_many_groups_is_no_term():
+    """The time would grow with the square of the groups, 250 of 1,000 rows."""
+    columns, labels, _ = evening(4, rows=60)
+    players = [{**label, "player": str(k % 15)} for k, label in enumerate(labels)]
+    columns["hog_to_hog"][7] += 4.0
+    with_players = odd_values(columns, FLOORS, USUAL, players)
+    assert with_players == odd_values(columns, FLOORS, USUAL, labels)
+    assert [value.row for value in with_players] == [7]

@@ -19,25 +19,25 @@ from curlfit.settings.choices import Fitting
 from curlfit.throws.throw import Throw
 
 
+def same_in_all(
+    throws: Sequence[Throw], law: type[Law]
+) -> dict[str, tuple[float, float]]:
+    """Coefficients that are the same for all draws of an evening, with mean and
+    standard deviation on other ice; none if one of the throws has a path."""
+    if any(throw.has_path for throw in throws):
+        return {}
+    return {item.name: item.usual for item in law.coefficients() if item.usual}
+
+
 def with_usual_priors(
     throws: Sequence[Throw], chosen: Sequence[Fitting], law: type[Law]
 ) -> list[Fitting]:
-    """The choices of throws, with priors of the coefficients that are the same for all
-    draws of an evening, unless one of the throws has a path or a choice names them."""
-    if any(throw.has_path for throw in throws):
-        return list(chosen)
-    first = chosen[0]
-    named = {name for choice in first.by_parameter.values() for name in choice}
+    """The choices of throws, with priors of the coefficients that are the same in all,
+    unless a choice names them."""
+    named = {name for choice in chosen[0].by_parameter.values() for name in choice}
     usual = {
-        item.name: "{!r}+-{!r}".format(*item.usual)
-        for item in law.coefficients()
-        if item.usual is not None and item.name not in named
+        name: f"{mean!r}+-{deviation!r}"
+        for name, (mean, deviation) in same_in_all(throws, law).items()
+        if name not in named
     }
     return [replace(choice, priors={**choice.priors, **usual}) for choice in chosen]
-
-
-def same_in_all(throws: Sequence[Throw], law: type[Law]) -> list[str]:
-    """Coefficients that are the same for all draws of an evening."""
-    if any(throw.has_path for throw in throws):
-        return []
-    return [item.name for item in law.coefficients() if item.usual is not None]

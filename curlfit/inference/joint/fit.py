@@ -281,10 +281,8 @@ def _equal(together: Together, given: Mapping[str, float] | None) -> _Equal:
         return joint_ridges[-1].of_throws
 
     first_throw = rounds.throws[0]
-    same = np.isin(
-        first_throw.parameters.names,
-        same_in_all([one.throw for one in rounds.throws], rounds.model.law),
-    )
+    same_names = same_in_all([one.throw for one in rounds.throws], rounds.model.law)
+    same = np.isin(first_throw.parameters.names, [*same_names])
     # With what is usual as a prior, an evening of draws is near a quadratic.
     evening = same.any() and len(rounds.throws) >= _VARYING
     throws = _summarized(
@@ -313,7 +311,7 @@ def _equal(together: Together, given: Mapping[str, float] | None) -> _Equal:
         departures = NO_DEPARTURES if ridge is None else ridge.departures(alone)
         verdicts = {
             name: known
-            if known == "fixed" or same[list(parameters.names).index(name)]
+            if known == "fixed" or name in same_names
             else departures.judged(
                 name, *alone.classified(row)[:2], coefficients[name].typical
             )[1]

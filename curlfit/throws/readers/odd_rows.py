@@ -39,7 +39,13 @@ _FEWEST = 3
 _FIRST_GUESS = 3.5
 """Robust standard deviations from the first fit, beyond which a value does not count
 in the second."""
-_ROUNDS, _REWEIGHTED = 10, 30
+_ROUNDS = 10
+"""Fits at most, until those that count are those that agree."""
+_REWEIGHTED = 30
+"""Fits that approach the least absolute deviations."""
+_MOST_GROUPS = 12
+"""Groups of a label that is used, as sheets or teams are: the time of a regression
+grows with the square of its terms."""
 
 
 class OddValue(NamedTuple):
@@ -103,7 +109,7 @@ def _terms(labels: Sequence[Mapping[str, str]]) -> Floats:
     for name in names:
         groups = [row.get(name, "") for row in labels]
         members = sorted(set(groups))
-        if 1 < len(members) <= rows / _ROWS_PER_TERM:
+        if 1 < len(members) <= min(_MOST_GROUPS, rows / _ROWS_PER_TERM):
             columns += [
                 np.array([group == member for group in groups], float)
                 for member in members[1:]
