@@ -266,6 +266,14 @@ def stderr_of(weights: Floats, right: Floats, singular: Floats) -> float | None:
     return float(np.linalg.norm(along / singular))
 
 
+def stderr_told(rows: Floats, weights: Floats, typical: Floats) -> float | None:
+    """Standard error of a weighted sum of parameters, as rows of unit errors tell it,
+    shape (rows, parameters); None where they do not."""
+    _, singular, axes = np.linalg.svd(rows * typical, full_matrices=False)
+    seen = visible(singular)
+    return stderr_of(weights * typical, axes[seen], singular[seen])
+
+
 def inverted(singular: Floats, counts: Booleans) -> Floats:
     """1/singular where it counts, else 0: the singular values of the pseudoinverse."""
     return np.where(counts, 1 / np.where(counts, singular, 1.0), 0.0)

@@ -115,7 +115,7 @@ def test_nothing_is_told_of_what_was_not_found(monkeypatch):
     """No difference of sheets stands beside a fit that cannot be used."""
     from curlfit.inference.joint import population
 
-    monkeypatch.setattr(population, "_SETTLED", 0.0)
+    monkeypatch.setattr(population, "_ENDED", 0.0)
     joint = fitted("slip", by="sheet")
     assert not joint.converged
     assert joint.groups == joint.differences == joint.trend == ()

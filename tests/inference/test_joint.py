@@ -4,6 +4,7 @@ what differs."""
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -323,6 +324,31 @@ def test_throws_of_different_friction_do_not_hide_it_in_their_noise(load):
     assert mean.stderr == pytest.approx(differs.stderr, rel=0.05)
     assert mean.dof == 3
     assert not varying.warnings
+
+
+def test_tracks_without_an_angle_tell_together_what_each_tells_alone():
+    """Made by a simulation that shares no code with curlfit: 5 mm, a gap of 2.5 s,
+    front-back with mu1_xi 0.004, mu2_xi 0.048 (the last 0.0432)."""
+    folder = Path(__file__).parent / "no_angle_together"
+    truth = {"t02_1": 0.01763, "t02_2": 0.01768, "t02_5": 0.01759, "t02_7": 0.01836}
+    throws = curlfit.load_throws(*(folder / f"{name}.csv" for name in truth))
+    joint = curlfit.fit_together(throws, law="front-back")
+    assert joint.converged
+    combinations = {item.expression: item for item in joint.combinations}
+    forward = combinations["mu1_xi + mu2_xi"]
+    assert forward.value == pytest.approx(0.0508, abs=2 * forward.stderr)
+    by_throw = {item.expression: item.each for item in joint.variation}
+    sums = by_throw["mu1_eta + mu2_eta"]
+    for (value, stderr), right, throw in zip(sums, truth.values(), throws, strict=True):
+        assert value == pytest.approx(right, abs=3 * stderr)
+        alone = curlfit.fit(throw, "front-back", details=False)
+        (same,) = [
+            item
+            for item in alone.combinations
+            if item.expression == "mu1_eta + mu2_eta"
+        ]
+        assert value == pytest.approx(same.value, abs=0.05 * stderr)
+    assert joint.coefficients["mu1_xi"].verdict in ("weak", "at bound")
 
 
 def test_the_spread_between_throws_is_that_of_paule_and_mandel():

@@ -88,7 +88,13 @@ def by_nuts(joint: curlfit.JointResult, throws: list[curlfit.Throw]) -> dict[str
     k, size = len(means.spreads), len(means.names)
     scale = np.sqrt(np.diagonal(np.asarray(means.covariance)))[:size]
     free = scale > 0
-    each = np.array([item.first_spread for item in joint.variation if item.quantiles])
+    each = np.array(
+        [
+            max(item.spread, 0.1 * np.median([one[1] for one in item.each if one]))
+            for item in joint.variation
+            if item.quantiles
+        ]
+    )
 
     def model() -> None:
         z = numpyro.sample("z", flat(int(free.sum())))

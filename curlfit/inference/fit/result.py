@@ -30,8 +30,7 @@ from curlfit.inference.identifiability import (
     WEAK_ERROR,
     Combination,
     directions,
-    stderr_of,
-    visible,
+    stderr_told,
 )
 from curlfit.inference.model import Model
 from curlfit.inference.noise.models import LOSSES, WHITE, Independence, Noise
@@ -505,11 +504,14 @@ class FitResult(NamedEstimates):
         points = np.array([point.values for point in self.ridge])
         return (points.reshape(-1, len(self.parameters)) - self.values)[:, places]
 
-    def coefficient_rows_along_ridge(self) -> tuple[Floats, Floats]:
-        """What the throw says of the coefficients of its law where chi squared is no
-        quadratic: rows as those of `coefficient_rows`, of which the second are as wide
-        as the ridge, each of shape (coefficients, coefficients + 1)."""
-        names = list(self.coefficients)
+    def coefficient_rows_along_ridge(
+        self, names: Sequence[str] | None = None
+    ) -> tuple[Floats, Floats]:
+        """What the throw says of the coefficients of its law, or of the named
+        parameters, where chi squared is no quadratic: rows as those of
+        `coefficient_rows`, of which the second are as wide as the ridge, each of shape
+        (coefficients, coefficients + 1)."""
+        names = list(self.coefficients) if names is None else names
         known = self.information["names"]
         typical = np.array([self.parameters[name].typical for name in known])
         matrix = np.array(self.information["matrix"]) * typical * typical[:, None]
@@ -529,21 +531,19 @@ class FitResult(NamedEstimates):
         kept, stretched = parts
         return kept, stretched
 
-    def rows_told(self) -> Floats:
-        """All that the throw says of the coefficients of its law: `coefficient_rows`,
-        or both parts along the ridge, one after the other."""
+    def rows_told(self, names: Sequence[str] | None = None) -> Floats:
+        """All that the throw says of the coefficients of its law, or of the named
+        parameters: `coefficient_rows`, or both parts along the ridge, one after
+        the other."""
         if self.ridge:
-            return np.vstack(self.coefficient_rows_along_ridge())
-        return self.coefficient_rows()
+            return np.vstack(self.coefficient_rows_along_ridge(names))
+        return self.coefficient_rows(names)
 
     def stderr_of_coefficients(self, weights: Floats) -> float | None:
         """Standard error of a weighted sum of the coefficients of the law, as wide as
         the ridge; None where the throw says nothing of it."""
         typical = np.array([item.typical for item in self.coefficients.values()])
-        rows = self.rows_told()
-        _, singular, axes = np.linalg.svd(rows[:, :-1] * typical, full_matrices=False)
-        seen = visible(singular)
-        return stderr_of(weights * typical, axes[seen], singular[seen])
+        return stderr_told(self.rows_told()[:, :-1], weights, typical)
 
     def left_open(self) -> tuple[str, ...]:
         """Coefficients that the ridge leaves open: that differ along it, and of which
@@ -572,11 +572,13 @@ class FitResult(NamedEstimates):
                 left.append(name)
         return tuple(left)
 
-    def coefficient_rows(self) -> Floats:
-        """What the throw says of the coefficients of its law to first order about its
-        optimum: rows that are multiplied by these, with what they then give as the last
-        column, shape (coefficients, coefficients + 1); errors are one."""
-        names, known = list(self.coefficients), self.information["names"]
+    def coefficient_rows(self, names: Sequence[str] | None = None) -> Floats:
+        """What the throw says of the coefficients of its law, or of the named
+        parameters, to first order about its optimum: rows that are multiplied by these,
+        with what they then give as the last column, shape
+        (coefficients, coefficients + 1); errors are one."""
+        names = list(self.coefficients) if names is None else names
+        known = self.information["names"]
         typical = np.array([self.parameters[name].typical for name in known])
         matrix = np.array(self.information["matrix"]) * typical * typical[:, None]
         gradient = np.array(self.information["gradient"]) * typical

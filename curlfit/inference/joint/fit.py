@@ -32,29 +32,27 @@ from curlfit.inference.joint.advice import with_throws
 from curlfit.inference.joint.draw import Draw
 from curlfit.inference.joint.effects import Covariates
 from curlfit.inference.joint.evening import same_in_all, with_usual_priors
-from curlfit.inference.joint.population import Together, pool, told_by_data
+from curlfit.inference.joint.population import Together, told_by_data, vary
 from curlfit.inference.joint.posterior import corrected, sampled
 from curlfit.inference.joint.result import JointResult, Variation
 from curlfit.inference.joint.ridge import JointRidge, follow_jointly
 from curlfit.inference.joint.solver import Progress, minimize_jointly
 from curlfit.inference.joint.summary import about_mean
 from curlfit.inference.joint.variation import (
-    as_fitted_alone,
-    each_alone,
-    told_by_each,
+    ThrowsAlone,
+    Varying,
     variations_of,
-    wanted_of,
+    weights_of_known,
 )
 from curlfit.inference.least_squares import Solution, Tasks
 from curlfit.inference.model import Model
 from curlfit.inference.problem import problem_shape
-from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.numerics.arrays import Booleans
 from curlfit.numerics.batches import side_by_side, unstacked
 from curlfit.settings.choices import Fitting, takes
 from curlfit.throws.throw import Throw, require_throw
 
 _VARYING = 4  # throws from which on their coefficients may vary
-_FEWEST = 3  # throws that determine what varies
 _MORE_SEARCHES = 4
 """After one that ended at its limit of 200 steps: 10 tracks without an angle took
 up to 133."""
@@ -132,7 +130,7 @@ def fit_together(
     equal = _equal(together, chosen[0].systematics)
     result = equal.result
     usual = share is None and len(throws) >= _VARYING and chosen[0].loss == "linear"
-    if equal.weights and (by or trend or usual):
+    if equal.varying.weights and (by or trend or usual):
         result = _varying(together, equal, seed)
     if not result.converged:  # nothing is told of what was not found
         result = replace(result, groups=(), differences=(), trend=())
@@ -261,10 +259,7 @@ class _Equal(NamedTuple):
     """Throws with equal shared coefficients."""
 
     result: JointResult
-    weights: dict[str, Floats]
-    """of the parameters in what may vary"""
-    spreads: Floats
-    """of this between throws, from which better ones are searched"""
+    varying: Varying
     ridge: JointRidge | None
     """None where chi squared is a quadratic"""
 
@@ -307,39 +302,31 @@ def _equal(together: Together, given: Mapping[str, float] | None) -> _Equal:
     )
     verdicts = {name: one.verdict for name, one in coefficients.items()}
     if tasks.penalty.informative:  # what varies is what the throws themselves determine
-        alone = told_by_data(tasks, solution, reduction, shared, held=same)
-        departures = NO_DEPARTURES if ridge is None else ridge.departures(alone)
+        by_data = told_by_data(tasks, solution, reduction, shared, held=same)
+        departures = NO_DEPARTURES if ridge is None else ridge.departures(by_data)
         verdicts = {
             name: known
             if known == "fixed" or name in same_names
             else departures.judged(
-                name, *alone.classified(row)[:2], coefficients[name].typical
+                name, *by_data.classified(row)[:2], coefficients[name].typical
             )[1]
             for row, (name, known) in enumerate(verdicts.items())
         }
-        of_data = departures.kept(alone.combinations)
+        of_data = departures.kept(by_data.combinations)
         known = {item.expression: item for item in (*of_data, *combinations)}
         combinations = tuple(known.values())
-    of_each = (tasks.upper > tasks.lower) & ~same
-    wanted = wanted_of(verdicts, combinations, parameters.names)
-    weights = {name: own for name, own in wanted.items() if not own[same].any()}
-    plain = rounds.loss == "linear" and rounds.noises[0].kind == "white"
-    variation = variations_of(
-        each_alone(solution, tasks, rounds.unknown & plain, of_each),
-        of_each,
-        solution.values[0],
-        weights,
-        tasks.typical,
-        covariates.values,
+    known_weights = weights_of_known(verdicts, combinations, shared)
+    weights = {
+        name: own for name, own in known_weights.items() if not own[same[common]].any()
+    }
+    of_all = first_throw.parameters.values_of(solution.values[0])
+    alone = ThrowsAlone.of_fits(
+        _fitted_alone(together, {name: of_all[name] for name in same_names}), shared
     )
-    first_spreads = {one.expression: one.first_spread for one in variation}
-    if ridge is not None:
-        alone_by_throw = _fitted_alone(together)
-        variation = tuple(
-            as_fitted_alone(one, weights[one.expression], alone_by_throw, covariates)
-            for one in variation
-        )
-    among = {item.expression: item for item in variation if item.significant}
+    of_each = (tasks.upper > tasks.lower)[0, common] & ~same[common]
+    jointly = reduction.in_common()[..., :-1] * of_each
+    variations = variations_of(alone, jointly, weights, covariates.values)
+    among = {name: item for name, item in variations.items() if item.significant}
     open_ = np.array(
         [np.isin(parameters.names, one.covariance["names"]) for one in throws]
     )
@@ -362,48 +349,54 @@ def _equal(together: Together, given: Mapping[str, float] | None) -> _Equal:
         ),
         rank=int(first.rank + reduction.rank[1:].sum()),
         parameters=int(open_[0, common].sum() + open_[:, ~common].sum()),
-        variation=variation,
+        variation=tuple(variations.values()),
         systematics=replace(first.systematics, shifts=shifts),
     )
-    told = {one.expression for one in variation if sum(map(bool, one.each)) >= _FEWEST}
-    of_law = np.isin(
-        parameters.names, [item.name for item in rounds.model.law.coefficients()]
-    )
-    varying = told_by_each(
-        reduction.rows[..., :-1],
-        tasks.typical * of_each[0],
-        {
-            name: own
-            for name, own in weights.items()
-            if name in told and not own[~of_law].any()
-        },
-    )
-    spreads = np.array([first_spreads[name] for name in varying])
-    return _Equal(with_throws(result, throws, solution), varying, spreads, ridge)
+    of_law = np.isin(shared, [item.name for item in rounds.model.law.coefficients()])
+    may_vary = {name: own for name, own in weights.items() if not own[~of_law].any()}
+    varying = Varying.of(jointly, may_vary, variations, tasks.typical[common])
+    return _Equal(with_throws(result, throws, solution), varying, ridge)
 
 
-def _fitted_alone(together: Together) -> list[FitResult | None]:
-    """Each throw fitted by itself; None where that does not converge."""
+def _fitted_alone(
+    together: Together, held: Mapping[str, float]
+) -> list[FitResult | None]:
+    """Each throw fitted by itself, with some parameters `held`; None where that does
+    not converge. The priors of what throws have in common count once, for all of them,
+    and are not among these."""
     rounds = together.rounds
-    loss = rounds.loss
-    noise = rounds.noises[0].kind
+    names = rounds.throws[0].parameters.names_where(together.common)
     again = Rounds(
         rounds.model,
-        rounds.throws,
-        loss=loss,
-        noise=noise,
+        [_by_itself(one, names, held) for one in rounds.throws],
+        loss=rounds.loss,
+        noise=rounds.noises[0].kind,
         shape=rounds.problems.observed.shape[1:],
         batch=side_by_side(len(rounds.throws)),
     )
     fits = fitted(again, None)
     usable = [one for one in fits if not isinstance(one, CurlfitError)]
-    curves = (loss, noise) != ("linear", "white")
+    curves = (again.loss, again.noises[0].kind) != ("linear", "white")
     records = iter(summarize_many(usable, again.batch, curves=curves))
     alone: list[FitResult | None] = []
     for fit in fits:
         record = None if isinstance(fit, CurlfitError) else next(records)
         alone.append(record if record is not None and record.converged else None)
     return alone
+
+
+def _by_itself(
+    throw: PreparedThrow, common: Sequence[str], held: Mapping[str, float]
+) -> PreparedThrow:
+    """A throw without the priors of what it has in common, and some values held."""
+    parameters = throw.parameters
+    priors = {
+        name: prior for name, prior in parameters.priors.items() if name not in common
+    }
+    parameters = replace(parameters, priors=priors)
+    for name, value in held.items():
+        parameters = parameters.with_fixed(name, value)
+    return throw._replace(parameters=parameters)
 
 
 def _among(item: Any, differing: Mapping[str, Variation], name: str) -> Any:
@@ -418,11 +411,10 @@ def _among(item: Any, differing: Mapping[str, Variation], name: str) -> Any:
 def _varying(together: Together, equal: _Equal, seed: int | None) -> JointResult:
     """The result where what the throws determine varies about its mean, which is as
     free along the ridge as equal coefficients are."""
-    weights = equal.weights
+    weights, guess = equal.varying
     ridge = equal.ridge
-    guess = equal.spreads
     try:
-        found, solution, others = pool(together, weights, guess)
+        found, solution, others = vary(together, weights, guess)
     except np.linalg.LinAlgError:
         raise UnusableFitError(
             "how these throws vary cannot be estimated: their coefficients become "

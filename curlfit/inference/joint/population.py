@@ -1,17 +1,17 @@
 """Throws whose coefficients vary about a mean that may depend on groups and drift.
 
-Each throw's own parameters are at their optimum for its coefficients; what is left of
-its residuals is to first order a measurement of these. The coefficients follow from the
-mixed model of all throws (`curlfit.numerics.mixed_model`), and both steps alternate
-until nothing moves: Gauss-Newton on the likelihood whose deviations are integrated out
-by Laplace's approximation.
+Each throw is a quadratic in the coefficients of the law, to first order about its
+optimum for some of them, whether it was fitted beside the others or its line of a table
+is all that is left of it. The mixed model of all throws
+(`curlfit.numerics.mixed_model`) then tells their mean and how they vary about it.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -26,11 +26,13 @@ from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import side_by_side
 from curlfit.numerics.mixed_model import MixedFit, MixedModel, bounded
 
-_MOST, _USUAL = 24, 8  # linearizations, and those with whole steps; then they alternate
+_AGAIN = 8
+"""Times that throws are linearised again, at most: tracks with an angle take 2,
+evenings whose exponents are far from what is usual 4, tracks without an angle 7."""
 _STEPS = 30  # to the optimum of a throw at its coefficients
 _LARGE = 1.0  # typical sizes that a step may be long
-_SETTLED = 2e-3  # standard errors that a throw's coefficients still move by
-_NEAR = 0.1  # the same, below which variances are not estimated again
+_SETTLED = 0.01  # standard errors that coefficients still move by, which is none
+_ENDED = 0.1  # the same, which is little
 _AT = 1e-9  # typical sizes from a bound
 _EXACT = 1e-16  # typical sizes squared: a variance below which a direction is exact
 
@@ -127,17 +129,6 @@ class Population(NamedTuple):
         )
 
 
-def ends_from(
-    reference: Floats, typical: Floats, free: Booleans, lower: Floats, upper: Floats
-) -> tuple[Floats, Floats]:
-    """Bounds in typical sizes from a reference; a parameter that is fixed, which
-    nothing moves, has none."""
-    return (
-        np.where(free, (lower - reference) / typical, -np.inf),
-        np.where(free, (upper - reference) / typical, np.inf),
-    )
-
-
 class Together(NamedTuple):
     """Throws that are fitted together."""
 
@@ -150,75 +141,175 @@ class Together(NamedTuple):
     covariates: Covariates
 
 
-def pool(
+class LinearizedThrows(NamedTuple):
+    """What throws say of the parameters in common, each to first order about values of
+    its own: residuals are rows times what is added to these values, plus what is left.
+
+    All is in typical sizes from the reference.
+    """
+
+    rows: Floats
+    """shape (throws, rows, parameters)"""
+    residual: Floats
+    """at these values, shape (throws, rows)"""
+    at: Floats
+    """the values, shape (throws, parameters)"""
+    reference: Floats
+    typical: Floats
+    bounds: tuple[Floats, Floats]
+    """in the parameters' units; both are the reference where one is fixed"""
+    prior: tuple[Floats, Floats] | None = None
+    """rows of what is known of the mean besides, and what they then give"""
+
+    @property
+    def free(self) -> Booleans:
+        """Parameters that are not fixed."""
+        lower, upper = self.bounds
+        found: Booleans = upper > lower
+        return found
+
+    @property
+    def ends(self) -> tuple[Floats, Floats]:
+        """The bounds; a parameter that is fixed, which nothing moves, has none."""
+        lower, upper = (
+            (bound - self.reference) / self.typical for bound in self.bounds
+        )
+        return (
+            np.where(self.free, lower, -np.inf),
+            np.where(self.free, upper, np.inf),
+        )
+
+    def along(self, projection: Floats) -> Self:
+        """The same where only a projection of the parameters has an effect."""
+        prior = self.prior
+        if prior is not None:
+            prior = prior[0] @ projection, prior[1]
+        return self._replace(rows=self.rows @ projection, prior=prior)
+
+    def projection(
+        self, weights: Mapping[str, Floats], covariates: Floats, spreads: Floats
+    ) -> Floats:
+        """On what not only the bounds determine of the mean, where what has these
+        weights varies with some spreads."""
+        free = np.diag(1.0 * self.free)
+        model = self.along(free)._model(weights, covariates, self.prior)
+        lower, upper = self.ends
+        size = len(lower)
+        normal = model.parts(model.marginal(spreads**2)[0].sum(0))[0][:size, :size]
+        squares, axes = np.linalg.eigh(normal)
+        within = Bounded(np.zeros(size), lower, upper)
+        hidden = axes[:, within.confine(axes.T, np.sqrt(squares), np.ones(size))]
+        found: Floats = (np.eye(size) - hidden @ hidden.T) @ free
+        return found
+
+    def joined(
+        self, weights: Mapping[str, Floats], covariates: Floats, spreads: Floats
+    ) -> Population:
+        """The mean of throws where what has these weights varies.
+
+        Parameters
+        ----------
+        weights : of the parameters, by coefficient or combination.
+        covariates : on which the mean depends, with mean zero, shape
+            (throws, covariates).
+        spreads : standard deviations between throws, from which better ones
+            are searched.
+        """
+        model = self._model(weights, covariates, self.prior)
+        variances = model.variances(spreads**2) if len(spreads) else spreads
+        fit = of_data = MixedFit(model, variances, *self.ends)
+        if self.prior is not None:
+            without_prior = self._model(weights, covariates, None)
+            of_data = MixedFit(without_prior, variances, *self.ends)
+        return Population(
+            fit, self.reference, self.typical, self.bounds, dict(weights), of_data
+        )
+
+    def _model(
+        self,
+        weights: Mapping[str, Floats],
+        covariates: Floats,
+        prior: tuple[Floats, Floats] | None,
+    ) -> MixedModel:
+        whole = np.array([*weights.values()]).reshape(len(weights), len(self.typical))
+        directions: Any = np.linalg.pinv(whole * self.typical * self.free)
+        target = (self.rows @ self.at[..., None])[..., 0] - self.residual
+        return MixedModel.of(self.rows, target, directions, covariates, prior)
+
+
+def vary(
     throws: Together, weights: Mapping[str, Floats], guess: Floats
 ) -> tuple[Population, Solution, Floats]:
     """The mean of throws and their deviations from it; the throws at their own
     coefficients; and rows of what the others say of the parameters of each, with the
     residual as the last column, shape (throws, rows, parameters + 1).
 
+    Throws are linearised at equal coefficients and then, a few times, at those that
+    the mixed model expects of each (Lindstrom and Bates 1990, Biometrics 46, 673).
     Sigmas that were estimated are estimated again as the throws come to their
     own coefficients.
 
     Parameters
     ----------
-    weights : of the parameters in what varies, by expression, each of
-        shape (parameters,).
+    weights : of the parameters in common in what varies, by expression.
     guess : standard deviations between throws.
     """
-    rounds, tasks, solution, common, _ = throws
+    tasks, solution, common = throws.tasks, throws.solution, throws.common
     typical, reference = tasks.typical[common], solution.values[0, common]
-    bounds = tasks.lower[0, common], tasks.upper[0, common]
-    free = bounds[1] > bounds[0]
-    whole = np.array([*weights.values()])[:, common]
-    directions = np.linalg.pinv(whole * typical * free)
-    lower, upper = ends_from(reference, typical, free, *bounds)
-    values, distance, centre = np.array(solution.values), np.inf, reference
-    seen = np.diag(1.0 * free)
-    for step in range(_MOST):
-        if step:
-            solution = at_coefficients(throws, values)
-            values = np.array(solution.values)
-        solution = rounds.with_own_sigma(solution)
-        reduction, now = (
-            reduced(throws, solution),
-            (values[:, common] - reference) / typical,
-        )
-        each = reduction.in_common(typical)
-        each[..., :-1] = each[..., :-1] @ seen
-        if not step:
-            model = _model(throws, each, now, directions, _prior(throws, centre, seen))
-            seen = seen_of(model, guess**2, lower, upper) @ seen
-            each[..., :-1] = each[..., :-1] @ seen
-        prior = _prior(throws, centre, seen)
-        model = _model(throws, each, now, directions, prior)
-        # afterwards variances stay, which might alternate with zero
-        if distance > _NEAR:
-            variances = model.variances(guess**2)
-        fit = MixedFit(model, variances, lower, upper)
+    covariates = throws.covariates.values
+    centre, projection = reference, None
+    for linearization in itertools.count():
+        solution = throws.rounds.with_own_sigma(solution)
+        reduction = reduced(throws, solution)
+        linear = _about(throws, solution, reduction, centre)
+        if projection is None:
+            projection = linear.projection(weights, covariates, guess)
+        linear = linear.along(projection)
+        population = linear.joined(weights, covariates, guess)
+        fit = population.fit
         centre = reference + typical * fit.estimate[: len(typical)]
-        told = _rows(*fit.predicted_by_others(), now, fit.model.null)
-        every = np.concatenate([each, told], 1)
-        move = _moves(every, fit.model.null, lower - now, upper - now)[..., None]
-        distance = float(np.linalg.norm(every[..., :-1] @ move, axis=1).max())
-        if distance < _SETTLED:
+        others = _rows(*fit.predicted_by_others(), linear.at, fit.model.null)
+        of_throws = np.concatenate([linear.rows, linear.residual[..., None]], -1)
+        rows = np.concatenate([of_throws, others], 1)
+        lower, upper = linear.ends
+        move = _moves(rows, fit.model.null, lower - linear.at, upper - linear.at)
+        off = np.linalg.norm((rows[..., :-1] @ move[..., None])[..., 0], axis=1).max()
+        if off < _SETTLED or linearization == _AGAIN:
             break
-        move = move * min(1.0 if step < _USUAL else 0.5, _LARGE / np.abs(move).max())
-        steps = reduction.follow[:, :, common] @ (typical[:, None] * move)
-        values = _inside(
-            values + steps[..., 0], tasks.typical, tasks.lower, tasks.upper
-        )
-    others = np.zeros((*told.shape[:2], len(tasks.typical) + 1))
-    others[..., np.append(common, True)] = told / np.append(typical, 1.0)
-    of_data = fit
-    if prior is not None:
-        of_data = MixedFit(
-            _model(throws, each, now, directions), variances, lower, upper
-        )
-    varying = dict(zip(weights, whole, strict=True))
-    ended = np.full(len(values), distance < _SETTLED)
-    found = Population(fit, reference, typical, bounds, varying, of_data)
-    return found, solution._replace(success=ended), others
+        move *= min(1.0, _LARGE / np.abs(move).max())
+        steps = reduction.follow[:, :, common] @ (typical * move)[..., None]
+        values = solution.values + steps[..., 0]
+        values = _inside(values, tasks.typical, tasks.lower, tasks.upper)
+        solution = at_coefficients(throws, values)
+    told = np.zeros((*others.shape[:2], len(tasks.typical) + 1))
+    told[..., np.append(common, True)] = others / np.append(typical, 1.0)
+    ended = np.full(len(solution.values), off < _ENDED)
+    return population, solution._replace(success=ended), told
+
+
+def _about(
+    throws: Together, solution: Solution, reduction: Reduction, centre: Floats
+) -> LinearizedThrows:
+    """Throws about a solution, with their priors about the mean `centre`."""
+    tasks, common = throws.tasks, throws.common
+    typical = tasks.typical[common]
+    reference = throws.solution.values[0, common]
+    rows = reduction.in_common(typical)
+    prior = None
+    penalty = tasks.penalty.at((0, common))
+    if penalty.informative:
+        off, slope = penalty.residual_and_slope(centre)
+        of_prior = np.diag(slope * typical)
+        prior = of_prior, of_prior @ ((centre - reference) / typical) - off
+    return LinearizedThrows(
+        rows[..., :-1],
+        rows[..., -1],
+        (solution.values[:, common] - reference) / typical,
+        reference,
+        typical,
+        (tasks.lower[0, common], tasks.upper[0, common]),
+        prior,
+    )
 
 
 def at_coefficients(throws: Together, values: Floats, most: int = _STEPS) -> Solution:
@@ -267,49 +358,6 @@ def _of_throws(throws: Together) -> Penalty:
     """The priors of what throws do not have in common."""
     penalty = throws.tasks.penalty
     return penalty._replace(weight=penalty.weight * ~throws.common)
-
-
-def _prior(
-    throws: Together, centre: Floats, seen: Floats
-) -> tuple[Floats, Floats] | None:
-    """Rows of the priors of what throws have in common, in typical sizes from the first
-    optimum, on what is seen of it, and what they then give."""
-    common, typical = throws.common, throws.tasks.typical[throws.common]
-    penalty = throws.tasks.penalty.at((0, common))
-    if not penalty.informative:
-        return None
-    off, slope = penalty.residual_and_slope(centre)
-    rows = (slope * typical)[:, None] * seen
-    return rows, rows @ ((centre - throws.solution.values[0, common]) / typical) - off
-
-
-def _model(
-    throws: Together,
-    each: Floats,
-    now: Floats,
-    directions: Floats,
-    prior: tuple[Floats, Floats] | None = None,
-) -> MixedModel:
-    """The model of throws, of which `each` has rows with the residual as the
-    last column."""
-    target = (each[..., :-1] @ now[..., None])[..., 0] - each[..., -1]
-    return MixedModel.of(
-        each[..., :-1], target, directions, throws.covariates.values, prior
-    )
-
-
-def seen_of(
-    model: MixedModel, variances: Floats, lower: Floats, upper: Floats
-) -> Floats:
-    """Projection of the mean on what not only its bounds determine, for
-    some variances."""
-    size = len(lower)
-    normal = model.parts(model.marginal(variances)[0].sum(0))[0][:size, :size]
-    squares, axes = np.linalg.eigh(normal)
-    within = Bounded(np.zeros(size), lower, upper)
-    hidden = axes[:, within.confine(axes.T, np.sqrt(squares), np.ones(size))]
-    found: Floats = np.eye(size) - hidden @ hidden.T
-    return found
 
 
 def reduced(throws: Together, solution: Solution) -> Reduction:

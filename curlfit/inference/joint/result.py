@@ -64,12 +64,6 @@ class Variation:
         return self.p_value < _SIGNIFICANT
 
     @property
-    def first_spread(self) -> float:
-        """A value above zero, from which a better one is searched."""
-        errors = [one[1] for one in self.each if one is not None]
-        return max(self.spread, 0.1 * float(np.median(errors)))
-
-    @property
     def p_text(self) -> str:
         """The p-value as text, such as "p < 0.001"."""
         return p_text(self.p_value)

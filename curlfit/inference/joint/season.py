@@ -12,9 +12,9 @@ say roughly counts once, for all of them.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from operator import itemgetter
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,25 +22,23 @@ from curlfit.errors import InputError
 from curlfit.friction import Coefficient
 from curlfit.inference.fit.covariance import Covariance
 from curlfit.inference.fit.estimates import Estimate
-from curlfit.inference.identifiability import Bounded
 from curlfit.inference.joint.draw import TIMES, Draw
 from curlfit.inference.joint.effects import Covariates, Labelled
-from curlfit.inference.joint.population import Population, ends_from, seen_of
+from curlfit.inference.joint.population import LinearizedThrows, Population
 from curlfit.inference.joint.posterior import sampled
-from curlfit.inference.joint.result import JointResult, SeparateFits, Variation
+from curlfit.inference.joint.result import JointResult, SeparateFits
 from curlfit.inference.joint.summary import about_mean
 from curlfit.inference.joint.variation import (
-    Alone,
-    told_by_each,
+    ThrowsAlone,
+    Varying,
     variations_of,
-    wanted_of,
+    weights_of_known,
 )
 from curlfit.inference.model import Model
 from curlfit.inference.parameters import START
 from curlfit.inference.problem import LEVEL_AND_STILL
 from curlfit.inference.system import motions
-from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.numerics.mixed_model import MixedFit, MixedModel
+from curlfit.numerics.arrays import Floats
 from curlfit.output.text import join_words
 from curlfit.stone import Stone
 
@@ -147,81 +145,46 @@ class Season(NamedTuple):
         )
 
 
-class _Quadratics(NamedTuple):
-    """The log-likelihoods of throws in typical sizes from a reference."""
+def _linearized(season: Season, share: float) -> LinearizedThrows:
+    """The throws about their own optima, with a share of what they say roughly; the
+    reference is their median."""
+    items = season.model.law.coefficients()
+    typical = np.array([item.typical for item in items])
+    lower = np.array([item.lower for item in items])
+    upper = np.array([item.upper for item in items])
+    reference = np.clip(np.median(season.values, axis=0), lower, upper)
+    told = season.rows(share)
+    rows = told[..., :-1]
+    free = rows.any((0, 1)) | (np.ptp(season.values, axis=0) > 0)
+    return LinearizedThrows(
+        rows * typical,
+        (rows @ season.values[..., None])[..., 0] - told[..., -1],
+        (season.values - reference) / typical,
+        reference,
+        typical,
+        (np.where(free, lower, reference), np.where(free, upper, reference)),
+    )
 
-    items: tuple[Coefficient, ...]
-    reference: Floats
-    typical: Floats
-    free: Booleans
-    bounds: tuple[Floats, Floats]
-    """the reference where a coefficient is fixed"""
-    rows: Floats
-    target: Floats
-    own: Floats
-    """optima of the throws"""
 
-    @classmethod
-    def of(cls, season: Season, share: float = 1.0) -> Self:
-        """About the median of the throws, with a share of what they say roughly."""
-        items = season.model.law.coefficients()
-        typical, lower, upper = (
-            np.array([getattr(item, name) for item in items])
-            for name in ("typical", "lower", "upper")
-        )
-        reference = np.clip(np.median(season.values, axis=0), lower, upper)
-        told = season.rows(share)
-        rows = told[..., :-1]
-        free = rows.any((0, 1)) | (np.ptp(season.values, axis=0) > 0)
-        bounds = np.where(free, lower, reference), np.where(free, upper, reference)
-        target = told[..., -1] - rows @ reference
-        own = (season.values - reference) / typical
-        return cls(items, reference, typical, free, bounds, rows * typical, target, own)
+def _joined(throws: LinearizedThrows, varying: Varying, columns: Floats) -> Population:
+    """The mean of throws."""
+    weights, spreads = varying
+    seen = throws.along(throws.projection(weights, columns, spreads))
+    return seen.joined(weights, columns, spreads)
 
-    def population(
-        self, weights: Mapping[str, Floats], columns: Floats, spreads: Floats
-    ) -> Population:
-        """The fit where what has these weights varies; `spreads` are first values."""
-        whole = np.array([*weights.values()]).reshape(len(weights), len(self.items))
-        directions: Any = np.linalg.pinv(whole * self.typical * self.free)
-        ends = ends_from(self.reference, self.typical, self.free, *self.bounds)
-        model = MixedModel.of(self.rows, self.target, directions, columns)
-        seen = seen_of(model, spreads**2, *ends)
-        unseen = self.rows @ (np.eye(len(seen)) - seen) @ self.own[..., None]
-        target = self.target - unseen[..., 0]
-        model = MixedModel.of(self.rows @ seen, target, directions, columns)
-        variances = model.variances(spreads**2) if len(spreads) else spreads
-        fit = MixedFit(model, variances, *ends)
-        return Population(
-            fit, self.reference, self.typical, self.bounds, dict(weights), fit
-        )
 
-    def equal(self, share: float = 1.0) -> tuple[Covariance, dict[str, Estimate]]:
-        """What all throws say if they are equal, or what a share of their
-        information does."""
-        none, root = np.zeros((len(self.rows), 0)), share**0.5
-        some = self._replace(rows=root * self.rows, target=root * self.target)
-        known = some.population({}, none, none[0]).of_mean(
-            [item.name for item in self.items]
-        )
-        found = {}
-        for row, item in enumerate(self.items):
-            verdict = known.classified(row)[1] if self.free[row] else "fixed"
-            found[item.name] = Estimate.of(item, float(self.reference[row]), verdict)
-        return known, found
-
-    def variations(
-        self, wanted: Mapping[str, Floats], covariates: Floats
-    ) -> tuple[Variation, ...]:
-        """Of what has these weights, as each throw alone gives it."""
-        free, typical = self.free, self.typical
-        at = Bounded(*(part[free] for part in (self.reference, *self.bounds)))
-        alone = [
-            Alone.of(rows[None, :, free], -left[None], at, typical[free])
-            for rows, left in zip(self.rows, self.target, strict=True)
-        ]
-        pairs, open_ = [(one, one) for one in alone], np.tile(free, (len(alone), 1))
-        return variations_of(pairs, open_, self.reference, wanted, typical, covariates)
+def _equal(
+    throws: LinearizedThrows, items: Sequence[Coefficient]
+) -> tuple[Covariance, dict[str, Estimate]]:
+    """What all throws say if they are equal."""
+    nothing = Varying({}, np.zeros(0))
+    same = np.zeros((len(throws.rows), 0))
+    known = _joined(throws, nothing, same).of_mean([item.name for item in items])
+    estimates = {}
+    for row, item in enumerate(items):
+        verdict = known.classified(row)[1] if throws.free[row] else "fixed"
+        estimates[item.name] = Estimate.of(item, float(throws.reference[row]), verdict)
+    return known, estimates
 
 
 def mean_of(
@@ -247,24 +210,24 @@ def mean_of(
             f"{season.file}: {count} usable throws; expected {_FEWEST} or more"
         )
     covariates = Covariates.of(season.labels, by, trend)
-    throws = _Quadratics.of(season, season.share)
-    known, coefficients = throws.equal()
+    items = season.model.law.coefficients()
+    throws = _linearized(season, season.share)
+    known, coefficients = _equal(throws, items)
     if any(item.verdict == "at bound" for item in coefficients.values()):
         # What one throw leaves open may have gone there to explain what differs
         # between them.
-        known, coefficients = throws.equal(1 / count)
+        root = count**-0.5
+        as_one = throws._replace(
+            rows=root * throws.rows, residual=root * throws.residual
+        )
+        known, coefficients = _equal(as_one, items)
     verdicts = {name: item.verdict for name, item in coefficients.items()}
-    wanted = wanted_of(verdicts, known.combinations, tuple(coefficients))
-    variation = {
-        one.expression: one
-        for one in _Quadratics.of(season).variations(wanted, covariates.values)
-    }
-    weights = told_by_each(
-        season.rows(season.share)[..., :-1],
-        throws.typical * throws.free,
-        {name: wanted[name] for name in variation},
-    )
-    if not weights:
+    known_weights = weights_of_known(verdicts, known.combinations, tuple(coefficients))
+    rows = season.rows()[..., :-1]
+    alone = ThrowsAlone(season.values, rows, throws.typical)
+    variations = variations_of(alone, rows, known_weights, covariates.values)
+    varying = Varying.of(rows, known_weights, variations, throws.typical)
+    if not varying.weights:
         raise InputError(f"{season.file}: a throw determines no coefficient by itself")
     equal = JointResult(
         law=season.model.law.name,
@@ -277,11 +240,10 @@ def mean_of(
         combinations=known.combinations,
         rank=known.identifiability.rank,
         parameters=int(throws.free.sum()),
-        variation=tuple(variation.values()),
+        variation=tuple(variations.values()),
         table=season.summary(covariates.groups, known.identifiability.null_directions),
     )
-    spreads = np.array([variation[name].first_spread for name in weights])
-    found = throws.population(weights, covariates.values, spreads)
+    found = _joined(throws, varying, covariates.values)
     some = np.linspace(0, count - 1, min(count, _TURNING)).astype(int)
     return about_mean(
         equal,
@@ -289,6 +251,6 @@ def mean_of(
         covariates,
         Draw(season.model, season.stone),
         (season.values[some], season.start[some, -1]),
-        sampled(found.fit, spreads, seed),
+        sampled(found.fit, varying.first_spreads, seed),
         left_open=season.counts_left_open(),
     )

@@ -1,64 +1,66 @@
 """Whether throws that were fitted together agree, apart from what covariates explain.
 
-The estimate that each throw alone would give, to first order about the joint optimum,
-is compared with the shared one (Cochran 1954). Where sigma is not given it is that of
-the throw alone, since the joint fit takes the misfit to a common value for noise. The
-spread between throws is that at which the differences are as large as expected (Paule
-and Mandel 1982).
+The estimates of the throws, each fitted by itself, are compared with one another
+(Cochran 1954). Where sigma is not given it is that of the throw alone, since the joint
+fit takes the misfit to a common value for noise. The spread between throws is that at
+which the differences are as large as expected (Paule and Mandel 1982).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, Self
 
 import numpy as np
 from scipy.special import chdtrc
 
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.identifiability import (
-    WEAK_ERROR,
-    Bounded,
-    Combination,
-    stderr_of,
-    visible,
-)
-from curlfit.inference.joint.effects import Covariates
+from curlfit.inference.identifiability import Combination, stderr_told
 from curlfit.inference.joint.result import Variation
-from curlfit.inference.least_squares import Solution, Tasks, residual_sigma
-from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.numerics.arrays import Floats
+
+_FEWEST = 3  # throws that tell how something varies
+_LEAST_SPREAD = 0.1  # over the standard error from a throw, where a search begins
 
 
-class Alone(NamedTuple):
-    """What a throw alone determines, to first order about the joint optimum."""
+class ThrowsAlone(NamedTuple):
+    """What each of some throws tells by itself of the parameters in common."""
 
-    step: Floats
-    """from the joint optimum to that of the throw, in typical sizes"""
-    right: Floats
-    """determined directions in typical sizes, as orthonormal rows"""
-    singular: Floats
-    """1 over the standard errors along them"""
+    values: Floats
+    """shape (throws, parameters)"""
+    rows: Floats
+    """of unit errors, shape (throws, rows, parameters); zero of a throw that
+    tells nothing"""
+    typical: Floats
 
     @classmethod
-    def of(
-        cls, jacobian: Floats, residual: Floats, bounded: Bounded, typical: Floats
-    ) -> Alone:
-        """`jacobian`, of the weighted residuals, is in typical sizes, shape
-        (channels, n, p)."""
-        flat = jacobian.reshape(-1, len(typical))
-        left, singular, right = np.linalg.svd(flat, full_matrices=False)
-        seen = visible(singular) & ~bounded.confine(right, singular, typical)
-        left, singular, right = left[:, seen], singular[seen], right[seen]
-        return cls(-right.T @ (left.T @ residual.ravel() / singular), right, singular)
+    def of_fits(cls, fits: Sequence[FitResult | None], names: Sequence[str]) -> Self:
+        """Of fits of each throw by itself; None of one whose fit failed."""
+        values = np.zeros((len(fits), len(names)))
+        told = [np.zeros((0, len(names)))] * len(fits)
+        typical = np.ones(len(names))
+        for place, fit in enumerate(fits):
+            if fit is not None:
+                parameters = [fit.parameters[name] for name in names]
+                values[place] = [item.value for item in parameters]
+                typical = np.array([item.typical for item in parameters])
+                told[place] = fit.rows_told(names)[:, :-1]
+        rows = np.zeros((len(fits), max(map(len, told)), len(names)))
+        for of_throw, own in zip(rows, told, strict=True):
+            of_throw[: len(own)] = own
+        return cls(values, rows, typical)
 
-    def stderr(self, weights: Floats) -> float | None:
-        """Standard error of a weighted sum; None where the throw does not
-        determine it."""
-        return stderr_of(weights, self.right, self.singular)
+    def estimates(self, weights: Floats) -> list[tuple[float, float] | None]:
+        """A weighted sum of the parameters and its standard error from each throw."""
+        errors = _errors_told(self.rows, weights, self.typical)
+        values = self.values @ weights
+        return [
+            None if error is None else (float(value), error)
+            for value, error in zip(values, errors, strict=True)
+        ]
 
 
-def wanted_of(
+def weights_of_known(
     verdicts: Mapping[str, str],
     combinations: Sequence[Combination],
     names: Sequence[str],
@@ -66,162 +68,89 @@ def wanted_of(
     """Weights of parameters in the coefficients that are determined, and
     in combinations."""
     combined = {name for item in combinations for name in item.weights}
-    wanted = {
+    known = {
         name: {name: 1.0}
         for name, verdict in verdicts.items()
         if verdict == "determined" or (verdict == "weak" and name not in combined)
     } | {item.expression: item.weights for item in combinations}
     return {
         expression: np.array([weights.get(name, 0.0) for name in names])
-        for expression, weights in wanted.items()
+        for expression, weights in known.items()
     }
 
 
-def told_by_each(
-    rows: Floats, typical: Floats, wanted: Mapping[str, Floats]
-) -> dict[str, Floats]:
-    """Those of some coefficients and combinations that a throw of average information
-    determines beside one another, the best determined first.
-
-    Parameters
-    ----------
-    typical : sizes of the parameters of a throw; 0 of fixed ones.
-    wanted : weights of the parameters of a throw by coefficient or combination.
-    """
-    rows = rows * typical
-    information = (rows.mT @ rows).mean(0)
-
-    def errors(names: Iterable[str]) -> Floats:
-        """Standard errors over typical sizes, where nothing else varies."""
-        weights = np.array([wanted[name] * typical for name in names])
-        directions = np.linalg.pinv(weights)
-        squares = np.diagonal(np.linalg.pinv(directions.T @ information @ directions))
-        size = np.abs(weights).max(1)
-        known = (size > 0) & (squares > 0)
-        found: Floats = np.where(
-            known, np.sqrt(squares) / np.where(known, size, 1.0), np.inf
-        )
-        return found
-
-    chosen: list[str] = []
-    while rest := [name for name in wanted if name not in chosen]:
-        worst = {name: errors([*chosen, name]).max() for name in rest}
-        best = min(rest, key=worst.__getitem__)
-        if not worst[best] < WEAK_ERROR:
-            break
-        chosen.append(best)
-    return {name: wanted[name] for name in wanted if name in chosen}
-
-
 def variations_of(
-    throws: Sequence[tuple[Alone, Alone]],
-    free: Booleans,
-    best: Floats,
-    wanted: Mapping[str, Floats],
-    typical: Floats,
+    alone: ThrowsAlone,
+    jointly: Floats,
+    weights: Mapping[str, Floats],
     covariates: Floats,
-) -> tuple[Variation, ...]:
-    """Variation of the shared coefficients as each throw alone gives them, to
-    first order.
+) -> dict[str, Variation]:
+    """How coefficients and combinations, by expression, vary between throws.
 
     Parameters
     ----------
-    throws : each with the noise that the weights in the mean are from, and
-        with its own.
-    free : the parameters of each that are so, shape (throws, parameters).
-    best : where the parameters in common are, beside the others of any throw.
-    wanted : weights of the parameters of a throw by coefficient or combination.
+    jointly : rows of what each throw tells within the joint fit, of which its weight in
+        a shared estimate follows, shape (throws, rows, parameters).
+    weights : of the parameters, by expression.
     covariates : on which the coefficients depend, with mean zero, shape
         (throws, covariates).
     """
-    found = []
-    for expression, weights in wanted.items():
-        whole, value = weights * typical, float(weights @ best)
-        each: list[tuple[float, float] | None] = []
-        weight = []
-        for (joint, own), open_ in zip(throws, free, strict=True):
-            vector = whole[open_]
-            stderr, assumed = own.stderr(vector), joint.stderr(vector)
-            if stderr is None or assumed is None:
-                each.append(None)
-                continue
-            each.append((value + float(vector @ own.step), stderr))
-            weight.append(assumed**-2)
-        if len(weight) > 1 + covariates.shape[1]:
-            found.append(_variation(expression, each, np.array(weight), covariates))
-    return tuple(found)
-
-
-def as_fitted_alone(
-    variation: Variation,
-    weights: Floats,
-    fits: Sequence[FitResult | None],
-    covariates: Covariates,
-) -> Variation:
-    """The same with the fit of each throw alone in place of a step from the joint
-    optimum, which is far from it where chi squared is no quadratic; of what contains
-    conditions the same as before.
-
-    Parameters
-    ----------
-    weights : of the parameters of a throw, the coefficients first.
-    fits : None of a throw whose fit failed.
-    """
-    first = next((fit for fit in fits if fit is not None), None)
-    if first is None or weights[len(first.coefficients) :].any():
-        return variation
-    weights = weights[: len(first.coefficients)]
-    each: list[tuple[float, float] | None] = []
-    for fit in fits:
-        stderr = None if fit is None else fit.stderr_of_coefficients(weights)
-        if fit is None or stderr is None:
-            each.append(None)
-        else:
-            each.append((float(weights @ fit.values[: len(weights)]), stderr))
-    errors = np.array([one[1] for one in each if one is not None])
-    if len(errors) <= 1 + covariates.values.shape[1]:
-        return replace(variation, each=tuple(each), p_value=1.0, spread=0.0)
-    return _variation(variation.expression, each, errors**-2, covariates.values)
-
-
-def each_alone(
-    solution: Solution, tasks: Tasks, unknown: Booleans, free: Booleans
-) -> list[tuple[Alone, Alone]]:
-    """Of each throw and its `free` parameters, shape (throws, parameters), with the
-    noise of the joint fit and with that of its own where it is `unknown`, shape
-    (throws, channels), since it was estimated from least squares."""
-    typical = tasks.typical
-    jacobians = solution.jacobian * typical
-
-    def analysed(scale: Floats) -> list[Alone]:
-        return [
-            Alone.of(
-                jacobian[..., own] / sigma[:, None, None],
-                residual / sigma[:, None],
-                Bounded(*(part[own] for part in ends)),
-                typical[own],
-            )
-            for jacobian, residual, sigma, own, *ends in zip(
-                jacobians,
-                solution.residual,
-                scale,
-                free,
-                solution.values,
-                tasks.lower,
-                tasks.upper,
-                strict=True,
-            )
+    variations = {}
+    for expression, of_sum in weights.items():
+        errors = _errors_told(jointly, of_sum, alone.typical)
+        each = [
+            None if error is None else estimate
+            for estimate, error in zip(alone.estimates(of_sum), errors, strict=True)
         ]
+        shares = [
+            error**-2
+            for estimate, error in zip(each, errors, strict=True)
+            if estimate is not None and error is not None
+        ]
+        if len(shares) > 1 + covariates.shape[1]:
+            variations[expression] = _variation(
+                expression, each, np.array(shares), covariates
+            )
+    return variations
 
-    joint = analysed(np.ones(unknown.shape))
-    steps = np.zeros(free.shape)
-    for step, own, one in zip(steps, free, joint, strict=True):
-        step[own] = one.step
-    left = solution.residual + (jacobians @ steps[:, None, :, None])[..., 0]
-    problems = tasks.problems
-    sigma = residual_sigma(solution._replace(residual=left), problems, free)
-    sigma = np.where(unknown, sigma * problems.weight.max(-1), 1.0)
-    return list(zip(joint, analysed(sigma), strict=True))
+
+class Varying(NamedTuple):
+    """What varies between throws."""
+
+    weights: dict[str, Floats]
+    """of the parameters in common, by coefficient or combination"""
+    first_spreads: Floats
+    """standard deviations between throws above zero, from which better ones
+    are searched"""
+
+    @classmethod
+    def of(
+        cls,
+        jointly: Floats,
+        weights: Mapping[str, Floats],
+        variations: Mapping[str, Variation],
+        typical: Floats,
+    ) -> Self:
+        """What enough throws tell of within the joint fit."""
+        first_spreads = {}
+        for expression, of_sum in weights.items():
+            told = _errors_told(jointly, of_sum, typical)
+            errors = [error for error in told if error is not None]
+            if len(errors) >= _FEWEST:
+                least = _LEAST_SPREAD * float(np.median(errors))
+                variation = variations.get(expression)
+                spread = 0.0 if variation is None else variation.spread
+                first_spreads[expression] = max(spread, least)
+        return cls(
+            {name: weights[name] for name in first_spreads},
+            np.array([*first_spreads.values()]),
+        )
+
+
+def _errors_told(rows: Floats, weights: Floats, typical: Floats) -> list[float | None]:
+    """Standard error of a weighted sum of parameters, as the rows of each throw tell
+    it; None where they do not."""
+    return [stderr_told(of_throw, weights, typical) for of_throw in rows]
 
 
 def _variation(
