@@ -132,6 +132,11 @@ class JointResult(NamedEstimates):
     groups, differences, trend : the mean of all throws and of each group, the
         differences of groups from the first one of the same label, and the change of
         the mean along a trend; of each quantity that varies, and of a draw to the tee.
+    slopes : changes along a trend of each group that has a slope of its own
+        (`trend_by`).
+    slope_differences : by how much the slopes of groups differ from that of the first
+        one of the same label; where all groups have one slope, from a second fit in
+        which they do not.
     throws : a `FitResult` for each throw, with its own coefficients if these vary; its
         standard errors and its information are those of the joint fit, so that
         predictions from it use all throws.
@@ -177,6 +182,8 @@ class JointResult(NamedEstimates):
     groups: tuple[Effect, ...] = ()
     differences: tuple[Effect, ...] = ()
     trend: tuple[Effect, ...] = ()
+    slopes: tuple[Effect, ...] = field(default=(), metadata=ADDED)
+    slope_differences: tuple[Effect, ...] = field(default=(), metadata=ADDED)
     throws: tuple[FitResult, ...] = field(default=(), metadata=UNSAVED)
     r_hat: float | None = None
     importance: float | None = field(default=None, metadata=ADDED)

@@ -228,13 +228,14 @@ def mean_of(
     season: Season,
     by: str | Sequence[str],
     trend: str | Sequence[str],
+    trend_by: str | Sequence[str],
     seed: int | None,
 ) -> JointResult:
     """The mean of throws, how they vary about it, and what groups and trends do.
 
     Parameters
     ----------
-    by, trend, seed : as in `fit_together`.
+    by, trend, trend_by, seed : as in `fit_together`.
 
     Raises
     ------
@@ -246,7 +247,7 @@ def mean_of(
         raise InputError(
             f"{season.file}: {count} usable throws; expected {_FEWEST} or more"
         )
-    covariates = Covariates.of(season.labels, by, trend)
+    covariates = Covariates.of(season.labels, by, trend, trend_by)
     throws = _Quadratics.of(season, season.share)
     known, coefficients = throws.equal()
     if any(item.verdict == "at bound" for item in coefficients.values()):
