@@ -66,7 +66,7 @@ def fit_season(
     >>> season.differences[-1].parameter, season.differences[-1].group
     ('hog_to_hog', '2')
     """
-    return mean_of(_read(Path(file), law), by, trend, trend_by, seed)
+    return mean_of(_read(Path(file), law), by, trend, seed, trend_by)
 
 
 def _read(file: Path, law: str | type[Law] | None = None) -> Season:

@@ -33,6 +33,7 @@ from curlfit.reports.estimates import (
     systematics,
 )
 from curlfit.reports.fit import file_of, settings_of, with_derived
+from curlfit.throws.odd_row import odd_rows_in_words
 from curlfit.throws.throw import UNITS
 
 if TYPE_CHECKING:
@@ -70,6 +71,7 @@ def document(result: JointResult) -> Document:
     """Shared coefficients, how the throws differ in them, and each throw's
     own parameters."""
     throws, effects = f"{result.count} throws together", effect_lines(result)
+    odd = " ".join(odd_rows_in_words(result.odd_rows))
     differing = ", ".join(
         item.expression for item in result.variation if item.significant
     )
@@ -98,8 +100,9 @@ def document(result: JointResult) -> Document:
             (f"{result.law} law", "bold"),
             f", {result.load} load, {throws}; shared: {', '.join(result.share)}",
         ),
-        about=about(result, warned),
+        about=about(result, warned, odd),
         lines=[
+            odd,
             *effects,
             *lines_of(result),
             f"Differs between throws: {differing}."

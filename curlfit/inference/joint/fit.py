@@ -147,7 +147,9 @@ def fit_together(
             slope_differences=(),
         )
     each = tuple(replace(one, quantities=quantities_of(one)) for one in result.throws)
-    return replace(result, throws=each).with_derived(chosen[0].derive)
+    odd_rows = tuple(dict.fromkeys(odd for throw in throws for odd in throw.odd_rows))
+    result = replace(result, throws=each, odd_rows=odd_rows)
+    return result.with_derived(chosen[0].derive)
 
 
 def _common(throws: Sequence[Throw], name: str, default: str) -> str:

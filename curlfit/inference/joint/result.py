@@ -25,6 +25,7 @@ from curlfit.numerics.arrays import Floats
 from curlfit.output.text import join_words, p_text
 from curlfit.records import ADDED, UNSAVED, Names, keys, plain, require, structured
 from curlfit.stone import Stone
+from curlfit.throws.odd_row import OddRow
 
 _SIGNIFICANT = 0.01
 _NAMED = 3  # throws whose files a warning of several names
@@ -118,6 +119,8 @@ class JointResult(NamedEstimates):
     ----------
     law, load, share : what was fitted; names of the shared coefficients.
     converged, status, warnings : whether the fit may be used, and why it may mislead.
+    odd_rows : those of stopwatch tables that contradict the others, which were left
+        out unless they are many.
     means : how the mean depends on groups and trends, and throws vary about it; None if
         the coefficients are equal in all throws.
     coefficients : the shared ones, by name: those of the mean of the throws, or the
@@ -178,6 +181,7 @@ class JointResult(NamedEstimates):
     rank: int
     parameters: int
     variation: tuple[Variation, ...]
+    odd_rows: tuple[OddRow, ...] = field(default=(), metadata=ADDED)
     means: Means | None = None
     groups: tuple[Effect, ...] = ()
     differences: tuple[Effect, ...] = ()

@@ -228,14 +228,14 @@ def mean_of(
     season: Season,
     by: str | Sequence[str],
     trend: str | Sequence[str],
-    trend_by: str | Sequence[str],
     seed: int | None,
+    trend_by: str | Sequence[str] = (),
 ) -> JointResult:
     """The mean of throws, how they vary about it, and what groups and trends do.
 
     Parameters
     ----------
-    by, trend, trend_by, seed : as in `fit_together`.
+    by, trend, seed, trend_by : as in `fit_together`.
 
     Raises
     ------
