@@ -105,7 +105,7 @@ def batch(
 
 def _told(table: Table, console: Console) -> Saved:
     """Say what is in a table."""
-    from curlfit.batch.settings import ODD
+    from curlfit.batch.table import ODD
 
     counts = table.counts
     for row in table.odd:

@@ -11,11 +11,11 @@ from curlfit.batch.settings import (
     INFORMATION,
     LABELS,
     LEFT_OPEN,
-    ODD,
     QUANTILES,
     BatchSettings,
     columns,
 )
+from curlfit.batch.table import ODD
 from curlfit.errors import CurlfitError, UnusableFitError
 from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.fit.result import FitResult

@@ -21,8 +21,6 @@ groups, and how long it was seen, in s."""
 LEFT_OPEN = "left_open"
 """Column of the coefficients that values along a ridge leave open (`FitResult.ridge`);
 tables of earlier versions lack it."""
-ODD = "odd"
-"""Status of a row of a stopwatch table that contradicts the others and is left out."""
 QUANTILES = ("16", "50", "84")
 """Quantiles of the posterior, in percent."""
 

@@ -17,12 +17,13 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, BinaryIO, Self
 
-from curlfit.batch.settings import ODD
 from curlfit.errors import DataError, InputError
 from curlfit.foreign import csv_cell, csv_lines
 from curlfit.records import plain, read_json, write_json
 from curlfit.version import __version__
 
+ODD = "odd"
+"""Status of a row of a stopwatch table that contradicts the others and is left out."""
 _MAKER = "curlfit batch"
 _HEAD, _LONG = re.compile(rb"file,.*\bstone_index,.*\bstatus,"), 4096
 _OTHERWISE = "name another table with --out, or write over it with --again"
