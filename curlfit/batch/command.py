@@ -58,7 +58,8 @@ def batch(
     export one for each object, a table one for each throw (columns shot and
     stone_index). A throw without a usable fit has the reason in its row and does not
     stop the batch: status "not usable" if the data were read, "failed" if they could
-    not be read. The same command continues where an earlier run was interrupted.
+    not be read, "odd" for a row of a stopwatch table that the other rows contradict
+    (`--keep` fits it). The same command continues where an earlier run was interrupted.
 
     Exit status 0 if a throw in the table is ok; 1 if some were read and none is usable;
     2 if none could be read, or the command itself is refused.
@@ -104,7 +105,11 @@ def batch(
 
 def _told(table: Table, console: Console) -> Saved:
     """Say what is in a table."""
+    from curlfit.batch.table import ODD
+
     counts = table.counts
+    for row in table.odd:
+        console.print(f"{row}.", style="yellow", markup=False, soft_wrap=True)
     console.print(
         f"{counts['ok']} ok"
         + (
@@ -113,10 +118,11 @@ def _told(table: Table, console: Console) -> Saved:
             else ""
         )
         + f", {counts['not usable']} not usable, {counts['failed']} failed"
+        + (f", {counts[ODD]} odd" if counts[ODD] else "")
         + f". Written: {table.file}, {table.settings}",
         soft_wrap=True,
     )
-    read = counts["ok"] + counts["not usable"]
+    read = counts["ok"] + counts["not usable"] + counts[ODD]
     if not counts["ok"]:
         fault = "no throw is usable" if read else "no throw could be read"
         say(f"curlfit: {fault}; the column reason of {table.file} says why", error=True)

@@ -15,6 +15,7 @@ from curlfit.batch.settings import (
     BatchSettings,
     columns,
 )
+from curlfit.batch.table import ODD
 from curlfit.errors import CurlfitError, UnusableFitError
 from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.fit.result import FitResult
@@ -28,16 +29,21 @@ def fit_files(
 ) -> list[dict[str, Any]]:
     """One row for each throw in the files, in their order, with the keys of `columns`.
 
-    The status is "ok", "not usable" (the data were read but gave no usable fit)
-    or "failed" (they could not be read); `reason` says why. Unavailable values
-    are missing.
+    The status is "ok", "odd" (a row of a stopwatch table that contradicts the others
+    and is left out), "not usable" (the data were read but gave no usable fit) or
+    "failed" (they could not be read); `reason` says why. Unavailable values are
+    missing.
 
     Raises
     ------
     InputError : the settings themselves are impossible.
     """
     rows, names, parts = [], columns(plan), _read(files, plan)
-    throws = [part.throw for _, part in parts if isinstance(part.throw, Throw)]
+    throws = [
+        part.throw
+        for _, part in parts
+        if isinstance(part.throw, Throw) and part.odd_row is None
+    ]
     choices = {name: getattr(plan, name) for name in Fitting.forms()}
     choices["systematics"] = plan.systematics or None
     fits = iter(fit_throws(throws, curves=bool(plan.systematics), **choices))
@@ -45,6 +51,12 @@ def fit_files(
     for file, part in parts:
         row: dict[str, Any] = dict.fromkeys(names)
         row |= {"file": file, "shot": part.shot, "stone_index": part.stone_index}
+        if part.odd_row is not None:
+            keeps = f"`--keep {part.odd_row.line}` keeps it"
+            row["status"] = ODD
+            row["reason"] = f"{part.odd_row.words}; {keeps}"
+            rows.append(row)
+            continue
         result = next(fits) if isinstance(part.throw, Throw) else part.throw
         if isinstance(result, CurlfitError):
             row["status"] = "not usable" if isinstance(part.throw, Throw) else "failed"

@@ -37,6 +37,7 @@ def fit_season(
     *,
     by: str | Sequence[str] = (),
     trend: str | Sequence[str] = (),
+    trend_by: str | Sequence[str] = (),
     seed: int | None = None,
 ) -> JointResult:
     """Fit the mean of the throws in a table of `curlfit batch`, and how they
@@ -49,7 +50,8 @@ def fit_season(
     ----------
     file : the table, beside its settings.
     law : the law of the table, if it is your own.
-    by, trend : labels of the rows, or columns that were added, as in `fit_together`.
+    by, trend, trend_by : labels of the rows, or columns that were added, as in
+        `fit_together`.
     seed : as in `fit_together`.
 
     Raises
@@ -64,7 +66,7 @@ def fit_season(
     >>> season.differences[-1].parameter, season.differences[-1].group
     ('hog_to_hog', '2')
     """
-    return mean_of(_read(Path(file), law), by, trend, seed)
+    return mean_of(_read(Path(file), law), by, trend, seed, trend_by)
 
 
 def _read(file: Path, law: str | type[Law] | None = None) -> Season:

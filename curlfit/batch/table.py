@@ -22,6 +22,8 @@ from curlfit.foreign import csv_cell, csv_lines
 from curlfit.records import plain, read_json, write_json
 from curlfit.version import __version__
 
+ODD = "odd"
+"""Status of a row of a stopwatch table that contradicts the others and is left out."""
 _MAKER = "curlfit batch"
 _HEAD, _LONG = re.compile(rb"file,.*\bstone_index,.*\bstatus,"), 4096
 _OTHERWISE = "name another table with --out, or write over it with --again"
@@ -71,7 +73,8 @@ class Table:
     Attributes
     ----------
     todo : the files whose rows are not complete. counts : number of rows by status.
-    warned : number of usable rows with warnings.
+    warned : number of usable rows with warnings. odd : what contradicts the other rows
+        of stopwatch tables, in words.
 
     Raises
     ------
@@ -91,6 +94,7 @@ class Table:
         self.file, self.columns = file, list(columns)
         self.counts: Counter[str] = Counter()
         self.warned = 0
+        self.odd: list[str] = []
         self.settings = settings_file(file)
         head, settings = csv_lines([self.columns]), plain(dict(plan))
         size, done = 0, set[str]()
@@ -181,6 +185,8 @@ class Table:
         for row in rows:
             self.counts[row["status"]] += 1
             self.warned += row["status"] == "ok" and bool(row["warnings"])
+            if row["status"] == ODD:
+                self.odd.append(f"{row['file']}: left out as odd: {row['reason']}")
 
     def _settle(self) -> None:
         self.stream.flush()

@@ -73,16 +73,19 @@ class Together(Choices):
         `sheet`; the columns of the table, or of that of `--throws`.
     trend : With several throws: labels along which the ice changes, such as `start`
         (clock times or numbers).
+    trend_by : With `--by` and `--trend`: labels, such as `sheet`, whose groups change
+        each at its own rate. [default: all change alike]
     """
 
     share: Annotated[Sequence[str], option(NAMES, "all|NAME,...")] = ()
     by: Annotated[Sequence[str], option(NAMES, "LABEL,...")] = ()
     trend: Annotated[Sequence[str], option(NAMES, "LABEL,...")] = ()
+    trend_by: Annotated[Sequence[str], option(NAMES, "LABEL,...")] = ()
 
     @property
     def effects(self) -> dict[str, Any]:
         """The labels of groups and trends."""
-        return {"by": self.by, "trend": self.trend}
+        return {"by": self.by, "trend": self.trend, "trend_by": self.trend_by}
 
 
 def fit(
@@ -139,7 +142,8 @@ def fit(
         usual = s.result_folder(one, "fit", reading) if len(data) == 1 else several
         return _fit_jointly(jobs, together, sampling.of_several(), output, usual)
     for name in together.given():
-        raise InputError(f"--{name} needs several throws")
+        flag = name.replace("_", "-")
+        raise InputError(f"--{flag} needs several throws")
     (job,) = jobs.values()
     return _fit_one(job, s.result_folder(files[0], "fit", reading), sampling, output)
 

@@ -77,6 +77,29 @@ class MixedModel(NamedTuple):
         of_mean[:, :size], of_mean[:, -1] = besides[:, :-1], besides[:, -1]
         return cls(whole.mT @ whole, directions, covariates, null, of_mean.T @ of_mean)
 
+    def with_covariates(self, covariates: Floats) -> Self:
+        """The model with further covariates, shape (blocks, covariates)."""
+        blocks, before, _ = self.products.shape
+        deviations = self.directions.shape[1]
+        effects = covariates.shape[1] * deviations
+        # the columns of further effects are those of the deviations, A_i D, times x_i
+        further = covariates[:, None, :, None] * np.eye(deviations)[:, None, :]
+        change = np.zeros((blocks, before, before + effects))
+        change[:, : before - 1, : before - 1] = np.eye(before - 1)
+        change[:, :deviations, before - 1 : -1] = further.reshape(
+            blocks, deviations, effects
+        )
+        change[:, -1, -1] = 1.0
+        of_mean = len(self.prior) - 1
+        place = np.full((effects, 1), of_mean)
+        prior = np.insert(self.prior, place[:, 0], 0.0, axis=0)
+        prior = np.insert(prior, place[:, 0], 0.0, axis=1)
+        return self._replace(
+            products=change.mT @ self.products @ change,
+            covariates=np.concatenate([self.covariates, covariates], 1),
+            prior=prior,
+        )
+
     def marginal(self, variances: Floats) -> tuple[Floats, Floats]:
         """The products of each block with the deviations integrated out, without
         their columns, and the logarithm of the determinant of the covariance of its
@@ -129,6 +152,14 @@ class MixedModel(NamedTuple):
         of all blocks."""
         return MixedFit(self, self.variances(guess), lower, upper)
 
+    @property
+    def typical(self) -> Floats:
+        """Variances of the deviations as a typical block tells them."""
+        information = np.diagonal(self.products, axis1=1, axis2=2)
+        of_deviations = information[:, : self.directions.shape[1]]
+        found: Floats = 1 / np.maximum(np.median(of_deviations, axis=0), 1e-300)
+        return found
+
     def variances(self, guess: Floats) -> Floats:
         """Of the deviations, by restricted maximum likelihood."""
         from scipy.optimize import minimize  # slow to load
@@ -143,9 +174,7 @@ class MixedModel(NamedTuple):
             options={"eps": _STEP, "ftol": 1e-14, "gtol": 1e-6},
         )
         variances: Floats = guess * np.exp(found.x)
-        information = np.diagonal(self.products, axis1=1, axis2=2)[:, : len(guess)]
-        typical = 1 / np.maximum(np.median(information, axis=0), 1e-300)
-        small = variances < _ZERO * typical
+        small = variances < _ZERO * self.typical
         if (
             small.any()
             and self.criterion(np.where(small, 0.0, variances)) < found.fun + _ZERO

@@ -43,6 +43,7 @@ from curlfit.prediction.ensemble import ThrowFamily, prepare_ensemble, weights_o
 from curlfit.prediction.request import PlannedThrow, both_turns, planned
 from curlfit.prediction.result import CENTRED, Call, Prediction
 from curlfit.prediction.simulation import Simulation
+from curlfit.throws.odd_row import OddRow
 from curlfit.throws.throw import CHANNELS, Throw
 
 _ROUNDS = 200  # of draws, until enough are within the bounds
@@ -125,7 +126,9 @@ def predict(
     random = np.random.default_rng(seed)
     notes: list[str] = []
     few: tuple[str, ...] = ()
+    odd_rows: tuple[OddRow, ...] = ()
     if together := isinstance(fit, JointResult):
+        odd_rows = fit.odd_rows
         fit, values = another(fit, call.labels, draws, random)
         source = "throws"
     else:
@@ -161,6 +164,7 @@ def predict(
         goal=throw.goal,
         draws={"number": draws, "used": used, "source": source, "seed": seed},
         call=call,
+        odd_rows=odd_rows,
         weights=weights_of(fit, throw.values["omega0"]) if together else (),
         measured={} if together else _measured_rows(throw),
         warnings=(*few, *warned),

@@ -29,6 +29,7 @@ from curlfit.prediction.result import (
     Quantity,
 )
 from curlfit.sheet import FOOT, STONE_RADIUS, TEE, TEE_TO_BACK
+from curlfit.throws.odd_row import odd_rows_in_words
 
 _LINES = {
     "hack": "at the hack",
@@ -92,6 +93,7 @@ def document(prediction: Prediction) -> Document:
         if fitted
         else "another throw on this ice"
     )
+    odd = odd_rows_in_words(prediction.odd_rows)
     aim = [] if prediction.goal is None else [_aim(prediction)]
     aim += [] if fitted else [_called(prediction)]
     source = _SOURCES[draws["source"]]
@@ -102,11 +104,12 @@ def document(prediction: Prediction) -> Document:
             f", {prediction.load} load, fitted to {fit['file']}: {what}",
         ),
         about=(
+            *map(Said, odd),
             _start(prediction),
             *(Said(line, style="bold") for line in aim),
             f"Bands from {draws['used']} draws of {source}",
         ),
-        lines=[*aim, curl],
+        lines=[*odd, *aim, curl],
         sections=(
             Section(
                 "predicted",

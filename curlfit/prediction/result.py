@@ -13,6 +13,7 @@ from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Floats
 from curlfit.output.frames import frame
 from curlfit.records import (
+    ADDED,
     SERIES,
     Arrays,
     Choice,
@@ -24,6 +25,7 @@ from curlfit.records import (
 )
 from curlfit.sheet import TEE
 from curlfit.stone import Stone
+from curlfit.throws.odd_row import OddRow
 
 PREDICTED = ("x", "y", "phi")
 """Predicted channels."""
@@ -204,6 +206,8 @@ class Prediction(Record):
         fit lie on a curve, or "throws" of a joint fit), "seed".
     call : the throw in curlers' terms, as asked for.
     command : that made it; empty if it was made in Python.
+    odd_rows : of the tables of a joint fit, which were left out of it unless they are
+        many.
     weights : what to throw for several places, on the ice of a joint fit.
     misfit : the model discrepancy; None where the throws of a joint fit
         contain its effect.
@@ -262,6 +266,7 @@ class Prediction(Record):
     notes: tuple[str, ...]
     call: Call = field(default_factory=Call)
     command: str = ""
+    odd_rows: tuple[OddRow, ...] = field(default=(), metadata=ADDED)
     weights: tuple[Weight, ...] = ()
     other: Prediction | None = None
     check: HeldOut | None = None

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.text import Text
 
+from curlfit.inference.joint.effects import SLOPES_DIFFER, chances_of_alike_slopes
 from curlfit.inference.joint.result import warnings_of
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Section, command_line, show
@@ -32,6 +33,7 @@ from curlfit.reports.estimates import (
     systematics,
 )
 from curlfit.reports.fit import file_of, settings_of, with_derived
+from curlfit.throws.odd_row import odd_rows_in_words
 from curlfit.throws.throw import UNITS
 
 if TYPE_CHECKING:
@@ -69,6 +71,7 @@ def document(result: JointResult) -> Document:
     """Shared coefficients, how the throws differ in them, and each throw's
     own parameters."""
     throws, effects = f"{result.count} throws together", effect_lines(result)
+    odd = " ".join(odd_rows_in_words(result.odd_rows))
     differing = ", ".join(
         item.expression for item in result.variation if item.significant
     )
@@ -97,8 +100,9 @@ def document(result: JointResult) -> Document:
             (f"{result.law} law", "bold"),
             f", {result.load} load, {throws}; shared: {', '.join(result.share)}",
         ),
-        about=about(result, warned),
+        about=about(result, warned, odd),
         lines=[
+            odd,
             *effects,
             *lines_of(result),
             f"Differs between throws: {differing}."
@@ -184,15 +188,20 @@ def effect_lines(result: JointResult) -> list[str]:
         if name in of_all
     ]
     found = [f"A draw to the tee: {', '.join(parts)}."]
-    of_what: dict[tuple[str, str], dict[str, Effect]] = {}
-    for one in (*result.differences, *result.trend):
-        of_what.setdefault((one.by, one.group), {})[one.parameter] = one
-    for (by, group), mine in of_what.items():
+    of_what: dict[tuple[str, str, str], dict[str, Effect]] = {}
+    trends = () if result.slopes else result.trend
+    for one in (*result.differences, *trends, *result.slopes):
+        key = (one.along, one.by, one.group)
+        of_what.setdefault(key, {})[one.parameter] = one
+    for (along, by, group), mine in of_what.items():
         first = mine["friction"]
-        per = first.unit.partition("/")[2] or "unit"
-        head = f"{capital(by)} {group} against {first.against}"
-        if not group:
-            head = f"Per {per}" + f" of {by}" * (by != per)
+        if along or not group:
+            trend = along or by
+            per = first.unit.partition("/")[2] or "unit"
+            head = f"Per {per}" + (f" of {trend}" if trend != per else "")
+            head += f" on {by} {group}" if group else ""
+        else:
+            head = f"{capital(by)} {group} against {first.against}"
         percent = compact(
             *(100 * abs(one) / friction.value for one in (first.value, first.stderr))
         )
@@ -210,17 +219,31 @@ def effect_lines(result: JointResult) -> list[str]:
         ]
         within = f" ({join_words(chance)} within the errors)" if chance else ""
         found.append(f"{head}: {', '.join(parts)}{within}.")
-    return found
+    return [*found, *_alike_slopes(result)]
+
+
+def _alike_slopes(result: JointResult) -> list[str]:
+    """Sentences on labels whose groups change alike along the trends, as far as
+    is known."""
+    chances = chances_of_alike_slopes(result.slope_differences)
+    return [
+        f"The slopes by {label} differ no more than by chance ({p_text(chance)})."
+        for label, chance in chances.items()
+        if chance >= SLOPES_DIFFER
+    ]
 
 
 def _effects(result: JointResult) -> PlainTable:
     rows = []
-    for one in (*result.groups, *result.differences, *result.trend):
+    trend_by = () if result.means is None else result.means.trend_by
+    effects = [*result.groups, *result.differences, *result.trend, *result.slopes]
+    effects += [one for one in result.slope_differences if one.by in trend_by]
+    for one in effects:
         if one.parameter in _DRAWN or not one.by:
             continue
-        what = f"{one.by} {one.group}".strip() + (
-            f" - {one.against}" if one.against else ""
-        )
+        what = f"{one.by} {one.group}".strip()
+        what += f" - {one.against}" if one.against else ""
+        what += f", {one.along}" if one.along else ""
         value, error = format_estimate(one.value, one.stderr)
         rows.append(
             {
@@ -295,4 +318,5 @@ def _command(result: JointResult) -> str:
     else:
         flags += [f"--by={name}" for name in result.means.groups]
         flags += [f"--trend={name}" for name in result.means.trends]
+        flags += [f"--trend-by={name}" for name in result.means.trend_by]
     return command_line("fit", *_files(result), *with_derived(flags, result))

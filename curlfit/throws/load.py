@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 from curlfit.errors import CurlfitError, DataError, InputError
 from curlfit.foreign import quoted
 from curlfit.settings.choices import Reading, takes
+from curlfit.throws.odd_row import OddRow
 from curlfit.throws.readers.assemble import assemble
 from curlfit.throws.readers.axes import parse_axes
 from curlfit.throws.readers.camera import load_homography
@@ -74,7 +75,8 @@ class Part(NamedTuple):
         has only one.
     throw : the throw, or the error if it cannot be read.
     alone : why a throw determines nothing without others; None if it does.
-    left_out : whether a joint fit leaves it out, as the notes of the others say.
+    left_out : whether a joint fit leaves it out, as `odd_rows` and notes of the others
+        say. odd_row : why, if it contradicts the other rows of its table.
     """
 
     shot: int | None
@@ -82,13 +84,14 @@ class Part(NamedTuple):
     throw: Throw | CurlfitError
     alone: CurlfitError | None = None
     left_out: bool = False
+    odd_row: OddRow | None = None
 
 
 @takes(Reading)
 def load_throws(*files: str | PathLike[str], **choices: Any) -> list[Throw]:
     """Read the throws of a joint fit: one from each file, all of a table that holds
-    several and, from a table with a throw in each row, all but the odd ones, which are
-    named in the notes of the others.
+    several and, from a table with a throw in each row, all but the odd ones, which the
+    others name in `odd_rows`.
 
     Parameters
     ----------
@@ -161,8 +164,17 @@ def parts_of(
         except CurlfitError as error:
             throw = error
         left_out = number is None and k is not None and k - 1 in contents.left_out
+        odd_row = None
+        if left_out:
+            odd_row = next((odd for odd in contents.odd_rows if odd.row == k), None)
         parts.append(
-            Part(**own | {key: k}, throw=throw, alone=alone, left_out=left_out)
+            Part(
+                **own | {key: k},
+                throw=throw,
+                alone=alone,
+                left_out=left_out,
+                odd_row=odd_row,
+            )
         )
     return parts
 

@@ -14,6 +14,7 @@ from curlfit.output.console import PlainTable
 from curlfit.output.text import compact
 from curlfit.settings.choices import Reading
 from curlfit.throws.motion import MIN_POSITIONS, final_speed, first_row_at_rest, path_of
+from curlfit.throws.odd_row import odd_rows_in_words
 from curlfit.throws.throw import CHANNELS, UNITS, scatter
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ def print_inspection(
     are left out.
     """
     write = console.print
+    odd = odd_rows_in_words(throw.odd_rows)
     if throw.has_path:
         write(
             f"{parsed.source}: {parsed.format}, {counted(len(throw), 'row')}, "
@@ -48,6 +50,8 @@ def print_inspection(
     else:
         events = counted(len(throw.events), "event")
         write(f"{parsed.source}: {parsed.format}, {events} at lines and at rest")
+        for sentence in odd:
+            write(sentence, style="yellow", markup=False)
         write(_events(throw))
     write()
     for line in facts(throw, settings):

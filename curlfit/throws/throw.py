@@ -21,6 +21,7 @@ from curlfit.output.frames import frame
 from curlfit.settings.choices import Reading, takes
 from curlfit.throws.channels import CHANNELS, UNITS, condensed, last_motion, scatter
 from curlfit.throws.events import Event, lines_of, sketch
+from curlfit.throws.odd_row import OddRow
 from curlfit.throws.reference import Conventions, Reference, StoneValues
 
 __all__ = [
@@ -87,6 +88,8 @@ class Throw(Displayed):
         initial state.
     labels : what a table says of the throw besides measurements, as text by name:
         `sheet`, `stone`, `thrower`, `start` ...
+    odd_rows : rows of its stopwatch table that contradict the others, left out of a
+        joint fit unless they are many (`curlfit.throws.odd_row.OddRow`).
 
     Raises
     ------
@@ -124,6 +127,7 @@ class Throw(Displayed):
     calibration: Floats | None = None
     read_with: tuple[str, ...] = ()
     """the flags with which its file was read"""
+    odd_rows: tuple[OddRow, ...] = ()
 
     def __post_init__(self) -> None:
         n = len(self.t)

@@ -1,10 +1,12 @@
 """Evenings by stopwatch and tape, simulated elsewhere, with known truth."""
 
+import json
 from pathlib import Path
 
 import pytest
 
 import curlfit
+from curlfit.html_report.page import page_of
 from curlfit.prediction.report import document as prediction_of
 from curlfit.prediction.result import Call
 from curlfit.reports.joint import document
@@ -68,14 +70,27 @@ def test_two_times_tell_how_friction_depends_on_speed():
     assert time.stderr < 0.06
 
 
-def test_an_exchanged_digit_is_named_and_left_out():
+def test_an_exchanged_digit_is_named_and_left_out(tmp_path):
     """Row 5 has 16.93 for 12.93; sheet 2 has 3.0 % less friction."""
     joint = fitted("slip", by="sheet")
     assert joint.converged
     assert joint.count == 15
-    said = " ".join(str(document(joint)).split())
-    assert "line 6 (row 5, hog to hog 16.93 s: 3.9" in said
-    assert "--keep 6 uses them" in said
+    third_line = document(joint).heading[2]
+    assert "Left out as odd: line 6 (row 5, hog to hog 16.93 s: 3.9" in str(third_line)
+    assert str(third_line).endswith("`--keep 6` keeps it.")
+    assert str(third_line) in page_of(joint).replace("&#39;", "'").replace(
+        "<code>--keep 6</code>", "`--keep 6`"
+    )
+    (odd,) = joint.odd_rows
+    assert (odd.row, odd.line, odd.column, odd.value) == (5, 6, "hog to hog", 16.93)
+    assert abs(odd.deviation - (16.93 - 12.93)) < 0.3
+    joint.save(tmp_path / "joint.json")
+    (record,) = json.loads((tmp_path / "joint.json").read_text())["odd_rows"]
+    assert (record["line"], record["value"], record["left_out"]) == (6, 16.93, True)
+    prediction = curlfit.predict(
+        joint, call=Call({"sheet": "2"}, hog_to_hog=13.0), draws=100
+    )
+    assert str(third_line) == str(prediction_of(prediction).heading[1])
     of_friction = difference(joint, "friction")
     (mean,) = (
         one for one in joint.groups if one.parameter == "friction" and not one.by

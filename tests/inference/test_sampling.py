@@ -4,6 +4,8 @@ the diagnostics."""
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 import warnings
 from functools import partial
 
@@ -277,3 +279,24 @@ def test_an_undetermined_direction_without_bounds_is_named(eq12):
         curlfit.UnusableFitError, match="mu1_eta and mu2_eta, and none of them"
     ):
         sample(fit(eq12, stone=Stone(R=0.065, rho=0.1025), bounds=wide))
+
+
+def test_emcee_is_imported_without_what_one_move_needs_and_the_move_works():
+    """The import of `scipy.stats` took a tenth of the fit of an evening."""
+    script = """
+import sys
+import numpy as np
+import curlfit.inference.mcmc.sampler
+assert "scipy.stats" not in sys.modules
+import emcee
+random = np.random.default_rng(0)
+moves = emcee.moves.KDEMove()
+log_prob = lambda x: -0.5 * (x**2).sum()
+sampler = emcee.EnsembleSampler(20, 2, log_prob, moves=moves)
+sampler.run_mcmc(random.normal(size=(20, 2)), 3)
+assert "scipy.stats" in sys.modules
+"""
+    run = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False
+    )
+    assert run.returncode == 0, run.stderr

@@ -64,6 +64,21 @@ def test_the_estimate_is_that_of_the_dense_likelihood():
     assert found.covariance == pytest.approx(covariance, abs=1e-6)
 
 
+def test_further_covariates_are_as_if_they_had_been_there():
+    rows, target, covariates, _ = simulated(30, 4)
+    further = np.random.default_rng(5).normal(size=(30, 2))
+    prior = np.eye(3)[1:], np.array([2.0, 0.5])
+    at_once = MixedModel.of(
+        rows, target, DIRECTIONS, np.column_stack([covariates, further]), prior
+    )
+    added = MixedModel.of(rows, target, DIRECTIONS, covariates, prior).with_covariates(
+        further
+    )
+    assert added.covariates == pytest.approx(at_once.covariates)
+    assert added.products == pytest.approx(at_once.products)
+    assert added.prior == pytest.approx(at_once.prior)
+
+
 def test_a_block_before_its_own_observations_is_as_without_it():
     rows, target, covariates, _ = simulated(12, 2)
     found = MixedModel.of(rows, target, DIRECTIONS, covariates).fitted(

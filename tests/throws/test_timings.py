@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import math
 import sys
 from functools import partial
@@ -17,6 +18,7 @@ from curlfit.errors import DataError, InputError
 from curlfit.settings.choices import Reading
 from curlfit.sheet import LINES
 from curlfit.throws.load import detect_format, load_throw, usual_law
+from curlfit.throws.odd_row import odd_rows_in_words
 from curlfit.throws.readers.text import TextFile
 
 FOOT = 0.3048
@@ -392,9 +394,11 @@ def test_an_odd_row_is_left_out_of_a_joint_fit_unless_it_is_kept(tmp_path, row):
     file = evening(tmp_path, (4, row))
     parts = parts_in(file)
     assert [k for k, part in enumerate(parts) if part.left_out] == [4]
-    (note,) = (note for note in parts[0].throw.notes if "odd" in note)
-    assert "line 6 (" in note
-    assert "--keep 6 uses" in note
+    assert [odd.line for odd in parts[0].throw.odd_rows] == [6]
+    (sentence,) = odd_rows_in_words(parts[0].throw.odd_rows)
+    assert sentence.startswith("Left out as odd: line 6 (row 5, ")
+    assert sentence.endswith("; `--keep 6` keeps it.")
+    assert parts[4].odd_row.fault in sentence
     kept = parts_in(file, keep=[6])
     assert not any(part.left_out for part in kept)
     assert kept[4].throw.read_with == ("--keep=6",)
@@ -403,17 +407,43 @@ def test_an_odd_row_is_left_out_of_a_joint_fit_unless_it_is_kept(tmp_path, row):
     assert [k for k, part in enumerate(parts_in(file)) if part.left_out] == [4]
 
 
+def test_an_odd_row_is_in_the_first_lines_of_check_and_batch(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    evening(tmp_path, (4, "31.65,11,3.2 ft left"))
+    odd = "line 6 (row 5, hog to hog 31.65 s: 18"
+    run = invoke(["check", "evening.csv"])
+    assert run.exit_code == 0, run.exception
+    first_lines = " ".join(" ".join(run.stdout.splitlines()[:3]).split())
+    assert f"Left out as odd: {odd}" in first_lines
+    assert "`--keep 6` keeps it." in first_lines
+    run = invoke(["batch", "evening.csv", "--workers", "1", "--out", "season.csv"])
+    assert run.exit_code == 0, run.exception
+    first_line = run.stdout.splitlines()[0]
+    assert first_line.startswith(f"evening.csv: left out as odd: {odd}")
+    assert "0 not usable, 0 failed, 1 odd. Written" in run.stdout
+    with open("season.csv", newline="") as stream:
+        rows = [*csv.DictReader(stream)]
+    assert [row["status"] for row in rows[3:6]] == ["ok", "odd", "ok"]
+    assert rows[4]["reason"].startswith(odd)
+    run = invoke(
+        ["batch", "evening.csv", "--workers", "1", "--keep", "6", "--out", "kept.csv"]
+    )
+    assert "12 ok" in run.stdout
+
+
 def test_guards_and_takeouts_are_not_odd_and_few_rows_are_left_out(tmp_path):
     varied = ((1, "9.1,-,-"), (2, "15.4,6.5,0.4 m left"), (3, "13,12.5,6 ft right"))
     assert not any(part.left_out for part in parts_in(evening(tmp_path, *varied)))
     absurd = tuple((row, f"{30 + row},11,1 m left") for row in (1, 2, 3))
     first, *others = parts_in(evening(tmp_path, *absurd))
     assert not any(part.left_out for part in (first, *others))
-    assert any(
-        "kept since they are more than a fifth: line 3" in n for n in first.throw.notes
+    assert [odd.left_out for odd in first.throw.odd_rows] == [False] * 3
+    (sentence,) = odd_rows_in_words(first.throw.odd_rows)
+    assert sentence.startswith(
+        "Odd rows, used since they are more than a fifth: line 3"
     )
     first, *_ = parts_in(evening(tmp_path, absurd[0], rows=4))
-    assert not any("odd" in note for note in first.throw.notes)
+    assert not first.throw.odd_rows
 
 
 def test_rows_of_weight_alone_need_one_that_determines_friction(tmp_path, monkeypatch):

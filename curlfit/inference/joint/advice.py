@@ -11,6 +11,7 @@ from curlfit.foreign import counted
 from curlfit.inference.fit.advice import curl_warnings
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.summary import IMPLAUSIBLE
+from curlfit.inference.joint.effects import slope_warnings
 from curlfit.inference.joint.result import JointResult, Variation, warnings_of
 from curlfit.inference.least_squares import Solution
 from curlfit.numerics.arrays import Booleans
@@ -47,6 +48,7 @@ def with_throws(
         warnings=(
             *_of_spins(result),
             *_of_equality(result),
+            *_of_slopes(result),
             *curl_warnings(throws),
             *warnings_of(throws),
         ),
@@ -68,6 +70,15 @@ def _of_spins(result: JointResult) -> list[str]:
         "throws of opposite spins differ, as they do on ice that is not level; "
         "`--free slope_x` fits a common slope"
     ]
+
+
+def _of_slopes(result: JointResult) -> list[str]:
+    """Warnings about groups that change differently along a trend."""
+    if result.means is None or not result.converged:
+        return []
+    friction = next(one.value for one in result.groups if one.parameter == "friction")
+    trend_by = result.means.trend_by
+    return slope_warnings(result.slope_differences, friction, trend_by)
 
 
 def _differs_by_spin(item: Variation, counter_clockwise: Booleans) -> bool:

@@ -66,6 +66,7 @@ def fit_together(
     share: str | Sequence[str] | None = None,
     by: str | Sequence[str] = (),
     trend: str | Sequence[str] = (),
+    trend_by: str | Sequence[str] = (),
     load: str | None = None,
     seed: int | None = None,
     progress: Progress | None = None,
@@ -93,6 +94,8 @@ def fit_together(
         means differ.
     trend : labels, such as "start", along whose numbers or clock times the means change
         in proportion.
+    trend_by : labels of `by`, such as "sheet", whose groups change each in its own
+        proportion; otherwise all change alike, and a warning says if they do not.
     seed : of a sample of the posterior of the mean, its effects and the spreads by
         emcee, for their quantiles; none is taken if not given.
     progress : called with the number of steps done and chi squared.
@@ -124,7 +127,7 @@ def fit_together(
     shared = _shared(law, share or "all", chosen[0], mean=bool(by or trend))
     chosen = with_usual_priors(throws, chosen, law)
     covariates = Covariates.of(
-        [(throw.name, throw.labels) for throw in throws], by, trend
+        [(throw.name, throw.labels) for throw in throws], by, trend, trend_by
     )
     together = solved_together(throws, chosen, shared, covariates, progress)
     equal = _equal(together, chosen[0].systematics)
@@ -133,9 +136,18 @@ def fit_together(
     if equal.varying.weights and (by or trend or usual):
         result = _varying(together, equal, seed)
     if not result.converged:  # nothing is told of what was not found
-        result = replace(result, groups=(), differences=(), trend=())
+        result = replace(
+            result,
+            groups=(),
+            differences=(),
+            trend=(),
+            slopes=(),
+            slope_differences=(),
+        )
     each = tuple(replace(one, quantities=quantities_of(one)) for one in result.throws)
-    return replace(result, throws=each).with_derived(chosen[0].derive)
+    odd_rows = tuple(dict.fromkeys(odd for throw in throws for odd in throw.odd_rows))
+    result = replace(result, throws=each, odd_rows=odd_rows)
+    return result.with_derived(chosen[0].derive)
 
 
 def _common(throws: Sequence[Throw], name: str, default: str) -> str:

@@ -117,8 +117,9 @@ class Population(NamedTuple):
             names=names,
             groups=covariates.groups,
             trends=covariates.trends,
+            trend_by=covariates.trend_by,
             centre=covariates.mean,
-            last=covariates.values[-1],
+            last=covariates.last,
             estimate=np.append(self.reference, effects)
             + self.scale * self.fit.estimate,
             covariance=self.scale[:, None] * self.fit.covariance * self.scale,

@@ -25,6 +25,7 @@ from curlfit.numerics.arrays import Floats
 from curlfit.output.text import join_words, p_text
 from curlfit.records import ADDED, UNSAVED, Names, keys, plain, require, structured
 from curlfit.stone import Stone
+from curlfit.throws.odd_row import OddRow
 
 _SIGNIFICANT = 0.01
 _NAMED = 3  # throws whose files a warning of several names
@@ -112,6 +113,8 @@ class JointResult(NamedEstimates):
     ----------
     law, load, share : what was fitted; names of the shared coefficients.
     converged, status, warnings : whether the fit may be used, and why it may mislead.
+    odd_rows : those of stopwatch tables that contradict the others, which were left
+        out unless they are many.
     means : how the mean depends on groups and trends, and throws vary about it; None if
         the coefficients are equal in all throws.
     coefficients : the shared ones, by name: those of the mean of the throws, or the
@@ -126,6 +129,11 @@ class JointResult(NamedEstimates):
     groups, differences, trend : the mean of all throws and of each group, the
         differences of groups from the first one of the same label, and the change of
         the mean along a trend; of each quantity that varies, and of a draw to the tee.
+    slopes : changes along a trend of each group that has a slope of its own
+        (`trend_by`).
+    slope_differences : by how much the slopes of groups differ from that of the first
+        one of the same label; where all groups have one slope, from a second fit in
+        which they do not.
     throws : a `FitResult` for each throw, with its own coefficients if these vary; its
         standard errors and its information are those of the joint fit, so that
         predictions from it use all throws.
@@ -167,10 +175,13 @@ class JointResult(NamedEstimates):
     rank: int
     parameters: int
     variation: tuple[Variation, ...]
+    odd_rows: tuple[OddRow, ...] = field(default=(), metadata=ADDED)
     means: Means | None = None
     groups: tuple[Effect, ...] = ()
     differences: tuple[Effect, ...] = ()
     trend: tuple[Effect, ...] = ()
+    slopes: tuple[Effect, ...] = field(default=(), metadata=ADDED)
+    slope_differences: tuple[Effect, ...] = field(default=(), metadata=ADDED)
     throws: tuple[FitResult, ...] = field(default=(), metadata=UNSAVED)
     r_hat: float | None = None
     importance: float | None = field(default=None, metadata=ADDED)

@@ -192,12 +192,13 @@ def mean_of(
     by: str | Sequence[str],
     trend: str | Sequence[str],
     seed: int | None,
+    trend_by: str | Sequence[str] = (),
 ) -> JointResult:
     """The mean of throws, how they vary about it, and what groups and trends do.
 
     Parameters
     ----------
-    by, trend, seed : as in `fit_together`.
+    by, trend, seed, trend_by : as in `fit_together`.
 
     Raises
     ------
@@ -209,7 +210,7 @@ def mean_of(
         raise InputError(
             f"{season.file}: {count} usable throws; expected {_FEWEST} or more"
         )
-    covariates = Covariates.of(season.labels, by, trend)
+    covariates = Covariates.of(season.labels, by, trend, trend_by)
     items = season.model.law.coefficients()
     throws = _linearized(season, season.share)
     known, coefficients = _equal(throws, items)

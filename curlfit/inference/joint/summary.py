@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from typing import NamedTuple, Self
 
@@ -15,7 +15,13 @@ from curlfit.inference.fit.covariance import Covariance
 from curlfit.inference.fit.departures import NO_DEPARTURES, Departures
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.joint.draw import DRAW, Draw
-from curlfit.inference.joint.effects import Covariates, Effect, Means
+from curlfit.inference.joint.effects import (
+    Covariates,
+    Effect,
+    Means,
+    slope_warnings,
+    with_own_slopes,
+)
 from curlfit.inference.joint.population import Population
 from curlfit.inference.joint.posterior import Draws
 from curlfit.inference.joint.result import JointResult
@@ -80,6 +86,8 @@ def about_mean(
     least = {} if ridge is None else errors_of_draw(ridge, draw, common)
     told = _Quantities.of(means, found, draw, units, draws, least, open_along)
     groups, differences, trend = map(tuple, told.effects())
+    slope_differences = _slope_differences(told, found, covariates)
+    friction = next(one.value for one in groups if one.parameter == "friction")
     spreads = dict(zip(found.weights, map(float, found.spreads), strict=True))
     sampled: dict[str, Quantiles] = {}
     if draws is not None:
@@ -108,6 +116,12 @@ def about_mean(
         groups=groups,
         differences=differences,
         trend=trend,
+        slopes=tuple(told.slopes_of_groups(covariates.trend_by)),
+        slope_differences=tuple(slope_differences),
+        warnings=(
+            *equal.warnings,
+            *slope_warnings(slope_differences, friction, covariates.trend_by),
+        ),
     )
     if draws is None:
         return result
@@ -129,6 +143,12 @@ def _chain(
         for by, members in means.groups.items()
         for one in members[1:]
     ] + [f"{along} per {unit}" for along, unit in means.trends.items()]
+    changes += [
+        f"{by} {one} - {means.groups[by][0]}, {along} per {unit}"
+        for by in means.trend_by
+        for along, unit in means.trends.items()
+        for one in means.groups[by][1:]
+    ]
     varies = list(found.weights)
     return Chain(
         names=(
@@ -270,6 +290,38 @@ class _Quantities(NamedTuple):
             trend += self._effects(to, change, tested=True, by=along, per=unit)
         return groups, differences, trend
 
+    def slopes_of_groups(
+        self, labels: Iterable[str], *, compared: bool = False
+    ) -> list[Effect]:
+        """The changes along each trend of the groups of some labels; `compared` with
+        that of the first group of the label, of the others."""
+        means = self.means
+        at_mean = means.at(means.of_groups({}))
+        found: list[Effect] = []
+        for by, (along, unit) in itertools.product(labels, means.trends.items()):
+            members = means.groups[by]
+            changes = {
+                group: means.at(means.along_trend(along, {by: group})) - at_mean
+                for group in members
+            }
+            first = members[0] if compared else ""
+            for group, to in changes.items():
+                if group == first:
+                    continue
+                if compared:
+                    to = to - changes[first]
+                found += self._effects(
+                    to,
+                    self.slopes @ to @ means.estimate,
+                    tested=True,
+                    by=by,
+                    per=unit,
+                    along=along,
+                    group=group,
+                    against=first,
+                )
+        return found
+
     def _values(self, columns: Floats) -> Floats:
         """The quantities where covariates have some values, shape
         (points, quantities)."""
@@ -287,7 +339,7 @@ class _Quantities(NamedTuple):
         tested: bool = False,
         per: str = "1",
         by: str = "",
-        **group: str,
+        **about: str,
     ) -> list[Effect]:
         """Values whose changes are the slopes times `to`, a matrix, times those of
         the estimate."""
@@ -312,7 +364,31 @@ class _Quantities(NamedTuple):
                     by,
                     unit=unit,
                     quantiles=quantiles,
-                    **group,
+                    **about,
                 )
             )
         return made
+
+
+def _slope_differences(
+    told: _Quantities, found: Population, covariates: Covariates
+) -> list[Effect]:
+    """The differences of slopes between the groups of each label. Where all groups of a
+    label have one slope, they are those of a second fit, to the same quadratics of the
+    throws, in which each has its own; none where throws do not distinguish them."""
+    if not covariates.trends:
+        return []
+    differences: list[Effect] = []
+    for label in covariates.groups:
+        quantities = told
+        if label not in covariates.trend_by:
+            own_slopes = with_own_slopes(found.fit, covariates, label)
+            if own_slopes is None:
+                continue
+            population = found._replace(fit=own_slopes.fit)
+            means = population.means(
+                told.means.names, own_slopes.covariates, told.means.angle
+            )
+            quantities = told._replace(means=means, off=told.off[:0])
+        differences += quantities.slopes_of_groups([label], compared=True)
+    return differences

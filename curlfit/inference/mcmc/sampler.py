@@ -10,9 +10,7 @@ from pathlib import Path
 from time import monotonic
 from typing import Any
 
-import emcee
 import numpy as np
-from emcee.moves import DEMove, MHMove, RedBlueMove, StretchMove
 
 from curlfit.errors import DataError, InputError, UnusableFitError
 from curlfit.inference.fit.quantities import quantities_of
@@ -20,6 +18,7 @@ from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.inference.likelihood import log_posterior
 from curlfit.inference.mcmc.chain import Chain, load_chain, require_same, subject_of
 from curlfit.inference.mcmc.density import PosteriorDensity, lanes
+from curlfit.inference.mcmc.emcee_alone import emcee
 from curlfit.inference.mcmc.ridge import Proposal, posterior_proposal, proposed
 from curlfit.inference.mcmc.summary import (
     CONVERGED,
@@ -48,7 +47,7 @@ _UNREACHED = 0.01
 _SHARE = 50  # of the time, in which checkpoints are written once
 
 
-class SideBySide(RedBlueMove):
+class SideBySide(emcee.moves.RedBlueMove):
     """A move of emcee in several independent ensembles, evaluated in one call."""
 
     def __init__(self, move: Any) -> None:
@@ -115,10 +114,11 @@ class Run:
     def choose_moves(self, *, mostly_ridge: bool) -> None:
         """Rely on proposals along the ridge, or on the ensemble moves."""
         self.mostly_ridge = mostly_ridge
-        ridge = MHMove(partial(proposed, self.proposal))
-        others = SideBySide(StretchMove()), SideBySide(DEMove(sigma=_JITTER))
+        ridge = emcee.moves.MHMove(partial(proposed, self.proposal))
+        stretch = SideBySide(emcee.moves.StretchMove())
+        differential = SideBySide(emcee.moves.DEMove(sigma=_JITTER))
         shares = _MOSTLY_RIDGE if mostly_ridge else _MOSTLY_ENSEMBLE
-        moves = list(zip((ridge, *others), shares, strict=True))
+        moves = list(zip((ridge, stretch, differential), shares, strict=True))
         self._sampler = emcee.EnsembleSampler(
             self._walkers,
             int(self.free.sum()),

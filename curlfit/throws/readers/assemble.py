@@ -59,7 +59,11 @@ def assemble(parsed: ParsedFile, reading: Reading) -> dict[str, Any]:
                 f"{parsed.source}: times between lines have no axes and no pixels; "
                 "leave out --axes and --reference"
             )
-        events = {"events": parsed.events, "assumed": parsed.assumed}
+        events = {
+            "events": parsed.events,
+            "assumed": parsed.assumed,
+            "odd_rows": parsed.odd_rows,
+        }
         return common | events | {"notes": tuple(parsed.notes)}
     columns = _in_order(parsed, _on_one_clock(parsed))
     if not settings.get("as_given"):

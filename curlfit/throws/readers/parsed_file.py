@@ -14,6 +14,7 @@ from curlfit.foreign import LARGEST
 from curlfit.numerics.arrays import Floats
 from curlfit.settings.choices import Reading, given
 from curlfit.throws.events import Event
+from curlfit.throws.odd_row import OddRow
 from curlfit.throws.readers.columns import Column
 from curlfit.throws.readers.text import TextFile
 from curlfit.throws.reference import Reference
@@ -41,6 +42,7 @@ class ParsedFile:
     events, assumed, labels : as in `curlfit.throws.throw.Throw`; with events there
         are no columns.
     alone : why it determines nothing without others; None if it does.
+    odd_rows : of its table, as in `curlfit.throws.throw.Throw`.
     """
 
     source: Path | str
@@ -55,6 +57,7 @@ class ParsedFile:
     assumed: dict[str, float] = field(default_factory=dict)
     labels: dict[str, str] = field(default_factory=dict)
     alone: DataError | None = None
+    odd_rows: tuple[OddRow, ...] = ()
 
     def error(
         self, message: str, row: int | None = None, quantity: str | None = None
@@ -104,8 +107,8 @@ class Contents(NamedTuple):
     among : indices of those that are throws by themselves; all, if None.
     note : on the one of several that is taken, with places for their number
         and its own.
-    left_out : indices of those that a joint fit leaves out, as the notes of
-        the others say.
+    left_out : indices of those that a joint fit leaves out.
+    odd_rows : those of a stopwatch table that contradict the others.
     """
 
     labels: Sequence[str]
@@ -113,6 +116,7 @@ class Contents(NamedTuple):
     among: Sequence[int] | None = None
     note: str = ""
     left_out: Collection[int] = ()
+    odd_rows: Sequence[OddRow] = ()
 
 
 class Format(NamedTuple):

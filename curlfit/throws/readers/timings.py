@@ -18,10 +18,11 @@ from curlfit.settings.choices import Reading
 from curlfit.sheet import LINES
 from curlfit.throws.channels import UNITS
 from curlfit.throws.events import RATES, Event
+from curlfit.throws.odd_row import OddRow
 from curlfit.throws.readers.columns import parse_header
 from curlfit.throws.readers.defaults import begun
 from curlfit.throws.readers.notation import parse_quantity
-from curlfit.throws.readers.odd_rows import odd_values
+from curlfit.throws.readers.odd_rows import OddValue, odd_values
 from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile
 from curlfit.throws.readers.record import (
     ALONG,
@@ -77,7 +78,17 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
     rows = _rows(file)
     keep = {*reading.keep, *begun(file, "timings").settings.get("keep", ())}
     law, several = _usual_law(rows), len(rows) > 1
-    left_out, said = _left_out(file, rows, keep) if several else (set(), [])
+    odd_rows = _odd_rows(file, rows, keep) if several else ()
+    without_time = [
+        index for index, row in enumerate(rows) if not row.entries.keys() & ALONG
+    ]
+    said = []
+    if several and without_time:
+        listed = ", ".join(str(rows[index].line) for index in without_time)
+        said.append(
+            f"left out of a joint fit, since no time was measured: line {listed}"
+        )
+    faults = {odd.row - 1: odd.fault for odd in odd_rows}
 
     def parse(index: int) -> ParsedFile:
         row = rows[index]
@@ -87,6 +98,7 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
         parsed.settings.pop("keep", None)
         record = Record(file, row, limited=row.line not in keep)
         parsed.events, parsed.labels = record.events(), row.labels
+        parsed.odd_rows = odd_rows
         if fault := record.fault_alone():
             fault = "; ".join([fault, *(note.partition("; ")[0] for note in row.notes)])
             parsed.alone = file.error(fault, row.line - 1 if several else None)
@@ -107,69 +119,66 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
             *row.notes,
             *said,
         ]
+        if index in faults:
+            parsed.notes.append(f"odd beside the other rows: {faults[index]}")
         return parsed
 
     return Contents(
         [f"line {row.line}" for row in rows],
         parse,
-        left_out=left_out,
+        left_out={
+            *(odd.row - 1 for odd in odd_rows if odd.left_out),
+            *(without_time if several else ()),
+        },
+        odd_rows=odd_rows,
         note="{} throws, one in each row; taken: {} (--shot selects another)",
     )
 
 
-def _left_out(
+def _odd_rows(
     file: TextFile, rows: list[Row], keep: Collection[int]
-) -> tuple[set[int], list[str]]:
-    """Rows that a joint fit leaves out: those without a time, and odd ones, of which a
-    value is beyond its limit or contradicts the others, unless more than a fifth are
-    odd."""
+) -> tuple[OddRow, ...]:
+    """Rows with a value that is beyond its limit or contradicts the others, but for
+    those to keep. A joint fit leaves them out unless they are more than a fifth."""
     columns: dict[str, Floats] = {}
     for index, row in enumerate(rows):
         with suppress(DataError):  # the row itself is refused where it is read
             for key, size in Record(file, row, limited=False).sizes().items():
                 empty_column = np.full(len(rows), np.nan)
                 columns.setdefault(key, empty_column)[index] = size
-    odd: dict[int, str] = {}
+    odd: dict[int, OddValue] = {}
     for key, values in columns.items():
         for place in np.flatnonzero(np.abs(values) > KINDS[key].limit).tolist():
-            odd.setdefault(place, f"{_in_words(key, values[place])}, beyond any stone")
+            odd.setdefault(place, OddValue(place, key, values[place], np.nan, 0.0))
             values[place] = np.nan
     floors = {key: usual_sigma(key) / 2 for key in columns}
     usual = {key: KINDS[key].usual for key in columns}
     for value in odd_values(columns, floors, usual, [row.labels for row in rows]):
-        odd.setdefault(
-            value.row,
-            f"{_in_words(value.column, value.value)}: "
-            f"{_in_words(value.column, abs(value.off), named=False)} "
-            f"{'more' if value.off > 0 else 'less'} than the other rows say",
-        )
-    odd = {row: what for row, what in odd.items() if rows[row].line not in keep}
-    listed = "; ".join(
-        f"line {rows[k].line} (row {k + 1}, {odd[k]})" for k in sorted(odd)
+        odd.setdefault(value.row, value)
+    odd = {place: value for place, value in odd.items() if rows[place].line not in keep}
+    left_out = len(odd) <= len(rows) / 5
+    return tuple(
+        _odd_row(file, rows[place].line, odd[place], left_out) for place in sorted(odd)
     )
-    said = []
-    if len(odd) > len(rows) / 5:
-        said = [f"odd rows, kept since they are more than a fifth: {listed}"]
-        odd = {}
-    elif odd:
-        flag = ",".join(str(rows[k].line) for k in sorted(odd))
-        said = [f"left out of a joint fit as odd: {listed}; --keep {flag} uses them"]
-    empty = [index for index, row in enumerate(rows) if not row.entries.keys() & ALONG]
-    if empty:
-        listed = ", ".join(str(rows[index].line) for index in empty)
-        said.append(
-            f"left out of a joint fit, since no time was measured: line {listed}"
-        )
-    return {*odd, *empty}, said
 
 
-def _in_words(key: str, size: float, *, named: bool = True) -> str:
-    """A value with its unit, turns as such: hog to hog 16.93 s."""
-    unit = UNITS[KINDS[key].unit]
-    if key == "turns":
-        size, unit = size / (2 * math.pi), "turns"
-    name = f"{key.replace('_', ' ')} " if named else ""
-    return f"{name}{size:.4g} {unit}"
+def _odd_row(file: TextFile, line: int, odd: OddValue, left_out: bool) -> OddRow:
+    """The row of an odd value, in the units in which a table has it: turns as such."""
+    unit = UNITS[KINDS[odd.column].unit]
+    size = 1.0
+    if odd.column == "turns":
+        unit = "turns"
+        size = 2 * math.pi
+    return OddRow(
+        file=str(file.path),
+        row=odd.row + 1,
+        line=line,
+        column=odd.column.replace("_", " "),
+        value=odd.value / size,
+        unit=unit,
+        deviation=None if math.isnan(odd.off) else odd.off / size,
+        left_out=left_out,
+    )
 
 
 def is_table(head: list[str]) -> bool:
