@@ -244,6 +244,11 @@ def _course(
     step = np.diff(angle)
     usual = dt <= 1.5 * np.median(dt)
     nearest = step - period * np.round(step / period) if wrapped else step
+    uneven = np.abs(np.diff(nearest)).max(initial=0.0)
+    if wrapped and turned is None and usual.all() and uneven < _LEAST_OFF * period:
+        # the usual angle, without a fault: no need for pieces
+        whole = angle[0] + np.append(0.0, np.cumsum(nearest))
+        return _Course(whole, np.ones(len(angle), bool), nearest, [])
     middle = (time[1:] + time[:-1]) / 2
     paces = (nearest / dt)[usual]
     paces = running_median(paces, min(_PACE_ROWS, len(paces) // 3) // 2 * 2 + 1)
