@@ -71,8 +71,8 @@ class Throw(Displayed):
     relative_sigma : of channels without a sigma, its course over the rows where this is
         known, up to a factor that a fit estimates; each of shape (n,).
     calibration : independent errors of the map from pixels to metres, one standard
-        deviation each, as of `curlfit.throws.readers.camera.Homography`, shape (errors,
-        3, 3); None without.
+        deviation each, as of `curlfit.throws.readers.homography.Homography`, shape
+        (errors, 3, 3); None without.
     name : name of the throw, for instance a file name.
     reference : values to show beside a fit.
     defaults : settings in the data file (`since`, `until`, `exclude`,

@@ -62,10 +62,13 @@ def assemble(parsed: ParsedFile, reading: Reading) -> dict[str, Any]:
         events = {"events": parsed.events, "assumed": parsed.assumed}
         return common | events | {"notes": tuple(parsed.notes)}
     columns = _in_order(parsed, _on_one_clock(parsed))
-    if not settings.get("as_given"):
+    as_given = bool(settings.get("as_given"))
+    if not as_given:
         columns = _only_measured(parsed, columns)
-    calibration, unknown = _in_metres(parsed, columns, reading.reference, convention)
-    if not settings.get("as_given"):
+    calibration, unknown = _in_metres(
+        parsed, columns, reading.reference, convention, as_given
+    )
+    if not as_given:
         require_radians(parsed, columns)
     if "phi" in columns:
         parsed.notes += unwrap_angle(parsed, columns)
@@ -281,10 +284,11 @@ def _in_metres(
     columns: _Columns,
     reference: str | None,
     convention: AxisConvention,
+    as_given: bool,
 ) -> tuple[Floats | None, tuple[str, ...]]:
     """Positions in pixels as metres; returns as `pixels_to_metres`."""
     if {"u", "v"} & columns.keys():
-        return pixels_to_metres(parsed, columns, reference, convention)
+        return pixels_to_metres(parsed, columns, reference, convention, as_given)
     if reference is not None:
         raise InputError(
             f"--reference {reference}: {parsed.source} has no positions in pixels "
