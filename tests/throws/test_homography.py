@@ -156,8 +156,9 @@ def test_a_point_that_was_clicked_wrongly_is_named_and_left_out(write, away):
 
 def test_odd_points_are_used_as_given(write):
     pixels = seen(2)
-    pixels[0, 7] += 72.0
+    pixels[0, 7] += 30.0
     points = write(listed(pixels, LINES), "points.csv")
+    assert said(load_throw(write(ROWS), reference=points), "by 11 points of")
     throw = load_throw(write(ROWS), reference=points, as_given=True)
     assert said(throw, "by 12 points of")
     assert not said(throw, "left out")
