@@ -41,6 +41,14 @@ def _median(values: Floats) -> Any:
     return (ordered[..., (n - 1) // 2] + ordered[..., n // 2]) / 2
 
 
+def running_median(values: Floats, width: int) -> Floats:
+    """Medians of an odd number of values about each one, or as many as there are; at
+    the ends those of the first and the last."""
+    width = min(width, (len(values) - 1) // 2 * 2 + 1)
+    windows = np.lib.stride_tricks.sliding_window_view(values, width)
+    return np.pad(_median(windows), width // 2, "edge")
+
+
 def block_means(values: Floats, starts: NDArray[np.int64]) -> tuple[Floats, Floats]:
     """Means over blocks of rows, which begin at `starts`, of the values that are
     measured (NaN where none is), and the number of these."""

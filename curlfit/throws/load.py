@@ -18,9 +18,9 @@ from curlfit.settings.choices import Reading, takes
 from curlfit.throws.odd_row import OddRow
 from curlfit.throws.readers.assemble import assemble
 from curlfit.throws.readers.axes import parse_axes
-from curlfit.throws.readers.camera import load_homography
 from curlfit.throws.readers.columns import parse_units
 from curlfit.throws.readers.digitalcurling import DIGITALCURLING
+from curlfit.throws.readers.known_points import load_homography
 from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile
 from curlfit.throws.readers.table import TABLE
 from curlfit.throws.readers.text import TextFile, is_aside

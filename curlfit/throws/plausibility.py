@@ -32,8 +32,13 @@ from curlfit.throws.motion import (
     turning,
     velocity_jump,
 )
-from curlfit.throws.readers.angles import MAX_SPIN, AmbiguousTurnError, unwrap
+from curlfit.throws.readers.angles import MAX_SPIN
 from curlfit.throws.readers.axes import corrected
+from curlfit.throws.readers.unwrapping import (
+    AmbiguousTurnError,
+    ContradictoryAnglesError,
+    unwrap,
+)
 from curlfit.throws.remedies import (
     USUAL_CURL,
     USUAL_FRICTION,
@@ -192,8 +197,8 @@ def _wrapped(throw: Throw) -> Iterator[Finding]:
     if throw.conventions is not None or "phi" not in throw.seen:
         return
     for period, unit in ((2 * math.pi, "rad"), (360.0, "deg")):
-        with suppress(AmbiguousTurnError):
-            _, jumps, _ = unwrap(throw.t, 2 * math.pi / period * throw.phi)
+        with suppress(AmbiguousTurnError, ContradictoryAnglesError):
+            jumps = unwrap(throw.t, 2 * math.pi / period * throw.phi).jumps
             if jumps and float(np.nanmax(np.abs(throw.phi))) < 1.1 * period:
                 yield Finding(
                     "wrapped angle",

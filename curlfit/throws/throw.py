@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from curlfit.errors import DataError, InputError, require_kind
 from curlfit.foreign import counted, quoted
-from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.numerics.arrays import Booleans, Floats, floats
 from curlfit.output.console import PlainTable
 from curlfit.output.display import Displayed
 from curlfit.output.document import Document, Section
@@ -72,8 +72,8 @@ class Throw(Displayed):
     relative_sigma : of channels without a sigma, its course over the rows where this is
         known, up to a factor that a fit estimates; each of shape (n,).
     calibration : independent errors of the map from pixels to metres, one standard
-        deviation each, as of `curlfit.throws.readers.camera.Homography`, shape (errors,
-        3, 3); None without.
+        deviation each, as of `curlfit.throws.readers.homography.Homography`, shape
+        (errors, 3, 3); None without.
     name : name of the throw, for instance a file name.
     reference : values to show beside a fit.
     defaults : settings in the data file (`since`, `until`, `exclude`,
@@ -132,7 +132,7 @@ class Throw(Displayed):
     def __post_init__(self) -> None:
         n = len(self.t)
         for name in ("t", *CHANNELS):
-            values = np.asarray(getattr(self, name), float)
+            values = floats(getattr(self, name))
             if name in ("speed", "omega") and not len(values):
                 values = np.full(n, np.nan)
             object.__setattr__(self, name, values)
@@ -186,6 +186,7 @@ class Throw(Displayed):
     ) -> Throw:
         """A throw from arrays or lists; channels that were not measured are omitted.
 
+        Masked entries, None and the NA of pandas are gaps, as NaN is.
         `sigma` values may be single numbers, in the units of their channels. `units`
         and `axes` are as for `load_throw`; without them, values are in SI units and in
         curlfit's axes, with angles unwrapped. `more` are other attributes, for
@@ -194,13 +195,15 @@ class Throw(Displayed):
         require_kind(
             sigma or {}, Mapping, "sigma", "a mapping by channel, such as {'x': 0.005}"
         )
-        t = np.asarray(t, float)
+        t = floats(t)
         channels = {"x": x, "y": y, "phi": phi, "speed": speed, "omega": omega}
         arrays = {
-            name: np.asarray(v, float) for name, v in channels.items() if v is not None
+            name: floats(values)
+            for name, values in channels.items()
+            if values is not None
         }
         given = {
-            name: np.broadcast_to(np.asarray(values, float), t.shape)
+            name: np.broadcast_to(floats(values), t.shape)
             for name, values in (sigma or {}).items()
         }
         if units or axes:

@@ -15,6 +15,7 @@ import curlfit
 from curlfit.inference.fit.caveats import outlier_warning
 from curlfit.inference.fit.covariance import Covariance
 from curlfit.inference.fit.fit import fit_throws
+from curlfit.inference.fit.residuals import outliers_of
 from curlfit.inference.likelihood import SIGMA_FLOOR
 from curlfit.profile_likelihood.result import levels_of
 from curlfit.reports.determined import identifiability
@@ -168,6 +169,30 @@ def test_a_weak_parameter_says_why():
     assert (
         "are weakly determined: for each, its standard error is more than half" in said
     )
+
+
+def test_outliers_are_named_where_they_draw_the_fit_aside():
+    # a fit between three bad angles and the others leaves smooth residuals
+    t = np.arange(180) / 10
+    residual = np.zeros((5, 180))
+    residual[2] = 0.15 * np.cos(t / 6) + 0.01 * np.random.default_rng(4).normal(
+        size=180
+    )
+    throw = curlfit.Throw.from_arrays(t, phi=1.2 * t)
+
+    def times(lag1):
+        found = outliers_of(
+            throw, residual, {"phi": lag1}, np.full(5, 175.0), 0 * residual, "linear"
+        )
+        return sorted(item["t"] for item in found if item["channel"] == "phi")
+
+    assert times(0.99) == []
+    residual[2, 60:63] += [5.3, 5.2, 5.1]
+    assert times(0.7) == [6.0, 6.1, 6.2]
+    assert times(0.2) == [6.0, 6.1, 6.2]
+    # one side of a law that does not follow the path is no outlier
+    residual[2, 140:] += np.linspace(0, 8, 40) ** 1.5
+    assert times(0.99) == [6.0, 6.1, 6.2]
 
 
 def test_outliers_in_the_first_rows_alone_have_a_flag_that_leaves_them_out():

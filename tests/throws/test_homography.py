@@ -9,7 +9,8 @@ from scipy.optimize import least_squares
 
 from curlfit import load_throw
 from curlfit.throws.readers.axes import parse_axes
-from curlfit.throws.readers.camera import displacements, homography
+from curlfit.throws.readers.homography import displacements, homography
+from curlfit.throws.readers.known_points import odd_points
 from tests.sample_files import KNOWN, known_points, project, said, table
 
 PLACES = np.array([[0.0, 1.0, -1.5], [5.0, 20.0, 27.0]])
@@ -109,3 +110,84 @@ def test_the_errors_follow_the_axes(write, axes):
     expected = np.stack([a - b for a, b in zip(moved, here, strict=True)], 1)
     found = displacements(turned.calibration, turned.x, turned.y)
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-12)
+
+
+LINES = np.array([[x, y] for y in (0.0, 8.0, 17.0, 27.0) for x in (-2.1, 0.0, 2.1)]).T
+"""Where lines of a sheet meet."""
+
+
+def seen(seed, noise=1.0):
+    """Pixels of these places, clicked with an error."""
+    return project(*LINES) + noise * np.random.default_rng(seed).normal(
+        size=LINES.shape
+    )
+
+
+def listed(pixels, places):
+    return table(dict(zip("uvxy", [*pixels, *places], strict=True)))
+
+
+def test_a_point_listed_twice_is_one(write):
+    corners = [0, 2, 9, 11]
+    for name, places in (("once", corners), ("twice", [0, *corners])):
+        points = write(listed(seen(1)[:, places], LINES[:, places]), f"{name}.csv")
+        throw = load_throw(write(ROWS), reference=points)
+        assert throw.calibration is None
+        assert said(throw, "by 4 points of")
+        assert said(throw, "1 point listed twice") == (name == "twice")
+
+
+@pytest.mark.parametrize("away", [(72.0, 0.0), (-25.0, 25.0), (0.0, 500.0)])
+def test_a_point_that_was_clicked_wrongly_is_named_and_left_out(write, away):
+    pixels = seen(2)
+    pixels[:, 7] += away
+    points = write(listed(pixels, LINES), "points.csv")
+    throw = load_throw(write(ROWS), reference=points)
+    (note,) = (note for note in throw.notes if "left out as odd" in note)
+    assert "line 9 (x = 0 m, y = 17 m), " in note
+    assert "line" not in note.split("line 9")[1]
+    off = float(note.split("17 m), ")[1].split(" px")[0])
+    assert off == pytest.approx(np.hypot(*away), abs=6)
+    without = write(
+        listed(np.delete(seen(2), 7, 1), np.delete(LINES, 7, 1)), "others.csv"
+    )
+    np.testing.assert_array_equal(throw.y, load_throw(write(ROWS), reference=without).y)
+
+
+def test_odd_points_are_used_as_given(write):
+    pixels = seen(2)
+    pixels[0, 7] += 30.0
+    points = write(listed(pixels, LINES), "points.csv")
+    assert said(load_throw(write(ROWS), reference=points), "by 11 points of")
+    throw = load_throw(write(ROWS), reference=points, as_given=True)
+    assert said(throw, "by 12 points of")
+    assert not said(throw, "left out")
+
+
+def test_two_odd_points_do_not_hide_one_another():
+    chance = np.random.default_rng(5)
+    for seed in range(20):
+        pixels = seen(seed)
+        odd = chance.choice(12, 2, replace=False)
+        pixels[:, odd] += 40.0
+        assert set(odd_points(pixels, LINES)) == set(odd)
+
+
+def test_points_are_seldom_odd_by_chance():
+    """1 % of tables, nominally; of 200, by chance at most 8 in 99.8 %."""
+    assert sum(bool(odd_points(seen(seed), LINES)) for seed in range(200)) <= 8
+
+
+def test_where_more_than_one_in_five_contradict_none_is_left_out():
+    pixels = seen(1)
+    pixels[:, [1, 5, 9]] += [[60.0], [-50.0]]
+    assert odd_points(pixels, LINES) == {}
+    assert odd_points(pixels[:, :5], LINES[:, :5]) == {}
+
+
+def test_a_lens_makes_no_point_odd():
+    pixels = seen(3, noise=0.5)
+    middle = pixels.mean(axis=1, keepdims=True)
+    radius = np.hypot(*(pixels - middle)) / np.hypot(*(pixels - middle)).max()
+    bent = middle + (pixels - middle) * (1 + 0.005 * radius**2)
+    assert odd_points(bent, LINES) == {}

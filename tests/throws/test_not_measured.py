@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from curlfit import load_throw
+from curlfit import Throw, load_throw
 
 
 def table_of(folder, x, y, phi):
@@ -59,3 +59,46 @@ def test_few_equal_values_are_measured(tmp_path, path):
     columns = [channel[:8] for channel in path]
     columns[2] = np.full(8, 2.0)
     assert np.isfinite(load_throw(table_of(tmp_path, *columns)).phi).all()
+
+
+def without(values, rows):
+    return [None if row in rows else value for row, value in enumerate(values)]
+
+
+@pytest.mark.parametrize("given", [np.ma.masked_array, "Float64", "object", list])
+def test_masked_and_missing_entries_of_arrays_are_gaps(path, given):
+    rows = (3, 17)
+    t = np.arange(60) / 10
+    channels = []
+    for values in path:
+        missing = np.isin(np.arange(60), rows)
+        if given is np.ma.masked_array:
+            # what is below a mask may be anything
+            spoiled = np.where(missing, -999.0, values)
+            channels.append(np.ma.masked_array(spoiled, mask=missing))
+        elif given is list:
+            channels.append(without(values, rows))
+        else:
+            pandas = pytest.importorskip("pandas")
+            dtype = object if given == "object" else given
+            cells = without(values, rows)
+            cells = [pandas.NA if value is None else value for value in cells]
+            channels.append(pandas.Series(cells, dtype=dtype))
+    throws = [
+        Throw.from_arrays(t, *channels),
+        Throw.from_arrays(t, *channels, units="angle=rad"),
+        Throw(t, *channels),
+    ]
+    for throw in throws:
+        for found, values in zip((throw.x, throw.y, throw.phi), path, strict=True):
+            assert np.flatnonzero(np.isnan(found)).tolist() == list(rows)
+            kept = np.delete(values, rows)
+            np.testing.assert_array_equal(np.delete(found, rows), kept)
+
+
+def test_a_masked_sigma_is_one_of_a_gap(path):
+    lost = np.arange(60) == 8
+    x = np.ma.masked_array(path[0], mask=lost)
+    sigma = np.ma.masked_array(np.full(60, 0.005), mask=lost)
+    throw = Throw.from_arrays(np.arange(60) / 10, x, path[1], sigma={"x": sigma})
+    assert np.isnan(throw.sigma["x"][lost]).all()

@@ -29,7 +29,7 @@ from sample_files import (
 from curlfit import DataError, InputError, Throw, load_throw
 from curlfit.sheet import LINES
 from curlfit.throws.load import detect_format
-from curlfit.throws.readers.angles import AmbiguousTurnError, unwrap
+from curlfit.throws.readers.unwrapping import AmbiguousTurnError, unwrap
 
 
 @pytest.mark.parametrize(
@@ -409,25 +409,28 @@ def test_the_columns_of_curlfit_itself_are_radians_and_said_where_doubtful(write
     ],
 )
 def test_turns_are_undone(t, turned, period, jumps, low):
-    phi, found, of = unwrap(t, np.remainder(turned - low, period) + low)
-    assert (found in jumps, of) == (True, period)
+    unwrapped = unwrap(t, np.remainder(turned - low, period) + low)
+    assert unwrapped.jumps in jumps
+    assert unwrapped.period == period
+    assert not unwrapped.off_course.any()
+    phi = unwrapped.angle
     np.testing.assert_allclose(phi - phi[0], turned - turned[0], atol=1e-12)
 
 
 def test_an_angle_that_counts_on_is_left_alone():
     for phi in (PHI, -PHI, np.array([0.0, 4, 5, 9, 9.5, 20, 21]), np.zeros(5)):
-        got, jumps, _ = unwrap(np.arange(len(phi)) * 0.5, phi)
-        assert jumps == 0
-        np.testing.assert_array_equal(got, phi)
+        unwrapped = unwrap(np.arange(len(phi)) * 0.5, phi)
+        assert unwrapped.jumps == 0
+        np.testing.assert_array_equal(unwrapped.angle, phi)
 
 
 def test_single_jumps_are_taken_out():
     phi = PHI.copy()
     phi[30:] -= 2 * np.pi
     phi[45:] += 4 * np.pi
-    got, jumps, _ = unwrap(T, phi)
-    assert jumps == 2
-    np.testing.assert_allclose(got, PHI, atol=1e-12)
+    unwrapped = unwrap(T, phi)
+    assert unwrapped.jumps == 2
+    np.testing.assert_allclose(unwrapped.angle, PHI, atol=1e-12)
 
 
 def test_a_fast_spin_needs_the_spin(write):

@@ -12,12 +12,14 @@ from curlfit.inference.likelihood import SIGMA_FLOOR
 from curlfit.inference.noise.losses import MAD_TO_SIGMA, robust_sigma
 from curlfit.inference.problem import Problem
 from curlfit.numerics.arrays import Floats
+from curlfit.throws.channels import running_median
 from curlfit.throws.throw import CHANNELS, Throw
 
 _FEWEST = 10  # values of a channel in which outliers are sought
 _FEW = 50  # values, below which a single one pulls the fit
 _BY_CHANCE = 1e-3  # fraction of throws that may have an outlier by chance
 _SMOOTH = 0.5  # lag-1 correlation above which residuals are called smooth
+_NEIGHBOURS = 9  # rows of a running median, in which up to four outliers do not count
 
 
 def residuals_of(
@@ -40,8 +42,8 @@ def outliers_of(
     leverage: Floats,
     loss: str,
 ) -> tuple[dict[str, Any], ...]:
-    """Values too far from the fit to be noise, in channels whose residuals
-    look like noise.
+    """Values too far from the fit to be noise; in channels whose residuals do not look
+    like noise, those as far from the residuals of the rows about them too.
 
     Either more than 5 + 30/(n - 6) sigmas of the bulk, a limit that Gaussian noise in
     three channels of n values exceeds in one of 1,000 throws, for n from 12 to 400
@@ -57,15 +59,23 @@ def outliers_of(
     found = []
     for row, name in enumerate(CHANNELS[: len(residual)]):
         there = np.flatnonzero(throw.finite[row])
-        if len(there) < _FEWEST or lag1.get(name, 1.0) > _SMOOTH:
+        if len(there) < _FEWEST:
             continue
         limit = 5 + 30 / (len(there) - 6)
         series = throw.sigma.get(name)
-        size = np.abs(residual[row, there])
+        off = residual[row, there]
         if series is None:
-            size = size / throw.sigma_over_smallest(name)[there]
+            off = off / throw.sigma_over_smallest(name)[there]
+        size = np.abs(off)
+        # A law that does not follow the path, or that outliers have drawn aside, is off
+        # by as much in the next rows.
+        smooth = lag1.get(name, 1.0) > _SMOOTH
         studentized = (
-            len(there) < _FEW and loss == "linear" and series is None and dof[row] > 2
+            not smooth
+            and len(there) < _FEW
+            and loss == "linear"
+            and series is None
+            and dof[row] > 2
         )
         if not studentized and 2 * (
             size > size.max() / (limit * MAD_TO_SIGMA)
@@ -76,6 +86,11 @@ def outliers_of(
             np.full(len(throw), bulk) if series is None else np.maximum(series, bulk)
         )
         far = size > limit * sigma[there]
+        if smooth:
+            alone = np.abs(off - running_median(off, _NEIGHBOURS))
+            far &= alone > limit * sigma[there]
+            half = _NEIGHBOURS // 2
+            far[:half] = far[-half:] = False  # no rows on both sides
         if studentized:
             from scipy.special import stdtrit  # slow to load, and few throws need it
 

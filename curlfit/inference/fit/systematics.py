@@ -36,7 +36,7 @@ from curlfit.numerics.batches import unstacked
 from curlfit.numerics.differences import slopes
 from curlfit.stone import UNITS as STONE_UNITS
 from curlfit.throws.events import EventArrays
-from curlfit.throws.readers.camera import displacements
+from curlfit.throws.readers.homography import displacements
 
 _SPIN = [item.name for item in START].index("omega0") - len(START)
 _STEP = 1e-2  # of a width, of differences: the path is accurate to 1e-7 of it

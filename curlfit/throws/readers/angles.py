@@ -1,5 +1,5 @@
-"""Angles of a stone: their unit, their jumps, and their measurement by a
-second mark."""
+"""Angles of a stone: their unit, what is said of their jumps, and their measurement by
+a second mark."""
 
 from __future__ import annotations
 
@@ -8,14 +8,21 @@ import math
 import numpy as np
 
 from curlfit.foreign import counted
-from curlfit.numerics.arrays import Floats
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.throws.channels import scatter
 from curlfit.throws.readers.columns import parse_header
 from curlfit.throws.readers.parsed_file import ParsedFile
+from curlfit.throws.readers.unwrapping import (
+    TURN,
+    AmbiguousTurnError,
+    ContradictoryAnglesError,
+    period_of,
+    unwrap,
+)
 
-_TURN = 2 * math.pi
-MAX_SPIN = 2 * _TURN
+MAX_SPIN = 2 * TURN
 """rad/s; a thrown stone makes two to four turns, at about 1 rad/s or 60 degrees/s."""
+_MOST_NAMED = 3  # stretches of rows whose angle contradicts the others
 _FARTHEST = 0.3  # m, of a mark; the stone's diameter is 0.29 m
 
 
@@ -32,7 +39,7 @@ def require_radians(parsed: ParsedFile, columns: dict[str, Floats]) -> None:
         values = columns[quantity]
         flag, other = ("angle", "deg") if quantity == "phi" else ("spin", "deg/s")
         remedy = f"--units {flag}={other} if so, {flag}=rad{other[3:]} if not"
-        jump = jump_in_degrees(values) if quantity == "phi" else None
+        jump = jump_in_degrees(columns["t"], values) if quantity == "phi" else None
         if stated:
             named = parse_header(header)
             if jump is not None and factor == 1 and named is not None and named.stated:
@@ -66,23 +73,62 @@ def require_radians(parsed: ParsedFile, columns: dict[str, Floats]) -> None:
         parsed.notes.append(f"{quantity}: {fault}")
 
 
-def unwrap_angle(parsed: ParsedFile, columns: dict[str, Floats]) -> str:
-    """Undo the jumps of the angle; says how many. Raises `DataError` where their
-    sense is unclear."""
+def unwrap_angle(parsed: ParsedFile, columns: dict[str, Floats]) -> list[str]:
+    """Undo the jumps of the angle; says how many, and which rows contradict the
+    others. Raises `DataError` where the sense of a jump is unclear."""
     try:
-        columns["phi"], jumps, period = unwrap(
-            columns["t"], columns["phi"], columns.get("omega")
-        )
+        unwrapped = unwrap(columns["t"], columns["phi"], columns.get("omega"))
     except AmbiguousTurnError as error:
         raise parsed.error(
             "the angle is wrapped and the stone turns so far from row to row that the "
             "sense is ambiguous; expected rows closer in time, an unwrapped angle, "
             "or a column of the spin",
-            error.args[0],
+            error.row,
             "phi",
         ) from None
-    size = "360" if period > 4 else "180"
-    return f"phi: {counted(jumps, 'jump')} of {size} degrees removed" if jumps else ""
+    except ContradictoryAnglesError as error:
+        raise parsed.error(
+            f"the angle stays within one turn, and {error.rows} of {error.measured} "
+            "values contradict the others, the first one here; expected an unwrapped "
+            "angle, or empty cells where it was not measured",
+            error.row,
+            "phi",
+        ) from None
+    columns["phi"] = unwrapped.angle
+    notes = []
+    if unwrapped.jumps:
+        size = "360" if unwrapped.period > 4 else "180"
+        notes.append(
+            f"phi: {counted(unwrapped.jumps, 'jump')} of {size} degrees removed"
+        )
+    if unwrapped.off_course.any():
+        notes.append(_off_course(parsed, columns["t"], unwrapped.off_course))
+    return notes
+
+
+def _off_course(parsed: ParsedFile, t: Floats, rows: Booleans) -> str:
+    """Which rows have an angle that contradicts those before and after them."""
+    count = int(rows.sum())
+    change = np.diff(np.concatenate([[False], rows, [False]]).astype(int))
+    begins = np.flatnonzero(change == 1)
+    ends = np.flatnonzero(change == -1) - 1
+    places = []
+    options = []
+    for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
+        place = parsed.place(begin)
+        places.append(place if begin == end else f"{place} to {parsed.place(end)}")
+        low = (t[begin] + t[max(begin - 1, 0)]) / 2
+        high = (t[end] + t[min(end + 1, len(t) - 1)]) / 2
+        options.append(f"--exclude {low:.6g}:{high:.6g}")
+    listed = ", ".join(places[:_MOST_NAMED])
+    if len(places) > _MOST_NAMED:
+        listed += f", and {len(places) - _MOST_NAMED} more"
+    verb = "contradicts" if count == 1 else "contradict"
+    remedy = " ".join(options) if len(options) <= _MOST_NAMED else "--exclude A:B"
+    return (
+        f"phi: {counted(count, 'value')} {verb} those before and after, {listed}; "
+        f"kept: `{remedy}` leaves the rows out"
+    )
 
 
 def add_angle_of_mark(
@@ -147,56 +193,7 @@ def add_angle_of_mark(
     parsed.notes.append(note)
 
 
-class AmbiguousTurnError(Exception):
-    """About half a period between two rows, of ambiguous sense; its argument is
-    the later row."""
-
-
-def unwrap(
-    t: Floats, phi: Floats, omega: Floats | None = None
-) -> tuple[Floats, int, float]:
-    """The angle without its jumps, and their number and size.
-
-    An angle that stays within one turn (or half a turn, the direction of a line) and
-    jumps against its trend was reduced modulo that period. A measured spin determines
-    the rotation between two rows; without one, the rotation from row to row must be
-    well below half a period, and gaps are bridged at the neighbouring rate. In an angle
-    that exceeds one turn, single jumps by whole turns are removed.
-
-    Parameters
-    ----------
-    t : times in s, increasing. phi : angle in rad, NaN where not measured.
-    omega : spin in rad/s with the same sign convention, NaN where not measured.
-
-    Raises
-    ------
-    AmbiguousTurnError : the stone turns too fast for the rows.
-    """
-    finite = np.flatnonzero(np.isfinite(phi))
-    if len(finite) < 3:
-        return phi, 0, _TURN
-    time, angle = t[finite], phi[finite]
-    step, dt = np.diff(angle), np.diff(time)
-    expected = None if omega is None else _integrated_spin(t, omega, time)
-    period, wrapped = _period(angle, step)
-    if expected is not None:
-        true = step - period * np.round((step - expected) / period)
-        if np.median(np.abs(true - expected)) > 0.25 * period:
-            expected = None  # the spin has another sign or clock
-    if expected is None:
-        if wrapped:
-            true = _unwrap_by_rate(time, step, dt, period, finite)
-        else:
-            period, true = _TURN, _remove_jumps(step, dt)
-    jumps = int((np.abs(true - step) > period / 2).sum())
-    if not jumps:
-        return phi, 0, period
-    result = phi.copy()
-    result[finite] = angle[0] + np.concatenate([[0.0], np.cumsum(true)])
-    return result, jumps, period
-
-
-def jump_in_degrees(angle: Floats) -> tuple[int, int] | None:
+def jump_in_degrees(t: Floats, angle: Floats) -> tuple[int, int] | None:
     """Row and size (360 or 180) of the first jump of an apparently wrapped
     angle in degrees.
 
@@ -206,91 +203,20 @@ def jump_in_degrees(angle: Floats) -> tuple[int, int] | None:
         return None
     finite = np.flatnonzero(np.isfinite(angle))
     degrees = np.radians(angle[finite])
-    step = np.diff(degrees)
-    period, reduced = _period(degrees, step)
-    if not reduced:
+    period, wrapped = period_of(t[finite], degrees)
+    if not wrapped:
         return None
-    row = int(finite[np.argmax(np.abs(step) > 0.5 * period) + 1])
+    large = np.abs(np.diff(degrees)) > 0.5 * period
+    row = int(finite[np.argmax(large) + 1])
     return row, round(math.degrees(period))
 
 
 def turning_rate(t: Floats, phi: Floats) -> float:
-    """Largest turning rate in rad/s over a tenth of the rows, which averages
-    out the noise."""
+    """Turning rate in rad/s that one in four tenths of the rows exceeds: a tenth
+    averages out the noise, and single bad values do not count."""
     finite = np.flatnonzero(np.isfinite(phi))
     some = finite[:: max(1, len(finite) // 10)]
-    return float(np.abs(np.diff(phi[some]) / np.diff(t[some])).max(initial=0.0))
-
-
-def _period(angle: Floats, step: Floats) -> tuple[float, bool]:
-    """The period of an angle, and whether it is wrapped."""
-    span = float(np.ptp(angle))
-    for period in (_TURN / 2, _TURN):
-        large = np.abs(step) > 0.5 * period
-        if not large.any() or not 0.7 * period < span <= 1.02 * period:
-            continue
-        if not ((step > 0).any() and (step < 0).any()):
-            continue  # monotonic
-        if period < _TURN:
-            typical = float(np.median(np.abs(step)))
-            if (np.abs(np.abs(step[large]) - period) > 0.15 * period + typical).any():
-                continue
-        return period, True
-    return _TURN, False
-
-
-def _integrated_spin(t: Floats, omega: Floats, time: Floats) -> Floats | None:
-    """Rotation between the times, from the spin; None if it is not known throughout."""
-    known = np.isfinite(omega)
-    if (
-        known.sum() < 2
-        or t[known][0] > time[0] + 1e-9
-        or t[known][-1] < time[-1] - 1e-9
-    ):
-        return None
-    at, rate = t[known], omega[known]
-    turned = np.concatenate(
-        [[0.0], np.cumsum(np.diff(at) * (rate[1:] + rate[:-1]) / 2)]
-    )
-    return np.diff(np.interp(time, at, turned))
-
-
-def _unwrap_by_rate(
-    time: Floats, step: Floats, dt: Floats, period: float, finite: np.ndarray
-) -> Floats:
-    near = step - period * np.round(step / period)
-    usual = dt <= 1.5 * np.median(dt)
-    fast = usual & (np.abs(near) > 0.4 * period)
-    if fast.any():
-        raise AmbiguousTurnError(int(finite[np.argmax(fast) + 1]))
-    if usual.all():
-        return near
-    from scipy.ndimage import uniform_filter1d
-
-    rates = uniform_filter1d(near[usual] / dt[usual], 9, mode="nearest")
-    middle = (time[1:] + time[:-1]) / 2
-    expected = np.interp(middle, middle[usual], rates) * dt
-    far = ~usual & (np.abs(expected) * 0.25 > 0.4 * period)
-    if far.any():
-        raise AmbiguousTurnError(int(finite[np.argmax(far) + 1]))
-    bridged = step - period * np.round((step - expected) / period)
-    return np.where(usual, near, bridged)
-
-
-def _remove_jumps(step: Floats, dt: Floats) -> Floats:
-    """Steps of an unwrapped angle, with single ones corrected that are off by
-    whole turns."""
-    if len(step) < 5:
-        return step
-    rate = step / dt
-    if np.ptp(rate) * dt.max() < _TURN / 2:
-        return step
-    padded = np.pad(rate, 2, "edge")
-    pace = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1)
-    off = step - pace * dt
-    turns = np.round(off / _TURN)
-    odd = np.abs(off) > 0.1 * _TURN
-    clear = (turns != 0) & (np.abs(off - turns * _TURN) < 0.15 * _TURN)
-    if odd.sum() > 0.2 * len(step) or not clear.any():
-        return step
-    return np.where(clear, step - turns * _TURN, step)
+    if len(some) < 2:
+        return 0.0
+    rates = np.abs(np.diff(phi[some]) / np.diff(t[some]))
+    return float(np.quantile(rates, 0.75))

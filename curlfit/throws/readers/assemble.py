@@ -66,13 +66,16 @@ def assemble(parsed: ParsedFile, reading: Reading) -> dict[str, Any]:
         }
         return common | events | {"notes": tuple(parsed.notes)}
     columns = _in_order(parsed, _on_one_clock(parsed))
-    if not settings.get("as_given"):
+    as_given = bool(settings.get("as_given"))
+    if not as_given:
         columns = _only_measured(parsed, columns)
-    calibration, unknown = _in_metres(parsed, columns, reading.reference, convention)
-    if not settings.get("as_given"):
+    calibration, unknown = _in_metres(
+        parsed, columns, reading.reference, convention, as_given
+    )
+    if not as_given:
         require_radians(parsed, columns)
-    if "phi" in columns and (said := unwrap_angle(parsed, columns)):
-        parsed.notes.append(said)
+    if "phi" in columns:
+        parsed.notes += unwrap_angle(parsed, columns)
     mark = [columns.pop(name) for name in ("x_mark", "y_mark") if name in columns]
     columns = _to_sheet_axes(columns, convention)
     if words:
@@ -134,7 +137,8 @@ def _only_measured(parsed: ParsedFile, columns: _Columns) -> _Columns:
         number = join_words([f"{one:g}" for one in np.unique(written[lost, 0])])
         parsed.notes.append(
             f"{counted(int(lost.sum()), 'row')} with {number} in every column taken as "
-            f"not measured, the first {_place(parsed, lost)}; --as-given keeps them"
+            f"not measured, the first in {parsed.place(int(np.argmax(lost)))}; "
+            "--as-given keeps them"
         )
         columns = {
             name: np.where(lost, np.nan, values) if name in channels else values
@@ -158,14 +162,6 @@ def _never_changes(values: Floats) -> bool:
     """Whether many values are all the same."""
     known = values[np.isfinite(values)]
     return len(known) >= _MANY and bool(np.ptp(known) == 0)
-
-
-def _place(parsed: ParsedFile, rows: np.ndarray) -> str:
-    """Where the first of some rows is, by its line if that is known."""
-    first = int(np.argmax(rows))
-    if parsed.lines is None:
-        return f"in row {first + 1}"
-    return f"in line {int(parsed.lines[first])}"
 
 
 def _chosen(parsed: ParsedFile, columns: _Columns, rows: np.ndarray) -> _Columns:
@@ -292,10 +288,11 @@ def _in_metres(
     columns: _Columns,
     reference: str | None,
     convention: AxisConvention,
+    as_given: bool,
 ) -> tuple[Floats | None, tuple[str, ...]]:
     """Positions in pixels as metres; returns as `pixels_to_metres`."""
     if {"u", "v"} & columns.keys():
-        return pixels_to_metres(parsed, columns, reference, convention)
+        return pixels_to_metres(parsed, columns, reference, convention, as_given)
     if reference is not None:
         raise InputError(
             f"--reference {reference}: {parsed.source} has no positions in pixels "

@@ -71,6 +71,12 @@ class ParsedFile:
             message = f"row {row}: {message}"
         return DataError(message, file=self.source, line=line, column=header)
 
+    def place(self, row: int) -> str:
+        """Where a row is, by its line if that is known."""
+        if self.lines is None:
+            return f"row {row + 1}"
+        return f"line {int(self.lines[row])}"
+
     def rows(self, rows: np.ndarray) -> ParsedFile:
         """Some of its rows; the notes and settings are copies."""
         return replace(

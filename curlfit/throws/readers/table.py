@@ -16,6 +16,7 @@ import numpy as np
 
 from curlfit.errors import DataError, InputError
 from curlfit.foreign import counted, quoted
+from curlfit.numerics.arrays import filled, floats
 from curlfit.settings.choices import Reading
 from curlfit.throws.readers.assemble import assemble
 from curlfit.throws.readers.columns import (
@@ -301,17 +302,11 @@ def _variables(table: Any, parsed: ParsedFile) -> _Variables:
     if hasattr(table, "columns") and hasattr(table, "__getitem__"):
         return _of_frame(table, parsed), {}
     if isinstance(table, Mapping):
-        return {str(name): _filled(values) for name, values in table.items()}, {}
+        return {str(name): filled(values) for name, values in table.items()}, {}
     raise InputError(
         f"{type(table).__name__}: expected a DataFrame, a Dataset or a mapping "
         "of names to arrays"
     )
-
-
-def _filled(values: Any) -> Any:
-    """An array, in which masked entries are gaps."""
-    masked = np.ma.isMaskedArray(values)
-    return np.ma.filled(values.astype(float), np.nan) if masked else np.asarray(values)
 
 
 def _of_dataset(table: Any, parsed: ParsedFile) -> _Variables:
@@ -369,13 +364,13 @@ def _numbers(
         )
         numbers = (values - origin) / np.timedelta64(1, "s") / column.factor
         return np.where(blank, np.nan, numbers)
-    # of pandas
-    found = [None if type(v).__name__ == "NAType" else v for v in values.tolist()]
     if is_time and values.dtype.kind in "OU":
+        # of pandas
+        found = [None if type(v).__name__ == "NAType" else v for v in values.tolist()]
         clock, bad = clock_times([None if v is None else str(v) for v in found])
         if not bad and np.isfinite(clock).any():
             return clock / column.factor
     try:
-        return np.array([np.nan if v is None else v for v in found], dtype=float)
+        return floats(values)
     except (TypeError, ValueError, OverflowError):
         raise parsed.error("expected numbers", quantity=header) from None

@@ -1,0 +1,200 @@
+"""The map from an image to the ice: a plane homography from known points.
+
+The places on the sheet are exact, the clicked pixels have errors, so the homography
+minimises the distances in the image (Hartley and Zisserman 2004, sect. 4.2.2); the
+residual tells how large the errors are, and so the covariance of the eight parameters
+(sect. 5.2.2).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from curlfit.errors import DataError
+from curlfit.foreign import counted
+from curlfit.numerics.arrays import Floats
+
+
+class Homography(NamedTuple):
+    """x, y in m from u, v in pixels.
+
+    Attributes
+    ----------
+    matrix : shape (3, 3), acting on (u, v, 1); its third coordinate is
+        positive on the ice.
+    points : number of known points. rms_px : root mean square error of a coordinate of
+        the known points in the image, pixels.
+    errors : independent errors of the map, each of one standard deviation, shape (8, 3,
+        3): a place (x, y, 1) on the sheet may in truth be at (I + error)(x, y, 1),
+        homogeneous. None for four points, which leave no residual.
+    """
+
+    matrix: Floats
+    points: int
+    rms_px: float
+    errors: Floats | None = None
+    note: str = ""
+    """on what of the file of the points was read"""
+
+    def __call__(self, u: Floats, v: Floats) -> tuple[Floats, Floats]:
+        """Positions in m, shape (n,); NaN beyond the horizon."""
+        x, y, w = self.matrix @ np.stack([u, v, np.ones_like(u)])
+        w = np.where(w > 1e-9 * np.abs(self.matrix[2]).max(), w, np.nan)
+        return x / w, y / w
+
+    def jacobian(self, u: Floats, v: Floats) -> Floats:
+        """d(x, y)/d(u, v) in m per pixel, shape (2, 2, n)."""
+        x, y, w = self.matrix @ np.stack([u, v, np.ones_like(u)])
+        rows = [
+            [(self.matrix[i, k] - at / w * self.matrix[2, k]) / w for k in (0, 1)]
+            for i, at in enumerate((x, y))
+        ]
+        return np.where(w > 1e-9 * np.abs(self.matrix[2]).max(), np.array(rows), np.nan)
+
+
+def displacements(errors: Floats, x: Floats, y: Floats) -> Floats:
+    """By how much errors of a map displace places on the sheet, to first order, in m.
+
+    Parameters
+    ----------
+    errors : shape (..., errors, 3, 3). x, y : m, shape (..., n).
+
+    Returns
+    -------
+    of shape (..., errors, 2, n).
+    """
+    places = np.stack([x, y, np.ones_like(x)], -2)[..., None, :, :]
+    moved = errors @ places
+    found: Floats = moved[..., :2, :] - places[..., :2, :] * moved[..., 2:, :]
+    return found
+
+
+def homography(
+    pixels: Floats, metres: Floats, file: Path | str = "reference"
+) -> Homography:
+    """The plane homography fitted to known points by least squares in the image.
+
+    It begins at the normalised direct linear transform.
+
+    Parameters
+    ----------
+    pixels, metres : shape (2, n), n >= 4.
+
+    Raises
+    ------
+    DataError : fewer than four points, collinear points, or points that are not
+        consistent with an image of a plane.
+    """
+    n, area = pixels.shape[1], "take four corners of an area"
+
+    def require(sound: bool, fault: str) -> None:
+        if not sound:
+            raise DataError(fault, file=file)
+
+    require(n >= 4, f"{counted(n, 'point')}; a homography needs four or more")
+    for what, points in (("in the image", pixels), ("on the sheet", metres)):
+        spread = np.linalg.svd(
+            points - points.mean(axis=1, keepdims=True), compute_uv=False
+        )
+        require(
+            bool(spread[1] > 1e-3 * spread[0]),
+            f"the points are collinear {what}; {area}",
+        )
+    (a, T), (b, U) = normalised(pixels), normalised(metres)
+    inner, determined = _direct_linear_transform(a, b)
+    require(determined, f"three of the points are collinear, or two coincide; {area}")
+    depth = inner[2] @ np.stack([*a, np.ones(n)])
+    require(
+        bool((depth > 0).all() or (depth < 0).all()),
+        "no image of a plane has the points in this order; two of them "
+        "may be interchanged",
+    )
+    camera, off, slope = _least_squares(np.linalg.inv(inner * np.sign(depth[0])), a, b)
+    matrix = np.linalg.inv(U) @ np.linalg.inv(camera) @ T
+    fitted = Homography(matrix / np.abs(matrix).max(), n, _rms(off) / T[0, 0])
+    rms_m = _rms(np.stack(fitted(*pixels)) - metres)
+    require(
+        bool(np.isfinite(rms_m)) and _rms(off) <= 0.1,
+        f"the points do not fit an image of a plane: rms {fitted.rms_px:.3g} pixels "
+        f"({rms_m:.3g} m); two of them may be interchanged",
+    )
+    errors = None
+    if n > 4:
+        # covariance s^2 (J^T J)^-1 = root root^T, with s^2 = rss/(2 n - 8)
+        scale = np.sqrt((off**2).sum() / (2 * n - 8))
+        root = scale * np.linalg.inv(np.linalg.qr(slope, mode="r"))
+        errors = np.linalg.inv(U) @ _generators(root.T) @ U
+    return fitted._replace(errors=errors)
+
+
+def transform_rows(image: Floats, sheet: Floats) -> Floats:
+    """Equations of the direct linear transform: their product with the elements of a
+    map from image to sheet is 0. Two for each point, shape (points, 2, 9)."""
+    u, v = image
+    x, y = sheet
+    one = np.ones_like(u)
+    zero = np.zeros_like(u)
+    first = np.stack([u, v, one, zero, zero, zero, -x * u, -x * v, -x], 1)
+    second = np.stack([zero, zero, zero, u, v, one, -y * u, -y * v, -y], 1)
+    return np.stack([first, second], 1)
+
+
+def _direct_linear_transform(image: Floats, sheet: Floats) -> tuple[Floats, bool]:
+    """A map from normalised image to normalised sheet, up to its sign, and whether the
+    points determine it."""
+    rows = transform_rows(image, sheet)
+    _, sizes, directions = np.linalg.svd(rows.reshape(-1, 9))
+    found: Floats = directions[-1].reshape(3, 3)
+    return found, bool(
+        sizes[7] >= 1e-4 * sizes[0] and abs(np.linalg.det(found)) >= 1e-6
+    )
+
+
+def _least_squares(
+    camera: Floats, image: Floats, sheet: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """The map from the sheet to the image that minimises the distances in the image:
+    the initial `camera` times I + S, S having eight elements.
+
+    Returns
+    -------
+    the map; measured - projected points, shape (2 n,); derivatives of the projected
+    points by the elements of a further S, shape (2 n, 8).
+    """
+    from scipy.optimize import least_squares
+
+    places = np.stack([*sheet, np.ones(sheet.shape[1])])
+
+    def off(elements: Floats) -> Floats:
+        u, v, w = camera @ (np.eye(3) + _generators(elements)) @ places
+        return (image - np.stack([u, v]) / w).ravel()
+
+    for _ in range(2):  # the second time about the optimum
+        best = least_squares(
+            off, np.zeros(8), jac="cs", xtol=1e-15, ftol=1e-15, gtol=1e-15
+        )
+        camera = camera @ (np.eye(3) + _generators(best.x))
+    return camera, best.fun, -best.jac
+
+
+def _generators(elements: Floats) -> Floats:
+    """Matrices, shape (..., 3, 3), of their first eight elements; the last is 0."""
+    whole = np.concatenate([elements, np.zeros_like(elements[..., :1])], -1)
+    return whole.reshape(*elements.shape[:-1], 3, 3)
+
+
+def normalised(points: Floats) -> tuple[Floats, Floats]:
+    """Points centred and scaled to coordinates of rms 1, and the matrix of that map."""
+    centre = points.mean(axis=1)
+    scale = 1 / max(_rms(points - centre[:, None]), 1e-300)
+    matrix = np.array(
+        [[scale, 0, -scale * centre[0]], [0, scale, -scale * centre[1]], [0, 0, 1]]
+    )
+    return scale * (points - centre[:, None]), matrix
+
+
+def _rms(offsets: Floats) -> float:
+    return float(np.sqrt((offsets**2).mean()))

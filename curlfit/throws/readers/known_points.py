@@ -1,0 +1,194 @@
+"""Known points of a camera: their table, and those that were clicked wrongly.
+
+A point is odd if it is farther from where the others put it than chance allows:
+externally studentised residuals in the image, by the F distribution with 2 and
+2 n - 10 degrees of freedom, and 1 % for the whole table by Bonferroni (Cook and
+Weisberg 1982, Residuals and Influence in Regression, sect. 2.2). Odd points hide one
+another, so that the first map is that of the four points with the least median
+distance of all (Rousseeuw and Leroy 1987, Robust Regression and Outlier Detection).
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+from math import comb
+from pathlib import Path
+
+import numpy as np
+
+from curlfit.errors import DataError
+from curlfit.foreign import counted
+from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.throws.readers.columns import parse_header
+from curlfit.throws.readers.homography import (
+    Homography,
+    homography,
+    normalised,
+    transform_rows,
+)
+from curlfit.throws.readers.text import TextFile, TextTable
+
+_EXPECTED = (
+    "expected a header u,v,x,y (pixels, and metres on the sheet) and "
+    "four points or more"
+)
+_CHANCE = 0.01
+"""Probability that points without a gross error have an odd one."""
+_CLICK = 0.3
+"""px; error of a coordinate that is expected at least, as pixels are whole numbers."""
+_FEWEST = 6
+"""Points, below which none is called odd."""
+_MOST_ODD = 5
+"""One point in so many may be odd."""
+_MOST_FOURS = 1000
+"""Fours of points, from whose maps the first one is chosen."""
+_ROUNDS = 10
+"""Maps at most, until the points that count are those that agree."""
+
+
+def load_homography(file: Path, as_given: bool = False) -> Homography:
+    """Read known points (columns u, v in pixels and x, y on the sheet) and fit the
+    map to them. One that is listed twice is one; odd ones are left out, and named in
+    the note.
+
+    Parameters
+    ----------
+    as_given : whether odd points are used.
+
+    Raises
+    ------
+    DataError : a column is missing, fewer than four points, collinear points, or points
+        that are not consistent with an image of a plane.
+    """
+    text = TextFile.read(file)
+    table = TextTable.of(text, _EXPECTED)
+    points = _points(table)
+    lines = np.array(table.rows) + 1
+    notes = [text.note] if text.note else []
+    _, first = np.unique(points, axis=1, return_index=True)
+    repeated = points.shape[1] - len(first)
+    if repeated:
+        notes.append(f"{counted(repeated, 'point')} listed twice, which is one")
+    points = points[:, np.sort(first)]
+    lines = lines[np.sort(first)]
+    odd = {} if as_given else odd_points(points[:2], points[2:])
+    if odd:
+        listed = "; ".join(
+            f"line {lines[k]} (x = {points[2, k]:g} m, y = {points[3, k]:g} m), "
+            f"{off:.2g} px from where the others put it"
+            for k, off in odd.items()
+        )
+        notes.append(f"left out as odd: {listed}; --as-given uses it")
+    kept = np.delete(points, list(odd), axis=1)
+    return homography(kept[:2], kept[2:], file)._replace(note="; ".join(notes))
+
+
+def _points(table: TextTable) -> Floats:
+    """u, v in pixels and x, y in m of the points in a table, shape (4, points)."""
+    columns: dict[str, int] = {}
+    factors: list[float] = []
+    for index, name in enumerate(table.names):
+        column = parse_header(name)
+        quantity = "v" if name.strip().lower() == "v" else column and column.quantity
+        if quantity in ("u", "v", "x", "y") and quantity not in columns:
+            columns[quantity] = index
+            factors.append(column.factor if column and quantity in "xy" else 1.0)
+    missing = [name for name in "uvxy" if name not in columns]
+    if missing:
+        raise table.error(f"no column for {' and '.join(missing)}; {_EXPECTED}")
+    cells = np.array(table.numbers(list(columns.values())))
+    values = dict(zip(columns, cells * np.array(factors)[:, None], strict=True))
+    points = np.stack([values[name] for name in "uvxy"])
+    bad = ~np.isfinite(points).all(axis=0)
+    bad |= (np.abs(np.nan_to_num(points)) > 1e7).any(axis=0)
+    if bad.any():
+        fault = "each point needs four finite numbers u, v, x, y"
+        raise table.file.error(fault, table.rows[np.argmax(bad)])
+    return points
+
+
+def odd_points(pixels: Floats, metres: Floats) -> dict[int, float]:
+    """The points that are not where the others put them, by index, with their distance
+    from there in pixels; none where more than one in five would be.
+
+    Parameters
+    ----------
+    pixels, metres : shape (2, n).
+    """
+    from scipy.special import fdtrc  # slow to load
+
+    n = pixels.shape[1]
+    if n < _FEWEST:
+        return {}
+    counts = _closest(pixels, metres)
+    distance = np.zeros(n)
+    for _ in range(_ROUNDS):
+        freedom = 2 * int(counts.sum()) - 8
+        try:
+            plane = homography(pixels[:, counts], metres[:, counts])
+        except DataError:
+            return {}
+        off, slopes = _residuals(plane, pixels, metres)
+        root = np.linalg.qr(slopes[counts].reshape(-1, 8), mode="r")
+        shares = slopes @ np.linalg.pinv(root)
+        leverage = shares @ np.swapaxes(shares, 1, 2)
+        # of a point in the map, the residual is smaller than its error; of one that is
+        # not, larger
+        sign = np.where(counts, -1.0, 1.0)[:, None, None]
+        scaled = np.linalg.solve(np.eye(2) + sign * leverage, off[..., None])[..., 0]
+        square = (off * scaled).sum(axis=1)
+        rest = (off[counts] ** 2).sum() - np.where(counts, square, 0.0)
+        free = np.where(counts, freedom - 2, freedom)
+        variance = np.maximum(rest / np.maximum(free, 1), _CLICK**2)
+        p = fdtrc(2, free, square / (2 * variance))
+        distance = np.hypot(*np.where(counts[:, None], scaled, off).T)
+        agree = (p >= _CHANCE / n) | (free < 2)
+        if n - agree.sum() > n // _MOST_ODD:
+            return {}
+        if (agree == counts).all():
+            break
+        counts = agree
+    return {int(k): float(distance[k]) for k in np.flatnonzero(~counts)}
+
+
+def _closest(pixels: Floats, metres: Floats) -> Booleans:
+    """The four fifths of the points that agree best: of the maps that four points
+    determine, that for which the farthest of them is the closest. Shape (n,)."""
+    n = pixels.shape[1]
+    image, _ = normalised(pixels)
+    sheet, _ = normalised(metres)
+    if comb(n, 4) <= _MOST_FOURS:
+        fours = np.array(list(combinations(range(n), 4)))
+    else:
+        chance = np.random.default_rng(n)
+        fours = np.argsort(chance.random((_MOST_FOURS, n)), axis=1)[:, :4]
+    rows = transform_rows(sheet, image)
+    *_, directions = np.linalg.svd(rows[fours].reshape(-1, 8, 9))
+    cameras = directions[:, -1].reshape(-1, 3, 3)
+    u, v, depth = np.moveaxis(cameras @ np.stack([*sheet, np.ones(n)]), 1, 0)
+    front = depth * np.sign(np.median(depth, axis=1, keepdims=True))
+    seen = front > 1e-9  # not behind the camera
+    depth = np.where(seen, depth, 1.0)
+    distance = np.hypot(u / depth - image[0], v / depth - image[1])
+    distance = np.where(seen, distance, np.inf)
+    agreeing = n - n // _MOST_ODD
+    farthest = np.sort(distance, axis=1)[:, agreeing - 1]
+    best = distance[np.argmin(farthest)]
+    closest = np.zeros(n, bool)
+    closest[np.argsort(best, kind="stable")[:agreeing]] = True
+    return closest
+
+
+def _residuals(
+    plane: Homography, pixels: Floats, metres: Floats
+) -> tuple[Floats, Floats]:
+    """Measured - projected points in pixels, shape (n, 2), and the derivatives of the
+    projected ones by eight elements S of a map times I + S, shape (n, 2, 8)."""
+    camera = np.linalg.inv(plane.matrix)
+    places = np.stack([*metres, np.ones(metres.shape[1])])
+    u, v, depth = camera @ places
+    projected = np.stack([u, v]) / depth
+    moved = camera[:, :, None, None] * places  # by each element of S
+    slopes = (moved[:2] - projected[:, None, None] * moved[2]) / depth
+    slopes = slopes.reshape(2, 9, -1)[:, :8]
+    return (pixels - projected).T, np.moveaxis(slopes, 2, 0)

@@ -1,0 +1,402 @@
+"""Angles without their jumps: which whole turns belong to each row.
+
+An angle is parted where a step is not what its neighbours turn, at gaps, and where a
+value stands still. Of the pieces, those are taken for the course of the angle that
+follow from one another, but for whole turns, and hold the most rows: the longest chain.
+A piece outside it, such as a mark that was lost for some rows, moves no other row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.throws.channels import running_median
+
+TURN = 2 * np.pi
+_SMALLEST_JUMP = 0.25 * (TURN / 2)
+"""rad; an angle without such a step between two rows is not wrapped."""
+_PACE_ROWS = 9
+"""Steps whose median is the pace of the turning between two rows."""
+_PACE_TIME = 1.0
+_LEAST_TIME = 0.3
+_FEWEST_OF_PACE = 3
+"""s, s and rows; a straight line through the rows within the first, of a piece not
+shorter than the others, tells the pace at its end."""
+_SCATTERS = 5.0
+"""Robust standard deviations of the steps that a step may be off."""
+_LEAST_OFF, _MOST_OFF = 0.05, 0.25
+"""Of a period: limits of that tolerance."""
+_PACE_ERROR = 0.25
+"""Relative error of a rotation that only the pace on both sides of a gap tells."""
+_AMBIGUOUS = 0.4
+"""Of a period: beyond it a rotation may as well be one to the other side."""
+_SPAN = (0.7, 1.02)
+"""Of a period: the extent of the values of a wrapped angle."""
+_MOST_OFF_COURSE = 0.2
+"""Of the rows, that may be off the course."""
+_FEWEST = 6
+"""Angles, of which whole turns are taken out where they exceed one turn."""
+_ABOUT = 3
+"""Rows before and after a fault that stand for themselves."""
+_STANDING = 2
+"""Rows that repeat the angle before them exactly, from which on it stands still."""
+_PIECES_BEFORE = 200
+"""Pieces, up to the one before, from which a piece may follow."""
+
+
+class AmbiguousTurnError(Exception):
+    """About half a period from the row before, of ambiguous sense."""
+
+    def __init__(self, row: int) -> None:
+        super().__init__(row)
+        self.row = row
+
+
+class ContradictoryAnglesError(Exception):
+    """Many of the measured angles contradict the others, the first in this row."""
+
+    def __init__(self, row: int, rows: int, measured: int) -> None:
+        super().__init__(row, rows, measured)
+        self.row = row
+        self.rows = rows
+        self.measured = measured
+
+
+class Unwrapped(NamedTuple):
+    """An angle without its jumps.
+
+    Attributes
+    ----------
+    angle : rad, shape (n,), NaN where not measured.
+    jumps : how many whole periods were removed. period : their size, rad.
+    off_course : rows that contradict those before and after them, shape (n,).
+    """
+
+    angle: Floats
+    jumps: int
+    period: float
+    off_course: Booleans
+
+
+class _Course(NamedTuple):
+    """The longest chain of pieces.
+
+    Attributes
+    ----------
+    angle : rad, with whole periods added, shape (rows,).
+    on_course : whether a row is in the chain, shape (rows,).
+    rotation : from each row to the next as its neighbours turn, rad, shape (rows - 1,).
+    links : those of the chain, in the order of time.
+    """
+
+    angle: Floats
+    on_course: Booleans
+    rotation: Floats
+    links: list[_Link]
+
+
+class _Piece(NamedTuple):
+    """Rows whose angles follow from one another: the first, the last, and the pace at
+    both in rad/s, NaN where they are too few."""
+
+    first: int
+    last: int
+    first_pace: float
+    last_pace: float
+
+
+class _Link(NamedTuple):
+    """Over the gap before a piece, in rad: the rotation as both sides turn, and the
+    whole periods by which the angle jumps besides."""
+
+    piece: _Piece
+    rotation: float
+    jump: float
+
+
+def unwrap(t: Floats, phi: Floats, omega: Floats | None = None) -> Unwrapped:
+    """The angle without its jumps.
+
+    An angle that stays within one turn (or half a turn, the direction of a line) and
+    jumps against its trend was reduced modulo that period. A measured spin determines
+    the rotation between two rows; without one, the rotation from row to row must be
+    well below half a period, and gaps are bridged at the pace on both sides. In an
+    angle that exceeds one turn, jumps by whole turns are removed. Rows that contradict
+    those before and after them move no other row, and keep their values, but for whole
+    periods in a wrapped angle.
+
+    Parameters
+    ----------
+    t : times in s, increasing. phi : angle in rad, NaN where not measured.
+    omega : spin in rad/s with the same sign convention, NaN where not measured.
+
+    Raises
+    ------
+    AmbiguousTurnError : the angle is wrapped, and the stone turns too fast for the
+        rows.
+    ContradictoryAnglesError : the angle stays within one turn, as a wrapped one does,
+        and more than one row in five contradicts the others.
+    """
+    measured = np.flatnonzero(np.isfinite(phi))
+    unchanged = Unwrapped(phi, 0, TURN, np.zeros(len(phi), bool))
+    time, angle = t[measured], phi[measured]
+    if len(measured) < 3 or np.abs(np.diff(angle)).max() < _SMALLEST_JUMP:
+        return unchanged
+    period, wrapped = period_of(time, angle)
+    if not wrapped and len(measured) < _FEWEST:
+        return unchanged
+    turned = None if omega is None else _integrated_spin(t, omega, time)
+    if turned is not None:
+        off = np.diff(angle - turned)
+        rest = np.abs(off - period * np.round(off / period))
+        if np.median(rest) > 0.25 * period:
+            turned = None  # the spin has another sign or clock
+    course = _course(time, angle, period, wrapped, turned)
+    lost = ~course.on_course
+    if lost.mean() > _MOST_OFF_COURSE:
+        if wrapped or np.ptp(angle) <= _SPAN[1] * TURN:
+            row = int(measured[np.argmax(lost)])
+            raise ContradictoryAnglesError(row, int(lost.sum()), len(measured))
+        return unchanged
+    if wrapped and turned is None:
+        _require_slow(course, time, measured, period)
+    periods = np.round((course.angle - angle) / period)
+    result = phi.copy()
+    result[measured] = np.where(periods == 0, angle, angle + period * periods)
+    off_course = np.zeros(len(phi), bool)
+    off_course[measured[lost]] = True
+    jumps = int(np.count_nonzero(np.diff(periods[course.on_course])))
+    return Unwrapped(result, jumps, period, off_course)
+
+
+def period_of(time: Floats, angle: Floats) -> tuple[float, bool]:
+    """The period of an angle in rad, and whether it is wrapped: the values on its
+    course stay within one period, and jump by it against their trend."""
+    for period in (TURN / 2, TURN):
+        if np.abs(np.diff(angle)).max() < 0.5 * period:
+            continue
+        on_course = _course(time, angle, period, wrapped=True).on_course
+        values = angle[on_course]
+        dt = np.diff(time[on_course])
+        step = np.diff(values)
+        large = np.abs(step) > 0.5 * period
+        low, high = _SPAN
+        if not large.any() or not low * period < np.ptp(values) <= high * period:
+            continue
+        if not ((step > 0).any() and (step < 0).any()):
+            continue  # monotonic
+        if period < TURN:
+            # over a gap the stone turns besides
+            jump = np.abs(step[large & (dt <= 1.5 * np.median(dt))])
+            allowed = 0.15 * period + np.median(np.abs(step))
+            if not len(jump) or (np.abs(jump - period) > allowed).any():
+                continue
+        return period, True
+    return TURN, False
+
+
+def _integrated_spin(t: Floats, omega: Floats, time: Floats) -> Floats | None:
+    """Rotation up to the times, from the spin; None if it is not known throughout."""
+    known = np.isfinite(omega)
+    if (
+        known.sum() < 2
+        or t[known][0] > time[0] + 1e-9
+        or t[known][-1] < time[-1] - 1e-9
+    ):
+        return None
+    at, rate = t[known], omega[known]
+    steps = np.diff(at) * (rate[1:] + rate[:-1]) / 2
+    return np.interp(time, at, np.append(0.0, np.cumsum(steps)))
+
+
+def _require_slow(
+    course: _Course, time: Floats, measured: np.ndarray, period: float
+) -> None:
+    """Raise `AmbiguousTurnError` where the stone turns too far from row to row."""
+    dt = np.diff(time)
+    usual = dt <= 1.5 * np.median(dt)
+    fast = usual & (np.abs(course.rotation) > _AMBIGUOUS * period)
+    if fast.any():
+        raise AmbiguousTurnError(int(measured[np.argmax(fast) + 1]))
+    for link in course.links:
+        if _PACE_ERROR * abs(link.rotation) > _AMBIGUOUS * period:
+            raise AmbiguousTurnError(int(measured[link.piece.first]))
+
+
+def _course(
+    time: Floats,
+    angle: Floats,
+    period: float,
+    wrapped: bool,
+    turned: Floats | None = None,
+) -> _Course:
+    """The course of an angle.
+
+    Parameters
+    ----------
+    turned : rotation up to each row in rad, as the spin tells; None if it does not.
+    """
+    dt = np.diff(time)
+    step = np.diff(angle)
+    usual = dt <= 1.5 * np.median(dt)
+    nearest = step - period * np.round(step / period) if wrapped else step
+    uneven = np.abs(np.diff(nearest)).max(initial=0.0)
+    if wrapped and turned is None and usual.all() and uneven < _LEAST_OFF * period:
+        # the usual angle, without a fault: no need for pieces
+        whole = angle[0] + np.append(0.0, np.cumsum(nearest))
+        return _Course(whole, np.ones(len(angle), bool), nearest, [])
+    middle = (time[1:] + time[:-1]) / 2
+    paces = (nearest / dt)[usual]
+    paces = running_median(paces, min(_PACE_ROWS, len(paces) // 3) // 2 * 2 + 1)
+    pace = np.interp(middle, middle[usual], paces)
+    rotation = pace * dt if turned is None else np.diff(turned)
+    slow = np.abs(rotation) <= _AMBIGUOUS * period
+    # A stone that is held, or has come to rest, turns less than its neighbours do.
+    jump, off = _beyond(step, np.where(slow, 0.0, rotation), rotation, period)
+    scatter = 1.4826 * float(np.median(np.abs(step - jump - rotation)[usual]))
+    tolerance = float(
+        np.clip(_SCATTERS * scatter, _LEAST_OFF * period, _MOST_OFF * period)
+    )
+    # Of the rows about a fault, each may be the bad one.
+    faults = np.pad(usual & (off > tolerance), _ABOUT)
+    windows = np.lib.stride_tricks.sliding_window_view(faults, 2 * _ABOUT + 1)
+    parted = ~usual | windows.any(axis=1) | (jump != 0.0)
+    parted |= _begins_or_ends_standing(step)
+    pieces = _pieces(time, angle, parted)
+    unknown_turns = not wrapped and turned is None
+    chain = _longest_chain(
+        pieces, time, angle, pace, turned, period, tolerance, unknown_turns
+    )
+    course = np.full(len(angle), np.nan)
+    shift = 0.0
+    for link in chain:
+        rows = slice(link.piece.first, link.piece.last + 1)
+        shift -= link.jump
+        course[rows] = angle[rows] + shift
+    on_course = np.isfinite(course)
+    known = np.flatnonzero(on_course)
+    if wrapped:
+        expected = np.interp(time, time[known], course[known])
+        other = angle + period * np.round((expected - angle) / period)
+    else:
+        # as the rows of the course about it, the one that is moved less
+        shifts = (course - angle)[known]
+        behind = np.searchsorted(known, np.arange(len(angle)))
+        later = shifts[np.minimum(behind, len(known) - 1)]
+        earlier = shifts[np.maximum(behind - 1, 0)]
+        other = angle + np.where(np.abs(earlier) < np.abs(later), earlier, later)
+    return _Course(np.where(on_course, course, other), on_course, rotation, chain[1:])
+
+
+def _beyond(
+    step: Floats, one: Floats, other: Floats, period: float
+) -> tuple[Floats, Floats]:
+    """The whole periods in a step of the angle, and how far the rest is from the
+    rotations between one and another; all in rad."""
+    middle = (one + other) / 2
+    jump = period * np.round((step - middle) / period)
+    return jump, np.abs(step - jump - middle) - np.abs(other - one) / 2
+
+
+def _begins_or_ends_standing(step: Floats) -> Booleans:
+    """Steps at which an angle begins or ceases to repeat one value exactly, as that of
+    a mark that was lost. Shape (rows - 1,)."""
+    same = np.concatenate([[False], step == 0.0, [False]]).astype(int)
+    change = np.diff(same)
+    begin = np.flatnonzero(change == 1)
+    end = np.flatnonzero(change == -1)
+    long = end - begin >= _STANDING
+    result = np.zeros(len(step) + 1, bool)
+    result[begin[long]] = True
+    result[end[long]] = True
+    return result[:-1]
+
+
+def _pieces(time: Floats, angle: Floats, parted: Booleans) -> list[_Piece]:
+    """The pieces of an angle that is parted at some of its steps."""
+    firsts = np.append(0, np.flatnonzero(parted) + 1)
+    lasts = np.append(firsts[1:], len(angle)) - 1
+    pieces = []
+    for first, last in zip(firsts.tolist(), lasts.tolist(), strict=True):
+        begin = int(np.searchsorted(time, time[first] + _PACE_TIME))
+        end = int(np.searchsorted(time, time[last] - _PACE_TIME))
+        head = slice(first, min(max(begin, first + _FEWEST_OF_PACE), last + 1))
+        tail = slice(max(min(end, last + 1 - _FEWEST_OF_PACE), first), last + 1)
+        paces = [_slope(time[rows], angle[rows]) for rows in (head, tail)]
+        pieces.append(_Piece(first, last, *paces))
+    return pieces
+
+
+def _slope(time: Floats, angle: Floats) -> float:
+    """Of a straight line, in rad/s; NaN for too few rows, unless they stand still."""
+    if len(time) > 1 and np.ptp(angle) == 0:
+        return 0.0
+    if len(time) < _FEWEST_OF_PACE or np.ptp(time) < _LEAST_TIME:
+        return np.nan
+    at = time - time.mean()
+    return float(at @ angle / (at @ at))
+
+
+def _longest_chain(
+    pieces: Sequence[_Piece],
+    time: Floats,
+    angle: Floats,
+    pace: Floats,
+    turned: Floats | None,
+    period: float,
+    tolerance: float,
+    unknown_turns: bool,
+) -> list[_Link]:
+    """The pieces that follow from one another, but for whole periods, and have the most
+    rows in all.
+
+    Parameters
+    ----------
+    unknown_turns : whether a gap too long for the pace to tell its turns has those of
+        the file.
+    """
+    first = np.array([piece.first for piece in pieces])
+    last = np.array([piece.last for piece in pieces])
+    first_pace = np.array([piece.first_pace for piece in pieces])
+    last_pace = np.array([piece.last_pace for piece in pieces])
+    length = last - first + 1  # of the longest chain up to each piece
+    behind = np.full(len(pieces), -1)
+    links = [_Link(pieces[0], 0.0, 0.0)]
+    for k in range(1, len(pieces)):
+        before = slice(max(0, k - _PIECES_BEFORE), k)
+        gap = time[first[k]] - time[last[before]]
+        if turned is None:
+            paces = np.where(
+                np.isnan(last_pace[before]), first_pace[k], last_pace[before]
+            )
+            paces = np.where(np.isnan(paces), pace[first[k] - 1], paces)
+            one = gap * paces
+            other = one if np.isnan(first_pace[k]) else gap * first_pace[k]
+        else:
+            one = other = turned[first[k]] - turned[last[before]]
+        rotation = (one + other) / 2
+        step = angle[first[k]] - angle[last[before]]
+        jump, off = _beyond(step, one, other, period)
+        error = _PACE_ERROR * np.abs(rotation)
+        follows = off <= np.minimum(tolerance + error, _AMBIGUOUS * period)
+        if unknown_turns:
+            unknown = error > _MOST_OFF * period
+            jump[unknown] = 0.0
+            follows |= unknown
+        links.append(_Link(pieces[k], 0.0, 0.0))
+        if follows.any():
+            lengths = np.where(follows, length[before], 0)[::-1]
+            best = len(lengths) - 1 - int(np.argmax(lengths))  # the nearest of equals
+            behind[k] = before.start + best
+            length[k] += length[before][best]
+            links[k] = _Link(pieces[k], float(rotation[best]), float(jump[best]))
+    k = int(np.argmax(length))
+    chain = [links[k]]
+    while behind[k] >= 0:
+        k = int(behind[k])
+        chain.append(links[k])
+    return chain[::-1]
