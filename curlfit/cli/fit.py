@@ -103,6 +103,8 @@ def fit(
     Writes `fit.json`, `fit.png` and, unless `--no-sample`, `chain.h5` and `corner.png`;
     for several throws `joint.json`, `joint.png` and a folder for each, and where they
     vary `chain.h5` and `corner.png` of their mean and spreads.
+    Rows of a stopwatch table that the others contradict are left out and named first;
+    `--keep` uses them.
     Ctrl-C during sampling keeps the chain so far; `--resume` continues it
     (of one throw).
 

@@ -7,6 +7,7 @@ import pytest
 
 import curlfit
 from curlfit.html_report.page import page_of
+from curlfit.inference.fit import quantities
 from curlfit.prediction.report import document as prediction_of
 from curlfit.prediction.result import Call
 from curlfit.reports.joint import document
@@ -96,6 +97,17 @@ def test_an_exchanged_digit_is_named_and_left_out(tmp_path):
         one for one in joint.groups if one.parameter == "friction" and not one.by
     )
     assert abs(of_friction.value / mean.value + 0.03) < 0.025
+
+
+def test_no_path_is_computed_for_quantities_that_times_do_not_tell(monkeypatch):
+    """It took a sixth of the time of an evening."""
+
+    def refused(*_):
+        raise AssertionError("a path of a single throw")
+
+    monkeypatch.setattr(quantities, "predict_channels", refused)
+    joint = fitted("slip")
+    assert all(throw.quantities == {} for throw in joint.throws)
 
 
 @SLOW

@@ -144,13 +144,16 @@ def quantities_of(fit: FitResult, chain: Any = None) -> dict[str, Derived]:
     chain : a posterior sample of the fit, for quantiles.
     """
     scaled = {"length_scale", "time_scale"} & set(fit.conditions)
-    if not fit.converged or scaled or not fit.fitted:
+    # Times and places alone, without a channel, determine none of them.
+    if not fit.converged or scaled or not fit.fitted or not fit.rms:
         return {}
     path, known = _Path(fit), fit.first_order
     best = path.at(fit.values)
     if not np.isfinite(best.y).all():
         return {}
     wanted, parameters = _definitions(fit, best), fit.parameter_set
+    if not wanted:
+        return {}
     # the calibration of lengths does not change the motion
     off = {item.name: item.typical for item in CONDITIONS if item.name in known.widths}
     p, free = len(parameters), parameters.free
