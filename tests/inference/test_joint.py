@@ -347,8 +347,14 @@ def test_tracks_without_an_angle_tell_together_what_each_tells_alone():
             for item in alone.combinations
             if item.expression == "mu1_eta + mu2_eta"
         ]
-        assert value == pytest.approx(same.value, abs=0.05 * stderr)
+        assert value == pytest.approx(same.value, abs=0.01 * stderr)
+        assert stderr == pytest.approx(same.stderr, rel=1e-3)
     assert joint.coefficients["mu1_xi"].verdict in ("weak", "at bound")
+    told = {effect.parameter for effect in joint.groups}
+    assert not {"mu1_xi", "mu2_xi"} & told
+    # at the angle and the coefficients of one point of the ridge
+    (curl,) = [one for one in joint.groups if one.parameter == "curl"]
+    assert 0.5 < curl.value < 1.5
 
 
 def test_the_spread_between_throws_is_that_of_paule_and_mandel():

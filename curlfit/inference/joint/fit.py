@@ -447,12 +447,6 @@ def _varying(together: Together, equal: _Equal, seed: int | None) -> JointResult
     ]
     spins = np.array([one.parameters["omega0"].value for one in throws])
     at_spins = solution.values[:, together.common], spins
-    if ridge is not None:
-        # The mean stays near equal coefficients, and so must the spins beside it.
-        spins = np.array(
-            [one.parameters["omega0"].value for one in equal.result.throws]
-        )
-        at_spins = together.solution.values[:, together.common], spins
     result = about_mean(
         equal.result,
         found,

@@ -225,7 +225,7 @@ def mean_of(
     verdicts = {name: item.verdict for name, item in coefficients.items()}
     known_weights = weights_of_known(verdicts, known.combinations, tuple(coefficients))
     rows = season.rows()[..., :-1]
-    alone = ThrowsAlone(season.values, rows, throws.typical)
+    alone = ThrowsAlone(season.values, rows, throws.typical, [{}] * count)
     variations = variations_of(alone, rows, known_weights, covariates.values)
     varying = Varying.of(rows, known_weights, variations, throws.typical)
     if not varying.weights:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple, Self
 
@@ -73,18 +73,20 @@ def about_mean(
         else _of_mean(one, known, row, found.dof, departures, left_open)
         for row, (name, one) in enumerate(equal.coefficients.items())
     }
+    undetermined = [
+        name
+        for name, one in coefficients.items()
+        if one.verdict not in ("determined", "prior")
+    ]
     open_along = None
     if left_open or ridge is not None:
-        open_along = np.array(
-            [
-                name in left_open and one.verdict != "determined"
-                for name, one in coefficients.items()
-            ]
-        )
+        open_along = np.isin(names, [*left_open]) & np.isin(names, undetermined)
     common = np.ones(len(names) + len(START), bool)
     common[len(names) :] = False
     least = {} if ridge is None else errors_of_draw(ridge, draw, common)
-    told = _Quantities.of(means, found, draw, units, draws, least, open_along)
+    told = _Quantities.of(
+        means, found, draw, units, draws, least, open_along, undetermined
+    )
     groups, differences, trend = map(tuple, told.effects())
     slope_differences = _slope_differences(told, found, covariates)
     friction = next(one.value for one in groups if one.parameter == "friction")
@@ -215,6 +217,7 @@ class _Quantities(NamedTuple):
         draws: Draws | None,
         least: Mapping[str, float],
         open_along: Booleans | None,
+        undetermined: Sequence[str],
     ) -> Self:
         """Of a mean; where throws leave coefficients open, without what is then not
         known of a draw.
@@ -225,6 +228,7 @@ class _Quantities(NamedTuple):
         open_along : the coefficients that single throws leave open and all do not
             determine; None where throws leave nothing open. A draw that depends on one
             turns as throws do whose spin is not known either.
+        undetermined : coefficients, of which nothing is said by group.
         """
         size = len(found.typical)
         centre, steps = means.estimate[:size], _STEP * np.diag(found.typical)
@@ -246,18 +250,20 @@ class _Quantities(NamedTuple):
             rough = unseen | (errors >= _ROUGH * np.abs(drawn[0]))
             unknown = set(itertools.compress(DRAW, rough)) - {"friction"}
             shown = [name for name in shown if name not in unknown]
-        weights = np.array([*found.weights.values()])
+        told = [name for name in found.weights if name not in undetermined]
+        weights = np.array([found.weights[name] for name in told])
+        weights = weights.reshape(len(told), size)
         return cls(
             means,
             draw,
-            {name: units.get(name, "1") for name in found.weights}
+            {name: units.get(name, "1") for name in told}
             | {name: DRAW[name] for name in shown},
             weights,
             np.concatenate([weights, slopes[np.isin([*DRAW], shown)]]),
             found.scale * (draws.estimate - found.fit.estimate)
             if draws
             else np.zeros((0, size)),
-            np.array([least.get(name, 0.0) for name in (*found.weights, *shown)]),
+            np.array([least.get(name, 0.0) for name in (*told, *shown)]),
         )
 
     def effects(self) -> tuple[list[Effect], list[Effect], list[Effect]]:

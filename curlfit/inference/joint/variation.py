@@ -32,6 +32,9 @@ class ThrowsAlone(NamedTuple):
     """of unit errors, shape (throws, rows, parameters); zero of a throw that
     tells nothing"""
     typical: Floats
+    stated: Sequence[Mapping[str, float]]
+    """standard errors by coefficient and combination, as the fits of the throws have
+    them; a sum that a fit does not state has that of its rows"""
 
     @classmethod
     def of_fits(cls, fits: Sequence[FitResult | None], names: Sequence[str]) -> Self:
@@ -39,25 +42,44 @@ class ThrowsAlone(NamedTuple):
         values = np.zeros((len(fits), len(names)))
         told = [np.zeros((0, len(names)))] * len(fits)
         typical = np.ones(len(names))
+        stated: list[dict[str, float]] = [{} for _ in fits]
         for place, fit in enumerate(fits):
             if fit is not None:
                 parameters = [fit.parameters[name] for name in names]
                 values[place] = [item.value for item in parameters]
                 typical = np.array([item.typical for item in parameters])
                 told[place] = fit.rows_told(names)[:, :-1]
+                stated[place] = _stated_errors(fit)
         rows = np.zeros((len(fits), max(map(len, told)), len(names)))
         for of_throw, own in zip(rows, told, strict=True):
             of_throw[: len(own)] = own
-        return cls(values, rows, typical)
+        return cls(values, rows, typical, stated)
 
-    def estimates(self, weights: Floats) -> list[tuple[float, float] | None]:
+    def estimates(
+        self, expression: str, weights: Floats
+    ) -> list[tuple[float, float] | None]:
         """A weighted sum of the parameters and its standard error from each throw."""
-        errors = _errors_told(self.rows, weights, self.typical)
+        by_rows = _errors_told(self.rows, weights, self.typical)
+        errors = [
+            stated.get(expression, error)
+            for stated, error in zip(self.stated, by_rows, strict=True)
+        ]
         values = self.values @ weights
         return [
             None if error is None else (float(value), error)
             for value, error in zip(values, errors, strict=True)
         ]
+
+
+def _stated_errors(fit: FitResult) -> dict[str, float]:
+    """Standard errors that a fit states, by coefficient and combination."""
+    of_parameters = {name: item.stderr for name, item in fit.parameters.items()}
+    of_combinations = {item.expression: item.stderr for item in fit.combinations}
+    return {
+        name: stderr
+        for name, stderr in {**of_parameters, **of_combinations}.items()
+        if stderr is not None
+    }
 
 
 def weights_of_known(
@@ -100,7 +122,9 @@ def variations_of(
         errors = _errors_told(jointly, of_sum, alone.typical)
         each = [
             None if error is None else estimate
-            for estimate, error in zip(alone.estimates(of_sum), errors, strict=True)
+            for estimate, error in zip(
+                alone.estimates(expression, of_sum), errors, strict=True
+            )
         ]
         shares = [
             error**-2
