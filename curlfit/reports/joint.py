@@ -46,7 +46,6 @@ _WORDS = {
 }
 _DRAWN = {"friction": ("friction",), **_WORDS}
 _CHANCE = 0.05  # probability above which an effect is within the errors
-_EFFICIENCY = 0.05  # of importance weights, below which a few draws weigh all
 _R_HAT = 1.05  # of a sample that ended without the 1.01 that it aims at
 _FIRST_ORDER = (
     "each throw counts as the quadratic about its own optimum; "
@@ -86,11 +85,6 @@ def document(result: JointResult) -> Document:
     if result.r_hat is not None and result.r_hat >= _R_HAT:
         unconverged = [
             f"the posterior of the spreads has not converged (R-hat {result.r_hat:.3f})"
-        ]
-    if result.importance is not None and result.importance < _EFFICIENCY:
-        unconverged += [
-            f"the posterior rests on {result.importance:.1%} of its draws, since the "
-            "likelihood of throws is far from quadratic: its quantiles are rough"
         ]
     return Document(
         finding=lower(result.status),

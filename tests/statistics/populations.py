@@ -4,8 +4,8 @@
 
 writes its table into README.md beside this file. NUTS samples the coefficients of every
 throw, whose log-likelihood is the quadratic about the optimum of this throw alone;
-curlfit samples the spreads of the joint fit, and integrates the rest out, here without
-importance weights, which are tested against quadrature. The priors are the same: flat.
+curlfit samples the spreads of the joint fit, and integrates the rest out. The priors
+are the same: flat.
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ from tables import Table
 
 import curlfit
 from curlfit.inference.derived import LEVELS
-from curlfit.inference.joint import posterior
 from curlfit.inference.joint.effects import Covariates
 
 WARM, DRAWS, CHAINS = 2000, 10_000, 4
@@ -135,7 +134,6 @@ def by_nuts(joint: curlfit.JointResult, throws: list[curlfit.Throw]) -> dict[str
 
 def main() -> None:
     """Run both and write the table."""
-    posterior._FEW_THROWS = 0  # no importance weights
     table = Table("", "", *(f"{level} %" for level in LEVELS))
     for title, throws in SETS.items():
         began = time.time()

@@ -33,7 +33,7 @@ from curlfit.inference.joint.draw import Draw
 from curlfit.inference.joint.effects import Covariates
 from curlfit.inference.joint.evening import same_in_all, with_usual_priors
 from curlfit.inference.joint.population import Together, told_by_data, vary
-from curlfit.inference.joint.posterior import corrected, sampled
+from curlfit.inference.joint.posterior import sampled
 from curlfit.inference.joint.result import JointResult, Variation
 from curlfit.inference.joint.ridge import JointRidge, follow_jointly
 from curlfit.inference.joint.solver import Progress, minimize_jointly
@@ -435,8 +435,6 @@ def _varying(together: Together, equal: _Equal, seed: int | None) -> JointResult
     ridges = None if ridge is None else lambda _: ridge.of_throws
     ended = bool(np.all(solution.success))
     draws = sampled(found.fit, guess, seed) if ended else None
-    if draws is not None and seed is not None and not together.rounds.unknown.any():
-        draws = corrected(together, found, solution, draws, seed)
     throws = [
         replace(one, systematics=before.systematics)
         for one, before in zip(

@@ -313,22 +313,20 @@ def _about(
     )
 
 
-def at_coefficients(throws: Together, values: Floats, most: int = _STEPS) -> Solution:
+def at_coefficients(throws: Together, values: Floats) -> Solution:
     """The optima of throws at coefficients that they are given.
 
     Parameters
     ----------
-    values : of each throw one set or several, one after another, with its initial
-        state nearby.
-    most : steps.
+    values : of each throw, with its initial state nearby.
     """
-    count, common = len(throws.tasks.start), throws.common
     tasks = throws.tasks._replace(penalty=_of_throws(throws))
-    tasks = tasks.at(np.repeat(np.arange(count), len(values) // count))
     start = np.clip(values, tasks.lower, tasks.upper)
-    lower, upper = (np.where(common, start, end) for end in (tasks.lower, tasks.upper))
+    lower = np.where(throws.common, start, tasks.lower)
+    upper = np.where(throws.common, start, tasks.upper)
     tasks = tasks._replace(start=start, lower=lower, upper=upper)
-    return minimize_many(throws.rounds.model, tasks, side_by_side(count), most)
+    batch = side_by_side(len(values))
+    return minimize_many(throws.rounds.model, tasks, batch, _STEPS)
 
 
 def told_by_data(

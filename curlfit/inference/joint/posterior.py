@@ -4,8 +4,7 @@ The throws' own parameters are integrated out by Laplace's approximation, and th
 and the effects, whose prior is flat within the bounds, in closed form: what is left is
 the restricted likelihood of the spreads times their prior, which is flat (Gelman 2006,
 Bayesian Analysis 1, 515). emcee samples it. The mean and the effects are normal where
-the spreads are given; draws with means out of bounds are left out. Importance weights
-then correct for Laplace's approximation.
+the spreads are given; draws with means out of bounds are left out.
 """
 
 from __future__ import annotations
@@ -14,13 +13,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from curlfit.inference.joint.population import (
-    Population,
-    Together,
-    at_coefficients,
-    reduced,
-)
-from curlfit.inference.least_squares import Solution
 from curlfit.inference.mcmc.ridge import RidgeProposal
 from curlfit.inference.mcmc.sampler import ENSEMBLES, Run
 from curlfit.numerics.arrays import Floats
@@ -31,14 +23,9 @@ _WALKERS, _EFFECTIVE, _STEPS = 16 * ENSEMBLES, 1000, 2000
 _MOST = 1000  # throws; more know their spreads so well that Student's t says the same
 _PROPER = 3  # throws beyond the covariates
 _KEPT, _FEWEST = 4000, 400
-_FEW_THROWS, _TRIED = 100, (16, 48)  # draws for which throws are evaluated
-_STEPS_NEAR = 8  # to the optimum of an initial state from a first-order one
-_QUADRATIC = 1e-3  # variance of logarithms of weights that change nothing
-_RIDGE = 1e-4  # over the mean square of the kernel
 # proposals: over the normal density at the optimum, and in logarithms
 _WIDER, _WIDEST = 1.5, 1.0
 _STEP, _FAR = 0.05, 12.0  # of differences, and the largest, in logarithms
-_EXACT = 1e-9  # typical sizes
 # of a parameter in what nothing determines, where its bounds say nothing
 _NO_PART = 1e-6
 _SIZE = 50_000  # throws times draws at a time
@@ -53,8 +40,6 @@ class Draws(NamedTuple):
     """shape (draws, directions)"""
     r_hat: float
     """largest of the spreads"""
-    efficiency: float | None = None
-    """of importance weights; None without them"""
     seed: int = 0
 
 
@@ -159,89 +144,3 @@ def _given(model: MixedModel, spreads: Floats) -> tuple[Floats, Floats]:
     root: Any = np.linalg.cholesky(normal)
     mean: Any = np.linalg.solve(normal, right[..., None])
     return mean[..., 0], root
-
-
-def corrected(
-    throws: Together, found: Population, solution: Solution, draws: Draws, seed: int
-) -> Draws:
-    """Draws weighted by the likelihood of the throws over the quadratic one, and drawn
-    again; the same where the throws are many.
-
-    Given the population, the weight is a product over throws. Of each, with its initial
-    state at the optimum for its coefficients, the factor is computed for some draws of
-    these; for all others it follows by kernel regression.
-
-    Parameters
-    ----------
-    solution : the throws at their own coefficients.
-    """
-    common, count, number = throws.common, len(throws.tasks.start), len(draws.spreads)
-    if count > _FEW_THROWS:
-        return draws
-    random = np.random.default_rng(seed)
-    reduction, values = reduced(throws, solution), np.array(solution.values)
-    now = (values[:, common] - found.reference) / found.typical
-    rows = reduction.in_common(found.typical)
-    told = zip(rows, now, found.fit.model.covariates, strict=True)
-    each = np.stack([_of_throw(found.fit, *one, draws, random) for one in told])
-    for tried in _TRIED:
-        some = np.linspace(0, number - 1, tried).astype(int)
-        start = (
-            values[:, None]
-            + (each[:, some] * found.typical) @ reduction.follow[:, :, common].mT
-        )
-        true = at_coefficients(throws, start.reshape(-1, values.shape[1]), _STEPS_NEAR)
-        left = each[:, some] @ rows[..., :-1].mT + rows[:, None, :, -1]
-        factors = ((left**2).sum(-1) - true.objective.reshape(count, tried)) / 2
-        factors = np.nan_to_num(factors, nan=-_FAR, neginf=-_FAR)  # without a path
-        if factors.var(1).sum() < _QUADRATIC:
-            return draws._replace(efficiency=1.0)
-    pairs = zip(each, factors, strict=True)
-    logs = sum(_regression(at, some, known) for at, known in pairs)
-    weights = np.exp(logs - np.max(logs))
-    weights /= weights.sum()
-    again = random.choice(number, _KEPT, p=weights)
-    return draws._replace(
-        estimate=draws.estimate[again],
-        spreads=draws.spreads[again],
-        efficiency=float(1 / (number * (weights**2).sum())),
-    )
-
-
-def _of_throw(
-    fit: MixedFit,
-    rows: Floats,
-    now: Floats,
-    covariates: Floats,
-    draws: Draws,
-    random: Any,
-) -> Floats:
-    """Draws of the coefficients of a throw less those it has now, from what its rows
-    say and each draw of the population; shape (draws, coefficients)."""
-    model, ends = fit.model, (fit.lower - now, fit.upper - now)
-    mean = draws.estimate @ fit.at(covariates).T - now
-    mean = mean - mean @ model.null @ model.null.T
-    by = rows[:, :-1] @ model.directions
-    spread = np.maximum(draws.spreads, _EXACT)
-    precision = by.T @ by + spread[:, None, :] ** -2 * np.eye(spread.shape[1])
-    root: Any = np.linalg.cholesky(precision)
-    pull = (mean @ rows[:, :-1].T + rows[:, -1]) @ by
-    own: Any = np.linalg.solve(root.mT, random.standard_normal((*spread.shape, 1)))
-    own = own - np.linalg.solve(precision, pull[..., None])
-    found: Floats = np.clip(mean + own[..., 0] @ model.directions.T, *ends)
-    return found
-
-
-def _regression(at: Floats, some: Any, values: Floats) -> Floats:
-    """What is known at some points at all of them, shape (points, dimensions), by
-    kernel ridge regression on polynomials of fourth degree; within the range of
-    what is known."""
-    centre = values.mean()
-    scale = np.sqrt((at[some] ** 2).sum(1).mean())
-    inner = at @ at[some].T / scale**2
-    kernel = sum(inner**power for power in range(5))
-    system = kernel[some] + _RIDGE * np.trace(kernel[some]) / len(values) * np.eye(
-        len(values)
-    )
-    found: Floats = centre + kernel @ np.linalg.solve(system, values - centre)
-    return np.clip(found, values.min(), values.max())

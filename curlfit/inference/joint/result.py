@@ -138,9 +138,6 @@ class JointResult(NamedEstimates):
         standard errors and its information are those of the joint fit, so that
         predictions from it use all throws.
     r_hat : largest of the spreads, if the posterior was sampled.
-    importance : efficiency of the importance weights by which the likelihood of throws
-        with given sigmas is not taken as quadratic: one if they are equal; None
-        without them.
     chain : draws of the posterior, of what varies, of its groups, trends and spreads;
         saved as `chain.h5` beside the record.
     table : of separate fits, in place of the throws.
@@ -184,7 +181,6 @@ class JointResult(NamedEstimates):
     slope_differences: tuple[Effect, ...] = field(default=(), metadata=ADDED)
     throws: tuple[FitResult, ...] = field(default=(), metadata=UNSAVED)
     r_hat: float | None = None
-    importance: float | None = field(default=None, metadata=ADDED)
     chain: Chain | None = field(default=None, metadata=UNSAVED)
     table: SeparateFits | None = None
     systematics: Systematics = field(default_factory=Systematics)

@@ -100,7 +100,6 @@ def about_mean(
         equal,
         rank=min(equal.rank, equal.parameters - open_),
         r_hat=None if draws is None else draws.r_hat,
-        importance=None if draws is None else draws.efficiency,
         means=means,
         coefficients=coefficients,
         combinations=found.combinations(
