@@ -6,6 +6,7 @@ last rows.
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ import curlfit
 from curlfit import LAWS
 from curlfit.inference.fit.other_rests import starts_with_other_rests
 from curlfit.inference.fit.prepared import problem_of
-from curlfit.inference.least_squares import Tasks, minimize_many
+from curlfit.inference.least_squares import MOST_STEPS, Tasks, minimize_many
 from curlfit.inference.likelihood import chi_squared_of_many
 from curlfit.numerics.batches import stacked, unstacked
 from curlfit.throws.throw import CHANNELS
@@ -185,3 +186,16 @@ def test_a_spin_that_ends_without_a_jump_needs_no_other_starts():
     (best,) = unstacked(minimize_many(fit.model, tasks, 1))
     bounds = known.lower, known.upper
     assert not starts_with_other_rests(fit.model, best, problem, *bounds, known.typical)
+
+
+@pytest.mark.parametrize("law", ["semi-empirical", "denny-1998"])
+def test_without_its_spin_a_log_is_fitted_too(law):
+    """The path then knows no more of the spin than its sign, and searches wander along
+    what is level. The limit of steps is named where it was reached alone."""
+    log = load(1)
+    throw = curlfit.Throw.from_arrays(log.t, log.x, log.y)
+    fit = curlfit.fit(throw, law, details=False)
+    assert fit.converged
+    assert fit["omega0"].verdict == "not identifiable"
+    limits = re.findall(r"at the limit of (\d+)", fit.status)
+    assert all(int(steps) >= MOST_STEPS for steps in limits)

@@ -680,8 +680,10 @@ def _status(fit: LeastSquaresFit, distance: float, unusual: Sequence[Finding]) -
             f"errors away ({steps})"
         )
     if not fit.solution.success:
+        # Before the limit, a search ends where no step is accepted however short it is.
+        stopped = "at the limit of" if fit.solution.steps >= MOST_STEPS else "after"
         return (
-            f"stopped at the limit of {steps}, about {distance:.1g} standard errors "
+            f"stopped {stopped} {steps}, about {distance:.1g} standard errors "
             "from an optimum"
         )
     if unusual:
