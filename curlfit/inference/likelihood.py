@@ -66,13 +66,14 @@ def _channels(model: Model, values: Array, problem: Problem) -> Array:
         return jnp.pad(_braking(model, system, problem.states)[None], ((5, 0), (0, 0)))
     start, scale = system.start, system.length_scale
     measured = _unpadded_times(problem) / system.time_scale
-    times, intervals = measured, None
-    if problem.interval is not None and issubclass(model.law, NetLaw):
-        intervals = RowIntervals.about(measured, problem.interval / system.time_scale)
+    times = measured
+    spins = problem.spins if issubclass(model.law, NetLaw) else None
+    if spins is not None:
+        intervals = RowIntervals.about(measured, spins.interval / system.time_scale)
         times = intervals.times
     forces = _forces(model, system)
     if problem.events is None:
-        motion = ordered_trajectory if intervals is None else trajectory
+        motion = ordered_trajectory if spins is None else trajectory
         path = motion(
             system.law,
             system.stone,
@@ -121,7 +122,9 @@ def _channels(model: Model, values: Array, problem: Problem) -> Array:
             problem.states[0] > 0, _braking(model, system, problem.states), known
         )
     more = [] if problem.events is None and problem.states is None else [known]
-    omega = path.omega if intervals is None else intervals.spin(path)
+    omega = path.omega
+    if spins is not None:
+        omega = intervals.spins(path, spins.values)
     x, y = _scaled(path.x, start.x, scale), _scaled(path.y, start.y, scale)
     channels = (x, y, path.phi, path.speed, omega)
     return jnp.stack([*(channel[: len(measured)] for channel in channels), *more])

@@ -17,6 +17,7 @@ import numpy as np
 from curlfit.environment import Environment
 from curlfit.inference.noise.models import LOSSES
 from curlfit.inference.parameters import START
+from curlfit.inference.spin_at_rest import MeasuredSpins
 from curlfit.numerics.arrays import Floats
 from curlfit.stone import Stone
 from curlfit.throws.events import Event, EventArrays, event_arrays
@@ -59,9 +60,8 @@ class Problem(NamedTuple):
     states: Any = None
     """speed and spin at which friction was measured, as the last row of the data, shape
     (2, n); a speed of 0 where there is another observation"""
-    interval: Any = None
-    """s between rows with a measured spin, see `curlfit.inference.spin_at_rest`; 0
-    where none was measured, None without its channel"""
+    spins: MeasuredSpins | None = None
+    """what was measured of the spin; None without its channel"""
 
 
 class Origin(NamedTuple):
@@ -139,7 +139,7 @@ def build_problem(
         environment=environment_of(swept, origin.t),
         loss=np.asarray(LOSSES.index(loss)),
         events=events,
-        interval=_interval_of_spins(throw) if channels >= len(CHANNELS) else None,
+        spins=MeasuredSpins.of(throw, rows) if channels >= len(CHANNELS) else None,
     )
 
 
@@ -163,13 +163,6 @@ def environment_of(swept: Sequence[float] | None, t0: float) -> Environment:
         return LEVEL_AND_STILL
     begin, end = (np.asarray(time - t0) for time in swept)
     return replace(LEVEL_AND_STILL, swept_from=begin, swept_to=end)
-
-
-def _interval_of_spins(throw: Throw) -> Any:
-    """Median interval between the rows with a measured spin, s; 0 with fewer than
-    two."""
-    times = throw.t[np.isfinite(throw.omega)]
-    return np.asarray(np.median(np.diff(times)) if len(times) > 1 else 0.0)
 
 
 def _sigma_of(throw: Throw, sigma: dict[str, float], name: str) -> Any:

@@ -230,7 +230,7 @@ def _search_other_rests(
     """Search on with the rest of the stone in other rows of a measured spin, as long as
     that leads to lower optima. Under a robust loss, and with correlated noise, the rest
     stays in the row where least squares have found it."""
-    if tasks.problems.interval is None or not issubclass(rounds.model.law, NetLaw):
+    if tasks.problems.spins is None or not issubclass(rounds.model.law, NetLaw):
         return
     problems = unstacked(tasks.problems)
     due = [

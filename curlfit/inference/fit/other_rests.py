@@ -2,7 +2,7 @@
 
 A law whose spin ends with a jump passes from a moving stone to a resting one within the
 interval of one row (`curlfit.inference.spin_at_rest`). Of measured spins that fall to
-zero over many rows, it may meet any one within the jump, so that chi squared has a
+zero over many rows, it may meet any one within the jump, so that chi squared may have a
 minimum with the rest in each of these rows. From one of them, the others are reached by
 values whose rest is some rows earlier or later, and which change the rest of the
 residuals least.
@@ -42,10 +42,11 @@ def starts_with_other_rests(
     """Initial values near an optimum, with the rest in other rows; none where the spin
     was not measured to rest, or ends there without a jump.
 
-    The law is one of the whole stone, the problem has intervals, and its optimum is
-    that of least squares with independent noise.
+    The law is one of the whole stone, the problem has spins, and its optimum is that
+    of least squares with independent noise.
     """
-    interval = float(problem.interval)
+    assert problem.spins is not None
+    interval = float(problem.spins.interval)
     if interval == 0:
         return []
     values = np.asarray(optimum.values)
