@@ -69,6 +69,9 @@ class CurveModel:
         none = np.zeros_like(self._problem.weight)
         self._path = self._problem._replace(events=None)
         self._evenly = self._path._replace(times=self._t - origin.t, weight=none)
+        if self._problem.spins is not None:  # those of other rows
+            unmeasured = self._problem.spins._replace(interval=np.zeros(()))
+            self._evenly = self._evenly._replace(spins=unmeasured)
 
     def at(self, values: Floats) -> Curves:
         """The curves at a parameter vector, in the order of the fit's parameters."""

@@ -25,12 +25,19 @@ from jax import Array
 
 from curlfit.dynamics.contact import accelerations
 from curlfit.dynamics.passages import with_passages
-from curlfit.dynamics.trajectory import external_forces, ordered_trajectory, positions
+from curlfit.dynamics.trajectory import (
+    external_forces,
+    ordered_trajectory,
+    positions,
+    trajectory,
+)
+from curlfit.friction import NetLaw
 from curlfit.inference.model import Model
 from curlfit.inference.noise.losses import signed_root
 from curlfit.inference.noise.whitening import whitened
 from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Problem
+from curlfit.inference.spin_at_rest import RowIntervals
 from curlfit.inference.system import System
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import BATCH, in_batches, unstacked
@@ -59,14 +66,20 @@ def _channels(model: Model, values: Array, problem: Problem) -> Array:
         return jnp.pad(_braking(model, system, problem.states)[None], ((5, 0), (0, 0)))
     start, scale = system.start, system.length_scale
     measured = _unpadded_times(problem) / system.time_scale
+    times = measured
+    spins = problem.spins if issubclass(model.law, NetLaw) else None
+    if spins is not None:
+        intervals = RowIntervals.about(measured, spins.interval / system.time_scale)
+        times = intervals.times
     forces = _forces(model, system)
     if problem.events is None:
-        path = ordered_trajectory(
+        motion = ordered_trajectory if spins is None else trajectory
+        path = motion(
             system.law,
             system.stone,
             forces,
             start,
-            measured,
+            times,
             jnp.zeros(()),
             load=model.load,
         )
@@ -80,7 +93,7 @@ def _channels(model: Model, values: Array, problem: Problem) -> Array:
             forces,
             start,
             lines,
-            measured,
+            times,
             (weights != 0).any(),
             load=model.load,
         )
@@ -109,8 +122,12 @@ def _channels(model: Model, values: Array, problem: Problem) -> Array:
             problem.states[0] > 0, _braking(model, system, problem.states), known
         )
     more = [] if problem.events is None and problem.states is None else [known]
+    omega = path.omega
+    if spins is not None:
+        omega = intervals.spins(path, spins.values)
     x, y = _scaled(path.x, start.x, scale), _scaled(path.y, start.y, scale)
-    return jnp.stack([x, y, path.phi, path.speed, path.omega, *more])
+    channels = (x, y, path.phi, path.speed, omega)
+    return jnp.stack([*(channel[: len(measured)] for channel in channels), *more])
 
 
 def _braking(model: Model, system: System, states: Array) -> Array:

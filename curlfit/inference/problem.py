@@ -17,6 +17,7 @@ import numpy as np
 from curlfit.environment import Environment
 from curlfit.inference.noise.models import LOSSES
 from curlfit.inference.parameters import START
+from curlfit.inference.spin_at_rest import MeasuredSpins
 from curlfit.numerics.arrays import Floats
 from curlfit.stone import Stone
 from curlfit.throws.events import Event, EventArrays, event_arrays
@@ -59,6 +60,8 @@ class Problem(NamedTuple):
     states: Any = None
     """speed and spin at which friction was measured, as the last row of the data, shape
     (2, n); a speed of 0 where there is another observation"""
+    spins: MeasuredSpins | None = None
+    """what was measured of the spin; None without its channel"""
 
 
 class Origin(NamedTuple):
@@ -136,6 +139,7 @@ def build_problem(
         environment=environment_of(swept, origin.t),
         loss=np.asarray(LOSSES.index(loss)),
         events=events,
+        spins=MeasuredSpins.of(throw, rows) if channels >= len(CHANNELS) else None,
     )
 
 

@@ -57,6 +57,50 @@ def test_a_fit_that_does_not_know_of_it_says_so(swept):
     assert again.parameters["sweep"].value == pytest.approx(0.85, abs=0.05)
 
 
+def abrupt_changes(result):
+    """Warnings of a joint fit, by the throw that they name."""
+    found = {}
+    for one in result.throws:
+        texts = [text for text in one.warnings if "changes abruptly" in text]
+        if texts:
+            (found[one.data["file"]],) = texts
+    return found
+
+
+def test_a_joint_fit_says_what_single_fits_say(swept):
+    """The throw that was swept is named, with the times that its own fit gives; the
+    others are not. Beside one whose sweeping is known, too: `sweep` is then a
+    parameter of all, and has no effect on this one."""
+    others = [replace(thrown(seed, factor=1.0), name=f"{seed}") for seed in (2, 3)]
+    suspect = replace(swept, name="suspect")
+    (alone,) = (
+        text for text in curlfit.fit(suspect).warnings if "changes abruptly" in text
+    )
+    together = curlfit.fit_together([suspect, *others], share="all")
+    said = abrupt_changes(together)
+    assert said.keys() == {"suspect"}
+    times = [
+        text.split("--sweep ")[1].split("`")[0] for text in (alone, said["suspect"])
+    ]
+    (begin, end), joint = ([float(time) for time in one.split(":")] for one in times)
+    assert joint == pytest.approx([begin, end], abs=1.0)
+    assert any(
+        text.startswith("suspect: the friction changes") for text in together.warnings
+    )
+    known = replace(
+        thrown(4), name="known", defaults={"swept": [T0 + time for time in SWEPT]}
+    )
+    mixed = curlfit.fit_together([suspect, known, others[0]], share="all")
+    assert abrupt_changes(mixed).keys() == {"suspect"}
+
+
+def test_joint_fits_of_throws_that_vary_say_so_too(swept):
+    throws = [replace(thrown(seed, factor=1.0), name=f"{seed}") for seed in range(2, 6)]
+    result = curlfit.fit_together([replace(swept, name="suspect"), *throws])
+    assert result.varies
+    assert abrupt_changes(result).keys() == {"suspect"}
+
+
 @pytest.mark.parametrize(
     ("at", "size", "flag", "limits"),
     [(12.0, 0.2, "--until", (10.5, 12.0)), (6.0, 0.2, "--since", (6.0, 7.5))],

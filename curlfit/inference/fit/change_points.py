@@ -26,6 +26,7 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 
 from curlfit.inference.fit.prepared import LeastSquaresFit
+from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import predict_channels
 from curlfit.inference.noise.models import time_of_motion
 from curlfit.numerics.arrays import Floats
@@ -85,14 +86,19 @@ class _Fitted:
     def to_friction(self, times: Floats) -> Floats:
         """Responses to a change of the friction from each time on; none
         after the last."""
-        model, values, problem = (
-            self.fit.model,
-            self.fit.solution.values,
-            self.fit.problem,
-        )
+        model, problem = self.fit.model, self.fit.problem
+        values = np.array(self.fit.solution.values)
         rows, n = self.weight.shape
+        # A parameter where other throws of a joint fit were swept: without effect on
+        # this one, it takes the place of the ratio in the environment.
+        place = None
+        if "sweep" in model.conditions:
+            coefficients = len(model.law.coefficients())
+            place = coefficients + model.conditions.index("sweep")
 
         def swept(since: float, sweep: Floats) -> Floats:
+            if place is not None:
+                values[place] = sweep[0]
             swept = replace(
                 problem.environment,
                 sweep=sweep[0],
@@ -143,6 +149,23 @@ class _Fitted:
         columns = np.hstack([self.jacobian, cause.response.T])
         left = _without(columns, self.residual, cause.response)[0]
         return float(left @ left)
+
+
+def may_have_cause(fit: LeastSquaresFit, result: FitResult) -> bool:
+    """Whether a cause is to be sought: the residuals are not independent, and the fit,
+    by least squares with independent noise, does not account for sweeping."""
+    doubtful = any(item.doubtful for item in result.independence.values())
+    plain = fit.loss == "linear" and fit.noise.kind == "white"
+    return doubtful and plain and fit.prepared.swept is None
+
+
+def with_cause(fit: LeastSquaresFit, result: FitResult) -> FitResult:
+    """The record of a fit with a warning about the cause of its residuals, if one is
+    found; the same record otherwise."""
+    change = sudden_change(fit)
+    if change is None:
+        return result
+    return replace(result, warnings=(change, *result.warnings))
 
 
 def sudden_change(fit: LeastSquaresFit) -> str | None:

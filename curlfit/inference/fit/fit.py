@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 
 from curlfit.errors import CurlfitError, UnusableFitError
-from curlfit.friction import Law, find_law, no_motion_because
+from curlfit.friction import Law, NetLaw, find_law, no_motion_because
 from curlfit.friction.family import LawFamily
 from curlfit.inference.derived import check_derived
 from curlfit.inference.fit.advice import remedies, with_curl_warning, with_noise_advice
-from curlfit.inference.fit.change_points import sudden_change
+from curlfit.inference.fit.change_points import may_have_cause, with_cause
+from curlfit.inference.fit.other_rests import starts_with_other_rests
 from curlfit.inference.fit.prepared import (
     LeastSquaresFit,
     PreparedThrow,
@@ -39,6 +40,7 @@ from curlfit.inference.least_squares import (
 )
 from curlfit.inference.likelihood import prepare_channels
 from curlfit.inference.model import Model
+from curlfit.inference.noise.models import LOSSES
 from curlfit.inference.problem import Origin, problem_shape
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import BATCH, side_by_side, stacked, unstacked
@@ -46,6 +48,7 @@ from curlfit.settings.choices import Fitting, takes
 from curlfit.throws.throw import Reference, Throw, require_throw
 
 _OPEN = ("not identifiable", "weak")  # verdicts that another measurement might change
+_MOST_REST_SEARCHES = 20  # each moves the rest by up to eight rows
 _ROWS = 2 * BATCH * 256  # of throws that are fitted together, to limit memory
 
 
@@ -115,18 +118,11 @@ def _fit(
     result = summarize(found, widths_of(model, chosen.systematics, [prepared]))
     if not result.converged:
         return result
-    doubtful = any(item.doubtful for item in result.independence.values())
-    if (
-        doubtful
-        and loss == "linear"
-        and noise == "white"
-        and "sweep" not in result.conditions
-    ):
-        change = sudden_change(found)
-        if change is not None:
-            result = replace(result, warnings=(change, *result.warnings))
-        elif details and not result.events:
-            result = with_noise_advice(result, refit)
+    if may_have_cause(found, result):
+        explained = with_cause(found, result)
+        if explained is result and details and not result.events:
+            explained = with_noise_advice(result, refit)
+        result = explained
     if not details:
         return result
     result = replace(with_curl_warning(result), quantities=quantities_of(result))
@@ -204,6 +200,7 @@ def fitted(
     followed = [best_first(found) for found in tried]
     for found in followed:
         found[1:] = [one for one in found[1:] if fits_equally(found[0], one)][:1]
+    _search_other_rests(rounds, tasks, followed)
     due = np.flatnonzero([len(found) for found in followed])
     tasks = tasks._replace(penalty=penalties(throws))
     while len(due) and len(
@@ -218,12 +215,54 @@ def fitted(
                 one if np.isfinite(one.chi_squared) else old
                 for one, old in zip(new, found, strict=False)
             ]
+        _search_other_rests(rounds, tasks, followed)
     _settle(model, tasks, followed, batch)
     _add_usual(model, tasks, followed, batch)
     return [
         rounds.failures.get(row) or _outcome(rounds, row, found, len(tried[row]))
         for row, found in enumerate(followed)
     ]
+
+
+def _search_other_rests(
+    rounds: Rounds, tasks: Tasks, followed: Sequence[list[Solution]]
+) -> None:
+    """Search on with the rest of the stone in other rows of a measured spin, as long as
+    that leads to lower optima. Under a robust loss, and with correlated noise, the rest
+    stays in the row where least squares have found it."""
+    if tasks.problems.spins is None or not issubclass(rounds.model.law, NetLaw):
+        return
+    problems = unstacked(tasks.problems)
+    due = [
+        row
+        for row, optima_of_throw in enumerate(followed)
+        if optima_of_throw
+        and tasks.problems.loss[row] == LOSSES.index("linear")
+        and not rounds.noises[row].sizes
+    ]
+    for _ in range(_MOST_REST_SEARCHES):
+        starts: list[list[Floats]] = [[] for _ in followed]
+        for row in due:
+            starts[row] = starts_with_other_rests(
+                rounds.model,
+                followed[row][0],
+                problems[row],
+                tasks.lower[row],
+                tasks.upper[row],
+                tasks.typical,
+            )
+        if not any(starts):
+            return
+        reached = optima(rounds.model, tasks, starts, rounds.batch)
+        due = []
+        for row, optima_of_throw in enumerate(followed):
+            if reached[row]:
+                before = optima_of_throw[0]
+                best, *others = best_first([*optima_of_throw, *reached[row]])
+                rivals = [one for one in others if fits_equally(best, one)]
+                optima_of_throw[:] = [best, *rivals[:1]]
+                if best is not before:
+                    due.append(row)
 
 
 def _settle(

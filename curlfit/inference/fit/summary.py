@@ -13,6 +13,7 @@ import numpy as np
 from curlfit.foreign import counted
 from curlfit.inference.derived import derive, gradient_of
 from curlfit.inference.fit.caveats import warnings_of
+from curlfit.inference.fit.change_points import may_have_cause, with_cause
 from curlfit.inference.fit.covariance import (
     CONVERGED,
     Covariance,
@@ -125,6 +126,14 @@ def summarize_many(
     results = list(
         map(_record, fits, each, residuals, found, departures, shifts, widths_of_each)
     )
+    if common is not None or others is not None:
+        # What a fit of one throw says of its residuals holds for one of several too.
+        results = [
+            with_cause(fit, result)
+            if result.converged and may_have_cause(fit, result)
+            else result
+            for fit, result in zip(fits, results, strict=True)
+        ]
     if earlier is None:
         better = many.searched_on(found, departures, batch)
         ended = summarize_many(
@@ -671,8 +680,10 @@ def _status(fit: LeastSquaresFit, distance: float, unusual: Sequence[Finding]) -
             f"errors away ({steps})"
         )
     if not fit.solution.success:
+        # Before the limit, a search ends where no step is accepted however short it is.
+        stopped = "at the limit of" if fit.solution.steps >= MOST_STEPS else "after"
         return (
-            f"stopped at the limit of {steps}, about {distance:.1g} standard errors "
+            f"stopped {stopped} {steps}, about {distance:.1g} standard errors "
             "from an optimum"
         )
     if unusual:
