@@ -3,19 +3,20 @@ initial states and noise."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from curlfit.errors import CurlfitError, InputError, UnusableFitError, require_kind
+from curlfit.errors import InputError, UnusableFitError, require_kind
 from curlfit.foreign import quoted
 from curlfit.friction import Law, find_law, no_motion_because
 from curlfit.inference.derived import check_derived
-from curlfit.inference.fit.departures import NO_DEPARTURES
+from curlfit.inference.fit.covariance import Covariance
+from curlfit.inference.fit.departures import NO_DEPARTURES, Departures
+from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.factors import Reduction
-from curlfit.inference.fit.fit import fitted
 from curlfit.inference.fit.prepared import (
     PreparedThrow,
     local_bounds,
@@ -29,6 +30,7 @@ from curlfit.inference.fit.summary import summarize_many
 from curlfit.inference.fit.systematics import widths_of
 from curlfit.inference.identifiability import Bounded, r_factors
 from curlfit.inference.joint.advice import with_throws
+from curlfit.inference.joint.alone import ThrowsAlone, fitted_alone
 from curlfit.inference.joint.draw import Draw
 from curlfit.inference.joint.effects import Covariates
 from curlfit.inference.joint.evening import same_in_all, with_usual_priors
@@ -39,7 +41,6 @@ from curlfit.inference.joint.ridge import JointRidge, follow_jointly
 from curlfit.inference.joint.solver import Progress, minimize_jointly
 from curlfit.inference.joint.summary import about_mean
 from curlfit.inference.joint.variation import (
-    ThrowsAlone,
     Varying,
     variations_of,
     weights_of_known,
@@ -313,28 +314,23 @@ def _equal(together: Together, given: Mapping[str, float] | None) -> _Equal:
         common,
     )
     verdicts = {name: one.verdict for name, one in coefficients.items()}
-    if tasks.penalty.informative:  # what varies is what the throws themselves determine
+    if tasks.penalty.informative:
         by_data = told_by_data(tasks, solution, reduction, shared, held=same)
         departures = NO_DEPARTURES if ridge is None else ridge.departures(by_data)
-        verdicts = {
-            name: known
-            if known == "fixed" or name in same_names
-            else departures.judged(
-                name, *by_data.classified(row)[:2], coefficients[name].typical
-            )[1]
-            for row, (name, known) in enumerate(verdicts.items())
+        not_varying = {*same_names, *first_throw.parameters.fixed}
+        verdicts |= _verdicts_by_data(by_data, departures, coefficients, not_varying)
+        by_expression = {
+            item.expression: item
+            for item in (*departures.kept(by_data.combinations), *combinations)
         }
-        of_data = departures.kept(by_data.combinations)
-        known = {item.expression: item for item in (*of_data, *combinations)}
-        combinations = tuple(known.values())
+        combinations = tuple(by_expression.values())
     known_weights = weights_of_known(verdicts, combinations, shared)
     weights = {
         name: own for name, own in known_weights.items() if not own[same[common]].any()
     }
     of_all = first_throw.parameters.values_of(solution.values[0])
-    alone = ThrowsAlone.of_fits(
-        _fitted_alone(together, {name: of_all[name] for name in same_names}), shared
-    )
+    same_values = {name: of_all[name] for name in same_names}
+    alone = ThrowsAlone.of_fits(fitted_alone(together, same_values), shared)
     of_each = (tasks.upper > tasks.lower)[0, common] & ~same[common]
     jointly = reduction.in_common()[..., :-1] * of_each
     variations = variations_of(alone, jointly, weights, covariates.values)
@@ -370,45 +366,22 @@ def _equal(together: Together, given: Mapping[str, float] | None) -> _Equal:
     return _Equal(with_throws(result, throws, solution), varying, ridge)
 
 
-def _fitted_alone(
-    together: Together, held: Mapping[str, float]
-) -> list[FitResult | None]:
-    """Each throw fitted by itself, with some parameters `held`; None where that does
-    not converge. The priors of what throws have in common count once, for all of them,
-    and are not among these."""
-    rounds = together.rounds
-    names = rounds.throws[0].parameters.names_where(together.common)
-    again = Rounds(
-        rounds.model,
-        [_by_itself(one, names, held) for one in rounds.throws],
-        loss=rounds.loss,
-        noise=rounds.noises[0].kind,
-        shape=rounds.problems.observed.shape[1:],
-        batch=side_by_side(len(rounds.throws)),
-    )
-    fits = fitted(again, None)
-    usable = [one for one in fits if not isinstance(one, CurlfitError)]
-    curves = (again.loss, again.noises[0].kind) != ("linear", "white")
-    records = iter(summarize_many(usable, again.batch, curves=curves))
-    alone: list[FitResult | None] = []
-    for fit in fits:
-        record = None if isinstance(fit, CurlfitError) else next(records)
-        alone.append(record if record is not None and record.converged else None)
-    return alone
-
-
-def _by_itself(
-    throw: PreparedThrow, common: Sequence[str], held: Mapping[str, float]
-) -> PreparedThrow:
-    """A throw without the priors of what it has in common, and some values held."""
-    parameters = throw.parameters
-    priors = {
-        name: prior for name, prior in parameters.priors.items() if name not in common
-    }
-    parameters = replace(parameters, priors=priors)
-    for name, value in held.items():
-        parameters = parameters.with_fixed(name, value)
-    return throw._replace(parameters=parameters)
+def _verdicts_by_data(
+    by_data: Covariance,
+    departures: Departures,
+    coefficients: Mapping[str, Estimate],
+    not_varying: Collection[str],
+) -> dict[str, str]:
+    """Verdicts of the coefficients that may vary without the priors, since what varies
+    is what the throws themselves determine."""
+    verdicts = {}
+    for row, (name, estimate) in enumerate(coefficients.items()):
+        if name not in not_varying:
+            stderr, verdict, _ = by_data.classified(row)
+            _, verdicts[name], _ = departures.judged(
+                name, stderr, verdict, estimate.typical
+            )
+    return verdicts
 
 
 def _among(item: Any, differing: Mapping[str, Variation], name: str) -> Any:

@@ -22,6 +22,7 @@ from curlfit.errors import InputError
 from curlfit.friction import Coefficient
 from curlfit.inference.fit.covariance import Covariance
 from curlfit.inference.fit.estimates import Estimate
+from curlfit.inference.joint.alone import ThrowsAlone
 from curlfit.inference.joint.draw import TIMES, Draw
 from curlfit.inference.joint.effects import Covariates, Labelled
 from curlfit.inference.joint.population import LinearizedThrows, Population
@@ -29,7 +30,6 @@ from curlfit.inference.joint.posterior import sampled
 from curlfit.inference.joint.result import JointResult, SeparateFits
 from curlfit.inference.joint.summary import about_mean
 from curlfit.inference.joint.variation import (
-    ThrowsAlone,
     Varying,
     variations_of,
     weights_of_known,

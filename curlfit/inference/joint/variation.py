@@ -14,72 +14,13 @@ from typing import NamedTuple, Self
 import numpy as np
 from scipy.special import chdtrc
 
-from curlfit.inference.fit.result import FitResult
-from curlfit.inference.identifiability import Combination, stderr_told
+from curlfit.inference.identifiability import Combination
+from curlfit.inference.joint.alone import ThrowsAlone, errors_told
 from curlfit.inference.joint.result import Variation
 from curlfit.numerics.arrays import Floats
 
 _FEWEST = 3  # throws that tell how something varies
 _LEAST_SPREAD = 0.1  # over the standard error from a throw, where a search begins
-
-
-class ThrowsAlone(NamedTuple):
-    """What each of some throws tells by itself of the parameters in common."""
-
-    values: Floats
-    """shape (throws, parameters)"""
-    rows: Floats
-    """of unit errors, shape (throws, rows, parameters); zero of a throw that
-    tells nothing"""
-    typical: Floats
-    stated: Sequence[Mapping[str, float]]
-    """standard errors by coefficient and combination, as the fits of the throws have
-    them; a sum that a fit does not state has that of its rows"""
-
-    @classmethod
-    def of_fits(cls, fits: Sequence[FitResult | None], names: Sequence[str]) -> Self:
-        """Of fits of each throw by itself; None of one whose fit failed."""
-        values = np.zeros((len(fits), len(names)))
-        told = [np.zeros((0, len(names)))] * len(fits)
-        typical = np.ones(len(names))
-        stated: list[dict[str, float]] = [{} for _ in fits]
-        for place, fit in enumerate(fits):
-            if fit is not None:
-                parameters = [fit.parameters[name] for name in names]
-                values[place] = [item.value for item in parameters]
-                typical = np.array([item.typical for item in parameters])
-                told[place] = fit.rows_told(names)[:, :-1]
-                stated[place] = _stated_errors(fit)
-        rows = np.zeros((len(fits), max(map(len, told)), len(names)))
-        for of_throw, own in zip(rows, told, strict=True):
-            of_throw[: len(own)] = own
-        return cls(values, rows, typical, stated)
-
-    def estimates(
-        self, expression: str, weights: Floats
-    ) -> list[tuple[float, float] | None]:
-        """A weighted sum of the parameters and its standard error from each throw."""
-        by_rows = _errors_told(self.rows, weights, self.typical)
-        errors = [
-            stated.get(expression, error)
-            for stated, error in zip(self.stated, by_rows, strict=True)
-        ]
-        values = self.values @ weights
-        return [
-            None if error is None else (float(value), error)
-            for value, error in zip(values, errors, strict=True)
-        ]
-
-
-def _stated_errors(fit: FitResult) -> dict[str, float]:
-    """Standard errors that a fit states, by coefficient and combination."""
-    of_parameters = {name: item.stderr for name, item in fit.parameters.items()}
-    of_combinations = {item.expression: item.stderr for item in fit.combinations}
-    return {
-        name: stderr
-        for name, stderr in {**of_parameters, **of_combinations}.items()
-        if stderr is not None
-    }
 
 
 def weights_of_known(
@@ -119,7 +60,7 @@ def variations_of(
     """
     variations = {}
     for expression, of_sum in weights.items():
-        errors = _errors_told(jointly, of_sum, alone.typical)
+        errors = errors_told(jointly, of_sum, alone.typical)
         each = [
             None if error is None else estimate
             for estimate, error in zip(
@@ -158,7 +99,7 @@ class Varying(NamedTuple):
         """What enough throws tell of within the joint fit."""
         first_spreads = {}
         for expression, of_sum in weights.items():
-            told = _errors_told(jointly, of_sum, typical)
+            told = errors_told(jointly, of_sum, typical)
             errors = [error for error in told if error is not None]
             if len(errors) >= _FEWEST:
                 least = _LEAST_SPREAD * float(np.median(errors))
@@ -169,12 +110,6 @@ class Varying(NamedTuple):
             {name: weights[name] for name in first_spreads},
             np.array([*first_spreads.values()]),
         )
-
-
-def _errors_told(rows: Floats, weights: Floats, typical: Floats) -> list[float | None]:
-    """Standard error of a weighted sum of parameters, as the rows of each throw tell
-    it; None where they do not."""
-    return [stderr_told(of_throw, weights, typical) for of_throw in rows]
 
 
 def _variation(
