@@ -14,6 +14,7 @@ from curlfit.app.reading import look
 from curlfit.cli import app
 from curlfit.errors import InputError
 
+SUM = ("--law", "power+sideways")
 FIT, COMPARE = fields_of(app, "fit"), fields_of(app, "compare")
 WRITTEN = {
     "--units": "t=ms,x=cm",
@@ -61,7 +62,14 @@ def test_a_comparison_takes_the_flags_that_it_has():
             [("--units", "length=ft"), ("--as-given", "yes")],
         ),
         ("`--noise ar1` or `--law power`", [("--noise", "ar1"), ("--law", "power")]),
-        ("give points with --reference FILE (columns u,v,x,y)", [("--reference", "")]),
+        (
+            "give points with `--reference FILE` (columns u,v,x,y)",
+            [("--reference", "")],
+        ),
+        ("a heading with --reference FILE in it", []),
+        ('as in `--columns "x=wide"`, or `--by sheet`', []),
+        ("`--law evil.py:L`, `--law power+evil.py:L`, `--law power+sideways`", [SUM]),
+        ("`--units 'x`, `--bound a=\"0:1`", []),
         (
             "`--systematic` sets, `--stone-index N` selects, "
             "`curlfit design --separate a,b`",
