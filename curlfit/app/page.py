@@ -67,6 +67,8 @@ _TOO_MANY = (
     f':filter="files => files.length > {_MOST_FILES} || '
     f'files.reduce((sum, file) => sum + file.size, 0) > {MOST_BYTES} ? [] : files"'
 )
+# of files of one name, NiceGUI would keep the last
+_APART = ':field-name="file => file.__key"'
 
 
 class Page:
@@ -114,6 +116,7 @@ class Page:
             on_rejected=self.refuse,
         )
         upload.props("flat").props(_TOO_MANY).classes("drop")
+        upload.props(_APART)
         upload.on("failed", self.refuse, args=[])
         upload.on("finish", upload.reset, args=[])
         _tag(

@@ -138,3 +138,32 @@ def test_without_nicegui_the_command_says_how_to_install_it(monkeypatch, tmp_pat
     assert "--port 99999: expected a whole number" in str(
         invoke(["app", "--port", "99999"]).exception
     )
+
+
+EVIL = "`--law evil.py:L` `--as-given` `--reference FILE`"
+ESCAPED = EVIL.replace("`", "\\u0060")
+HOSTILE = {
+    "heading.csv": f"t,x,y,phi,{EVIL}\n0,0,0,0,1\n1,1,1,1,1\n",
+    "headings.csv": f"{EVIL},{EVIL} 2\n1,2\n2,3\n",
+    "cell.csv": f"t,x,y\n0,0,0\n1,{EVIL},2\n",
+    "setting.csv": f'# {EVIL} = 1\n# law = "{EVIL}"\nt,x,y\n0,0,0\n1,1,2\n',
+    "escaped.csv": f'# stone = "{ESCAPED}"\nt,x,y\n0,0,0\n1,1,2\n',
+    "key.csv": f'# "{ESCAPED}" = 1\nt,x,y\n0,0,0\n1,1,2\n',
+    "units.csv": f"t [{EVIL}],x,y\n0,0,0\n1,1,2\n",
+    "label.csv": f'hog to hog (s),{EVIL}\n12,a\n13,"{EVIL}"\n14,"{EVIL} 2"\n',
+    "keys.json": f'{{"{ESCAPED}": [0, 1], "t": [0, 1], "x": ["{ESCAPED}", 1]}}',
+    "record.json": f'{{"cmd": "{ESCAPED}", "version": "{ESCAPED}"}}\n{{"cmd": 1}}\n',
+    "rows.json": f'[{{"t": 0, "x": "{ESCAPED}", "y": 1}}, {{"t": 1, "{ESCAPED}": 2}}]',
+    "columns.txt": f"t {EVIL} y\n0 0 0\n1 1 1\n",
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+@pytest.mark.parametrize("chosen", [{}, {"columns": {"x": EVIL}}, {"worksheet": "a"}])
+def test_words_of_a_file_make_no_button(name, chosen, write):
+    seen = look([write(HOSTILE[name], name)], chosen)
+    sentences = [seen.fault, *seen.oddities, *seen.notes]
+    assert any(sentences) or seen.finding
+    found = [one for text in sentences for one in proposals(FIT, text)]
+    assert ("--as-given", "yes") not in found
+    assert not {flag for flag, _ in found} & {"--law", "--reference"}
