@@ -142,7 +142,7 @@ class Page:
     async def receive(self, event: events.MultiUploadEventArguments) -> None:
         """Take files in place of those before."""
         if self.work is not None:
-            self.work.stop()
+            self.work.kill()
             await self.work.over.wait()
         for path in self.folder.iterdir():
             shutil.rmtree(path) if path.is_dir() else path.unlink()
