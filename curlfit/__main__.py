@@ -9,6 +9,7 @@ import os
 import signal
 import sys
 import threading
+from contextlib import suppress
 from io import BufferedWriter, FileIO, TextIOWrapper
 from types import FrameType
 
@@ -92,7 +93,8 @@ def _stop(number: int, frame: FrameType | None) -> None:
     if getattr(
         getattr(sys.modules.get("jax"), "__spec__", None), "_initializing", False
     ):
-        os.write(2, b"curlfit: stopped\n")
+        with suppress(OSError):  # of a terminal that is gone
+            os.write(2, b"curlfit: stopped\n")
         os._exit(128 + number)
     if number in _ENDINGS and not _terminated:
         _terminated.append(number)

@@ -179,4 +179,4 @@ def test_a_closed_terminal_ends_a_fit_with_all_its_processes(tmp_path):
     os.close(end)
     assert run.wait(timeout=100) == 128 + signal.SIGHUP
     assert not psutil.wait_procs(children, timeout=20)[1]
-    assert load_fit(tmp_path).posterior.samples > 0
+    assert load_fit(tmp_path)["mu2_xi"].value > 0  # saved before sampling began
