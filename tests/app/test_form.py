@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import re
 import sys
+from contextlib import suppress
 
 import pytest
 from conftest import DATA, command, invoke
+from hypothesis import given, settings, strategies as st
 
 from curlfit import load_throw
 from curlfit.app.form import fields_of, merged, proposals, values_of, words_of
@@ -167,3 +169,18 @@ def test_words_of_a_file_make_no_button(name, chosen, write):
     found = [one for text in sentences for one in proposals(FIT, text)]
     assert ("--as-given", "yes") not in found
     assert not {flag for flag, _ in found} & {"--law", "--reference"}
+
+
+MARKS = st.sampled_from(["`", '"', "'", "\\", "=", ",", ":", "--law ", "1e999", "\0"])
+TYPED = st.lists(MARKS | st.text(max_size=6), max_size=8).map("".join)
+
+
+@settings(max_examples=300, deadline=None)
+@given(flag=st.sampled_from(sorted(FIT)), text=TYPED)
+def test_any_text_of_a_field_is_taken_or_refused(flag, text):
+    words = words_of(FIT, {flag: text})
+    assert all(word.startswith(flag) for word in words)
+    with suppress(InputError):
+        values_of(FIT, {flag: text})
+    for proposed, value in proposals(FIT, f"give `{flag} {text}`"):
+        words_of(FIT, {proposed: merged(FIT[proposed], text, value)})

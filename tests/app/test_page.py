@@ -4,10 +4,14 @@ commands that cannot start, the folders of pages that were killed."""
 from __future__ import annotations
 
 import asyncio
+import os
 import time
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 from conftest import DATA
+from hypothesis import given, settings, strategies as st
 
 pytest.importorskip("nicegui", reason="NiceGUI is not installed")
 
@@ -67,6 +71,22 @@ def test_dropped_files_have_names_that_no_program_looks_for(dropped, taken, tmp_
     (tmp_path / "old.csv").write_text("")
     name = page.Page(app, tmp_path, tmp_path)._free_name(dropped)
     assert name == taken
+
+
+SHOWN = page.Page(app, Path(), Path())
+
+
+@settings(max_examples=200, deadline=None)
+@given(dropped=st.text(st.characters(codec="utf-8"), max_size=300))
+def test_any_name_of_a_dropped_file_is_a_name_in_the_folder(dropped):
+    with TemporaryDirectory() as place:
+        SHOWN.folder = Path(place)
+        name = SHOWN._free_name(dropped)
+        (Path(place) / name).write_text("")
+        assert os.listdir(place) == [name]
+    assert Path(name).suffix.lower() in page._SUFFIXES
+    assert "`" not in name
+    assert not name.startswith("-")
 
 
 def test_the_folder_of_a_page_that_was_killed_goes(monkeypatch, tmp_path):
