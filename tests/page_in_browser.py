@@ -45,8 +45,9 @@ class Served:
         return browser.current_url
 
     def end(self):
-        self.process.kill()
-        self.process.communicate()
+        """End it so that it leaves nothing."""
+        self.process.terminate()
+        self.process.communicate(timeout=60)
 
 
 @pytest.fixture(scope="module")
