@@ -34,6 +34,19 @@ JAX_ENABLE_X64 says.
 import os
 import sys
 
+# `python -m curlfit` has the working folder first on its path, where a file of data
+# named as a module, such as numpy.py, would run in place of that module. It leaves the
+# path before anything is imported: argv[0] is "-m" while Python looks for the module.
+if (
+    sys.argv[:1] == ["-m"]
+    and sys.orig_argv[-len(sys.argv)] in ("curlfit", "-mcurlfit")
+    and not sys.flags.safe_path
+):
+    _working_folder = sys.path.pop(0)
+    # a checkout that is not installed is found there, after everything else
+    if os.path.realpath(_working_folder) == os.path.realpath(f"{__path__[0]}/.."):
+        sys.path.append(_working_folder)
+
 import lazy_loader
 
 # A user's function may be traced before any name of curlfit is used, and the width

@@ -41,9 +41,11 @@ def is_size(value: float) -> bool:
 
 
 def quoted(value: object) -> str:
-    """A value for a message: in quotes if it is text, cut, control
-    characters as escapes."""
-    return repr(cut(value)) if isinstance(value, str) else cut(_SHORT.repr(value))
+    """A value for a message: in quotes if it is text, cut, control characters
+    as escapes, and backticks too, since between these are options that curlfit
+    proposes."""
+    text = repr(cut(value)) if isinstance(value, str) else cut(_SHORT.repr(value))
+    return text.replace("`", r"\x60")
 
 
 def cut(text: str, most: int = _LONGEST_QUOTE) -> str:

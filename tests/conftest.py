@@ -28,6 +28,7 @@ from curlfit.numerics import compiled
 from curlfit.settings.choices import Reading
 from curlfit.throws.load import parts_of
 
+pytest_plugins = ("page_in_browser",)  # fixtures of `curlfit app`
 DATA = Path(__file__).parents[1] / "data" / "jensen_shegelski_2004.csv"
 
 

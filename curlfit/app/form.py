@@ -10,11 +10,15 @@ from typing import Any
 
 from cyclopts import App, Token
 
-from curlfit.settings.choices import FILE, FLAGS
+from curlfit.errors import InputError
+from curlfit.foreign import cut
+from curlfit.friction import LAWS, TERMS
+from curlfit.settings.choices import FILE, FLAGS, LAW
 from curlfit.settings.forms import PATH, SWITCH, Form, Several, Table
 
 _NAMES = {flag: name for name, flag in FLAGS.items()}
 _OPTION = re.compile(r"`(--[a-z][^`]*)`")
+_WORDS_OF_FILES = ("--columns", "--by", "--trend", "--worksheet")
 
 
 @dataclass(frozen=True)
@@ -42,20 +46,33 @@ class Field:
         """Whether its value is a file."""
         return self.form in (FILE, PATH)
 
+    @property
+    def _takes_words(self) -> bool:
+        """Whether its value is in words, with a flag of their own each."""
+        return isinstance(self.form, Table) and not self.form.many
+
     def words(self, text: str) -> list[str]:
         """The flag with its value, once for each value that needs a word of its own."""
         if self.form is SWITCH:
             return [self.flag]
-        each = isinstance(self.form, Table) and not self.form.many
-        return [
-            f"{self.flag}={word}"
-            for word in (shlex.split(text) if each else [text.strip()])
-        ]
+        try:
+            words = shlex.split(text) if self._takes_words else [text.strip()]
+        except ValueError:  # refused by `value`
+            words = [text.strip()]
+        return [f"{self.flag}={word}" for word in words]
 
     def value(self, text: str) -> Any:
         """What the command makes of it. Raises `InputError`."""
         if self.form is SWITCH:
             return True
+        if self._takes_words:
+            try:
+                shlex.split(text)
+            except ValueError:  # a mark at the end, or one without its counterpart
+                raise InputError(
+                    f"{self.flag} {cut(text)}: a quotation mark or a backslash has "
+                    f"no end; expected {self.written}"
+                ) from None
         values = [word.partition("=")[2] for word in self.words(text)]
         return self.form(
             None, [Token(keyword=self.flag, value=value) for value in values]
@@ -101,21 +118,32 @@ def values_of(
 
 def proposals(fields: Mapping[str, Field], sentence: str) -> list[tuple[str, str]]:
     """The options between backticks that can be set as they stand, as flag and text;
-    flags that the sentence wants a file for have none."""
-    found = []
+    flags that the sentence wants a file for have none.
+
+    Text of a file has no backticks (`TextFile.read`), and an option that curlfit makes
+    of words of a file, such as a heading, is for the user to type.
+    """
+    proposed = []
     for code in _OPTION.findall(sentence):
         flag, _, text = code.partition(" ")
-        if (field := fields.get(flag)) and not field.takes_file:
-            if field.form is SWITCH:
-                found.append((flag, "yes"))
-            elif text not in ("", field.written):
-                found.append((flag, " ".join(shlex.split(text))))
-    found += [
-        (flag, "")
-        for flag, one in fields.items()
-        if one.takes_file and f"{flag} " in sentence
-    ]
-    return list(dict.fromkeys(found))
+        field = fields.get(flag)
+        if field is None:
+            continue
+        if field.takes_file:
+            proposed.append((flag, ""))
+        elif field.form is SWITCH:
+            proposed.append((flag, "yes"))
+        elif text not in ("", field.written) and _is_of_curlfit(field, text):
+            proposed.append((flag, text))
+    return list(dict.fromkeys(proposed))
+
+
+def _is_of_curlfit(field: Field, text: str) -> bool:
+    """Whether a proposed value holds no words of a file: neither a heading, a label or
+    a worksheet, nor a law outside curlfit, which would run."""
+    if field.form is LAW:
+        return all(part in LAWS or part in TERMS for part in text.split("+"))
+    return field.flag not in _WORDS_OF_FILES and not set(text) & set("\"'\\")
 
 
 def merged(field: Field, before: str, text: str) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import shutil
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import partial, wraps
 from html import escape
 from importlib import resources
 from pathlib import Path
@@ -18,7 +18,7 @@ from curlfit.app.form import Field, fields_of, merged, proposals, values_of, wor
 from curlfit.app.reading import Seen, look
 from curlfit.app.work import Work
 from curlfit.errors import CurlfitError
-from curlfit.foreign import safe_name
+from curlfit.foreign import message, safe_name
 from curlfit.friction import LAWS
 from curlfit.html_report.blocks import Block, marked, sentence
 from curlfit.html_report.page import rendered, source
@@ -28,6 +28,22 @@ from curlfit.throws.throw import CHANNELS
 
 MOST_BYTES = 100_000_000
 """Largest upload, of twice as much as is read of a file."""
+_MOST_FILES = 1000  # which the server takes at once
+_TOO_MUCH = (
+    f"The page takes at most {_MOST_FILES} files and {MOST_BYTES // 10**6} MB at once; "
+    "nothing was read. `curlfit batch` takes folders of any number"
+)
+_SUFFIXES = (
+    ".csv",
+    ".tsv",
+    ".txt",
+    ".json",
+    ".jsonl",
+    ".xlsx",
+    ".xls",
+    ".ods",
+    ".toml",
+)
 _VERBS = {"fit": ("Fit", "The fit"), "compare": ("Compare laws", "The comparison")}
 _FIRST = ("--law", "--load", "--stone", "--noise")
 _HEADINGS = {
@@ -35,11 +51,24 @@ _HEADINGS = {
     "How to read DATA": "How the file is read",
     "Sampling": "Sampling of the posterior",
 }
-_HEIGHT = (  # as high as what it shows, at any width
-    "const body = this.contentDocument.body; "
-    "new ResizeObserver(() => {this.style.height = body.offsetHeight + 60 + "
-    "'px'}).observe(body)"
+# A report is no part of this page, to which it says how high it is and where to scroll.
+_FRAMES = """<script>
+addEventListener("message", ({source, data}) => {
+  for (const frame of document.querySelectorAll("iframe")) {
+    if (source !== frame.contentWindow) continue;
+    if (Number.isFinite(data.height))
+      frame.style.height = `${Math.min(data.height, 1e6) + 60}px`;
+    if (Number.isFinite(data.top))
+      scrollTo(0, scrollY + frame.getBoundingClientRect().top + data.top);
+  }
+});
+</script>"""
+_TOO_MANY = (
+    f':filter="files => files.length > {_MOST_FILES} || '
+    f'files.reduce((sum, file) => sum + file.size, 0) > {MOST_BYTES} ? [] : files"'
 )
+# of files of one name, NiceGUI would keep the last
+_APART = ':field-name="file => file.__key"'
 
 
 class Page:
@@ -60,8 +89,10 @@ class Page:
         self.work: Work | None = None
         self.done: dict[str, Work] = {}
         self.parts = [
-            ui.refreshable(part) for part in (self._read, self._choices, self._results)
+            ui.refreshable(_standing_alone(part))
+            for part in (self._read, self._choices, self._results)
         ]
+        self._readings = 0  # how often the files were read, or replaced
 
     def build(self) -> None:
         """The elements of the page."""
@@ -69,6 +100,7 @@ class Page:
             source("report.css")
             + (resources.files(__package__) / "page.css").read_text()
         )
+        ui.add_head_html(_FRAMES)
         with _box("header"):
             _tag("h1", "curlfit")
             _tag(
@@ -76,14 +108,17 @@ class Page:
                 "What the ice did to a stone, and what its path cannot tell.",
                 "subject",
             )
-        ui.upload(
+        upload = ui.upload(
             label="Drop a file here, or click",
             multiple=True,
             auto_upload=True,
             on_multi_upload=self.receive,
-            max_total_size=MOST_BYTES,
             on_rejected=self.refuse,
-        ).props("flat").classes("drop")
+        )
+        upload.props("flat").props(_TOO_MANY).classes("drop")
+        upload.props(_APART)
+        upload.on("failed", self.refuse, args=[])
+        upload.on("finish", upload.reset, args=[])
         _tag(
             "p",
             "A path (t, x, y, angle), times by stopwatch, or friction against speed; "
@@ -107,36 +142,47 @@ class Page:
     async def receive(self, event: events.MultiUploadEventArguments) -> None:
         """Take files in place of those before."""
         if self.work is not None:
-            self.work.stop()
+            self.work.kill()
             await self.work.over.wait()
         for path in self.folder.iterdir():
             shutil.rmtree(path) if path.is_dir() else path.unlink()
         self.files, self.written, self.done = [], {}, {}
+        self.seen = Seen()
         for file in event.files:
-            self.files.append(Path(safe_name(file.name)))
-            await file.save(self.folder / self.files[-1])
-        event.sender.run_method("reset")
+            name = self._free_name(file.name)
+            await file.save(self.folder / name)
+            self.files.append(Path(name))
         await self.look_again()
 
+    def _free_name(self, name: str) -> str:
+        """The name of a dropped file in the folder: that of no other file there, and
+        none that a program looks for, as `numpy.py` or `matplotlibrc`."""
+        path = Path(safe_name(name.replace("`", "'")))
+        if path.suffix.lower() not in _SUFFIXES:
+            path = Path(f"{path}.txt")
+        number, free = 1, path
+        while (self.folder / free).exists():
+            number += 1
+            free = path.with_stem(f"{path.stem}_{number}")
+        return str(free)
+
     def refuse(self) -> None:
-        """Say why a file was not taken."""
-        self.seen = Seen(
-            fault=f"The file has more than {MOST_BYTES // 10**6} MB; nothing was read"
-        )
+        """Say why files were not taken."""
+        self._readings += 1
+        self.seen = Seen(fault=_TOO_MUCH)
         self.refresh()
 
     def fail(self, error: Exception) -> None:
         """Say that something went wrong which is not the user's fault."""
-        self.seen = Seen(
-            fault=f"This is an error of curlfit: {type(error).__name__}: {error}"
-        )
+        self._readings += 1
+        self.seen = Seen(fault=_own_error(error))
         self.refresh()
 
     async def receive_beside(
         self, flag: str, event: events.UploadEventArguments
     ) -> None:
         """Take the file of a field."""
-        name = safe_name(event.file.name)
+        name = self._free_name(event.file.name)
         await event.file.save(self.folder / name)
         await self.put(flag, name)
 
@@ -148,13 +194,18 @@ class Page:
         await self.look_again()
 
     async def look_again(self) -> None:
-        """Read the files with the choices as they are."""
+        """Read the files with the choices as they are; what was read with earlier ones,
+        and took longer, is dropped."""
+        self._readings += 1
+        reading = self._readings
         try:
             chosen = values_of(self.fields["fit"], self.written)
-            self.seen = await asyncio.to_thread(look, self.files, chosen)
+            seen = await asyncio.to_thread(look, self.files, chosen)
         except CurlfitError as error:
-            self.seen = Seen(fault=str(error))
-        self.refresh()
+            seen = Seen(fault=str(error))
+        if reading == self._readings:
+            self.seen = seen
+            self.refresh()
 
     async def accept(self, flag: str, text: str, verb: str) -> None:
         """Follow a proposal; one of a result, by running its command again."""
@@ -171,11 +222,13 @@ class Page:
         self.work = work = Work(verb, self._words(verb))
         self.done.pop(verb, None)
         self.parts[-1].refresh()
-        await work.run(self.folder)
-        self.work = None
-        if not work.stopped:
-            self.done = {verb: work, **self.done}
-        self.parts[-1].refresh()
+        try:
+            await work.run(self.folder)
+        finally:
+            self.work = None
+            if not work.stopped:
+                self.done = {verb: work, **self.done}
+            self.parts[-1].refresh()
 
     def _words(self, verb: str) -> list[str]:
         return [
@@ -187,8 +240,7 @@ class Page:
     def close(self) -> None:
         """End the command that runs, at once."""
         if self.work is not None:
-            self.work.stop()
-            self.work.stop()
+            self.work.kill()
 
     def save(self, folder: Path, place: str) -> str:
         """Copy a folder to a place where there is nothing yet; what is to
@@ -331,7 +383,25 @@ class Page:
             said.set_content(escape(self.save(self.folder / page.parent, place)))
 
         button.on("click", lambda e: save(e.args), js_handler=ask)
-        _tag("iframe", src=f"results/{page}?{id(work)}", title="Report", onload=_HEIGHT)
+        _tag("iframe", src=f"results/{page}?{id(work)}", title="Report")
+
+
+def _standing_alone(part: Callable[[], None]) -> Callable[[], None]:
+    """A part of the page; an error in it leaves the other parts as they are."""
+
+    @wraps(part)
+    def drawn() -> None:
+        try:
+            part()
+        except Exception as error:
+            _tag("p", _own_error(error), "finding bad")
+
+    return drawn
+
+
+def _own_error(error: Exception) -> str:
+    said = message(f"{type(error).__name__}: {error}")
+    return "This is an error of curlfit: " + said.replace("`", "'")
 
 
 def _tag(name: str, text: str = "", role: str = "", **attributes: Any) -> ui.html:

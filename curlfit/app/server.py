@@ -1,24 +1,29 @@
-"""The page on a port of this computer: for this computer alone, at an address
-with a secret."""
+"""The page on a port of this computer, for its user alone."""
 
 from __future__ import annotations
 
-import secrets
+import signal
 import socket
 import sys
 import webbrowser
 from collections.abc import Callable
 from contextlib import chdir, suppress
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Any
 
 from cyclopts import App
 
+from curlfit.app.folder import temporary_folder
+from curlfit.app.guard import Guard
 from curlfit.errors import InputError
 from curlfit.foreign import say
+from curlfit.output.files import atomic_write
 
 _HOST = "127.0.0.1"
+_OPENING = (
+    '<!doctype html><meta charset="utf-8"><title>curlfit</title>'
+    '<meta name="referrer" content="no-referrer">'
+    '<meta http-equiv="refresh" content="0;url={address}">'
+)
 
 
 def serve(cli: App, port: int, *, browser: bool) -> None:
@@ -38,26 +43,38 @@ def serve(cli: App, port: int, *, browser: bool) -> None:
         raise InputError(
             f"--port {port}: {error.strerror or error}; give another"
         ) from None
-    start, temporary = (
-        Path.cwd(),
-        TemporaryDirectory("-curlfit-app", ignore_cleanup_errors=True),
-    )
-    with listening, temporary as folder, chdir(folder):
-        secret = secrets.token_urlsafe(24)
-        address = f"http://{_HOST}:{listening.getsockname()[1]}/{secret}/"
-        run = _server(cli, start, Path(folder), secret)
-        say(f"The page is at {address} (Ctrl-C ends it)")
+    start = Path.cwd()
+    port = listening.getsockname()[1]
+
+    def opened() -> None:
+        say(f"The page was opened; for another window: {guard.new_address()}")
         sys.stdout.flush()
-        if browser:
-            webbrowser.open(address)
-        with suppress(KeyboardInterrupt):
-            run(sockets=[listening])
+
+    guard = Guard(_HOST, port, opened)
+    with listening, temporary_folder() as folder:
+        files = folder / "files"
+        files.mkdir()
+        with chdir(files):
+            run = _server(cli, start, files, guard)
+            say(f"The page is at {guard.new_address()} (Ctrl-C ends it)")
+            sys.stdout.flush()
+            if browser:
+                _open(folder / "curlfit.html", guard.new_address())
+            with suppress(KeyboardInterrupt):
+                run(sockets=[listening])
     say("The page is closed.")
 
 
-def _server(cli: App, start: Path, folder: Path, secret: str) -> Callable[..., None]:
+def _open(file: Path, address: str) -> None:
+    """Open the browser at an address by way of a file of the user alone, since others
+    on this computer see with what a browser is started."""
+    atomic_write(file, _OPENING.format(address=address), private=True)
+    webbrowser.open(file.as_uri())
+
+
+def _server(cli: App, start: Path, folder: Path, guard: Guard) -> Callable[..., None]:
     import uvicorn
-    from fastapi import FastAPI, Request, Response
+    from fastapi import FastAPI
     from nicegui import app, ui
 
     from curlfit.app.page import MOST_BYTES, Page
@@ -68,16 +85,13 @@ def _server(cli: App, start: Path, folder: Path, secret: str) -> Callable[..., N
     app.on_exception(page.fail)
     app.on_shutdown(page.close)
     outer = FastAPI(openapi_url=None)
-
-    async def limited(request: Request, proceed: Callable[..., Any]) -> Any:
-        unknown = "0" if request.method == "GET" else "inf"
-        if float(request.headers.get("content-length", unknown)) > MOST_BYTES:
-            return Response(status_code=413)
-        return await proceed(request)
-
-    outer.middleware("http")(limited)
     ui.run_with(
-        outer, mount_path=f"/{secret}", dark=None, tailwind=False, language="en-US"
+        outer, mount_path=guard.path, dark=None, tailwind=False, language="en-US"
     )
-    config = uvicorn.Config(outer, log_level="error", timeout_graceful_shutdown=1)
-    return uvicorn.Server(config).run
+    config = uvicorn.Config(
+        guard.around(outer, MOST_BYTES), log_level="error", timeout_graceful_shutdown=1
+    )
+    server = uvicorn.Server(config)
+    if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, server.handle_exit)
+    return server.run

@@ -18,6 +18,9 @@ _CONTROL = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]|[━╸╺⠀-⣿]")
 # a terminal of which no line is too long, so that progress is shown and
 # sentences are whole
 _TERMINAL = {"FORCE_COLOR": "1", "COLUMNS": "9999", "PYTHONIOENCODING": "utf-8"}
+# The other end of its standard input is held by the page alone: it ends with the page,
+# even if that is killed (see `curlfit.__main__`).
+_ENDS_WITH_PAGE = {"CURLFIT_ENDS_WITH_INPUT": "1"}
 
 
 class Work:
@@ -41,18 +44,27 @@ class Work:
         self._process: asyncio.subprocess.Process | None = None
 
     async def run(self, folder: Path) -> None:
-        """Run it in a folder, to its end."""
+        """Run it in a folder, to its end; that it cannot start is a complaint."""
+        try:
+            await self._run(folder)
+        except (OSError, ValueError) as error:  # a NUL, or more than the system takes
+            self.complaints = [f"the command cannot be started ({error})"]
+        finally:
+            self.over.set()
+
+    async def _run(self, folder: Path) -> None:
         self._process = await asyncio.create_subprocess_exec(
             sys.executable,
+            "-P",  # dropped files are no modules
             "-m",
             "curlfit",
             self.verb,
             *self.words,
             cwd=folder,
-            stdin=asyncio.subprocess.DEVNULL,
+            stdin=asyncio.subprocess.PIPE,
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.STDOUT,
-            env=os.environ | _TERMINAL,
+            env=os.environ | _TERMINAL | _ENDS_WITH_PAGE,
         )
         if self.stopped:
             self._process.kill()
@@ -65,7 +77,6 @@ class Work:
         status = await self._process.wait()
         if self.page is None and not self.complaints:
             self.complaints = [f"the command ended with status {status}: {self._line}"]
-        self.over.set()
 
     def _hear(self, raw: bytes) -> None:
         self._line = (
@@ -73,8 +84,10 @@ class Work:
             or self._line
         )
         kind, _, text = self._line.partition(": ")
-        if kind == "Written" and text.endswith("report.html"):
-            self.page = Path(text)
+        page = Path(text)
+        within = not page.is_absolute() and ".." not in page.parts
+        if kind == "Written" and page.name == "report.html" and within:
+            self.page = page
         heard = {"curlfit": self.complaints, "Warning": self.warnings}.get(kind, [text])
         heard.extend({text}.difference(heard))
 
@@ -88,9 +101,14 @@ class Work:
 
     def stop(self) -> None:
         """Stop it as Ctrl-C does; at once if it was told so before."""
-        if self._process is not None and self._process.returncode is None:
-            if self.stopped or sys.platform == "win32":
-                self._process.kill()
-            else:
-                self._process.send_signal(signal.SIGINT)
+        if self.stopped or sys.platform == "win32":
+            self.kill()
+        elif self._process is not None and self._process.returncode is None:
+            self._process.send_signal(signal.SIGINT)
         self.stopped = True
+
+    def kill(self) -> None:
+        """End it at once."""
+        self.stopped = True
+        if self._process is not None and self._process.returncode is None:
+            self._process.kill()

@@ -10,7 +10,6 @@ import csv
 import json
 import os
 import re
-import sys
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
@@ -19,6 +18,7 @@ from typing import Any, BinaryIO, Self
 
 from curlfit.errors import DataError, InputError
 from curlfit.foreign import csv_cell, csv_lines
+from curlfit.output.locks import locked
 from curlfit.records import plain, read_json, write_json
 from curlfit.version import __version__
 
@@ -200,25 +200,12 @@ class Table:
 
 
 def _lock(stream: BinaryIO, file: Path) -> None:
-    """Lock the table for as long as it is open in this process, where the disk
-    knows locks."""
-    try:
-        if sys.platform == "win32":
-            import msvcrt
-
-            stream.seek(1 << 40)  # of a byte that nobody reads
-            msvcrt.locking(stream.fileno(), msvcrt.LK_NBLCK, 1)
-        else:
-            import fcntl
-
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except (BlockingIOError, PermissionError):
+    """Lock the table for as long as it is open in this process."""
+    if not locked(stream):
         raise InputError(
             f"{file}: another `{_MAKER}` is writing this table; name another with "
             "--out, or wait for its end"
-        ) from None
-    except OSError:
-        pass
+        )
 
 
 def _shown(value: Any) -> str:

@@ -120,6 +120,14 @@ def _module(path: Path, _modified: int, file: str) -> ModuleType:
         raise DataError(
             f"{error.msg}; expected Python", file=file, line=error.lineno
         ) from None
+    except ModuleNotFoundError as error:
+        fault = first_line(error)
+        if path.with_name(f"{error.name}.py").is_file():
+            fault += (
+                f"; {error.name}.py beside it is not imported, since a folder may hold "
+                "data of others: name the folder in PYTHONPATH"
+            )
+        raise DataError(fault, file=file, line=last_line(path, error)) from None
     except Exception as error:
         raise DataError(
             first_line(error), file=file, line=last_line(path, error)

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 _MARK = '<meta name="generator" content="curlfit'
 _SCRIPTS = ("moving.js", "replay.js", "direction.js", "rests.js")
+_FRAMED = "framed.js"
 _PACKAGES = ("jax", "numpy", "scipy", "matplotlib")
 _LATER = {
     "throw": "On the sheet",
@@ -98,7 +99,8 @@ def page_of(result: Any, chain: Chain | None = None) -> str:
         rows("Settings", document.settings),
         rows("Versions that wrote this page", _versions()),
     ]
-    script = "".join(map(source, _SCRIPTS)) if added.data else ""
+    programs = (*_SCRIPTS, _FRAMED) if added.data else (_FRAMED,)
+    script = "".join(map(source, programs))
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     return (
         _templates()

@@ -24,7 +24,13 @@ class _Pool(ProcessPoolExecutor):
 
 def worker_processes(count: int) -> ProcessPoolExecutor:
     """A pool of processes that leave Ctrl-C to this one and end when it ends,
-    even if killed."""
+    even if killed.
+
+    Python starts them with `-c`, which would put the working folder first on their path
+    of modules until they have that of this process: a file of data named `signal.py`
+    would run there.
+    """
+    os.environ["PYTHONSAFEPATH"] = "1"
     # Python's own process that clears up after a kill does so without a word.
     os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker")
     return _Pool(
@@ -41,6 +47,8 @@ def end_workers() -> None:
 def _begin(*garbage: int) -> None:
     gc.set_threshold(*garbage)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(signal, "SIGHUP"):  # of a terminal that was closed
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 

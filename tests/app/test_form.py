@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import re
 import sys
+from contextlib import suppress
 
 import pytest
 from conftest import DATA, command, invoke
+from hypothesis import given, settings, strategies as st
 
 from curlfit import load_throw
 from curlfit.app.form import fields_of, merged, proposals, values_of, words_of
@@ -14,6 +16,7 @@ from curlfit.app.reading import look
 from curlfit.cli import app
 from curlfit.errors import InputError
 
+SUM = ("--law", "power+sideways")
 FIT, COMPARE = fields_of(app, "fit"), fields_of(app, "compare")
 WRITTEN = {
     "--units": "t=ms,x=cm",
@@ -61,7 +64,14 @@ def test_a_comparison_takes_the_flags_that_it_has():
             [("--units", "length=ft"), ("--as-given", "yes")],
         ),
         ("`--noise ar1` or `--law power`", [("--noise", "ar1"), ("--law", "power")]),
-        ("give points with --reference FILE (columns u,v,x,y)", [("--reference", "")]),
+        (
+            "give points with `--reference FILE` (columns u,v,x,y)",
+            [("--reference", "")],
+        ),
+        ("a heading with --reference FILE in it", []),
+        ('as in `--columns "x=wide"`, or `--by sheet`', []),
+        ("`--law evil.py:L`, `--law power+evil.py:L`, `--law power+sideways`", [SUM]),
+        ("`--units 'x`, `--bound a=\"0:1`", []),
         (
             "`--systematic` sets, `--stone-index N` selects, "
             "`curlfit design --separate a,b`",
@@ -130,3 +140,47 @@ def test_without_nicegui_the_command_says_how_to_install_it(monkeypatch, tmp_pat
     assert "--port 99999: expected a whole number" in str(
         invoke(["app", "--port", "99999"]).exception
     )
+
+
+EVIL = "`--law evil.py:L` `--as-given` `--reference FILE`"
+ESCAPED = EVIL.replace("`", "\\u0060")
+HOSTILE = {
+    "heading.csv": f"t,x,y,phi,{EVIL}\n0,0,0,0,1\n1,1,1,1,1\n",
+    "headings.csv": f"{EVIL},{EVIL} 2\n1,2\n2,3\n",
+    "cell.csv": f"t,x,y\n0,0,0\n1,{EVIL},2\n",
+    "setting.csv": f'# {EVIL} = 1\n# law = "{EVIL}"\nt,x,y\n0,0,0\n1,1,2\n',
+    "escaped.csv": f'# stone = "{ESCAPED}"\nt,x,y\n0,0,0\n1,1,2\n',
+    "key.csv": f'# "{ESCAPED}" = 1\nt,x,y\n0,0,0\n1,1,2\n',
+    "units.csv": f"t [{EVIL}],x,y\n0,0,0\n1,1,2\n",
+    "label.csv": f'hog to hog (s),{EVIL}\n12,a\n13,"{EVIL}"\n14,"{EVIL} 2"\n',
+    "keys.json": f'{{"{ESCAPED}": [0, 1], "t": [0, 1], "x": ["{ESCAPED}", 1]}}',
+    "record.json": f'{{"cmd": "{ESCAPED}", "version": "{ESCAPED}"}}\n{{"cmd": 1}}\n',
+    "rows.json": f'[{{"t": 0, "x": "{ESCAPED}", "y": 1}}, {{"t": 1, "{ESCAPED}": 2}}]',
+    "columns.txt": f"t {EVIL} y\n0 0 0\n1 1 1\n",
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+@pytest.mark.parametrize("chosen", [{}, {"columns": {"x": EVIL}}, {"worksheet": "a"}])
+def test_words_of_a_file_make_no_button(name, chosen, write):
+    seen = look([write(HOSTILE[name], name)], chosen)
+    sentences = [seen.fault, *seen.oddities, *seen.notes]
+    assert any(sentences) or seen.finding
+    found = [one for text in sentences for one in proposals(FIT, text)]
+    assert ("--as-given", "yes") not in found
+    assert not {flag for flag, _ in found} & {"--law", "--reference"}
+
+
+MARKS = st.sampled_from(["`", '"', "'", "\\", "=", ",", ":", "--law ", "1e999", "\0"])
+TYPED = st.lists(MARKS | st.text(max_size=6), max_size=8).map("".join)
+
+
+@settings(max_examples=300, deadline=None)
+@given(flag=st.sampled_from(sorted(FIT)), text=TYPED)
+def test_any_text_of_a_field_is_taken_or_refused(flag, text):
+    words = words_of(FIT, {flag: text})
+    assert all(word.startswith(flag) for word in words)
+    with suppress(InputError):
+        values_of(FIT, {flag: text})
+    for proposed, value in proposals(FIT, f"give `{flag} {text}`"):
+        words_of(FIT, {proposed: merged(FIT[proposed], text, value)})

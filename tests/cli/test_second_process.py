@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import time
 
 import psutil
@@ -149,3 +151,32 @@ def test_no_process_is_left_by_a_stopped_fit(tmp_path, blow):
         assert "stopped by the user" in err
         assert load_fit(tmp_path).posterior.samples > 0
         assert (tmp_path / "corner.png").exists()
+
+
+IN_TERMINAL = """
+import fcntl, termios
+fcntl.ioctl(0, termios.TIOCSCTTY, 0)  # the system then tells of its end
+from curlfit.__main__ import run
+run()
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "openpty"), reason="there are no such terminals")
+def test_a_closed_terminal_ends_a_fit_with_all_its_processes(tmp_path):
+    end, terminal = os.openpty()
+    words = ("fit", DATA, "--effective", 10**8, "--max-steps", 10**6, "--out", tmp_path)
+    run = subprocess.Popen(
+        [sys.executable, "-P", "-c", IN_TERMINAL, *map(str, words)],
+        start_new_session=True,
+        stdin=terminal,
+        stdout=terminal,
+        stderr=terminal,
+    )
+    os.close(terminal)
+    while run.poll() is None and not (tmp_path / "chain.h5").exists():
+        time.sleep(0.05)
+    children = psutil.Process(run.pid).children(recursive=True)
+    os.close(end)
+    assert run.wait(timeout=100) == 128 + signal.SIGHUP
+    assert not psutil.wait_procs(children, timeout=20)[1]
+    assert load_fit(tmp_path)["mu2_xi"].value > 0  # saved before sampling began

@@ -182,6 +182,6 @@ def test_pixels_ask_for_known_points(write):
     ran = command("check", file, cwd=file.parent)
     assert ran.returncode == 2
     assert (
-        "positions are in pixels; give four or more known points with --reference"
+        "positions are in pixels; give four or more known points with `--reference"
         in ran.stderr
     )

@@ -40,8 +40,8 @@ def pixels_to_metres(
     """
     if reference is None:
         raise parsed.error(
-            "positions are in pixels; give four or more known points with --reference "
-            "FILE (columns u,v,x,y)"
+            "positions are in pixels; give four or more known points with "
+            "`--reference FILE` (columns u,v,x,y)"
         )
     if {"x", "y"} & columns.keys():
         raise parsed.error("positions in pixels and in metres; remove one pair")

@@ -48,7 +48,7 @@ def text_of_sheet(
         names = [name for name, sheet in sheets.items() if sheet.height]
         if not names:
             raise DataError("a spreadsheet without data", file=path)
-        listed = ", ".join(names)
+        listed = ", ".join(names).replace("`", "'")
         if wanted is not None and wanted not in names:
             fault = (
                 f"--worksheet {wanted}: {path} has no such worksheet with "

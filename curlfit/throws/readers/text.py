@@ -114,7 +114,8 @@ class TextFile(NamedTuple):
             )
         else:
             text = _decoded(raw)
-        file = cls(path, text.split("\n"), note)
+        # In sentences, what is between backticks is an option that curlfit proposes.
+        file = cls(path, text.replace("`", "'").split("\n"), note.replace("`", "'"))
         if "\x00" in text:
             raise file.error(f"this is not a text file; {EXPECTED}")
         if len(file.lines) > _MOST_LINES + 1:
