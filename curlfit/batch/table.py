@@ -10,15 +10,15 @@ import csv
 import json
 import os
 import re
-import sys
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, BinaryIO, Self
+from typing import Any, Self
 
 from curlfit.errors import DataError, InputError
 from curlfit.foreign import csv_cell, csv_lines
+from curlfit.output.files import lock
 from curlfit.records import plain, read_json, write_json
 from curlfit.version import __version__
 
@@ -101,7 +101,11 @@ class Table:
             file.parent.mkdir(parents=True, exist_ok=True)
             with ExitStack() as opened:
                 self.stream = opened.enter_context(file.open("ab"))
-                _lock(self.stream, file)
+                if not lock(self.stream.fileno()):
+                    raise InputError(
+                        f"{file}: another `{_MAKER}` is writing this table; name "
+                        "another with --out, or wait for its end"
+                    )
                 whole = file.read_bytes().decode(errors="surrogateescape")
                 # killed while the header was written
                 if not (again or head.startswith(whole)):
@@ -191,28 +195,6 @@ class Table:
 
     def __exit__(self, *_: object) -> None:
         self.stream.close()
-
-
-def _lock(stream: BinaryIO, file: Path) -> None:
-    """Lock the table for as long as it is open in this process, where the disk
-    knows locks."""
-    try:
-        if sys.platform == "win32":
-            import msvcrt
-
-            stream.seek(1 << 40)  # of a byte that nobody reads
-            msvcrt.locking(stream.fileno(), msvcrt.LK_NBLCK, 1)
-        else:
-            import fcntl
-
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except (BlockingIOError, PermissionError):
-        raise InputError(
-            f"{file}: another `{_MAKER}` is writing this table; name another with "
-            "--out, or wait for its end"
-        ) from None
-    except OSError:
-        pass
 
 
 def _shown(value: Any) -> str:

@@ -82,18 +82,21 @@ def run(words: Sequence[str]) -> int:
     """Carry out a command; returns its exit status."""
     try:
         saved = app(words)
+        if not isinstance(saved, Saved):
+            return 0
+        if saved.page is not None:
+            file = write_page(saved.page)
+            if not saved.quiet:
+                say(f"Written: {file}")
+        return saved.status
     except CycloptsError as error:
         cause = error.__cause__  # of a value that cannot be used
         raise (
             cause if isinstance(cause, CurlfitError) else InputError(str(error))
         ) from None
-    if not isinstance(saved, Saved):
-        return 0
-    if saved.page is not None:
-        file = write_page(saved.page)
-        if not saved.quiet:
-            say(f"Written: {file}")
-    return saved.status
+    finally:
+        if files := sys.modules.get("curlfit.output.files"):
+            files.release_folders()
 
 
 def main() -> None:

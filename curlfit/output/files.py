@@ -1,8 +1,9 @@
-"""Atomic writing of files."""
+"""Atomic writing of files, and folders that one process writes at a time."""
 
 from __future__ import annotations
 
 import os
+import sys
 import tempfile
 import time
 from contextlib import suppress
@@ -11,6 +12,7 @@ from pathlib import Path
 from curlfit.errors import InputError
 
 _PREFIX = ".curlfit-"  # of temporary names
+_claimed: dict[Path, int] = {}  # descriptors of the folders that this process writes
 
 
 def atomic_write(file: Path, content: str | bytes, *, private: bool = False) -> None:
@@ -88,6 +90,67 @@ def prepare_folder(folder: Path) -> Path:
             f"{folder}: the output folder cannot be written ({error.strerror or error})"
         ) from None
     return folder
+
+
+def claim_folder(folder: Path) -> Path:
+    """The same of a folder that no other process shall write to until this one ends,
+    or until `release_folders`.
+
+    Raises
+    ------
+    InputError : it cannot be written to, or another process has claimed it.
+    """
+    place = prepare_folder(folder).resolve()
+    if place in _claimed:
+        return folder
+    try:
+        if sys.platform == "win32":  # where no folder can be opened
+            flags = os.O_RDWR | os.O_CREAT | os.O_TEMPORARY
+            descriptor = os.open(place / f"{_PREFIX}lock", flags)
+        else:
+            descriptor = os.open(place, os.O_RDONLY)
+    except OSError:
+        return folder
+    if not lock(descriptor):
+        os.close(descriptor)
+        raise InputError(
+            f"{folder}: another `curlfit` is writing its results there; name another "
+            "folder with --out, or wait for its end"
+        )
+    _claimed[place] = descriptor
+    return folder
+
+
+def release_folders() -> None:
+    """Let other processes write to the folders that this one has claimed."""
+    while _claimed:
+        _, descriptor = _claimed.popitem()
+        if sys.platform != "win32":  # copies in forked processes may be open
+            import fcntl
+
+            with suppress(OSError):
+                fcntl.flock(descriptor, fcntl.LOCK_UN)
+        os.close(descriptor)
+
+
+def lock(descriptor: int) -> bool:
+    """Lock an open file or folder until it is closed. False if another process has
+    locked it; True also where the disk knows no locks."""
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            os.lseek(descriptor, 1 << 40, os.SEEK_SET)  # a byte that nobody reads
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except (BlockingIOError, PermissionError):
+        return False
+    except OSError:
+        pass
+    return True
 
 
 def _remove_stale_files(folder: Path) -> None:
