@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 import threading
+import warnings
 from io import BufferedWriter, FileIO, TextIOWrapper
 from types import FrameType
 
@@ -28,6 +29,8 @@ def run() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.set_threshold(_GARBAGE)
     _open_streams()
+    if not sys.warnoptions:  # what overflows is told by its result
+        warnings.simplefilter("ignore", RuntimeWarning)
     for number in (signal.SIGINT, signal.SIGTERM):
         # as of Ctrl-C in the background
         if signal.getsignal(number) is not signal.SIG_IGN:

@@ -34,6 +34,8 @@ def settings_file(table: Path) -> Path:
 
 def is_table(file: Path) -> bool:
     """Whether a file begins as a table of `curlfit batch` does."""
+    if not file.is_file():  # a pipe can be read once
+        return False
     try:
         with file.open("rb") as stream:
             return _HEAD.match(stream.read(_LONG)) is not None
@@ -174,11 +176,15 @@ class Table:
         return len(kept.encode(errors="surrogateescape")), {row["file"] for row in done}
 
     def add(self, rows: Sequence[Mapping[str, Any]]) -> None:
-        """Write rows in one piece and flush them to the disk."""
-        self.stream.write(
-            csv_lines([row[name] for name in self.columns] for row in rows).encode()
-        )
-        self._settle()
+        """Write rows in one piece and flush them to the disk. Raises `InputError` where
+        it is full."""
+        text = csv_lines([row[name] for name in self.columns] for row in rows)
+        try:
+            self.stream.write(text.encode())
+            self._settle()
+        except OSError as error:
+            fault = f"cannot be written ({error.strerror or error})"
+            raise InputError(f"{self.file}: {fault}") from None
         self._count(rows)
 
     def _count(self, rows: Iterable[Mapping[str, Any]]) -> None:

@@ -28,6 +28,7 @@ from curlfit.profile_likelihood.command import profile
 from curlfit.version import __version__
 
 _LIBRARIES = ("jax", "jaxlib", "optimistix", "numpy", "scipy", "emcee", "matplotlib")
+_NARROWEST = 20  # columns of a terminal
 _INTERRUPTED = 130
 
 
@@ -104,6 +105,9 @@ def main() -> None:
     # NumPy is not loaded yet. Its matrices here are small: threads would wait for
     # one another.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    columns = os.environ.get("COLUMNS", "")
+    if columns.isdecimal() and int(columns[:9]) < _NARROWEST:
+        del os.environ["COLUMNS"]  # no text fits into such a width
     try:
         try:
             status = run(sys.argv[1:])
