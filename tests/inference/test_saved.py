@@ -214,6 +214,10 @@ def test_what_cannot_be_read_is_refused(eq12_fit, compared, tmp_path, change, sa
         ("covariance.matrix", [[1.0]], "covariance: expected a square matrix"),
         ("combinations", [{"expression": "a"}], "combinations.0: no 'weights' in it"),
         ("noise.initial_state", [[1.0]], "noise: expected a covariance"),
+        ("data.flags", 3, "data.flags: 3 found, expected a list"),
+        ("data.flags", [3], "data.flags.0: 3 found, expected text"),
+        ("sigma", {}, "sigma: expected all that were estimated"),
+        ("data.sigma", {}, "data: expected sigma of each"),
         ("null_directions", 3, None),
     ],
 )
