@@ -119,6 +119,16 @@ def main() -> None:
     except KeyboardInterrupt:
         say("curlfit: stopped", error=True)
         status = _INTERRUPTED
+    except (MemoryError, ImportError) as error:
+        # of a library for which no memory was left
+        if isinstance(error, ImportError) and "failed to map" not in str(error):
+            raise
+        say(
+            "curlfit: not enough memory; expected about 2 GB, which `ulimit -v` may "
+            "limit",
+            error=True,
+        )
+        status = 1
     except OSError as error:
         # Unprinted output is dropped; Python would otherwise try to write it
         # again on exit.

@@ -9,9 +9,9 @@ from io import BytesIO
 from pathlib import Path
 
 import pytest
-from conftest import DATA, python
+from conftest import DATA, command, python
 
-from curlfit import InputError, load_throw
+from curlfit import InputError, cli, load_throw
 from curlfit.batch.settings import BatchSettings, columns
 from curlfit.batch.table import Table
 from curlfit.numerics import program_cache
@@ -44,6 +44,23 @@ def test_a_pipe_is_read_once_and_kept():
     first, second = (load_throw(f"/dev/fd/{reading}") for _ in range(2))
     assert first == second == load_throw(DATA)
     os.close(reading)
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError("std::bad_alloc"),
+        ImportError("libscipy_openblas.so: failed to map segment from shared object"),
+    ],
+)
+def test_too_little_memory_is_one_sentence(monkeypatch, tmp_path, error):
+    def exhausted(words):
+        raise error
+
+    monkeypatch.setattr(cli, "run", exhausted)
+    ran = command("fit", DATA, cwd=tmp_path)
+    assert ran.returncode == 1
+    assert ran.stderr.startswith("curlfit: not enough memory; expected about 2 GB")
 
 
 class FullDisk(BytesIO):
