@@ -9,6 +9,7 @@ import os
 import signal
 import sys
 import threading
+import warnings
 from contextlib import suppress
 from io import BufferedWriter, FileIO, TextIOWrapper
 from types import FrameType
@@ -35,6 +36,8 @@ def run() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.set_threshold(_GARBAGE)
     _open_streams()
+    if not sys.warnoptions:  # what overflows is told by its result
+        warnings.simplefilter("ignore", RuntimeWarning)
     if os.environ.pop(_ENDS_WITH_INPUT, ""):
         threading.Thread(target=_end_with_input, daemon=True).start()
     for number in (signal.SIGINT, *_ENDINGS):

@@ -3,7 +3,8 @@
 `python damaged_files.py FOLDER SEED COUNT` lets the command have COUNT files (20000,
 say), some of them under hostile names or with a configuration file, each in a process
 of its own that is forked from this one, and prints a `Tally` as JSON. A forked process
-needs what a fresh one would, but for the half second of its imports.
+needs what a fresh one would, but for the half second of its imports. With `grids` as
+a fourth word, all files are workbooks.
 """
 
 from __future__ import annotations
@@ -16,13 +17,15 @@ import resource
 import signal
 import sys
 import traceback
+from collections.abc import Callable
 from contextlib import redirect_stdout, suppress
 from dataclasses import asdict, dataclass, field
 from io import StringIO
 from pathlib import Path
 from typing import NamedTuple
+from xml.sax.saxutils import escape
 
-from sample_files import SAMPLES, known_points
+from sample_files import SAMPLES, known_points, ods, xlsx, xlsx_rows
 
 from curlfit.cli import main
 from curlfit.throws.load import FORMATS
@@ -152,6 +155,82 @@ def damaged(chance: random.Random) -> bytes:
     return raw
 
 
+_PLACES = ["XFD1048576", "A1048576", "XFD1", "E9", "A2000000", "ZZZZZZ1", "a0", "1A"]
+_PLACES += ["", "A99999999999", "$A$3", "AB", "A1:B2"]
+_REPEATED = [2, 30, 900, 16384, 1048576, 10**9, 10**30, 0, -1]
+_VALUES_OF_CELLS = [
+    "<c><v>1e999</v></c>",
+    '<c t="s"><v>7</v></c>',
+    '<c t="s"><v>-1</v></c>',
+    '<c t="d"><v>2026-01-05T19:05:00</v></c>',
+    '<c t="e"><v>#DIV/0!</v></c>',
+    '<c t="b"><v>1</v></c>',
+    '<c t="q"><v>x</v></c>',
+    '<c s="99"><v>44000.5</v></c>',
+    "<c><f>1+1</f></c>",
+    "<c/>",
+    "<c><v/></c>",
+    "<v>1</v>",
+    "<row><c><v>1</v></c></row>",
+    "<row",
+    "</sheetData>",
+    "&x;",
+    "<!-- -->",
+    "<![CDATA[<c>]]>",
+]
+
+
+def grid(chance: random.Random, file: Path) -> None:
+    """A workbook whose cells are few, far apart, repeated or of no kind."""
+    text = chance.choice([SAMPLES["table"], SAMPLES["timings"], "a,b\n1,2\n", ""])
+    if chance.random() < 0.3:
+        rows = [
+            "".join(_repeated_cell(chance, cell) for cell in line.split(","))
+            for line in text.splitlines()
+        ]
+        rows += _repeated_rows(chance)
+        ods(file, rows)
+    else:
+        rows = xlsx_rows(text)
+        for _ in range(chance.choice([0, 1, 1, 2, 4])):
+            cut = chance.choice([len(rows), rows.find("<c>") if "<c>" in rows else 0])
+            rows = rows[:cut] + _stray_cell(chance) + rows[cut:]
+        xlsx(file, *[xlsx_rows("a,b\n"), rows][:: chance.choice([1, -1])])
+    raw = file.read_bytes()
+    if chance.random() < 0.1:
+        k = chance.randrange(len(raw))
+        file.write_bytes(raw[:k] + bytes([chance.randrange(256)]) + raw[k + 1 :])
+
+
+def _stray_cell(chance: random.Random) -> str:
+    if chance.random() < 0.5:
+        return chance.choice(_VALUES_OF_CELLS)
+    place = chance.choice(_PLACES)
+    row = chance.choice(["", ' r="5"', ' r="1048576"', ' r="-1"', ' r="x"'])
+    return f'<row{row}><c r="{place}"><v>1</v></c></row>'
+
+
+def _repeated_cell(chance: random.Random, text: str) -> str:
+    number = chance.choice(_REPEATED) if chance.random() < 0.005 else 1
+    repeated = f' table:number-columns-repeated="{number}"' if number != 1 else ""
+    if not text:
+        return f"<table:table-cell{repeated}/>"
+    return (
+        f'<table:table-cell office:value-type="string"{repeated}><text:p>'
+        f"{escape(text)}</text:p></table:table-cell>"
+    )
+
+
+def _repeated_rows(chance: random.Random) -> list[str]:
+    """Rows within rows, as `ods` puts each text into one of its own."""
+    if chance.random() < 0.5:
+        return []
+    rows = chance.choice(_REPEATED)
+    empty = f'<table:table-row table:number-rows-repeated="{rows}"/>'
+    return [f"</table:table-row>{empty}<table:table-row>", chance.choice(["", CELL_1])]
+
+
+CELL_1 = '<table:table-cell office:value-type="float" office:value="1"/>'
 _KEYS = [
     "law",
     "load",
@@ -384,11 +463,24 @@ class Tally:
             self.faults.append(f"{what}: {fault}: {outcome.errors[-2000:]}")
 
 
-def tally(folder: Path, seed: int, count: int) -> Tally:
+def of_grid(chance: random.Random, folder: Path) -> list[str]:
+    """An odd workbook written to the folder, and words that have the command
+    read it."""
+    file = folder / "grid.xlsx"
+    grid(chance, file)
+    return ["check", f"{file}", *chance.choice([[], [], ["--worksheet=s1"]])]
+
+
+def tally(
+    folder: Path,
+    seed: int,
+    count: int,
+    made: Callable[[random.Random, Path], list[str]] = arguments,
+) -> Tally:
     """What becomes of `count` files of a seed."""
     chance, errors, found = random.Random(seed), folder / "errors", Tally()
     for k in range(count):
-        words = arguments(chance, folder)
+        words = made(chance, folder)
         found.add(forked(words, errors), f"seed {seed}, file {k}, {words}")
     return found
 
@@ -408,6 +500,7 @@ def imported(folder: Path) -> None:
 
 if __name__ == "__main__":
     folder, seed, count = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
+    made = of_grid if "grids" in sys.argv[4:] else arguments
     imported(folder)
     gc.freeze()  # pages that copies need not write to
-    print(json.dumps(asdict(tally(folder, seed, count))))
+    print(json.dumps(asdict(tally(folder, seed, count, made))))

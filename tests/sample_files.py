@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable
 from pathlib import Path
+from xml.sax.saxutils import escape
 from zipfile import ZipFile
 
 import numpy as np
@@ -239,3 +241,50 @@ def ods(file: Path, rows: Iterable[str], **others: Iterable[str]) -> Path:
         archive.writestr("content.xml", SHEETS.format("".join(sheets)))
         archive.writestr("META-INF/manifest.xml", "<manifest/>")
     return file
+
+
+_SHEET = (
+    '<worksheet xmlns="http://schemas.openxmlformats.org/spreadsheetml/2006/main">'
+    "<sheetData>{}</sheetData></worksheet>"
+)
+_RELATIONS = "http://schemas.openxmlformats.org/officeDocument/2006/relationships"
+
+
+def xlsx(file: Path, *worksheets: str) -> Path:
+    """A workbook with these worksheets, each the XML of its rows."""
+    names = range(1, len(worksheets) + 1)
+    sheets = "".join(f'<sheet name="s{k}" sheetId="{k}" r:id="r{k}"/>' for k in names)
+    relations = "".join(
+        f'<Relationship Id="r{k}" Type="{_RELATIONS}/worksheet" '
+        f'Target="worksheets/sheet{k}.xml"/>'
+        for k in names
+    )
+    book = (
+        f'<Relationship Type="{_RELATIONS}/officeDocument" Target="xl/workbook.xml"/>'
+    )
+    with ZipFile(file, "w") as archive:
+        archive.writestr("_rels/.rels", f"<Relationships>{book}</Relationships>")
+        archive.writestr(
+            "xl/workbook.xml",
+            f'<workbook xmlns:r="{_RELATIONS}"><sheets>{sheets}</sheets></workbook>',
+        )
+        archive.writestr(
+            "xl/_rels/workbook.xml.rels", f"<Relationships>{relations}</Relationships>"
+        )
+        for k, rows in zip(names, worksheets, strict=True):
+            archive.writestr(f"xl/worksheets/sheet{k}.xml", _SHEET.format(rows))
+    return file
+
+
+def xlsx_rows(text: str, separator: str = ",") -> str:
+    """The rows of a table as the XML of a worksheet."""
+    rows = []
+    for line in text.splitlines():
+        cells = [
+            f"<c><v>{cell}</v></c>"
+            if re.fullmatch(r"[-+.\de]+", cell)
+            else f'<c t="inlineStr"><is><t>{escape(cell)}</t></is></c>'
+            for cell in line.split(separator)
+        ]
+        rows.append(f"<row>{''.join(cells)}</row>")
+    return "".join(rows)

@@ -24,7 +24,7 @@ def temporary_folder() -> Iterator[Path]:
         TemporaryDirectory(_SUFFIX, ignore_cleanup_errors=True) as name,
         (Path(name) / f"{_LOCK}-soon").open("wb") as stream,
     ):
-        locked(stream)
+        locked(stream.fileno())
         # another page that begins now finds the lock only once it is held
         folder = Path(name)
         (folder / f"{_LOCK}-soon").rename(folder / _LOCK)
@@ -38,7 +38,7 @@ def _remove_those_left() -> None:
             continue
         try:
             with (folder / _LOCK).open("rb+") as stream:
-                is_left = locked(stream)
+                is_left = locked(stream.fileno())
         except OSError:
             continue
         if is_left:

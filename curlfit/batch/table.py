@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, BinaryIO, Self
+from typing import Any, Self
 
 from curlfit.errors import DataError, InputError
 from curlfit.foreign import csv_cell, csv_lines
@@ -36,6 +36,8 @@ def settings_file(table: Path) -> Path:
 
 def is_table(file: Path) -> bool:
     """Whether a file begins as a table of `curlfit batch` does."""
+    if not file.is_file():  # a pipe can be read once
+        return False
     try:
         with file.open("rb") as stream:
             return _HEAD.match(stream.read(_LONG)) is not None
@@ -105,7 +107,11 @@ class Table:
             file.parent.mkdir(parents=True, exist_ok=True)
             with ExitStack() as opened:
                 self.stream = opened.enter_context(file.open("ab"))
-                _lock(self.stream, file)
+                if not locked(self.stream.fileno()):
+                    raise InputError(
+                        f"{file}: another `{_MAKER}` is writing this table; name "
+                        "another with --out, or wait for its end"
+                    )
                 whole = file.read_bytes().decode(errors="surrogateescape")
                 # killed while the header was written
                 if not (again or head.startswith(whole)):
@@ -174,11 +180,15 @@ class Table:
         return len(kept.encode(errors="surrogateescape")), {row["file"] for row in done}
 
     def add(self, rows: Sequence[Mapping[str, Any]]) -> None:
-        """Write rows in one piece and flush them to the disk."""
-        self.stream.write(
-            csv_lines([row[name] for name in self.columns] for row in rows).encode()
-        )
-        self._settle()
+        """Write rows in one piece and flush them to the disk. Raises `InputError` where
+        it is full."""
+        text = csv_lines([row[name] for name in self.columns] for row in rows)
+        try:
+            self.stream.write(text.encode())
+            self._settle()
+        except OSError as error:
+            fault = f"cannot be written ({error.strerror or error})"
+            raise InputError(f"{self.file}: {fault}") from None
         self._count(rows)
 
     def _count(self, rows: Iterable[Mapping[str, Any]]) -> None:
@@ -197,15 +207,6 @@ class Table:
 
     def __exit__(self, *_: object) -> None:
         self.stream.close()
-
-
-def _lock(stream: BinaryIO, file: Path) -> None:
-    """Lock the table for as long as it is open in this process."""
-    if not locked(stream):
-        raise InputError(
-            f"{file}: another `{_MAKER}` is writing this table; name another with "
-            "--out, or wait for its end"
-        )
 
 
 def _shown(value: Any) -> str:

@@ -28,6 +28,7 @@ from curlfit.profile_likelihood.command import profile
 from curlfit.version import __version__
 
 _LIBRARIES = ("jax", "jaxlib", "optimistix", "numpy", "scipy", "emcee", "matplotlib")
+_NARROWEST = 20  # columns of a terminal
 _INTERRUPTED = 130
 
 
@@ -82,18 +83,21 @@ def run(words: Sequence[str]) -> int:
     """Carry out a command; returns its exit status."""
     try:
         saved = app(words)
+        if not isinstance(saved, Saved):
+            return 0
+        if saved.page is not None:
+            file = write_page(saved.page)
+            if not saved.quiet:
+                say(f"Written: {file}")
+        return saved.status
     except CycloptsError as error:
         cause = error.__cause__  # of a value that cannot be used
         raise (
             cause if isinstance(cause, CurlfitError) else InputError(str(error))
         ) from None
-    if not isinstance(saved, Saved):
-        return 0
-    if saved.page is not None:
-        file = write_page(saved.page)
-        if not saved.quiet:
-            say(f"Written: {file}")
-    return saved.status
+    finally:
+        if files := sys.modules.get("curlfit.output.files"):
+            files.release_folders()
 
 
 def main() -> None:
@@ -101,6 +105,9 @@ def main() -> None:
     # NumPy is not loaded yet. Its matrices here are small: threads would wait for
     # one another.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    columns = os.environ.get("COLUMNS", "")
+    if columns.isdecimal() and int(columns[:9]) < _NARROWEST:
+        del os.environ["COLUMNS"]  # no text fits into such a width
     try:
         try:
             status = run(sys.argv[1:])
@@ -112,6 +119,16 @@ def main() -> None:
     except KeyboardInterrupt:
         say("curlfit: stopped", error=True)
         status = _INTERRUPTED
+    except (MemoryError, ImportError) as error:
+        # of a library for which no memory was left
+        if isinstance(error, ImportError) and "failed to map" not in str(error):
+            raise
+        say(
+            "curlfit: not enough memory; expected about 2 GB, which `ulimit -v` may "
+            "limit",
+            error=True,
+        )
+        status = 1
     except OSError as error:
         # Unprinted output is dropped; Python would otherwise try to write it
         # again on exit.

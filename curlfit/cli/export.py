@@ -67,7 +67,7 @@ def export(
     out
         Folder for the files. [default: the result's name with -export]
     """
-    from curlfit.output.files import atomic_write, prepare_folder
+    from curlfit.output.files import atomic_write, claim_folder
 
     kind = s.kind_of(folder)
     if kind not in _LOADERS:
@@ -92,7 +92,7 @@ def export(
         made |= {} if form in _GAME else _files(form, result, kind, folder)
     of_games, note = _game(result, forms) if {*forms} & {*_GAME} else ({}, "")
     made |= of_games
-    target = prepare_folder(out or Path(f"{s.name_of(folder)}-export"))
+    target = claim_folder(out or Path(f"{s.name_of(folder)}-export"))
     for name, data in made.items():
         atomic_write(target / name, data)
     say("Written: " + ", ".join(str(target / name) for name in made))

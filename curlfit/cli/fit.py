@@ -167,7 +167,7 @@ def _fit_one(
 ) -> Saved:
     """Fit one throw and print the report; write `fit.json`, the chain and figures."""
     from curlfit.options.figures import remove_figure
-    from curlfit.output.files import prepare_folder
+    from curlfit.output.files import claim_folder
 
     s.checked(job)
     folder, seed = (
@@ -177,7 +177,7 @@ def _fit_one(
     saved = None
     if sampling.resume:
         saved, seed = _load_saved(folder, seed, job)
-    folder = prepare_folder(folder)
+    folder = claim_folder(folder)
     record, chain_file = folder / "fit.json", folder / "chain.h5"
     drawn, console = output.drawn(), output.console()
     if sampling.resume and saved is None:
@@ -308,7 +308,7 @@ def _fit_jointly(
     """Fit several throws jointly and print the report; write `joint.json`, figures,
     single fits."""
     from curlfit.friction import find_law
-    from curlfit.output.files import prepare_folder
+    from curlfit.output.files import claim_folder
     from curlfit.throws.plausibility import require_plausible
 
     drawn, share = output.drawn(), together.share
@@ -335,7 +335,7 @@ def _fit_jointly(
         for job in jobs
     ]
     common = {name: value for name, value in chosen if name not in each}
-    folder = prepare_folder(output.out or usual)
+    folder = claim_folder(output.out or usual)
     drawn.draw_beside()
 
     shared = "all" if share == ("all",) else share or None
@@ -354,7 +354,7 @@ def _fit_jointly(
             ),
         )
     for name, one in zip(named, result.throws, strict=True):
-        own_folder = prepare_folder(folder / name)
+        own_folder = claim_folder(folder / name)
         one.save(own_folder / "fit.json")
         if one.rms or len(named) < _FEW:  # times alone are seen in one figure
             drawn.replace(own_folder, ["fit"], partial(figures_of, one))
@@ -384,7 +384,7 @@ def _fit_table(
 ) -> Saved:
     """Fit the mean of throws that `curlfit batch` fitted one by one; write `joint.json`
     and its figure."""
-    from curlfit.output.files import prepare_folder
+    from curlfit.output.files import claim_folder
 
     if len(data) > 1:
         raise InputError(
@@ -395,6 +395,6 @@ def _fit_table(
         from curlfit.batch.season import fit_season
 
         result = fit_season(data[0], law, **together.effects, seed=seed)
-    folder = prepare_folder(output.out or Path(f"{data[0].stem}-fit"))
+    folder = claim_folder(output.out or Path(f"{data[0].stem}-fit"))
     drawn.draw_beside()
     return _finish(result, output.finish(result, folder, drawn))

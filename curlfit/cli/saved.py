@@ -104,7 +104,7 @@ def plot(
     format
         `png`, `pdf` or `svg`; several separated by commas. [default: png]
     """
-    from curlfit.output.files import prepare_folder
+    from curlfit.output.files import claim_folder
 
     formats = FigureFiles.of(format, "--format").formats
     _, result, chain = _load(folder)
@@ -112,7 +112,7 @@ def plot(
     figures = figures_of(result)
     if chain is not None:
         figures |= corner_of(result, chain)
-    written = write_figures(prepare_folder(target), figures, formats)
+    written = write_figures(claim_folder(target), figures, formats)
     say("Written: " + ", ".join(map(str, written)))
 
 

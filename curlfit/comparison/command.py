@@ -76,7 +76,7 @@ def _several(
     output: Output,
 ) -> Saved:
     """Compare laws on several data sets."""
-    from curlfit.output.files import prepare_folder
+    from curlfit.output.files import claim_folder
     from curlfit.throws.friction_table import is_friction_table, load_friction_table
     from curlfit.throws.load import load_throws
 
@@ -96,9 +96,7 @@ def _several(
         if single
         else Path("joint-compare")
     )
-    return _compared(
-        items, chosen, (prepare_folder(output.out or usual), drawn), output
-    )
+    return _compared(items, chosen, (claim_folder(output.out or usual), drawn), output)
 
 
 def _one_throw(
@@ -107,7 +105,7 @@ def _one_throw(
     """Compare laws on one track."""
     from curlfit.friction import LAWS, find_law
     from curlfit.inference.parameters import ParameterSet, options_of, require_known
-    from curlfit.output.files import prepare_folder
+    from curlfit.output.files import claim_folder
     from curlfit.throws.plausibility import require_plausible
     from curlfit.throws.throw import require_path
 
@@ -124,7 +122,7 @@ def _one_throw(
         own = options_of(law, chosen.by_parameter)
         ParameterSet.for_throw(law, cut, swept=chosen.swept is not None, **own)
     require_path(cut)
-    folder = prepare_folder(output.out or s.result_folder(data, "compare", reading))
+    folder = claim_folder(output.out or s.result_folder(data, "compare", reading))
     return _compared(throw, chosen, (folder, drawn), output, unusual)
 
 

@@ -228,6 +228,12 @@ class Lacking:
     stderr: Matrix = field(metadata=SERIES)
     others: dict[str, Matrix] = field(default_factory=dict, metadata=SERIES)
 
+    def is_complete(self) -> bool:
+        """Whether all series have the same length."""
+        n = len(self.speed)
+        series = (self.of_law, self.lacks, self.stderr, *self.others.values())
+        return len(self.omega) == n and {one.shape for one in series} == {(3, n)}
+
     def significance(self, other: str = "") -> Floats:
         """What is lacking over its standard error, or what another law would
         leave of it."""
@@ -318,6 +324,8 @@ class Comparison(Record):
         require("candidates", bool(self.candidates), "one or more")
         require("observed", {"t", *PLACE} <= self.observed.keys(), "t, x, y and phi")
         require_rows("observed", self.observed, len(self.observed["t"]))
+        if self.lacking is not None:
+            require("lacking", self.lacking.is_complete(), "series of one length")
         for one in self.candidates:
             if one.sets:
                 require("candidates", len(one.sets) == len(self.sets), "all data sets")

@@ -30,7 +30,7 @@ def fit_table(
     InputError : a choice that has no meaning for such a table; otherwise
         as `fit_friction`.
     """
-    from curlfit.output.files import prepare_folder
+    from curlfit.output.files import claim_folder
     from curlfit.throws.friction_table import load_friction_table
 
     given = flags.given()
@@ -48,7 +48,7 @@ def fit_table(
             "expected it with a throw"
         )
     table, drawn = load_friction_table(file, reading.worksheet), output.drawn()
-    folder = prepare_folder(output.out or result_folder(file, kind, reading))
+    folder = claim_folder(output.out or result_folder(file, kind, reading))
     laws = (
         given.get("laws")
         or given.get("law")

@@ -46,6 +46,8 @@ _FOLLOWED = 0.5
 """Share of what a parameter may be, by its standard error and bounds, that the ridge
 has followed: it may end early where no path was found."""
 
+_LARGEST = 1e100  # of a value or a slope, so that its square is finite
+
 
 @dataclass(frozen=True)
 class Derived(WithInterval):
@@ -417,9 +419,9 @@ def derive(
     value, gradient = float(expression.of(at)), expression.gradient(at)
     own = {name: slope for name, slope in gradient.items() if name in values}
     for sound, fault in (
-        (math.isfinite(value), "it has no finite value at the estimates"),
+        (abs(value) < _LARGEST, "it has no finite value at the estimates"),
         (
-            all(map(math.isfinite, gradient.values())),
+            all(abs(slope) < _LARGEST for slope in gradient.values()),
             "it has no derivative at the estimates",
         ),
         (

@@ -17,7 +17,7 @@ from curlfit.friction.curl import can_curl
 from curlfit.inference.conditions import CONDITIONS
 from curlfit.inference.priors import Penalty, Prior, parse_priors, penalty_of
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.stone import Stone
+from curlfit.stone import LARGEST, SMALLEST, UNITS, Stone
 from curlfit.throws.readers.angles import MAX_SPIN
 from curlfit.throws.throw import Throw
 
@@ -299,6 +299,12 @@ def _limited(
     """A parameter with the bounds of a fit: those given, limited by its prior; its
     fixed value."""
     lower, upper = map(float, limits.get(item.name, (item.lower, item.upper)))
+    of_stone = item.name in UNITS and item.name in limits
+    if of_stone and not (lower >= SMALLEST and upper <= LARGEST):
+        raise InputError(
+            f"bound of {item.name}: {lower:g}:{upper:g} m is beyond every stone; "
+            f"expected LOW:HIGH within {SMALLEST:g}:{LARGEST:g}"
+        )
     if item.name in priors:
         lower, upper = priors[item.name].bounds(lower, upper)
     if not lower < upper:

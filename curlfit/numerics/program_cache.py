@@ -3,7 +3,8 @@ and how much.
 
 Loading a compiled program means running it. The folder is therefore used only if
 nobody else may write to it or to the folders above it, and each file begins with the
-SHA-256 of the rest: a damaged file would crash the process or compute other numbers.
+SHA-256 of its name and the rest: a damaged file, or that of another program, would
+crash the process or compute other numbers.
 Above `LIMIT` the least recently used files are deleted. Any number of processes may
 read, write and delete concurrently: files appear atomically, and a missing one is
 compiled again.
@@ -85,14 +86,18 @@ def read(file: Path) -> bytes | None:
     except OSError:
         return None
     digest, content = content[:32], content[32:]
-    return content if sha256(content).digest() == digest else None
+    return content if _digest(file, content) == digest else None
+
+
+def _digest(file: Path, content: bytes) -> bytes:
+    return sha256(file.name.encode() + content).digest()
 
 
 def write(file: Path, content: bytes) -> None:
     """Write a file, and make room for it; nothing happens where that is
     not possible."""
     with suppress(InputError, OSError):
-        atomic_write(file, sha256(content).digest() + content, private=True)
+        atomic_write(file, _digest(file, content) + content, private=True)
         used = sorted(
             ((p.stat().st_mtime_ns, p) for p in file.parent.iterdir()), reverse=True
         )

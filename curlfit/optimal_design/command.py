@@ -190,7 +190,7 @@ def design(
         senses of spin.
     """
     from curlfit.output.document import command_line
-    from curlfit.output.files import prepare_folder
+    from curlfit.output.files import claim_folder
 
     drawn, throws = output.drawn(), throws if between else throws or 3
     others = {
@@ -213,7 +213,7 @@ def design(
     chosen |= {} if between else {"discrepancy": record.discrepancy, **pair.given()}
     found = _computed(first, between, chosen, output)
     made = replace(found, command=command_line("design", *words))
-    return output.finish(made, prepare_folder(output.out or Path("design")), drawn)
+    return output.finish(made, claim_folder(output.out or Path("design")), drawn)
 
 
 def _require_only(between: Sequence[Any], others: dict[str, Any]) -> None:

@@ -1,16 +1,19 @@
-"""Atomic writing of files."""
+"""Atomic writing of files, and folders that one process writes at a time."""
 
 from __future__ import annotations
 
 import os
+import sys
 import tempfile
 import time
 from contextlib import suppress
 from pathlib import Path
 
 from curlfit.errors import InputError
+from curlfit.output.locks import locked
 
 _PREFIX = ".curlfit-"  # of temporary names
+_claimed: dict[Path, int] = {}  # descriptors of the folders that this process writes
 
 
 def atomic_write(file: Path, content: str | bytes, *, private: bool = False) -> None:
@@ -88,6 +91,47 @@ def prepare_folder(folder: Path) -> Path:
             f"{folder}: the output folder cannot be written ({error.strerror or error})"
         ) from None
     return folder
+
+
+def claim_folder(folder: Path) -> Path:
+    """The same of a folder that no other process shall write to until this one ends,
+    or until `release_folders`.
+
+    Raises
+    ------
+    InputError : it cannot be written to, or another process has claimed it.
+    """
+    place = prepare_folder(folder).resolve()
+    if place in _claimed:
+        return folder
+    try:
+        if sys.platform == "win32":  # where no folder can be opened
+            flags = os.O_RDWR | os.O_CREAT | os.O_TEMPORARY
+            descriptor = os.open(place / f"{_PREFIX}lock", flags)
+        else:
+            descriptor = os.open(place, os.O_RDONLY)
+    except OSError:
+        return folder
+    if not locked(descriptor):
+        os.close(descriptor)
+        raise InputError(
+            f"{folder}: another `curlfit` is writing its results there; name another "
+            "folder with --out, or wait for its end"
+        )
+    _claimed[place] = descriptor
+    return folder
+
+
+def release_folders() -> None:
+    """Let other processes write to the folders that this one has claimed."""
+    while _claimed:
+        _, descriptor = _claimed.popitem()
+        if sys.platform != "win32":  # copies in forked processes may be open
+            import fcntl
+
+            with suppress(OSError):
+                fcntl.flock(descriptor, fcntl.LOCK_UN)
+        os.close(descriptor)
 
 
 def _remove_stale_files(folder: Path) -> None:

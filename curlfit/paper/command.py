@@ -49,14 +49,14 @@ def reproduce(
     as_json
         Print claims.json in place of the table.
     """
-    from curlfit.output.files import atomic_write, prepare_folder
+    from curlfit.output.files import atomic_write, claim_folder
 
     if quiet and as_json:
         raise InputError(
             "--json prints the claims, and --quiet prints nothing; give one of them"
         )
     drawn = FigureFiles.of(figures)
-    folder = prepare_folder(out)
+    folder = claim_folder(out)
 
     from curlfit.output.console import terminal
 

@@ -165,7 +165,7 @@ def predict(
         Seed of the draws. [default: 0]
     """
     from curlfit.output.document import command_line
-    from curlfit.output.files import atomic_write, prepare_folder
+    from curlfit.output.files import atomic_write, claim_folder
 
     drawn = output.drawn()
     if goal.to_tee + (goal.weight is not None) + (goal.target is not None) > 1:
@@ -206,7 +206,7 @@ def predict(
     name = "-".join(
         [s.name_of(fit), *map(safe_name, found.call.labels.values()), "predict"]
     )
-    folder = prepare_folder(output.out or Path(name))
+    folder = claim_folder(output.out or Path(name))
     table = folder / "predict.csv"
     atomic_write(table, found.table())
     return output.finish(found, folder, drawn, files=[table])

@@ -57,7 +57,7 @@ def profile(
         errors to either side; where there are none, up to the limits]
     """
     from curlfit.output.document import command_line
-    from curlfit.output.files import prepare_folder
+    from curlfit.output.files import claim_folder
     from curlfit.profile_likelihood.result import require_usable
 
     drawn = output.drawn()
@@ -74,7 +74,7 @@ def profile(
         require_usable(
             parameters, param, points, limits, parameters.values_of(fit.values)
         )
-        folder = prepare_folder(output.out or usual)
+        folder = claim_folder(output.out or usual)
         from curlfit.profile_likelihood.profile import profile as compute_profile
 
         found = compute_profile(fit, param, chain=chain, points=points, ranges=limits)

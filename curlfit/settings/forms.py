@@ -253,8 +253,13 @@ def numbers(count: int, written: str) -> Form:
     )
 
 
+def _path_of(word: str) -> Path:
+    """The path that a word names. No shell replaces the `~` of `--out=~/x`."""
+    return Path(word).expanduser() if word[:2] in ("~", "~/") else Path(word)
+
+
 PATH = Form(
-    "a name of a file or folder", lambda one: Path(one), Path, "a file or folder"
+    "a name of a file or folder", lambda one: Path(one), _path_of, "a file or folder"
 )
 NUMBER = Form(f"a number, {SIZES}", _finite, float)
 TIME = Form("a time in s", _finite, float)

@@ -283,7 +283,9 @@ def found_files(wanted: Sequence[str], besides: Collection[Path] = ()) -> list[P
         place = Path(text)
         if place.is_dir():
             here = {
-                file for file in place.iterdir() if file.suffix.lower() in _SUFFIXES
+                file
+                for file in place.iterdir()
+                if file.suffix.lower() in _SUFFIXES and file.is_file()
             }
         else:
             here = {

@@ -11,7 +11,7 @@ source are judgement.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -28,6 +28,7 @@ from curlfit.throws.motion import (
     SURE,
     MeasuredMotion,
     motion_of,
+    position_jump,
     release,
     turning,
     velocity_jump,
@@ -62,7 +63,14 @@ _GROWTH = 0.1  # m/s; largest growth of a speed, that of friction 0.01 in 1 s
 _CLEAR_CURL, _CLEAR_TURN = 0.2, 0.5  # m, rad; above these their senses are compared
 # ratio of a measured rate to that of the path: calibration is within 20 %
 _AGREE = 0.8, 1.25
+# m; of 300 simulated throws with noise up to 0.1 m, fitted with coulomb by least
+# squares, two have as much, both with outliers of 1 m in one row of ten
+_MISFIT = 0.5
 _MOST_ROWS = 1500  # for speed; more are condensed
+# s, and times the usual step of time: no throw takes a minute
+_LONGEST_GAP = 60.0, 100.0
+_BESIDE = 5  # values with whose median each is compared
+_FEW = 0.2  # fraction of the values that may be far off; of more the unit is wrong
 
 
 @dataclass(frozen=True)
@@ -93,6 +101,9 @@ def examine(throw: Throw) -> tuple[Finding, ...]:
     Consequences of a fault are not examined: a stone that was hit may have any curl,
     and in wrong units any stone seems to have been hit.
     """
+    astray = (*_gap(throw), *_far(throw))
+    if astray:
+        return astray
     one = throw.condensed(_MOST_ROWS)
     found = [*_wrapped(one), *_turns(one)]
     if (motion := motion_of(one)) is not None:
@@ -149,6 +160,9 @@ def examine_fit(
     speed: Floats,
     start_speed: float,
     start_error: float | None,
+    misfit: Mapping[str, float],
+    *,
+    alone: bool = True,
 ) -> tuple[Finding, ...]:
     """Implausible features of a fitted motion.
 
@@ -157,6 +171,10 @@ def examine_fit(
     throw : the data, for their uncertainty and the wording of a remedy.
     t, speed : times (s) and fitted speeds (m/s), shape (n,); may be empty.
     start_speed, start_error : fitted initial speed and its standard error, m/s.
+    misfit : root mean square of the residuals by channel, without outliers from which
+        a robust loss protects the fit.
+    alone : whether the throw was fitted by itself. Throws that were fitted together
+        may differ by more than `_MISFIT`; that is unusual, not impossible.
     """
     said: dict[str, str] = {}
     remedy = f"if units are wrong, set them as in {some_units(throw)}"
@@ -186,7 +204,25 @@ def examine_fit(
             speeds_up = "the fitted stone speeds up, which friction cannot cause"
             said["fitted friction"] = speeds_up if mean < 0 else friction
     refused = not throw.defaults.get("as_given")
-    return tuple(Finding(kind, says, remedy, refused) for kind, says in said.items())
+    found = [Finding(kind, says, remedy, refused) for kind, says in said.items()]
+    return (*found, *_misfitting(throw, misfit, refused=refused and alone))
+
+
+def _misfitting(
+    throw: Throw, misfit: Mapping[str, float], *, refused: bool
+) -> Iterator[Finding]:
+    """Residuals as large as no camera and no friction make them."""
+    far = {name: misfit[name] for name in ("x", "y") if misfit.get(name, 0) > _MISFIT}
+    if far:
+        listed = " and ".join(f"{size:.2g} m in {name}" for name, size in far.items())
+        yield Finding(
+            "misfit",
+            f"the fit misses the data by {listed} (root mean square)",
+            "if rows are wrong, leave them out or use "
+            f"{option(throw, 'loss', 'student')}; otherwise check units, axes, fixed "
+            "values and bounds",
+            refused,
+        )
 
 
 # Checks of the rows
@@ -225,7 +261,82 @@ def _turns(throw: Throw) -> Iterator[Finding]:
     )
 
 
+def _gap(throw: Throw) -> Iterator[Finding]:
+    """Rows that are later or earlier than the others by more than a throw takes."""
+    steps = np.diff(throw.t)
+    if len(steps) < 3:
+        return
+    last = int(np.argmax(steps))
+    longest, times = _LONGEST_GAP
+    if steps[last] < max(longest, times * float(np.median(steps))):
+        return
+    early = last + 1 < len(throw) / 2
+    row = last if early else last + 1
+    alone = row in (0, len(throw) - 1)
+    rows = "the row" if alone else "the rows until" if early else "the rows from"
+    remedy = "correct the time, or leave out " + ("the row" if alone else "these rows")
+    cut, time = ("since", throw.t[last + 1]) if early else ("until", throw.t[last])
+    yield Finding(
+        "time",
+        f"{rows} t = {throw.t[row]:.6g} s{_line(throw, row)} "
+        f"{'is' if alone else 'are'} {steps[last]:.3g} s from the others, and no throw "
+        "takes a minute",
+        f"{remedy}: {option(throw, cut, f'{time:.10g}')}",
+    )
+
+
+def _far(throw: Throw) -> Iterator[Finding]:
+    """Single values farther from those beside them than any sheet is long."""
+    for name in ("x", "y"):
+        seen = np.flatnonzero(np.isfinite(getattr(throw, name)))
+        values = getattr(throw, name)[seen]
+        if len(values) < 2 * _BESIDE:
+            continue
+        beside = np.lib.stride_tricks.sliding_window_view(
+            np.pad(values, _BESIDE // 2, "reflect"), _BESIDE
+        )
+        off = np.abs(values - np.median(beside, axis=1))
+        far = off > _LENGTH
+        if not far.any() or far.mean() > _FEW or np.ptp(values[~far]) > 2 * _LENGTH:
+            continue
+        worst = int(np.argmax(off))
+        more = f" (and {counted(far.sum() - 1, 'other')})" if far.sum() > 1 else ""
+        row = int(seen[worst])
+        time = throw.t[row]
+        step = 0.5 * float(np.diff(throw.t[max(row - 1, 0) : row + 2]).min())
+        yield Finding(
+            "far away",
+            f"{name} = {values[worst]:.6g} m at t = {time:.6g} s{_line(throw, row)}"
+            f"{more} is {off[worst]:.3g} m from those beside it, and a sheet is "
+            f"{LENGTH:.1f} m long",
+            "correct the value, or leave out the row: "
+            + option(throw, "exclude", f"{time - step:.10g}:{time + step:.10g}"),
+        )
+
+
+def _line(throw: Throw, row: int) -> str:
+    return "" if throw.lines is None else f" (line {throw.lines[row]})"
+
+
 # Checks of the motion
+
+
+def _jump(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
+    """A position that jumps from one row to the next."""
+    found = position_jump(throw)
+    if found is None:
+        return
+    before, after, size = found
+    row = int(np.searchsorted(throw.t, after))
+    early = after - throw.t[0] < throw.t[-1] - before
+    cut = ("since", after) if early else ("until", before)
+    yield Finding(
+        "jump",
+        f"the position jumps by about {size:.2g} m between t = {before:.4g} and "
+        f"{after:.4g} s{_line(throw, row)}, which no stone does",
+        f"correct the rows, or leave out what is {'before' if early else 'after'}: "
+        + option(throw, cut[0], f"{cut[1]:.10g}"),
+    )
 
 
 def _scale(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
@@ -450,6 +561,6 @@ def _rounded(name: str, time: float) -> float:
     return hundredths / 100
 
 
-_STAGES = ((_scale,), (_push,), (_curl,), (_axes, _rates))
+_STAGES = ((_scale,), (_jump,), (_push,), (_curl,), (_axes, _rates))
 """Checks of the motion, by stages; a stage is examined only if the one before
 refuses nothing."""

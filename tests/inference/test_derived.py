@@ -222,6 +222,9 @@ def test_a_combination_has_its_own_errors(eq12_fit):
     )
     other = replace(eq12_fit, combinations=(odd,)).derive("2*(mu1_eta + 0.98 mu2_eta)")
     assert other.value == pytest.approx(2 * known.value, rel=1e-13)
+    for overflowing in ("v0**1000", "v0**400"):  # its square too
+        with pytest.raises(InputError, match="no finite value"):
+            eq12_fit.derive(overflowing)
     with pytest.raises(InputError, match="no finite value"):
         eq12_fit.derive("log(mu1_xi - mu2_xi)")
 

@@ -3,6 +3,7 @@ what differs."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -262,6 +263,12 @@ def test_on_the_command_line(three, tmp_path):
     )
     assert "other-throw0, throw2" in " ".join(done.stdout.split()), done
     alike = curlfit.load_joint(tmp_path / "alike")
+    record = tmp_path / "joint-fit" / "joint.json"
+    entries = json.loads(record.read_text())
+    entries["variation"][0]["each"] = []
+    record.write_text(json.dumps(entries))
+    with pytest.raises(InputError, match="variation: expected"):
+        curlfit.load_joint(record)
     assert alike["mu2_xi*g"].stderr == pytest.approx(9.81 * alike["mu2_xi"].stderr)
     for words, message in (
         ((*names, "--share", "mu"), "law front-back has no such coefficient"),

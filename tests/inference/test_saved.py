@@ -14,12 +14,14 @@ from dataclasses import replace
 
 import damaged_records
 import h5py
+import numpy as np
 import pytest
 from conftest import STRICT, invoke, python
 from matplotlib.figure import Figure
 
 import curlfit
 from curlfit import DataError, InputError, load_comparison, load_fit
+from curlfit.comparison.result import Lacking
 from curlfit.output.figures import save_figure
 from curlfit.paper import printed as paper
 from curlfit.throws.synthetic import SIMULATED
@@ -214,6 +216,10 @@ def test_what_cannot_be_read_is_refused(eq12_fit, compared, tmp_path, change, sa
         ("covariance.matrix", [[1.0]], "covariance: expected a square matrix"),
         ("combinations", [{"expression": "a"}], "combinations.0: no 'weights' in it"),
         ("noise.initial_state", [[1.0]], "noise: expected a covariance"),
+        ("data.flags", 3, "data.flags: 3 found, expected a list"),
+        ("data.flags", [3], "data.flags.0: 3 found, expected text"),
+        ("sigma", {}, "sigma: expected all that were estimated"),
+        ("data.sigma", {}, "data: expected sigma of each"),
         ("null_directions", 3, None),
     ],
 )
@@ -235,6 +241,29 @@ def test_what_is_of_another_type_is_refused_with_its_key(
         load_fit(file)
     assert str(caught.value).startswith(f"{file}: {said}")
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("speed", lambda values: values[:-1]),
+        ("lacks", lambda values: values[:2]),
+        ("others", lambda values: {"power": [[0.0]] * 3}),
+    ],
+)
+def test_what_a_law_lacks_has_series_of_one_length(compared, tmp_path, name, change):
+    if compared.lacking is None:
+        n = 12
+        rows = np.ones((3, n))
+        lacking = Lacking("front-back", rows[0], rows[0], rows, rows, rows)
+        compared = replace(compared, lacking=lacking)
+
+    def changed(record):
+        record["lacking"][name] = change(record["lacking"][name])
+
+    load_comparison(record_of(compared, tmp_path, lambda record: None))
+    with pytest.raises(DataError, match="lacking: expected series of one length"):
+        load_comparison(record_of(compared, tmp_path, changed))
 
 
 @pytest.mark.parametrize("key", ["sampling", "data"])

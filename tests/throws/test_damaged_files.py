@@ -11,11 +11,10 @@ from conftest import STRICT, python
 from damaged_files import Outcome
 
 
-def worker(folder: Path, seed: int, count: int) -> dict:
+def worker(folder: Path, seed: int, count: int, *what: str) -> dict:
     """The tally of many files, forked from a process without the tests' own imports."""
-    run = python(
-        *STRICT, damaged_files.__file__, folder, seed, count, OPENBLAS_NUM_THREADS="1"
-    )
+    words = (damaged_files.__file__, folder, seed, count, *what)
+    run = python(*STRICT, *words, OPENBLAS_NUM_THREADS="1")
     assert run.returncode == 0, run.stderr
     return json.loads(run.stdout)
 
@@ -26,6 +25,14 @@ def test_damaged_files_are_read_or_refused(tmp_path):
     assert sum(found["statuses"].values()) == 120
     assert found["statuses"]["0"] > 8
     assert found["statuses"]["2"] > 40
+
+
+def test_odd_grids_of_spreadsheets_are_read_or_refused(tmp_path):
+    pytest.importorskip("python_calamine")
+    found = worker(tmp_path, 1, 60, "grids")
+    assert found["faults"] == []
+    assert found["statuses"]["0"] > 3
+    assert found["statuses"]["2"] > 20
 
 
 def test_a_fault_would_be_seen():
@@ -41,6 +48,6 @@ def test_a_fault_would_be_seen():
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(10, 20))
 def test_many_damaged_files_are_read_or_refused(tmp_path, seed):
-    found = worker(tmp_path, seed, 2000)
+    found = worker(tmp_path, seed, 2000, *["grids"] * (seed % 2))
     print(json.dumps(found))
     assert found["faults"] == []

@@ -20,9 +20,12 @@ from sample_files import (
     ods,
     said,
     table,
+    xlsx,
+    xlsx_rows,
 )
 
 from curlfit import DataError, InputError, Throw, load_throw, load_throws
+from curlfit.throws.readers import worksheet_size
 
 HEADER = ",".join(COLUMNS)
 
@@ -144,6 +147,65 @@ def test_a_spreadsheet_may_have_titles_units_apart_and_errors(tmp_path):
     np.testing.assert_allclose(throw.phi, PHI, atol=1e-9)
     np.testing.assert_allclose(throw.x, X, atol=1e-9)
     assert said(throw, "2 lines above the header not read: 'Curling, Bahn 3'")
+
+
+STRAY = '<row r="1048576"><c r="XFD1048576"><v>1</v></c></row>'
+
+
+@pytest.mark.parametrize(
+    ("stray", "named"),
+    [
+        (STRAY, "XFD1048576, 1048576 rows of 16384 columns"),
+        (
+            '<row><c r="A1048576"><v>1</v></c></row>'
+            '<row><c r="ZZ70" t="inlineStr"><is><t>x</t></is></c></row>',
+            "A1048576 and ZZ70, 1048576 rows of 702 columns",
+        ),
+        (STRAY.replace("<v>1</v>", ""), ""),  # a style alone
+    ],
+)
+def test_a_stray_cell_far_from_the_table_is_named(tmp_path, stray, named):
+    pytest.importorskip("python_calamine")
+    file = xlsx(tmp_path / "throw.xlsx", xlsx_rows("a,b"), xlsx_rows(PLAIN) + stray)
+    if named:
+        with pytest.raises(DataError, match=f"reach to {named}, and a workbook may"):
+            load_throw(file, worksheet="s2")
+    else:
+        is_throw(load_throw(file, worksheet="s2"))
+
+
+def test_repeated_cells_of_a_worksheet_are_counted(tmp_path):
+    pytest.importorskip("python_calamine")
+    times = "number-columns-repeated"
+    cell = CELL.format("float", f'office:value="1" table:{times}="{{}}"', "1")
+    gap = f'<table:table-cell table:{times}="1000"/>'
+    row = "</table:table-row><table:table-row {}>"
+    many = row.format('table:number-rows-repeated="1048576"')
+    for rows, named in (
+        ([gap + cell.format(2_000_000)], "DIVAN1"),
+        ([cell.format(2), many + cell.format(2)], "B1048578"),
+        ([cell.format(1), many + row.format("") + cell.format(2)], "B1048579"),
+    ):
+        with pytest.raises(DataError, match=f"worksheet reach to {named}, "):
+            load_throw(ods(tmp_path / "throw.ods", rows))
+    rows = ["".join(map(said_cell, line.split(","))) for line in PLAIN.splitlines()]
+    rows += [many + gap]  # as programs write the end of a worksheet
+    is_throw(load_throw(ods(tmp_path / "throw.ods", rows)))
+
+
+def said_cell(text: str) -> str:
+    return CELL.format("string", "", text)
+
+
+def test_the_largest_workbook(tmp_path, monkeypatch):
+    pytest.importorskip("python_calamine")
+    cells = (len(ROWS) + 1) * 4 + 2
+    file = xlsx(tmp_path / "throw.xlsx", xlsx_rows(PLAIN), xlsx_rows("a,b"))
+    monkeypatch.setattr(worksheet_size, "MOST_CELLS", cells)
+    is_throw(load_throw(file))
+    monkeypatch.setattr(worksheet_size, "MOST_CELLS", cells - 1)
+    with pytest.raises(DataError, match=f"a workbook may have {cells - 1} cells"):
+        load_throw(file)
 
 
 def several(gap: float, shift: float = 0.5) -> str:

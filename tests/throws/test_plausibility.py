@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import parts_in
 from mistaken_files import (
     DEGREES,
     collided,
@@ -276,6 +277,72 @@ def test_the_wrong_number_of_frames_a_second_is_suspected(written, filmed_at, re
     assert examine(again) == ()
 
 
+def jumped(size, row, every=1):
+    """Rows of the good throw, from one of which on y is larger."""
+    columns = {name: values[::every].copy() for name, values in GOOD.items()}
+    columns["y"][row:] += size
+    return columns
+
+
+@pytest.mark.parametrize(
+    ("made", "flag"),
+    [
+        (jumped(5, 6, every=18), "until"),
+        (jumped(5, 4, every=18), "since"),
+        (jumped(2, 9, every=10), "since"),
+        (jumped(-0.7, 150), "until"),
+    ],
+)
+def test_a_position_that_jumps_is_refused_and_cut_off(written, made, flag):
+    throw = load_throw(written(made))
+    with pytest.raises(
+        InputError, match=r"the position jumps by about .* \(line \d+\)"
+    ):
+        require_plausible(throw)
+    time = float(typed_flag(str(examine(throw)[0]), flag))
+    moved = np.abs(np.diff(made["y"] - GOOD["y"][:: 200 // (len(made["y"]) - 1)]))
+    jump = int(np.argmax(moved)) + (flag == "since")
+    assert abs(np.searchsorted(throw.t, time) - jump) <= 2
+    assert examine(throw.select_rows(**{flag: time})) == ()
+
+
+def test_some_rows_of_another_stone_are_no_jump():
+    made = jumped(3, 120)
+    made["y"][124:] -= 3
+    assert "jump" not in [one.kind for one in examine(Throw.from_arrays(**made))]
+
+
+@pytest.mark.parametrize("row", [0, 60, 200])
+def test_a_time_far_from_the_others_is_named(written, row):
+    wrong = GOOD["t"].copy()
+    wrong[row] = 1e6 if row else -1e6
+    file = written(GOOD | {"t": wrong})
+    (part,) = parts_in(file)  # not two throws, one after another
+    (finding,) = examine(part.throw)
+    said = f"the row t = {wrong[row]:g} s (line {row + 2}) is 1e+06 s from the others"
+    assert said in finding.says
+    flag = "until" if row else "since"
+    time = float(typed_flag(str(finding), flag))
+    assert examine(part.throw.select_rows(**{flag: time})) == ()
+
+
+def test_a_second_throw_is_no_wrong_time(written):
+    twice = {name: np.tile(values, 2) for name, values in GOOD.items()}
+    assert len(parts_in(written(twice))) == 2
+
+
+def test_a_value_beyond_any_sheet_is_named(written):
+    wrong = GOOD["x"].copy()
+    wrong[40] = 750
+    throw = load_throw(written(GOOD | {"x": wrong}))
+    (finding,) = examine(throw)
+    assert "x = 750 m at t = 4 s (line 42) is 750 m from those beside it" in str(
+        finding
+    )
+    low, high = map(float, typed_flag(str(finding), "exclude").split(":"))
+    assert examine(throw.select_rows(exclude=[(low, high)])) == ()
+
+
 def test_times_that_run_backwards_are_refused():
     reversed_ = {name: v[::-1] if name != "t" else v for name, v in GOOD.items()}
     with pytest.raises(InputError, match="times may run backwards"):
@@ -431,6 +498,8 @@ UNITS, UNUSUAL, AXES = [("units", True)], [("units", False)], [("axes", False)]
         (sliding(turn=3.2), []),
         (driven(rise=0.14), [("growing speed", True)]),
         (driven(rise=0.08), []),
+        (Throw.from_arrays(**jumped(0.65, 100)), [("jump", True)]),
+        (Throw.from_arrays(**jumped(0.45, 100)), []),
         (driven(jump=0.29), [("collision", True)]),
         (driven(jump=0.23), []),
         (sliding(**LONG, curl=-0.3), AXES),
@@ -498,6 +567,32 @@ def test_an_absurd_fit_is_not_usable(written, made, said):
     assert not fit.converged
     assert said in " ".join([*fit.warnings, fit.status])
     assert "`--units t=ms` or `--units length=cm`" in fit.status
+
+
+def test_a_fit_that_misses_the_data_by_metres_is_not_usable():
+    few = FEW | {"y": FEW["y"] + 5 * (np.arange(len(FEW["y"])) > 7)}
+    throw = Throw.from_arrays(**few)
+    assert examine(throw) == ()
+    one = curlfit.fit(throw, "coulomb", details=False)
+    assert not one.converged
+    assert re.match(r"implausible: the fit misses the data by 1\.\d m in y", one.status)
+    given = replace(throw, defaults={"as_given": True})
+    one = curlfit.fit(given, "coulomb", details=False)
+    assert one.converged
+    assert "the fit misses the data by" in one.warnings[0]
+
+
+def test_a_robust_fit_may_leave_out_a_value_far_off():
+    wrong = GOOD["y"].copy()
+    wrong[100] += 20
+    throw = Throw.from_arrays(**GOOD | {"y": wrong})
+    linear, robust = (
+        curlfit.fit(throw, "front-back", loss=loss, details=False)
+        for loss in ("linear", "student")
+    )
+    assert (linear.converged, robust.converged) == (False, True)
+    assert "`loss=student`" in linear.status
+    assert not [words for words in robust.warnings if "misses the data" in words]
 
 
 def slid(v0, mu):

@@ -71,6 +71,15 @@ def test_an_empty_column_was_not_measured(write, header):
     assert said(throw, f"column {header} is empty")
 
 
+@pytest.mark.parametrize(
+    "comment",
+    ["law: see below", "reference: Penner 2001", "columns: t, x, y", "sheet: 3"],
+)
+def test_a_colon_in_a_comment_is_no_setting(write, comment):
+    throw = load_throw(write(f"# {comment}\n{PLAIN}"))
+    assert (throw.defaults, throw.notes) == ({}, ())
+
+
 def test_settings_and_other_comments(write):
     throw = load_throw(
         write(
@@ -112,6 +121,10 @@ def test_settings_and_other_comments(write):
         ("# stone.R = wide\n" + PLAIN, 1, None, "cannot read the setting"),
         ("# stone.Q = 1\n" + PLAIN, 1, None, "no property 'Q'"),
         ('# law = "ice"\n' + PLAIN, 1, None, "unknown law 'ice'"),
+        ("# stone.R: 0.02\n" + PLAIN, 1, None, "expected stone.R = 0.02"),
+        ("# stone.R: 6 cm\n" + PLAIN, 1, None, "'stone.R: 6 cm' is no setting"),
+        ("# until: 12\n" + PLAIN, 1, None, "expected until = 12"),
+        ("# law: coulomb\n" + PLAIN, 1, None, "expected law = 'coulomb'"),
         (b"\x00\x01\x02\x00", None, None, "not a text file"),
         (
             "t,x,y,phi,sigma_x\n0,1,0,0,0.1\n1,2,2,1,0\n",

@@ -79,6 +79,7 @@ DataOfFit = Annotated[
         sigma=dict[ChannelName, str],
         notes=list[str],
         labels=NotRequired[dict[str, str]],
+        flags=NotRequired[list[str]],
     ),
 ]
 """The same, and how they were chosen."""
@@ -245,6 +246,10 @@ class FitResult(NamedEstimates):
             ("ridge", [point.held for point in self.ridge if point.held is not None]),
         ):
             require(place, set(names) <= parameters, "names of parameters")
+        origins = self.data["sigma"].items()
+        estimated = {name for name, origin in origins if origin == "estimated"}
+        require("data", self.rms.keys() <= self.data["sigma"].keys(), "sigma of each")
+        require("sigma", estimated <= self.sigma.keys(), "all that were estimated")
         for place in ("observed", "fitted", "discrepancy"):
             require_rows(place, getattr(self, place), rows)
         for name, shifts in self.systematics.shifts.items():

@@ -123,8 +123,19 @@ def summarize_many(
         shifts = many.shifts(found, reduction, paths, widths, batch)
     each = [None] * len(fits) if paths is None else paths
     widths_of_each = [widths or {}] * len(fits)
+    alone = [common is None and others is None] * len(fits)
     results = list(
-        map(_record, fits, each, residuals, found, departures, shifts, widths_of_each)
+        map(
+            _record,
+            fits,
+            each,
+            residuals,
+            found,
+            departures,
+            shifts,
+            widths_of_each,
+            alone,
+        )
     )
     if common is not None or others is not None:
         # What a fit of one throw says of its residuals holds for one of several too.
@@ -466,6 +477,7 @@ def _record(
     departures: Departures,
     shifts: Mapping[str, Floats],
     widths: Mapping[str, float],
+    alone: bool,
 ) -> FitResult:
     law, throw, known = fit.model.law, fit.prepared.throw, found.identifiability
     reference, residual = throw.reference, residual[:, : len(throw)]
@@ -479,7 +491,9 @@ def _record(
     if departures.distance is not None:
         distance = departures.distance
     estimates = _estimates(fit.prepared.parameters, found, departures, rival)
-    unusual = _unusual(fit, estimates["v0"], curves)
+    outliers = outliers_of(throw, residual, lag1, found.dof, found.leverage, fit.loss)
+    misfit = _misfit(fit, series, outliers)
+    unusual = _unusual(fit, estimates["v0"], curves, misfit, alone=alone)
     systematics = Systematics()
     if shifts:
         systematics = Systematics(dict(widths), found.shifts_of_determined(shifts))
@@ -517,9 +531,7 @@ def _record(
         independence={
             name: Independence.of(white) for name, (_, white) in enough.items()
         },
-        outliers=outliers_of(
-            throw, residual, lag1, found.dof, found.leverage, fit.loss
-        ),
+        outliers=outliers,
         events=tuple(
             asdict(event) | {"fitted": event.value - float(off)}
             for event, off in zip(throw.events, residual[-1], strict=False)
@@ -655,15 +667,38 @@ def _discrepancy(
     return dict(zip(CHANNELS, mean, strict=False))
 
 
+def _misfit(
+    fit: LeastSquaresFit,
+    series: Mapping[str, tuple[Floats, Floats]],
+    outliers: Sequence[Mapping[str, Any]],
+) -> dict[str, float]:
+    """Root mean square of the residuals by channel, without outliers from which a
+    robust loss protects the fit."""
+    misfit = {}
+    for name, (off, _) in series.items():
+        squares = np.sort(off**2)
+        if fit.loss != "linear":  # outliers are the largest of them
+            far = sum(item["channel"] == name for item in outliers)
+            squares = squares[: len(squares) - far]
+        misfit[name] = float(np.sqrt(squares.mean())) if len(squares) else 0.0
+    return misfit
+
+
 def _unusual(
-    fit: LeastSquaresFit, start: Estimate, curves: dict[str, Floats]
+    fit: LeastSquaresFit,
+    start: Estimate,
+    curves: dict[str, Floats],
+    misfit: Mapping[str, float],
+    *,
+    alone: bool,
 ) -> tuple[Finding, ...]:
     """What is implausible in the data and in the fitted motion."""
     throw = fit.prepared.throw
-    if start.verdict == "not identifiable":
-        return fit.prepared.findings
-    speed = curves.get("speed", np.zeros(0))
-    found = examine_fit(throw, throw.t[: len(speed)], speed, start.value, start.stderr)
+    speed, start_speed = np.zeros(0), 0.0
+    if start.verdict != "not identifiable":
+        speed, start_speed = curves.get("speed", speed), start.value
+    t = throw.t[: len(speed)]
+    found = examine_fit(throw, t, speed, start_speed, start.stderr, misfit, alone=alone)
     return (*found, *fit.prepared.findings)
 
 

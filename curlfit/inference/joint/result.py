@@ -11,7 +11,7 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from curlfit.errors import InputError
+from curlfit.errors import DataError, InputError
 from curlfit.foreign import file_and_number, safe_name
 from curlfit.friction import Law, find_law
 from curlfit.inference.derived import Derived, Quantiles, derive
@@ -267,6 +267,9 @@ class JointResult(NamedEstimates):
         files = structured(entries, _Throws)["throws"]
         names = folder_names([one["file"] for one in files])
         throws = tuple(load_fit(folder / name) for name in names)
+        if throws and any(len(one.each) != len(throws) for one in found.variation):
+            fault = "variation: expected an entry of each throw"
+            raise DataError(fault, file=folder / "joint.json")
         file = folder / "chain.h5"
         chain = load_chain(file) if found.r_hat is not None and file.is_file() else None
         if chain is not None and chain.subject != found.subject:  # of an earlier fit

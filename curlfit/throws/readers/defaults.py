@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from bisect import bisect_left
 from collections.abc import Sequence
@@ -9,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from curlfit.errors import InputError
-from curlfit.foreign import quoted
+from curlfit.foreign import cut, quoted
 from curlfit.friction import find_law
 from curlfit.settings.choices import SEED, Modelling, Reading
 from curlfit.stone import Stone
@@ -35,6 +36,7 @@ _SETTINGS = (
     "columns",
 )
 _MOST_SETTINGS = 500
+_KEY = re.compile(r"\w+(\.\w+)*")
 _FORMS = {**Modelling.forms(), **Reading.forms(), "seed": SEED}
 _REFERENCE = (
     'a reference needs reference.law = "NAME" and reference.values.NAME = number, '
@@ -52,7 +54,8 @@ def begun(
     """A parsed file with the settings, reference and notes from its comments, and no
     columns yet.
 
-    Comments that are not `key = value` are skipped.
+    Comments that are not `key = value` are skipped, but `key: value` is refused where
+    `key = value` would be a setting.
 
     Parameters
     ----------
@@ -68,7 +71,10 @@ def begun(
     for index, line in file.comments(until):
         body = line.lstrip().lstrip("#").strip()
         key, dot, _ = body.split("=", 1)[0].strip().partition(".")
-        if "=" not in body or not key.isidentifier():
+        if "=" not in body:
+            _require_no_colon(file, index, body)
+            continue
+        if not key.isidentifier():
             continue
         if key in _SETTINGS and (key != "columns" or dot):
             known.append((index, body))
@@ -94,6 +100,21 @@ def begun(
     return ParsedFile(
         source or file.path, format, settings=settings, reference=reference, notes=notes
     )
+
+
+def _require_no_colon(file: TextFile, index: int, body: str) -> None:
+    """Raise `DataError` for a comment that would be a setting with `=` for its colon;
+    a text may lack its quotes. Words such as "law: see the paper" are a comment."""
+    key, _, value = (part.strip() for part in body.partition(":"))
+    first, dot, _ = key.partition(".")
+    if first not in _SETTINGS or not value or not _KEY.fullmatch(key):
+        return
+    meant = [f"{key} = {value}", f"{key} = '{value}'"]
+    usable = [text for text in meant if not _settings([(index, text)])[1]]
+    if dot or (usable and first not in ("reference", "columns")):
+        expected = [*usable, meant[0]][0]
+        fault = f"{quoted(body)} is no setting; expected {cut(expected)}"
+        raise file.error(fault, index)
 
 
 def _settings(lines: Sequence[tuple[int, str]]) -> tuple[dict[str, Any], str]:

@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 import csv
+import zlib
 from datetime import date, datetime, time, timedelta
 from io import BytesIO, StringIO
 from pathlib import Path
 from typing import Any
+from xml.parsers.expat import ExpatError
 from zipfile import BadZipFile, ZipFile
 
 from curlfit.errors import DataError, InputError
+from curlfit.throws.readers.worksheet_size import (
+    MOST_CELLS,
+    Extent,
+    require_size,
+    too_many_cells,
+)
+
+# of an archive or a part of it that is damaged, encrypted or of another kind
+_ARCHIVE_FAULTS = (BadZipFile, zlib.error, EOFError, OSError, RuntimeError, ExpatError)
 
 
 def text_of_sheet(
@@ -43,6 +54,7 @@ def text_of_sheet(
                     raise DataError(
                         f"larger than {most_bytes // 1000} kB unpacked", file=path
                     )
+                require_size(archive, path)
         book = CalamineWorkbook.from_filelike(BytesIO(raw))
         sheets = {name: book.get_sheet_by_name(name) for name in book.sheet_names}
         names = [name for name, sheet in sheets.items() if sheet.height]
@@ -56,9 +68,13 @@ def text_of_sheet(
             )
             raise InputError(f"{fault} {listed}")
         chosen = names[0] if wanted is None else wanted
-        cells = sheets[chosen].to_python(skip_empty_area=False)
+        sheet = sheets[chosen]
+        extent = Extent((sheet.total_height, 1), (1, sheet.total_width))
+        if extent.cells > MOST_CELLS:  # of an .xls, which is no archive
+            raise too_many_cells(extent, path)
+        cells = sheet.to_python(skip_empty_area=False)
         rows = [list(map(_plain, row)) for row in cells]
-    except (CalamineError, BadZipFile, NotImplementedError):
+    except (CalamineError, *_ARCHIVE_FAULTS):
         raise DataError(fault, file=path) from None
     clocks = [cell for row in rows for cell in row if isinstance(cell, time | datetime)]
     exact = any(clock.second or clock.microsecond for clock in clocks)

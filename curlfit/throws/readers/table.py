@@ -215,6 +215,8 @@ def _by_restart(parsed: ParsedFile) -> dict[str, np.ndarray]:
     if "t" not in series or len(times := series["t"]) < 2 * _FEWEST:
         return {}
     again = np.flatnonzero(np.diff(times) < 0) + 1
+    if len(again) == 1 and _one_time_is_odd(times, int(again[0])):
+        return {}
     pieces = np.split(np.arange(len(times)), again if len(again) else _returns(series))
     if len(pieces) < 2 or min(map(len, pieces)) < _FEWEST:
         return {}
@@ -231,6 +233,13 @@ def _by_restart(parsed: ParsedFile) -> dict[str, np.ndarray]:
         else f"from line {lines[rows[0]]}": rows
         for rows in pieces
     }
+
+
+def _one_time_is_odd(times: np.ndarray, again: int) -> bool:
+    """Whether times that go back once grow again where the row before, or the row
+    itself, is left out."""
+    without = [np.delete(times, row) for row in (again - 1, again)]
+    return any((np.diff(others) > 0).all() for others in without)
 
 
 def _returns(series: Mapping[str, np.ndarray]) -> np.ndarray:

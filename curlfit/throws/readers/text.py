@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import math
 import re
+import stat
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -34,13 +35,19 @@ _MOST_BYTES, _MOST_OF_SETTINGS = 50_000_000, 64_000
 # have any number.
 _MOST_IN_HEAD, _MOST_IN_ROW = 1000, 20_000
 _MOST_LINES = 2_000_000
+_of_pipes: dict[tuple[int, int], bytes] = {}  # contents by device and inode
 # "t (s)" in a table separated by spaces
 _UNIT_APART = re.compile(r"[ \t]+([(\[][^()\[\]]*[)\]])")
 
 
 def _bytes_of(path: Path, what: str, most: int) -> bytes:
-    """The content of a file. Raises `DataError` where there is none, or too much."""
+    """The content of a file; a pipe, such as `<(zcat FILE)`, is read once and kept.
+    Raises `DataError` where there is none, or too much."""
     try:
+        status = path.stat()
+        place = status.st_dev, status.st_ino
+        if place in _of_pipes:
+            return _of_pipes[place]
         with path.open("rb") as stream:
             raw = stream.read(most + 1)
     except ValueError:
@@ -54,6 +61,8 @@ def _bytes_of(path: Path, what: str, most: int) -> bytes:
         raise DataError(fault, file=path) from None
     if len(raw) > most:
         raise DataError(f"larger than {most // 1000} kB; expected {what}", file=path)
+    if stat.S_ISFIFO(status.st_mode):
+        _of_pipes[place] = raw
     return raw
 
 
