@@ -333,13 +333,14 @@ def position_jump(throw: Throw) -> tuple[float, float, float] | None:
     jumps = _beyond_motion(t, positions, last)
     size = np.hypot(*jumps)
     braked = 0.5 * _BRAKING * (t[last + 1] - t[last]) ** 2
-    sure = [
-        jump
-        for jump in np.flatnonzero(size - SURE * 2 * noise - braked > _MOVED)
-        for row in [last[jump] + 1]
-        if _is_straight(-t[:row][::-1], positions[:, :row][:, ::-1], noise)
-        and _is_straight(t[row:], positions[:, row:], noise)
-    ]
+    sure = []
+    for jump in np.flatnonzero(size - SURE * 2 * noise - braked > _MOVED):
+        after = last[jump] + 1
+        until, since = np.s_[:after], np.s_[after:]
+        if _is_straight(
+            -t[until][::-1], positions[:, until][:, ::-1], noise
+        ) and _is_straight(t[since], positions[:, since], noise):
+            sure.append(jump)
     if not sure:
         return None
     largest = sure[int(np.argmax(size[sure]))]
