@@ -155,6 +155,7 @@ def test_no_start_of_scipy_leads_lower(fit):
 OF_STONE = [name for name, law in LAWS.items() if issubclass(law, curlfit.NetLaw)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", OF_STONE)
 def test_laws_of_the_whole_stone_converge(law, log):
     assert curlfit.fit(load(log), law, details=False).converged
@@ -196,6 +197,7 @@ def test_a_spin_that_ends_without_a_jump_needs_no_other_starts():
     assert not starts_with_other_rests(fit.model, best, problem, *bounds, known.typical)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["semi-empirical", "denny-1998"])
 def test_without_its_spin_a_log_is_fitted_too(law):
     """The path then knows no more of the spin than its sign, and searches wander along
