@@ -48,7 +48,7 @@ def with_throws(
         warnings=(
             *_of_spins(result),
             *_of_equality(result),
-            *_of_slopes(result),
+            *warnings_of_slopes(result),
             *curl_warnings(throws),
             *warnings_of(throws),
         ),
@@ -72,7 +72,7 @@ def _of_spins(result: JointResult) -> list[str]:
     ]
 
 
-def _of_slopes(result: JointResult) -> list[str]:
+def warnings_of_slopes(result: JointResult) -> list[str]:
     """Warnings about groups that change differently along a trend."""
     if result.means is None or not result.converged:
         return []

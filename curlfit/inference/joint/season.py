@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from operator import itemgetter
 from typing import NamedTuple
 
@@ -22,6 +23,7 @@ from curlfit.errors import InputError
 from curlfit.friction import Coefficient
 from curlfit.inference.fit.covariance import Covariance
 from curlfit.inference.fit.estimates import Estimate
+from curlfit.inference.joint.advice import warnings_of_slopes
 from curlfit.inference.joint.alone import ThrowsAlone
 from curlfit.inference.joint.draw import TIMES, Draw
 from curlfit.inference.joint.effects import Covariates, Labelled
@@ -246,7 +248,7 @@ def mean_of(
     )
     found = _joined(throws, varying, covariates.values)
     some = np.linspace(0, count - 1, min(count, _TURNING)).astype(int)
-    return about_mean(
+    result = about_mean(
         equal,
         found,
         covariates,
@@ -255,3 +257,5 @@ def mean_of(
         sampled(found.fit, varying.first_spreads, seed),
         left_open=season.counts_left_open(),
     )
+    warnings = (*result.warnings, *warnings_of_slopes(result))
+    return replace(result, warnings=warnings)

@@ -19,7 +19,6 @@ from curlfit.inference.joint.effects import (
     Covariates,
     Effect,
     Means,
-    slope_warnings,
     with_own_slopes,
 )
 from curlfit.inference.joint.population import Population
@@ -89,7 +88,6 @@ def about_mean(
     )
     groups, differences, trend = map(tuple, told.effects())
     slope_differences = _slope_differences(told, found, covariates)
-    friction = next(one.value for one in groups if one.parameter == "friction")
     spreads = dict(zip(found.weights, map(float, found.spreads), strict=True))
     sampled: dict[str, Quantiles] = {}
     if draws is not None:
@@ -119,10 +117,6 @@ def about_mean(
         trend=trend,
         slopes=tuple(told.slopes_of_groups(covariates.trend_by)),
         slope_differences=tuple(slope_differences),
-        warnings=(
-            *equal.warnings,
-            *slope_warnings(slope_differences, friction, covariates.trend_by),
-        ),
     )
     if draws is None:
         return result
