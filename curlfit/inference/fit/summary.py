@@ -123,7 +123,7 @@ def summarize_many(
         shifts = many.shifts(found, reduction, paths, widths, batch)
     each = [None] * len(fits) if paths is None else paths
     widths_of_each = [widths or {}] * len(fits)
-    alone = [common is None and others is None] * len(fits)
+    alone = common is None and others is None
     results = list(
         map(
             _record,
@@ -134,10 +134,10 @@ def summarize_many(
             departures,
             shifts,
             widths_of_each,
-            alone,
+            [alone] * len(fits),
         )
     )
-    if common is not None or others is not None:
+    if not alone:
         # What a fit of one throw says of its residuals holds for one of several too.
         results = [
             with_cause(fit, result)
