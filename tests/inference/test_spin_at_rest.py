@@ -161,10 +161,9 @@ def test_laws_of_the_whole_stone_converge(law, log):
     assert curlfit.fit(load(log), law, details=False).converged
 
 
-def test_from_a_minimum_in_another_row_the_search_goes_on():
-    """Of the second log the spin falls to 0 over ten rows, and several have a minimum,
-    in which the starts with the rest in other rows end; none is lower."""
-    fit = curlfit.fit(load(2), LAW, details=False)
+def searched_again(fit):
+    """The problem of a fit as one of many, its optimum from the values of the fit, and
+    starts with the rest in other rows."""
     problem, origin = problem_of(fit)
     values = fit.values - origin.offset(len(fit.values))
     known = fit.parameter_set.shifted(-origin.offset(len(values)))
@@ -172,6 +171,15 @@ def test_from_a_minimum_in_another_row_the_search_goes_on():
     (best,) = unstacked(minimize_many(fit.model, tasks, 1))
     bounds = known.lower, known.upper
     starts = starts_with_other_rests(fit.model, best, problem, *bounds, known.typical)
+    return tasks, best, starts
+
+
+def test_from_a_minimum_in_another_row_the_search_goes_on():
+    """Of the second log the spin falls to 0 over ten rows, and several have a minimum,
+    in which the starts with the rest in other rows end; none is lower."""
+    fit = curlfit.fit(load(2), LAW, details=False)
+    tasks, best, starts = searched_again(fit)
+    (values,) = tasks.start
     rests = [rest_of(one + fit.values - values) for one in starts]
     rest = rest_of(fit.values)
     rows = np.array([-8, -4, -2, -1, 1, 2, 4, 8])
@@ -188,13 +196,8 @@ def test_from_a_minimum_in_another_row_the_search_goes_on():
 
 def test_a_spin_that_ends_without_a_jump_needs_no_other_starts():
     fit = curlfit.fit(load(1), "denny-1998", details=False)
-    problem, origin = problem_of(fit)
-    values = fit.values - origin.offset(len(fit.values))
-    known = fit.parameter_set.shifted(-origin.offset(len(values)))
-    tasks = Tasks.of([(known, problem, values)])
-    (best,) = unstacked(minimize_many(fit.model, tasks, 1))
-    bounds = known.lower, known.upper
-    assert not starts_with_other_rests(fit.model, best, problem, *bounds, known.typical)
+    _, _, starts = searched_again(fit)
+    assert not starts
 
 
 @pytest.mark.slow
