@@ -23,6 +23,7 @@ from curlfit.foreign import counted
 from curlfit.numerics.arrays import Floats
 from curlfit.sheet import LENGTH, WIDTH
 from curlfit.stone import GRAVITY
+from curlfit.throws.channels import running_median
 from curlfit.throws.motion import (
     FEWEST,
     SURE,
@@ -292,10 +293,7 @@ def _far(throw: Throw) -> Iterator[Finding]:
         values = getattr(throw, name)[seen]
         if len(values) < 2 * _BESIDE:
             continue
-        beside = np.lib.stride_tricks.sliding_window_view(
-            np.pad(values, _BESIDE // 2, "reflect"), _BESIDE
-        )
-        off = np.abs(values - np.median(beside, axis=1))
+        off = np.abs(values - running_median(values, _BESIDE))
         far = off > _LENGTH
         if not far.any() or far.mean() > _FEW or np.ptp(values[~far]) > 2 * _LENGTH:
             continue
