@@ -40,6 +40,7 @@ def run() -> None:
         warnings.simplefilter("ignore", RuntimeWarning)
     if os.environ.pop(_ENDS_WITH_INPUT, ""):
         threading.Thread(target=_end_with_input, daemon=True).start()
+    sys.unraisablehook = _stop_again
     for number in (signal.SIGINT, *_ENDINGS):
         # as of Ctrl-C in the background, or of SIGHUP under nohup
         if signal.getsignal(number) is not signal.SIG_IGN:
@@ -90,7 +91,7 @@ def _end_with_input() -> None:
     os._exit(1)
 
 
-def _stop(number: int, frame: FrameType | None) -> None:
+def _stop(number: int, _: FrameType | None) -> None:
     """Stop as by Ctrl-C; at once while JAX is being loaded, which no
     exception may leave."""
     if getattr(
@@ -101,17 +102,17 @@ def _stop(number: int, frame: FrameType | None) -> None:
         os._exit(128 + number)
     if number in _ENDINGS and not _terminated:
         _terminated.append(number)
-    if _is_callback_of_garbage(frame):  # where Python drops exceptions
-        threading.Timer(0.01, os.kill, (os.getpid(), number)).start()
-        return
     raise KeyboardInterrupt
 
 
-def _is_callback_of_garbage(frame: FrameType | None) -> bool:
-    """Whether JAX is told of a collection of garbage."""
-    while frame is not None and frame.f_code.co_name != "_xla_gc_callback":
-        frame = frame.f_back
-    return frame is not None
+def _stop_again(dropped: sys.UnraisableHookArgs) -> None:
+    """Stop once more where Python dropped the exception of `_stop`: in `__del__`, in a
+    callback of a weak reference, where JAX is told of a collection of garbage."""
+    if dropped.exc_type is not KeyboardInterrupt:
+        sys.__unraisablehook__(dropped)
+        return
+    number = _terminated[0] if _terminated else signal.SIGINT
+    threading.Timer(0.01, os.kill, (os.getpid(), number)).start()
 
 
 class _Output(FileIO):

@@ -136,9 +136,12 @@ STRICT = ("-W", "error")  # warnings are errors, as in the tests
 
 
 LAUNCH = (
-    "\nimport resource, signal\n"
+    "\nimport fcntl, os, resource, signal, termios\n"
     "signal.signal(signal.SIGINT, signal.default_int_handler)"
     "  # which a background job ignores\n"
+    "signal.signal(signal.SIGHUP, signal.SIG_DFL)  # which nohup ignores\n"
+    "if os.isatty(0):\n"
+    "    fcntl.ioctl(0, termios.TIOCSCTTY, 0)  # the system then tells of its end\n"
     "resource.setrlimit(resource.RLIMIT_FSIZE, (ROOM, ROOM))\n"
     "from curlfit.__main__ import run\n"
     "run()\n"

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 import time
 
 import psutil
@@ -153,25 +151,39 @@ def test_no_process_is_left_by_a_stopped_fit(tmp_path, blow):
         assert (tmp_path / "corner.png").exists()
 
 
-IN_TERMINAL = """
-import fcntl, termios
-fcntl.ioctl(0, termios.TIOCSCTTY, 0)  # the system then tells of its end
+DROPPED = """
+import os, signal, sys, time
+import curlfit.cli
 from curlfit.__main__ import run
+
+class Gone:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGTERM)
+        for _ in range(1000):
+            pass
+
+def main():
+    Gone()
+    try:
+        time.sleep(60)
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+curlfit.cli.main = main
 run()
 """
+
+
+def test_a_signal_that_comes_where_python_drops_exceptions_stops_all_the_same():
+    done = python("-c", DROPPED)
+    assert (done.returncode, done.stderr) == (128 + signal.SIGTERM, "")
 
 
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="there are no such terminals")
 def test_a_closed_terminal_ends_a_fit_with_all_its_processes(tmp_path):
     end, terminal = os.openpty()
     words = ("fit", DATA, "--effective", 10**8, "--max-steps", 10**6, "--out", tmp_path)
-    run = subprocess.Popen(
-        [sys.executable, "-P", "-c", IN_TERMINAL, *map(str, words)],
-        start_new_session=True,
-        stdin=terminal,
-        stdout=terminal,
-        stderr=terminal,
-    )
+    run = started(*words, stdin=terminal, stdout=terminal, stderr=terminal)
     os.close(terminal)
     while run.poll() is None and not (tmp_path / "chain.h5").exists():
         time.sleep(0.05)
