@@ -48,8 +48,9 @@ from curlfit.inference.conditions import ALL
 from curlfit.inference.fit.advice import NOISE
 from curlfit.inference.fit.fit import fit
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.noise.losses import robust_sigma
 from curlfit.inference.parameters import options_of, require_known
+from curlfit.inference.verdict import Verdict
+from curlfit.losses import LOSSES
 from curlfit.records import plain
 from curlfit.settings.choices import Comparing, takes
 from curlfit.throws.friction_table import FrictionTable
@@ -171,7 +172,7 @@ def _with_free_signs(
     if isinstance(one, Candidate) or one.known["follows"] or choices["unbounded"]:
         return [one]
     at_zero = (
-        item.verdict == "at bound"
+        item.verdict == Verdict.AT_BOUND
         and item.lower == 0
         and item.value < 1e-6 * item.typical
         for item in one.result.coefficients.values()
@@ -209,10 +210,10 @@ def _fitted(
         "negative": _needed_negative(result),
         "fitted": {name: result.fitted[name].tolist() for name in PLACE},
     }
-    if result.loss != "linear":
-        known["bulk"] = {
-            name: robust_sigma(r) for name, r in residuals_of(result).items()
-        }
+    loss = LOSSES[result.loss]
+    if loss.is_robust:
+        residuals = residuals_of(result)
+        known["bulk"] = {name: loss.size(r) for name, r in residuals.items()}
     return Fitted(known, result, likelihood, adequate)
 
 

@@ -14,6 +14,7 @@ from curlfit.comparison.result import (
     Comparison,
     Lacking,
 )
+from curlfit.losses import LOSSES
 from curlfit.output import figures as draw
 
 _MOST = 4  # other laws drawn
@@ -61,7 +62,7 @@ def comparison_figure(comparison: Comparison) -> draw.Picture:
     path.legend(loc="upper left", bbox_to_anchor=(1.1, 1.04), labelspacing=0.3)
     residual.axhline(0, **draw.ZERO_LINE)
     residual.set(xlabel="t (s)", ylabel="residual of x (mm)")
-    _sizes(dots, shown, "rms" if comparison.loss == "linear" else "bulk")
+    _sizes(dots, shown, "bulk" if LOSSES[comparison.loss].is_robust else "rms")
     panels = [path, residual]
     if lacking is not None:
         by_label = {

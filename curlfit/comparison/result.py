@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 
 from curlfit.inference.fit.result import DataOfFit, FitResult, LossName
-from curlfit.inference.identifiability import Verdict
+from curlfit.inference.verdict import Verdict
 from curlfit.numerics.arrays import Floats
 from curlfit.output.frames import frame
 from curlfit.records import SERIES, UNSAVED, Matrix, Record, keys, require, require_rows

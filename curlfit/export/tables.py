@@ -14,6 +14,7 @@ from curlfit.foreign import counted, csv_lines, printable
 from curlfit.inference.derived import Derived, to_its_side
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.identifiability import Combination
+from curlfit.inference.verdict import Verdict
 from curlfit.output.console import PlainTable
 from curlfit.output.text import compact, from_to
 from curlfit.version import __version__
@@ -96,8 +97,8 @@ def rows_of(result: FitResult | JointResult, *, in_words: bool = False) -> list[
         **quoted,
     }
     for name, item in everything.items():
-        verdict = getattr(item, "verdict", "determined")
-        value = None if verdict == "not identifiable" else item.value
+        verdict = getattr(item, "verdict", Verdict.DETERMINED)
+        value = None if verdict == Verdict.NOT_IDENTIFIABLE else item.value
         systematic = item.systematic if isinstance(item, Derived) else errors.get(name)
         cells = (
             name,
@@ -319,8 +320,8 @@ def _estimate(row: Row) -> str:
     if row.cells["value"] is None:
         return "not identifiable"
     text = _number(compact(row.item.value, row.item.stderr))
-    said = "with prior" if verdict == "prior" else verdict
-    return text if verdict == "determined" else f"{text} ({said})"
+    said = "with prior" if verdict == Verdict.PRIOR else verdict
+    return text if verdict == Verdict.DETERMINED else f"{text} ({said})"
 
 
 def _number(text: str) -> str:

@@ -35,6 +35,7 @@ from curlfit.inference.identifiability import (
     classify,
     r_factor,
 )
+from curlfit.inference.verdict import Verdict
 from curlfit.numerics.arrays import Floats
 from curlfit.optimal_design.departures import errors_along, expected_departures
 from curlfit.optimal_design.information import (
@@ -268,10 +269,10 @@ def _expected(
     found = _identifiability(assumed, factor)
     combinations = tuple(departures.kept(found.combinations))
     stderr: dict[str, float | None] = {}
-    verdicts: dict[str, str] = {}
+    verdicts: dict[str, Verdict] = {}
     for coefficient in assumed.law.coefficients():
         name = coefficient.name
-        stderr[name], verdicts[name] = None, "fixed"
+        stderr[name], verdicts[name] = None, Verdict.FIXED
         if name in assumed.names:
             index = assumed.names.index(name)
             typical = float(assumed.typical[index])

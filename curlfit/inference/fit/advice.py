@@ -57,7 +57,7 @@ def curl_warnings(fits: Sequence[FitResult]) -> list[str]:
         what = f"the measured curl of {abs(curls[0]):.2f} m to the {side} is"
     else:
         what = f"the measured curls of {len(curls)} of {len(fits)} throws are"
-    in_heading = first.parameters["heading"].verdict != "fixed"
+    in_heading = first.parameters["heading"].verdict.is_free
     where = ["in the heading"] * in_heading
     where += ["in the residuals"] * (bool(first.rms) or not in_heading)
     return [

@@ -44,11 +44,11 @@ from curlfit.inference.likelihood import (
 )
 from curlfit.inference.model import Model
 from curlfit.inference.noise.linearized import Linearized
-from curlfit.inference.noise.losses import robust_sigma
-from curlfit.inference.noise.models import LOSSES, Noise, time_of_motion
+from curlfit.inference.noise.models import Noise, time_of_motion
 from curlfit.inference.noise.restricted import estimate
 from curlfit.inference.noise.whitening import Whitener
 from curlfit.inference.problem import ROWS_OF_DATA, Problem, build_problem
+from curlfit.losses import LINEAR, Loss, place_of, robust_sigma
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import stacked
 from curlfit.throws.throw import CHANNELS, Throw
@@ -77,7 +77,7 @@ class Rounds:
         model: Model,
         throws: Sequence[PreparedThrow],
         *,
-        loss: str = "linear",
+        loss: Loss = LINEAR,
         noise: str = "white",
         shape: tuple[int, int] | None = None,
         batch: int = 1,
@@ -137,7 +137,7 @@ class Rounds:
         self.free = np.stack([throw.parameters.free for throw in throws])
         self.noises = [Noise(noise)] * len(throws)
         self.failures: dict[int, InputError] = {}
-        robust = _ROBUST_FITS if loss != "linear" else 0
+        robust = _ROBUST_FITS if loss.is_robust else 0
         self._rounds: list[Callable[[Indices, Solution], None]] = [
             self._estimate_sigma,
             self._tighten,
@@ -180,7 +180,7 @@ class Rounds:
         """Optima of all throws with the sigmas of their own residuals in place of
         those that the fit estimated before, where that is by least squares with
         independent noise."""
-        plain = self.loss == "linear" and self.noises[0].kind == "white"
+        plain = not self.loss.is_robust and self.noises[0].kind == "white"
         if not (plain and self.unknown.any()):
             return solutions
         sigma = residual_sigma(solutions, self.problems, self.free) + SIGMA_FLOOR
@@ -246,7 +246,7 @@ class Rounds:
                 there = problems.weight[place, row] > 0
                 bulk = robust_sigma(residual[place, row, there])
                 self.sigma[throw, row] = bulk * self.sigma[throw, row] + SIGMA_FLOOR
-        self.problems.loss[now] = LOSSES.index(self.loss)
+        self.problems.loss[now] = place_of(self.loss)
         # without sigmas
         self._next[now[~self.unknown[now].any(1)]] = _WITH_SIGMA + _ROBUST_FITS
         self._reweight(now)

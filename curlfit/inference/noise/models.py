@@ -23,15 +23,11 @@ from typing import Self
 import numpy as np
 
 from curlfit.numerics.arrays import Floats
-from curlfit.settings.choices import LOSS, NOISE
+from curlfit.settings.choices import NOISE
 
 _SURE = 3.5  # standard deviations from which independence is rejected
 _MATTERS = 0.2  # lag-1 correlation below which errors would hardly change
 
-
-LOSSES = LOSS.names
-"""How much large residuals count; for the formulas see
-`curlfit.inference.noise.losses`."""
 
 NOISES = NOISE.names
 """How noise is correlated from row to row."""
