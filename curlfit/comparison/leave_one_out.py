@@ -82,7 +82,7 @@ def leave_one_out(
     """Cross-validation of a fit, by the program of a family of laws; None under a
     robust loss or correlated noise, where a row alone determines a parameter, and where
     the law admits no motion near the fit."""
-    if LOSSES[result.loss].is_robust or result.noise.kind != "white":
+    if LOSSES[result.loss].is_robust or not result.noise.is_white:
         return None
     known, where = Posterior.of(result), result.parameter_set.free
     problem, origin = problem_of(result)

@@ -24,6 +24,7 @@ from curlfit.losses import LOSSES
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Said, Section, command_line, show
 from curlfit.output.text import compact, join_words, rows_text, stone_text
+from curlfit.settings.noise_kinds import NoiseKind
 
 _PROBABLE = 0.01  # weight of a law that is named
 _SEEN = 3.0  # standard errors
@@ -53,7 +54,7 @@ def document(comparison: Comparison) -> Document:
     loss = LOSSES[comparison.loss].suffix
     noise = (
         ""
-        if comparison.noise == "white"
+        if comparison.noise == NoiseKind.WHITE
         else f", {join_words(comparison.noises)} noise"
     )
     bend = (

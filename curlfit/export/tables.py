@@ -262,7 +262,7 @@ def _caption(result: FitResult | JointResult) -> str:
     )
     if result.systematics.errors:
         text += "; systematic errors come from conditions that the fit holds fixed"
-    if fits and fits[0].noise.kind != "white":
+    if fits and not fits[0].noise.is_white:
         text += f"; noise model {escaped(fits[0].noise.kind)}"
     return f"{text}. {_software()}"
 

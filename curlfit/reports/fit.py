@@ -70,7 +70,7 @@ def document(fit: FitResult) -> Document:
     """What a fit says."""
     data = fit.data
     loss = LOSSES[fit.loss].suffix
-    noise = "" if fit.noise.kind == "white" else f", {fit.noise.kind} noise"
+    noise = fit.noise.kind.suffix
     hidden = any(
         item.verdict.is_open or item.verdict == Verdict.AT_BOUND
         for item in fit.parameters.values()
@@ -291,7 +291,7 @@ def _quality(fit: FitResult) -> PlainTable:
             "": fit.data["sigma"][name],
             "lag-1 correlation": f"{fit.lag1[name]:.2f}" if name in fit.lag1 else "",
         }
-        if fit.noise.kind != "white":
+        if not fit.noise.is_white:
             after = fit.independence.get(name)
             row["noise model"] = _memory(fit, name)
             row["lag-1 after whitening"] = f"{after.lag1:.2f}" if after else ""

@@ -48,6 +48,7 @@ from curlfit.settings.forms import (
     option,
     whole,
 )
+from curlfit.settings.noise_kinds import NoiseKind
 from curlfit.stone import Stone
 
 READING = Group("How to read DATA", sort_key=1)
@@ -73,9 +74,7 @@ FILE = Form(
 )
 LOAD = OneOf("load", ("uniform", "consistent"))
 LOSS = OneOf("loss", tuple(LOSSES))
-NOISE = OneOf(
-    "noise", ("white", "ar1", "discrepancy"), **{"ar1+discrepancy": "discrepancy"}
-)
+NOISE = OneOf("noise", tuple(NoiseKind), **{"ar1+discrepancy": NoiseKind.DISCREPANCY})
 NOISES = Several(NOISE, "noise models", "noise models with commas between", text=True)
 LOADS = OneOf("load", (*LOAD.names, "both"))
 LAW = Form(
@@ -381,7 +380,7 @@ class Estimation(Rows):
         noise = getattr(self, "noise", ())
         kinds = [noise] if isinstance(noise, str) else list(noise)
         for kind in kinds:
-            if kind != "white" and LOSSES[self.loss].is_robust:
+            if kind != NoiseKind.WHITE and LOSSES[self.loss].is_robust:
                 raise InputError(
                     f"noise {kind} and loss {self.loss} cannot be combined: "
                     "a robust loss takes each value by itself"

@@ -64,7 +64,7 @@ def warnings_of(
     ]
     if outliers and not fit.loss.is_robust:
         warnings.append(outlier_warning(outliers, throw.t))
-    if not fit.loss.is_robust and fit.noise.kind == "white":
+    if not fit.loss.is_robust and fit.noise.is_white:
         warnings += _of_given_sigma(throw, residual, outliers)
     ridges = of_ridges(result.parameters, departures, result.products)
     return (*warnings, *_of_memory(result), *_of_events(result), *ridges)
@@ -114,7 +114,7 @@ def _of_correlation(result: FitResult) -> list[str]:
     if not doubtful:
         return []
     listed = ", ".join(f"{item.lag1:.2f} in {name}" for name, item in doubtful.items())
-    if result.noise.kind != "white":
+    if not result.noise.is_white:
         return [
             f"noise {result.noise.kind} does not describe these residuals, "
             f"which stay correlated from row to row (lag-1 correlation {listed}); "

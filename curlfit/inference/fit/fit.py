@@ -45,6 +45,7 @@ from curlfit.losses import LOSSES, loss_at
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import BATCH, side_by_side, stacked, unstacked
 from curlfit.settings.choices import Fitting, takes
+from curlfit.settings.noise_kinds import NoiseKind
 from curlfit.throws.throw import Reference, Throw, require_throw
 
 _MOST_REST_SEARCHES = 20  # each moves the rest by up to eight rows
@@ -138,7 +139,7 @@ def _fit(
     )
 
 
-def refit(fit: FitResult, noise: str) -> FitResult:
+def refit(fit: FitResult, noise: NoiseKind) -> FitResult:
     """Repeat a fit under another noise model, starting from its optimum."""
     throw, origin = fit.throw, Origin.of(fit.throw)
     rows = {name: fit.data[name] for name in ("since", "until", "exclude")}
@@ -378,7 +379,7 @@ def fit_throws(
     law = find_law(common.law)
     loss = LOSSES[common.loss]
     noise = common.noise
-    curves = curves or loss.is_robust or noise != "white"
+    curves = curves or loss.is_robust or noise != NoiseKind.WHITE
     found: dict[int, Any] = {}
     groups: dict[tuple[int, int, tuple[str, ...]], dict[int, PreparedThrow]] = {}
     for index, throw in enumerate(throws):

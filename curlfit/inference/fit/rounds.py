@@ -51,6 +51,7 @@ from curlfit.inference.problem import ROWS_OF_DATA, Problem, build_problem
 from curlfit.losses import LINEAR, Loss, place_of, robust_sigma
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import stacked
+from curlfit.settings.noise_kinds import NoiseKind
 from curlfit.throws.throw import CHANNELS, Throw
 
 _ROBUST_FITS = 4  # each with sigma from the bulk of the last
@@ -78,13 +79,13 @@ class Rounds:
         throws: Sequence[PreparedThrow],
         *,
         loss: Loss = LINEAR,
-        noise: str = "white",
+        noise: str = NoiseKind.WHITE,
         shape: tuple[int, int] | None = None,
         batch: int = 1,
     ) -> None:
         """`shape` is that of all problems; `batch` the number of paths integrated
         side by side."""
-        if noise != "white":
+        if noise != NoiseKind.WHITE:
             for one in throws:
                 if one.throw.events and one.throw.has_path:
                     raise InputError(
@@ -114,8 +115,8 @@ class Rounds:
         self.initial_problems = self.problems = built(
             [one.throw for one in throws], shape
         )
-        if noise != "white":
-            size, blank = len(throws[0].parameters), Noise(noise)
+        if noise != NoiseKind.WHITE:
+            size, blank = len(throws[0].parameters), Noise(NoiseKind(noise))
             each = zip(self.problems.times, self.problems.weight, strict=True)
             whiteners = stacked([Whitener.of(blank, *one, size) for one in each])
             self.problems = self.problems._replace(whitener=whiteners)
@@ -135,15 +136,16 @@ class Rounds:
         )
         self._estimated = np.zeros_like(self.sigma)
         self.free = np.stack([throw.parameters.free for throw in throws])
-        self.noises = [Noise(noise)] * len(throws)
+        self.noises = [Noise(NoiseKind(noise))] * len(throws)
         self.failures: dict[int, InputError] = {}
         robust = _ROBUST_FITS if loss.is_robust else 0
         self._rounds: list[Callable[[Indices, Solution], None]] = [
             self._estimate_sigma,
             self._tighten,
             *[self._estimate_robust_sigma] * robust,
-            *[self._estimate_noise] * (noise != "white"),
         ]
+        if noise != NoiseKind.WHITE:
+            self._rounds.append(self._estimate_noise)
         self._next = np.where(self.unknown.any(1), 0, _WITH_SIGMA)
 
     def starts(self) -> tuple[SmoothPath, Floats]:
@@ -180,7 +182,7 @@ class Rounds:
         """Optima of all throws with the sigmas of their own residuals in place of
         those that the fit estimated before, where that is by least squares with
         independent noise."""
-        plain = not self.loss.is_robust and self.noises[0].kind == "white"
+        plain = not self.loss.is_robust and self.noises[0].is_white
         if not (plain and self.unknown.any()):
             return solutions
         sigma = residual_sigma(solutions, self.problems, self.free) + SIGMA_FLOOR
@@ -297,7 +299,7 @@ class Rounds:
         _, lower, upper = local_bounds([one])
         adjustable = ((lower < solution.values) & (solution.values < upper))[0]
         typical, n = one.parameters.typical, len(one.throw)
-        if self.noises[index].kind == "discrepancy":
+        if self.noises[index].kind == NoiseKind.DISCREPANCY:
             return linearized(
                 self.model,
                 problem,
