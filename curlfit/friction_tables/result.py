@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from os import PathLike
-from typing import Any
+from typing import Annotated, Any
 
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.identifiability import Combination
 from curlfit.numerics.arrays import Floats
-from curlfit.records import Arrays, Record, require_rows
+from curlfit.records import Arrays, Record, keys, require_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ class FrictionFits(Record):
     'determined'
     """
 
-    data: dict[str, Any]
+    data: Annotated[dict[str, Any], keys(file=str, sigma=str)]
     observed: Arrays
     fits: tuple[FrictionFit, ...]
 
