@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from functools import partial
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from curlfit.friction.base import Law, LocalLaw, Motion, NetLaw, RingPoint
-from curlfit.friction.divisions import HALVES, Friction, sums
 from curlfit.numerics.arrays import Floats
 from curlfit.stone import Stone
 
@@ -118,31 +118,21 @@ class Sampled:
             found.append(np.asarray(values)[: len(rows[used])])
         return np.concatenate(found).T
 
-    def friction(self, conditions: Conditions, *, relative: bool = True) -> Friction:
-        """Friction under these conditions; `relative` to its mean over the
-        ring in each."""
-        every = np.arange(len(conditions.speed))
-
-        def friction(angles: Floats) -> Floats:
-            shape = len(every), angles.shape[1]
-            rows = np.broadcast_to(every[:, None], shape)
-            found = self._run(
-                conditions, rows.ravel(), np.broadcast_to(angles, shape).ravel()
-            )
-            return found.reshape(3, *shape)
-
-        if not relative:
-            return friction
-        size = self.size(conditions)[:, None]
-        return lambda angles: friction(angles) / size
+    def at_angles(self, conditions: Conditions, angles: Floats) -> Floats:
+        """Force to the right, forward and moment at polar angles of shape
+        (conditions, n) or (1, n): shape (3, conditions, n)."""
+        count = len(conditions.speed)
+        shape = count, angles.shape[1]
+        rows = np.broadcast_to(np.arange(count)[:, None], shape)
+        points = np.broadcast_to(angles, shape)
+        return self._run(conditions, rows.ravel(), points.ravel()).reshape(3, *shape)
 
     def size(self, conditions: Conditions) -> Floats:
         """Mean magnitude of friction on the ring, shape (n,)."""
         angles = np.linspace(-np.pi, np.pi, 60, endpoint=False)[None] + 0.01
-        found: Floats = np.hypot(
-            *self.friction(conditions, relative=False)(angles)[:2]
-        ).mean(-1)
-        return found
+        right, forward, _ = self.at_angles(conditions, angles)
+        magnitude: Floats = np.hypot(right, forward).mean(-1)
+        return magnitude
 
     def usable(self, conditions: Conditions) -> Conditions:
         """Those of the conditions in which there is friction, a finite one."""
@@ -150,30 +140,56 @@ class Sampled:
         return conditions.take(np.flatnonzero(np.isfinite(size) & (size > 0)))
 
     def ends(self, conditions: Conditions) -> Floats:
-        """Angles between the parts in which the law is summed: (conditions,
-        k) or (1, k)."""
+        """Polar angles between the parts in which the law is summed, shape
+        (conditions, k): ends of the halves and edges."""
         assert issubclass(self.law, LocalLaw)
         edges = self.law.from_vector(conditions.coefficients.T).edges(conditions.turned)
-        n = len(conditions.speed)
-        front, back = (
-            [
-                np.clip(np.broadcast_to(np.asarray(angle, float), n), *limits)
-                for angle in angles
-            ]
-            for angles, limits in ((edges.front, (0, np.pi)), (edges.back, (-np.pi, 0)))
-        )
-        return np.sort(
-            np.stack([*np.tile(HALVES, (n, 1)).T, *front, *back], axis=1), axis=1
-        )
+        shape = conditions.speed.shape
+        ends = [np.full(shape, end) for end in (-np.pi, 0.0, np.pi)]
+        for angle in edges.front:
+            ends.append(np.clip(np.broadcast_to(angle, shape), 0, np.pi))
+        for angle in edges.back:
+            ends.append(np.clip(np.broadcast_to(angle, shape), -np.pi, 0))
+        return np.sort(np.stack(ends, axis=1), axis=1)
 
-    def net(self, conditions: Conditions) -> Floats:
-        """Friction of the whole stone: shape (3, n)."""
-        if issubclass(self.law, LocalLaw):
-            return sums(
-                self.friction(conditions, relative=False), self.ends(conditions)
-            )
-        rows = np.arange(len(conditions.speed))
-        return self._run(conditions, rows, 0.0 * rows)
+    def net(self, conditions: Conditions, sections: int = 1) -> Floats:
+        """Friction of the whole stone, shape (3, n): of a law of the ring the sum over
+        the points of a fit, or over as many in each of several sections of the parts
+        between edges."""
+        if not issubclass(self.law, LocalLaw):
+            rows = np.arange(len(conditions.speed))
+            return self._run(conditions, rows, 0.0 * rows)
+        total = np.zeros((3, len(conditions.speed)))
+        for low, high in pairwise(self.ends(conditions).T):
+            angles, weights = _ring_rule(conditions, low, high, sections)
+            total += (self.at_angles(conditions, angles) * weights).sum(-1)
+        return total
+
+
+def _ring_rule(
+    conditions: Conditions, low: Floats, high: Floats, sections: int
+) -> tuple[Floats, Floats]:
+    """Polar angles and weights of the Gauss points between two angles of one half, each
+    of shape (n,): two arrays of shape (n, points)."""
+    import jax.numpy as jnp  # only for user-defined laws
+
+    from curlfit.numerics import ring_nodes
+
+    clustering = ring_nodes.node_clustering(
+        jnp.asarray(conditions.speed), jnp.asarray(STONE.R * conditions.omega)
+    )
+    side = clustering.side
+    sign = jnp.where(jnp.asarray(low + high) > 0, 1.0, -1.0)  # of the half
+    at_low = ring_nodes.half_angle(sign * low, side)
+    at_high = ring_nodes.half_angle(sign * high, side)
+    # half angles may decrease with the polar angle
+    ends = jnp.minimum(at_low, at_high), jnp.maximum(at_low, at_high)
+    angles, weights = [], []
+    for section in pairwise(np.linspace(0, 1, sections + 1)):
+        nodes = ring_nodes.nodes_between(ends, clustering, section)
+        angles.append(ring_nodes.polar_angle(nodes.half_angle, (1 + sign) / 2, side))
+        weights.append(nodes.weight * ring_nodes.GAUSS_WEIGHTS[:, None])
+    return np.concatenate(angles).T, np.concatenate(weights).T
 
 
 def _at_point(law: type[LocalLaw], coefficients: Any, *at: Any) -> Any:
