@@ -53,8 +53,10 @@ _JUMP = 0.004
 _STEPS = 400  # of each half, or part between edges, among which a jump is looked for
 _BESIDE = 1e-6  # rad, from the ends, where friction may jump
 _MOST_SAID = 4  # jumps in a message
-_DURATION, _INTERVAL = 25.0, 0.01  # s, in which changes are looked for
-_SPEED, _SPINS = 2.0, (1.5, -1.5)  # m/s and rad/s, of the motion meanwhile
+_DURATION = 25.0  # s, in which changes are looked for
+_INTERVAL = 0.01  # s
+_SPEED = 2.0  # m/s, of the motion meanwhile
+_SPINS = 1.5, -1.5  # rad/s
 _LARGEST_SHIFT = 1e-4  # m, of the path, if the steps in time are too long for a change
 _STEP_RATES = 0.8, 7.1
 """Inverse length of a step in 1/s, and its increase per 1/s of `quickness`, at the
@@ -194,16 +196,13 @@ class Check:
     def _opposes(self, power: Any, conditions: str) -> None:
         """Refuse a law whose friction does not oppose the motion; warn of one that
         drives some points of the ring."""
-        local = issubclass(self.law, LocalLaw)
+        direction = "motion"
+        if issubclass(self.law, LocalLaw):
+            direction = "sliding, as -mu * point.e_xi, -mu * point.e_eta"
         if np.sum(power) > _ROUNDING:
             self.refuse(
                 f"{self.law.__name__} {conditions}, drives the stone; "
-                "expected a force against the "
-                + (
-                    "sliding, as -mu * point.e_xi, -mu * point.e_eta"
-                    if local
-                    else "motion"
-                )
+                f"expected a force against the {direction}"
             )
         if np.max(power) > _ROUNDING:
             warn_once(
@@ -215,12 +214,13 @@ class Check:
         """Compare the sum over the ring by the points of a fit with one by 20 times as
         many; refuse a law that jumps at angles that it does not declare, and warn of
         one with a kink."""
-        law, sampled = self.law, self.sampled
-        if not issubclass(law, LocalLaw):
+        if not issubclass(self.law, LocalLaw):
             return
-        conditions = sampled.usable(sample(law, _MOTIONS, seed=0))
-        difference = sampled.net(conditions) - sampled.net(conditions, _SECTIONS)
-        errors = np.abs(difference).max(0) / sampled.size(conditions)
+        name = self.law.__name__
+        sampled = self.sampled
+        conditions = sampled.usable(sample(self.law, _MOTIONS, seed=0))
+        change = sampled.net(conditions) - sampled.net(conditions, _SECTIONS)
+        errors = np.abs(change).max(0) / sampled.size(conditions)
         error = errors.max(initial=0.0)
         if not error > _SMALL_ERROR:
             return
@@ -234,13 +234,13 @@ class Check:
         place = f"{', '.join(ranges)} (error of its sum over the ring: {error:.2%})"
         if jumps or error > _LARGEST_ERROR:
             self.refuse(
-                f"{law.__name__}: friction jumps, or changes within a narrow range, "
+                f"{name}: friction jumps, or changes within a narrow range, "
                 f"{place}; {_EDGES}; if they depend on the speed, the load or the "
                 f"time, {_GRADUAL}"
             )
         warn_once(
-            f"{self.file}: {law.__name__}: friction has a kink, or changes within a "
-            f"narrow range, {place}; {_EDGES}"
+            f"{self.file}: {name}: friction has a kink, or changes within a narrow "
+            f"range, {place}; {_EDGES}"
         )
 
     def _steps(self, condition: Conditions) -> list[Step]:
@@ -254,12 +254,14 @@ class Check:
             friction = self.sampled.at_angles(condition, angles[None])[:, 0] / size
             # the first and the last have a neighbour on one side, taken for both
             changes = np.pad(np.diff(friction), ((0, 0), (1, 1)), mode="reflect")
-            before, here, after = changes[:, :-2], changes[:, 1:-1], changes[:, 2:]
-            # At a kink the step lies between its neighbours, at a jump beyond both.
-            excess = np.abs(here) - np.maximum(np.abs(before), np.abs(after))
-            bend = np.abs(here - (before + after) / 2)
-            found = zip(excess.max(0), bend.max(0), angles, angles[1:], strict=False)
-            steps += [Step(*map(float, step)) for step in found]
+            before = changes[:, :-2]
+            change = changes[:, 1:-1]
+            after = changes[:, 2:]
+            # At a kink a change lies between its neighbours, at a jump beyond both.
+            excess = np.abs(change) - np.maximum(np.abs(before), np.abs(after))
+            bend = np.abs(change - (before + after) / 2)
+            rows = zip(excess.max(0), bend.max(0), angles, angles[1:], strict=False)
+            steps += [Step(*map(float, row)) for row in rows]
         return steps
 
     def changes(self) -> None:
@@ -309,19 +311,14 @@ class Check:
         )
 
 
-def _toward(others: Conditions, same: Conditions, field: str) -> Floats:
-    """A field of a condition, changed a little in the direction of others."""
-    now: Floats = getattr(same, field)
-    return now + 0.03 * (getattr(others, field) - now)
-
-
 def _course(coefficients: Floats, spin: float) -> Conditions:
     """A motion at constant speed and spin."""
     time = np.arange(0.0, _DURATION, _INTERVAL)
-    one = np.ones_like(time)
+    ones = np.ones_like(time)
+    zeros = np.zeros_like(time)
     repeated = np.broadcast_to(coefficients, (len(time), len(coefficients)))
     return Conditions(
-        repeated, _SPEED * one, spin * one, spin * time, time, 0 * one, 0 * one
+        repeated, _SPEED * ones, spin * ones, spin * time, time, zeros, zeros
     )
 
 
@@ -337,7 +334,8 @@ def _shift(
     """
     time = np.arange(net.shape[1]) * _INTERVAL
     ends = _steps(law, spin, more)
-    low, high = time[ends[:-1]], time[ends[1:]]
+    low = time[ends[:-1]]
+    high = time[ends[1:]]
     # of the order of the integrator
     nodes, weights = np.polynomial.legendre.leggauss(3)
     at = (low + high)[:, None] / 2 + (high - low)[:, None] / 2 * nodes
@@ -362,12 +360,12 @@ def _steps(law: Law, spin: float, more: float) -> list[int]:
     turning = abs(spin) * (np.arange(len(time)) < max(corners, default=0))
     rate = _STEP_RATES[0] + _STEP_RATES[1] * (law.quickness(time) + turning + more)
     sizes = np.maximum((1 / rate / _INTERVAL).astype(int), 1)
-    ends, last = [0], len(time) - 1
+    last = len(time) - 1
+    ends = [0]
     while ends[-1] < last:
-        here = ends[-1]
-        ends.append(
-            min(here + int(sizes[here]), last, *(c for c in corners if c > here))
-        )
+        begin = ends[-1]
+        corners_ahead = [corner for corner in corners if corner > begin]
+        ends.append(min(begin + int(sizes[begin]), last, *corners_ahead))
     return ends
 
 

@@ -43,22 +43,21 @@ def sample(law: type[Law], count: int, seed: int) -> Conditions:
     items = law.coefficients()
     default = np.array([item.default for item in items])
     reach = np.array([max(abs(item.default) / 2, item.typical) for item in items])
-    lower, upper = (
-        np.array([(item.lower, item.upper) for item in items]).reshape(-1, 2).T
-    )
+    lower = np.array([item.lower for item in items])
+    upper = np.array([item.upper for item in items])
 
     def coefficients() -> Floats:
         for _ in range(_MOST_TRIES):
-            found = np.clip(
-                default + reach * random.uniform(-1, 1, len(items)), lower, upper
-            )
-            if law.from_vector(found).fault() is None:
-                return found
+            values = default + reach * random.uniform(-1, 1, len(items))
+            values = np.clip(values, lower, upper)
+            if law.from_vector(values).fault() is None:
+                return values
         return default
 
     speed = 3 * (np.arange(count) + random.uniform(0.02, 1, count)) / count
     epsilon = random.uniform(*_SPIN_RATIOS, count)
-    speed[::8], epsilon[::8] = 0.1 * random.uniform(0.2, 1, len(speed[::8])), _IN_PLACE
+    speed[::8] = 0.1 * random.uniform(0.2, 1, len(speed[::8]))
+    epsilon[::8] = _IN_PLACE
     omega = np.minimum(epsilon * speed / STONE.R, 4.0) * random.choice([-1, 1], count)
     return Conditions(
         np.array([coefficients() for _ in range(count)]),
@@ -72,9 +71,11 @@ def sample(law: type[Law], count: int, seed: int) -> Conditions:
 
 def ring_points(alpha: Any, motion: Motion, array: Any = np) -> RingPoint:
     """Points of the ring at polar angles; `array` is numpy or jax.numpy."""
-    xi, eta = array.cos(alpha), array.sin(alpha)
+    xi = array.cos(alpha)
+    eta = array.sin(alpha)
     spin = STONE.R * motion.omega
-    slide_xi, slide_eta = -spin * eta, motion.speed + spin * xi  # eq. 16
+    slide_xi = -spin * eta  # eq. 16
+    slide_eta = motion.speed + spin * xi
     speed = array.hypot(slide_xi, slide_eta)
     return RingPoint(
         xi=xi,
@@ -107,16 +108,16 @@ class Sampled:
     def _run(self, conditions: Conditions, rows: Any, alpha: Any) -> Floats:
         """Force to the right, forward and moment for pairs of a condition and an
         angle: (3, n)."""
-        found = []
+        parts = []
         for first in range(0, len(rows), _POINTS):
-            used = slice(first, first + _POINTS)
-            edge = (0, _POINTS - len(rows[used]))
-            row, angle = (
-                np.pad(part[used], edge, mode="edge") for part in (rows, alpha)
-            )
+            part = slice(first, first + _POINTS)
+            count = len(rows[part])
+            padding = (0, _POINTS - count)
+            row = np.pad(rows[part], padding, mode="edge")
+            angle = np.pad(alpha[part], padding, mode="edge")
             values = self._program(*conditions.take(row), angle)
-            found.append(np.asarray(values)[: len(rows[used])])
-        return np.concatenate(found).T
+            parts.append(np.asarray(values)[:count])
+        return np.concatenate(parts).T
 
     def at_angles(self, conditions: Conditions, angles: Floats) -> Floats:
         """Force to the right, forward and moment at polar angles of shape

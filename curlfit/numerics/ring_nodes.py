@@ -24,7 +24,8 @@ _MIN_DISTANCE = 5e-5
 
 # The error of the force is 1e-14 at |epsilon| = 0.7, 1e-9 at 0.98.
 _x, _w = np.polynomial.legendre.leggauss(NODES)
-_GAUSS_NODES, GAUSS_WEIGHTS = (_x + 1) / 2, _w / 2
+_GAUSS_NODES = (_x + 1) / 2
+GAUSS_WEIGHTS = _w / 2
 
 
 def singularity_distance(v: Array, u: Array) -> Array:
@@ -90,8 +91,10 @@ def _nodes(side: Array, width: Array, sinh_range: Array, low: Any, high: Any) ->
     t = width * (exponential - 1 / exponential) / 2
     dt = (high - low) * sinh_range * width * (exponential + 1 / exponential) / 2
     q = 1 / (1 + t**2)
-    sin_b, cos_b = 2 * t * q, (1 - t**2) * q
-    square_sin, square_cos = sin_b**2, cos_b**2
+    sin_b = 2 * t * q
+    cos_b = (1 - t**2) * q
+    square_sin = sin_b**2
+    square_cos = cos_b**2
     return Nodes(
         # The slowest point is on the left (alpha = pi) for counter-clockwise spin.
         xi=side * (square_sin - square_cos),

@@ -208,9 +208,9 @@ def design(
     else:
         words += pair.words()
         chosen |= {"discrepancy": record.discrepancy, **pair.given()}
-    found = _computed(first, between, chosen, output)
-    made = replace(found, command=command_line("design", *words))
-    return output.finish(made, claim_folder(output.out or Path("design")), drawn)
+    result = _computed(first, between, chosen, output)
+    result = replace(result, command=command_line("design", *words))
+    return output.finish(result, claim_folder(output.out or Path("design")), drawn)
 
 
 def _require_only(between: Sequence[Any], others: dict[str, Any]) -> None:

@@ -178,14 +178,14 @@ def _designed(
     throws: int,
 ) -> Design:
     """The design of throws among planned ones."""
-    law, load = assumed.law, assumed.load
+    law = assumed.law
     records = assumed.records(planned)
     factors = assumed.factors(planned)
     candidates = CandidateSet.from_factors(factors)
     together = combined(factors)
     if not candidates.rank:
         raise InputError(f"these throws determine no coefficient of law {law.name}")
-    known = _identifiability(assumed, together)
+    identifiability = _identifiability(assumed, together)
     if pair is None:
         pair = _undetermined_pair(assumed, planned)
     difference = {} if pair is None else _difference(assumed, pair, together)
@@ -205,35 +205,32 @@ def _designed(
             selections.items(), departures, strict=False
         )
     }
-    quantities = _quantities(assumed, known, best.values()) | difference
-    made = plans[0]
-    curves = _curves(assumed, made, candidates, quantities)
-    found = scenarios(assumed, made, quantities)
+    quantities = _quantities(assumed, identifiability, best.values()) | difference
     separation = None
     if pair is not None:
         separation = _separation(assumed, pair, planned, throws, best)
-    items = {item.name: item for item in law.coefficients()}
+    coefficients = {item.name: item for item in law.coefficients()}
     return Design(
         law=law.name,
-        load=load,
+        load=assumed.load,
         stone=planned[0].stone,
-        coefficients=dict(zip(items, assumed.values.tolist(), strict=True)),
-        symbols={name: item.symbol for name, item in items.items()},
-        units={name: item.unit for name, item in items.items()},
-        typical={name: item.typical for name, item in items.items()},
+        coefficients=dict(zip(coefficients, assumed.values.tolist(), strict=True)),
+        symbols={name: item.symbol for name, item in coefficients.items()},
+        units={name: item.unit for name, item in coefficients.items()},
+        typical={name: item.typical for name, item in coefficients.items()},
         sigma=dict(assumed.sigma),
         until=assumed.until,
         throws=throws,
         candidates=tuple(
             Candidate(
                 *throw[:3],
-                one.rows,
-                one.last,
-                one.rest,
-                one.distance,
+                record.rows,
+                record.last,
+                record.rest,
+                record.distance,
                 errors_along(assumed, factor, quantities, departures_of_throw),
             )
-            for throw, one, factor, departures_of_throw in zip(
+            for throw, record, factor, departures_of_throw in zip(
                 planned, records, factors, departures[len(plans) :], strict=True
             )
         ),
@@ -241,17 +238,18 @@ def _designed(
         rank=candidates.rank,
         free=len(assumed.free),
         best=best,
-        curves=curves,
+        curves=_curves(assumed, plans[0], candidates, quantities),
         separation=separation,
         notes=_notes(assumed.discrepancy),
         discrepancy=assumed.discrepancy,
-        scenarios=found,
+        scenarios=scenarios(assumed, plans[0], quantities),
     )
 
 
 def _identifiability(assumed: Assumptions, factor: Floats) -> Identifiability:
     """What an R factor of information determines."""
-    typical, bounded = assumed.typical, assumed.bounded
+    typical = assumed.typical
+    bounded = assumed.bounded
     return analyse(
         factor / typical, assumed.names, bounded.values, typical, bounded=bounded
     )
@@ -368,20 +366,20 @@ def _expected(
     difference: Mapping[str, Mapping[str, float]],
 ) -> ExpectedErrors:
     """The errors expected from some candidates, with their information together."""
-    found = _identifiability(assumed, factor)
-    combinations = tuple(departures.kept(found.combinations))
+    identifiability = _identifiability(assumed, factor)
+    combinations = tuple(departures.kept(identifiability.combinations))
     stderr: dict[str, float | None] = {}
     verdicts: dict[str, str] = {}
     for coefficient in assumed.law.coefficients():
         name = coefficient.name
-        stderr[name], verdicts[name] = None, "fixed"
+        error, verdict = None, "fixed"
         if name in assumed.names:
             index = assumed.names.index(name)
             typical = float(assumed.typical[index])
-            error, verdict = classify(typical, False, found, index)
-            stderr[name], verdicts[name], _ = departures.judged(
-                name, error, verdict, typical
-            )
+            error, verdict = classify(typical, False, identifiability, index)
+            error, verdict, _ = departures.judged(name, error, verdict, typical)
+        stderr[name] = error
+        verdicts[name] = verdict
     for name, error in errors_along(assumed, factor, difference, departures).items():
         typical = min(
             size
@@ -395,9 +393,9 @@ def _expected(
         stderr | {sum_.expression: sum_.stderr for sum_ in combinations},
         verdicts,
         combinations,
-        found.rank,
-        tuple(found.singular_values.tolist()),
-        found.null_directions,
+        identifiability.rank,
+        tuple(identifiability.singular_values.tolist()),
+        identifiability.null_directions,
     )
 
 
@@ -482,7 +480,7 @@ def require_positive(**given: float | Sequence[float]) -> None:
     for name, value in given.items():
         values = np.atleast_1d(np.array(value, float))
         if not len(values) or not ((values > 0) & (values < math.inf)).all():
-            shown = ",".join(f"{one:g}" for one in values)
+            shown = ",".join(f"{number:g}" for number in values)
             kind = "positive numbers" if np.ndim(value) else "a positive number"
             raise InputError(f"{name} = {shown}: expected {kind}")
 
@@ -493,8 +491,8 @@ def _undetermined_pair(
     """Two coefficients of which planned throws determine only the sum under uniform
     load, if any."""
     uniform = assumed.by_load["uniform"]
-    known = _identifiability(uniform, combined(uniform.factors(planned)))
-    for direction in known.null_directions:
+    factor = combined(uniform.factors(planned))
+    for direction in _identifiability(uniform, factor).null_directions:
         if len(direction) == 2 and sum(direction.values()) == 0:
             first, second = direction
             return first, second
@@ -510,16 +508,16 @@ def _curves(
     """Standard errors against noise of position, noise of angle, rate and
     number of throws."""
     records = assumed.records(made)
-    factors = {}
+    factors: dict[str, dict[float, Floats]] = {}
     for name, channels in (("place", _POSITION), ("angle", _ANGLE)):
         if noisy := assumed.sigma.keys() & channels:
-            others = {by: assumed.noisier(noisy, by) for by in _FACTORS}
-            factors[name] = {
-                by: combined([other.marginal(one) for one in records])
-                for by, other in others.items()
-            }
+            factors[name] = {}
+            for by in _FACTORS:
+                noisier = assumed.noisier(noisy, by)
+                marginals = [noisier.marginal(record) for record in records]
+                factors[name][by] = combined(marginals)
     factors["rate"] = {
-        rate: combined(assumed.factors([one._replace(rate=rate) for one in made]))
+        rate: combined(assumed.factors([throw._replace(rate=rate) for throw in made]))
         for rate in _RATES
     }
     factors["throws"] = {
@@ -527,14 +525,14 @@ def _curves(
         for count in _COUNTS
         if (indices := select_design(candidates, d_criterion, count)) is not None
     }
-    found: dict[str, dict[str, list[float | None]]] = {}
-    for name, by_place in factors.items():
-        rows = [assumed.errors(factor, quantities) for factor in by_place.values()]
-        found[name] = {"at": [*by_place]}
-        found[name] |= {
+    curves: dict[str, dict[str, list[float | None]]] = {}
+    for name, factor_at in factors.items():
+        rows = [assumed.errors(factor, quantities) for factor in factor_at.values()]
+        curves[name] = {"at": [*factor_at]}
+        curves[name] |= {
             quantity: [row[quantity] for row in rows] for quantity in quantities
         }
-    return found
+    return curves
 
 
 def _notes(discrepancy: float) -> tuple[str, ...]:
@@ -568,19 +566,20 @@ def scenarios(
     widths = widths_of(assumed.model)
     ways = SCENARIOS["both spins and directions"]
     varied = [
-        one._replace(omega0=sense * one.omega0, heading=heading)
-        for one in count
+        throw._replace(omega0=sense * throw.omega0, heading=heading)
+        for throw in count
         for sense, heading in ways
     ]
     columns = np.append(assumed.free, len(assumed.parameters) + np.arange(len(widths)))
     records = record_information(assumed, varied, widths)
-    factors = [assumed.marginal(one, columns) for one in records]
-    each = np.reshape(factors, (len(count), len(ways), *factors[0].shape))
-    found = []
+    factors = [assumed.marginal(record, columns) for record in records]
+    by_throw_and_way = np.reshape(factors, (len(count), len(ways), *factors[0].shape))
+    divided = []
     for name, chosen in SCENARIOS.items():
-        own = each[:, [ways.index(way) for way in chosen]]
+        of_scenario = by_throw_and_way[:, [ways.index(way) for way in chosen]]
         share = np.sqrt(np.array([*count.values()]) / len(chosen))
-        whole = r_factor((share[:, None, None, None] * own).reshape(-1, len(columns)))
+        weighted = share[:, None, None, None] * of_scenario
+        whole = r_factor(weighted.reshape(-1, len(columns)))
         factor = whole[:, :n]
         by_condition = factor.T @ whole[:, n:] / typical[:, None]
         gradients = dict(zip(widths, by_condition.T, strict=True))
@@ -594,5 +593,5 @@ def scenarios(
         stderr = {
             quantity: standard_error(factor, row) for quantity, row in rows.items()
         }
-        found.append(Scenario(name, stderr, by_quantity))
-    return tuple(found)
+        divided.append(Scenario(name, stderr, by_quantity))
+    return tuple(divided)
