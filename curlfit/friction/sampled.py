@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -14,6 +15,7 @@ from curlfit.stone import Stone
 
 STONE = Stone()
 _POINTS = 4096  # evaluated in one call, so that there is one program
+_ROWS = 256  # of sections of the ring, in one call
 # |epsilon|; near 1 the nodes of the model crowd where sliding stops
 _SPIN_RATIOS = 0.01, 0.4
 _IN_PLACE = 3.0  # |epsilon| of a stone that spins almost in place
@@ -104,20 +106,13 @@ class Sampled:
         self.law = law
         function: Any = _at_point if issubclass(law, LocalLaw) else _of_stone
         self._program = jax.jit(jax.vmap(partial(function, law)))
+        self._rule = jax.jit(jax.vmap(_section_rule))
 
     def _run(self, conditions: Conditions, rows: Any, alpha: Any) -> Floats:
         """Force to the right, forward and moment for pairs of a condition and an
         angle: (3, n)."""
-        parts = []
-        for first in range(0, len(rows), _POINTS):
-            part = slice(first, first + _POINTS)
-            count = len(rows[part])
-            padding = (0, _POINTS - count)
-            row = np.pad(rows[part], padding, mode="edge")
-            angle = np.pad(alpha[part], padding, mode="edge")
-            values = self._program(*conditions.take(row), angle)
-            parts.append(np.asarray(values)[:count])
-        return np.concatenate(parts).T
+        columns = [*conditions.take(rows), alpha]
+        return _in_parts(self._program, columns, _POINTS).T
 
     def at_angles(self, conditions: Conditions, angles: Floats) -> Floats:
         """Force to the right, forward and moment at polar angles of shape
@@ -162,35 +157,55 @@ class Sampled:
             return self._run(conditions, rows, 0.0 * rows)
         total = np.zeros((3, len(conditions.speed)))
         for low, high in pairwise(self.ends(conditions).T):
-            angles, weights = _ring_rule(conditions, low, high, sections)
+            angles, weights = self._ring_rule(conditions, low, high, sections)
             total += (self.at_angles(conditions, angles) * weights).sum(-1)
         return total
 
+    def _ring_rule(
+        self, conditions: Conditions, low: Floats, high: Floats, sections: int
+    ) -> tuple[Floats, Floats]:
+        """Polar angles and weights of the Gauss points between two angles of one half,
+        each of shape (n,): two arrays of shape (n, points)."""
+        count = len(conditions.speed)
+        rows = np.repeat(np.arange(count), sections)
+        begin = np.tile(np.arange(sections) / sections, count)
+        spin = STONE.R * conditions.omega
+        columns = [part[rows] for part in (conditions.speed, spin, low, high)]
+        rule = _in_parts(self._rule, [*columns, begin, begin + 1 / sections], _ROWS)
+        angles, weights = rule.swapaxes(0, 1).reshape(2, count, -1)
+        return angles, weights
 
-def _ring_rule(
-    conditions: Conditions, low: Floats, high: Floats, sections: int
-) -> tuple[Floats, Floats]:
-    """Polar angles and weights of the Gauss points between two angles of one half, each
-    of shape (n,): two arrays of shape (n, points)."""
-    import jax.numpy as jnp  # only for user-defined laws
+
+def _in_parts(program: Any, columns: Sequence[Any], size: int) -> Floats:
+    """Results of a compiled program for rows of columns, a part of one size at a time,
+    so that it is compiled once: first axis along the rows."""
+    count = len(columns[0])
+    parts = []
+    for first in range(0, count, size):
+        # the last row fills the last part
+        rows = np.minimum(np.arange(first, first + size), count - 1)
+        results = program(*(column[rows] for column in columns))
+        parts.append(np.asarray(results)[: count - first])
+    return np.concatenate(parts)
+
+
+def _section_rule(v: Any, u: Any, low: Any, high: Any, begin: Any, end: Any) -> Any:
+    """Polar angles and weights of the Gauss points in a section between two angles of
+    one half: shape (2, points)."""
+    import jax.numpy as jnp
 
     from curlfit.numerics import ring_nodes
 
-    clustering = ring_nodes.node_clustering(
-        jnp.asarray(conditions.speed), jnp.asarray(STONE.R * conditions.omega)
-    )
+    clustering = ring_nodes.node_clustering(v, u)
     side = clustering.side
-    sign = jnp.where(jnp.asarray(low + high) > 0, 1.0, -1.0)  # of the half
+    sign = jnp.where(low + high > 0, 1.0, -1.0)  # of the half
     at_low = ring_nodes.half_angle(sign * low, side)
     at_high = ring_nodes.half_angle(sign * high, side)
     # half angles may decrease with the polar angle
     ends = jnp.minimum(at_low, at_high), jnp.maximum(at_low, at_high)
-    angles, weights = [], []
-    for section in pairwise(np.linspace(0, 1, sections + 1)):
-        nodes = ring_nodes.nodes_between(ends, clustering, section)
-        angles.append(ring_nodes.polar_angle(nodes.half_angle, (1 + sign) / 2, side))
-        weights.append(nodes.weight * ring_nodes.GAUSS_WEIGHTS[:, None])
-    return np.concatenate(angles).T, np.concatenate(weights).T
+    nodes = ring_nodes.nodes_between(ends, clustering, (begin, end))
+    angles = ring_nodes.polar_angle(nodes.half_angle, (1 + sign) / 2, side)
+    return jnp.stack([angles, nodes.weight * ring_nodes.GAUSS_WEIGHTS])
 
 
 def _at_point(law: type[LocalLaw], coefficients: Any, *at: Any) -> Any:
