@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import Field, fields, is_dataclass
+from enum import StrEnum
 from functools import cache, partial
 from os import PathLike
 from pathlib import Path
@@ -165,6 +166,8 @@ def plain(value: Any, *, series: bool = True) -> Any:
         return plain(value.tolist())
     if isinstance(value, list | tuple):
         return [plain(item, series=series) for item in value]
+    if isinstance(value, StrEnum):
+        return value.value
     if not is_dataclass(value):
         return value
     names = [
@@ -287,6 +290,13 @@ def _chosen(value: Any, kind: Any) -> Any:
     return value
 
 
+def _member(value: Any, kind: type[StrEnum]) -> StrEnum:
+    try:
+        return kind(value)
+    except ValueError:
+        raise unexpected(value, f"one of {', '.join(kind)}") from None
+
+
 def require(place: str, holds: bool, what: str) -> None:
     """Raise `ValueError` unless fields of a record agree."""
     if not holds:
@@ -323,6 +333,7 @@ def _converter() -> Any:
             lambda kind, read=read: lambda value, _: read(value, kind),
         )
     made.register_structure_hook_func(partial(is_a, (np.ndarray,)), _array)
+    made.register_structure_hook(StrEnum, _member)
     made.register_structure_hook_factory(
         partial(holds, _Keys), lambda kind: made.get_structure_hook(get_args(kind)[1])
     )

@@ -15,7 +15,7 @@ from typing import Any
 
 from curlfit.batch.settings import CHUNK, BatchSettings
 from curlfit.errors import InputError
-from curlfit.numerics.threads import cores
+from curlfit.numerics.threads import cores, require_address_space
 
 Rows = list[dict[str, Any]]
 Fitted = Callable[[Sequence[str]], Iterator[Rows]]
@@ -56,6 +56,7 @@ def executor(
         with _dask_crew(plan, dask) as fitted:
             yield fitted
         return
+    require_address_space()
     count = workers or cores()
     fit = partial(_fit, plan=plan)
     if count == 1:

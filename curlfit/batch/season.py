@@ -25,6 +25,7 @@ from curlfit.inference.joint.result import JointResult
 from curlfit.inference.joint.season import Season, mean_of
 from curlfit.inference.model import Model
 from curlfit.inference.parameters import START
+from curlfit.inference.verdict import Verdict
 from curlfit.stone import Stone
 
 _AGAIN = "repeat the batch with --again"
@@ -165,7 +166,7 @@ def _is_quadratic(row: Mapping[str, str]) -> bool:
     """Whether a throw of an earlier version, which took all for quadratics, is one
     as a rule: the angle was measured, or the path of a stone whose spin was given."""
     has_path = bool(row["rms_x"] or row["rms_y"])
-    return bool(row["rms_phi"]) or (has_path and row["omega0_verdict"] == "fixed")
+    return bool(row["rms_phi"]) or (has_path and row["omega0_verdict"] == Verdict.FIXED)
 
 
 def _labels(row: Mapping[str, str], added: Sequence[str]) -> dict[str, str]:

@@ -23,7 +23,8 @@ from curlfit.friction.family import LawFamily
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.initial_values import POINTS, accelerations_along
 from curlfit.inference.model import Model
-from curlfit.inference.noise.losses import robust_sigma
+from curlfit.inference.verdict import Verdict
+from curlfit.losses import LOSSES, Loss
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import in_batches, stacked
 from curlfit.throws.throw import scatter
@@ -55,10 +56,8 @@ class Adequacy(NamedTuple):
 def adequacy(result: FitResult) -> Adequacy:
     """Whether the law follows the path, and what part of its curl it explains."""
     t, x, y, phi = (result.observed[name] for name in ("t", *PLACE))
-    off, loss = (
-        {name: result.observed[name] - result.fitted[name] for name in PLACE},
-        result.loss,
-    )
+    loss = LOSSES[result.loss]
+    off = {name: result.observed[name] - result.fitted[name] for name in PLACE}
     place, turned = np.isfinite(x) & np.isfinite(y), np.isfinite(phi)
     measured, missed = (
         np.stack([x, y], 1)[place],
@@ -79,7 +78,7 @@ def adequacy(result: FitResult) -> Adequacy:
     correlated = any(result.noise.memory.values()) or any(
         item.doubtful for item in result.independence.values()
     )
-    sizes = [(_size(one[2], loss), _noise(one[0], one[1], loss)) for one in series]
+    sizes = [(loss.size(one[2]), _noise(one[0], one[1], loss)) for one in series]
     follows: bool | None = True
     for (size, noise), (*_, wanted) in zip(sizes, series, strict=True):
         if not size <= max(_FOLLOWS * wanted, _NOISE * noise):
@@ -94,10 +93,10 @@ def adequacy(result: FitResult) -> Adequacy:
     return Adequacy(float(1 - unexplained), follows, curl, side)
 
 
-def _seen(values: Floats, loss: str) -> Floats:
+def _seen(values: Floats, loss: Loss) -> Floats:
     """The part of a series to be explained: without outliers where the
     loss is robust."""
-    if loss == "linear":
+    if not loss.is_robust:
         return values
     from scipy.ndimage import median_filter  # slow to load
 
@@ -105,7 +104,7 @@ def _seen(values: Floats, loss: str) -> Floats:
     return filtered
 
 
-def _noise(t: Floats, values: Floats, loss: str) -> float:
+def _noise(t: Floats, values: Floats, loss: Loss) -> float:
     """Standard deviation of the noise on a smooth series: that of its scatter from
     row to row, or about a polynomial in time where that is larger, as with
     correlated noise."""
@@ -114,21 +113,12 @@ def _noise(t: Floats, values: Floats, loss: str) -> float:
         return by_row
     fitted = Polynomial.fit(t, _seen(values, loss), _DEGREE)
     free = 1 - (_DEGREE + 1) / len(values)
-    return max(by_row, _size(values - fitted(t), loss) / math.sqrt(free))
+    return max(by_row, loss.size(values - fitted(t)) / math.sqrt(free))
 
 
 def _uneven(t: Floats, values: Floats) -> float:
     """rms departure from uniform motion."""
     return float(np.std(values - np.polyval(np.polyfit(t, values, 1), t)))
-
-
-def _size(residual: Floats, loss: str) -> float:
-    """rms of residuals, or the scale of their bulk where the loss is robust."""
-    return (
-        float(np.sqrt(np.mean(residual**2)))
-        if loss == "linear"
-        else robust_sigma(residual)
-    )
 
 
 def opposes_sliding(law: type[Law]) -> bool:
@@ -156,7 +146,7 @@ def sides_of_curl(
     steps = np.array([-3, -1, -0.3, 0, 0.3, 1, 3])
     ranges = [
         [item.value]
-        if item.verdict == "fixed"
+        if item.verdict == Verdict.FIXED
         else np.unique(np.clip(steps * item.typical, item.lower, item.upper))
         for item in result.coefficients.values()
     ]

@@ -13,6 +13,7 @@ from curlfit.errors import UnusableFitError
 from curlfit.friction import Law, NetLaw
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.identifiability import Combination
+from curlfit.inference.verdict import Verdict
 from curlfit.numerics.threads import in_threads
 
 Progress = Callable[[str, int, int], None]
@@ -40,7 +41,7 @@ def described(
 ) -> dict[str, Any]:
     """Its coefficients, and the sums of them that are determined."""
 
-    def of(verdict: str) -> tuple[str, ...]:
+    def of(verdict: Verdict) -> tuple[str, ...]:
         return tuple(
             name for name, item in estimates.items() if item.verdict == verdict
         )
@@ -58,8 +59,8 @@ def described(
             for item in combinations
             if item.weights.keys() & estimates.keys()
         ),
-        "at_bound": of("at bound"),
-        "not_identifiable": of("not identifiable"),
+        "at_bound": of(Verdict.AT_BOUND),
+        "not_identifiable": of(Verdict.NOT_IDENTIFIABLE),
     }
 
 

@@ -48,10 +48,12 @@ from curlfit.inference.conditions import ALL
 from curlfit.inference.fit.advice import NOISE
 from curlfit.inference.fit.fit import fit
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.noise.losses import robust_sigma
 from curlfit.inference.parameters import options_of, require_known
+from curlfit.inference.verdict import Verdict
+from curlfit.losses import LOSSES
 from curlfit.records import plain
 from curlfit.settings.choices import Comparing, takes
+from curlfit.settings.noise_kinds import NoiseKind
 from curlfit.throws.friction_table import FrictionTable
 from curlfit.throws.throw import Throw, require_path, require_throw
 
@@ -124,7 +126,9 @@ def compare(
     require_path(throw)
     chosen = Comparing.of(throw.settings, laws=laws, **choices)
     todo = laws_under(chosen.laws, chosen.load)
-    fits = [(law, load, noise) for noise in chosen.noise for law, load in todo]
+    fits = [
+        (law, load, NoiseKind(noise)) for noise in chosen.noise for law, load in todo
+    ]
     options = {**chosen.by_parameter, "start": chosen.start}
     require_known([law for law, _ in todo], options)
     shared = vars(chosen) | {
@@ -134,7 +138,7 @@ def compare(
     }
     del shared["laws"]
 
-    def fitted(law: type[Law], load: str, noise: str) -> list[Fitted | Candidate]:
+    def fitted(law: type[Law], load: str, noise: NoiseKind) -> list[Fitted | Candidate]:
         own = options_of(law, options) | {"load": load, "noise": noise}
         return _with_free_signs(throw, law, shared | own)
 
@@ -154,7 +158,7 @@ def _lacking(made: Comparison, family: type[LawFamily] | None) -> Lacking | None
     fits = {
         item.label: one
         for item, one in zip(made.candidates, made.fits, strict=True)
-        if item.rank is not None and one is not None and item.noise == "white"
+        if item.rank is not None and one is not None and item.noise == NoiseKind.WHITE
     }
     if not fits:
         return None
@@ -171,7 +175,7 @@ def _with_free_signs(
     if isinstance(one, Candidate) or one.known["follows"] or choices["unbounded"]:
         return [one]
     at_zero = (
-        item.verdict == "at bound"
+        item.verdict == Verdict.AT_BOUND
         and item.lower == 0
         and item.value < 1e-6 * item.typical
         for item in one.result.coefficients.values()
@@ -209,10 +213,10 @@ def _fitted(
         "negative": _needed_negative(result),
         "fitted": {name: result.fitted[name].tolist() for name in PLACE},
     }
-    if result.loss != "linear":
-        known["bulk"] = {
-            name: robust_sigma(r) for name, r in residuals_of(result).items()
-        }
+    loss = LOSSES[result.loss]
+    if loss.is_robust:
+        residuals = residuals_of(result)
+        known["bulk"] = {name: loss.size(r) for name, r in residuals.items()}
     return Fitted(known, result, likelihood, adequate)
 
 

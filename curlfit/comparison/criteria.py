@@ -15,7 +15,7 @@ Burnham and Anderson 2002, sect. 2.5), for all candidates alike. This is an
 approximation, and the report says so.
 
 Under a robust loss the likelihood is that of the corresponding noise distribution, at
-its most likely sigma (see `losses.log_density`); all laws are fitted and ranked under
+its most likely sigma (see `Loss.log_density`); all laws are fitted and ranked under
 the same loss.
 
 Evidence
@@ -53,8 +53,9 @@ from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import SIGMA_FLOOR
 from curlfit.inference.mcmc.draws import WeightedProposals
-from curlfit.inference.noise.losses import likeliest_sigma, log_density
 from curlfit.inference.noise.whitening import whitened
+from curlfit.inference.verdict import Verdict
+from curlfit.losses import LOSSES
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.throws.throw import CHANNELS
 
@@ -101,8 +102,11 @@ def residuals_of(result: FitResult) -> dict[str, Floats]:
 def log_likelihood(result: FitResult) -> dict[str, float]:
     """Log-likelihood at the fit, by channel, under the noise model or the loss; an
     estimated sigma is at its most likely value."""
+    loss = LOSSES[result.loss]
     problem, _ = problem_of(result)
-    weight, whitener, found = problem.weight, problem.whitener, {}
+    weight = problem.weight
+    whitener = problem.whitener
+    found = {}
     residual = np.zeros(weight.shape)
     for row, name in enumerate(CHANNELS):
         if name in result.residuals:
@@ -116,10 +120,8 @@ def log_likelihood(result: FitResult) -> dict[str, float]:
         if name in result.residuals:
             there = weight[row] > 0
             own = white[row, there]
-            scale = likeliest_sigma(own, result.loss) if name in result.sigma else 1.0
-            density = log_density(own / scale, result.loss) + np.log(
-                weight[row, there] / scale
-            )
+            scale = loss.likeliest_sigma(own) if name in result.sigma else 1.0
+            density = loss.log_density(own / scale) + np.log(weight[row, there] / scale)
             found[name] = float(density.sum() + determinant[row])
     return found
 
@@ -227,7 +229,8 @@ class Posterior(NamedTuple):
             [_prior(result, name) for name in known["names"]]
         ).T
         at_bound = [
-            result.parameters[name].verdict == "at bound" for name in known["names"]
+            result.parameters[name].verdict == Verdict.AT_BOUND
+            for name in known["names"]
         ]
         return cls(
             result.values[free],

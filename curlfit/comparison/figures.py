@@ -14,7 +14,9 @@ from curlfit.comparison.result import (
     Comparison,
     Lacking,
 )
+from curlfit.losses import LOSSES
 from curlfit.output import figures as draw
+from curlfit.settings.noise_kinds import NoiseKind
 
 _MOST = 4  # other laws drawn
 
@@ -52,7 +54,8 @@ def comparison_figure(comparison: Comparison) -> draw.Picture:
         }
         style |= {"lw": 1.5 if item.follows else 0.9, "zorder": 3 + len(shown) - place}
         name = item.label if item.rank is None else f"{item.rank}. {item.label}"
-        name += ", law alone" * ("discrepancy" in item.noise)
+        if item.noise == NoiseKind.DISCREPANCY:
+            name += ", law alone"
         path.plot(fitted["y"], fitted["x"], **style, label=name)
         residual.plot(t, 1000 * (x - fitted["x"]), **style)
     path.margins(x=0.02, y=0.1)
@@ -61,7 +64,7 @@ def comparison_figure(comparison: Comparison) -> draw.Picture:
     path.legend(loc="upper left", bbox_to_anchor=(1.1, 1.04), labelspacing=0.3)
     residual.axhline(0, **draw.ZERO_LINE)
     residual.set(xlabel="t (s)", ylabel="residual of x (mm)")
-    _sizes(dots, shown, "rms" if comparison.loss == "linear" else "bulk")
+    _sizes(dots, shown, "bulk" if LOSSES[comparison.loss].is_robust else "rms")
     panels = [path, residual]
     if lacking is not None:
         by_label = {

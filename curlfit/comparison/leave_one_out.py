@@ -36,6 +36,7 @@ from curlfit.friction.family import LawFamily
 from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import SIGMA_FLOOR, predict_channels
+from curlfit.losses import LOSSES
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.differences import slopes
 from curlfit.throws.throw import CHANNELS
@@ -81,7 +82,7 @@ def leave_one_out(
     """Cross-validation of a fit, by the program of a family of laws; None under a
     robust loss or correlated noise, where a row alone determines a parameter, and where
     the law admits no motion near the fit."""
-    if result.loss != "linear" or result.noise.kind != "white":
+    if LOSSES[result.loss].is_robust or not result.noise.is_white:
         return None
     known, where = Posterior.of(result), result.parameter_set.free
     problem, origin = problem_of(result)

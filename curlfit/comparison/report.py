@@ -20,9 +20,11 @@ from curlfit.comparison.tables import (
     summary,
 )
 from curlfit.foreign import counted
+from curlfit.losses import LOSSES
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Said, Section, command_line, show
 from curlfit.output.text import compact, join_words, rows_text, stone_text
+from curlfit.settings.noise_kinds import NoiseKind
 
 _PROBABLE = 0.01  # weight of a law that is named
 _SEEN = 3.0  # standard errors
@@ -49,10 +51,10 @@ def document(comparison: Comparison) -> Document:
     data = comparison.data
     first, *others = conclusions(comparison)
     count = len(comparison.candidates)
-    loss = "" if comparison.loss == "linear" else f", {comparison.loss} loss"
+    loss = LOSSES[comparison.loss].suffix
     noise = (
         ""
-        if comparison.noise == "white"
+        if comparison.noise == NoiseKind.WHITE
         else f", {join_words(comparison.noises)} noise"
     )
     bend = (
@@ -138,7 +140,7 @@ def _ranks(comparison: Comparison) -> PlainTable:
         for item in candidates
     ]
     measure, by = "rms", ""
-    if comparison.loss != "linear":
+    if LOSSES[comparison.loss].is_robust:
         measure = "robust scale"
         by = (
             " BIC and AICc are those of the noise distribution of the "

@@ -16,6 +16,7 @@ from curlfit.comparison.tables import (
     summary,
 )
 from curlfit.foreign import counted
+from curlfit.inference.verdict import Verdict
 from curlfit.output.console import Items, PlainTable
 from curlfit.output.document import Document, Said, Section, command_line
 from curlfit.output.text import STYLE, join_words, p_text, stone_text
@@ -204,7 +205,7 @@ def _gained(items: Sequence[Candidate], sets: Sequence[SetOfData]) -> list[str]:
         known = {
             name
             for name, one in (item.coefficients or {}).items()
-            if one["verdict"] in ("determined", "weak")
+            if one["verdict"] in (Verdict.DETERMINED, Verdict.WEAK)
         } | {one["expression"] for one in item.combinations}
         alone = {name for on in item.sets for name in on.determined}
         if new := sorted(known - alone):

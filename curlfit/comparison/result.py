@@ -9,10 +9,11 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 
 from curlfit.inference.fit.result import DataOfFit, FitResult, LossName
-from curlfit.inference.identifiability import Verdict
+from curlfit.inference.verdict import Verdict
 from curlfit.numerics.arrays import Floats
 from curlfit.output.frames import frame
 from curlfit.records import SERIES, UNSAVED, Matrix, Record, keys, require, require_rows
+from curlfit.settings.noise_kinds import NoiseKind
 from curlfit.stone import Stone
 
 PLACE = ("x", "y", "phi")
@@ -180,7 +181,7 @@ class Candidate:
     not_identifiable: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     fitted: dict[str, list[float]] | None = None
-    noise: str = "white"
+    noise: NoiseKind = NoiseKind.WHITE
     noise_model: _Noise = field(default_factory=dict)
     sets: tuple[OnSet, ...] = ()
     p_together: float | None = None
@@ -189,8 +190,8 @@ class Candidate:
     def label(self) -> str:
         """Law, load and noise in a few words."""
         load = "" if self.load == "-" else f", {self.load} load"
-        noise = "" if self.noise == "white" else f", {self.noise} noise"
-        return f"{self.law}{load}{', any sign' if self.signs_free else ''}{noise}"
+        sign = ", any sign" if self.signs_free else ""
+        return f"{self.law}{load}{sign}{self.noise.suffix}"
 
     @property
     def residual_size(self) -> dict[str, float]:

@@ -7,6 +7,7 @@ from typing import Any
 from rich.text import Text
 
 from curlfit.comparison.result import Candidate, Comparison
+from curlfit.inference.verdict import Verdict
 from curlfit.output.console import Items, PlainTable
 from curlfit.output.text import STYLE, compact, join_words
 
@@ -68,11 +69,13 @@ def _said(item: Candidate) -> Text | Items:
     said = []
     for name, found in item.coefficients.items():
         verdict, unit = found["verdict"], found["unit"]
-        if verdict != "not identifiable":
+        if verdict != Verdict.NOT_IDENTIFIABLE:
             shown = compact(found["value"], found["stderr"]) + (
                 "" if unit == "1" else f" {unit}"
             )
-            about = "" if verdict in ("determined", "fixed") else f" {verdict}"
+            about = (
+                "" if verdict in (Verdict.DETERMINED, Verdict.FIXED) else f" {verdict}"
+            )
             said.append(Text.assemble(f"{name} = {shown}", (about, STYLE[verdict])))
     for one in item.combinations:
         said.append(

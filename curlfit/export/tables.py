@@ -5,15 +5,18 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
+
+import numpy as np
 
 from curlfit.foreign import counted, csv_lines, printable
 from curlfit.inference.derived import Derived, to_its_side
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.identifiability import Combination
+from curlfit.inference.verdict import Verdict
 from curlfit.output.console import PlainTable
 from curlfit.output.text import compact, from_to
 from curlfit.version import __version__
@@ -81,37 +84,41 @@ def rows_of(result: FitResult | JointResult, *, in_words: bool = False) -> list[
 
     With `in_words`, quantities of the path are positive, their meaning names the side.
     """
-    errors, found = result.systematics.errors, []
-    estimates = result.coefficients
-    others = getattr(result, "parameters", {})
-    others = others if isinstance(others, dict) else {}
-    quoted = getattr(result, "quantities", {})
+    coefficients = result.coefficients
+    parameters = getattr(result, "parameters", {})
+    if not isinstance(parameters, dict):  # a joint fit has their number there
+        parameters = {}
+    quantities = getattr(result, "quantities", {})
     if in_words:
-        quoted = {name: to_its_side(item) for name, item in quoted.items()}
+        quantities = {name: to_its_side(item) for name, item in quantities.items()}
     everything: dict[str, Estimate | Combination | Derived] = {
-        **estimates,
+        **coefficients,
         **{item.expression: item for item in result.combinations},
-        **{name: item for name, item in others.items() if name not in estimates},
+        **{name: item for name, item in parameters.items() if name not in coefficients},
         **{item.expression: item for item in result.all_derived},
-        **quoted,
+        **quantities,
     }
+    rows = []
     for name, item in everything.items():
-        verdict = getattr(item, "verdict", "determined")
-        value = None if verdict == "not identifiable" else item.value
-        systematic = item.systematic if isinstance(item, Derived) else errors.get(name)
-        cells = (
-            name,
-            value,
-            item.stderr,
-            systematic,
-            *(item.interval() or (None, None)),
-            item.dof,
-            verdict,
-            getattr(item, "unit", ""),
-            getattr(item, "prior", ""),
-        )
-        found.append(Row(item, dict(zip(_ESTIMATE, cells, strict=True))))
-    return found
+        value = None if item.verdict == Verdict.NOT_IDENTIFIABLE else item.value
+        systematic = result.systematics.errors.get(name)
+        if isinstance(item, Derived):
+            systematic = item.systematic
+        low, high = item.interval() or (None, None)
+        cells = {
+            "name": name,
+            "value": value,
+            "stderr": item.stderr,
+            "systematic": systematic,
+            "low_95": low,
+            "high_95": high,
+            "dof": item.dof,
+            "verdict": item.verdict,
+            "unit": "" if isinstance(item, Combination) else item.unit,
+            "prior": item.prior if isinstance(item, Estimate) else "",
+        }
+        rows.append(Row(item, cells))
+    return rows
 
 
 def parameters_csv(result: FitResult | JointResult) -> str:
@@ -125,52 +132,49 @@ def parameters_csv(result: FitResult | JointResult) -> str:
         return csv_lines([_ESTIMATE, *([*row.cells.values()] for row in rows)])
     lines = [("all", *row.cells.values()) for row in rows]
     shared = {row.cells["name"] for row in rows}
-    for one in throws:
-        own = (row.cells for row in rows_of(one) if row.cells["name"] not in shared)
-        lines += [(one.data["file"], *cells.values()) for cells in own]
+    for fit in throws:
+        for row in rows_of(fit):
+            if row.cells["name"] not in shared:
+                lines.append((fit.data["file"], *row.cells.values()))
     return csv_lines([("throw", *_ESTIMATE), *lines])
 
 
 def path_csv(fits: Sequence[FitResult]) -> str:
     """Measured value, fitted value and residual of each measured channel (SI, rad), one
     row per time; for several throws the first column names the throw."""
-    channels = list(
-        dict.fromkeys(name for one in fits for name in one.rms if name in one.fitted)
-    )
-    head = ["t"]
+    measured = [name for fit in fits for name in fit.rms if name in fit.fitted]
+    channels = list(dict.fromkeys(measured))
+    several = len(fits) > 1
+    head = ["throw", "t"] if several else ["t"]
     for name in channels:
         head += [name, f"{name}_fitted", f"{name}_residual"]
-    lines = []
-    for one in fits:
-        columns = [one.observed["t"]]
-        empty = math.nan * one.observed["t"]
+    lines: list[Sequence[Any]] = [head]
+    for fit in fits:
+        columns = [fit.observed["t"]]
+        empty = math.nan * fit.observed["t"]
         for name in channels:
-            observed, fitted = (
-                one.observed.get(name, empty),
-                one.fitted.get(name, empty),
-            )
+            observed = fit.observed.get(name, empty)
+            fitted = fit.fitted.get(name, empty)
             columns += [observed, fitted, observed - fitted]
-        label = (one.data["file"],) if len(fits) > 1 else ()
-        lines += [
-            (*label, *row) for row in zip(*(c.tolist() for c in columns), strict=True)
-        ]
-    return csv_lines([("throw", *head) if len(fits) > 1 else head, *lines])
+        label = [fit.data["file"]] if several else []
+        lines += [[*label, *row] for row in np.column_stack(columns).tolist()]
+    return csv_lines(lines)
 
 
 def candidates_csv(comparison: Any) -> str:
     """The candidates of a comparison, best first; the coefficients of each
     in one cell."""
-    lines = []
-    for one in comparison.candidates:
-        rms = [(one.rms or {}).get(name) for name in ("x", "y", "phi")]
-        coefficients = "; ".join(
+    lines = [(*_CANDIDATE, "rms_x", "rms_y", "rms_phi", "coefficients")]
+    for candidate in comparison.candidates:
+        cells = [getattr(candidate, name) for name in _CANDIDATE]
+        rms = candidate.rms or {}
+        cells += [rms.get(name) for name in ("x", "y", "phi")]
+        coefficients = [
             f"{name} = {item['value']:.6g}"
-            for name, item in (one.coefficients or {}).items()
-        )
-        lines.append((*(getattr(one, name) for name in _CANDIDATE), *rms, coefficients))
-    return csv_lines(
-        [(*_CANDIDATE, "rms_x", "rms_y", "rms_phi", "coefficients"), *lines]
-    )
+            for name, item in (candidate.coefficients or {}).items()
+        ]
+        lines.append((*cells, "; ".join(coefficients)))
+    return csv_lines(lines)
 
 
 def estimates_table(result: FitResult | JointResult) -> str:
@@ -200,21 +204,22 @@ def candidates_table(comparison: Any) -> str:
     """The candidates of a comparison, as a `table` with `booktabs`."""
     sizes = {">$x$ (mm)": "x", ">$y$ (mm)": "y", r">$\varphi$ (mrad)": "phi"}
     follows = {True: "yes", False: "no", None: "unclear"}
-    rows = (
-        {
-            "law": escaped(one.law + " (any sign)" * one.signs_free),
-            "load": "--" if one.load == "-" else escaped(one.load),
-            ">$k$": "" if one.n_parameters is None else f"{one.n_parameters:.0f}",
-            r">$\Delta$BIC": _rounded(one.delta_bic, ".1f"),
-            r">$\Delta$AICc": _rounded(one.delta_aicc, ".1f"),
-            **{
-                head: _rounded((one.residual_size or {}).get(name), ".3g", 1000)
-                for head, name in sizes.items()
-            },
-            "follows": follows[one.follows] if one.converged else "no fit",
+    rows = []
+    for candidate in comparison.candidates:
+        sign = " (any sign)" if candidate.signs_free else ""
+        number = candidate.n_parameters
+        residuals = candidate.residual_size
+        row = {
+            "law": escaped(candidate.law + sign),
+            "load": "--" if candidate.load == "-" else escaped(candidate.load),
+            ">$k$": "" if number is None else f"{number:.0f}",
+            r">$\Delta$BIC": _rounded(candidate.delta_bic, ".1f"),
+            r">$\Delta$AICc": _rounded(candidate.delta_aicc, ".1f"),
         }
-        for one in comparison.candidates
-    )
+        for head, name in sizes.items():
+            row[head] = _rounded(residuals.get(name), ".3g", 1000)
+        row["follows"] = follows[candidate.follows] if candidate.converged else "no fit"
+        rows.append(row)
     caption = (
         f"Friction laws fitted to {_file(comparison.data['file'])}, by BIC: "
         "number of parameters $k$, rms of the residuals, and whether the law follows "
@@ -232,10 +237,15 @@ def escaped(text: str) -> str:
 
 def _drawn(table: PlainTable) -> str:
     """A table whose caption and cells are LaTeX, by the template `table.tex.in`."""
-    columns = table.columns
-    lines = zip(*([str(one.header), *one.cells] for one in columns), strict=True)
-    head, *rows = ("    " + " & ".join(map(str, line)) + r" \\" for line in lines)
-    sides = " ".join("r" if one.justify == "right" else "l" for one in columns)
+    columns = [[str(column.header), *column.cells] for column in table.columns]
+    lines = [
+        "    " + " & ".join(map(str, line)) + r" \\"
+        for line in zip(*columns, strict=True)
+    ]
+    head, *rows = lines
+    sides = " ".join(
+        "r" if column.justify == "right" else "l" for column in table.columns
+    )
     text = Path(__file__).with_name("table.tex.in").read_text(encoding="utf-8")
     return Template(text).substitute(
         caption=table.called, sides=sides, head=head, rows="\n".join(rows)
@@ -261,7 +271,7 @@ def _caption(result: FitResult | JointResult) -> str:
     )
     if result.systematics.errors:
         text += "; systematic errors come from conditions that the fit holds fixed"
-    if fits and fits[0].noise.kind != "white":
+    if fits and not fits[0].noise.is_white:
         text += f"; noise model {escaped(fits[0].noise.kind)}"
     return f"{text}. {_software()}"
 
@@ -283,30 +293,37 @@ def _symbol(symbol: str) -> str:
 
 
 def _label(row: Row, symbols: dict[str, str]) -> str:
-    name, item = row.cells["name"], row.item
+    name = row.cells["name"]
+    item = row.item
     if name in symbols:
         return f"${symbols[name]}$"
     if isinstance(item, Combination):
-        text = ""
-        for name, weight in item.weights.items():
-            sign = (
-                ("-" if weight < 0 else "")
-                if not text
-                else (" - " if weight < 0 else " + ")
-            )
-            size = "" if abs(weight) == 1 else rf"{abs(weight):.4g}\,"
-            text += f"{sign}{size}{symbols.get(name, escaped(name))}"
-        return f"${text}$"
+        return f"${_sum(item.weights, symbols)}$"
     # of quantities of the path, which have units
     meaning = item.meaning if isinstance(item, Derived) and item.unit else ""
     return escaped(meaning) or _expression(name, symbols)
+
+
+def _sum(weights: Mapping[str, float], symbols: dict[str, str]) -> str:
+    """A weighted sum of parameters, in symbols."""
+    text = ""
+    for name, weight in weights.items():
+        if text:
+            text += " - " if weight < 0 else " + "
+        elif weight < 0:
+            text = "-"
+        if abs(weight) != 1:
+            text += rf"{abs(weight):.4g}\,"
+        text += symbols.get(name, escaped(name))
+    return text
 
 
 def _expression(text: str, symbols: dict[str, str]) -> str:
     """Sums, products and quotients of parameters in symbols; other
     expressions verbatim."""
     parts = re.split(r"(\w+)", text.replace(" ", ""))
-    words, signs = parts[1::2], "".join(parts[::2])
+    words = parts[1::2]
+    signs = "".join(parts[::2])
     plain = all(word in symbols or re.fullmatch(r"\d+", word) for word in words)
     if not plain or "**" in signs or not set(signs) <= set("+-*/()"):
         return rf"\texttt{{{escaped(text)}}}"
@@ -319,8 +336,9 @@ def _estimate(row: Row) -> str:
     if row.cells["value"] is None:
         return "not identifiable"
     text = _number(compact(row.item.value, row.item.stderr))
-    said = "with prior" if verdict == "prior" else verdict
-    return text if verdict == "determined" else f"{text} ({said})"
+    if verdict == Verdict.DETERMINED:
+        return text
+    return f"{text} ({'with prior' if verdict == Verdict.PRIOR else verdict})"
 
 
 def _number(text: str) -> str:
@@ -335,10 +353,10 @@ def _number(text: str) -> str:
 def _interval(posterior: Any, row: Row) -> str:
     if posterior is None or not posterior.converged:
         return ""
-    found = posterior.quantiles.get(row.cells["name"])
-    if not found:
+    quantiles = posterior.quantiles.get(row.cells["name"])
+    if not quantiles:
         return ""
-    low, _, high = from_to(found["16"], found["84"]).partition(" .. ")
+    low, _, high = from_to(quantiles["16"], quantiles["84"]).partition(" .. ")
     return rf"{_number(low)} to {_number(high)}"
 
 

@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.text import Text
 
 from curlfit.friction_tables.result import FrictionFit, FrictionFits
+from curlfit.inference.verdict import Verdict
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Section, command_line, show
 from curlfit.output.text import compact, join_words, lower
@@ -82,7 +83,7 @@ def _said(one: FrictionFit) -> str:
     hidden = [
         name
         for name, item in one.coefficients.items()
-        if item.verdict == "not identifiable"
+        if item.verdict == Verdict.NOT_IDENTIFIABLE
     ]
     known = [
         f"{name} = {compact(*found)}"

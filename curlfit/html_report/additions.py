@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from curlfit.errors import CurlfitError
 from curlfit.html_report.blocks import Block, paragraph, rows
 from curlfit.html_report.drawings import inline_svg
+from curlfit.losses import LOSSES
 from curlfit.output.display import corner_of, figures_of
 from curlfit.output.text import join_words
 
@@ -150,7 +151,8 @@ def _caption(result: Any, name: str) -> str:
     """What a figure of a result shows."""
     if name == "profile":
         loss = getattr(result, "each", [result])[0].loss
-        what = "Chi squared" if loss == "linear" else "Minus twice the log-likelihood"
+        robust = LOSSES[loss].is_robust
+        what = "Minus twice the log-likelihood" if robust else "Chi squared"
         return (
             f"{what} over {join_words(result.names)}, all other parameters fitted again"
         )

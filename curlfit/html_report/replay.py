@@ -11,6 +11,7 @@ import numpy as np
 
 from curlfit.html_report.blocks import Block
 from curlfit.inference.fit.result import FitResult
+from curlfit.inference.verdict import Verdict
 from curlfit.numerics.arrays import Floats
 from curlfit.output.figures import DATA_COLOR, some_rows
 from curlfit.output.text import decimals, join_words
@@ -31,7 +32,7 @@ _NAMES = {
     "omega": ("spin", "rad/s"),
 }
 _STARTS = {"x": ("x0", "heading"), "phi": ("phi0", "omega0"), "omega": ("omega0",)}
-_ASSUMED = ("fixed", "not identifiable")
+_ASSUMED = (Verdict.FIXED, Verdict.NOT_IDENTIFIABLE)
 _TURN = {"phi": 2 * math.pi}
 _MARGIN = 0.4  # m around what is drawn of the sheet
 

@@ -27,10 +27,10 @@ from curlfit.inference.identifiability import (
     WEAK_ERROR,
     WIDE,
     Combination,
-    Verdict,
     WithInterval,
     errors_of,
 )
+from curlfit.inference.verdict import Verdict
 from curlfit.numerics.arrays import Floats
 from curlfit.output.text import sided
 from curlfit.records import ADDED, Names
@@ -320,18 +320,18 @@ class FirstOrder(NamedTuple):
         along : what the ridge of the fit says of it, if there is one.
         """
         used = {key: self.parameters[key] for key, slope in gradient.items() if slope}
-        free = [key for key, item in used.items() if item.verdict != "fixed"]
+        free = [key for key, item in used.items() if item.verdict.is_free]
         if not free:
-            return Derived(name, value, None, "fixed")
+            return Derived(name, value, None, Verdict.FIXED)
         on_tangent = seen and self.sees(gradient)
         stuck = {key for key in free if key not in self.names}
         if along is not None and stuck:
             on_tangent = False
             stuck -= along.held
         if along is None and not on_tangent:
-            return Derived(name, value, None, "not identifiable")
+            return Derived(name, value, None, Verdict.NOT_IDENTIFIABLE)
         if held_counts and stuck:
-            return Derived(name, value, None, "at bound")
+            return Derived(name, value, None, Verdict.AT_BOUND)
         stderr = self.stderr(gradient) if on_tangent else math.inf
         size = self.size({key: gradient[key] for key in free if key in self.names})
         stretch = 1.0
@@ -344,16 +344,17 @@ class FirstOrder(NamedTuple):
             size = min(along.size, size)
         reason = "" if along is None else along.reason
         if math.isinf(stderr):
-            return Derived(name, value, None, "not identifiable", reason=reason)
-        verdicts = {used[key].verdict for key in free}
-        verdict = "prior" if "prior" in verdicts else "determined"
+            return Derived(name, value, None, Verdict.NOT_IDENTIFIABLE, reason=reason)
+        verdict = Verdict.DETERMINED
+        if any(used[key].verdict == Verdict.PRIOR for key in free):
+            verdict = Verdict.PRIOR
         if stderr >= WEAK_ERROR * size or (
             along is not None and stretch > STRETCHED and stderr > WIDE * size
         ):
-            verdict = "weak"
-        if verdict == "weak" and not on_tangent:
-            return Derived(name, value, None, "not identifiable", reason=reason)
-        hidden = {key for key in free if used[key].verdict == "not identifiable"}
+            verdict = Verdict.WEAK
+        if verdict == Verdict.WEAK and not on_tangent:
+            return Derived(name, value, None, Verdict.NOT_IDENTIFIABLE, reason=reason)
+        hidden = {key for key in free if used[key].verdict == Verdict.NOT_IDENTIFIABLE}
         sums = [item for item in self.combinations if hidden & set(item.weights)]
         dof = [*(used[key].dof for key in free), *(item.dof for item in sums)]
         if spoiled:  # of parameters that have no error of their own
@@ -374,7 +375,7 @@ class FirstOrder(NamedTuple):
             verdict,
             systematic,
             dof=min(known) if known else None,
-            reason=reason if verdict == "weak" else "",
+            reason=reason if verdict == Verdict.WEAK else "",
         )
 
 
@@ -478,7 +479,9 @@ def _as_the_fit_says(known: FirstOrder, quantity: Derived) -> Derived:
         )
     for combination in known.combinations:
         if combination.expression == quantity.expression:
-            return replace(quantity, stderr=combination.stderr, verdict="determined")
+            return replace(
+                quantity, stderr=combination.stderr, verdict=Verdict.DETERMINED
+            )
     return quantity
 
 
@@ -565,7 +568,7 @@ def _error_at(
     row = np.array([[gradient.get(name, 0.0) for name in names]])
     if not np.isfinite(row).all():
         return math.inf
-    free = [item.verdict != "fixed" for item in known.parameters.values()]
+    free = [item.verdict.is_free for item in known.parameters.values()]
     typical = np.array([item.typical for item in known.parameters.values()]) * free
     errors = [math.inf]
     for name in held if point.held is None else (point.held,):

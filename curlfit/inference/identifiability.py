@@ -15,13 +15,13 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from curlfit.inference.verdict import Verdict
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.principal_axes import principal_axes
-from curlfit.records import Choice
 
 _UNSEEN = 1e-3  # known to no better than a thousand typical sizes
 _ROUNDING = 1e-9  # over the largest singular value
@@ -53,11 +53,6 @@ INTERVAL = 6.63
 """Rise of chi squared at the ends of a 99 % interval, of one degree of freedom: values
 within it fit nearly as well."""
 
-Verdict = Annotated[
-    str,
-    Choice(("determined", "prior", "weak", "not identifiable", "at bound", "fixed")),
-]
-
 
 class WithInterval:
     """A value with its standard error and the degrees of freedom of that."""
@@ -86,6 +81,11 @@ class Combination(WithInterval):
     value: float
     stderr: float | None
     dof: float | None = None
+
+    @property
+    def verdict(self) -> Verdict:
+        """Always "determined"."""
+        return Verdict.DETERMINED
 
 
 def with_combinations(
@@ -363,18 +363,19 @@ def analyse(
 
 def classify(
     typical: float, at_bound: bool, known: Identifiability, place: int
-) -> tuple[float | None, str]:
+) -> tuple[float | None, Verdict]:
     """Standard error, where there is one, and verdict of a free parameter.
 
     The 95 % interval of a weakly determined parameter reaches its typical size to
     either side. `place` is the index of the parameter in `known`.
     """
     if at_bound:
-        return None, "at bound"
+        return None, Verdict.AT_BOUND
     if known.unseen[place]:
-        return None, "not identifiable"
+        return None, Verdict.NOT_IDENTIFIABLE
     stderr = float(np.sqrt(known.covariance[place, place]))
-    return stderr, "determined" if stderr < WEAK_ERROR * typical else "weak"
+    determined = stderr < WEAK_ERROR * typical
+    return stderr, Verdict.DETERMINED if determined else Verdict.WEAK
 
 
 def _combinations(

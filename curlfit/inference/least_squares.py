@@ -23,7 +23,6 @@ from curlfit.inference.identifiability import inverted
 from curlfit.inference.initial_values import SmoothPath, default_guess
 from curlfit.inference.likelihood import weighted_residuals
 from curlfit.inference.model import Model
-from curlfit.inference.noise.models import LOSSES
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Problem
@@ -38,7 +37,6 @@ Stacks = tuple[Any, Any, Any, Penalty, Problem]
 
 MOST_STEPS = 200
 _FIRST_STEPS = 12  # of many problems, until those that are not done are grouped anew
-_MIXED = "mixed"  # in place of the name of a loss
 # length of a column, over the longest, below which it is rounding error
 _NOTHING = 1e-7
 _ROUNDING = 1e-12  # eigenvalue, with columns of length 1, that may be rounding error
@@ -136,9 +134,11 @@ class Tasks(NamedTuple):
         return Tasks(problems, start, lower, upper, self.typical, penalty, self.common)
 
     @property
-    def _loss(self) -> str:
-        index, *others = np.unique(self.problems.loss)
-        return _MIXED if others else LOSSES[index]
+    def _loss(self) -> int | None:
+        """Place of the loss of all problems; None if they differ, as those do of which
+        some are still fitted without it."""
+        place, *others = np.unique(self.problems.loss).tolist()
+        return None if others else place
 
     def arguments(self, model: Model, control: Control) -> tuple[Any, ...]:
         """Of the programs that solve them."""
@@ -167,7 +167,7 @@ class Tasks(NamedTuple):
 
 def _solve(
     model: Model,
-    loss: str,
+    loss: int | None,
     stacks: Stacks,
     typical: Array,
     blocks: Blocks,
@@ -180,8 +180,8 @@ def _solve(
 
     def residual(values: Array, problem: Problem) -> Array:
         def one(values: Array, problem: Problem) -> Array:
-            if loss != _MIXED:
-                problem = problem._replace(loss=LOSSES.index(loss))
+            if loss is not None:
+                problem = problem._replace(loss=loss)
             return weighted_residuals(model, values, problem)
 
         together = problem.observed.ndim > 2

@@ -33,12 +33,12 @@ from curlfit.dynamics.trajectory import (
 )
 from curlfit.friction import NetLaw
 from curlfit.inference.model import Model
-from curlfit.inference.noise.losses import signed_root
 from curlfit.inference.noise.whitening import whitened
 from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import Problem
 from curlfit.inference.spin_at_rest import RowIntervals
 from curlfit.inference.system import System
+from curlfit.losses import LOSSES, loss_at
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import BATCH, in_batches, unstacked
 from curlfit.numerics.compiled import compiled
@@ -208,7 +208,19 @@ def _unpadded_times(problem: Problem) -> Array:
 def weighted_residuals(model: Model, values: Array, problem: Problem) -> Array:
     """(model - data) times weight, whitened and transformed by the loss, shaped
     like the data."""
-    return signed_root(_whitened_residuals(model, values, problem), problem.loss)
+    return _signed_root(_whitened_residuals(model, values, problem), problem.loss)
+
+
+def _signed_root(residual: Any, place: Any) -> Any:
+    """sqrt(rho) with the sign of the residual, of the loss at a place in `LOSSES`.
+
+    A compiled program contains all losses where the place is traced, one where it is a
+    number.
+    """
+    if isinstance(place, jax.Array):
+        roots = [loss.signed_root for loss in LOSSES.values()]
+        return jax.lax.switch(place, roots, jnp.asarray(residual))
+    return loss_at(int(place)).signed_root(residual)
 
 
 def _whitened_residuals(model: Model, values: Array, problem: Problem) -> Array:
@@ -281,7 +293,7 @@ def log_posterior(
 @compiled("model")
 def _chi_squared(model: Model, values: Array, problems: Problem) -> Array:
     found = jax.vmap(partial(_whitened_residuals, model))(values, problems)
-    return (jax.vmap(signed_root)(found, problems.loss) ** 2).sum((1, 2))
+    return (jax.vmap(_signed_root)(found, problems.loss) ** 2).sum((1, 2))
 
 
 def chi_squared_of_many(
@@ -295,7 +307,7 @@ def chi_squared_of_many(
         program = partial(_chi_squared, model)
         return np.asarray(in_batches(program, (values, problems), batch))
     found = whitened_residuals_of_many(model, values, problems, batch)
-    roots = [signed_root(*pair) for pair in zip(found, problems.loss, strict=True)]
+    roots = [_signed_root(*pair) for pair in zip(found, problems.loss, strict=True)]
     return (np.array(roots) ** 2).sum((1, 2))
 
 

@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.environment import Environment
-from curlfit.inference.noise.models import LOSSES
 from curlfit.inference.parameters import START
 from curlfit.inference.spin_at_rest import MeasuredSpins
+from curlfit.losses import LINEAR, Loss, place_of
 from curlfit.numerics.arrays import Floats
 from curlfit.stone import Stone
 from curlfit.throws.events import Event, EventArrays, event_arrays
@@ -52,7 +52,7 @@ class Problem(NamedTuple):
     stone: Stone
     environment: Environment
     loss: Any = 0
-    """index of the loss in `LOSSES`"""
+    """place of the loss in `LOSSES`"""
     events: EventArrays | None = None
     """definitions of the events in the last row"""
     whitener: Any = None
@@ -101,7 +101,7 @@ def build_problem(
     stone: Stone,
     origin: Origin,
     sigma: dict[str, float],
-    loss: str = "linear",
+    loss: Loss = LINEAR,
     swept: Sequence[float] | None = None,
     shape: tuple[int, int] | None = None,
 ) -> Problem:
@@ -137,7 +137,7 @@ def build_problem(
         weight=weight,
         stone=Stone(*map(np.asarray, vars(stone).values())),  # type: ignore[arg-type]
         environment=environment_of(swept, origin.t),
-        loss=np.asarray(LOSSES.index(loss)),
+        loss=np.asarray(place_of(loss)),
         events=events,
         spins=MeasuredSpins.of(throw, rows) if channels >= len(CHANNELS) else None,
     )

@@ -19,6 +19,7 @@ import numpy as np
 from curlfit.inference.derived import Derived, FirstOrder, derive
 from curlfit.inference.identifiability import INTERVAL, demanded_errors
 from curlfit.inference.parameters import START
+from curlfit.inference.verdict import Verdict
 from curlfit.numerics.arrays import Floats
 
 _POSITIONS = ("x0", "y0", "heading", "phi0")
@@ -67,7 +68,7 @@ def products_of(known: FirstOrder) -> tuple[Derived, ...]:
         product = replace(
             derive(known, expression), meaning=_in_words(first, second, powers)
         )
-        if product.stderr is None or product.verdict not in ("determined", "prior"):
+        if product.stderr is None or not product.verdict.is_known:
             continue
         error = product.stderr / abs(product.value)
         if error <= _PRECISE:
@@ -90,7 +91,7 @@ def _factors(known: FirstOrder, rises: Floats) -> list[_Factor]:
     names = [
         name
         for name, item in known.parameters.items()
-        if item.verdict in ("weak", "not identifiable", "at bound")
+        if (item.verdict.is_open or item.verdict == Verdict.AT_BOUND)
         and name not in _POSITIONS
     ]
     along = {name: np.array([point[name] for point in points]) for name in names}

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import sys
 from types import ModuleType
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 
 def namespace(array: Any) -> ModuleType:
     """The module whose functions apply to an array: `jax.numpy`, or `numpy`
     for all else."""
-    return jnp if isinstance(array, jax.Array) else np
+    jax = sys.modules.get("jax")  # loaded where there is an array of it
+    if jax is not None and isinstance(array, jax.Array):
+        numpy_of_jax: ModuleType = jax.numpy
+        return numpy_of_jax
+    return np

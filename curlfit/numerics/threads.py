@@ -1,4 +1,4 @@
-"""Independent computations in parallel threads.
+"""Independent computations in parallel threads, and what the system grants a process.
 
 Python runs in one thread at a time, but XLA compiles, loads and runs
 programs concurrently.
@@ -14,6 +14,9 @@ from typing import Any, TypeVar
 Result = TypeVar("Result")
 
 _MOST_THREADS = 4  # more would only wait for Python
+_ADDRESS_SPACE = 1_600_000 * 1024
+"""Bytes of addresses that a fit needs: XLA ends it by SIGABRT under a `ulimit -v` of
+1,400,000 kB, and it succeeds under 1,600,000 kB."""
 
 
 def cores() -> int:
@@ -38,3 +41,15 @@ def in_threads(
         yield pool.map(lambda given: function(*given), arguments)
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+def require_address_space() -> None:
+    """Raise `MemoryError` where `ulimit -v` leaves the process too few addresses: XLA
+    would end it by a signal."""
+    try:
+        import resource
+    except ImportError:  # Windows has no such limit
+        return
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if limit != resource.RLIM_INFINITY and limit < _ADDRESS_SPACE:
+        raise MemoryError

@@ -36,6 +36,7 @@ from curlfit.inference.identifiability import (
     classify,
     r_factor,
 )
+from curlfit.inference.verdict import Verdict
 from curlfit.numerics.arrays import Floats
 from curlfit.optimal_design.departures import errors_along, expected_departures
 from curlfit.optimal_design.information import (
@@ -369,10 +370,11 @@ def _expected(
     identifiability = _identifiability(assumed, factor)
     combinations = tuple(departures.kept(identifiability.combinations))
     stderr: dict[str, float | None] = {}
-    verdicts: dict[str, str] = {}
+    verdicts: dict[str, Verdict] = {}
     for coefficient in assumed.law.coefficients():
         name = coefficient.name
-        error, verdict = None, "fixed"
+        error: float | None = None
+        verdict = Verdict.FIXED
         if name in assumed.names:
             index = assumed.names.index(name)
             typical = float(assumed.typical[index])
@@ -399,11 +401,11 @@ def _expected(
     )
 
 
-def _verdict(stderr: float | None, typical: float) -> str:
+def _verdict(stderr: float | None, typical: float) -> Verdict:
     """Whether an expected error is small enough, as for a coefficient."""
     if stderr is None:
-        return "not identifiable"
-    return "determined" if stderr < WEAK_ERROR * typical else "weak"
+        return Verdict.NOT_IDENTIFIABLE
+    return Verdict.DETERMINED if stderr < WEAK_ERROR * typical else Verdict.WEAK
 
 
 def planned_throws(

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.text import Text
 
 from curlfit.foreign import counted
+from curlfit.inference.verdict import Verdict
 from curlfit.optimal_design.result import Design, Scenario, Separation
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Said, Section, show
@@ -209,7 +210,7 @@ def _best(design: Design) -> PlainTable:
                 f"{head}{by}": _error(item.stderr.get(name))
                 for by, item in shown.items()
             },
-            "verdict": judged(first.verdicts.get(name, "determined")),
+            "verdict": judged(first.verdicts.get(name, Verdict.DETERMINED)),
         }
         for name in first.stderr
     ]
@@ -243,7 +244,7 @@ def _summary(design: Design) -> list[str]:
         hidden = [
             name
             for name, verdict in first.verdicts.items()
-            if verdict == "not identifiable"
+            if verdict == Verdict.NOT_IDENTIFIABLE
         ]
         changes = "; or ".join(
             join_words(

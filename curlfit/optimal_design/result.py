@@ -8,7 +8,8 @@ from os import PathLike
 from typing import Any, ClassVar
 
 from curlfit.inference.fit.result import LoadName
-from curlfit.inference.identifiability import Combination, Verdict
+from curlfit.inference.identifiability import Combination
+from curlfit.inference.verdict import Verdict
 from curlfit.output.frames import frame
 from curlfit.records import Record, require, require_rows
 from curlfit.stone import Stone

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from curlfit.errors import InputError
-from curlfit.numerics.threads import cores
+from curlfit.numerics.threads import cores, require_address_space
 
 if TYPE_CHECKING:
     from concurrent.futures import Future, ProcessPoolExecutor
@@ -68,7 +68,12 @@ class FigureFiles:
         one loads JAX.
 
         Figures are drawn here if there is only one core, or if JAX is loaded already.
+
+        Raises
+        ------
+        MemoryError : too little of it for JAX, by `ulimit -v`.
         """
+        require_address_space()
         if self.formats and cores() > 1 and "jax" not in sys.modules:
             from curlfit.numerics.processes import worker_processes
 

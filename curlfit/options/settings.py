@@ -14,6 +14,7 @@ from cyclopts import Group, Parameter
 
 from curlfit.errors import DataError, InputError
 from curlfit.foreign import quoted, safe_name
+from curlfit.losses import LOSSES
 from curlfit.settings.choices import (
     FLAGS,
     LAW,
@@ -167,7 +168,7 @@ class ConfiguredThrow(Generic[Chosen]):
         chosen = self.chosen
         prepared = PreparedThrow.of(self.throw, chosen)
         model = Model(find_law(chosen.law), chosen.load, prepared.parameters.conditions)
-        rounds = Rounds(model, [prepared], loss=chosen.loss, noise=chosen.noise)
+        rounds = Rounds(model, [prepared], loss=LOSSES[chosen.loss], noise=chosen.noise)
         (problem,) = unstacked(rounds.problems)
         return model, prepared.local_parameters, problem
 

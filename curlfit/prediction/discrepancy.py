@@ -47,6 +47,7 @@ from curlfit.numerics.compiled import compiled
 from curlfit.numerics.differences import slopes
 from curlfit.prediction.ensemble import TrajectoryEnsemble
 from curlfit.prediction.result import Discrepancy
+from curlfit.settings.noise_kinds import NoiseKind
 from curlfit.throws.events import along_path
 from curlfit.throws.throw import CHANNELS
 
@@ -116,7 +117,7 @@ class DiscrepancyPosterior:
         """Draws of the parameters corrected for the missing accelerations, with errors
         enlarged where a fit with independent noise has correlated residuals."""
         found, data = values + missing.change, self._data
-        if self._fit.noise.kind == "white":
+        if self._fit.noise.is_white:
             t = self._fit.observed["t"]
             noise, scale = self._estimate.noise, self._estimate.scale
             times = np.append(t - t[0], np.full(len(data.gaps) - len(t), t[-1] - t[0]))
@@ -144,7 +145,9 @@ def discrepancy_posterior(fit: FitResult) -> DiscrepancyPosterior:
     if fit.events:
         data.responses[-1, : len(fit.events)] = _response_of_events(fit, responses)
     channels = [*CHANNELS, "events"][: len(data.weight)]
-    found = estimate("discrepancy", data, [name not in fit.sigma for name in channels])
+    found = estimate(
+        NoiseKind.DISCREPANCY, data, [name not in fit.sigma for name in channels]
+    )
     best = found.log_likelihood.max()
     without = [found.log_likelihood[column == SIZES[0]].max() for column in GRID.T]
     excess = np.sqrt(2 * (best - without))

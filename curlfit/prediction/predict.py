@@ -43,6 +43,7 @@ from curlfit.prediction.ensemble import ThrowFamily, prepare_ensemble, weights_o
 from curlfit.prediction.request import PlannedThrow, both_turns, planned
 from curlfit.prediction.result import CENTRED, Call, Prediction
 from curlfit.prediction.simulation import Simulation
+from curlfit.settings.noise_kinds import NoiseKind
 from curlfit.throws.odd_row import OddRow
 from curlfit.throws.throw import CHANNELS, Throw
 
@@ -191,13 +192,13 @@ def _with_white_noise(
             "groups; leave it out"
         )
     _require_predictable(fit, draws)
-    if "discrepancy" not in fit.noise.kind:
+    if fit.noise.kind != NoiseKind.DISCREPANCY:
         return fit, chain, []
     note = (
         "the path is that of the least-squares coefficients; the discrepancy that the "
         "fit has as noise is here in the bands"
     )
-    return refit(fit, "white"), None, [note]
+    return refit(fit, NoiseKind.WHITE), None, [note]
 
 
 def _require_alike(throw: PlannedThrow, together: bool, check: Throw | None) -> None:

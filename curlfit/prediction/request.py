@@ -15,6 +15,7 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.joint.draw import Draw
 from curlfit.inference.parameters import START
 from curlfit.inference.system import System
+from curlfit.inference.verdict import Verdict
 from curlfit.prediction.result import Call
 from curlfit.settings.forms import VALUES, numbers
 from curlfit.sheet import HOUSE, LINES, TEE, TEE_TO_HOG, WIDTH
@@ -185,7 +186,7 @@ def _require(
     aside, _ = (0.0, 0.0) if target is None else TARGET.checked("target", target)
     aims = target is not None or weight is not None
     v0, omega0 = start.get("v0", 1.0), start.get("omega0", 0.0)
-    unknown_spin = fit.parameters["omega0"].verdict == "not identifiable"
+    unknown_spin = fit.parameters["omega0"].verdict == Verdict.NOT_IDENTIFIABLE
     for refused, why in (
         (
             not 0 < v0 <= SPEED,

@@ -20,6 +20,7 @@ from scipy.interpolate import PchipInterpolator
 from curlfit.errors import InputError, UnusableFitError
 from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.inference.mcmc.chain import Chain
+from curlfit.inference.verdict import Verdict
 from curlfit.numerics.arrays import Floats
 from curlfit.profile_likelihood.refit import BETTER, ConstrainedFits, Refit
 from curlfit.profile_likelihood.result import (
@@ -189,7 +190,7 @@ def _verdict(made: Profile, first: Interval, *, cut: bool) -> str:
     if (
         cut
         and made.rise < made.levels[-1].delta_chi2
-        and (made.estimate.verdict != "not identifiable")
+        and (made.estimate.verdict != Verdict.NOT_IDENTIFIABLE)
     ):
         return "narrow"
     if not soft or made.rise >= _HARDLY:
@@ -200,7 +201,7 @@ def _verdict(made: Profile, first: Interval, *, cut: bool) -> str:
 def _search_range(fits: ConstrainedFits, name: str) -> tuple[float, float]:
     """Default range of a parameter."""
     item, best = fits.refit.fit.parameters[name], float(fits.best[0])
-    sharp = item.verdict not in ("determined", "prior") or not item.stderr
+    sharp = not item.verdict.is_known or not item.stderr
     step = _FIRST * item.typical if sharp else _REACH * (item.stderr or 0.0)
     farthest = max(_LAST * item.typical, step)
     low, high = (

@@ -9,6 +9,8 @@ from rich.console import Console
 from rich.text import Text
 
 from curlfit.inference.fit.estimates import Estimate
+from curlfit.inference.verdict import Verdict
+from curlfit.losses import LOSSES
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Said, Section, show
 from curlfit.output.text import (
@@ -62,7 +64,7 @@ def document(profile: Profile | PairProfile) -> Document:
         else:
             lines.append(describe_undetermined(item))
             remarks.append(Said(lines[-1], style=_VERDICTS[item.verdict][1]))
-    loss = "" if one.loss == "linear" else f", {one.loss} loss"
+    loss = LOSSES[one.loss].suffix
     fitted = f"{one.law} law, {one.load} load{loss}, fitted to {one.data['file']}"
     return Document(
         finding=", ".join(
@@ -219,7 +221,7 @@ def _limits(profile: Profile) -> list[str]:
             "The covariance has no standard error for it "
             f"({profile.estimate.verdict}); the profile needs none."
         )
-    elif profile.loss != "linear":
+    elif LOSSES[profile.loss].is_robust:
         remark = (
             f"Profile and covariance differ by up to {far:.2g} standard errors: "
             "the covariance uses the scatter of the residuals, the profile the noise "
@@ -253,12 +255,12 @@ def _limits(profile: Profile) -> list[str]:
 
 def _notes(each: Sequence[Profile]) -> list[str]:
     found = []
-    if any(one.estimate.verdict == "at bound" for one in each):
+    if any(one.estimate.verdict == Verdict.AT_BOUND for one in each):
         found.append(
             "at a bound the thresholds of chi squared are too high, "
             "and the limits have more than the stated confidence"
         )
-    if each[0].loss != "linear":
+    if LOSSES[each[0].loss].is_robust:
         found.append(
             "chi squared means minus twice the log-likelihood of the "
             f"{each[0].loss} loss"

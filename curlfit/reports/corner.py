@@ -11,6 +11,7 @@ from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.inference.identifiability import Combination
 from curlfit.inference.joint.result import JointResult
 from curlfit.inference.mcmc.chain import Chain
+from curlfit.inference.verdict import Verdict
 from curlfit.numerics.arrays import Floats
 from curlfit.output import figures as draw
 from curlfit.output.text import format_estimate
@@ -34,7 +35,7 @@ class _Shown(NamedTuple):
 
     label: str
     unit: str
-    verdict: str = "determined"
+    verdict: Verdict = Verdict.DETERMINED
 
 
 @draw.style()
@@ -124,7 +125,7 @@ def _of_joint(result: JointResult, chain: Chain) -> tuple[Any, ...]:
         if spread != name:
             label, varies = f"spread of\n{symbols.get(spread, spread)}", spread
         # its density leans to one side
-        verdict = "weak" if spread != name else "determined"
+        verdict = Verdict.WEAK if spread != name else Verdict.DETERMINED
         shown[name] = _Shown(label, units.get(varies, "1"), verdict)
     heading = f"{draw.law_and_load(result)}: {result.count} throws together"
     return shown, {}, {}, heading, [(draw.QUIET, [_LEGEND])]
@@ -167,9 +168,7 @@ def _names(fit: FitResult) -> list[str]:
     initial state too."""
     start = ("v0", "omega0", "heading")
     wanted = [*fit.coefficients, *fit.conditions]
-    free = [
-        name for name in (*wanted, *start) if fit.parameters[name].verdict != "fixed"
-    ]
+    free = [name for name in (*wanted, *start) if fit.parameters[name].verdict.is_free]
     found = [name for name in free if name in wanted]
     return found if len(found) > 1 else free
 
@@ -186,7 +185,7 @@ def _extent(values: Floats, mark: float | None) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def _histogram(axes: Any, verdict: str, values: Floats) -> None:
+def _histogram(axes: Any, verdict: Verdict, values: Floats) -> None:
     """Histogram of one parameter with its median and 68 % interval."""
     counts, *_ = axes.hist(
         values,
@@ -209,9 +208,9 @@ def _histogram(axes: Any, verdict: str, values: Floats) -> None:
     )
     axes.set(ylim=(0, 1.1 * counts.max()), yticks=[])
     said = f"{low:.3g} .. {high:.3g}"
-    if verdict == "not identifiable":
+    if verdict == Verdict.NOT_IDENTIFIABLE:
         said = verdict
-    elif verdict in ("determined", "prior"):
+    elif verdict.is_known:
         said = " \N{PLUS-MINUS SIGN} ".join(format_estimate(middle, (high - low) / 2))
     text = axes.set_title(
         said.replace("-", "\N{MINUS SIGN}"), fontsize=7, pad=3, loc="center"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from curlfit.foreign import counted
+from curlfit.inference.verdict import Verdict
 from curlfit.output.text import join_words
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ _NUMBERS = (
 
 def identifiability(fit: FitResult) -> str:
     """What the path determines and what it does not, in sentences."""
-    free = [name for name, item in fit.parameters.items() if item.verdict != "fixed"]
+    free = [name for name, item in fit.parameters.items() if item.verdict.is_free]
     held = [name for name in free if name not in fit.covariance["names"]]
     what, number = "The path", len(fit.events)
     if not fit.rms:
@@ -52,7 +53,7 @@ def identifiability(fit: FitResult) -> str:
     said = [f"{what} {fit.rank} of {counted(len(free) - len(held), 'parameter')}{but}."]
     unseen, by_prior, weak = (
         [name for name in free if fit.parameters[name].verdict == verdict]
-        for verdict in ("not identifiable", "prior", "weak")
+        for verdict in (Verdict.NOT_IDENTIFIABLE, Verdict.PRIOR, Verdict.WEAK)
     )
     if unseen:
         changes = "; or when ".join(map(_change, fit.null_directions))

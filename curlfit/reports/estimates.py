@@ -8,6 +8,7 @@ from typing import Any
 
 from curlfit.inference.conditions import CALIBRATION, if_off
 from curlfit.inference.derived import Derived, Quantiles
+from curlfit.inference.verdict import Verdict
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Said
 from curlfit.output.text import (
@@ -42,11 +43,12 @@ def lines_of(result: Any) -> list[str]:
     not identifiable."""
     known, unseen = [], []
     for name, item in result.coefficients.items():
-        if item.verdict == "not identifiable":
+        if item.verdict == Verdict.NOT_IDENTIFIABLE:
             unseen.append(name)
             continue
-        how = f" ({item.verdict})" * (item.verdict != "determined")
-        known.append(f"{name} = {compact(item.value, item.stderr)}{how}")
+        known.append(f"{name} = {compact(item.value, item.stderr)}")
+        if item.verdict != Verdict.DETERMINED:
+            known[-1] += f" ({item.verdict})"
     known += [
         f"{one.expression} = {compact(one.value, one.stderr)}"
         for one in (*result.combinations, *getattr(result, "products", ()))
@@ -65,9 +67,9 @@ def row_of(
     quantiles: Quantiles | None = None,
 ) -> dict[str, Any]:
     """Cells of a row of a table of estimates."""
-    verdict = getattr(item, "verdict", "determined")
+    verdict = getattr(item, "verdict", Verdict.DETERMINED)
     value, stderr = "-", "-"
-    if verdict != "not identifiable":
+    if verdict != Verdict.NOT_IDENTIFIABLE:
         value, stderr = format_estimate(item.value, item.stderr)
     return {
         head: labelled(name, getattr(item, "unit", "")),

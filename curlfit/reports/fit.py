@@ -14,6 +14,8 @@ from rich.text import Text
 from curlfit.foreign import counted, file_and_number
 from curlfit.inference.derived import Derived, Quantiles, scaled, to_its_side
 from curlfit.inference.parameters import START
+from curlfit.inference.verdict import Verdict
+from curlfit.losses import LOSSES
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Section, command_line, show
 from curlfit.output.text import (
@@ -51,7 +53,6 @@ _UNFINISHED = (
     "--resume to continue it."
 )
 _FEW = 30.0  # degrees of freedom from which Student's t is Gaussian to within 4 %
-_SEEN = ("determined", "prior", "fixed")
 
 
 def print_fit(fit: FitResult, console: Console | None = None) -> None:
@@ -68,9 +69,12 @@ def print_fit(fit: FitResult, console: Console | None = None) -> None:
 def document(fit: FitResult) -> Document:
     """What a fit says."""
     data = fit.data
-    loss = "" if fit.loss == "linear" else f", {fit.loss} loss"
-    noise = "" if fit.noise.kind == "white" else f", {fit.noise.kind} noise"
-    hidden = any(item.verdict not in _SEEN for item in fit.parameters.values())
+    loss = LOSSES[fit.loss].suffix
+    noise = fit.noise.kind.suffix
+    hidden = any(
+        item.verdict.is_open or item.verdict == Verdict.AT_BOUND
+        for item in fit.parameters.values()
+    )
     unfinished = Text(_UNFINISHED * (fit.sampling == "unfinished"), style="bold yellow")
     numbers, line = lines_of(fit), quantities_line(fit)
     sections = (
@@ -287,7 +291,7 @@ def _quality(fit: FitResult) -> PlainTable:
             "": fit.data["sigma"][name],
             "lag-1 correlation": f"{fit.lag1[name]:.2f}" if name in fit.lag1 else "",
         }
-        if fit.noise.kind != "white":
+        if not fit.noise.is_white:
             after = fit.independence.get(name)
             row["noise model"] = _memory(fit, name)
             row["lag-1 after whitening"] = f"{after.lag1:.2f}" if after else ""
@@ -364,7 +368,7 @@ def _posterior(fit: FitResult) -> Text | None:
 def settings_of(fit: FitResult) -> dict[str, str]:
     """The settings of a fit, by name."""
     known, sampled = fit.parameters, fit.posterior
-    held = {name: item for name, item in known.items() if item.verdict == "fixed"}
+    held = {name: item for name, item in known.items() if item.verdict == Verdict.FIXED}
     listed = {
         "Sigma": {
             name: f"{_sigma(fit, name)} ({fit.data['sigma'][name]})" for name in fit.rms

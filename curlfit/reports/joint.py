@@ -266,7 +266,7 @@ def _throws(result: JointResult) -> PlainTable:
     for place, one in enumerate(result.throws):
         row = {"throw": Path(one.data["file"]).name}
         for name, item in one.parameters.items():
-            if name not in (*result.share, *_HIDDEN) and item.verdict != "fixed":
+            if name not in (*result.share, *_HIDDEN) and item.verdict.is_free:
                 row[f">{name}"] = format_estimate(item.value, item.stderr)[0]
         for difference in result.variation:
             alone = difference.each[place]

@@ -29,6 +29,7 @@ from typing import (
 from cyclopts import Group, Parameter
 
 from curlfit.errors import InputError
+from curlfit.losses import LOSSES
 from curlfit.settings.forms import (
     HEADINGS,
     LIMITS,
@@ -47,6 +48,7 @@ from curlfit.settings.forms import (
     option,
     whole,
 )
+from curlfit.settings.noise_kinds import NoiseKind
 from curlfit.stone import Stone
 
 READING = Group("How to read DATA", sort_key=1)
@@ -71,10 +73,8 @@ FILE = Form(
     "a name of a file", lambda file: TEXT.checked("", fspath(file)), written="a word"
 )
 LOAD = OneOf("load", ("uniform", "consistent"))
-LOSS = OneOf("loss", ("linear", "huber", "soft-l1", "cauchy", "student"))
-NOISE = OneOf(
-    "noise", ("white", "ar1", "discrepancy"), **{"ar1+discrepancy": "discrepancy"}
-)
+LOSS = OneOf("loss", tuple(LOSSES))
+NOISE = OneOf("noise", tuple(NoiseKind), **{"ar1+discrepancy": NoiseKind.DISCREPANCY})
 NOISES = Several(NOISE, "noise models", "noise models with commas between", text=True)
 LOADS = OneOf("load", (*LOAD.names, "both"))
 LAW = Form(
@@ -117,6 +117,15 @@ def takes(kind: type[Choices], *without: str) -> Callable[[Function], Function]:
     return documented
 
 
+def _losses_in_words() -> str:
+    """The names of losses, and what is said about some of them."""
+    words = [
+        f"`{name}` ({loss.about})" if loss.about else f"`{name}`"
+        for name, loss in LOSSES.items()
+    ]
+    return ", ".join(words)
+
+
 def given(value: Any) -> bool:
     """Whether a value gives a choice."""
     return not (
@@ -138,6 +147,7 @@ class Choices:
         )
         for name, text in re.findall(r"^(\w+) : (.+(?:\n +.+)*)", entries, re.M):
             if hasattr(hints.get(name), "__metadata__") and name in own:
+                text = text.replace("{losses}", _losses_in_words())
                 flag: Parameter = hints[name].__metadata__[0]
                 called = FLAGS.get(name) or flag.name or None
                 helpful = Parameter(help=" ".join(text.split()), name=called)
@@ -320,8 +330,8 @@ class Estimation(Rows):
     start : Initial value; derived from the data if not given.
     sigma : Noise of a channel: x=0.005,y=0.005,phi=0.01 (m, m, rad); estimated
         if not given.
-    loss : `linear` is least squares; `huber`, `soft-l1`, `cauchy`, `student` (4 degrees
-        of freedom) are robust to outliers. [default: linear]
+    loss : How much large residuals count: {losses}; all but the first are robust to
+        outliers. [default: linear]
     stone : The stone: ring radius R, radius of gyration rho, height h of the centre of
         mass (m), mass m (kg).
     """
@@ -370,7 +380,7 @@ class Estimation(Rows):
         noise = getattr(self, "noise", ())
         kinds = [noise] if isinstance(noise, str) else list(noise)
         for kind in kinds:
-            if kind != "white" and self.loss != "linear":
+            if kind != NoiseKind.WHITE and LOSSES[self.loss].is_robust:
                 raise InputError(
                     f"noise {kind} and loss {self.loss} cannot be combined: "
                     "a robust loss takes each value by itself"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import subprocess
 import sys
 from io import BytesIO
 from pathlib import Path
@@ -60,6 +61,17 @@ def test_too_little_memory_is_one_sentence(monkeypatch, tmp_path, error):
     monkeypatch.setattr(cli, "run", exhausted)
     ran = command("fit", DATA, cwd=tmp_path)
     assert ran.returncode == 1
+    assert ran.stderr.startswith("curlfit: not enough memory; expected about 2 GB")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such limit")
+@pytest.mark.parametrize("words", [f"fit {DATA}", f"batch {DATA.parent}"])
+def test_too_few_addresses_are_one_sentence_before_jax_is_loaded(words, tmp_path):
+    limited = f"ulimit -v 1000000; exec {sys.executable} -P -m curlfit {words}"
+    ran = subprocess.run(
+        ["bash", "-c", limited], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert (ran.returncode, ran.stdout) == (1, "")
     assert ran.stderr.startswith("curlfit: not enough memory; expected about 2 GB")
 
 

@@ -33,7 +33,9 @@ from curlfit.inference.mcmc.arviz_export import (
 from curlfit.inference.noise.models import Noise
 from curlfit.inference.noise.whitening import Whitener
 from curlfit.inference.problem import LEVEL_AND_STILL, Problem
+from curlfit.losses import LOSSES
 from curlfit.output import html
+from curlfit.settings.noise_kinds import NoiseKind
 from curlfit.stone import Stone
 
 pytestmark = pytest.mark.documentation
@@ -502,7 +504,7 @@ def test_correlated_noise_is_that_of_the_covariance():
     weight = np.zeros((3, 8))
     weight[0, :6] = 10.0
     times = np.append(t, [1.0, 1.0])
-    noise = Noise("ar1", memory={"x": memory})
+    noise = Noise(NoiseKind.AR1, memory={"x": memory})
     whitener = Whitener.of(noise, times, weight, 0)
     problem = Problem(
         times, weight * 0, weight, Stone(), LEVEL_AND_STILL, whitener=whitener
@@ -522,19 +524,23 @@ def test_correlated_noise_is_that_of_the_covariance():
         expected[:, k] = stats.norm.logpdf(
             residual[:, k], residual[:, rest] @ pull, variance**0.5
         )
-    np.testing.assert_allclose(log_likelihoods(residual, whitening, "linear"), expected)
+    np.testing.assert_allclose(
+        log_likelihoods(residual, whitening, LOSSES["linear"]), expected
+    )
 
-    drawn = draw_noise(np.random.default_rng(2), (40_000, 6), whitening, "linear")
+    drawn = draw_noise(
+        np.random.default_rng(2), (40_000, 6), whitening, LOSSES["linear"]
+    )
     np.testing.assert_allclose(np.cov(drawn.T), covariance, atol=0.03)
 
 
 def test_noise_of_a_robust_loss_has_its_density():
     random = np.random.default_rng(3)
-    drawn = draw_noise(random, (20_000, 1), None, "student")[:, 0]
+    drawn = draw_noise(random, (20_000, 1), None, LOSSES["student"])[:, 0]
     assert stats.kstest(drawn, stats.t(4).cdf).pvalue > 1e-3
     residual = np.array([[0.3, -4.0]])
     np.testing.assert_allclose(
-        log_likelihoods(residual, None, "student"), stats.t(4).logpdf(residual)
+        log_likelihoods(residual, None, LOSSES["student"]), stats.t(4).logpdf(residual)
     )
 
 

@@ -27,6 +27,7 @@ from curlfit.export.accelerations import (
 )
 from curlfit.friction import LOADS
 from curlfit.inference.conditions import CONDITIONS
+from curlfit.inference.verdict import Verdict
 
 # none of those of `tabulate`
 THROWS = ((2.35, -1.1, 0.2), (2.1, 2.0, -0.1), (1.0, 14.0, 0.0))
@@ -224,7 +225,7 @@ def with_conditions(fit, **values):
         one.name: replace(
             item,
             value=values[one.name],
-            verdict="fixed",
+            verdict=Verdict.FIXED,
             lower=one.lower,
             upper=one.upper,
         )

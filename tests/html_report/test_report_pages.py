@@ -20,6 +20,7 @@ import curlfit
 from curlfit.cli import app
 from curlfit.html_report.page import page_of
 from curlfit.html_report.replay import replay_of_fit
+from curlfit.inference.verdict import Verdict
 from curlfit.reports.fit import command_of
 from curlfit.settings.choices import Fitting
 
@@ -276,7 +277,7 @@ def test_what_is_not_determined_is_not_shown_at_an_instant(records):
     """A throw without angles: its handle is drawn, but no number is given of it."""
     fit = records["fit"]
     unseen = {
-        name: replace(fit.parameters[name], verdict="fixed", stderr=None)
+        name: replace(fit.parameters[name], verdict=Verdict.FIXED, stderr=None)
         for name in ("phi0",)
     }
     without = replace(

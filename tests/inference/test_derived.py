@@ -20,6 +20,7 @@ from curlfit.inference.expression import parse
 from curlfit.inference.fit.estimates import Estimate, RidgePoint
 from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.products import products_of
+from curlfit.inference.verdict import Verdict
 from curlfit.output.text import compact
 from curlfit.reports.fit import document
 from curlfit.sheet import LINES, TEE
@@ -264,7 +265,7 @@ def known_of(residual, names, values, held, typical=1.0):
             rise = float(np.sum(residual(np.array(at)) ** 2))
             point = RidgePoint(name, rise, tuple(at), tuple(map(tuple, factor)))
             ridge.append(point)
-    verdict = "not identifiable" if null else "weak"
+    verdict = Verdict.NOT_IDENTIFIABLE if null else Verdict.WEAK
     estimates = {
         name: Estimate(value, None, verdict, "1", name, name, -1e3, 1e3, typical)
         for name, value in zip(names, values, strict=True)

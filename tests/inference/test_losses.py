@@ -15,22 +15,14 @@ from scipy.stats import norm, t
 
 import curlfit
 from curlfit.errors import InputError
-from curlfit.inference.noise.losses import (
-    influence,
-    likeliest_sigma,
-    log_density,
-    precision,
-    root_slope,
-    signed_root,
-)
-from curlfit.inference.noise.models import LOSSES
+from curlfit.losses import LOSSES
 from curlfit.reports.fit import outliers
 
 R = np.concatenate([-np.logspace(3, -9, 60), [0.0], np.logspace(-9, 3, 60)])
 
 
-def rho(loss):
-    return np.asarray(signed_root(R, LOSSES.index(loss))) ** 2
+def rho(name):
+    return np.asarray(LOSSES[name].signed_root(R)) ** 2
 
 
 def test_losses_are_scipy_s():
@@ -48,10 +40,10 @@ def test_losses_are_scipy_s():
     np.testing.assert_allclose(rho("student"), likelihood, rtol=1e-9, atol=1e-14)
 
 
-@pytest.mark.parametrize("loss", LOSSES)
+@pytest.mark.parametrize("loss", LOSSES.values(), ids=LOSSES)
 def test_derivatives(loss):
     def root(r):
-        return signed_root(r, LOSSES.index(loss))
+        return loss.signed_root(r)
 
     def half(r):
         return root(r) ** 2 / 2
@@ -60,55 +52,56 @@ def test_derivatives(loss):
     slope, psi, bend = jax.jit(jax.vmap(lambda r: [one(r) for one in slopes]))(R)
     assert np.isfinite(slope[R == 0]).all()
     some = np.abs(R) > 1e-6
-    np.testing.assert_allclose(root_slope(R, loss)[some], slope[some], rtol=1e-6)
-    np.testing.assert_allclose(influence(R, loss).psi[some], psi[some], rtol=1e-7)
+    np.testing.assert_allclose(loss.root_slope(R)[some], slope[some], rtol=1e-6)
+    np.testing.assert_allclose(loss.psi(R)[some], psi[some], rtol=1e-7)
     some &= np.abs(np.abs(R) - 1.345) > 1e-3
-    found = influence(R, loss).slope[some]
+    found = loss.psi_slope(R)[some]
     np.testing.assert_allclose(found, bend[some], rtol=1e-5, atol=1e-7)
 
 
-@pytest.mark.parametrize("loss", LOSSES)
+@pytest.mark.parametrize("loss", LOSSES.values(), ids=LOSSES)
 def test_every_loss_is_the_likelihood_of_some_noise(loss):
     def density(r):
-        return np.exp(log_density(np.array([r]), loss)[0])
+        return np.exp(loss.log_density(np.array([r]))[0])
 
     assert 2 * quad(density, 0, np.inf, limit=400)[0] == pytest.approx(1, rel=1e-7)
-    place = LOSSES.index(loss)
     for r in (0.3, 1.0, 2.0, 9.0):
         fall = -2 * np.log(density(r) / density(0.0))
-        assert fall == pytest.approx(float(signed_root(r, place)) ** 2, rel=1e-9)
-    if loss in ("linear", "student"):
-        known = norm if loss == "linear" else t(4)
-        np.testing.assert_allclose(log_density(R, loss), known.logpdf(R), rtol=1e-9)
+        assert fall == pytest.approx(float(loss.signed_root(r)) ** 2, rel=1e-9)
+    if loss.name in ("linear", "student"):
+        known = norm if loss.name == "linear" else t(4)
+        np.testing.assert_allclose(loss.log_density(R), known.logpdf(R), rtol=1e-9)
 
 
-@pytest.mark.parametrize("loss", LOSSES)
+@pytest.mark.parametrize("loss", LOSSES.values(), ids=LOSSES)
 def test_the_likeliest_sigma(loss):
     random = np.random.default_rng(4)
     values = 0.03 * random.standard_t(4, 4000)
 
     def minus_log(log_sigma):
-        return -(log_density(values / np.exp(log_sigma), loss) - log_sigma).sum()
+        return -(loss.log_density(values / np.exp(log_sigma)) - log_sigma).sum()
 
-    found = likeliest_sigma(values, loss)
+    found = loss.likeliest_sigma(values)
     best = minimize_scalar(minus_log, bounds=(np.log(1e-3), 0), method="bounded")
     assert np.log(found) == pytest.approx(best.x, abs=1e-4)
-    if loss == "student":
+    if loss.name == "student":
         assert found == pytest.approx(t.fit(values, fdf=4, floc=0)[2], rel=1e-3)
         assert found == pytest.approx(0.03, rel=0.05)
-    assert likeliest_sigma(np.zeros(9), loss) == 1e-12
+    assert loss.likeliest_sigma(np.zeros(9)) == 1e-12
 
 
-@pytest.mark.parametrize("loss", ["huber", "cauchy"])
-def test_constants_give_95_percent_of_the_information_of_gaussian_noise(loss):
+@pytest.mark.parametrize("name", ["huber", "cauchy"])
+def test_constants_give_95_percent_of_the_information_of_gaussian_noise(name):
+    loss = LOSSES[name]
+
     def mean(f):
         return quad(lambda r: f(np.array([r]))[0] * norm.pdf(r), -8, 8, limit=400)[0]
 
-    slope = mean(lambda r: influence(r, loss).slope)
-    square = mean(lambda r: influence(r, loss).psi ** 2)
+    slope = mean(lambda r: loss.psi_slope(r))
+    square = mean(lambda r: loss.psi(r) ** 2)
     assert slope**2 / square == pytest.approx(0.95, abs=2e-3)
     sample = np.random.default_rng(0).standard_normal(200_000)
-    assert precision(sample, loss) == pytest.approx(0.95, abs=0.01)
+    assert loss.precision(sample) == pytest.approx(0.95, abs=0.01)
 
 
 @pytest.fixture(scope="module")

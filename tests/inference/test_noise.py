@@ -15,6 +15,7 @@ from curlfit.inference.noise.linearized import Linearized
 from curlfit.inference.noise.models import Independence, Noise
 from curlfit.inference.noise.restricted import _slope
 from curlfit.inference.noise.whitening import Whitener, whitened
+from curlfit.settings.noise_kinds import NoiseKind
 
 TRUE = {"mu1_xi": 0.005, "mu2_xi": 0.05, "mu1_eta": 0.009, "mu2_eta": 0.009}
 START = {"v0": 2.1, "omega0": 1.3}
@@ -61,7 +62,9 @@ def test_correlated_noise_is_made_independent_across_gaps():
     weight = np.ones((3, 60))
     weight[1, 20:35] = 0.0
     times = np.cumsum(np.random.default_rng(1).uniform(0.05, 0.3, 60))
-    noise = Noise("ar1", memory={"x": 0.4, "y": 1.5}, white={"x": 0.0, "y": 0.3})
+    noise = Noise(
+        NoiseKind.AR1, memory={"x": 0.4, "y": 1.5}, white={"x": 0.0, "y": 0.3}
+    )
     whitener = Whitener.of(noise, times, weight, 0)
     for channel, memory, white in ((0, 0.4, 0.0), (1, 1.5, 0.3)):
         w = operator(whitener, 60, channel)

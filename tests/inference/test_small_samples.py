@@ -17,6 +17,7 @@ from curlfit.inference.fit.covariance import Covariance
 from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.fit.residuals import outliers_of
 from curlfit.inference.likelihood import SIGMA_FLOOR
+from curlfit.losses import LINEAR
 from curlfit.profile_likelihood.result import levels_of
 from curlfit.reports.determined import identifiability
 
@@ -182,7 +183,7 @@ def test_outliers_are_named_where_they_draw_the_fit_aside():
 
     def times(lag1):
         found = outliers_of(
-            throw, residual, {"phi": lag1}, np.full(5, 175.0), 0 * residual, "linear"
+            throw, residual, {"phi": lag1}, np.full(5, 175.0), 0 * residual, LINEAR
         )
         return sorted(item["t"] for item in found if item["channel"] == "phi")
 

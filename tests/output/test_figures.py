@@ -10,6 +10,7 @@ from matplotlib.text import Text
 import curlfit
 from curlfit.inference.joint.result import JointResult, Variation
 from curlfit.inference.mcmc.chain import Chain
+from curlfit.inference.verdict import Verdict
 from curlfit.options.figures import FigureFiles, write_figures
 from curlfit.output.figures import Picture, measured_slopes
 from curlfit.output.ticks import neat_axis, unit_for
@@ -103,7 +104,7 @@ def test_ticks_of_neighbouring_corner_panels_do_not_meet(
 def with_coefficients(fit, count):
     """The first few alone estimated."""
     held = {
-        name: replace(fit[name], verdict="fixed")
+        name: replace(fit[name], verdict=Verdict.FIXED)
         for name in list(fit.coefficients)[count:]
     }
     return replace(fit, parameters=fit.parameters | held)
@@ -153,7 +154,7 @@ def sampled_slope(eq12_posterior, monkeypatch):
     slope = replace(
         fit.parameters["mu1_xi"],
         value=0.0,
-        verdict="prior",
+        verdict=Verdict.PRIOR,
         unit="m/m",
         symbol="s_x",
         typical=1e-3,
@@ -184,7 +185,7 @@ def test_a_corner_has_the_conditions_that_were_estimated(sampled_slope):
         assert label.startswith(symbol)
     held = {
         **fit.parameters,
-        "slope_x": replace(fit.parameters["slope_x"], verdict="fixed"),
+        "slope_x": replace(fit.parameters["slope_x"], verdict=Verdict.FIXED),
     }
     assert len(corner_figure(replace(fit, parameters=held), chain).axes) == 10
 

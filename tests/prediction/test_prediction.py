@@ -21,6 +21,7 @@ import curlfit
 from curlfit import InputError, UnusableFitError, sheet
 from curlfit.inference.noise.accelerations import COMPONENTS, SPEEDS
 from curlfit.inference.problem import LEVEL_AND_STILL
+from curlfit.inference.verdict import Verdict
 from curlfit.numerics import compiled
 from curlfit.prediction.discrepancy import discrepancy_posterior
 from curlfit.prediction.ensemble import simulate_ensemble
@@ -372,7 +373,11 @@ def test_a_new_throw_asks_for_a_spin_that_the_fit_does_not_know(fit):
     unknown = replace(
         fit,
         parameters=fit.parameters
-        | {"omega0": replace(fit.parameters["omega0"], verdict="not identifiable")},
+        | {
+            "omega0": replace(
+                fit.parameters["omega0"], verdict=Verdict.NOT_IDENTIFIABLE
+            )
+        },
     )
     with pytest.raises(InputError, match="does not determine the spin"):
         curlfit.predict(unknown, start={"v0": 2.0})

@@ -17,6 +17,7 @@ from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.likelihood import whitened_residuals_of_many
 from curlfit.inference.mcmc.sampler import sample
 from curlfit.inference.problem import Origin, build_problem
+from curlfit.losses import LOSSES
 from curlfit.numerics.batches import stacked
 
 STONE = curlfit.Stone(R=0.065)
@@ -71,7 +72,7 @@ def scipy_minimum(fit, held):
     of the model."""
     throw, parameters = fit.throw, fit.parameter_set
     origin = Origin.of(throw)
-    problem = build_problem(throw, fit.stone, origin, fit.sigma, fit.loss)
+    problem = build_problem(throw, fit.stone, origin, fit.sigma, LOSSES[fit.loss])
     offset = origin.offset(len(parameters))
     values = fit.values - offset
     for name, value in held.items():

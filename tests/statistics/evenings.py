@@ -202,43 +202,69 @@ def regression(
     return answers
 
 
-def evening(
+class Evening:
+    """Draws on two sheets in turn, as they are written down.
+
+    Attributes
+    ----------
+    rows : the measured values of each draw, by column.
+    sheets, hours : of each draw, 1 or 2 and h since the first.
+    apart : how far the sheets differ in friction and in curl, over their means.
+    rising : the trend of friction, over its mean, per hour.
+    sense : the sense of turning of the last draw on sheet 2.
+    """
+
+    def __init__(self, truth: Truth, columns: tuple[str, ...], seed: int) -> None:
+        random = np.random.default_rng([seed, len(columns), *truth.law.encode()])
+        self.truth = truth
+        self.random = random
+        draws = int(random.integers(12, 25))
+        kind = ((0, 0), (1, 0), (0, 1), (1, 1))[seed % 4]
+        side = random.choice([-1, 1], 2)
+        self.apart = np.array(kind) * side * (FRICTION_APART, CURL_APART)
+        self.rising = random.uniform(-0.02, 0.02)
+        self.ice = random.uniform(0.9, 1.1, 2)
+        self.middle = (draws - 1) / 2 * EVERY
+        self.sheets = np.arange(draws) % 2 + 1
+        self.hours = EVERY * np.arange(draws)
+        usual = weight_of(truth.law, truth.at(*self.ice), 1.2)
+        self.rows = []
+        self.sense = 1.0
+        for sheet, hour in zip(self.sheets.tolist(), self.hours.tolist(), strict=True):
+            own = self.law_of_a_draw(sheet, hour)
+            w = random.choice([-1, 1]) * random.uniform(0.9, 1.5)
+            v = usual * np.sqrt(self.means(sheet, hour)[0] / self.ice[0])
+            draw = thrown(truth.law, own, v * (1 + 0.01 * random.standard_normal()), w)
+            if sheet == 2:
+                self.sense = np.sign(w)
+            self.rows.append(measured(draw, columns, random))
+
+    def means(self, sheet: int, hour: float) -> np.ndarray:
+        """Friction and curl of a sheet at a time, over those of the law."""
+        about = self.apart * (sheet - 1.5) + (self.rising * (hour - self.middle), 0.0)
+        return self.ice * (1 + about)
+
+    def law_of_a_draw(self, sheet: int, hour: float) -> dict[str, float]:
+        """Coefficients of the next draw, which varies about its sheet's mean."""
+        own = self.random.standard_normal(2) * (SPREAD_FRICTION, SPREAD_CURL)
+        return self.truth.at(*self.means(sheet, hour) * (1 + own))
+
+    def labels(self, draw: int) -> dict[str, str]:
+        """Of a draw."""
+        return {"sheet": f"{self.sheets[draw]}", "hour": f"{self.hours[draw]:.6f}"}
+
+
+def answers_of(
     truth: Truth, columns: tuple[str, ...], seed: int
 ) -> tuple[dict[str, Answer], dict[str, float]]:
     """The answers of one evening, and the widths of those by regression; none where
     the fit is not usable."""
-    random = np.random.default_rng([seed, len(columns), *truth.law.encode()])
-    draws = int(random.integers(12, 25))
-    kind = ((0, 0), (1, 0), (0, 1), (1, 1))[seed % 4]
-    side = random.choice([-1, 1], 2)
-    apart = np.array(kind) * side * (FRICTION_APART, CURL_APART)
-    rising = random.uniform(-0.02, 0.02)
-    ice = random.uniform(0.9, 1.1, 2)
-    middle = (draws - 1) / 2 * EVERY
-
-    def means(sheet: int, hour: float) -> np.ndarray:
-        about = apart * (sheet - 1.5) + (rising * (hour - middle), 0.0)
-        return ice * (1 + about)
-
-    def law_of_a_draw(sheet: int, hour: float) -> dict[str, float]:
-        own = random.standard_normal(2) * (SPREAD_FRICTION, SPREAD_CURL)
-        return truth.at(*means(sheet, hour) * (1 + own))
-
-    sheets = np.arange(draws) % 2 + 1
-    hours = EVERY * np.arange(draws)
-    usual = weight_of(truth.law, truth.at(*ice), 1.2)
-    rows = []
+    evening = Evening(truth, columns, seed)
+    rows = evening.rows
+    draws = len(rows)
     throws = []
-    sense = 1.0  # of the last draw on sheet 2
-    for sheet, hour in zip(sheets.tolist(), hours.tolist(), strict=True):
-        own = law_of_a_draw(sheet, hour)
-        w = random.choice([-1, 1]) * random.uniform(0.9, 1.5)
-        v = usual * np.sqrt(means(sheet, hour)[0] / ice[0])
-        draw = thrown(truth.law, own, v * (1 + 0.01 * random.standard_normal()), w)
-        sense = sense if sheet == 1 else np.sign(w)
-        rows.append(measured(draw, columns, random))
-        labels = {"sheet": f"{sheet}", "hour": f"{hour:.6f}"}
-        throw, law = as_throw(rows[-1], labels)
+    for place, row in enumerate(rows):
+        throw, law = as_throw(row, evening.labels(place))
         throws.append(throw)
     joint = curlfit.fit_together(
         throws, law, by="sheet", trend="hour", systematics={"all": 0.0}
@@ -246,16 +272,18 @@ def evening(
     if not joint.converged:
         return {}, {}
     answers = {}
-    by_regression = regression(rows, sheets, hours)
+    by_regression = regression(rows, evening.sheets, evening.hours)
     friction = next(one for one in joint.groups if one.parameter == "friction").value
     turn = joint.means.angle
     first, second = (
-        draw_to_the_tee(truth.law, truth.at(*means(sheet, middle)), turn)
+        draw_to_the_tee(
+            truth.law, truth.at(*evening.means(sheet, evening.middle)), turn
+        )
         for sheet in (1, 2)
     )
     truths = {
-        "friction of the sheets": apart[0],
-        "friction per hour": rising,
+        "friction of the sheets": evening.apart[0],
+        "friction per hour": evening.rising,
         "curl of the sheets": abs(second.curl) - abs(first.curl),
         "curl per hour": 0.0,
     }
@@ -273,8 +301,8 @@ def evening(
                 low, high = one.interval(size)
                 spans[level] = (low / unit, high / unit)
             answers[question] = Answer(truths[question], one.value / unit, spans)
-    own = law_of_a_draw(2, draws * EVERY)
-    answers |= next_draw(truth, joint, own, draws, sense * turn, seed)
+    own = evening.law_of_a_draw(2, draws * EVERY)
+    answers |= next_draw(truth, joint, own, draws, evening.sense * turn, seed)
     widths = {
         name: 2 * error * float(student.ppf(0.975, freedom))
         for name, (_, error, freedom) in by_regression.items()
@@ -313,7 +341,9 @@ def next_draw(
 
 def rows_of(truth: str, columns: str, evenings: int) -> Iterator[tuple[str, ...]]:
     """Rows of the table: of each question of some evenings."""
-    tried = [evening(TRUTHS[truth], COLUMNS[columns], seed) for seed in range(evenings)]
+    tried = [
+        answers_of(TRUTHS[truth], COLUMNS[columns], seed) for seed in range(evenings)
+    ]
     usable = [one for one in tried if one[0]]
     yield (truth, columns, "usable", f"{len(usable)} of {len(tried)}", "", "", "")
     for question in {name: None for answers, _ in usable for name in answers}:

@@ -31,6 +31,7 @@ from curlfit.inference.noise.models import is_rough
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.differences import slopes
 from curlfit.output.text import join_words, two_digits
+from curlfit.settings.noise_kinds import NoiseKind
 from curlfit.throws.motion import SURE, motion_of
 from curlfit.throws.throw import CHANNELS
 
@@ -57,7 +58,7 @@ def curl_warnings(fits: Sequence[FitResult]) -> list[str]:
         what = f"the measured curl of {abs(curls[0]):.2f} m to the {side} is"
     else:
         what = f"the measured curls of {len(curls)} of {len(fits)} throws are"
-    in_heading = first.parameters["heading"].verdict != "fixed"
+    in_heading = first.parameters["heading"].verdict.is_free
     where = ["in the heading"] * in_heading
     where += ["in the residuals"] * (bool(first.rms) or not in_heading)
     return [
@@ -90,7 +91,7 @@ _FARTHER = 2.0
 
 
 def with_noise_advice(
-    result: FitResult, refit: Callable[[FitResult, str], FitResult]
+    result: FitResult, refit: Callable[[FitResult, NoiseKind], FitResult]
 ) -> FitResult:
     """A fit with independent noise whose warning about correlated residuals
     says what helps."""
@@ -104,7 +105,9 @@ def with_noise_advice(
     return replace(result, warnings=tuple(warnings))
 
 
-def _advice(result: FitResult, refit: Callable[[FitResult, str], FitResult]) -> str:
+def _advice(
+    result: FitResult, refit: Callable[[FitResult, NoiseKind], FitResult]
+) -> str:
     doubtful = [name for name, item in result.independence.items() if item.doubtful]
     left = {name: result.observed[name] - result.fitted[name] for name in doubtful}
     if not any(is_rough(series[np.isfinite(series)]) for series in left.values()):
@@ -113,7 +116,7 @@ def _advice(result: FitResult, refit: Callable[[FitResult, str], FitResult]) -> 
             "(or from a formula or filter that made them), and its standard errors do "
             "not contain that"
         )
-    for noise in ("ar1", "discrepancy"):
+    for noise in (NoiseKind.AR1, NoiseKind.DISCREPANCY):
         other = refit(result, noise)
         if _describes(other, result):
             tried = f"`--noise {noise}`, which was tried, leaves independent residuals"
@@ -200,7 +203,7 @@ def remedies(
         sharp = (spread < WEAK_ERROR * typical) & ~known.unseen
         return {name for name, take in zip(names, sharp, strict=True) if take}
 
-    if fit.noise.kind != "white":
+    if not fit.noise.is_white:
         unseen = dict(zip(names, analysed(missing).unseen, strict=True))
         never = [name for name in open_ if unseen[name]]
         return ({"parameters": never, "measure": [], "all": False},) if never else ()

@@ -14,6 +14,7 @@ from curlfit.inference.fit.prepared import LeastSquaresFit
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import SIGMA_FLOOR
 from curlfit.inference.noise.models import time_of_motion
+from curlfit.inference.verdict import Verdict
 from curlfit.numerics.arrays import Floats
 from curlfit.output.text import compact, join_words, two_digits
 from curlfit.throws.plausibility import Finding
@@ -61,9 +62,9 @@ def warnings_of(
         *_of_correlation(result),
         *_of_errors(result),
     ]
-    if outliers and fit.loss == "linear":
+    if outliers and not fit.loss.is_robust:
         warnings.append(outlier_warning(outliers, throw.t))
-    if fit.loss == "linear" and fit.noise.kind == "white":
+    if not fit.loss.is_robust and fit.noise.is_white:
         warnings += _of_given_sigma(throw, residual, outliers)
     ridges = of_ridges(result.parameters, departures, result.products)
     return (*warnings, *_of_memory(result), *_of_events(result), *ridges)
@@ -91,7 +92,7 @@ def of_bounds(estimates: Mapping[str, Estimate], open_: Collection[str]) -> list
     """Parameters at a bound; those of `open_` would not leave it if they could."""
     warnings = []
     for name, item in estimates.items():
-        if item.verdict == "at bound":
+        if item.verdict == Verdict.AT_BOUND:
             within = f"{item.lower:g}..{item.upper:g}"
             what = f"favour values outside {within}"
             if name in open_:
@@ -113,7 +114,7 @@ def _of_correlation(result: FitResult) -> list[str]:
     if not doubtful:
         return []
     listed = ", ".join(f"{item.lag1:.2f} in {name}" for name, item in doubtful.items())
-    if result.noise.kind != "white":
+    if not result.noise.is_white:
         return [
             f"noise {result.noise.kind} does not describe these residuals, "
             f"which stay correlated from row to row (lag-1 correlation {listed}); "
@@ -157,7 +158,7 @@ def of_ridges(
     open_ = [
         f"{name} from {low:.3g} to {high:.3g}"
         for name, (low, high) in departures.intervals.items()
-        if estimates[name].verdict in ("weak", "not identifiable")
+        if estimates[name].verdict.is_open
     ]
     if not open_:
         return []

@@ -155,7 +155,7 @@ def may_have_cause(fit: LeastSquaresFit, result: FitResult) -> bool:
     """Whether a cause is to be sought: the residuals are not independent, and the fit,
     by least squares with independent noise, does not account for sweeping."""
     doubtful = any(item.doubtful for item in result.independence.values())
-    plain = fit.loss == "linear" and fit.noise.kind == "white"
+    plain = not fit.loss.is_robust and fit.noise.is_white
     return doubtful and plain and fit.prepared.swept is None
 
 

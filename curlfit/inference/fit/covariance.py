@@ -23,16 +23,15 @@ from curlfit.inference.identifiability import (
     classify,
 )
 from curlfit.inference.least_squares import Solution
-from curlfit.inference.noise.losses import precision, root_slope
 from curlfit.inference.problem import Problem
+from curlfit.inference.verdict import Verdict
+from curlfit.losses import LINEAR, Loss
 from curlfit.numerics.arrays import Booleans, Floats
 
 CONVERGED = 0.01
 """Distance to the optimum, in standard errors, at which a fit has converged."""
 # share of estimated variances in a sum below which the sum counts as known
 _KNOWN = 1e-3
-# of sigma from the median absolute residual, Gaussian noise (Huber 1981)
-_MEDIAN_EFFICIENCY = 0.37
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +168,7 @@ class Covariance:
     def _dof_of_each(self) -> list[float | None]:
         return self.degrees_of_freedom(np.eye(len(self.matrix)))
 
-    def classified(self, place: int) -> tuple[float | None, str, float | None]:
+    def classified(self, place: int) -> tuple[float | None, Verdict, float | None]:
         """Standard error of a free parameter, where there is one, its verdict, and the
         degrees of freedom of the error."""
         index, about = (
@@ -179,9 +178,10 @@ class Covariance:
         stderr, verdict = classify(*about, self.identifiability, index)
         if stderr is None:
             return None, verdict, None
-        if verdict == "determined" and self.has_priors:
+        if verdict == Verdict.DETERMINED and self.has_priors:
             alone = classify(*about, self.of_data, index)[1]
-            verdict = verdict if alone == verdict else "prior"
+            if alone != verdict:
+                verdict = Verdict.PRIOR
         return stderr, verdict, self._dof_of_each[index]
 
     def shifts(self, gradients: Mapping[str, Floats]) -> dict[str, Floats]:
@@ -248,7 +248,7 @@ def first_order(
 ) -> Covariance:
     """What R factors say of parameters, without the data that they are of."""
     nothing = np.zeros((1, 1, len(typical)))
-    sigmas = Sigmas(np.ones(1, int), np.zeros(1, bool), "linear", len(typical))
+    sigmas = Sigmas(np.ones(1, int), np.zeros(1, bool), LINEAR, len(typical))
     return Covariance.of(
         names, bounded, typical, (factors, factors), nothing, sigmas, True
     )
@@ -312,33 +312,31 @@ class Sigmas(NamedTuple):
     number: NDArray[np.int64]
     """of values"""
     estimated: Booleans
-    loss: str
+    loss: Loss
     total: int
     """number of values in all channels, of all throws that are fitted together"""
 
     def dof(self, leverage: Floats) -> Floats:
         """Degrees of freedom n - p of each sigma; infinite where it was given. The sum
         of the `leverage` of each value, shape (..., n), over a channel is its p."""
-        efficiency = 1.0 if self.loss == "linear" else _MEDIAN_EFFICIENCY
         dof = np.maximum(self.number - leverage.sum(-1), 1.0)
-        return np.where(self.estimated, efficiency * dof, np.inf)
+        return np.where(self.estimated, self.loss.sigma_efficiency * dof, np.inf)
 
 
 def robust_jacobians(
-    problems: Problem, solutions: Solution, residual: Floats, loss: str
+    problems: Problem, solutions: Solution, residual: Floats, loss: Loss
 ) -> Floats:
     """Jacobians of throws, of shape (throws, channels, n, parameters), whose normal
     equations are those of the estimator: those of the residuals over their sigma, each
     channel rescaled for a robust loss.
 
-    The covariance of an M-estimator is that of least squares divided by `precision`
-    (Huber 1981). `residual` is measured - fitted.
+    The covariance of an M-estimator is that of least squares divided by
+    `Loss.precision` (Huber 1981). `residual` is measured - fitted.
     """
     jacobians: Floats = solutions.jacobian.copy()
     for place in np.ndindex(jacobians.shape[:2]):
         weight = problems.weight[place]
         r = -residual[place] * weight
-        jacobians[place] *= (
-            np.sqrt(precision(r[weight > 0], loss)) / root_slope(r, loss)[:, None]
-        )
+        precision = loss.precision(r[weight > 0])
+        jacobians[place] *= np.sqrt(precision) / loss.root_slope(r)[:, None]
     return jacobians

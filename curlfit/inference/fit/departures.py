@@ -31,6 +31,7 @@ from curlfit.inference.identifiability import (
     stderr_of,
     visible,
 )
+from curlfit.inference.verdict import Verdict
 from curlfit.numerics.arrays import Floats
 
 _PROBED = 2.0
@@ -114,27 +115,27 @@ class Departures(NamedTuple):
     """None where it was not followed"""
 
     def judged(
-        self, name: str, stderr: float | None, verdict: str, typical: float
-    ) -> tuple[float | None, str, str]:
+        self, name: str, stderr: float | None, verdict: Verdict, typical: float
+    ) -> tuple[float | None, Verdict, str]:
         """What the ridge makes of an estimate of a typical size: its standard error,
         its verdict, and the reason of that, if there is one."""
         stderr = self.widened(stderr, name)
         if stderr is not None and math.isinf(stderr):
-            return None, "not identifiable", self.range_of(name)
+            return None, Verdict.NOT_IDENTIFIABLE, self.range_of(name)
         if name in self.lost:
-            return stderr, "weak", self.range_of(name)
+            return stderr, Verdict.WEAK, self.range_of(name)
         if name in self.released:
-            return None, "not identifiable", self.range_of(name)
-        if verdict == "not identifiable" and name in self.intervals:
+            return None, Verdict.NOT_IDENTIFIABLE, self.range_of(name)
+        if verdict == Verdict.NOT_IDENTIFIABLE and name in self.intervals:
             return stderr, verdict, self.range_of(name)
-        if verdict == "prior":
+        if verdict == Verdict.PRIOR:
             return stderr, verdict, "without the priors the data do not determine it"
         wide = stderr is not None and stderr >= WEAK_ERROR * typical
-        if verdict == "weak" or (verdict == "determined" and wide):
+        if verdict == Verdict.WEAK or (verdict == Verdict.DETERMINED and wide):
             reason = (
                 f"its standard error is more than half its typical size, {typical:g}"
             )
-            return stderr, "weak", reason
+            return stderr, Verdict.WEAK, reason
         return stderr, verdict, ""
 
     def range_of(self, name: str) -> str:

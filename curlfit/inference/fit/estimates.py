@@ -11,7 +11,8 @@ from typing import Any, Self
 from curlfit.friction import Parameter
 from curlfit.inference.conditions import CALIBRATION
 from curlfit.inference.derived import Derived, Quantiles
-from curlfit.inference.identifiability import Combination, Verdict, WithInterval
+from curlfit.inference.identifiability import Combination, WithInterval
+from curlfit.inference.verdict import Verdict
 from curlfit.output.display import Displayed
 from curlfit.output.document import Document
 from curlfit.output.frames import frame
@@ -26,8 +27,7 @@ class Estimate(WithInterval):
     ----------
     stderr : standard error; None where the data do not determine the parameter, where
         it is at a bound, or where it was fixed.
-    verdict : "determined"; "prior" (determined, but not without the priors); "weak";
-        "not identifiable"; "at bound" or "fixed".
+    verdict : what the data say of it, one of `Verdict`.
     reason : of a weak parameter: its standard error is more than half its typical size,
         or values that fit nearly as well; of one that is not identifiable these values,
         where they lie on a curve; of a parameter that rests on priors: that the data
@@ -51,7 +51,7 @@ class Estimate(WithInterval):
     prior: str = ""
 
     @classmethod
-    def of(cls, item: Parameter, value: float, verdict: str, **known: Any) -> Self:
+    def of(cls, item: Parameter, value: float, verdict: Verdict, **known: Any) -> Self:
         """The estimate of a parameter; without a standard error unless it is among what
         is `known` besides."""
         told = {one.name: getattr(item, one.name) for one in fields(Parameter)[1:]}
@@ -238,11 +238,10 @@ class NamedEstimates(Record):
         """
         rows, errors = [], self.systematics.errors
         for name, item in self._items().items():
-            verdict, unit = "determined", ""
-            if isinstance(item, Estimate | Derived):
-                verdict, unit = item.verdict, item.unit
+            verdict = item.verdict
+            unit = "" if isinstance(item, Combination) else item.unit
             error = item.systematic if isinstance(item, Derived) else errors.get(name)
-            value = math.nan if verdict == "not identifiable" else item.value
+            value = math.nan if verdict == Verdict.NOT_IDENTIFIABLE else item.value
             numbers = (item.stderr, error, *(item.interval() or (None, None)))
             known = (math.nan if number is None else number for number in numbers)
             rows.append((value, *known, verdict, unit))

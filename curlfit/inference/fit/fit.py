@@ -40,14 +40,14 @@ from curlfit.inference.least_squares import (
 )
 from curlfit.inference.likelihood import prepare_channels
 from curlfit.inference.model import Model
-from curlfit.inference.noise.models import LOSSES
 from curlfit.inference.problem import Origin, problem_shape
+from curlfit.losses import LOSSES, loss_at
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import BATCH, side_by_side, stacked, unstacked
 from curlfit.settings.choices import Fitting, takes
+from curlfit.settings.noise_kinds import NoiseKind
 from curlfit.throws.throw import Reference, Throw, require_throw
 
-_OPEN = ("not identifiable", "weak")  # verdicts that another measurement might change
 _MOST_REST_SEARCHES = 20  # each moves the rest by up to eight rows
 _ROWS = 2 * BATCH * 256  # of throws that are fitted together, to limit memory
 
@@ -112,7 +112,9 @@ def _fit(
     model = Model(
         find_law(chosen.law), chosen.load, prepared.parameters.conditions
     ).within(family)
-    loss, noise, start = chosen.loss, chosen.noise, chosen.start
+    loss = LOSSES[chosen.loss]
+    noise = chosen.noise
+    start = chosen.start
     rounds = Rounds(model, [prepared], loss=loss, noise=noise)
     found = _fitted_alone(rounds, start)
     result = summarize(found, widths_of(model, chosen.systematics, [prepared]))
@@ -129,7 +131,7 @@ def _fit(
     if result.reference is not None:
         fits = _reference_fits(found, result, result.reference)
         result = replace(result, reference_fits=fits)
-    open_ = [name for name, item in result.parameters.items() if item.verdict in _OPEN]
+    open_ = [name for name, item in result.parameters.items() if item.verdict.is_open]
     return (
         replace(result, remedies=remedies(found, open_, chosen.fix))
         if open_
@@ -137,14 +139,14 @@ def _fit(
     )
 
 
-def refit(fit: FitResult, noise: str) -> FitResult:
+def refit(fit: FitResult, noise: NoiseKind) -> FitResult:
     """Repeat a fit under another noise model, starting from its optimum."""
     throw, origin = fit.throw, Origin.of(fit.throw)
     rows = {name: fit.data[name] for name in ("since", "until", "exclude")}
     prepared = PreparedThrow(
         throw, fit.stone, rows, fit.data["swept"], fit.parameter_set, origin
     )
-    rounds = Rounds(fit.model, [prepared], loss=fit.loss, noise=noise)
+    rounds = Rounds(fit.model, [prepared], loss=LOSSES[fit.loss], noise=noise)
     return summarize(_fitted_alone(rounds, fit.parameter_set.values_of(fit.values)))
 
 
@@ -237,7 +239,7 @@ def _search_other_rests(
         row
         for row, optima_of_throw in enumerate(followed)
         if optima_of_throw
-        and tasks.problems.loss[row] == LOSSES.index("linear")
+        and not loss_at(tasks.problems.loss[row]).is_robust
         and not rounds.noises[row].sizes
     ]
     for _ in range(_MOST_REST_SEARCHES):
@@ -374,8 +376,10 @@ def fit_throws(
     InputError : as in `fit`, for the arguments common to all throws.
     """
     common = Fitting.of(law=law, **choices)
-    law, loss, noise = find_law(common.law), common.loss, common.noise
-    curves = curves or loss != "linear" or noise != "white"
+    law = find_law(common.law)
+    loss = LOSSES[common.loss]
+    noise = common.noise
+    curves = curves or loss.is_robust or noise != NoiseKind.WHITE
     found: dict[int, Any] = {}
     groups: dict[tuple[int, int, tuple[str, ...]], dict[int, PreparedThrow]] = {}
     for index, throw in enumerate(throws):

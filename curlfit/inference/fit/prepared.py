@@ -21,6 +21,8 @@ from curlfit.inference.noise.whitening import Whitener
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty, penalty_of
 from curlfit.inference.problem import Origin, Problem, build_problem
+from curlfit.inference.verdict import Verdict
+from curlfit.losses import LOSSES, Loss
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import stacked
 from curlfit.settings.choices import Modelling
@@ -146,7 +148,7 @@ class LeastSquaresFit(NamedTuple):
 
     prepared: PreparedThrow
     model: Model
-    loss: str
+    loss: Loss
     noise: Noise
     problem: Problem
     sigma: dict[str, float]
@@ -163,7 +165,7 @@ def problem_of(fit: FitResult) -> tuple[Problem, Origin]:
     throw = fit.throw
     origin = Origin.of(throw)
     problem = build_problem(
-        throw, fit.stone, origin, fit.sigma, fit.loss, fit.data["swept"]
+        throw, fit.stone, origin, fit.sigma, LOSSES[fit.loss], fit.data["swept"]
     )
     data = linearized_fit(fit).first(len(problem.weight)) if fit.noise.sizes else None
     whitener = Whitener.of(
@@ -186,7 +188,7 @@ def linearized_fit(fit: FitResult) -> Linearized:
         path = np.concatenate([path, row])
     verdicts = [item.verdict for item in fit.parameters.values()]
     adjustable = np.array(
-        [verdict not in ("fixed", "at bound") for verdict in verdicts]
+        [verdict not in (Verdict.FIXED, Verdict.AT_BOUND) for verdict in verdicts]
     )
     values = fit.values - origin.offset(len(fit.values))
     typical = fit.parameter_set.typical

@@ -30,7 +30,6 @@ _NEAR = 0.05  # m by which the ends of a record may miss a line
 _DRAWS = 400  # of the posterior
 # draws tested for linearity in the parameters, tolerance in sd
 _TRIED, _LINEAR = 40, 0.03
-_SHOWN = ("determined", "prior")
 
 
 class _Motion(NamedTuple):
@@ -194,7 +193,7 @@ def quantities_of(fit: FitResult, chain: Any = None) -> dict[str, Derived]:
         one = known.assess(item.name, float(value), by_name, changes, held_counts=False)
         # Under a law that cannot curl a stone, the path contains no information
         # on the curl.
-        if one.verdict in _SHOWN and one.stderr is not None and one.stderr > _PRECISION:
+        if one.verdict.is_known and one.stderr is not None and one.stderr > _PRECISION:
             one = with_quantiles(one, samples[:, row]) if samples is not None else one
             found[item.name] = replace(one, meaning=item.meaning, unit=item.unit)
     return found

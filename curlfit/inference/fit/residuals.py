@@ -9,8 +9,8 @@ import numpy as np
 
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.likelihood import SIGMA_FLOOR
-from curlfit.inference.noise.losses import MAD_TO_SIGMA, robust_sigma
 from curlfit.inference.problem import Problem
+from curlfit.losses import MAD_TO_SIGMA, Loss, robust_sigma
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.channels import running_median
 from curlfit.throws.throw import CHANNELS, Throw
@@ -40,7 +40,7 @@ def outliers_of(
     lag1: Mapping[str, float],
     dof: Floats,
     leverage: Floats,
-    loss: str,
+    loss: Loss,
 ) -> tuple[dict[str, Any], ...]:
     """Values too far from the fit to be noise; in channels whose residuals do not look
     like noise, those as far from the residuals of the rows about them too.
@@ -73,7 +73,7 @@ def outliers_of(
         studentized = (
             not smooth
             and len(there) < _FEW
-            and loss == "linear"
+            and not loss.is_robust
             and series is None
             and dof[row] > 2
         )

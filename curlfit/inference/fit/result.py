@@ -33,9 +33,11 @@ from curlfit.inference.identifiability import (
     stderr_told,
 )
 from curlfit.inference.model import Model
-from curlfit.inference.noise.models import LOSSES, WHITE, Independence, Noise
+from curlfit.inference.noise.models import WHITE, Independence, Noise
 from curlfit.inference.parameters import START, ParameterSet
 from curlfit.inference.priors import parse_priors
+from curlfit.inference.verdict import Verdict
+from curlfit.losses import LOSSES
 from curlfit.numerics.arrays import Floats
 from curlfit.records import ADDED, SERIES, Choice, Names, keys, require, require_rows
 from curlfit.stone import Stone
@@ -56,7 +58,7 @@ _HARDLY_TOLD = 0.5
 
 ChannelName = Annotated[str, Choice(CHANNELS)]
 LoadName = Annotated[str, Choice(("uniform", "consistent"))]
-LossName = Annotated[str, Choice(LOSSES)]
+LossName = Annotated[str, Choice(tuple(LOSSES))]
 Pair = tuple[float, float]
 
 Extent = Annotated[
@@ -146,7 +148,7 @@ class FitResult(NamedEstimates):
     discrepancy : of a fit with the noise "discrepancy", the mean of the model
         discrepancy given the residuals: x, y, phi, speed, omega at the times of the
         rows, to be added to `fitted`. Empty without such noise.
-    loss : how much large residuals count, see `curlfit.inference.noise.losses`.
+    loss : how much large residuals count, see `curlfit.losses`.
     noise : how noise is correlated from row to row, see
         `curlfit.inference.noise.models`.
     outliers : values far from the fit: {"channel", "t", "line" (of the file, or None),
@@ -362,7 +364,7 @@ class FitResult(NamedEstimates):
             {
                 name: item.value
                 for name, item in self.parameters.items()
-                if item.verdict == "fixed"
+                if item.verdict == Verdict.FIXED
             },
             parse_priors(
                 {name: one.prior for name, one in self.parameters.items() if one.prior}
@@ -395,7 +397,7 @@ class FitResult(NamedEstimates):
             assumed={
                 item.name: self.parameters[item.name].value
                 for item in START
-                if self.events and self.parameters[item.name].verdict == "fixed"
+                if self.events and self.parameters[item.name].verdict == Verdict.FIXED
             },
             defaults={"as_given": True},  # it was checked when it was fitted
         )

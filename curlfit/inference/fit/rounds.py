@@ -44,13 +44,14 @@ from curlfit.inference.likelihood import (
 )
 from curlfit.inference.model import Model
 from curlfit.inference.noise.linearized import Linearized
-from curlfit.inference.noise.losses import robust_sigma
-from curlfit.inference.noise.models import LOSSES, Noise, time_of_motion
+from curlfit.inference.noise.models import Noise, time_of_motion
 from curlfit.inference.noise.restricted import estimate
 from curlfit.inference.noise.whitening import Whitener
 from curlfit.inference.problem import ROWS_OF_DATA, Problem, build_problem
+from curlfit.losses import LINEAR, Loss, place_of, robust_sigma
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import stacked
+from curlfit.settings.noise_kinds import NoiseKind
 from curlfit.throws.throw import CHANNELS, Throw
 
 _ROBUST_FITS = 4  # each with sigma from the bulk of the last
@@ -77,14 +78,14 @@ class Rounds:
         model: Model,
         throws: Sequence[PreparedThrow],
         *,
-        loss: str = "linear",
-        noise: str = "white",
+        loss: Loss = LINEAR,
+        noise: str = NoiseKind.WHITE,
         shape: tuple[int, int] | None = None,
         batch: int = 1,
     ) -> None:
         """`shape` is that of all problems; `batch` the number of paths integrated
         side by side."""
-        if noise != "white":
+        if noise != NoiseKind.WHITE:
             for one in throws:
                 if one.throw.events and one.throw.has_path:
                     raise InputError(
@@ -114,8 +115,8 @@ class Rounds:
         self.initial_problems = self.problems = built(
             [one.throw for one in throws], shape
         )
-        if noise != "white":
-            size, blank = len(throws[0].parameters), Noise(noise)
+        if noise != NoiseKind.WHITE:
+            size, blank = len(throws[0].parameters), Noise(NoiseKind(noise))
             each = zip(self.problems.times, self.problems.weight, strict=True)
             whiteners = stacked([Whitener.of(blank, *one, size) for one in each])
             self.problems = self.problems._replace(whitener=whiteners)
@@ -135,15 +136,16 @@ class Rounds:
         )
         self._estimated = np.zeros_like(self.sigma)
         self.free = np.stack([throw.parameters.free for throw in throws])
-        self.noises = [Noise(noise)] * len(throws)
+        self.noises = [Noise(NoiseKind(noise))] * len(throws)
         self.failures: dict[int, InputError] = {}
-        robust = _ROBUST_FITS if loss != "linear" else 0
+        robust = _ROBUST_FITS if loss.is_robust else 0
         self._rounds: list[Callable[[Indices, Solution], None]] = [
             self._estimate_sigma,
             self._tighten,
             *[self._estimate_robust_sigma] * robust,
-            *[self._estimate_noise] * (noise != "white"),
         ]
+        if noise != NoiseKind.WHITE:
+            self._rounds.append(self._estimate_noise)
         self._next = np.where(self.unknown.any(1), 0, _WITH_SIGMA)
 
     def starts(self) -> tuple[SmoothPath, Floats]:
@@ -180,7 +182,7 @@ class Rounds:
         """Optima of all throws with the sigmas of their own residuals in place of
         those that the fit estimated before, where that is by least squares with
         independent noise."""
-        plain = self.loss == "linear" and self.noises[0].kind == "white"
+        plain = not self.loss.is_robust and self.noises[0].is_white
         if not (plain and self.unknown.any()):
             return solutions
         sigma = residual_sigma(solutions, self.problems, self.free) + SIGMA_FLOOR
@@ -246,7 +248,7 @@ class Rounds:
                 there = problems.weight[place, row] > 0
                 bulk = robust_sigma(residual[place, row, there])
                 self.sigma[throw, row] = bulk * self.sigma[throw, row] + SIGMA_FLOOR
-        self.problems.loss[now] = LOSSES.index(self.loss)
+        self.problems.loss[now] = place_of(self.loss)
         # without sigmas
         self._next[now[~self.unknown[now].any(1)]] = _WITH_SIGMA + _ROBUST_FITS
         self._reweight(now)
@@ -297,7 +299,7 @@ class Rounds:
         _, lower, upper = local_bounds([one])
         adjustable = ((lower < solution.values) & (solution.values < upper))[0]
         typical, n = one.parameters.typical, len(one.throw)
-        if self.noises[index].kind == "discrepancy":
+        if self.noises[index].kind == NoiseKind.DISCREPANCY:
             return linearized(
                 self.model,
                 problem,

@@ -55,6 +55,8 @@ from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import ROWS_OF_DATA, Problem
 from curlfit.inference.products import products_of
+from curlfit.inference.verdict import Verdict
+from curlfit.losses import Loss
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import stacked, unstacked
 from curlfit.throws.plausibility import Finding, examine_fit
@@ -164,7 +166,7 @@ class _Many(NamedTuple):
 
     fits: Sequence[LeastSquaresFit]
     model: Model
-    loss: str
+    loss: Loss
     throws: list[PreparedThrow]
     problems: Problem
     solutions: Solution
@@ -216,7 +218,7 @@ class _Many(NamedTuple):
         factors = estimator = Factors.of(
             r_factors(solutions.jacobian, solutions.residual), *about
         )
-        if loss != "linear":
+        if loss.is_robust:
             robust = robust_jacobians(self.problems, solutions, residuals, loss)
             estimator = Factors.of(r_factors(robust, solutions.residual), *about)
         channels = ROWS_OF_DATA[: self.problems.observed.shape[1]]
@@ -526,7 +528,7 @@ def _record(
         observed=_observed(fit),
         fitted=curves,
         discrepancy=_discrepancy(fit, path, found),
-        loss=fit.loss,
+        loss=fit.loss.name,
         noise=fit.noise,
         independence={
             name: Independence.of(white) for name, (_, white) in enough.items()
@@ -677,7 +679,7 @@ def _misfit(
     misfit = {}
     for name, (off, _) in series.items():
         squares = np.sort(off**2)
-        if fit.loss != "linear":  # outliers are the largest of them
+        if fit.loss.is_robust:  # outliers are the largest of them
             far = sum(item["channel"] == name for item in outliers)
             squares = squares[: len(squares) - far]
         misfit[name] = float(np.sqrt(squares.mean())) if len(squares) else 0.0
@@ -695,7 +697,7 @@ def _unusual(
     """What is implausible in the data and in the fitted motion."""
     throw = fit.prepared.throw
     speed, start_speed = np.zeros(0), 0.0
-    if start.verdict != "not identifiable":
+    if start.verdict != Verdict.NOT_IDENTIFIABLE:
         speed, start_speed = curves.get("speed", speed), start.value
     t = throw.t[: len(speed)]
     found = examine_fit(throw, t, speed, start_speed, start.stderr, misfit, alone=alone)
@@ -747,15 +749,15 @@ def _estimates(
     """Estimates by name; see `Estimate` for the verdicts."""
     estimates = {}
     for row, item in enumerate(parameters.parameters):
-        stderr, verdict, dof = None, "fixed", None
+        stderr, verdict, dof = None, Verdict.FIXED, None
         if item.name not in parameters.fixed:
             stderr, verdict, dof = found.classified(row)
         stderr, verdict, reason = departures.judged(
             item.name, stderr, verdict, item.typical
         )
         prior = parameters.priors.get(item.name)
-        if verdict == "determined" and item.name in rival:
-            verdict = "weak"
+        if verdict == Verdict.DETERMINED and item.name in rival:
+            verdict = Verdict.WEAK
             reason = f"{rival[item.name]:.3g} fits as well"
         estimates[item.name] = Estimate.of(
             item,

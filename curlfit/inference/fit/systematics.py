@@ -26,11 +26,10 @@ from curlfit.inference.fit.prepared import PreparedThrow
 from curlfit.inference.identifiability import inverted, visible
 from curlfit.inference.likelihood import predict_many
 from curlfit.inference.model import Model
-from curlfit.inference.noise.losses import root_slope
-from curlfit.inference.noise.models import LOSSES
 from curlfit.inference.noise.whitening import whitened
 from curlfit.inference.parameters import START
 from curlfit.inference.problem import Problem
+from curlfit.losses import loss_at
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import unstacked
 from curlfit.numerics.differences import slopes
@@ -161,7 +160,8 @@ def residual_changes(
         measured_then = _measured(model, problems, moved, {}, batch, calibrations)
         by_name[UNKNOWN_SPIN.name] = (measured_then - paths)[:, :channels]
     residual = (paths[:, :channels] - problems.observed) * problems.weight
-    by_loss, found = root_slope(residual, LOSSES[problems.loss.max()]), {}
+    by_loss = loss_at(problems.loss.max()).root_slope(residual)
+    found = {}
     for name, change in by_name.items():
         change = change * problems.weight
         if problems.whitener is not None:

@@ -103,7 +103,7 @@ def fitted_alone(
     )
     fits = fitted(again, None)
     usable = [one for one in fits if not isinstance(one, CurlfitError)]
-    curves = (again.loss, again.noises[0].kind) != ("linear", "white")
+    curves = again.loss.is_robust or not again.noises[0].is_white
     records = iter(summarize_many(usable, again.batch, curves=curves))
     alone: list[FitResult | None] = []
     for fit in fits:

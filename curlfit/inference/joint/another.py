@@ -15,6 +15,7 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.joint.draw import Draw
 from curlfit.inference.joint.result import JointResult, SeparateFits
 from curlfit.inference.parameters import START
+from curlfit.inference.verdict import Verdict
 from curlfit.numerics.arrays import Floats
 
 
@@ -98,7 +99,8 @@ def _begun_last(
         "start"
     ]
     start = {
-        item.name: Estimate.of(item, begun[item.name], "determined") for item in START
+        item.name: Estimate.of(item, begun[item.name], Verdict.DETERMINED)
+        for item in START
     }
     data = {
         "file": table.file,

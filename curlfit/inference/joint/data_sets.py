@@ -49,6 +49,7 @@ from curlfit.inference.noise.models import Independence
 from curlfit.inference.parameters import options_of
 from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import ROWS_OF_DATA, Problem, problem_shape
+from curlfit.inference.verdict import Verdict
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.settings.choices import Comparing, Fitting
 from curlfit.sheet import LINES
@@ -421,7 +422,7 @@ class Told(NamedTuple):
         for place, item in enumerate(self.of.law.coefficients()):
             free = known.free[place]
             stderr, verdict, _ = (
-                known.classified(place) if free else (None, "fixed", None)
+                known.classified(place) if free else (None, Verdict.FIXED, None)
             )
             stderr, verdict, reason = departures.judged(
                 item.name, stderr, verdict, item.typical

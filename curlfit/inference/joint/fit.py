@@ -48,6 +48,8 @@ from curlfit.inference.joint.variation import (
 from curlfit.inference.least_squares import Solution, Tasks
 from curlfit.inference.model import Model
 from curlfit.inference.problem import problem_shape
+from curlfit.inference.verdict import Verdict
+from curlfit.losses import LOSSES
 from curlfit.numerics.arrays import Booleans
 from curlfit.numerics.batches import side_by_side, unstacked
 from curlfit.settings.choices import Fitting, takes
@@ -133,7 +135,8 @@ def fit_together(
     together = solved_together(throws, chosen, shared, covariates, progress)
     equal = _equal(together, chosen[0].systematics)
     result = equal.result
-    usual = share is None and len(throws) >= _VARYING and chosen[0].loss == "linear"
+    robust = LOSSES[chosen[0].loss].is_robust
+    usual = share is None and len(throws) >= _VARYING and not robust
     if equal.varying.weights and (by or trend or usual):
         result = _varying(together, equal, seed)
     if not result.converged:  # nothing is told of what was not found
@@ -178,7 +181,7 @@ def _shared(
                 f"share: law {law.name} has no coefficient {quoted(name)}; "
                 f"it has {', '.join(own)}"
             )
-    if mean and chosen.loss != "linear":
+    if mean and LOSSES[chosen.loss].is_robust:
         raise InputError("by, trend: groups and trends are estimated with loss linear")
     if mean and set(shared) != set(own):
         raise InputError("share: with groups or trends, all coefficients have a mean")
@@ -211,7 +214,7 @@ def solved_together(
     rounds = Rounds(
         model,
         prepared,
-        loss=first.loss,
+        loss=LOSSES[first.loss],
         noise=first.noise,
         shape=(max(channels), max(rows)),
     )
@@ -371,7 +374,7 @@ def _verdicts_by_data(
     departures: Departures,
     coefficients: Mapping[str, Estimate],
     not_varying: Collection[str],
-) -> dict[str, str]:
+) -> dict[str, Verdict]:
     """Verdicts of the coefficients that may vary without the priors, since what varies
     is what the throws themselves determine."""
     verdicts = {}

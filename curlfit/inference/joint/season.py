@@ -40,6 +40,7 @@ from curlfit.inference.model import Model
 from curlfit.inference.parameters import START
 from curlfit.inference.problem import LEVEL_AND_STILL
 from curlfit.inference.system import motions
+from curlfit.inference.verdict import Verdict
 from curlfit.numerics.arrays import Floats
 from curlfit.output.text import join_words
 from curlfit.stone import Stone
@@ -184,7 +185,7 @@ def _equal(
     known = _joined(throws, nothing, same).of_mean([item.name for item in items])
     estimates = {}
     for row, item in enumerate(items):
-        verdict = known.classified(row)[1] if throws.free[row] else "fixed"
+        verdict = known.classified(row)[1] if throws.free[row] else Verdict.FIXED
         estimates[item.name] = Estimate.of(item, float(throws.reference[row]), verdict)
     return known, estimates
 
@@ -216,7 +217,7 @@ def mean_of(
     items = season.model.law.coefficients()
     throws = _linearized(season, season.share)
     known, coefficients = _equal(throws, items)
-    if any(item.verdict == "at bound" for item in coefficients.values()):
+    if any(item.verdict == Verdict.AT_BOUND for item in coefficients.values()):
         # What one throw leaves open may have gone there to explain what differs
         # between them.
         root = count**-0.5

@@ -27,6 +27,7 @@ from curlfit.inference.joint.result import JointResult
 from curlfit.inference.joint.ridge import JointRidge, errors_of_draw
 from curlfit.inference.mcmc.chain import Chain
 from curlfit.inference.parameters import START
+from curlfit.inference.verdict import Verdict
 from curlfit.numerics.arrays import Booleans, Floats
 
 _STEP = 1e-3  # typical sizes, of differences
@@ -68,14 +69,12 @@ def about_mean(
     units = {name: item.unit for name, item in equal.coefficients.items()}
     coefficients = {
         name: one
-        if one.verdict == "fixed"
+        if one.verdict == Verdict.FIXED
         else _of_mean(one, known, row, found.dof, departures, left_open)
         for row, (name, one) in enumerate(equal.coefficients.items())
     }
     undetermined = [
-        name
-        for name, one in coefficients.items()
-        if one.verdict not in ("determined", "prior")
+        name for name, one in coefficients.items() if not one.verdict.is_known
     ]
     open_along = None
     if left_open or ridge is not None:
@@ -92,7 +91,7 @@ def about_mean(
     sampled: dict[str, Quantiles] = {}
     if draws is not None:
         sampled = dict(zip(spreads, map(quantiles_of, draws.spreads.T), strict=True))
-    fixed = sum(item.verdict == "fixed" for item in equal.coefficients.values())
+    fixed = sum(item.verdict == Verdict.FIXED for item in equal.coefficients.values())
     open_ = found.fit.model.null.shape[1] - fixed
     result = replace(
         equal,
@@ -171,8 +170,8 @@ def _of_mean(
     stderr, verdict, _ = known.classified(row)
     name = known.names[row]
     stderr, verdict, reason = departures.judged(name, stderr, verdict, item.typical)
-    if verdict == "at bound" and name in left_open:
-        verdict = "weak"
+    if verdict == Verdict.AT_BOUND and name in left_open:
+        verdict = Verdict.WEAK
         reason = departures.range_of(name)
     return replace(
         item,

@@ -17,6 +17,7 @@ from scipy.special import chdtrc
 from curlfit.inference.identifiability import Combination
 from curlfit.inference.joint.alone import ThrowsAlone, errors_told
 from curlfit.inference.joint.result import Variation
+from curlfit.inference.verdict import Verdict
 from curlfit.numerics.arrays import Floats
 
 _FEWEST = 3  # throws that tell how something varies
@@ -24,7 +25,7 @@ _LEAST_SPREAD = 0.1  # over the standard error from a throw, where a search begi
 
 
 def weights_of_known(
-    verdicts: Mapping[str, str],
+    verdicts: Mapping[str, Verdict],
     combinations: Sequence[Combination],
     names: Sequence[str],
 ) -> dict[str, Floats]:
@@ -34,7 +35,8 @@ def weights_of_known(
     known = {
         name: {name: 1.0}
         for name, verdict in verdicts.items()
-        if verdict == "determined" or (verdict == "weak" and name not in combined)
+        if verdict == Verdict.DETERMINED
+        or (verdict == Verdict.WEAK and name not in combined)
     } | {item.expression: item.weights for item in combinations}
     return {
         expression: np.array([weights.get(name, 0.0) for name in names])

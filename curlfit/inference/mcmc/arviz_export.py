@@ -14,16 +14,15 @@ from curlfit.inference.fit.prepared import problem_of
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import with_combinations
 from curlfit.inference.likelihood import predict_channels
-from curlfit.inference.noise.losses import log_density
 from curlfit.inference.noise.whitening import whitened
 from curlfit.inference.problem import ROWS_OF_DATA, Origin, Problem
+from curlfit.losses import LOSSES, Loss
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.output.frames import optional
 from curlfit.version import __version__
 
 _DRAWS = ("chain", "draw")
 _MOST_CORRELATED = 6000  # largest number of values whose covariance is inverted
-_REACH = 200.0  # sigmas within which the noise of a robust loss is drawn
 
 
 def inference_data(
@@ -138,10 +137,9 @@ def _of_data(
     place, sigma = _places(fit, origin, seen), 1 / problem.weight[seen]
     mean, values = paths + place, problem.observed[seen] + place
     noise = whitening_matrix(problem)
-    replicated = mean + sigma * draw_noise(random, mean.shape, noise, fit.loss)
-    pointwise = log_likelihoods((values - mean) / sigma, noise, fit.loss) - np.log(
-        sigma
-    )
+    loss = LOSSES[fit.loss]
+    replicated = mean + sigma * draw_noise(random, mean.shape, noise, loss)
+    pointwise = log_likelihoods((values - mean) / sigma, noise, loss) - np.log(sigma)
     return {
         "posterior_predictive": (by_draw(replicated), index | times),
         "log_likelihood": (by_draw(pointwise), index | times),
@@ -190,7 +188,7 @@ def whitening_matrix(problem: Problem) -> Floats | None:
     return np.asarray(jax.jacfwd(white)(np.zeros(number)))
 
 
-def log_likelihoods(residual: Floats, whitening: Floats | None, loss: str) -> Floats:
+def log_likelihoods(residual: Floats, whitening: Floats | None, loss: Loss) -> Floats:
     """Log-density of each residual over its sigma, shape (draws, m).
 
     For correlated noise it is that of the value given all others, as leave-one-out
@@ -199,7 +197,7 @@ def log_likelihoods(residual: Floats, whitening: Floats | None, loss: str) -> Fl
     Statistics 36, eq. 9).
     """
     if whitening is None:
-        return log_density(residual, loss)
+        return loss.log_density(residual)
     diagonal = (whitening**2).sum(0)
     pull = residual @ whitening.T @ whitening
     found: Floats = 0.5 * (np.log(diagonal) - pull**2 / diagonal - np.log(2 * np.pi))
@@ -210,18 +208,10 @@ def draw_noise(
     random: np.random.Generator,
     shape: tuple[int, ...],
     whitening: Floats | None,
-    loss: str,
+    loss: Loss,
 ) -> Floats:
     """Draws of noise over its sigma, shape (draws, m): correlated, or of the
     density of a loss."""
     if whitening is not None:
         return np.asarray(np.linalg.solve(whitening, random.standard_normal(shape).T).T)
-    if loss == "linear":
-        return random.standard_normal(shape)
-    # Inverse transform sampling from the tabulated distribution function.
-    grid = np.sinh(np.linspace(-np.arcsinh(_REACH), np.arcsinh(_REACH), 4001))
-    density = np.exp(log_density(grid, loss))
-    share = np.concatenate(
-        [[0.0], np.cumsum(np.diff(grid) * (density[1:] + density[:-1]) / 2)]
-    )
-    return np.interp(random.random(shape), share / share[-1], grid)
+    return loss.draw(random, shape)

@@ -25,6 +25,7 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import directions
 from curlfit.inference.least_squares import Solution, Tasks, minimize_many
 from curlfit.inference.parameters import ParameterSet
+from curlfit.inference.verdict import Verdict
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import FEW, unstacked
 from curlfit.output.text import join_words
@@ -144,7 +145,7 @@ def ridge_proposal(fit: FitResult) -> RidgeProposal:
         fit.values[free],
         np.array(fit.information["matrix"]),
         np.array(fit.information["gradient"]),
-        np.array(verdicts) == "at bound",
+        np.array([verdict == Verdict.AT_BOUND for verdict in verdicts]),
     )
 
 
@@ -295,7 +296,7 @@ class Axis(NamedTuple):
         weakness = {
             name: item.stderr / item.typical
             for name, item in fit.parameters.items()
-            if item.verdict == "weak" and item.stderr is not None
+            if item.verdict == Verdict.WEAK and item.stderr is not None
         }
         if not weakness:
             return None
@@ -313,11 +314,7 @@ class Axis(NamedTuple):
         columns = dict(zip(fit.parameters, points.T, strict=True))
         held = {point.held for point in fit.ridge if point.held is not None}
         moving = held or {*fit.parameter_set.names_where(fit.parameter_set.free)}
-        open_ = {
-            name
-            for name in moving
-            if fit.parameters[name].verdict in ("weak", "not identifiable")
-        }
+        open_ = {name for name in moving if fit.parameters[name].verdict.is_open}
         extents = {
             name: float(np.ptp(columns[name])) / fit.parameters[name].typical
             for name in open_ or moving

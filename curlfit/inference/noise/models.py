@@ -23,15 +23,12 @@ from typing import Self
 import numpy as np
 
 from curlfit.numerics.arrays import Floats
-from curlfit.settings.choices import LOSS, NOISE
+from curlfit.settings.choices import NOISE
+from curlfit.settings.noise_kinds import NoiseKind
 
 _SURE = 3.5  # standard deviations from which independence is rejected
 _MATTERS = 0.2  # lag-1 correlation below which errors would hardly change
 
-
-LOSSES = LOSS.names
-"""How much large residuals count; for the formulas see
-`curlfit.inference.noise.losses`."""
 
 NOISES = NOISE.names
 """How noise is correlated from row to row."""
@@ -56,12 +53,17 @@ class Noise:
         its estimate.
     """
 
-    kind: str = "white"
+    kind: NoiseKind = NoiseKind.WHITE
     memory: dict[str, float] = field(default_factory=dict)
     white: dict[str, float] = field(default_factory=dict)
     sizes: dict[str, float] = field(default_factory=dict)
     independent: dict[str, float] = field(default_factory=dict)
     initial_state: list[list[float]] = field(default_factory=list)
+
+    @property
+    def is_white(self) -> bool:
+        """Whether it is independent from row to row."""
+        return self.kind == NoiseKind.WHITE
 
     def white_share(self, channel: str) -> float:
         """Independent share of the variance of a channel."""

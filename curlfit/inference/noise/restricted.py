@@ -28,6 +28,7 @@ from curlfit.inference.noise.whitening import STATE
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import compiled
 from curlfit.numerics.differences import slopes
+from curlfit.settings.noise_kinds import NoiseKind
 from curlfit.throws.throw import CHANNELS
 
 _TYPICAL = 0.1  # mean of the prior of the correlation time over the time of motion
@@ -108,7 +109,7 @@ class Estimate(NamedTuple):
         return found / found.sum()
 
 
-def estimate(kind: str, data: Linearized, known: Sequence[bool]) -> Estimate:
+def estimate(kind: NoiseKind, data: Linearized, known: Sequence[bool]) -> Estimate:
     """The noise of some residuals.
 
     Independent noise is preferred unless a correlation raises the likelihood by more
@@ -236,7 +237,7 @@ class _Search:
         logs[place] = min(logs[place], self.ends[1])
         return best._replace(logs=logs)
 
-    def estimate(self, kind: str, best: _Maximum) -> Estimate:
+    def estimate(self, kind: NoiseKind, best: _Maximum) -> Estimate:
         """The estimate at a maximum."""
         data, channels, noise = self.data, len(self.enough), Noise(kind)
         for row in np.flatnonzero(self.enough):

@@ -17,6 +17,7 @@ from curlfit.inference.noise.linearized import Linearized, regression_of
 from curlfit.inference.noise.models import Noise
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.compiled import compiled
+from curlfit.settings.noise_kinds import NoiseKind
 
 STATE = 6
 """Number of parameters of the initial state, the last of all."""
@@ -66,10 +67,10 @@ class Whitener(NamedTuple):
         data : the fit with independent noise to first order; None for a noise that has
             no size yet.
         """
-        if noise.kind == "white":
+        if noise.is_white:
             return None
         own = KalmanFilter.of_noise(noise, times, weight > 0)
-        if noise.kind != "discrepancy":
+        if noise.kind != NoiseKind.DISCREPANCY:
             return cls(own)
         k, n = _COUNT, weight.size
         directions, shrink = np.zeros((n, k + parameters)), np.zeros(k + parameters)
