@@ -17,11 +17,11 @@ from jax.custom_derivatives import SymbolicZero
 from jax.typing import ArrayLike
 
 from curlfit.dynamics.law_structure import depends_on_turned_and_time, example_law
-from curlfit.dynamics.quadrature import NodeClustering, node_clustering
 from curlfit.dynamics.ring_forces import Contact, ring_forces, ring_slopes
 from curlfit.dynamics.ring_sum import RingForces, RingMotion, Values, balanced_tilt
 from curlfit.friction import Law, Load, LocalLaw, Motion, NetLaw
 from curlfit.friction.family import LawFamily
+from curlfit.numerics.ring_nodes import NodeClustering, node_clustering
 from curlfit.stone import GRAVITY, Stone
 
 

@@ -34,9 +34,9 @@ import jax.numpy as jnp
 from jax import Array
 
 from curlfit.dynamics.contact import Accelerations, accelerations
-from curlfit.dynamics.quadrature import NodeClustering, singularity_distance
 from curlfit.environment import WEAR_KNOTS
 from curlfit.friction import Law, Load, NetLaw, power
+from curlfit.numerics.ring_nodes import NodeClustering, singularity_distance
 from curlfit.stone import Stone
 
 STEP = 0.25  # fraction of the shortest time scale, with 1 m or 1 rad remaining

@@ -45,8 +45,8 @@ from curlfit.dynamics.equations import (
     second_derivatives,
     step_size,
 )
-from curlfit.dynamics.quadrature import node_clustering
 from curlfit.friction import Law, Load, NetLaw
+from curlfit.numerics.ring_nodes import node_clustering
 from curlfit.stone import Stone
 
 _MAX_STEPS = 32_000

@@ -17,7 +17,6 @@ from jax import Array
 from jax.custom_batching import custom_vmap
 
 from curlfit.dynamics.law_structure import has_edges
-from curlfit.dynamics.quadrature import NodeClustering
 from curlfit.dynamics.ring_polynomials import has_closed_form
 from curlfit.dynamics.ring_sum import (
     Ring,
@@ -30,6 +29,7 @@ from curlfit.dynamics.ring_sum import (
 )
 from curlfit.friction import Law, Load, LocalLaw
 from curlfit.friction.family import LawFamily
+from curlfit.numerics.ring_nodes import NodeClustering
 
 
 class Slopes(NamedTuple):

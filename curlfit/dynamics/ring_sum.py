@@ -27,8 +27,6 @@ from curlfit.dynamics.law_structure import (
     is_mirror_symmetric,
 )
 from curlfit.dynamics.quadrature import (
-    GAUSS_WEIGHTS,
-    NodeClustering,
     Panel,
     angle_before_edges,
     panels,
@@ -47,6 +45,7 @@ from curlfit.dynamics.ring_polynomials import (
 )
 from curlfit.friction import Load, LocalLaw
 from curlfit.friction.sums import Sum
+from curlfit.numerics.ring_nodes import GAUSS_WEIGHTS, NodeClustering
 
 _BALANCE_TOLERANCE = 1e-9  # change of the tilt by the last Newton step
 _MAX_NEWTON_STEPS = 30

@@ -184,8 +184,8 @@ class RingPoint(NamedTuple):
 
 
 class Edges(NamedTuple):
-    """Polar angles at which friction jumps, on the front half (0, pi) and back
-    half (-pi, 0)."""
+    """Polar angles at which friction jumps or has a kink, on the front half (0, pi) and
+    the back half (-pi, 0)."""
 
     front: tuple[Any, ...] = ()
     back: tuple[Any, ...] = ()
@@ -358,11 +358,9 @@ class LocalLaw(Law, ABC):
     """A law of friction at a point of the contact ring (eq. 3-5).
 
     A subclass defines `traction`, which curlfit integrates over the ring. The traction
-    may jump between the front and the back half and at fixed angles, which curlfit
-    finds when the law is first used; angles that depend on coefficients or on the angle
-    turned are to be given by `edges`. If on each half it is a polynomial in `xi` and
-    `eta`, up to second order, times the direction or the velocity of sliding, the
-    integral has a closed form.
+    may jump between the front and the back half, and at angles that `edges` gives. If
+    on each half it is a polynomial in `xi` and `eta`, up to second order, times the
+    direction or the velocity of sliding, the integral has a closed form.
 
     Examples
     --------
@@ -377,13 +375,9 @@ class LocalLaw(Law, ABC):
     0.012
     """
 
-    divisions: ClassVar[Edges] = Edges()
-    """Angles at which friction jumps, has a kink or changes quickly, found when the law
-    is first used if it does not define `edges`"""
-
     def edges(self, turned: Any) -> Edges:
-        """Jumps of friction within the halves, after an angle turned."""
-        return self.divisions
+        """Jumps and kinks of friction within the halves, after an angle turned."""
+        return Edges()
 
     @abstractmethod
     def traction(self, point: RingPoint) -> tuple[Any, Any]:

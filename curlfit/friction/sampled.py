@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from curlfit.friction.base import Law, LocalLaw, Motion, NetLaw, RingPoint
-from curlfit.friction.divisions import HALVES, Friction, sums
 from curlfit.numerics.arrays import Floats
 from curlfit.stone import Stone
 
 STONE = Stone()
 _POINTS = 4096  # evaluated in one call, so that there is one program
+_ROWS = 256  # of sections of the ring, in one call
 # |epsilon|; near 1 the nodes of the model crowd where sliding stops
 _SPIN_RATIOS = 0.01, 0.4
 _IN_PLACE = 3.0  # |epsilon| of a stone that spins almost in place
@@ -43,22 +45,21 @@ def sample(law: type[Law], count: int, seed: int) -> Conditions:
     items = law.coefficients()
     default = np.array([item.default for item in items])
     reach = np.array([max(abs(item.default) / 2, item.typical) for item in items])
-    lower, upper = (
-        np.array([(item.lower, item.upper) for item in items]).reshape(-1, 2).T
-    )
+    lower = np.array([item.lower for item in items])
+    upper = np.array([item.upper for item in items])
 
     def coefficients() -> Floats:
         for _ in range(_MOST_TRIES):
-            found = np.clip(
-                default + reach * random.uniform(-1, 1, len(items)), lower, upper
-            )
-            if law.from_vector(found).fault() is None:
-                return found
+            values = default + reach * random.uniform(-1, 1, len(items))
+            values = np.clip(values, lower, upper)
+            if law.from_vector(values).fault() is None:
+                return values
         return default
 
     speed = 3 * (np.arange(count) + random.uniform(0.02, 1, count)) / count
     epsilon = random.uniform(*_SPIN_RATIOS, count)
-    speed[::8], epsilon[::8] = 0.1 * random.uniform(0.2, 1, len(speed[::8])), _IN_PLACE
+    speed[::8] = 0.1 * random.uniform(0.2, 1, len(speed[::8]))
+    epsilon[::8] = _IN_PLACE
     omega = np.minimum(epsilon * speed / STONE.R, 4.0) * random.choice([-1, 1], count)
     return Conditions(
         np.array([coefficients() for _ in range(count)]),
@@ -72,9 +73,11 @@ def sample(law: type[Law], count: int, seed: int) -> Conditions:
 
 def ring_points(alpha: Any, motion: Motion, array: Any = np) -> RingPoint:
     """Points of the ring at polar angles; `array` is numpy or jax.numpy."""
-    xi, eta = array.cos(alpha), array.sin(alpha)
+    xi = array.cos(alpha)
+    eta = array.sin(alpha)
     spin = STONE.R * motion.omega
-    slide_xi, slide_eta = -spin * eta, motion.speed + spin * xi  # eq. 16
+    slide_xi = -spin * eta  # eq. 16
+    slide_eta = motion.speed + spin * xi
     speed = array.hypot(slide_xi, slide_eta)
     return RingPoint(
         xi=xi,
@@ -103,46 +106,29 @@ class Sampled:
         self.law = law
         function: Any = _at_point if issubclass(law, LocalLaw) else _of_stone
         self._program = jax.jit(jax.vmap(partial(function, law)))
+        self._rule = jax.jit(jax.vmap(_section_rule))
 
     def _run(self, conditions: Conditions, rows: Any, alpha: Any) -> Floats:
         """Force to the right, forward and moment for pairs of a condition and an
         angle: (3, n)."""
-        found = []
-        for first in range(0, len(rows), _POINTS):
-            used = slice(first, first + _POINTS)
-            edge = (0, _POINTS - len(rows[used]))
-            row, angle = (
-                np.pad(part[used], edge, mode="edge") for part in (rows, alpha)
-            )
-            values = self._program(*conditions.take(row), angle)
-            found.append(np.asarray(values)[: len(rows[used])])
-        return np.concatenate(found).T
+        columns = [*conditions.take(rows), alpha]
+        return _in_parts(self._program, columns, _POINTS).T
 
-    def friction(self, conditions: Conditions, *, relative: bool = True) -> Friction:
-        """Friction under these conditions; `relative` to its mean over the
-        ring in each."""
-        every = np.arange(len(conditions.speed))
-
-        def friction(angles: Floats) -> Floats:
-            shape = len(every), angles.shape[1]
-            rows = np.broadcast_to(every[:, None], shape)
-            found = self._run(
-                conditions, rows.ravel(), np.broadcast_to(angles, shape).ravel()
-            )
-            return found.reshape(3, *shape)
-
-        if not relative:
-            return friction
-        size = self.size(conditions)[:, None]
-        return lambda angles: friction(angles) / size
+    def at_angles(self, conditions: Conditions, angles: Floats) -> Floats:
+        """Force to the right, forward and moment at polar angles of shape
+        (conditions, n) or (1, n): shape (3, conditions, n)."""
+        count = len(conditions.speed)
+        shape = count, angles.shape[1]
+        rows = np.broadcast_to(np.arange(count)[:, None], shape)
+        points = np.broadcast_to(angles, shape)
+        return self._run(conditions, rows.ravel(), points.ravel()).reshape(3, *shape)
 
     def size(self, conditions: Conditions) -> Floats:
         """Mean magnitude of friction on the ring, shape (n,)."""
         angles = np.linspace(-np.pi, np.pi, 60, endpoint=False)[None] + 0.01
-        found: Floats = np.hypot(
-            *self.friction(conditions, relative=False)(angles)[:2]
-        ).mean(-1)
-        return found
+        right, forward, _ = self.at_angles(conditions, angles)
+        magnitude: Floats = np.hypot(right, forward).mean(-1)
+        return magnitude
 
     def usable(self, conditions: Conditions) -> Conditions:
         """Those of the conditions in which there is friction, a finite one."""
@@ -150,30 +136,76 @@ class Sampled:
         return conditions.take(np.flatnonzero(np.isfinite(size) & (size > 0)))
 
     def ends(self, conditions: Conditions) -> Floats:
-        """Angles between the parts in which the law is summed: (conditions,
-        k) or (1, k)."""
+        """Polar angles between the parts in which the law is summed, shape
+        (conditions, k): ends of the halves and edges."""
         assert issubclass(self.law, LocalLaw)
         edges = self.law.from_vector(conditions.coefficients.T).edges(conditions.turned)
-        n = len(conditions.speed)
-        front, back = (
-            [
-                np.clip(np.broadcast_to(np.asarray(angle, float), n), *limits)
-                for angle in angles
-            ]
-            for angles, limits in ((edges.front, (0, np.pi)), (edges.back, (-np.pi, 0)))
-        )
-        return np.sort(
-            np.stack([*np.tile(HALVES, (n, 1)).T, *front, *back], axis=1), axis=1
-        )
+        shape = conditions.speed.shape
+        ends = [np.full(shape, end) for end in (-np.pi, 0.0, np.pi)]
+        for angle in edges.front:
+            ends.append(np.clip(np.broadcast_to(angle, shape), 0, np.pi))
+        for angle in edges.back:
+            ends.append(np.clip(np.broadcast_to(angle, shape), -np.pi, 0))
+        return np.sort(np.stack(ends, axis=1), axis=1)
 
-    def net(self, conditions: Conditions) -> Floats:
-        """Friction of the whole stone: shape (3, n)."""
-        if issubclass(self.law, LocalLaw):
-            return sums(
-                self.friction(conditions, relative=False), self.ends(conditions)
-            )
-        rows = np.arange(len(conditions.speed))
-        return self._run(conditions, rows, 0.0 * rows)
+    def net(self, conditions: Conditions, sections: int = 1) -> Floats:
+        """Friction of the whole stone, shape (3, n): of a law of the ring the sum over
+        the points of a fit, or over as many in each of several sections of the parts
+        between edges."""
+        if not issubclass(self.law, LocalLaw):
+            rows = np.arange(len(conditions.speed))
+            return self._run(conditions, rows, 0.0 * rows)
+        total = np.zeros((3, len(conditions.speed)))
+        for low, high in pairwise(self.ends(conditions).T):
+            angles, weights = self._ring_rule(conditions, low, high, sections)
+            total += (self.at_angles(conditions, angles) * weights).sum(-1)
+        return total
+
+    def _ring_rule(
+        self, conditions: Conditions, low: Floats, high: Floats, sections: int
+    ) -> tuple[Floats, Floats]:
+        """Polar angles and weights of the Gauss points between two angles of one half,
+        each of shape (n,): two arrays of shape (n, points)."""
+        count = len(conditions.speed)
+        rows = np.repeat(np.arange(count), sections)
+        begin = np.tile(np.arange(sections) / sections, count)
+        spin = STONE.R * conditions.omega
+        columns = [part[rows] for part in (conditions.speed, spin, low, high)]
+        rule = _in_parts(self._rule, [*columns, begin, begin + 1 / sections], _ROWS)
+        angles, weights = rule.swapaxes(0, 1).reshape(2, count, -1)
+        return angles, weights
+
+
+def _in_parts(program: Any, columns: Sequence[Any], size: int) -> Floats:
+    """Results of a compiled program for rows of columns, a part of one size at a time,
+    so that it is compiled once: first axis along the rows."""
+    count = len(columns[0])
+    parts = []
+    for first in range(0, count, size):
+        # the last row fills the last part
+        rows = np.minimum(np.arange(first, first + size), count - 1)
+        results = program(*(column[rows] for column in columns))
+        parts.append(np.asarray(results)[: count - first])
+    return np.concatenate(parts)
+
+
+def _section_rule(v: Any, u: Any, low: Any, high: Any, begin: Any, end: Any) -> Any:
+    """Polar angles and weights of the Gauss points in a section between two angles of
+    one half: shape (2, points)."""
+    import jax.numpy as jnp
+
+    from curlfit.numerics import ring_nodes
+
+    clustering = ring_nodes.node_clustering(v, u)
+    side = clustering.side
+    sign = jnp.where(low + high > 0, 1.0, -1.0)  # of the half
+    at_low = ring_nodes.half_angle(sign * low, side)
+    at_high = ring_nodes.half_angle(sign * high, side)
+    # half angles may decrease with the polar angle
+    ends = jnp.minimum(at_low, at_high), jnp.maximum(at_low, at_high)
+    nodes = ring_nodes.nodes_between(ends, clustering, (begin, end))
+    angles = ring_nodes.polar_angle(nodes.half_angle, (1 + sign) / 2, side)
+    return jnp.stack([angles, nodes.weight * ring_nodes.GAUSS_WEIGHTS])
 
 
 def _at_point(law: type[LocalLaw], coefficients: Any, *at: Any) -> Any:

@@ -141,7 +141,6 @@ _CAPTIONS = {
     "predict": "The path on the sheet, the resting position, the bands, speed and spin",
     "design-map": "What a single throw would tell, over speed and spin",
     "design-errors": "Errors against noise, rate and number of throws",
-    "design-separate": "Separation of two coefficients",
     "discrimination": (
         "How well one throw decides the hardest pair of laws, over speed and spin"
     ),

@@ -125,19 +125,11 @@ class Separated(Choices):
 
     Attributes
     ----------
-    separate : Two coefficients to be separated. [default: two of which only the sum is
-        determined under uniform load]
-    relative_error : Required, of their difference, or of their mean where they are
-        equal. [default: 0.2]
+    separate : Two coefficients, of whose difference the throws have the least standard
+        error. [default: two of which only the sum is determined under uniform load]
     """
 
     separate: Annotated[Sequence[str], option(NAMES, "A,B")] = ()
-    relative_error: Annotated[float, option(NUMBER, "V")] = 0.2
-
-    def words(self) -> list[str]:
-        """The flags that give these choices."""
-        names = [f"--separate={','.join(self.separate)}"] * bool(self.separate)
-        return [*names, f"--relative-error={self.relative_error:.10g}"]
 
 
 def design(
@@ -157,12 +149,11 @@ def design(
     initial state; the coefficients are common to all. Errors are those of least squares
     (from the exact derivatives of the trajectory), for noise that is independent from
     row to row. Where only the sum of two coefficients is determined, the report gives
-    the precision, the throws or the changes of the stone that would separate them. With
+    the throws with the least error of their difference, under each load. With
     `--between`, the throws that decide between laws: how many, and which. The first law
     has the coefficients of `--set` or `--fit`, the others those that fit an ordinary
-    draw of it. Writes `design.json`, `design-map.png`, `design-errors.png` and, where
-    two coefficients are separable, `design-separate.png`; with `--between`,
-    `discrimination.json` and `discrimination.png`.
+    draw of it. Writes `design.json`, `design-map.png` and `design-errors.png`; with
+    `--between`, `discrimination.json` and `discrimination.png`.
 
     Examples:
 
@@ -192,7 +183,9 @@ def design(
     from curlfit.output.document import command_line
     from curlfit.output.files import claim_folder
 
-    drawn, throws = output.drawn(), throws if between else throws or 3
+    drawn = output.drawn()
+    if not between:
+        throws = throws or 3
     others = {
         "separate": pair.separate,
         "law": assumed.law,
@@ -208,12 +201,16 @@ def design(
         **grid.given(),
     }
     words = [*assumed.words(), *grid.words(), *record.words()]
-    words += [f"--throws={throws}"] * (throws is not None)
-    words += [f"--between={','.join(LAWS.words(between))}"] if between else pair.words()
-    chosen |= {} if between else {"discrepancy": record.discrepancy, **pair.given()}
-    found = _computed(first, between, chosen, output)
-    made = replace(found, command=command_line("design", *words))
-    return output.finish(made, claim_folder(output.out or Path("design")), drawn)
+    if throws is not None:
+        words.append(f"--throws={throws}")
+    if between:
+        words.append(f"--between={','.join(LAWS.words(between))}")
+    else:
+        words += pair.words()
+        chosen |= {"discrepancy": record.discrepancy, **pair.given()}
+    result = _computed(first, between, chosen, output)
+    result = replace(result, command=command_line("design", *words))
+    return output.finish(result, claim_folder(output.out or Path("design")), drawn)
 
 
 def _require_only(between: Sequence[Any], others: dict[str, Any]) -> None:

@@ -134,7 +134,7 @@ def errors_along(
         if error is not None:
             error = departures.error_along(weights, error, assumed.typical)
         along[name] = error
-    return assumed.within_bounds(along)
+    return assumed.within_bounds(along, quantities)
 
 
 def _covariance_of_coefficients(assumed: Assumptions, factor: Floats) -> Covariance:

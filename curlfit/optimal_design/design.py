@@ -25,11 +25,12 @@ import numpy as np
 
 from curlfit.errors import InputError
 from curlfit.foreign import quoted
-from curlfit.friction import Law, check_load
+from curlfit.friction import LOADS, Law, check_load
 from curlfit.inference.fit.departures import Departures
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.systematics import shifts, widths_of
 from curlfit.inference.identifiability import (
+    WEAK_ERROR,
     Identifiability,
     analyse,
     classify,
@@ -43,16 +44,23 @@ from curlfit.optimal_design.information import (
     PlannedThrow,
     record_information,
 )
-from curlfit.optimal_design.result import Candidate, Design, ExpectedErrors, Scenario
+from curlfit.optimal_design.result import (
+    Candidate,
+    Design,
+    ExpectedErrors,
+    LoadScenario,
+    Scenario,
+    Separation,
+)
 from curlfit.optimal_design.selection import (
     CandidateSet,
+    Criterion,
     combined,
     d_criterion,
     error_criterion,
     select_design,
     standard_error,
 )
-from curlfit.optimal_design.separability import CoefficientPair, analyse_separation
 from curlfit.stone import Stone
 from curlfit.throws.synthetic import law_with
 from curlfit.throws.throw import CHANNELS
@@ -93,7 +101,6 @@ def design(
     discrepancy: float = 0.0,
     throws: int = 3,
     separate: Sequence[str] | None = None,
-    relative_error: float = 0.2,
 ) -> Design:
     """The expected errors of the coefficients of a law from planned throws.
 
@@ -109,13 +116,11 @@ def design(
         channels are not measured. 5 mm and 10 mrad if not given.
     discrepancy : size of the accelerations that the law may lack, relative to the
         friction, such as 0.05; they are functions of speed, see
-        `curlfit.inference.noise.accelerations`. Not included in the separation of
-        two coefficients.
+        `curlfit.inference.noise.accelerations`.
     throws : number of throws, chosen optimally among the candidates, with repetition.
-    separate : two coefficients to be separated; if not given, two of which the
+    separate : two coefficients, of whose difference the throws are to have the least
+        standard error, as a further criterion; if not given, two of which the
         candidates under uniform load determine only the sum.
-    relative_error : required error of their difference, relative to it (or to their
-        mean if they are equal).
 
     Raises
     ------
@@ -131,78 +136,102 @@ def design(
     assumed, planned = planned_throws(
         (law, coefficients, load, stone), (v0, omega0, rate), sigma, until, throws
     )
-    require_positive(**{"relative error": relative_error})
-    pair = None if separate is None else CoefficientPair(assumed, separate)
+    pair = None
+    if separate is not None:
+        pair = _checked_pair(assumed, separate)
     if not 0 <= discrepancy < math.inf:
         raise InputError(
             f"discrepancy = {discrepancy:g}; expected 0 or more, over the friction"
         )
     assumed = replace(assumed, discrepancy=discrepancy)
-    return _designed(assumed, pair, planned, throws, relative_error)
+    return _designed(assumed, pair, planned, throws)
+
+
+def _checked_pair(assumed: Assumptions, separate: Sequence[str]) -> tuple[str, str]:
+    """Two different free coefficients of one unit. Raises `InputError` for others."""
+    if len(separate) != 2 or separate[0] == separate[1]:
+        raise InputError(
+            "separate: expected two different coefficients, such as mu1_eta,mu2_eta"
+        )
+    coefficients = assumed.law.coefficients()
+    units = {
+        item.name: item.unit for item in coefficients if item.name in assumed.names
+    }
+    for name in separate:
+        if name not in units:
+            raise InputError(
+                f"separate: law {assumed.law.name} has no free coefficient "
+                f"{quoted(name)}; it has {', '.join(units)}"
+            )
+    first, second = separate
+    if units[first] != units[second]:
+        raise InputError(
+            f"separate: {first} ({units[first]}) and {second} ({units[second]}) have "
+            "different units, and no difference"
+        )
+    return first, second
 
 
 def _designed(
     assumed: Assumptions,
-    pair: CoefficientPair | None,
+    pair: tuple[str, str] | None,
     planned: Sequence[PlannedThrow],
     throws: int,
-    relative_error: float,
 ) -> Design:
     """The design of throws among planned ones."""
-    law, load = assumed.law, assumed.load
-    records, factors = assumed.records(planned), assumed.factors(planned)
-    candidates, together = CandidateSet.from_factors(factors), combined(factors)
+    law = assumed.law
+    records = assumed.records(planned)
+    factors = assumed.factors(planned)
+    candidates = CandidateSet.from_factors(factors)
+    together = combined(factors)
     if not candidates.rank:
         raise InputError(f"these throws determine no coefficient of law {law.name}")
-    known = _identifiability(assumed, together)
-    selections = _selections(candidates, throws)
+    identifiability = _identifiability(assumed, together)
+    if pair is None:
+        pair = _undetermined_pair(assumed, planned)
+    difference = {} if pair is None else _difference(assumed, pair, together)
+    selections = _selections(assumed, candidates, difference, throws)
     plans = [[planned[index] for index in indices] for indices in selections.values()]
     singles = [[throw] for throw in planned]
     departures = expected_departures(assumed, [*plans, *singles])
     best = {
         criterion: _expected(
-            assumed, indices, candidates.together(indices), departures_of_plan
+            assumed,
+            indices,
+            candidates.together(indices),
+            departures_of_plan,
+            difference,
         )
         for (criterion, indices), departures_of_plan in zip(
             selections.items(), departures, strict=False
         )
     }
-    quantities = _quantities(assumed, known, best.values())
-    if pair is None:
-        if load == "consistent":
-            uniform = assumed.by_load["uniform"]
-            known = _identifiability(uniform, combined(uniform.factors(planned)))
-        names = _undetermined_pair(known)
-        pair = None if names is None else CoefficientPair(assumed, names)
-    made = plans[0]
-    curves = _curves(assumed, made, candidates, quantities)
-    found, separation = scenarios(assumed, made, quantities), None
+    quantities = _quantities(assumed, identifiability, best.values()) | difference
+    separation = None
     if pair is not None:
-        separation = analyse_separation(
-            assumed.by_load, pair, planned, throws, relative_error
-        )
-    items = {item.name: item for item in law.coefficients()}
+        separation = _separation(assumed, pair, planned, throws, best)
+    coefficients = {item.name: item for item in law.coefficients()}
     return Design(
         law=law.name,
-        load=load,
+        load=assumed.load,
         stone=planned[0].stone,
-        coefficients=dict(zip(items, assumed.values.tolist(), strict=True)),
-        symbols={name: item.symbol for name, item in items.items()},
-        units={name: item.unit for name, item in items.items()},
-        typical={name: item.typical for name, item in items.items()},
+        coefficients=dict(zip(coefficients, assumed.values.tolist(), strict=True)),
+        symbols={name: item.symbol for name, item in coefficients.items()},
+        units={name: item.unit for name, item in coefficients.items()},
+        typical={name: item.typical for name, item in coefficients.items()},
         sigma=dict(assumed.sigma),
         until=assumed.until,
         throws=throws,
         candidates=tuple(
             Candidate(
                 *throw[:3],
-                one.rows,
-                one.last,
-                one.rest,
-                one.distance,
+                record.rows,
+                record.last,
+                record.rest,
+                record.distance,
                 errors_along(assumed, factor, quantities, departures_of_throw),
             )
-            for throw, one, factor, departures_of_throw in zip(
+            for throw, record, factor, departures_of_throw in zip(
                 planned, records, factors, departures[len(plans) :], strict=True
             )
         ),
@@ -210,17 +239,18 @@ def _designed(
         rank=candidates.rank,
         free=len(assumed.free),
         best=best,
-        curves=curves,
+        curves=_curves(assumed, plans[0], candidates, quantities),
         separation=separation,
         notes=_notes(assumed.discrepancy),
         discrepancy=assumed.discrepancy,
-        scenarios=found,
+        scenarios=scenarios(assumed, plans[0], quantities),
     )
 
 
 def _identifiability(assumed: Assumptions, factor: Floats) -> Identifiability:
     """What an R factor of information determines."""
-    typical, bounded = assumed.typical, assumed.bounded
+    typical = assumed.typical
+    bounded = assumed.bounded
     return analyse(
         factor / typical, assumed.names, bounded.values, typical, bounded=bounded
     )
@@ -240,12 +270,37 @@ def _quantities(
     return quantities
 
 
-def _selections(candidates: CandidateSet, throws: int) -> dict[str, tuple[int, ...]]:
+def _difference(
+    assumed: Assumptions, pair: tuple[str, str], factor: Floats
+) -> dict[str, dict[str, float]]:
+    """The difference of two coefficients, by name, as weights; nothing where an R
+    factor of information does not determine it."""
+    first, second = pair
+    weights = {first: 1.0, second: -1.0}
+    if standard_error(factor, assumed.weights(weights)) is None:
+        return {}
+    return {_name(pair): weights}
+
+
+def _name(pair: tuple[str, str]) -> str:
+    """The difference of two coefficients in words."""
+    first, second = pair
+    return f"{first} - {second}"
+
+
+def _selections(
+    assumed: Assumptions,
+    candidates: CandidateSet,
+    difference: Mapping[str, Mapping[str, float]],
+    throws: int,
+) -> dict[str, tuple[int, ...]]:
     """Indices of the optimal throws by criterion."""
-    criteria = {
+    criteria: dict[str, Criterion] = {
         "D": d_criterion,
         "A": error_criterion(candidates, np.eye(len(candidates.basis))),
     }
+    for weights in difference.values():
+        criteria["C"] = error_criterion(candidates, assumed.weights(weights))
     selections = {}
     for name, criterion in criteria.items():
         indices = select_design(candidates, criterion, throws)
@@ -259,36 +314,98 @@ def _selections(candidates: CandidateSet, throws: int) -> dict[str, tuple[int, .
     return selections
 
 
+def _separation(
+    assumed: Assumptions,
+    pair: tuple[str, str],
+    planned: Sequence[PlannedThrow],
+    throws: int,
+    best: Mapping[str, ExpectedErrors],
+) -> Separation:
+    """The throws with the least standard error of a difference, under each load."""
+    ways = []
+    for load in LOADS:
+        indices: tuple[int, ...] | None = None
+        stderr: float | None = None
+        if load != assumed.load:
+            under_load = replace(assumed, load=check_load(load))
+            indices, stderr = _least_error(under_load, pair, planned, throws)
+        elif "C" in best:
+            indices = best["C"].throws
+            stderr = best["C"].stderr[_name(pair)]
+        if stderr is None:
+            indices = None
+        ways.append(LoadScenario(load, indices, stderr))
+    return Separation(pair, tuple(ways))
+
+
+def _least_error(
+    assumed: Assumptions,
+    pair: tuple[str, str],
+    planned: Sequence[PlannedThrow],
+    throws: int,
+) -> tuple[tuple[int, ...] | None, float | None]:
+    """The throws with the least standard error of a difference, and this error to first
+    order; None where they do not determine it."""
+    factors = assumed.factors(planned)
+    difference = _difference(assumed, pair, combined(factors))
+    if not difference:
+        return None, None
+    candidates = CandidateSet.from_factors(factors)
+    weights = assumed.weights(difference[_name(pair)])
+    indices = select_design(candidates, error_criterion(candidates, weights), throws)
+    if indices is None:
+        return None, None
+    errors = assumed.errors(candidates.together(indices), difference)
+    return indices, errors[_name(pair)]
+
+
 def _expected(
     assumed: Assumptions,
     indices: tuple[int, ...],
     factor: Floats,
     departures: Departures,
+    difference: Mapping[str, Mapping[str, float]],
 ) -> ExpectedErrors:
     """The errors expected from some candidates, with their information together."""
-    found = _identifiability(assumed, factor)
-    combinations = tuple(departures.kept(found.combinations))
+    identifiability = _identifiability(assumed, factor)
+    combinations = tuple(departures.kept(identifiability.combinations))
     stderr: dict[str, float | None] = {}
     verdicts: dict[str, Verdict] = {}
     for coefficient in assumed.law.coefficients():
         name = coefficient.name
-        stderr[name], verdicts[name] = None, Verdict.FIXED
+        error: float | None = None
+        verdict = Verdict.FIXED
         if name in assumed.names:
             index = assumed.names.index(name)
             typical = float(assumed.typical[index])
-            error, verdict = classify(typical, False, found, index)
-            stderr[name], verdicts[name], _ = departures.judged(
-                name, error, verdict, typical
-            )
+            error, verdict = classify(typical, False, identifiability, index)
+            error, verdict, _ = departures.judged(name, error, verdict, typical)
+        stderr[name] = error
+        verdicts[name] = verdict
+    for name, error in errors_along(assumed, factor, difference, departures).items():
+        typical = min(
+            size
+            for coefficient, size in zip(assumed.names, assumed.typical, strict=True)
+            if coefficient in difference[name]
+        )
+        stderr[name] = error
+        verdicts[name] = _verdict(error, typical)
     return ExpectedErrors(
         indices,
         stderr | {sum_.expression: sum_.stderr for sum_ in combinations},
         verdicts,
         combinations,
-        found.rank,
-        tuple(found.singular_values.tolist()),
-        found.null_directions,
+        identifiability.rank,
+        tuple(identifiability.singular_values.tolist()),
+        identifiability.null_directions,
     )
+
+
+def _verdict(stderr: float | None, typical: float) -> Verdict:
+    """Whether an expected error is small enough, as for a coefficient."""
+    if stderr is None:
+        return Verdict.NOT_IDENTIFIABLE
+    return Verdict.DETERMINED if stderr < WEAK_ERROR * typical else Verdict.WEAK
 
 
 def planned_throws(
@@ -311,11 +428,16 @@ def planned_throws(
     ------
     InputError : noise, candidates, records or a number of throws that cannot be.
     """
-    (law, coefficients, load, stone), (v0, omega0, rate) = assumed, grid
-    fitted, sigma = {}, NOISE if sigma is None else sigma
+    law, coefficients, load, stone = assumed
+    v0, omega0, rate = grid
+    if sigma is None:
+        sigma = NOISE
+    fitted = {}
     if isinstance(law, FitResult):
         fitted = {name: item.value for name, item in law.coefficients.items()}
-        load, stone, law = load or law.load, stone or law.stone, law.law_class
+        load = load or law.load
+        stone = stone or law.stone
+        law = law.law_class
     exact = law_with(law, coefficients or {}, others=fitted)
     if not sigma or (unknown := [name for name in sigma if name not in CHANNELS]):
         what = f"no channel {quoted(unknown[0])}" if sigma else "nothing is measured"
@@ -347,12 +469,12 @@ def planned_throws(
     spins = [float(w) for w in omega0]
     if either:
         spins = sorted({*spins, *(-w for w in spins)}, key=lambda w: (abs(w), w < 0))
-    return Assumptions(
-        type(exact), check_load(load or "uniform"), values, measured, until
-    ), [
-        PlannedThrow(float(v), w, float(rate), stone or Stone())
-        for v, w in product(v0, spins)
+    chosen_load = check_load(load or "uniform")
+    planned = [
+        PlannedThrow(float(speed), spin, float(rate), stone or Stone())
+        for speed, spin in product(v0, spins)
     ]
+    return Assumptions(type(exact), chosen_load, values, measured, until), planned
 
 
 def require_positive(**given: float | Sequence[float]) -> None:
@@ -360,14 +482,19 @@ def require_positive(**given: float | Sequence[float]) -> None:
     for name, value in given.items():
         values = np.atleast_1d(np.array(value, float))
         if not len(values) or not ((values > 0) & (values < math.inf)).all():
-            shown = ",".join(f"{one:g}" for one in values)
+            shown = ",".join(f"{number:g}" for number in values)
             kind = "positive numbers" if np.ndim(value) else "a positive number"
             raise InputError(f"{name} = {shown}: expected {kind}")
 
 
-def _undetermined_pair(found: Identifiability) -> tuple[str, str] | None:
-    """Two coefficients of which only the sum is determined, if any."""
-    for direction in found.null_directions:
+def _undetermined_pair(
+    assumed: Assumptions, planned: Sequence[PlannedThrow]
+) -> tuple[str, str] | None:
+    """Two coefficients of which planned throws determine only the sum under uniform
+    load, if any."""
+    uniform = assumed.by_load["uniform"]
+    factor = combined(uniform.factors(planned))
+    for direction in _identifiability(uniform, factor).null_directions:
         if len(direction) == 2 and sum(direction.values()) == 0:
             first, second = direction
             return first, second
@@ -382,16 +509,17 @@ def _curves(
 ) -> dict[str, dict[str, list[float | None]]]:
     """Standard errors against noise of position, noise of angle, rate and
     number of throws."""
-    records, factors = assumed.records(made), {}
+    records = assumed.records(made)
+    factors: dict[str, dict[float, Floats]] = {}
     for name, channels in (("place", _POSITION), ("angle", _ANGLE)):
         if noisy := assumed.sigma.keys() & channels:
-            others = {by: assumed.noisier(noisy, by) for by in _FACTORS}
-            factors[name] = {
-                by: combined([other.marginal(one) for one in records])
-                for by, other in others.items()
-            }
+            factors[name] = {}
+            for by in _FACTORS:
+                noisier = assumed.noisier(noisy, by)
+                marginals = [noisier.marginal(record) for record in records]
+                factors[name][by] = combined(marginals)
     factors["rate"] = {
-        rate: combined(assumed.factors([one._replace(rate=rate) for one in made]))
+        rate: combined(assumed.factors([throw._replace(rate=rate) for throw in made]))
         for rate in _RATES
     }
     factors["throws"] = {
@@ -399,14 +527,14 @@ def _curves(
         for count in _COUNTS
         if (indices := select_design(candidates, d_criterion, count)) is not None
     }
-    found: dict[str, dict[str, list[float | None]]] = {}
-    for name, by_place in factors.items():
-        rows = [assumed.errors(factor, quantities) for factor in by_place.values()]
-        found[name] = {"at": [*by_place]}
-        found[name] |= {
+    curves: dict[str, dict[str, list[float | None]]] = {}
+    for name, factor_at in factors.items():
+        rows = [assumed.errors(factor, quantities) for factor in factor_at.values()]
+        curves[name] = {"at": [*factor_at]}
+        curves[name] |= {
             quantity: [row[quantity] for row in rows] for quantity in quantities
         }
-    return found
+    return curves
 
 
 def _notes(discrepancy: float) -> tuple[str, ...]:
@@ -433,28 +561,29 @@ def scenarios(
 
     `quantities` are coefficients and combinations as weights.
     """
-    typical, n = assumed.typical, len(assumed.free)
+    typical = assumed.typical
+    n = len(assumed.free)
     rows = {name: assumed.weights(weights) for name, weights in quantities.items()}
-    count, widths = Counter(throws), widths_of(assumed.model)
+    count = Counter(throws)
+    widths = widths_of(assumed.model)
     ways = SCENARIOS["both spins and directions"]
     varied = [
-        one._replace(omega0=sense * one.omega0, heading=heading)
-        for one in count
+        throw._replace(omega0=sense * throw.omega0, heading=heading)
+        for throw in count
         for sense, heading in ways
     ]
     columns = np.append(assumed.free, len(assumed.parameters) + np.arange(len(widths)))
     records = record_information(assumed, varied, widths)
-    factors = [assumed.marginal(one, columns) for one in records]
-    each = np.reshape(factors, (len(count), len(ways), *factors[0].shape))
-    found = []
+    factors = [assumed.marginal(record, columns) for record in records]
+    by_throw_and_way = np.reshape(factors, (len(count), len(ways), *factors[0].shape))
+    divided = []
     for name, chosen in SCENARIOS.items():
-        own = each[:, [ways.index(way) for way in chosen]]
+        of_scenario = by_throw_and_way[:, [ways.index(way) for way in chosen]]
         share = np.sqrt(np.array([*count.values()]) / len(chosen))
-        whole = r_factor((share[:, None, None, None] * own).reshape(-1, len(columns)))
-        factor, by_condition = (
-            whole[:, :n],
-            whole[:, :n].T @ whole[:, n:] / typical[:, None],
-        )
+        weighted = share[:, None, None, None] * of_scenario
+        whole = r_factor(weighted.reshape(-1, len(columns)))
+        factor = whole[:, :n]
+        by_condition = factor.T @ whole[:, n:] / typical[:, None]
         gradients = dict(zip(widths, by_condition.T, strict=True))
         moved = shifts(factor / typical, gradients, typical)
         by_quantity = {
@@ -466,5 +595,5 @@ def scenarios(
         stderr = {
             quantity: standard_error(factor, row) for quantity, row in rows.items()
         }
-        found.append(Scenario(name, stderr, by_quantity))
-    return tuple(found)
+        divided.append(Scenario(name, stderr, by_quantity))
+    return tuple(divided)

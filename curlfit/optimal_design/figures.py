@@ -14,7 +14,7 @@ from matplotlib.patches import Rectangle
 from curlfit.foreign import counted
 from curlfit.optimal_design.discrimination import DECISIVE, ODDS, Discrimination
 from curlfit.optimal_design.report import noise_text
-from curlfit.optimal_design.result import Design, Separation
+from curlfit.optimal_design.result import Design
 from curlfit.output import figures as draw
 
 _MAX_LABELLED = 80  # cells of a map with a number in each
@@ -23,22 +23,15 @@ _PLANNED: dict[str, Any] = {"color": "0.5", "lw": 0.9, "ls": ":"}
 
 @draw.style()
 def design_figures(design: Design) -> dict[str, Figure]:
-    """The figures by name: a map of single throws, errors against noise, rate and
-    number of throws, and, where two coefficients are separable, what that takes.
+    """The figures by name: a map of single throws, and errors against noise, rate and
+    number of throws.
 
     Examples
     --------
     >>> sorted(curlfit.design_figures(plan))
-    ['design-errors', 'design-map', 'design-separate']
+    ['design-errors', 'design-map']
     """
-    found: dict[str, Figure] = {
-        "design-map": _map(design),
-        "design-errors": _errors(design),
-    }
-    separation = design.separation
-    if separation is not None and separation.scenario("consistent").stderr is not None:
-        found["design-separate"] = _separation(design, separation)
-    return found
+    return {"design-map": _map(design), "design-errors": _errors(design)}
 
 
 def _quantity(design: Design, name: str) -> str:
@@ -196,58 +189,3 @@ def _noise_of(design: Design, channels: Sequence[str]) -> str:
     return noise_text(
         {name: value for name, value in design.sigma.items() if name in channels}
     )
-
-
-def _separation(design: Design, separation: Separation) -> draw.Picture:
-    """Error of the difference against noise, under consistent load."""
-    figure, axes = draw.panels(4.2, 1, 1, 0.72 * draw.WIDTH)
-    one, other = separation.pair
-    difference = draw.in_symbols(f"{one} - {other}", design.symbols)
-    scenario, count = separation.scenario("consistent"), design.throws
-    throw, plain = (
-        design.candidates[separation.ordinary],
-        scenario.each[separation.ordinary],
-    )
-    ordinary = f"{count} x ({throw.v0:g} m/s, {throw.omega0:g} rad/s)"
-    black, blue, green = draw.PALETTE[6], draw.PALETTE[0], draw.PALETTE[2]
-    several = None if plain is None else plain / np.sqrt(count)
-    framed = f"the optimal {counted(count, 'throw')}"
-    lines = [
-        (several, ordinary, black, "-", 1.6),
-        (scenario.stderr, framed, blue, "-", 2.2),
-    ]
-    changes = [item for item in separation.changes if item.name == "h"]
-    values = sorted(item.value for item in changes)
-    extreme = [item for item in changes if item.value in (*values[:1], *values[-2:])]
-    dashed = [*zip(draw.DASHES[1:], extreme, strict=False)]
-    for dash, item in dashed:
-        lines.append(
-            (item.all, f"the same, h = {1000 * item.value:.3g} mm", blue, dash, 1.1)
-        )
-    for dash, item in dashed:
-        half = f"{ordinary}, half with h = {1000 * item.value:.3g} mm"
-        lines.append((item.half, half, green, dash, 1.4))
-    factors, wanted = np.array([1e-4, 1e2]), 100 * separation.wanted
-    for stderr, label, color, dash, lw in lines:
-        if stderr is not None:
-            errors = 100 * factors * stderr / separation.size
-            axes.plot(factors, errors, label=label, color=color, ls=dash, lw=lw)
-    axes.axhline(wanted, color=draw.REFERENCE_COLOR, lw=1.4)
-    axes.text(
-        1.2e-4, 1.15 * wanted, f"required: {wanted:g} %", color=draw.REFERENCE_COLOR
-    )
-    axes.axvline(1.0, **_PLANNED)
-    axes.set(
-        xscale="log",
-        yscale="log",
-        xlim=(1e-4, 1e1),
-        ylim=(1e-1, 1e6),
-        xlabel=f"noise, times {noise_text(design.sigma)} (dotted: as planned)",
-        ylabel=f"error of {difference}, % of {separation.size:g}",
-    )
-    if separation.proof.hidden:
-        said = "uniform load: not separable, at any noise, with any number of throws"
-        axes.set_title(said, color=draw.REFERENCE_COLOR, fontsize=7, loc="center")
-    figure.legend(loc="outside lower center", ncols=2, title="consistent load")
-    figure.suptitle(f"{draw.literal(design.law)} law: separation of {one} and {other}")
-    return figure

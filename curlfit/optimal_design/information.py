@@ -177,22 +177,26 @@ class Assumptions:
             name: standard_error(factor, self.weights(of))
             for name, of in quantities.items()
         }
-        return self.within_bounds(errors)
+        return self.within_bounds(errors, quantities)
 
     def within_bounds(
-        self, errors: Mapping[str, float | None]
+        self,
+        errors: Mapping[str, float | None],
+        quantities: Mapping[str, Mapping[str, float]],
     ) -> dict[str, float | None]:
-        """Standard errors by name, None where that of a coefficient is wider than the
-        interval between its bounds, which then alone limit it."""
+        """Standard errors of combinations by name, None where one is wider than the
+        interval between the bounds, which then alone limit the combination."""
         widths = dict(
             zip(self.names, self.bounded.upper - self.bounded.lower, strict=True)
         )
-        return {
-            name: None
-            if error is not None and error > widths.get(name, math.inf)
-            else error
-            for name, error in errors.items()
-        }
+        within: dict[str, float | None] = {}
+        for name, error in errors.items():
+            width = sum(
+                abs(weight) * widths[coefficient]
+                for coefficient, weight in quantities[name].items()
+            )
+            within[name] = None if error is not None and error > width else error
+        return within
 
     def noisier(self, channels: Iterable[str], factor: float) -> Assumptions:
         """The same with the noise of some channels multiplied."""

@@ -12,16 +12,9 @@ from rich.text import Text
 
 from curlfit.foreign import counted
 from curlfit.inference.verdict import Verdict
-from curlfit.optimal_design.result import (
-    Design,
-    LoadScenario,
-    Proof,
-    Scenario,
-    Separation,
-    StoneChange,
-)
+from curlfit.optimal_design.result import Design, Scenario, Separation
 from curlfit.output.console import PlainTable
-from curlfit.output.document import Document, Part, Said, Section, show
+from curlfit.output.document import Document, Said, Section, show
 from curlfit.output.text import (
     join_words,
     judged,
@@ -36,9 +29,6 @@ _CRITERIA = {
     "D": "smallest volume of the confidence ellipsoid (D-optimal)",
     "A": "smallest mean squared standard error, in units of typical sizes (A-optimal)",
 }
-_FORCES = ("T_xi", "T_eta", "M")
-_WEAK = 0.05  # relative error above which a difference is weakly determined
-_SCATTER = 0.01  # relative variation of the ice from throw to throw
 # factor of reduction of a systematic error above which a scenario is recommended
 _WORTH = 1.2
 _MAX_LISTED = 24  # candidates; the others are in design.json
@@ -93,11 +83,6 @@ def document(design: Design) -> Document:
                 (_single_throws(design),),
                 titled=True,
                 brief=False,
-            ),
-            *(
-                []
-                if design.separation is None
-                else [_separation(design, design.separation)]
             ),
         ),
         notes=design.notes,
@@ -156,10 +141,12 @@ def measured(
 ) -> str:
     """What is measured of each throw, in a line."""
     end = "until the stone is at rest" if until is None else f"for {until:g} s"
-    lacking = f", a discrepancy of {100 * discrepancy:.2g} % of what friction does"
+    lacking = ""
+    if discrepancy:
+        lacking = f", a discrepancy of {100 * discrepancy:.2g} % of what friction does"
     return (
-        f"{rate:g} Hz {end}, independent noise of {noise_text(sigma)}"
-        f"{lacking * bool(discrepancy)}; stone {stone_text(stone, mass=False)}"
+        f"{rate:g} Hz {end}, independent noise of {noise_text(sigma)}{lacking}; "
+        f"stone {stone_text(stone, mass=False)}"
     )
 
 
@@ -199,16 +186,21 @@ def _recommended(scenarios: Sequence[Scenario]) -> str:
 
 
 def _best(design: Design) -> PlainTable:
-    first, *others = design.best.values()
-    same = all(item.throws == first.throws for item in others)
-    shown = (
-        {"": first}
-        if same
-        else {f" by {name}": item for name, item in design.best.items()}
-    )
-    assumed = {
-        one.expression: one.value for one in first.combinations
-    } | design.coefficients
+    first = next(iter(design.best.values()))
+    criteria: dict[tuple[int, ...], list[str]] = {}
+    for name, errors in design.best.items():
+        criteria.setdefault(errors.throws, []).append(name)
+    shown = {"": first}
+    if len(criteria) > 1:
+        shown = {
+            f" by {join_words(names)}": design.best[names[0]]
+            for names in criteria.values()
+        }
+    assumed = {sum_.expression: sum_.value for sum_ in first.combinations}
+    for name, weights in design.quantities.items():
+        terms = (weight * design.coefficients[one] for one, weight in weights.items())
+        assumed[name] = sum(terms)
+    assumed |= design.coefficients
     head = f">std. error, best {counted(design.throws, 'throw')}"
     rows = [
         {
@@ -229,11 +221,18 @@ def _error(stderr: float | None) -> str:
     return "-" if stderr is None else f"{stderr:.2g}"
 
 
+def _criterion(design: Design, name: str) -> str:
+    """What a criterion of optimality makes smallest."""
+    if name == "C" and design.separation is not None:
+        return f"smallest standard error of {design.separation.difference} (C-optimal)"
+    return _CRITERIA[name]
+
+
 def _summary(design: Design) -> list[str]:
     throws: dict[str, list[str]] = {}
     for name, item in design.best.items():
         throws.setdefault(throws_text(design.candidates, item.throws), []).append(
-            _CRITERIA[name]
+            _criterion(design, name)
         )
     lines = [
         f"Best {counted(design.throws, 'throw')}: {text}, "
@@ -259,6 +258,8 @@ def _summary(design: Design) -> list[str]:
             f"Not identifiable: {join_words(hidden)}. The trajectories are "
             f"unchanged when {changes}."
         )
+    if design.separation is not None:
+        lines += _separated(design, design.separation)
     return lines
 
 
@@ -282,166 +283,24 @@ def _single_throws(design: Design) -> PlainTable:
     return PlainTable(rows, "Expected errors from a single throw", keys=2, note=note)
 
 
-def _separation(design: Design, separation: Separation) -> Section:
-    (a, b), proof, size = separation.pair, separation.proof, separation.size
-    parts: list[Part] = [
-        f"Required: standard error of {a} - {b} {separation.wanted * size:.2g}, "
-        f"{100 * separation.wanted:g} % of their {separation.of}, {size:g}."
-    ]
-    if proof.hidden:
-        parts += [
-            Text("Uniform load: no throw can separate them.", style="bold red"),
-            f"{proof.because}." if proof.because else "",
-            _proof(proof),
-        ]
+def _separated(design: Design, separation: Separation) -> list[str]:
+    """Under which load no throws separate two coefficients, and which do under the
+    other."""
+    pair = join_words(separation.pair)
+    count = counted(design.throws, "throw")
+    is_separated = separation.scenario(design.load).throws is not None
+    sentences = []
     for scenario in separation.ways:
-        if not (scenario.load == "uniform" and proof.hidden):
-            parts += _scenario(design, separation, scenario)
-    if separation.changes:
-        parts += [_about_changes(separation), _changes(design, separation)]
-    heading = f"Separation of {a} and {b}"
-    return Section("separation", heading, parts, titled=True, brief=False)
-
-
-def _proof(proof: Proof) -> str:
-    by_difference, by_sum = (
-        ", ".join(
-            f"{name} {value:.1g}" for name, value in zip(_FORCES, values, strict=True)
-        )
-        for values in (proof.by_difference, proof.by_sum)
-    )
-    return (
-        f"Computed: over {proof.states} random speeds and spins, "
-        "the largest derivatives of force (over m g) and moment (over m g R) along "
-        f"the difference are {by_difference}; along the sum {by_sum}. {proof.throws} "
-        "throws of various speeds and spins together have the singular values "
-        f"{', '.join(f'{value:.2g}' for value in proof.singular_values)}: "
-        "the last is zero to rounding error."
-    )
-
-
-def _scenario(
-    design: Design, separation: Separation, scenario: LoadScenario
-) -> list[Part]:
-    name = (
-        f"{scenario.load.capitalize()} "
-        f"load{' (eq. 8-9)' * (scenario.load == 'consistent')}"
-    )
-    if scenario.throws is None or scenario.stderr is None:
-        return [
-            Text(f"{name}: none of these throws can separate them.", style="bold red")
-        ]
-    weak, rows = scenario.stderr > _WEAK * separation.size, []
-    for spin in dict.fromkeys(one.omega0 for one in design.candidates):
-        own = [
-            (stderr, one.v0)
-            for one, stderr in zip(design.candidates, scenario.each, strict=True)
-            if one.omega0 == spin and stderr is not None
-        ]
-        for stderr, v0 in sorted(own)[:1]:
-            noise = noise_text(design.sigma, separation.noise_factor(stderr))
-            rows.append(
-                {
-                    ">omega0\n(rad/s)": f"{spin:g}",
-                    ">v0\n(m/s)": f"{v0:g}",
-                    ">error from\none throw": f"{stderr:.2g}",
-                    ">relative": percent(stderr / separation.size),
-                    "noise for the\nrequired error": noise,
-                    ">or throws at\nthis noise": _count(
-                        separation.throws_needed(stderr, 1)
-                    ),
-                }
+        load = scenario.load
+        if scenario.throws is None:
+            sentences.append(
+                f"Under {load} load, none of these throws separate {pair}."
             )
-    return [
-        Text(
-            f"{name}: the difference is {'weakly ' * weak}determined.",
-            style="bold yellow",
-        ),
-        PlainTable(rows, f"{name}: the best throw of each spin", keys=2),
-        _optimal(design, separation, scenario, scenario.stderr),
-    ]
-
-
-def _optimal(
-    design: Design, separation: Separation, scenario: LoadScenario, stderr: float
-) -> str:
-    """The optimal throws for a separation, and what they would need."""
-    factor = separation.noise_factor(stderr)
-    text = (
-        f"The optimal {counted(design.throws, 'throw')}: "
-        f"{throws_text(design.candidates, scenario.throws or ())}. Error "
-        f"{stderr:.2g}, that is {percent(stderr / separation.size)}: "
-    )
-    if factor < 1:
-        needed = _count(separation.throws_needed(stderr, design.throws))
-        text += (
-            f"needs noise of {noise_text(design.sigma, factor)}, "
-            f"or {needed} throws at the present noise, or {two_digits(1 / factor**2)} "
-            "times as many rows per second."
-        )
-    else:
-        text += f"sufficient, up to a noise of {noise_text(design.sigma, factor)}."
-    if scenario.steady is not None:
-        text += (
-            " The sum of both must then be the same in all of them to "
-            f"{percent(scenario.steady)}: such a change of the ice between throws "
-            "has the same effect as the required error. The errors of single throws, "
-            "above, do not depend on it."
-        )
-    return text
-
-
-def _count(number: float) -> str:
-    """A number of throws: an integer, rounded where it is large."""
-    whole = math.ceil(number - 1e-9)
-    return str(whole) if whole < 1000 else two_digits(number)
-
-
-def _changes(design: Design, separation: Separation) -> PlainTable:
-    scenario, draw = (
-        separation.scenario("consistent"),
-        design.candidates[separation.ordinary],
-    )
-    count, alone = counted(design.throws, "throw"), scenario.each[separation.ordinary]
-    single = None if alone is None else alone / math.sqrt(design.throws)
-    original = StoneChange("", 0.0, scenario.stderr, single, None)
-    rows = []
-    for item in (original, *separation.changes):
-        whole, half = (
-            "-" if one is None else percent(one / separation.size)
-            for one in (item.all, item.half)
-        )
-        steady = averaged = "--" * bool(item.name)
-        if item.steady:
-            steady = percent(item.steady)
-            averaged = _count((2 * _SCATTER / item.steady) ** 2)
-        rows.append(
-            {
-                "stone": f"{item.name} = {1000 * item.value:.3g} mm"
-                if item.name
-                else "original",
-                f">error, {count}\nas above": _error(item.all),
-                ">relative": whole,
-                f">error, {count} of\n{_start(draw)},\nhalf with each stone": _error(
-                    item.half
-                ),
-                "> relative": half,
-                ">ice constant\nto": steady,
-                f">throws, ice\nscatter {percent(_SCATTER)}": averaged,
-            }
-        )
-    return PlainTable(rows, "Changes of the stone")
-
-
-def _about_changes(separation: Separation) -> str:
-    a, b = separation.pair
-    return (
-        "Changes of the stone, under consistent load. Within one throw a change "
-        "of the sum compensates nearly the whole effect of the difference. "
-        "The compensation depends on the stone (it is proportional to h/R), "
-        "so two stones on the same ice, with the same coefficients, "
-        "are more informative than one. The last columns are the relative change of "
-        f"{a} + {b} between the halves that has the same effect as the required error, "
-        "and the number of throws, alternately with one stone and the other, that "
-        f"averages out a scatter of the ice of {percent(_SCATTER)} from throw to throw."
-    )
+        elif load != design.load and not is_separated:
+            throws = throws_text(design.candidates, scenario.throws)
+            sentences.append(
+                f"Under {load} load (`--load {load}`), the best {count} for "
+                f"{separation.difference} are {throws}: standard error "
+                f"{_error(scenario.stderr)}."
+            )
+    return sentences

@@ -46,9 +46,10 @@ class ExpectedErrors:
     Attributes
     ----------
     throws : indices of the candidates, repeated for repeated throws.
-    stderr : standard error by coefficient (None where it is not determined)
-        and combination.
-    verdicts : by coefficient, as in `FitResult`; "fixed" for one that is not free.
+    stderr : standard error by coefficient (None where it is not determined),
+        combination, and difference of two coefficients.
+    verdicts : by coefficient and difference, as in `FitResult`; "fixed" for one that
+        is not free.
     combinations : determined combinations of coefficients that are not
         determined individually.
     rank, singular_values, null_directions : see `curlfit.inference.identifiability`.
@@ -100,15 +101,17 @@ class Design(Record):
     until : end of the records in s; the time of rest if None.
     throws : number of throws.
     candidates : the throws from which these are selected.
-    quantities : coefficients and combinations determined by all candidates, as weights.
+    quantities : coefficients and combinations determined by all candidates, as weights;
+        the difference of two coefficients among them.
     rank, free : numbers of directions determined by all candidates, and of
         free coefficients.
-    best : the optimal selection of `throws` candidates by criterion "D" and "A".
+    best : the optimal selection of `throws` candidates by criterion "D" and "A", and
+        "C", least standard error of a difference, where the candidates determine it.
     curves : standard errors of the D-optimal throws, for figures: against "place",
         "angle" (factor on that noise alone), "rate" (Hz) and "throws" (number, the
         optimal ones for each); each has the abscissa, "at", and the errors by quantity.
-    separation : separability of two coefficients, if requested or if only their sum is
-        determined.
+    separation : the best throws for the difference of two coefficients under each load,
+        if requested or if under uniform load only their sum is determined.
     notes : caveats, as sentences.
     command : that made it; empty if it was made in Python.
     discrepancy : size of the accelerations that the law may lack, relative to
@@ -207,111 +210,40 @@ def load_design(file: str | PathLike[str]) -> Design:
 
 
 @dataclass(frozen=True)
-class Proof:
-    """Effect of the difference of two coefficients on force and moment under
-    uniform load.
-
-    Attributes
-    ----------
-    states : number of random speeds and spins.
-    by_difference, by_sum : largest derivative, over these, of T_xi/(m g),
-        T_eta/(m g) and M/(m g R) when one coefficient grows and the other falls,
-        and when both grow.
-    throws : number of throws, of various speeds and spins, taken together.
-    singular_values : of the R factor of their information on the coefficients, largest
-        first, scaled by typical sizes, noise as planned.
-    hidden : whether the effect of the difference is zero to rounding error in both.
-    because : explanation, where known.
-    """
-
-    states: int
-    by_difference: tuple[float, ...]
-    by_sum: tuple[float, ...]
-    throws: int
-    singular_values: tuple[float, ...]
-    hidden: bool
-    because: str
-
-
-@dataclass(frozen=True)
 class LoadScenario:
-    """Expected errors of the difference of two coefficients under one load.
+    """The throws with the least standard error of a difference under one load.
 
     Attributes
     ----------
     load : "uniform" or "consistent".
-    each : standard error of the difference from each candidate alone, None
-        if undetermined.
-    throws : indices of the optimal candidates, as many as planned; None
-        if undetermined.
+    throws : indices of these candidates, as many as planned; None where no throws
+        determine the difference.
     stderr : standard error of the difference from these.
-    steady : relative change of the sum of both coefficients between these throws that
-        has the same effect as the required error; None if no change does.
     """
 
     load: str
-    each: tuple[float | None, ...]
     throws: tuple[int, ...] | None
     stderr: float | None
-    steady: float | None
-
-
-@dataclass(frozen=True)
-class StoneChange:
-    """A change of the stone, and the standard error of the difference with it.
-
-    Attributes
-    ----------
-    name, value : the changed property and its value (m).
-    all : from the optimal throws, all with the changed stone; None if undetermined.
-    half : from the same number of ordinary throws, half with the original stone and
-        half with the changed one.
-    steady : relative change of the sum of both coefficients between the halves that has
-        the same effect as the required error of the difference.
-    """
-
-    name: str
-    value: float
-    all: float | None
-    half: float | None
-    steady: float | None
 
 
 @dataclass(frozen=True)
 class Separation:
-    """What it takes to separate two coefficients.
+    """The throws that separate two coefficients best, under each load.
 
     Attributes
     ----------
     pair : the coefficients.
-    size, of : the reference of relative errors: the assumed "difference", or the "mean"
-        of both where they are equal.
-    wanted : required relative error.
-    proof : for the uniform load.
     ways : scenarios by load.
-    ordinary : index of the candidate closest to an ordinary throw.
-    changes : of the stone, under the consistent load.
     """
 
     pair: tuple[str, str]
-    size: float
-    of: str
-    wanted: float
-    proof: Proof
     ways: tuple[LoadScenario, ...]
-    ordinary: int
-    changes: tuple[StoneChange, ...]
+
+    @property
+    def difference(self) -> str:
+        """The difference of the coefficients in words."""
+        return " - ".join(self.pair)
 
     def scenario(self, load: str) -> LoadScenario:
         """The scenario of one load."""
         return next(scenario for scenario in self.ways if scenario.load == load)
-
-    def noise_factor(self, stderr: float) -> float:
-        """Factor on all noise that gives the required error; errors are
-        proportional to noise."""
-        return self.wanted * self.size / stderr
-
-    def throws_needed(self, stderr: float, throws: int) -> float:
-        """Number of throws that gives the required error, if `throws` of them
-        give `stderr`."""
-        return throws / self.noise_factor(stderr) ** 2

@@ -38,7 +38,7 @@ KINDS = {
     "design": Kind(
         "optimal_design.report",
         "design",
-        ("design-map", "design-errors", "design-separate"),
+        ("design-map", "design-errors"),
     ),
     "discrimination": Kind("optimal_design.discrimination", "discrimination"),
 }

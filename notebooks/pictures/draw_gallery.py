@@ -28,10 +28,7 @@ PICTURES = {
     "flat": "consistent/profile",
     "pair": f"{PROFILE}-mu1_eta-mu2_eta/profile",
     "predict": "jensen_shegelski_2004-predict/predict",
-    **{
-        name: f"design/{name}"
-        for name in ("design-map", "design-errors", "design-separate")
-    },
+    **{name: f"design/{name}" for name in ("design-map", "design-errors")},
 }
 """Names of the pictures, and the files that the commands write."""
 COLOURS = 128  # a third of the size

@@ -500,7 +500,7 @@ def roof() -> None:
     from curlfit import LAWS, InitialState, Stone, simulate
     from curlfit.dynamics import integrator
     from curlfit.dynamics.contact import accelerations
-    from curlfit.dynamics.quadrature import node_clustering
+    from curlfit.numerics.ring_nodes import node_clustering
 
     t, lanes = (
         np.linspace(0, 20, 201),

@@ -228,7 +228,7 @@ SLIDING = "        return -s * point.e_xi, -s * point.e_eta\n"
     ("wrong", "right"),
     [
         ("np.sqrt(point.speed)", "jnp.sqrt(point.speed)"),
-        ("np.where(point.xi > 0, 1, 2)", "jnp.where(point.xi > 0, 1, 2)"),
+        ("np.where(point.front > 0, 1, 2)", "jnp.where(point.front > 0, 1, 2)"),
         ("1 if self.mu > 0 else 2", "jnp.where(self.mu > 0, 1, 2)"),
         ("[1, 2][int(point.front[0])]", "2 - point.front"),
     ],
@@ -244,6 +244,21 @@ def test_a_law_that_cannot_be_compiled_is_told_of_jax_numpy(wrong, right, tmp_pa
     ):
         find_law(str(tmp_path / "bad.py"))
     assert find_law(str(tmp_path / "good.py")).__name__ == "A"
+
+
+def test_the_book_shows_what_is_said_of_a_jump_that_is_not_declared(tmp_path):
+    text = re.search(r"<!-- edges -->\n```python\n(.*?)```", PAGE, re.S)[1]
+    (tmp_path / "two_sides.py").write_text(text)
+    listed = curlfit("laws", "two_sides.py", cwd=tmp_path)
+    assert (listed.returncode, listed.stderr) == (0, "")
+    (tmp_path / "undeclared.py").write_text(
+        re.sub(r"    def edges.*?\n\n", "", text, flags=re.S)
+    )
+    refused = curlfit("laws", "undeclared.py", cwd=tmp_path)
+    sentence = re.search(r"```text\n(TwoSides: .*?)\n```", PAGE, re.S)[1]
+    assert refused.returncode == 2
+    assert refused.stderr.startswith(f"curlfit: undeclared.py: {sentence}, which")
+    assert len(refused.stderr.splitlines()) == 1
 
 
 def test_a_law_that_drives_a_part_of_the_ring_is_warned_of(tmp_path, capsys):

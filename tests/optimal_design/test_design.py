@@ -11,7 +11,6 @@ from conftest import command, invoke
 
 import curlfit
 from curlfit import LAWS, InitialState, Stone
-from curlfit.dynamics.contact import accelerations
 from curlfit.inference.noise.accelerations import Responses
 from curlfit.optimal_design.departures import expected_departures
 from curlfit.optimal_design.design import design
@@ -28,7 +27,6 @@ from curlfit.optimal_design.selection import (
     select_design,
     standard_error,
 )
-from curlfit.optimal_design.separability import CoefficientPair, prove_unidentifiable
 
 LAW = LAWS["front-back"]
 STONE = Stone()
@@ -327,7 +325,7 @@ def test_the_best_of_the_plan_is_the_best_of_all_choices(plain):
     assert plain.best["D"].throws == best
 
 
-def test_both_criteria_are_the_best_of_all_choices():
+def test_each_criterion_is_the_best_of_all_choices():
     found = design(load="consistent", v0=[2.0], rate=10, throws=2)
     factors = [
         factor_of([PlannedThrow(2.0, c.omega0, 10.0, STONE)], "consistent")
@@ -338,112 +336,70 @@ def test_both_criteria_are_the_best_of_all_choices():
     total = {pair: information[list(pair)].sum(0) for pair in pairs}
     volume = max(pairs, key=lambda pair: np.linalg.slogdet(total[pair])[1])
     mean = min(pairs, key=lambda pair: np.trace(np.linalg.inv(total[pair])))
+    errors = {
+        pair: np.sqrt(DIFFERENCE @ np.linalg.inv(total[pair]) @ DIFFERENCE)
+        for pair in pairs
+    }
+    separating = min(pairs, key=errors.get)
     assert volume != mean
     assert found.best["D"].throws == volume
     assert found.best["A"].throws == mean
     # what uniform load would hide is looked at without being asked for
     assert found.separation.pair == ("mu1_eta", "mu2_eta")
+    assert found.best["C"].throws == separating
+    for criterion, pair in (("D", volume), ("A", mean), ("C", separating)):
+        stderr = found.best[criterion].stderr["mu1_eta - mu2_eta"]
+        assert stderr == pytest.approx(errors[pair], rel=1e-3)
 
 
 # The question of the paper.
 
 
-def test_the_proof_is_rounding_and_nothing_else(plain):
-    found = plain.separation.proof
-    assert found.hidden
-    assert found.throws == 12
-    assert max(found.by_difference) < 1e-15
-    assert found.by_sum[0] == 0.0
-    assert found.by_sum[1] == pytest.approx(1.0, abs=0.01)
-    assert found.by_sum[2] == pytest.approx(0.5, abs=0.01)
-    assert found.singular_values[2] > 100
-    assert found.singular_values[3] < 1e-13 * found.singular_values[0]
-    assert "eq. 16, 25-26" in found.because
-    assert plain.separation.scenario("uniform").stderr is None
-    assert set(plain.separation.scenario("uniform").each) == {None}
-
-
-def test_the_proof_does_not_hold_for_others():
-    assumed = Assumptions(LAW, "uniform", TRUE, NOISE)
-    split = CoefficientPair(assumed, ("mu1_xi", "mu2_xi"))
-    factors = [factor_of([PlannedThrow(2.0, 1.5, 10.0, STONE)])]
-    found = prove_unidentifiable(assumed, split, STONE, factors)
-    assert not found.hidden
-    assert found.because == ""
-    assert max(found.by_difference) > 0.1
-
-
-def test_under_consistent_load_they_separate(plain):
-    found = plain.separation
-    assert found.pair == ("mu1_eta", "mu2_eta")
-    assert (found.of, found.size) == ("mean", 0.009)
-    way = found.scenario("consistent")
-    by_start = {
-        (c.v0, c.omega0): stderr
-        for c, stderr in zip(plain.candidates, way.each, strict=True)
-    }
-    # the more spin the more it tells, by far
-    for v0 in (1.6, 1.9, 2.2):
-        errors = [by_start[v0, spin] for spin in (0.5, 1.0, 2.0, 5.0, 10.0)]
-        assert errors == sorted(errors, reverse=True)
-        assert errors[0] > 400 * errors[-1]
-    assert way.stderr < min(way.each) / np.sqrt(3)  # no worse than three of the best
-    made = [plain.candidates[place] for place in way.throws]
-    factor = factor_of(
-        [PlannedThrow(c.v0, c.omega0, c.rate, STONE) for c in made], "consistent"
-    )
-    assert way.stderr == pytest.approx(standard_error(factor, DIFFERENCE), rel=1e-6)
-
-
-def test_with_the_noise_that_is_asked_for_the_error_is_the_one_wanted(plain):
-    way = plain.separation.scenario("consistent")
-    place = [(c.v0, c.omega0) for c in plain.candidates].index((2.2, 1.0))
-    factor = plain.separation.noise_factor(way.each[place])
-    assert 1e-4 < factor < 1e-2  # some micrometres
-    throw = PlannedThrow(2.2, 1.0, 30.0, STONE)
-    sigma = {name: factor * value for name, value in NOISE.items()}
-    finer = standard_error(factor_of([throw], "consistent", sigma=sigma), DIFFERENCE)
-    assert finer == pytest.approx(0.2 * 0.009, rel=1e-9)
-    needed = plain.separation.throws_needed(way.each[place], 1)
-    assert way.each[place] / np.sqrt(needed) == pytest.approx(0.2 * 0.009, rel=1e-9)
-
-
-def test_half_of_the_throws_with_another_stone(plain):
-    ordinary = plain.candidates[plain.separation.ordinary]
-    assert (ordinary.v0, ordinary.omega0) == (1.9, 1.0)
-    for change in plain.separation.changes:
-        stones = [STONE, STONE.with_values({change.name: change.value})]
-        # two of these throws, of which the three planned are one and a half
-        # times as many
-        throws = [PlannedThrow(1.9, 1.0, 30.0, stone) for stone in stones]
-        expected = standard_error(
-            factor_of(throws, "consistent"), DIFFERENCE
-        ) / np.sqrt(1.5)
-        assert change.half == pytest.approx(expected, rel=1e-4)
-
-
-def test_ice_that_changes_between_the_stones_passes_for_a_difference(plain):
-    found = plain.separation
-    change = next(one for one in found.changes if (one.name, one.value) == ("h", 0.114))
-    # Braking as each stone has it, of the sum alone and of the difference alone.
-    force = {}
-    for h in (0.057, 0.114):
-        for split in ((0.009, 0.009), (0.0099, 0.0081), (0.00909, 0.00909)):
-            law = LAW(mu1_eta=split[0], mu2_eta=split[1])
-            stone = STONE.with_values({"h": h})
-            force[h, split] = float(
-                accelerations(
-                    law, stone, "consistent", np.array(1.0), np.array(1e-3)
-                ).eta
-            )
-    by_difference = [
-        (force[h, (0.0099, 0.0081)] - force[h, (0.009, 0.009)])
-        / force[h, (0.009, 0.009)]
-        for h in (0.057, 0.114)
+def test_throws_under_consistent_load_alone_separate_front_and_back(plain):
+    separation = plain.separation
+    assert separation.pair == ("mu1_eta", "mu2_eta")
+    assert separation.scenario("uniform").throws is None
+    assert separation.scenario("uniform").stderr is None
+    assert "C" not in plain.best
+    scenario = separation.scenario("consistent")
+    spins = [plain.candidates[index].omega0 for index in scenario.throws]
+    assert max(spins) == 10.0
+    throws = [
+        PlannedThrow(start.v0, start.omega0, start.rate, STONE)
+        for start in (plain.candidates[index] for index in scenario.throws)
     ]
-    assert change.steady == pytest.approx(
-        abs(by_difference[1] - by_difference[0]), rel=0.05
+    factor = factor_of(throws, "consistent")
+    assert scenario.stderr == pytest.approx(
+        standard_error(factor, DIFFERENCE), rel=1e-6
     )
+
+
+def test_the_error_of_a_difference_is_that_of_a_fit():
+    grid = {"v0": [2.0], "omega0": [1.5], "rate": 10, "until": 20.0, "throws": 1}
+    plan = design(**grid, separate=["mu2_xi", "mu1_xi"])
+    fit = curlfit.fit(throw_of(2.0, 1.5, seed=2), derive=["mu2_xi - mu1_xi"])
+    (derived,) = fit.derived
+    stderr = plan.best["C"].stderr["mu2_xi - mu1_xi"]
+    assert stderr == pytest.approx(derived.stderr, rel=0.03)
+
+
+def test_no_difference_has_an_error_wider_than_its_bounds():
+    """c lies from 0 to 1, f0 from -1 to 1; without the angle f0 is not determined."""
+    plan = without_angle("power-angular", separate=["c", "f0"])
+    assert plan.candidates[0].stderr["c - f0"] is None
+    assert plan.separation.scenario("uniform").throws is None
+
+
+@pytest.mark.parametrize(
+    ("pair", "message"),
+    [
+        (["c", "c"], "two different coefficients"),
+        (["c", "mu1_eta"], "law power-angular has no free coefficient 'mu1_eta'"),
+    ],
+)
+def test_what_cannot_be_separated_is_refused(pair, message):
+    with pytest.raises(curlfit.InputError, match=message):
+        without_angle("power-angular", separate=pair)
 
 
 # Record, text and pictures.
@@ -454,6 +410,17 @@ def test_a_saved_design_is_the_same(plain, tmp_path):
     again = curlfit.load_design(tmp_path)
     assert again.to_json() == plain.to_json()
     assert json.loads((tmp_path / "design.json").read_text())["schema"] == 1
+
+
+def test_a_design_of_version_0_2_is_read(plain, tmp_path):
+    record = plain.to_json()
+    proof = {"states": 400, "by_difference": [0.0], "hidden": True, "because": ""}
+    record["separation"] |= {"size": 0.009, "of": "mean", "wanted": 0.2}
+    record["separation"] |= {"proof": proof, "ordinary": 6, "changes": []}
+    for scenario in record["separation"]["ways"]:
+        scenario |= {"each": [None] * len(plain.candidates), "steady": None}
+    (tmp_path / "design.json").write_text(json.dumps(record))
+    assert curlfit.load_design(tmp_path).to_json() == plain.to_json()
 
 
 def test_the_command(tmp_path):
@@ -483,19 +450,14 @@ def test_the_command(tmp_path):
         "h = 0.1 m",
         "2 x (2 m/s, 5 rad/s)",
         "3 of 4 directions",
-        "no throw can separate them",
-        "Why (eq. 16, 25-26)",
-        "the last is zero to rounding error",
+        "Under uniform load, none of these throws separate mu1_eta and mu2_eta.",
+        "Under consistent load (`--load consistent`), the best 2 throws for mu1_eta "
+        "- mu2_eta are 1 x (2 m/s, -1 rad/s) and 1 x (2 m/s, 5 rad/s): standard error",
         "these errors hold if the law is correct",
     ):
         assert words in text, words
     folder = tmp_path / "design"
-    files = [
-        "design-errors.png",
-        "design-map.png",
-        "design-separate.png",
-        "design.json",
-    ]
+    files = ["design-errors.png", "design-map.png", "design.json"]
     assert sorted(file.name for file in folder.iterdir()) == files
     shown = invoke(["show", str(folder)])
     assert shown.stdout == run.stdout[: run.stdout.index("Written:")]
