@@ -176,17 +176,19 @@ class Design(Record):
 
     def require_consistent(self) -> None:
         """Raise `ValueError` where what was read contradicts itself."""
+        require("sigma", all(size > 0 for size in self.sigma.values()), "noise above 0")
         names = self.quantities.keys()
-        for place, all_ in (
+        for place, expected in (
             ("candidates", self.candidates),
             ("scenarios", self.scenarios),
             ("best", self.best.values()),
         ):
-            known = all(names <= one.stderr.keys() for one in all_)
-            require(place, known, f"the standard errors of {', '.join(names)}")
+            complete = all(names <= errors.stderr.keys() for errors in expected)
+            require(place, complete, f"the standard errors of {', '.join(names)}")
         count = len(self.candidates)
-        known = all(0 <= i < count for one in self.best.values() for i in one.throws)
-        require("best", known, "indices of candidates")
+        chosen = [index for best in self.best.values() for index in best.throws]
+        there = all(0 <= index < count for index in chosen)
+        require("best", there, "indices of candidates")
         for curve in self.curves.values():
             require("curves", {"at", *names} <= curve.keys(), "all standard errors")
             require_rows("curves", curve, len(curve["at"]))

@@ -412,6 +412,14 @@ def test_a_saved_design_is_the_same(plain, tmp_path):
     assert json.loads((tmp_path / "design.json").read_text())["schema"] == 1
 
 
+def test_a_saved_design_without_noise_is_refused(plain, tmp_path):
+    record = plain.to_json()
+    record["sigma"]["x"] = 0.0
+    (tmp_path / "design.json").write_text(json.dumps(record))
+    with pytest.raises(curlfit.DataError, match="sigma: expected noise above 0"):
+        curlfit.load_design(tmp_path)
+
+
 def test_a_design_of_version_0_2_is_read(plain, tmp_path):
     record = plain.to_json()
     proof = {"states": 400, "by_difference": [0.0], "hidden": True, "because": ""}
