@@ -8,15 +8,15 @@ coincide is a result, not an assumption.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from curlfit.exploration.explore import CurveModel, Curves
 from curlfit.html_report.blocks import Block
 from curlfit.html_report.replay import rounded
+from curlfit.inference.fit.curves import CurveModel, Curves
 from curlfit.inference.fit.result import FitResult
 from curlfit.numerics.arrays import Floats
 from curlfit.output.figures import some_rows
@@ -33,7 +33,10 @@ _MEASURES = {
     "speed": ("speed",),
     "spin": ("omega",),
 }
-_WIDTH, _HEIGHT, _MARGIN = 640.0, 200.0, 16.0  # of the drawing
+WIDTH = 640.0
+HEIGHT = 200.0
+MARGIN = 16.0
+"""Of a drawing, in its own units."""
 
 
 def directions_of(
@@ -53,46 +56,53 @@ def directions_of(
     return [item for item in found if item is not None]
 
 
-def positions_along(fit: FitResult, direction: dict[str, float]) -> Floats:
-    """Steps along a direction from the fit, including 0, at which all parameters are
-    within their bounds, or within a few times their size where they have none."""
-    ends = [-math.inf, math.inf]
+def ends_along(fit: FitResult, direction: Mapping[str, float]) -> tuple[float, float]:
+    """Steps along a direction from the fit, up to which all parameters are within their
+    bounds, or within a few times their size where they have none."""
+    backward = -math.inf
+    forward = math.inf
     for name, weight in direction.items():
         item = fit.parameters[name]
         far = _REACH * max(abs(item.value), item.typical)
         low = max(item.lower, item.value - far) - item.value
         high = min(item.upper, item.value + far) - item.value
         first, last = sorted((low / weight, high / weight))
-        ends = [max(ends[0], first), min(ends[1], last)]
-    steps = np.linspace(ends[0], ends[1], _POSITIONS)
+        backward = max(backward, first)
+        forward = min(forward, last)
+    return backward, forward
+
+
+def positions_along(fit: FitResult, direction: dict[str, float]) -> Floats:
+    """Steps along a direction between its ends, including 0."""
+    backward, forward = ends_along(fit, direction)
+    steps = np.linspace(backward, forward, _POSITIONS)
     steps[np.argmin(np.abs(steps))] = 0.0  # the fit itself
     return steps
 
 
-class _Drawing(NamedTuple):
+class Drawing(NamedTuple):
     """Where points along two axes are drawn: from their origin, enlarged by
     their scale."""
 
     origin: list[float]
     scale: list[float]
+    margin: float = MARGIN
 
     @classmethod
-    def of(cls, low: Floats, high: Floats, *, from_above: bool) -> _Drawing:
+    def of(cls, low: Floats, high: Floats, *, from_above: bool) -> Drawing:
         """One that shows what lies between two corners; seen `from_above`, thrown to
         the right, left of the throw is up."""
         size = np.where(high > low, high - low, 1.0)
-        along, across = (
-            (_WIDTH - 2 * _MARGIN) / size[0],
-            (_HEIGHT - 2 * _MARGIN) / size[1],
-        )
+        along = (WIDTH - 2 * MARGIN) / size[0]
+        across = (HEIGHT - 2 * MARGIN) / size[1]
         if from_above:
             return cls([float(low[0]), float(high[1])], [along, -across])
         return cls(low.tolist(), [along, across])
 
     def at(self, points: Floats) -> list[tuple[float, float]]:
         """Points in the drawing, of values along the axes, shape (2, n)."""
-        across = _MARGIN + (points[0] - self.origin[0]) * self.scale[0]
-        down = _HEIGHT - _MARGIN - (points[1] - self.origin[1]) * self.scale[1]
+        across = MARGIN + (points[0] - self.origin[0]) * self.scale[0]
+        down = HEIGHT - MARGIN - (points[1] - self.origin[1]) * self.scale[1]
         found = zip(across.tolist(), down.tolist(), strict=True)
         return [(u, v) for u, v in found if math.isfinite(u) and math.isfinite(v)]
 
@@ -124,7 +134,7 @@ def _direction(
     low, high = (
         side(np.array(paths + alone), axis=(0, 2)) for side in (np.nanmin, np.nanmax)
     )
-    drawing = _Drawing.of(low, high, from_above=sides[1] == "x")
+    drawing = Drawing.of(low, high, from_above=sides[1] == "x")
     data: dict[str, Any] = {
         "kind": "direction",
         "what": "the path" if sides[0] == "y" else "what was measured",
@@ -132,7 +142,6 @@ def _direction(
         "values": [rounded(row, 9) for row in values],
         "sizes": np.where(sizes > 0, sizes, 1.0).tolist(),
         **drawing._asdict(),
-        "margin": _MARGIN,
         "paths": [[rounded(values, 8) for values in one] for one in paths],
         "alone": [[rounded(values, 4) for values in one] for one in alone],
         "changes": changes,
@@ -153,8 +162,8 @@ def _direction(
         "sum": _constant(fit, names),
         "largest": _largest(changes),
         "apart": _largest(apart),
-        "width": _WIDTH,
-        "height": _HEIGHT,
+        "width": WIDTH,
+        "height": HEIGHT,
         "axes": _axes(fit, sides, low, high, len(models)),
         "points": drawing.at(
             np.array([fit.observed[name][measured] for name in sides])
@@ -234,12 +243,13 @@ def _change(
     if not all(map(math.isfinite, sizes.values())):
         return None
     said = [
-        f"{_size(size, _MEASURES[name][0])} in {name}" for name, size in sizes.items()
+        f"{size_in_words(size, _MEASURES[name][0])} in {name}"
+        for name, size in sizes.items()
     ]
     return {"size": max(sizes.values()), "text": join_words(said)}
 
 
-def _size(value: float, channel: str) -> str:
+def size_in_words(value: float, channel: str) -> str:
     """A size to two digits, in thousandths unless it is large."""
     unit = UNITS[channel]
     if value >= 1:

@@ -101,7 +101,6 @@ def page_of(result: Any, chain: Chain | None = None) -> str:
     ]
     programs = (*_SCRIPTS, _FRAMED) if added.data else (_FRAMED,)
     script = "".join(map(source, programs))
-    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     return (
         _templates()
         .get_template("page.html.j2")
@@ -110,11 +109,37 @@ def page_of(result: Any, chain: Chain | None = None) -> str:
             sections=sections,
             style=Markup(source("report.css")),
             script=Markup(script),
-            digest=digest,
+            digest=_digest(script),
             data=Markup(_embedded(added.data)) if added.data else "",
             version=__version__,
         )
     )
+
+
+def page_alone(
+    title: str, block: Block, data: dict[str, Any], programs: Sequence[str]
+) -> str:
+    """The text of a page of one interactive part, with its data by id and the programs
+    that move it."""
+    script = "".join(map(source, programs))
+    return (
+        _templates()
+        .get_template("alone.html.j2")
+        .render(
+            title=title,
+            block=block,
+            style=Markup(source("report.css")),
+            script=Markup(script),
+            digest=_digest(script),
+            data=Markup(_embedded(data)),
+            version=__version__,
+        )
+    )
+
+
+def _digest(script: str) -> str:
+    """By which the policy of a page knows its own program."""
+    return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
 
 
 def _versions() -> dict[str, str]:
