@@ -131,7 +131,7 @@ def values_of(cli: App, words: Sequence[str]) -> dict[str, Any]:
     read = bound.arguments
     if extra := read.get("data"):
         raise InputError(
-            f"{cut(str(extra[0]))}: expected an option, as `--until 18`; files are "
+            f"{cut(str(extra[0]))}: expected an option, as --until 18; files are "
             "dropped above, and a value with spaces has quotation marks"
         )
     refused = read["output"].words() if "output" in read else []

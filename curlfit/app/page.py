@@ -7,7 +7,6 @@ import asyncio
 import shlex
 import shutil
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from functools import partial, wraps
 from html import escape
@@ -57,7 +56,6 @@ _SUFFIXES = (
     ".toml",
 )
 _VERBS = {"fit": ("Fit", "The fit"), "compare": ("Compare laws", "The comparison")}
-_BESIDE = "A file that an option names: drop it here, or click"
 # A report is no part of this page, to which it says how high it is and where to scroll.
 _FRAMES = """<script>
 addEventListener("message", ({source, data}) => {
@@ -85,6 +83,13 @@ class Page:
     ----------
     cli : the commands. start : where results are saved.
     folder : of the files dropped, and of what the commands write.
+
+    Attributes
+    ----------
+    written : law, stone and further options. refused : why these are none of a fit.
+    beside : files for options. seen : what was read, with the last options that were
+        not refused.
+    work, done : the command that runs, and those that ended, by verb.
     """
 
     def __init__(self, cli: App, start: Path, folder: Path) -> None:
@@ -96,6 +101,7 @@ class Page:
         self.files: list[Path] = []
         self.beside: list[str] = []
         self.written = Written()
+        self.refused = ""
         self.seen = Seen()
         self.work: Work | None = None
         self.done: dict[str, Work] = {}
@@ -160,6 +166,7 @@ class Page:
         self.files = []
         self.beside = []
         self.written = Written()
+        self.refused = ""
         self.done = {}
         self.seen = Seen()
         for file in event.files:
@@ -217,6 +224,12 @@ class Page:
         reading = self._readings
         try:
             chosen = values_of(self.cli, self.written.words())
+        except CurlfitError as error:
+            self.refused = str(error)
+            self.refresh()
+            return
+        self.refused = ""
+        try:
             seen = await asyncio.to_thread(look, self.files, chosen)
         except CurlfitError as error:
             seen = Seen(fault=str(error))
@@ -224,10 +237,15 @@ class Page:
             self.seen = seen
             self.refresh()
 
+    @property
+    def can_fit(self) -> bool:
+        """Whether neither the options nor what was read is at fault."""
+        return not self.refused and not self.seen.fault
+
     async def accept(self, name: str, text: str, verb: str) -> None:
         """Follow a proposal; one of a result, by running its command again."""
         await self.put(self.written.with_option(self.flags["fit"][name], text))
-        if verb and not self.seen.fault:
+        if verb and self.can_fit:
             await self.carry_out(verb)
 
     async def carry_out(self, verb: str) -> None:
@@ -236,7 +254,7 @@ class Page:
             return
         try:
             words = self._words(verb)
-        except InputError:  # which is said where the file was read
+        except InputError:  # which is said below the line
             return
         work = Work(verb, words)
         self.work = work
@@ -315,18 +333,20 @@ class Page:
                 self._input("stone", "Stone", self.flags["fit"]["--stone"].written)
             hint = "--until 18 --noise ar1"
             self._input("line", "Further options, as on the command line", hint)
-            with _box("details", "summary", "All options"):
+            if self.refused:  # in the user's words, of which no button is made
+                _tag("p", sentence(self.refused, CHANNELS), "finding bad")
+            with _box("details", "summary", "All options (curlfit fit --help)"):
                 _tag("pre", self.help, "wide")
-            self._file(_BESIDE)
+            self._file("Choose a file for an option")
             if self.beside:
                 _tag("p", f"There: {shlex.join(self.beside)}", "note")
-            with suppress(InputError):  # which is said above
+            if not self.refused:
                 _command("fit", self._words("fit"))
             with _box("div", role="acts"):
                 for verb, (label, _) in _VERBS.items():
                     act = _button(label, partial(self.carry_out, verb))
                     act.classes(f"to-{verb}")
-                    act.props["disabled"] = bool(self.seen.fault)
+                    act.props["disabled"] = not self.can_fit
 
     def _input(self, name: str, heading: str, hint: str, **attributes: str) -> None:
         """A field of what is written."""
@@ -350,8 +370,8 @@ class Page:
     def _results(self) -> None:
         if self.work is not None:
             with _box("section", "h2", "At work"):
-                shown = ui.html("", sanitize=False).classes("status")
-                shown.bind_content_from(self.work, "progress")
+                status = ui.html("", sanitize=False).classes("status")
+                status.bind_content_from(self.work, "progress")
                 _button("Stop", self.work.stop)
         for place, work in enumerate(self.done.values()):
             _, heading = _VERBS[work.verb]
@@ -373,10 +393,10 @@ class Page:
                 _tag("input", type="text", value=str(page.parent))
             ask = "e => emit(e.target.closest('.repeat').querySelector('input').value)"
             button = _tag("button", "Save")
-        said = _tag("p", role="status")
+        outcome = _tag("p", role="status")
 
         def save(place: str) -> None:
-            said.set_content(escape(self.save(self.folder / page.parent, place)))
+            outcome.set_content(escape(self.save(self.folder / page.parent, place)))
 
         button.on("click", lambda e: save(e.args), js_handler=ask)
         _tag("iframe", src=f"results/{page}?{id(work)}", title="Report")
@@ -396,25 +416,27 @@ def _standing_alone(part: Callable[[], None]) -> Callable[[], None]:
 
 
 def _own_error(error: Exception) -> str:
-    said = message(f"{type(error).__name__}: {error}")
-    return "This is an error of curlfit: " + said.replace("`", "'")
+    """An error that is not the user's, without what would become a button."""
+    text = message(f"{type(error).__name__}: {error}")
+    return "This is an error of curlfit: " + text.replace("`", "'")
 
 
 def _tag(name: str, text: str = "", role: str = "", **attributes: Any) -> ui.html:
-    found = ui.html(escape(text), sanitize=False, tag=name).classes(role)
-    found.props.update(attributes)
-    return found
+    """An element with a text; its role is a class of the style sheet."""
+    element = ui.html(escape(text), sanitize=False, tag=name).classes(role)
+    element.props.update(attributes)
+    return element
 
 
 def _box(
     name: str, head: str = "", text: str = "", role: str = "", **attributes: Any
 ) -> ui.element:
     """An element that others enter, with a heading."""
-    with ui.element(name).classes(role) as found:
+    with ui.element(name).classes(role) as element:
         if head:
             _tag(head, text)
-    found.props.update(attributes)
-    return found
+    element.props.update(attributes)
+    return element
 
 
 def _button(text: str, act: Callable[..., Any]) -> ui.element:
@@ -422,6 +444,7 @@ def _button(text: str, act: Callable[..., Any]) -> ui.element:
 
 
 def _command(verb: str, words: Sequence[str]) -> str:
+    """Show a command as it is typed, and return it."""
     line = command_line(verb, *words)
     ui.html(rendered(Block("commands", {"lines": [line]})), sanitize=False)
     return line

@@ -192,13 +192,17 @@ def test_law_stone_and_options_are_those_of_the_command(page, served):
     line = f"curlfit fit {DATA.name} --law=coulomb --until 18 --derive 'mu*1' --report"
     assert shown_command(page) == line
     summaries = page.find_elements("css selector", "summary")
-    (options,) = [one for one in summaries if one.text == "All options"]
+    (options,) = [one for one in summaries if one.text.startswith("All options")]
     assert "--max-steps" not in said(page)
     options.click()
     assert "--max-steps" in said(page)
     write(page, "--unti 18")
     wait_for(lambda: "Unknown option: --unti. Did you mean --until?" in said(page))
     assert button(page, "Fit", "button.disabled")
+    assert "230 rows" in said(page)  # what was read stays
+    write(page, "`--as-given`")
+    wait_for(lambda: "`--as-given`: expected an option" in said(page))
+    assert not button(page, "Apply --as-given", "!!button")
     write(page, "--no-sample")
     wait_for(lambda: "230 rows" in said(page))
     fitted(page)

@@ -71,7 +71,7 @@ def test_a_comparison_takes_the_flags_that_it_has():
         ("--until soon", "--until soon: expected a time in s"),
         ("--until", "--until requires an argument"),
         ("--unti 18", "Unknown option: --unti. Did you mean --until"),
-        ("18", "18: expected an option, as `--until 18`; files are dropped above"),
+        ("18", "18: expected an option, as --until 18; files are dropped above"),
         ("--derive mu2_xi + mu1_xi", "+: expected an option, as"),
         ("--until 18 /etc/passwd", "/etc/passwd: expected an option"),
         ("-- --x", "--x: expected an option"),
