@@ -70,7 +70,8 @@ class Written:
         return words
 
     def with_option(self, flag: Flag, value: str) -> Written:
-        """The same with an option; of options with one value, the last one counts."""
+        """What is written with an option added; of options with one value, the last one
+        counts."""
         if flag.name == "--law":
             return replace(self, law=value)
         if flag.name == "--stone":

@@ -35,9 +35,9 @@ _POSITIONS = 250  # of a slider, from the fit to either end
 _POINTS = 200  # of the data in the drawing
 _PANEL = 90.0  # height of the residuals of a channel
 _UNIT = 1e-5  # m, rad, m/s, rad/s: in which changes are written in the page
-# pixels of the frame in a notebook: of the whole but for residuals and sliders, of the
-# residuals of a channel, of a slider
-_FRAME, _PER_CHANNEL, _PER_SLIDER = 510, 130, 42
+_FRAME = 540  # pixels of the frame in a notebook, but for residuals and sliders
+_PER_CHANNEL = 130  # of it for the residuals of a channel
+_PER_SLIDER = 42
 
 
 class Explorer:
@@ -54,6 +54,8 @@ class Explorer:
     def __init__(self, fit: FitResult) -> None:
         self.fit = fit
         curves = SliderCurves(fit)
+        if not curves.sliders:
+            raise InputError("no parameter of this fit can be moved within its bounds")
         self.errors = {reach: curves.errors(reach) for reach in (HALF, WHOLE)}
         drawing = _drawing(curves)
         block = Block("sliders", _shown(curves, self.errors))
@@ -90,7 +92,8 @@ def explore(fit: FitResult) -> Explorer:
 
     Raises
     ------
-    InputError : the fit is of timed events alone, which have no path.
+    InputError : the fit is of timed events alone, which have no path, or no parameter
+        can be moved within its bounds.
 
     Examples
     --------
@@ -116,10 +119,10 @@ def _shown(
         "sliders": [_slider_shown(curves.fit, slider) for slider in curves.sliders],
         "measured": layout.measured,
         "axes": f"{axes[1]} against {axes[0]}",
-        "reach": _in_words({name: REACH[name] for name in layout.measured}),
+        "reach": _in_words({name: REACH[name] for name in layout.measured}, "or"),
         "intervals": INTERVALS,
-        "half": _in_words(errors[HALF]),
-        "whole": _in_words(errors[WHOLE]),
+        "half": _errors_in_words(errors[HALF]),
+        "whole": _errors_in_words(errors[WHOLE]),
         "trials": TRIALS,
         "width": WIDTH,
         "height": HEIGHT,
@@ -146,10 +149,17 @@ def _slider_shown(fit: FitResult, slider: Slider) -> dict[str, Any]:
     return shown
 
 
-def _in_words(sizes: dict[str, float]) -> str:
+def _errors_in_words(errors: dict[str, float]) -> str:
+    """How near the curves are to those of the model."""
+    if not np.isfinite(list(errors.values())).all():
+        return "in places where the law admits no motion"
+    return f"within {_in_words(errors)} of the model"
+
+
+def _in_words(sizes: dict[str, float], last: str = "and") -> str:
     """Sizes by channel, as "0.4 mm in y and 2 mrad in phi"."""
     words = [f"{size_in_words(size, name)} in {name}" for name, size in sizes.items()]
-    return join_words(words)
+    return join_words(words, last)
 
 
 def _data(curves: SliderCurves, drawing: Drawing) -> dict[str, Any]:
@@ -173,14 +183,15 @@ def _data(curves: SliderCurves, drawing: Drawing) -> dict[str, Any]:
                 "chi_squared": slider.chi_squared.tolist(),
             }
         )
-    places = [(place.start, place.stop) for _, place in layout.channels]
-    paths = places[: len(layout.drawn)]
+    spans = [(values.start, values.stop) for _, values in layout.channels]
+    paths = spans[: len(layout.drawn)]
     residuals = [
-        {"name": name, "unit": UNITS[name], "place": place}
-        for name, place in zip(layout.measured, places[len(paths) :], strict=True)
+        {"name": name, "unit": UNITS[name], "span": span}
+        for name, span in zip(layout.measured, spans[len(paths) :], strict=True)
     ]
     bounds = [
-        (_finite(item.lower), _finite(item.upper)) for item in fit.parameters.values()
+        (_finite(parameter.lower), _finite(parameter.upper))
+        for parameter in fit.parameters.values()
     ]
     return {
         "kind": "sliders",
@@ -225,9 +236,10 @@ def _drawing(curves: SliderCurves) -> Drawing:
     measured = _measured(curves)
     low = [float(np.nanmin(side)) for side in measured]
     high = [float(np.nanmax(side)) for side in measured]
-    places = [place for _, place in layout.channels[: len(layout.drawn)]]
-    for side, place in enumerate(places, start=2 - len(places)):
-        reached = (curves.base + moved)[:, place]
+    drawn = [values for _, values in layout.channels[: len(layout.drawn)]]
+    # of one channel against time, the time is the first side
+    for side, values in enumerate(drawn, start=2 - len(drawn)):
+        reached = (curves.base + moved)[:, values]
         low[side] = min(low[side], float(reached.min()))
         high[side] = max(high[side], float(reached.max()))
     return Drawing.of(np.array(low), np.array(high), from_above=layout.has_path)

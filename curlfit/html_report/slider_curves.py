@@ -24,10 +24,12 @@ INTERVALS = 5  # of the table along a slider, on either side of the fit
 _INSTANTS = 41  # times of the path, and rows of the residuals
 # m, rad, m/s and rad/s: by so much a slider changes a measured channel at its ends.
 # Twice as far, the errors of all sliders together are eight times as large.
-REACH = {"x": 0.3, "y": 0.3, "phi": 1.0, "speed": 0.3, "omega": 1.0}
+REACH = {"x": 0.3, "y": 0.3, "phi": 1.0, "speed": 0.05, "omega": 0.1}
 _ATTEMPTS = 12  # at an end within this reach
 TRIALS = 8  # ways of moving all sliders at which errors are measured
-HALF, WHOLE = 0.5, 1.0
+HALF = 0.5
+WHOLE = 1.0
+"""Shares of the way to the ends at which errors are said."""
 
 
 class Layout:
@@ -54,18 +56,18 @@ class Layout:
         the vector."""
         sizes = [(name, len(self.instants)) for name in self.drawn]
         sizes += [(name, len(self.rows)) for name in self.measured]
-        places = []
+        channels = []
         first = 0
         for name, size in sizes:
-            places.append((name, slice(first, first + size)))
+            channels.append((name, slice(first, first + size)))
             first += size
-        return places
+        return channels
 
     def largest(self, change: Floats) -> dict[str, float]:
         """Largest change of the residuals by measured channel; a gap in the
         data has none."""
         residuals = self.channels[len(self.drawn) :]
-        return {name: float(np.abs(change[place]).max()) for name, place in residuals}
+        return {name: float(np.abs(change[rows]).max()) for name, rows in residuals}
 
 
 @dataclass(frozen=True)
@@ -214,11 +216,11 @@ class SliderCurves:
         steps = nodes_between(self._end(weights, backward), self._end(weights, forward))
         if len(steps) == 1:
             return None
-        found = [self._model.at(self._values([(weights, step)])) for step in steps]
-        changes = np.array([self._change(curves) for curves in found])
+        moved = [self._model.at(self._values([(weights, step)])) for step in steps]
+        changes = np.array([self._change(curves) for curves in moved])
         if not np.isfinite(changes).all():
             return None
-        chi_squared = np.array([curves.chi_squared for curves in found])
+        chi_squared = np.array([curves.chi_squared for curves in moved])
         return Slider(weights, steps, changes, chi_squared)
 
     def _end(self, direction: Mapping[str, float], step: float) -> float:

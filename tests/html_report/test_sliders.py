@@ -156,3 +156,38 @@ def test_a_fit_without_a_path_is_refused():
     assert throw.events
     with pytest.raises(InputError, match="timed events alone has no path"):
         curlfit.explore(fit)
+
+
+def test_ends_without_a_motion_are_said_and_a_fit_that_cannot_move_is_refused(
+    fit, monkeypatch
+):
+    def nowhere(curves, reach):
+        return dict.fromkeys(curves.layout.measured, np.nan)
+
+    monkeypatch.setattr(SliderCurves, "errors", nowhere)
+    page = curlfit.explore(fit).page
+    assert "at their ends in places where the law admits no motion" in page
+    held = {
+        name: replace(item, lower=item.value, upper=item.value)
+        for name, item in fit.parameters.items()
+    }
+    fixed = replace(fit, parameters=held, null_directions=())
+    with pytest.raises(InputError, match="no parameter of this fit can be moved"):
+        curlfit.explore(fixed)
+
+
+def test_speeds_without_positions_are_drawn_against_time():
+    times = np.linspace(0, 18, 60)
+    law = curlfit.law_with("coulomb", {"mu": 0.009})
+    path = curlfit.simulate(
+        law, curlfit.Stone(), curlfit.InitialState(v=2.0, omega=1.0), times
+    )
+    noise = 0.005 * np.random.default_rng(1).standard_normal(60)
+    speed = np.hypot(path.vx, path.vy) + noise
+    explorer = curlfit.explore(
+        curlfit.fit(curlfit.Throw.from_arrays(times, speed=speed), law="coulomb")
+    )
+    assert list(explorer.errors[WHOLE]) == ["speed"]
+    assert explorer.errors[WHOLE]["speed"] < 2e-3
+    assert "speed (m/s) against t (s)" in explorer.page
+    assert "where the curves have moved by 50 mm/s in speed. One" in explorer.page

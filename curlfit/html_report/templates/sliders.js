@@ -75,7 +75,7 @@ moving.sliders = (root, data) => {
     const curves = curvesAt(steps), values = valuesAt(steps);
     const drawn = data.drawn.map(([first, last]) => curves.slice(first, last));
     path.setAttribute("d", lineThrough(drawn.length > 1 ? drawn : [data.instants, drawn[0]], data, height));
-    const sizes = data.residuals.map(({name, unit, place: [first, last]}) =>
+    const sizes = data.residuals.map(({name, unit, span: [first, last]}) =>
       drawResiduals(name, curves.slice(first, last), unit));
     outputs.forEach((output, k) => {
       const {direction} = data.sliders[k];
