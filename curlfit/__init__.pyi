@@ -18,7 +18,6 @@ from .errors import (
     InputError as InputError,
     UnusableFitError as UnusableFitError,
 )
-from .exploration.explore import explore as explore
 from .friction import (
     LAWS as LAWS,
     Law as Law,
@@ -34,6 +33,7 @@ from .friction_tables.result import (
     FrictionFits as FrictionFits,
     load_friction as load_friction,
 )
+from .html_report.explore import explore as explore
 from .html_report.page import write_report as write_report
 from .inference.fit.estimates import Posterior as Posterior
 from .inference.fit.fit import fit as fit

@@ -108,17 +108,28 @@ def press(browser, label):
     )
 
 
-def put(browser, flag, text):
-    """Write into a field of the form, in a fold that is opened."""
+LINE = "Further options, as on the command line"
+
+
+def write(browser, text, field=LINE):
+    """Write into a field, whatever the command then looks like."""
     script = (
         "const field = document.querySelector(`[aria-label='${arguments[0]}']`);"
-        "field.closest('details').open = true; field.value = arguments[1];"
-        "if (field.type == 'checkbox') field.checked = true;"
-        "field.dispatchEvent(new Event('change'))"
+        "field.value = arguments[1]; field.dispatchEvent(new Event('change'))"
     )
-    browser.execute_script(script, flag, text)
-    word = flag if text == "yes" else f"{flag}={text}"
-    wait_for(lambda: word in shown_command(browser))
+    browser.execute_script(script, field, text)
+
+
+def written(browser, field=LINE):
+    """What a field holds."""
+    script = "return document.querySelector(`[aria-label='${arguments[0]}']`).value"
+    return browser.execute_script(script, field)
+
+
+def put(browser, options):
+    """Add options to the line."""
+    write(browser, f"{written(browser)} {options}".strip())
+    wait_for(lambda: options in shown_command(browser))
 
 
 def shown_command(browser):

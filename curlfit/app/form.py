@@ -1,122 +1,168 @@
-"""The flags of a command as fields of a form, and what is written there as words."""
+"""What is written on the page: law, stone and a line of further options, read as the
+command line reads them."""
 
 from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from io import StringIO
 from typing import Any
 
-from cyclopts import App, Token
+from cyclopts import App
+from cyclopts.exceptions import CycloptsError
+from rich.console import Console
 
-from curlfit.errors import InputError
+from curlfit.errors import CurlfitError, InputError
 from curlfit.foreign import cut
 from curlfit.friction import LAWS, TERMS
-from curlfit.settings.choices import FILE, FLAGS, LAW
-from curlfit.settings.forms import PATH, SWITCH, Form, Several, Table
+from curlfit.settings.choices import FILE, LAW
+from curlfit.settings.forms import PATH, SWITCH, Form
 
-_NAMES = {flag: name for name, flag in FLAGS.items()}
 _OPTION = re.compile(r"`(--[a-z][^`]*)`")
 _WORDS_OF_FILES = ("--columns", "--by", "--trend", "--worksheet")
+_WIDTH = 100  # columns of the help
 
 
 @dataclass(frozen=True)
-class Field:
-    """One flag.
+class Flag:
+    """A flag of a command; `written` is what its value looks like."""
 
-    Attributes
-    ----------
-    group : heading under which `--help` lists it. written : what its value looks like.
-    """
-
-    flag: str
-    group: str
-    help: str
+    name: str
     written: str
     form: Form
-
-    @property
-    def usual(self) -> str:
-        """The default in a word or two, if its help states one."""
-        return "".join(re.findall(r"\[default: ([^\];]+)", self.help))
 
     @property
     def takes_file(self) -> bool:
         """Whether its value is a file."""
         return self.form in (FILE, PATH)
 
-    @property
-    def _takes_words(self) -> bool:
-        """Whether its value is in words, with a flag of their own each."""
-        return isinstance(self.form, Table) and not self.form.many
 
-    def words(self, text: str) -> list[str]:
-        """The flag with its value, once for each value that needs a word of its own."""
-        if self.form is SWITCH:
-            return [self.flag]
+@dataclass(frozen=True)
+class Written:
+    """What the user has written.
+
+    Attributes
+    ----------
+    law, stone : values of `--law` and `--stone`; empty for the default.
+    line : further options, as they are typed on the command line.
+    """
+
+    law: str = ""
+    stone: str = ""
+    line: str = ""
+
+    def words(self) -> list[str]:
+        """All options as words of a command. Raises `InputError` where the line is
+        none that a shell would take."""
         try:
-            words = shlex.split(text) if self._takes_words else [text.strip()]
-        except ValueError:  # refused by `value`
-            words = [text.strip()]
-        return [f"{self.flag}={word}" for word in words]
+            words = shlex.split(self.line)
+        except ValueError:
+            raise InputError(
+                f"further options {cut(self.line)}: a quotation mark or a backslash "
+                "has no end; expected options as on the command line"
+            ) from None
+        if self.stone.strip():
+            words = [f"--stone={self.stone.strip()}", *words]
+        if self.law.strip():
+            words = [f"--law={self.law.strip()}", *words]
+        return words
 
-    def value(self, text: str) -> Any:
-        """What the command makes of it. Raises `InputError`."""
-        if self.form is SWITCH:
-            return True
-        if self._takes_words:
-            try:
-                shlex.split(text)
-            except ValueError:  # a mark at the end, or one without its counterpart
-                raise InputError(
-                    f"{self.flag} {cut(text)}: a quotation mark or a backslash has "
-                    f"no end; expected {self.written}"
-                ) from None
-        values = [word.partition("=")[2] for word in self.words(text)]
-        return self.form(
-            None, [Token(keyword=self.flag, value=value) for value in values]
+    def with_option(self, flag: Flag, value: str) -> Written:
+        """What is written with an option added; of options with one value, the last one
+        counts."""
+        if flag.name == "--law":
+            return replace(self, law=value)
+        if flag.name == "--stone":
+            values = [part for part in self.stone.split(",") if part.strip()]
+            return replace(self, stone=",".join(dict.fromkeys([*values, value])))
+        words = [flag.name] if flag.form is SWITCH else [flag.name, value]
+        option = shlex.join(words)
+        if f" {option} " in f" {self.line} ":
+            return self
+        return replace(self, line=f"{self.line} {option}".strip())
+
+
+def flags_of(cli: App, verb: str) -> dict[str, Flag]:
+    """The flags of a command by name, but for those of its output."""
+    flags = {}
+    for argument in cli[verb].assemble_argument_collection(parse_docstring=True):
+        groups: Any = argument.parameter.group
+        name = argument.name
+        if not name.startswith("--") or groups[0].name == "Output":
+            continue
+        if name == "--resume":  # there is nothing to be resumed
+            continue
+        form = argument.parameter.converter
+        flags[name] = Flag(
+            name,
+            str(argument.parameter.metavar or ""),
+            form if isinstance(form, Form) else SWITCH,
         )
+    return flags
 
 
-def fields_of(cli: App, verb: str) -> dict[str, Field]:
-    """The fields of a command by their flags, but for those of its output."""
-    found = {}
-    for one in cli[verb].assemble_argument_collection(parse_docstring=True):
-        groups: Any = one.parameter.group
-        group, form = str(groups[0].name), one.parameter.converter
-        if one.name.startswith("--") and one.name != "--resume" and group != "Output":
-            found[one.name] = Field(
-                one.name,
-                group,
-                " ".join((one.parameter.help or "").split()),
-                str(one.parameter.metavar or ""),
-                form if isinstance(form, Form) else SWITCH,
-            )
-    return found
+def help_of(cli: App, verb: str) -> str:
+    """What `--help` of a command prints."""
+    printed = StringIO()
+    cli.help_print([verb], console=Console(file=printed, width=_WIDTH, no_color=True))
+    return printed.getvalue()
 
 
-def words_of(fields: Mapping[str, Field], written: Mapping[str, str]) -> list[str]:
-    """The words of a command, of the fields that it has."""
-    return [
-        w
-        for flag, text in written.items()
-        if flag in fields
-        for w in fields[flag].words(text)
-    ]
+def values_of(cli: App, words: Sequence[str]) -> dict[str, Any]:
+    """Choices of `curlfit fit` by name, as the command has them.
+
+    Raises
+    ------
+    InputError : the command would refuse the words, or they are no options of a fit:
+        a file, a place for results, `--help`.
+    """
+    try:
+        command, bound, _ = cli.parse_args(["fit", *words])
+    except CycloptsError as error:
+        cause = error.__cause__  # of a value that cannot be used
+        raise (
+            cause if isinstance(cause, CurlfitError) else InputError(str(error))
+        ) from None
+    if command is not cli["fit"].default_command:
+        raise InputError(
+            "--help: expected options of the fit; all are listed below the line"
+        )
+    read = bound.arguments
+    if extra := read.get("data"):
+        raise InputError(
+            f"{cut(str(extra[0]))}: expected an option, as --until 18; files are "
+            "dropped above, and a value with spaces has quotation marks"
+        )
+    refused = read["output"].words() if "output" in read else []
+    if "sampling" in read and read["sampling"].resume:
+        refused.append("--resume")
+    if refused:
+        name = refused[0].partition("=")[0]
+        raise InputError(
+            f"{name}: the page itself writes and saves results; expected options of "
+            "the fit"
+        )
+    config = {"config": read["config"]} if read.get("config") else {}
+    given = [read[name].given() for name in ("flags", "reading") if name in read]
+    return {key: value for part in (config, *given) for key, value in part.items()}
 
 
-def values_of(
-    fields: Mapping[str, Field], written: Mapping[str, str]
-) -> dict[str, Any]:
-    """Choices by name, as the command has them. Raises `InputError`."""
-    return {
-        _NAMES.get(flag, flag[2:].replace("-", "_")): fields[flag].value(text)
-        for flag, text in written.items()
-    }
+def words_for(flags: Collection[str], words: Sequence[str]) -> list[str]:
+    """The words of a command that has only some of the flags. A word without two
+    hyphens is the value of the flag before it."""
+    kept = []
+    keeps = True
+    for word in words:
+        if word.startswith("--"):
+            keeps = word.partition("=")[0] in flags
+        if keeps:
+            kept.append(word)
+    return kept
 
 
-def proposals(fields: Mapping[str, Field], sentence: str) -> list[tuple[str, str]]:
+def proposals(flags: Mapping[str, Flag], sentence: str) -> list[tuple[str, str]]:
     """The options between backticks that can be set as they stand, as flag and text;
     flags that the sentence wants a file for have none.
 
@@ -125,30 +171,22 @@ def proposals(fields: Mapping[str, Field], sentence: str) -> list[tuple[str, str
     """
     proposed = []
     for code in _OPTION.findall(sentence):
-        flag, _, text = code.partition(" ")
-        field = fields.get(flag)
-        if field is None:
+        name, _, text = code.partition(" ")
+        flag = flags.get(name)
+        if flag is None:
             continue
-        if field.takes_file:
-            proposed.append((flag, ""))
-        elif field.form is SWITCH:
-            proposed.append((flag, "yes"))
-        elif text not in ("", field.written) and _is_of_curlfit(field, text):
-            proposed.append((flag, text))
+        if flag.takes_file:
+            proposed.append((name, ""))
+        elif flag.form is SWITCH:
+            proposed.append((name, "yes"))
+        elif text not in ("", flag.written) and _is_of_curlfit(flag, text):
+            proposed.append((name, text))
     return list(dict.fromkeys(proposed))
 
 
-def _is_of_curlfit(field: Field, text: str) -> bool:
+def _is_of_curlfit(flag: Flag, text: str) -> bool:
     """Whether a proposed value holds no words of a file: neither a heading, a label or
     a worksheet, nor a law outside curlfit, which would run."""
-    if field.form is LAW:
+    if flag.form is LAW:
         return all(part in LAWS or part in TERMS for part in text.split("+"))
-    return field.flag not in _WORDS_OF_FILES and not set(text) & set("\"'\\")
-
-
-def merged(field: Field, before: str, text: str) -> str:
-    """What a field holds once an option is added to it."""
-    if not before or not isinstance(field.form, Table | Several):
-        return text
-    gap = "," if getattr(field.form, "many", True) else " "
-    return before if text in before.split(gap) else f"{before}{gap}{text}"
+    return flag.name not in _WORDS_OF_FILES and not set(text) & set("\"'\\")

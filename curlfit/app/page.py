@@ -1,10 +1,13 @@
-"""The page: a file, what was read, choices, and what the commands found."""
+"""The page: a file, what was read, law, stone and further options, and what the
+commands found."""
 
 from __future__ import annotations
 
 import asyncio
+import shlex
 import shutil
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial, wraps
 from html import escape
 from importlib import resources
@@ -14,16 +17,24 @@ from typing import Any
 from cyclopts import App
 from nicegui import events, ui
 
-from curlfit.app.form import Field, fields_of, merged, proposals, values_of, words_of
+from curlfit.app.form import (
+    Written,
+    flags_of,
+    help_of,
+    proposals,
+    values_of,
+    words_for,
+)
 from curlfit.app.reading import Seen, look
 from curlfit.app.work import Work
-from curlfit.errors import CurlfitError
+from curlfit.errors import CurlfitError, InputError
 from curlfit.foreign import message, safe_name
 from curlfit.friction import LAWS
 from curlfit.html_report.blocks import Block, marked, sentence
 from curlfit.html_report.page import rendered, source
 from curlfit.output.document import command_line
-from curlfit.settings.forms import SWITCH, OneOf
+from curlfit.settings.choices import Fitting
+from curlfit.settings.forms import SWITCH
 from curlfit.throws.throw import CHANNELS
 
 MOST_BYTES = 100_000_000
@@ -45,12 +56,6 @@ _SUFFIXES = (
     ".toml",
 )
 _VERBS = {"fit": ("Fit", "The fit"), "compare": ("Compare laws", "The comparison")}
-_FIRST = ("--law", "--load", "--stone", "--noise")
-_HEADINGS = {
-    "Parameters": "More about the model",
-    "How to read DATA": "How the file is read",
-    "Sampling": "Sampling of the posterior",
-}
 # A report is no part of this page, to which it says how high it is and where to scroll.
 _FRAMES = """<script>
 addEventListener("message", ({source, data}) => {
@@ -78,13 +83,25 @@ class Page:
     ----------
     cli : the commands. start : where results are saved.
     folder : of the files dropped, and of what the commands write.
+
+    Attributes
+    ----------
+    written : law, stone and further options. refused : why these are none of a fit.
+    beside : files for options. seen : what was read, with the last options that were
+        not refused.
+    work, done : the command that runs, and those that ended, by verb.
     """
 
     def __init__(self, cli: App, start: Path, folder: Path) -> None:
-        self.start, self.folder = start, folder
-        self.fields = {verb: fields_of(cli, verb) for verb in _VERBS}
+        self.cli = cli
+        self.start = start
+        self.folder = folder
+        self.flags = {verb: flags_of(cli, verb) for verb in _VERBS}
+        self.help = help_of(cli, "fit")
         self.files: list[Path] = []
-        self.written: dict[str, str] = {}
+        self.beside: list[str] = []
+        self.written = Written()
+        self.refused = ""
         self.seen = Seen()
         self.work: Work | None = None
         self.done: dict[str, Work] = {}
@@ -146,7 +163,11 @@ class Page:
             await self.work.over.wait()
         for path in self.folder.iterdir():
             shutil.rmtree(path) if path.is_dir() else path.unlink()
-        self.files, self.written, self.done = [], {}, {}
+        self.files = []
+        self.beside = []
+        self.written = Written()
+        self.refused = ""
+        self.done = {}
         self.seen = Seen()
         for file in event.files:
             name = self._free_name(file.name)
@@ -179,18 +200,21 @@ class Page:
         self.refresh()
 
     async def receive_beside(
-        self, flag: str, event: events.UploadEventArguments
+        self, name: str, event: events.UploadEventArguments
     ) -> None:
-        """Take the file of a field."""
-        name = self._free_name(event.file.name)
-        await event.file.save(self.folder / name)
-        await self.put(flag, name)
+        """Take a file that an option names; of a flag, if its name is given, which then
+        names the file."""
+        file = self._free_name(event.file.name)
+        await event.file.save(self.folder / file)
+        self.beside.append(file)
+        if name:
+            await self.put(self.written.with_option(self.flags["fit"][name], file))
+        else:
+            self.refresh()
 
-    async def put(self, flag: str, text: str) -> None:
-        """Set a field, and read the files with it."""
-        self.written.pop(flag, "")
-        if text:
-            self.written[flag] = text
+    async def put(self, written: Written) -> None:
+        """Take what is written in place of what was, and read the files with it."""
+        self.written = written
         await self.look_again()
 
     async def look_again(self) -> None:
@@ -199,7 +223,13 @@ class Page:
         self._readings += 1
         reading = self._readings
         try:
-            chosen = values_of(self.fields["fit"], self.written)
+            chosen = values_of(self.cli, self.written.words())
+        except CurlfitError as error:
+            self.refused = str(error)
+            self.refresh()
+            return
+        self.refused = ""
+        try:
             seen = await asyncio.to_thread(look, self.files, chosen)
         except CurlfitError as error:
             seen = Seen(fault=str(error))
@@ -207,19 +237,27 @@ class Page:
             self.seen = seen
             self.refresh()
 
-    async def accept(self, flag: str, text: str, verb: str) -> None:
+    @property
+    def can_fit(self) -> bool:
+        """Whether neither the options nor what was read is at fault."""
+        return not self.refused and not self.seen.fault
+
+    async def accept(self, name: str, text: str, verb: str) -> None:
         """Follow a proposal; one of a result, by running its command again."""
-        await self.put(
-            flag, merged(self.fields["fit"][flag], self.written.get(flag, ""), text)
-        )
-        if verb and not self.seen.fault:
+        await self.put(self.written.with_option(self.flags["fit"][name], text))
+        if verb and self.can_fit:
             await self.carry_out(verb)
 
     async def carry_out(self, verb: str) -> None:
         """Run a command on the files, and show its page."""
         if self.work is not None:
             return
-        self.work = work = Work(verb, self._words(verb))
+        try:
+            words = self._words(verb)
+        except InputError:  # which is said below the line
+            return
+        work = Work(verb, words)
+        self.work = work
         self.done.pop(verb, None)
         self.parts[-1].refresh()
         try:
@@ -231,11 +269,9 @@ class Page:
             self.parts[-1].refresh()
 
     def _words(self, verb: str) -> list[str]:
-        return [
-            *map(str, self.files),
-            *words_of(self.fields[verb], self.written),
-            "--report",
-        ]
+        """The words of a command. Raises `InputError` where the line is none."""
+        options = words_for(self.flags[verb], self.written.words())
+        return [*map(str, self.files), *options, "--report"]
 
     def close(self) -> None:
         """End the command that runs, at once."""
@@ -280,82 +316,62 @@ class Page:
             return
         with _box("div", role=role):
             ui.html(marked(sentence(text, CHANNELS)), sanitize=False)
-            for flag, value in proposals(self.fields["fit"], text):
-                if value:
-                    shown = (
-                        flag
-                        if self.fields["fit"][flag].form is SWITCH
-                        else f"{flag} {value}"
-                    )
-                    _button(f"Apply {shown}", partial(self.accept, flag, value, verb))
-                else:
-                    self._file(flag)
+            for name, value in proposals(self.flags["fit"], text):
+                if not value:
+                    self._file(f"Choose the file for {name}", name)
+                    continue
+                is_switch = self.flags["fit"][name].form is SWITCH
+                shown = name if is_switch else f"{name} {value}"
+                _button(f"Apply {shown}", partial(self.accept, name, value, verb))
 
     def _choices(self) -> None:
         if not self.files:
             return
-        fields = self.fields["fit"]
-        groups = {"Law, load, stone, noise": [fields[flag] for flag in _FIRST]}
-        for one in fields.values():
-            if one.flag not in _FIRST:
-                groups.setdefault(_HEADINGS.get(one.group, one.group), []).append(one)
         with _box("section", "h2", "Choices"):
-            for heading, group in groups.items():
-                opened = any(one.flag in self.written for one in group)
-                with (
-                    _box("details", "summary", heading, open=opened),
-                    _box("div", role="fields"),
-                ):
-                    for one in group:
-                        self._field(one)
-            _command("fit", self._words("fit"))
+            with _box("div", role="fields"):
+                self._input("law", "Law", Fitting.usual["law"], list="--law")
+                self._input("stone", "Stone", self.flags["fit"]["--stone"].written)
+            hint = "--until 18 --noise ar1"
+            self._input("line", "Further options, as on the command line", hint)
+            if self.refused:  # in the user's words, of which no button is made
+                _tag("p", sentence(self.refused, CHANNELS), "finding bad")
+            with _box("details", "summary", "All options (curlfit fit --help)"):
+                _tag("pre", self.help, "wide")
+            self._file("Choose a file for an option")
+            if self.beside:
+                _tag("p", f"There: {shlex.join(self.beside)}", "note")
+            if not self.refused:
+                _command("fit", self._words("fit"))
             with _box("div", role="acts"):
                 for verb, (label, _) in _VERBS.items():
-                    act = _button(label, partial(self.carry_out, verb)).classes(
-                        f"to-{verb}"
-                    )
-                    act.props["disabled"] = bool(self.seen.fault)
+                    act = _button(label, partial(self.carry_out, verb))
+                    act.classes(f"to-{verb}")
+                    act.props["disabled"] = not self.can_fit
 
-    def _field(self, one: Field) -> None:
-        with _box("label", "span", one.flag[2:].replace("-", " "), "field"):
-            if one.takes_file:
-                self._file(one.flag)
-            else:
-                self._input(one)
-            ui.html(marked(one.help), sanitize=False).classes("note")
+    def _input(self, name: str, heading: str, hint: str, **attributes: str) -> None:
+        """A field of what is written."""
+        with _box("label", "span", heading, "field"):
+            text = getattr(self.written, name)
+            field = _tag("input", type="text", value=text, placeholder=hint)
+            field.props.update(attributes)
+            field.props["aria-label"] = heading
 
-    def _file(self, flag: str) -> None:
-        chosen = self.written.get(flag, "")
-        label = f"{flag}: {chosen}" if chosen else f"Choose the file for {flag}"
-        take = partial(self.receive_beside, flag)
-        ui.upload(label=label, auto_upload=True, on_upload=take).props("flat").classes(
-            "beside"
-        )
+        async def take(event: events.GenericEventArguments) -> None:
+            await self.put(replace(self.written, **{name: event.args}))
 
-    def _input(self, one: Field) -> None:
-        value, emitted = self.written.get(one.flag, ""), "value"
-        if one.form is SWITCH:
-            found: ui.element = _tag("input", type="checkbox", checked=bool(value))
-            emitted = "checked ? 'yes' : ''"
-        elif isinstance(one.form, OneOf):
-            with _box("select") as found:
-                for name in ("", *one.form.names):
-                    text = name or f"{one.usual}, the default"
-                    _tag("option", text, value=name, selected=name == value)
-        else:
-            hint = one.usual or one.written
-            found = _tag(
-                "input", type="text", value=value, placeholder=hint, list=one.flag
-            )
-        found.props["aria-label"] = one.flag
-        emit = f"e => emit(e.target.{emitted})"
-        found.on("change", lambda e: self.put(one.flag, e.args), js_handler=emit)
+        field.on("change", take, js_handler="e => emit(e.target.value)")
+
+    def _file(self, label: str, name: str = "") -> None:
+        """A place for a file that an option names; of a flag, if its name is given."""
+        take = partial(self.receive_beside, name)
+        upload = ui.upload(label=label, auto_upload=True, on_upload=take)
+        upload.props("flat").classes("beside")
 
     def _results(self) -> None:
         if self.work is not None:
             with _box("section", "h2", "At work"):
-                shown = ui.html("", sanitize=False).classes("status")
-                shown.bind_content_from(self.work, "progress")
+                status = ui.html("", sanitize=False).classes("status")
+                status.bind_content_from(self.work, "progress")
                 _button("Stop", self.work.stop)
         for place, work in enumerate(self.done.values()):
             _, heading = _VERBS[work.verb]
@@ -363,7 +379,7 @@ class Page:
                 for text in work.complaints:
                     self._say(text, "finding bad", work.verb)
                 for text in work.warnings:
-                    if proposals(self.fields["fit"], text):
+                    if proposals(self.flags["fit"], text):
                         self._say(text, "warned", work.verb)
                 if work.page is not None:
                     self._page_of(work, work.page)
@@ -377,10 +393,10 @@ class Page:
                 _tag("input", type="text", value=str(page.parent))
             ask = "e => emit(e.target.closest('.repeat').querySelector('input').value)"
             button = _tag("button", "Save")
-        said = _tag("p", role="status")
+        outcome = _tag("p", role="status")
 
         def save(place: str) -> None:
-            said.set_content(escape(self.save(self.folder / page.parent, place)))
+            outcome.set_content(escape(self.save(self.folder / page.parent, place)))
 
         button.on("click", lambda e: save(e.args), js_handler=ask)
         _tag("iframe", src=f"results/{page}?{id(work)}", title="Report")
@@ -400,25 +416,27 @@ def _standing_alone(part: Callable[[], None]) -> Callable[[], None]:
 
 
 def _own_error(error: Exception) -> str:
-    said = message(f"{type(error).__name__}: {error}")
-    return "This is an error of curlfit: " + said.replace("`", "'")
+    """An error that is not the user's, without what would become a button."""
+    text = message(f"{type(error).__name__}: {error}")
+    return "This is an error of curlfit: " + text.replace("`", "'")
 
 
 def _tag(name: str, text: str = "", role: str = "", **attributes: Any) -> ui.html:
-    found = ui.html(escape(text), sanitize=False, tag=name).classes(role)
-    found.props.update(attributes)
-    return found
+    """An element with a text; its role is a class of the style sheet."""
+    element = ui.html(escape(text), sanitize=False, tag=name).classes(role)
+    element.props.update(attributes)
+    return element
 
 
 def _box(
     name: str, head: str = "", text: str = "", role: str = "", **attributes: Any
 ) -> ui.element:
     """An element that others enter, with a heading."""
-    with ui.element(name).classes(role) as found:
+    with ui.element(name).classes(role) as element:
         if head:
             _tag(head, text)
-    found.props.update(attributes)
-    return found
+    element.props.update(attributes)
+    return element
 
 
 def _button(text: str, act: Callable[..., Any]) -> ui.element:
@@ -426,6 +444,7 @@ def _button(text: str, act: Callable[..., Any]) -> ui.element:
 
 
 def _command(verb: str, words: Sequence[str]) -> str:
+    """Show a command as it is typed, and return it."""
     line = command_line(verb, *words)
     ui.html(rendered(Block("commands", {"lines": [line]})), sanitize=False)
     return line

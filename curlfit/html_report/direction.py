@@ -8,15 +8,15 @@ coincide is a result, not an assumption.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from curlfit.exploration.explore import CurveModel, Curves
 from curlfit.html_report.blocks import Block
 from curlfit.html_report.replay import rounded
+from curlfit.inference.fit.curves import CurveModel, Curves
 from curlfit.inference.fit.result import FitResult
 from curlfit.numerics.arrays import Floats
 from curlfit.output.figures import some_rows
@@ -33,7 +33,10 @@ _MEASURES = {
     "speed": ("speed",),
     "spin": ("omega",),
 }
-_WIDTH, _HEIGHT, _MARGIN = 640.0, 200.0, 16.0  # of the drawing
+WIDTH = 640.0
+HEIGHT = 200.0
+MARGIN = 16.0
+"""Of a drawing, in its own units."""
 
 
 def directions_of(
@@ -46,85 +49,94 @@ def directions_of(
     models = [CurveModel(fit) for fit in fits if fit.fitted and fit.rms]
     if not models:
         return []
-    found = [
-        _direction(models, direction, f"{id}-{place}")
-        for place, direction in enumerate(directions)
+    parts = [
+        _direction(models, direction, f"{id}-{number}")
+        for number, direction in enumerate(directions)
     ]
-    return [item for item in found if item is not None]
+    return [part for part in parts if part is not None]
+
+
+def ends_along(fit: FitResult, direction: Mapping[str, float]) -> tuple[float, float]:
+    """Steps along a direction from the fit, up to which all parameters are within their
+    bounds, or within a few times their size where they have none."""
+    backward = -math.inf
+    forward = math.inf
+    for name, weight in direction.items():
+        parameter = fit.parameters[name]
+        value = parameter.value
+        far = _REACH * max(abs(value), parameter.typical)
+        low = max(parameter.lower, value - far) - value
+        high = min(parameter.upper, value + far) - value
+        first, last = sorted((low / weight, high / weight))
+        backward = max(backward, first)
+        forward = min(forward, last)
+    return backward, forward
 
 
 def positions_along(fit: FitResult, direction: dict[str, float]) -> Floats:
-    """Steps along a direction from the fit, including 0, at which all parameters are
-    within their bounds, or within a few times their size where they have none."""
-    ends = [-math.inf, math.inf]
-    for name, weight in direction.items():
-        item = fit.parameters[name]
-        far = _REACH * max(abs(item.value), item.typical)
-        low = max(item.lower, item.value - far) - item.value
-        high = min(item.upper, item.value + far) - item.value
-        first, last = sorted((low / weight, high / weight))
-        ends = [max(ends[0], first), min(ends[1], last)]
-    steps = np.linspace(ends[0], ends[1], _POSITIONS)
+    """Steps along a direction between its ends, including 0."""
+    backward, forward = ends_along(fit, direction)
+    steps = np.linspace(backward, forward, _POSITIONS)
     steps[np.argmin(np.abs(steps))] = 0.0  # the fit itself
     return steps
 
 
-class _Drawing(NamedTuple):
+class Drawing(NamedTuple):
     """Where points along two axes are drawn: from their origin, enlarged by
     their scale."""
 
     origin: list[float]
     scale: list[float]
+    margin: float = MARGIN
 
     @classmethod
-    def of(cls, low: Floats, high: Floats, *, from_above: bool) -> _Drawing:
+    def of(cls, low: Floats, high: Floats, *, from_above: bool) -> Drawing:
         """One that shows what lies between two corners; seen `from_above`, thrown to
         the right, left of the throw is up."""
         size = np.where(high > low, high - low, 1.0)
-        along, across = (
-            (_WIDTH - 2 * _MARGIN) / size[0],
-            (_HEIGHT - 2 * _MARGIN) / size[1],
-        )
+        along = (WIDTH - 2 * MARGIN) / size[0]
+        across = (HEIGHT - 2 * MARGIN) / size[1]
         if from_above:
             return cls([float(low[0]), float(high[1])], [along, -across])
         return cls(low.tolist(), [along, across])
 
     def at(self, points: Floats) -> list[tuple[float, float]]:
         """Points in the drawing, of values along the axes, shape (2, n)."""
-        across = _MARGIN + (points[0] - self.origin[0]) * self.scale[0]
-        down = _HEIGHT - _MARGIN - (points[1] - self.origin[1]) * self.scale[1]
-        found = zip(across.tolist(), down.tolist(), strict=True)
-        return [(u, v) for u, v in found if math.isfinite(u) and math.isfinite(v)]
+        across = MARGIN + (points[0] - self.origin[0]) * self.scale[0]
+        down = HEIGHT - MARGIN - (points[1] - self.origin[1]) * self.scale[1]
+        drawn = zip(across.tolist(), down.tolist(), strict=True)
+        return [(u, v) for u, v in drawn if math.isfinite(u) and math.isfinite(v)]
 
 
 def _direction(
     models: list[CurveModel], direction: dict[str, float], id: str
 ) -> tuple[Block, dict[str, Any]] | None:
-    fit, names = models[0].fit, [name for name, weight in direction.items() if weight]
-    steps = positions_along(fit, {name: direction[name] for name in names})
+    """The part of a page about one direction, with its data; None where the bounds
+    leave no room. Beside the paths along it are those with its first parameter changed
+    alone.
+    """
+    fit = models[0].fit
+    weights = {name: weight for name, weight in direction.items() if weight}
+    names = list(weights)
+    steps = positions_along(fit, weights)
     if not np.isfinite(steps).all() or not np.ptp(steps) > 0:
         return None
-    moves = np.outer(steps, [direction[name] for name in names])
+    moves = np.outer(steps, list(weights.values()))
     values = np.array([fit.parameters[name].value for name in names]) + moves
-    sizes, start = np.abs(values).max(0), int(np.flatnonzero(steps == 0)[0])
-    whole = [_curves(models, names[:count], moves) for count in (len(names), 1)]
-    best = whole[0][start]
-    changes, apart = (
-        [_change(curves, best, models) for curves in one] for one in whole
-    )
+    sizes = np.abs(values).max(0)
+    start = int(np.flatnonzero(steps == 0)[0])
+    curves = _curves(models, names, moves)
+    curves_alone = _curves(models, names[:1], moves)
+    best = curves[start]
+    changes = [_change(moved, best, models) for moved in curves]
+    changes_alone = [_change(moved, best, models) for moved in curves_alone]
     sides = ("y", "x") if {"x", "y"} <= fit.rms.keys() else ("t", next(iter(fit.rms)))
-    some = some_rows(len(best[0].t), _INSTANTS)
-    paths, alone = (
-        [
-            [(one.t if name == "t" else one.path[name])[some] for name in sides]
-            for one, *_ in each
-        ]
-        for each in whole
-    )
-    low, high = (
-        side(np.array(paths + alone), axis=(0, 2)) for side in (np.nanmin, np.nanmax)
-    )
-    drawing = _Drawing.of(low, high, from_above=sides[1] == "x")
+    instants = some_rows(len(best[0].t), _INSTANTS)
+    paths = [_sides_of(moved[0], sides, instants) for moved in curves]
+    paths_alone = [_sides_of(moved[0], sides, instants) for moved in curves_alone]
+    low = np.nanmin(np.array(paths + paths_alone), axis=(0, 2))
+    high = np.nanmax(np.array(paths + paths_alone), axis=(0, 2))
+    drawing = Drawing.of(low, high, from_above=sides[1] == "x")
     data: dict[str, Any] = {
         "kind": "direction",
         "what": "the path" if sides[0] == "y" else "what was measured",
@@ -132,16 +144,15 @@ def _direction(
         "values": [rounded(row, 9) for row in values],
         "sizes": np.where(sizes > 0, sizes, 1.0).tolist(),
         **drawing._asdict(),
-        "margin": _MARGIN,
-        "paths": [[rounded(values, 8) for values in one] for one in paths],
-        "alone": [[rounded(values, 4) for values in one] for one in alone],
+        "paths": [[rounded(side, 8) for side in path] for path in paths],
+        "alone": [[rounded(side, 4) for side in path] for path in paths_alone],
         "changes": changes,
-        "apart": apart,
+        "apart": changes_alone,
         "chi_squared": [
-            _number(sum(one.chi_squared for one in each)) for each in whole[0]
+            _number(sum(throw.chi_squared for throw in moved)) for moved in curves
         ],
         "start": start,
-        "t": rounded(best[0].t[some], 6),
+        "t": rounded(best[0].t[instants], 6),
     }
     measured = some_rows(len(fit.observed["t"]), 200)
     shows = {
@@ -152,9 +163,9 @@ def _direction(
         "shares": (100 * np.abs(values[start]) / data["sizes"]).tolist(),
         "sum": _constant(fit, names),
         "largest": _largest(changes),
-        "apart": _largest(apart),
-        "width": _WIDTH,
-        "height": _HEIGHT,
+        "apart": _largest(changes_alone),
+        "width": WIDTH,
+        "height": HEIGHT,
         "axes": _axes(fit, sides, low, high, len(models)),
         "points": drawing.at(
             np.array([fit.observed[name][measured] for name in sides])
@@ -162,6 +173,12 @@ def _direction(
         "path": drawing.at(np.array(paths[start])),
     }
     return Block("direction", shows), data
+
+
+def _sides_of(curves: Curves, sides: tuple[str, str], instants: Any) -> list[Floats]:
+    """A path along the two sides of the drawing."""
+    columns = {"t": curves.t, **curves.path}
+    return [columns[name][instants] for name in sides]
 
 
 def _curves(
@@ -185,37 +202,36 @@ def _curves(
 
 def _largest(changes: list[dict[str, Any] | None]) -> str:
     """The largest of changes in words; empty where no path exists."""
-    found = max(
-        filter(None, changes), key=lambda one: one["size"], default={"text": ""}
-    )
-    return str(found["text"])
+    existing = [change for change in changes if change is not None]
+    if not existing:
+        return ""
+    return str(max(existing, key=lambda change: change["size"])["text"])
 
 
 def _constant(fit: FitResult, names: list[str]) -> str:
     """The combinations that stay constant, with their values."""
-    said = [
-        f"{item.expression} = {compact(item.value, item.stderr)}"
-        for item in fit.combinations
-        if set(item.weights) <= set(names)
+    sums = [
+        f"{combination.expression} = {compact(combination.value, combination.stderr)}"
+        for combination in fit.combinations
+        if set(combination.weights) <= set(names)
     ]
-    return join_words(said) if said else ""
+    return join_words(sums) if sums else ""
 
 
 def _axes(
     fit: FitResult, sides: tuple[str, str], low: Floats, high: Floats, throws: int
 ) -> str:
     """What the drawing shows, in words."""
-    units = {"t": "s"} | UNITS
-    along, across = (
-        f"{name} ({a:.2f} .. {b:.2f} {units[name]})"
-        for name, a, b in zip(
+    ranges = [
+        f"{name} ({first:.2f} .. {last:.2f} {UNITS[name]})"
+        for name, first, last in zip(
             sides, low.round(2) + 0.0, high.round(2) + 0.0, strict=True
         )
-    )
-    name = Path(fit.data["file"]).name
-    return f"{across} against {along}" + (
-        f" of {name}, one of {throws} throws" * (throws > 1)
-    )
+    ]
+    shown = f"{ranges[1]} against {ranges[0]}"
+    if throws == 1:
+        return shown
+    return f"{shown} of {Path(fit.data['file']).name}, one of {throws} throws"
 
 
 def _change(
@@ -224,22 +240,26 @@ def _change(
     """The largest changes of the measured channels of the paths, in words; None where a
     path does not exist."""
     sizes: dict[str, float] = {}
-    for one, other, model in zip(curves, best, models, strict=True):
+    for moved, fitted, model in zip(curves, best, models, strict=True):
         for name, channels in _MEASURES.items():
-            seen = [channel for channel in channels if channel in model.fit.rms]
-            if seen:
-                squares = sum((one.path[item] - other.path[item]) ** 2 for item in seen)
+            measured = [channel for channel in channels if channel in model.fit.rms]
+            if measured:
+                squares = sum(
+                    (moved.path[channel] - fitted.path[channel]) ** 2
+                    for channel in measured
+                )
                 largest = float(np.max(np.sqrt(squares)))
                 sizes[name] = float(np.maximum(sizes.get(name, 0.0), largest))
     if not all(map(math.isfinite, sizes.values())):
         return None
-    said = [
-        f"{_size(size, _MEASURES[name][0])} in {name}" for name, size in sizes.items()
+    words = [
+        f"{size_in_words(size, _MEASURES[name][0])} in {name}"
+        for name, size in sizes.items()
     ]
-    return {"size": max(sizes.values()), "text": join_words(said)}
+    return {"size": max(sizes.values()), "text": join_words(words)}
 
 
-def _size(value: float, channel: str) -> str:
+def size_in_words(value: float, channel: str) -> str:
     """A size to two digits, in thousandths unless it is large."""
     unit = UNITS[channel]
     if value >= 1:
@@ -250,4 +270,5 @@ def _size(value: float, channel: str) -> str:
 
 
 def _number(value: float) -> float | None:
+    """A number of the page to eight digits; None where it is not finite."""
     return float(f"{value:.8g}") if math.isfinite(value) else None

@@ -63,7 +63,8 @@ def write_report(
     --------
     >>> curlfit.write_report(sampled, "report.html", chain=chain)
     """
-    page, file = page_of(result, chain), Path(path)
+    page = page_of(result, chain)
+    file = Path(path)
     require_replaceable(file, "an HTML file", _MARK)
     if file.suffix not in (".html", ".htm"):
         raise InputError(f"{file}: expected a name that ends in .html")
@@ -80,20 +81,22 @@ def page_of(result: Any, chain: Chain | None = None) -> str:
         )
     document = document_of(result)
     added = additions_of(result, chain)
-    sections: dict[tuple[str, str], Sequence[Block]] = {
-        (one.id, one.heading): [*blocks_of(one), *added.blocks.get(one.id, ())]
-        for one in document.sections
-    }
+    sections: dict[tuple[str, str], Sequence[Block]] = {}
+    for section in document.sections:
+        blocks = [*blocks_of(section), *added.blocks.get(section.id, ())]
+        sections[section.id, section.heading] = blocks
     warnings = [sentence(text, document.names) for text in document.warnings]
     notes = [sentence(text, document.names) for text in document.notes]
-    words = " and ".join(["warnings"] * bool(warnings) + ["notes"] * bool(notes))
-    sections["warnings", words.capitalize()] = [
+    heading = "Warnings and notes"
+    if not warnings or not notes:
+        heading = "Warnings" if warnings else "Notes"
+    sections["warnings", heading] = [
         *bullets(warnings, "warning"),
         *bullets(notes, "note"),
     ]
-    for id, heading in _LATER.items():
-        sections[id, heading] = added.blocks.get(id, [])
-    commands = {"lines": (document.command,) * bool(document.command)}
+    for id, later in _LATER.items():
+        sections[id, later] = added.blocks.get(id, [])
+    commands = {"lines": [document.command] if document.command else []}
     sections["made", "How to reproduce this result"] = [
         Block("commands", commands),
         rows("Settings", document.settings),
@@ -101,7 +104,6 @@ def page_of(result: Any, chain: Chain | None = None) -> str:
     ]
     programs = (*_SCRIPTS, _FRAMED) if added.data else (_FRAMED,)
     script = "".join(map(source, programs))
-    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     return (
         _templates()
         .get_template("page.html.j2")
@@ -110,21 +112,48 @@ def page_of(result: Any, chain: Chain | None = None) -> str:
             sections=sections,
             style=Markup(source("report.css")),
             script=Markup(script),
-            digest=digest,
+            digest=_digest(script),
             data=Markup(_embedded(added.data)) if added.data else "",
             version=__version__,
         )
     )
 
 
+def page_alone(
+    title: str, block: Block, data: dict[str, Any], programs: Sequence[str]
+) -> str:
+    """The text of a page of one interactive part, with its data by id and the programs
+    that move it."""
+    script = "".join(map(source, programs))
+    return (
+        _templates()
+        .get_template("alone.html.j2")
+        .render(
+            title=title,
+            block=block,
+            style=Markup(source("report.css")),
+            script=Markup(script),
+            digest=_digest(script),
+            data=Markup(_embedded(data)),
+            version=__version__,
+        )
+    )
+
+
+def _digest(script: str) -> str:
+    """By which the policy of a page knows its own program."""
+    return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+
+
 def _versions() -> dict[str, str]:
-    found = {"curlfit": __version__, "Python": platform.python_version()}
+    """Versions by package, of those that are installed."""
+    versions = {"curlfit": __version__, "Python": platform.python_version()}
     for name in _PACKAGES:
         try:
-            found[name] = version(name)
+            versions[name] = version(name)
         except PackageNotFoundError:
             continue
-    return found
+    return versions
 
 
 def _embedded(data: dict[str, Any]) -> str:
@@ -137,16 +166,17 @@ def _embedded(data: dict[str, Any]) -> str:
 
 @lru_cache(1)
 def _templates() -> Environment:
-    found = Environment(
+    """The templates of this folder."""
+    environment = Environment(
         loader=PackageLoader("curlfit.html_report"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    found.globals["sheet"] = sheet
-    found.filters |= {"marked": marked, "sentence": sentence}
-    return found
+    environment.globals["sheet"] = sheet
+    environment.filters |= {"marked": marked, "sentence": sentence}
+    return environment
 
 
 def rendered(block: Block) -> Markup:

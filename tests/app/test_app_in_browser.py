@@ -16,6 +16,7 @@ import psutil
 import pytest
 from conftest import DATA, process, wait_for
 from page_in_browser import (
+    LINE,
     LONG,
     button,
     drop,
@@ -27,6 +28,8 @@ from page_in_browser import (
     save,
     shown_command,
     status,
+    write,
+    written,
 )
 
 import curlfit
@@ -76,7 +79,7 @@ def test_a_good_file_is_fitted_and_saved_as_the_command_would(page, served, tmp_
     drop(page, DATA)
     wait_for(lambda: "230 rows in 22.9 s" in said(page))
     assert len(page.find_elements("css selector", ".seen svg")) == 3
-    put(page, "--effective", "200")
+    put(page, "--effective=200")
     words = ["fit", name, "--effective=200", "--report"]
     assert shown_command(page) == " ".join(["curlfit", *words])
     fitted(page)
@@ -123,8 +126,10 @@ def test_wrong_units_are_refused_in_the_words_of_the_command_and_mended_by_a_but
     press(page, "Apply --units length=ft")
     wait_for(lambda: "a path of 25 m" in said(page))
     assert not page.find_elements("css selector", ".bad")
-    put(page, "--no-sample", "yes")
-    put(page, "--stone", "R=0.054")
+    assert written(page) == "--units length=ft"
+    put(page, "--no-sample")
+    write(page, "R=0.054", "Stone")
+    wait_for(lambda: "--stone=R=0.054" in shown_command(page))
     fitted(page)
     save(page, "mended")
     wait_for(lambda: "Written: " in said(page))
@@ -148,7 +153,7 @@ def test_pixels_ask_for_the_points_and_take_them(page, tmp_path):
     wait_for(lambda: "positions are in pixels" in said(page))
     drop(page, tmp_path / "points.csv", onto=".bad .beside")
     wait_for(lambda: "a path of 25 m" in said(page))
-    assert "--reference=points.csv" in shown_command(page)
+    assert "--reference points.csv" in shown_command(page)
     assert "5 points of points.csv" in said(page)
 
 
@@ -157,8 +162,7 @@ def test_a_table_of_stopwatch_times_is_fitted_jointly(page, served):
     wait_for(lambda: "throws, which are fitted together" in said(page))
     rows = page.find_elements("css selector", ".seen tbody tr")
     assert len(rows) == len(curlfit.load_throws(DATA.parent / "two_sheets.csv"))
-    put(page, "--by", "sheet")
-    put(page, "--no-sample", "yes")
+    put(page, "--by sheet --no-sample")
     fitted(page)
     save(page, "sheets")
     wait_for(lambda: "Written: " in said(page))
@@ -174,6 +178,36 @@ def test_laws_are_compared_for_a_table_of_friction(page):
     wait_for(
         lambda: "stribeck" in (in_report(page, "return document.body.innerText") or "")
     )
+
+
+def test_law_stone_and_options_are_those_of_the_command(page, served):
+    drop(page, DATA)
+    wait_for(lambda: "230 rows" in said(page))
+    fields = page.find_elements("css selector", "section input[type=text]")
+    labels = [field.get_attribute("aria-label") for field in fields]
+    assert labels == ["Law", "Stone", LINE]
+    assert not page.find_elements("css selector", "select, input[type=checkbox]")
+    write(page, "coulomb", "Law")
+    put(page, "--until 18 --derive 'mu*1'")
+    line = f"curlfit fit {DATA.name} --law=coulomb --until 18 --derive 'mu*1' --report"
+    assert shown_command(page) == line
+    summaries = page.find_elements("css selector", "summary")
+    (options,) = [one for one in summaries if one.text.startswith("All options")]
+    assert "--max-steps" not in said(page)
+    options.click()
+    assert "--max-steps" in said(page)
+    write(page, "--unti 18")
+    wait_for(lambda: "Unknown option: --unti. Did you mean --until?" in said(page))
+    assert button(page, "Fit", "button.disabled")
+    assert "230 rows" in said(page)  # what was read stays
+    write(page, "`--as-given`")
+    wait_for(lambda: "`--as-given`: expected an option" in said(page))
+    assert not button(page, "Apply --as-given", "!!button")
+    write(page, "--no-sample")
+    wait_for(lambda: "230 rows" in said(page))
+    fitted(page)
+    text = "return document.body.innerText"
+    wait_for(lambda: "coulomb law" in (in_report(page, text) or ""))
 
 
 def test_a_bad_file_is_refused_and_a_second_one_replaces_it(page, served, tmp_path):

@@ -1,8 +1,11 @@
-"""The form of the page: the flags of the commands, and what sentences propose."""
+"""What is written on the page: its line of options as the command reads it, and what
+sentences propose."""
 
 from __future__ import annotations
 
+import math
 import re
+import shlex
 import sys
 from contextlib import suppress
 
@@ -11,49 +14,78 @@ from conftest import DATA, command, invoke
 from hypothesis import given, settings, strategies as st
 
 from curlfit import load_throw
-from curlfit.app.form import fields_of, merged, proposals, values_of, words_of
+from curlfit.app.form import (
+    Written,
+    flags_of,
+    help_of,
+    proposals,
+    values_of,
+    words_for,
+)
 from curlfit.app.reading import look
 from curlfit.cli import app
 from curlfit.errors import InputError
 
 SUM = ("--law", "power+sideways")
-FIT, COMPARE = fields_of(app, "fit"), fields_of(app, "compare")
-WRITTEN = {
-    "--units": "t=ms,x=cm",
-    "--until": "18",
-    "--sweep": "6:11",
-    "--fix": "phi0=0,x0=1",
-    "--bound": "mu1_xi=0:0.05 mu2_xi=:1",
-    "--unbounded": "yes",
-    "--free": "slope_x,drag",
-    "--derive": "mu2_xi - mu1_xi",
-    "--noise": "ar1",
-    "--keep": "3,5",
-}
+FIT, COMPARE = flags_of(app, "fit"), flags_of(app, "compare")
+LINE = (
+    "--units t=ms,x=cm --until 18 --sweep=6:11 --fix phi0=0,x0=1 --bound mu1_xi=0:0.05 "
+    "--bound mu2_xi=:1 --unbounded --free slope_x,drag --derive 'mu2_xi - mu1_xi' "
+    "--noise ar1 --keep 3,5"
+)
 
 
-def test_the_form_has_the_flags_that_the_command_lists():
+def test_the_page_knows_the_flags_that_the_command_lists():
     text = command("fit", "--help", cwd=DATA.parent).stdout
     # of another command
     listed = set(re.findall(r"--(?!empty)[a-z-]+", text)) - {"--conditions"}
     beside = {"--out", "--figures", "--no-figures", "--report", "--quiet", "--resume"}
     assert beside <= listed
     assert set(FIT) == listed - beside
-    assert all(field.help and field.group for field in FIT.values())
+    shown = help_of(app, "fit")
+    assert set(re.findall(r"--(?!empty)[a-z-]+", shown)) - {"--conditions"} == listed
+    assert "\x1b" not in shown
 
 
-def test_what_is_written_reads_as_the_command_reads_it():
-    words = words_of(FIT, WRITTEN)
+def test_a_line_reads_as_the_command_reads_it():
+    words = Written(law="coulomb", stone="rho=0.1", line=LINE).words()
+    assert words == ["--law=coulomb", "--stone=rho=0.1", *shlex.split(LINE)]
     _, bound, _ = app.parse_args(["fit", "a.csv", *words])
     flags, reading = bound.arguments["flags"], bound.arguments["reading"]
-    assert values_of(FIT, WRITTEN) == {**flags.given(), **reading.given()}
-    assert "--noise=ar1" in words
-    with pytest.raises(InputError, match="--until soon: expected a time in s"):
-        values_of(FIT, {"--until": "soon"})
+    assert values_of(app, words) == {**flags.given(), **reading.given()}
+    assert flags.derive == ("mu2_xi - mu1_xi",)
+    assert flags.bounds == {"mu1_xi": (0.0, 0.05), "mu2_xi": (-math.inf, 1.0)}
 
 
 def test_a_comparison_takes_the_flags_that_it_has():
-    assert words_of(COMPARE, {"--law": "coulomb", "--until": "18"}) == ["--until=18"]
+    words = ["--law=coulomb", "--until", "18", "--derive", "a b", "--no-sample"]
+    assert words_for(COMPARE, words) == ["--until", "18"]
+    assert words_for(FIT, words) == words
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("--bound 'mu1_xi=0", "mark or a backslash has no end; expected options as on"),
+        ("--until 18\\", "mark or a backslash has no end; expected options as on"),
+        ("--until soon", "--until soon: expected a time in s"),
+        ("--until", "--until requires an argument"),
+        ("--unti 18", "Unknown option: --unti. Did you mean --until"),
+        ("18", "18: expected an option, as --until 18; files are dropped above"),
+        ("--derive mu2_xi + mu1_xi", "+: expected an option, as"),
+        ("--until 18 /etc/passwd", "/etc/passwd: expected an option"),
+        ("-- --x", "--x: expected an option"),
+        ("--out=/tmp/x", "--out: the page itself writes and saves results"),
+        ("--report", "--report: the page itself writes and saves results"),
+        ("-q", "--quiet: the page itself writes and saves results"),
+        ("--resume", "--resume: the page itself writes and saves results"),
+        ("--help", "--help: expected options of the fit; all are listed below"),
+        ("-h", "--help: expected options of the fit; all are listed below"),
+    ],
+)
+def test_what_the_command_would_refuse_is_refused_in_a_sentence(line, said):
+    with pytest.raises(InputError, match=re.escape(said)):
+        values_of(app, Written(line=line).words())
 
 
 @pytest.mark.parametrize(
@@ -85,10 +117,20 @@ def test_proposals(sentence, found):
 
 
 def test_a_proposal_is_added_to_what_is_written():
-    assert merged(FIT["--free"], "drag", "slope_x") == "drag,slope_x"
-    assert merged(FIT["--bound"], "a=0:1", "b=0:1") == "a=0:1 b=0:1"
-    assert merged(FIT["--free"], "drag", "drag") == "drag"
-    assert merged(FIT["--units"], "t=s", "t=ms") == "t=ms"
+    line = Written().with_option(FIT["--free"], "drag")
+    assert line == Written(line="--free drag")
+    assert line.with_option(FIT["--free"], "drag") == line
+    both = line.with_option(FIT["--free"], "slope_x")
+    assert values_of(app, both.words()) == {"free": ("drag", "slope_x")}
+    milli = Written(line="--units t=s").with_option(FIT["--units"], "t=ms")
+    assert values_of(app, milli.words()) == {"units": "t=ms"}  # the last one counts
+    quoted = Written().with_option(FIT["--reference"], "my points.csv")
+    assert quoted.line == "--reference 'my points.csv'"
+    assert Written().with_option(FIT["--as-given"], "yes").line == "--as-given"
+    law = Written(law="coulomb").with_option(FIT["--law"], "power")
+    assert law == Written(law="power")
+    stone = Written(stone="R=0.05").with_option(FIT["--stone"], "rho=0.1")
+    assert stone == Written(stone="R=0.05,rho=0.1")
 
 
 def test_what_is_seen_of_a_throw_is_what_the_command_says(write):
@@ -177,10 +219,15 @@ TYPED = st.lists(MARKS | st.text(max_size=6), max_size=8).map("".join)
 
 @settings(max_examples=300, deadline=None)
 @given(flag=st.sampled_from(sorted(FIT)), text=TYPED)
-def test_any_text_of_a_field_is_taken_or_refused(flag, text):
-    words = words_of(FIT, {flag: text})
-    assert all(word.startswith(flag) for word in words)
-    with suppress(InputError):
-        values_of(FIT, {flag: text})
+def test_any_line_is_taken_or_refused(flag, text):
+    for written in (
+        Written(line=text),
+        Written(line=f"{flag} {text}"),
+        Written(law=text, stone=text),
+    ):
+        with suppress(InputError):
+            values_of(app, written.words())
     for proposed, value in proposals(FIT, f"give `{flag} {text}`"):
-        words_of(FIT, {proposed: merged(FIT[proposed], text, value)})
+        written = Written(line=text).with_option(FIT[proposed], value)
+        with suppress(InputError):
+            assert written.words()

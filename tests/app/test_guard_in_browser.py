@@ -29,6 +29,7 @@ from page_in_browser import (
     said,
     shown_command,
     status,
+    write,
 )
 
 pytestmark = pytest.mark.browser
@@ -37,15 +38,6 @@ pytestmark = pytest.mark.browser
 def kept(served):
     """The folder of what is dropped."""
     return Path(psutil.Process(served.process.pid).cwd())
-
-
-def write(browser, flag, text):
-    """Write into a field, whatever the command then looks like."""
-    script = (
-        "const field = document.querySelector(`[aria-label='${arguments[0]}']`);"
-        "field.value = arguments[1]; field.dispatchEvent(new Event('change'))"
-    )
-    browser.execute_script(script, flag, text)
 
 
 def test_only_the_browser_that_was_let_in_sees_the_page(served):
@@ -140,7 +132,7 @@ def test_dropped_files_are_no_modules(page, served, tmp_path):
     drop(page, tmp_path / "a.csv")
     for name in ("numpy.py", "signal.py", "multiprocessing.py", "json.py"):
         (kept(served) / name).write_text(code[1])
-    put(page, "--no-sample", "yes")
+    put(page, "--no-sample")
     fitted(page)
     assert page.find_elements("css selector", "iframe")
     assert not mark.exists()
@@ -148,7 +140,7 @@ def test_dropped_files_are_no_modules(page, served, tmp_path):
 
 def test_the_scripts_of_a_report_reach_nothing_of_the_page(page):
     drop(page, DATA)
-    put(page, "--no-sample", "yes")
+    put(page, "--no-sample")
     fitted(page)
     wait_for(lambda: in_report(page, "return !!document.querySelector('main')"))
     assert in_report(page, "return window.origin") == "null"
@@ -163,30 +155,41 @@ def test_the_scripts_of_a_report_reach_nothing_of_the_page(page):
 
 
 @pytest.mark.parametrize(
-    "text", ['rho="0.1', "rho='", "rho=0.1\\", "rho=\0", "x" * 140_000]
+    "text",
+    [
+        '--bound rho="0.1',
+        "--bound rho='",
+        "--bound rho=0.1\\",
+        "--bound rho=\0",
+        "--bound " + "x" * 140_000,
+        "x" * 140_000,
+        "--help",
+        "--out /tmp",
+        "/etc/passwd",
+    ],
 )
 def test_no_text_of_a_field_takes_the_page_away(page, entered, text):
     drop(page, DATA)
     wait_for(lambda: "230 rows" in said(page))
-    write(page, "--bound", text)
+    write(page, text)
     wait_for(lambda: page.find_elements("css selector", ".finding.bad"))
     assert "error of curlfit" not in said(page)
     assert button(page, "Fit", "button.disabled")
     page.get(entered)
     wait_for(lambda: page.find_elements("css selector", ".finding.bad"))
-    write(page, "--bound", "")
+    write(page, "")
     wait_for(lambda: not page.find_elements("css selector", ".finding.bad"))
 
 
 def test_a_command_that_cannot_start_is_over(page):
     drop(page, DATA)
     wait_for(lambda: "230 rows" in said(page))
-    write(page, "--free", ",".join(["slope_x"] * 20_000))  # more than a system takes
+    write(page, "--free " + ",".join(["slope_x"] * 20_000))  # more than a system takes
     wait_for(lambda: "--free" in shown_command(page))
     press(page, "Fit")
     wait_for(lambda: "The command cannot be started" in said(page))
     assert "At work" not in said(page)
-    write(page, "--free", "")
+    write(page, "")
     wait_for(lambda: "--free" not in shown_command(page))
 
 
@@ -199,12 +202,10 @@ def test_a_file_dropped_beside_leaves_the_data_as_they_are(page, served, tmp_pat
     wait_for(lambda: "a.csv, a_2.csv" in said(page))
     drop(page, tmp_path / "a.csv")
     wait_for(lambda: "230 rows" in said(page))
-    find = (
-        "return [...document.querySelectorAll('.beside')].find(one => "
-        "one.textContent.includes('--reference')).querySelector('input[type=file]')"
-    )
-    page.execute_script(find).send_keys(str(other))
-    wait_for(lambda: "--reference=a_2.csv" in shown_command(page))
+    beside = page.find_element("css selector", ".beside input[type=file]")
+    beside.send_keys(str(other))
+    wait_for(lambda: "There: a_2.csv" in said(page))
+    put(page, "--reference a_2.csv")
     assert (kept(served) / "a.csv").read_bytes() == DATA.read_bytes()
     assert (kept(served) / "a_2.csv").read_bytes() == other.read_bytes()
 

@@ -16,6 +16,7 @@ from hypothesis import given, settings, strategies as st
 pytest.importorskip("nicegui", reason="NiceGUI is not installed")
 
 from curlfit.app import folder, page
+from curlfit.app.form import Written
 from curlfit.app.reading import Seen
 from curlfit.app.work import Work
 from curlfit.cli import app
@@ -47,13 +48,22 @@ def test_the_verdict_is_of_the_last_edit(monkeypatch, tmp_path):
         monkeypatch.setattr(page, "look", slow_at_first)
         monkeypatch.setattr(shown, "refresh", lambda: None)
         shown.files = [DATA]
-        first = asyncio.create_task(shown.put("--until", "5"))
+        first = asyncio.create_task(shown.put(Written(line="--until 5")))
         await asyncio.sleep(0.1)
-        await shown.put("--until", "9")
+        await shown.put(Written(line="--until 9"))
         await first
         return shown.seen.finding
 
     assert asyncio.run(edited()) == "until 9"
+
+
+def test_a_line_that_no_shell_takes_runs_nothing(tmp_path):
+    shown = page.Page(app, tmp_path, tmp_path)
+    shown.files = [DATA]
+    shown.written = Written(line="--until '18")
+    asyncio.run(shown.carry_out("fit"))
+    assert shown.work is None
+    assert shown.done == {}
 
 
 @pytest.mark.parametrize(

@@ -1,20 +1,9 @@
 moving.direction = (root, data) => {
   const part = parts(root), slider = part("at"), path = part("path"), other = part("other");
   const tell = teller(part("status"));
-  const bottom = path.ownerSVGElement.viewBox.baseVal.height - data.margin;
+  const height = path.ownerSVGElement.viewBox.baseVal.height;
+  const drawn = points => lineThrough(points, data, height);
 
-  function drawn(points) {
-    let text = "", joined = "M";
-    points[0].forEach((along, i) => {
-      const across = points[1][i];
-      if (along === null || across === null) { joined = "M"; return; }
-      const u = data.margin + (along - data.origin[0]) * data.scale[0];
-      const v = bottom - (across - data.origin[1]) * data.scale[1];
-      text += `${joined}${u.toFixed(4)} ${v.toFixed(4)}`;
-      joined = "L";
-    });
-    return text;
-  }
   function show(told) {
     const k = Number(slider.value), values = data.values[k];
     path.setAttribute("d", drawn(data.paths[k]));

@@ -64,6 +64,20 @@ function teller(element) {
   };
 }
 
+// A line through points in a drawing of some height, with a gap where one is null.
+function lineThrough(points, drawing, height) {
+  let text = "", joined = "M";
+  points[0].forEach((along, i) => {
+    const across = points[1][i];
+    if (along === null || across === null) { joined = "M"; return; }
+    const u = drawing.margin + (along - drawing.origin[0]) * drawing.scale[0];
+    const v = height - drawing.margin - (across - drawing.origin[1]) * drawing.scale[1];
+    text += `${joined}${u.toFixed(4)} ${v.toFixed(4)}`;
+    joined = "L";
+  });
+  return text;
+}
+
 function side(x) {
   return Math.abs(x) < 0.005 ? "on the centre line"
     : `${Math.abs(x).toFixed(2)} m ${x < 0 ? "left" : "right"} of the centre line`;

@@ -1,1 +1,0 @@
-"""Exploration of a fit in a notebook, with its parameters changed by hand."""
