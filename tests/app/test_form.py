@@ -68,6 +68,11 @@ def test_a_comparison_takes_the_flags_that_it_has():
             "give points with `--reference FILE` (columns u,v,x,y)",
             [("--reference", "")],
         ),
+        (
+            "to be tried: `--sweep 5.0:9.2` (friction that differs meanwhile), "
+            "`--until 4.5` (without the rows after it)",
+            [("--sweep", "5.0:9.2"), ("--until", "4.5")],
+        ),
         ("a heading with --reference FILE in it", []),
         ('as in `--columns "x=wide"`, or `--by sheet`', []),
         ("`--law evil.py:L`, `--law power+evil.py:L`, `--law power+sideways`", [SUM]),
