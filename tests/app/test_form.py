@@ -100,6 +100,11 @@ def test_what_the_command_would_refuse_is_refused_in_a_sentence(line, said):
             "give points with `--reference FILE` (columns u,v,x,y)",
             [("--reference", "")],
         ),
+        (
+            "to be tried: `--sweep 5.0:9.2` (friction that differs meanwhile), "
+            "`--until 4.5` (without the rows after it)",
+            [("--sweep", "5.0:9.2"), ("--until", "4.5")],
+        ),
         ("a heading with --reference FILE in it", []),
         ('as in `--columns "x=wide"`, or `--by sheet`', []),
         ("`--law evil.py:L`, `--law power+evil.py:L`, `--law power+sideways`", [SUM]),

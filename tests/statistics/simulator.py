@@ -8,7 +8,7 @@ in the tests: a path is exact to 1e-5 m.
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,7 +18,7 @@ from scipy.optimize import brentq
 sys.path.append(str(Path(__file__).parents[1]))
 
 from independent_laws import FORMULAS, motion_of_the_whole, reference
-from independent_motion import Accuracy, Motion, Reference, Start
+from independent_motion import Accuracy, G, Motion, Reference, Start, integrated
 
 NODES = 24
 ACCURACY = Accuracy(relative=1e-8, absolute=1e-8, rest=1e-6)
@@ -56,6 +56,30 @@ def moved(
         return ring_of(law, coefficients).motion(start, until)
     values = tuple(coefficients.values())
     return motion_of_the_whole(law, values, Stone(), start, until, ACCURACY)
+
+
+def moved_with(
+    law: str,
+    coefficients: Mapping[str, float],
+    v0: float,
+    omega0: float,
+    until: float,
+    factor: Callable[[float, float], float],
+) -> Motion:
+    """The motion under a law at the points of the ring, with its friction times a
+    factor that is a function of speed and time."""
+    ring = ring_of(law, coefficients)
+    stone = Stone()
+
+    def accelerations(
+        v: float, omega: float, turned: float, time: float
+    ) -> tuple[float, float, float]:
+        friction = factor(v, time) * ring.force(v, stone.R * omega, turned, time)
+        a_xi, a_eta, moment = G * friction
+        return a_xi, a_eta, moment * stone.R / stone.rho**2
+
+    start = Start(v=v0, omega=omega0)
+    return integrated(start, until, [(accelerations, None)], stone.rho, ACCURACY)
 
 
 def simulated(

@@ -14,7 +14,7 @@ from curlfit.friction import Law, NetLaw, find_law, no_motion_because
 from curlfit.friction.family import LawFamily
 from curlfit.inference.derived import check_derived
 from curlfit.inference.fit.advice import remedies, with_curl_warning, with_noise_advice
-from curlfit.inference.fit.change_points import may_have_cause, with_cause
+from curlfit.inference.fit.change_points import may_have_changed, with_change
 from curlfit.inference.fit.other_rests import starts_with_other_rests
 from curlfit.inference.fit.prepared import (
     LeastSquaresFit,
@@ -120,11 +120,11 @@ def _fit(
     result = summarize(found, widths_of(model, chosen.systematics, [prepared]))
     if not result.converged:
         return result
-    if may_have_cause(found, result):
-        explained = with_cause(found, result)
-        if explained is result and details and not result.events:
-            explained = with_noise_advice(result, refit)
-        result = explained
+    if may_have_changed(found, result):
+        changed = with_change(found, result)
+        if changed is result and details and not result.events:
+            changed = with_noise_advice(result, refit)
+        result = changed
     if not details:
         return result
     result = replace(with_curl_warning(result), quantities=quantities_of(result))

@@ -13,7 +13,7 @@ import numpy as np
 from curlfit.foreign import counted
 from curlfit.inference.derived import derive, gradient_of
 from curlfit.inference.fit.caveats import warnings_of
-from curlfit.inference.fit.change_points import may_have_cause, with_cause
+from curlfit.inference.fit.change_points import with_change
 from curlfit.inference.fit.covariance import (
     CONVERGED,
     Covariance,
@@ -141,12 +141,7 @@ def summarize_many(
     )
     if not alone:
         # What a fit of one throw says of its residuals holds for one of several too.
-        results = [
-            with_cause(fit, result)
-            if result.converged and may_have_cause(fit, result)
-            else result
-            for fit, result in zip(fits, results, strict=True)
-        ]
+        results = list(map(with_change, fits, results))
     if earlier is None:
         better = many.searched_on(found, departures, batch)
         ended = summarize_many(
