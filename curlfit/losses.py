@@ -12,12 +12,14 @@ To add a loss: a subclass of `Loss` and its place in `LOSSES`.
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
-import numpy as np
-
-from curlfit.numerics.arrays import Floats
 from curlfit.numerics.namespace import namespace
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
+
+    from curlfit.numerics.arrays import Floats
 
 MAD_TO_SIGMA = 1.4826
 """Standard deviation of a Gaussian over its median absolute deviation."""
@@ -31,7 +33,10 @@ _BESSEL_K1 = 0.6019072301972346
 
 def robust_sigma(values: Floats) -> float:
     """Standard deviation of the bulk: 1.4826 times the median absolute value."""
-    return MAD_TO_SIGMA * float(np.median(np.abs(values))) if len(values) else 0.0
+    if not len(values):
+        return 0.0
+    xp = namespace(values)
+    return MAD_TO_SIGMA * float(xp.median(xp.abs(values)))
 
 
 class Loss:
@@ -76,22 +81,27 @@ class Loss:
 
     def root_slope(self, r: Floats) -> Floats:
         """Derivative of `signed_root` by r."""
-        size = np.maximum(np.abs(r), 1e-6)  # even in r, and flat at 0
-        return self.psi(size) / np.asarray(self.signed_root(size))
+        size = namespace(r).maximum(abs(r), 1e-6)  # even in r, and flat at 0
+        slope: Floats = self.psi(size) / self.signed_root(size)
+        return slope
 
     def log_density(self, r: Floats) -> Floats:
         """Log of the density of noise of unit sigma, which integrates to 1."""
-        return -(self.signed_root(r) ** 2) / 2 - np.log(self.norm)
+        density: Floats = -(self.signed_root(r) ** 2) / 2 - math.log(self.norm)
+        return density
 
-    def draw(self, random: np.random.Generator, shape: tuple[int, ...]) -> Floats:
+    def draw(self, random: Generator, shape: tuple[int, ...]) -> Floats:
         """Noise of unit sigma, by inverse transform sampling from the tabulated
         distribution function."""
-        end = np.arcsinh(_DRAWN)
-        grid = np.sinh(np.linspace(-end, end, 4001))
-        density = np.exp(self.log_density(grid))
-        areas = np.diff(grid) * (density[1:] + density[:-1]) / 2
-        share = np.concatenate([[0.0], np.cumsum(areas)])
-        return np.interp(random.random(shape), share / share[-1], grid)
+        uniform = random.random(shape)
+        xp = namespace(uniform)
+        end = math.asinh(_DRAWN)
+        grid = xp.sinh(xp.linspace(-end, end, 4001))
+        density = xp.exp(self.log_density(grid))
+        areas = xp.diff(grid) * (density[1:] + density[:-1]) / 2
+        share = xp.concatenate([[0.0], xp.cumsum(areas)])
+        drawn: Floats = xp.interp(uniform, share / share[-1], grid)
+        return drawn
 
     def size(self, residual: Floats) -> float:
         """Size of residuals that outliers do not change: that of their bulk."""
@@ -99,21 +109,21 @@ class Loss:
 
     def likeliest_sigma(self, residual: Floats, floor: float = 1e-12) -> float:
         """Maximum-likelihood sigma of residuals."""
-        largest = float(np.abs(residual).max(initial=0.0))
+        largest = float(abs(residual).max(initial=0.0))
         if largest <= floor:
             return floor
 
         # of the log-likelihood by log sigma, per value
         def slope(log_sigma: float) -> float:
-            r = residual / np.exp(log_sigma)
-            return float(np.mean(r * self.psi(r))) - 1
+            r = residual / math.exp(log_sigma)
+            return float((r * self.psi(r)).mean()) - 1
 
-        low, high = np.log(floor), np.log(largest)
+        low = math.log(floor)
         if slope(low) <= 0:
             return floor
         from scipy.optimize import brentq  # slow to load
 
-        return float(np.exp(brentq(slope, low, high)))
+        return math.exp(brentq(slope, low, math.log(largest)))
 
     def precision(self, r: Floats) -> float:
         """Information of a residual over that of a Gaussian one of the same sigma
@@ -140,17 +150,19 @@ class Linear(Loss):
         return r
 
     def psi_slope(self, r: Floats) -> Floats:
-        return np.ones_like(r)
+        ones: Floats = namespace(r).ones_like(r)
+        return ones
 
     def root_slope(self, r: Floats) -> Floats:
-        return np.ones_like(r)
+        ones: Floats = namespace(r).ones_like(r)
+        return ones
 
-    def draw(self, random: np.random.Generator, shape: tuple[int, ...]) -> Floats:
+    def draw(self, random: Generator, shape: tuple[int, ...]) -> Floats:
         return random.standard_normal(shape)
 
     def size(self, residual: Floats) -> float:
         """Their rms."""
-        return float(np.sqrt(np.mean(residual**2)))
+        return math.sqrt((residual**2).mean())
 
     def likeliest_sigma(self, residual: Floats, floor: float = 1e-12) -> float:
         return max(self.size(residual), floor) if len(residual) else floor
@@ -177,10 +189,10 @@ class Huber(Loss):
         return xp.where(size <= self.k, r, xp.sign(r) * outer)
 
     def psi(self, r: Floats) -> Floats:
-        return np.clip(r, -self.k, self.k)
+        return r.clip(-self.k, self.k)
 
     def psi_slope(self, r: Floats) -> Floats:
-        return (np.abs(r) <= self.k).astype(float)
+        return (abs(r) <= self.k).astype(float)
 
 
 class SoftL1(Loss):
@@ -194,7 +206,8 @@ class SoftL1(Loss):
         return r * xp.sqrt(2 / (xp.sqrt(1 + r**2) + 1))
 
     def psi(self, r: Floats) -> Floats:
-        return r / np.sqrt(1 + r**2)
+        psi: Floats = r / namespace(r).sqrt(1 + r**2)
+        return psi
 
     def psi_slope(self, r: Floats) -> Floats:
         return (1 + r**2) ** -1.5

@@ -6,8 +6,6 @@ import sys
 from types import ModuleType
 from typing import Any
 
-import numpy as np
-
 
 def namespace(array: Any) -> ModuleType:
     """The module whose functions apply to an array: `jax.numpy`, or `numpy`
@@ -16,4 +14,6 @@ def namespace(array: Any) -> ModuleType:
     if jax is not None and isinstance(array, jax.Array):
         numpy_of_jax: ModuleType = jax.numpy
         return numpy_of_jax
-    return np
+    import numpy  # which `--help` does without
+
+    return numpy
