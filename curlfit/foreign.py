@@ -56,7 +56,7 @@ def cut(text: str, most: int = _LONGEST_QUOTE) -> str:
 
 def counted(number: int, what: str) -> str:
     """A number of things, such as "1 row" or "2 rows"."""
-    return f"{number} {what}{'s' * (number != 1)}"
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
 def printable(text: str) -> str:

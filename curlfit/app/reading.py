@@ -56,7 +56,7 @@ def look(files: Sequence[Path], chosen: Mapping[str, Any]) -> Seen:
             table = load_friction_table(files[0], worksheet)
             span = f"{table.speed.min():.3g} to {table.speed.max():.3g} m/s"
             said = f"{len(table.speed)} values of friction against speed, {span}"
-            return Seen(said, notes=[table.note] * bool(table.note))
+            return Seen(said, notes=[table.note] if table.note else [])
         reading = Reading(
             **{k: chosen[k] for k in chosen.keys() & Reading.forms().keys()}
         )

@@ -145,7 +145,9 @@ def _read(file: Path, law: str | type[Law] | None = None) -> Season:
     if not (np.isfinite(found).all() and np.isfinite(rows).all()):
         raise DataError("numbers that are not finite", file=file)
     are = "is" if others == 1 else "are"
-    notes = [f"{counted(others, 'row')} {are} not ok and {are} left out"] * bool(others)
+    notes = []
+    if others:
+        notes = [f"{counted(others, 'row')} {are} not ok and {are} left out"]
     return Season(
         str(file),
         Model(kind, chosen.load),

@@ -80,7 +80,9 @@ def columns(plan: BatchSettings) -> list[str]:
         "rms_y",
         "rms_phi",
     ]
-    more = [*QUANTILES] * plan.posterior + ["systematic"] * bool(plan.systematics)
+    more = [*QUANTILES] if plan.posterior else []
+    if plan.systematics:
+        more.append("systematic")
     for name in plan.parameter_set().names:
         found += [name, *(f"{name}_{what}" for what in ("stderr", "verdict", *more))]
     for name in plan.sums():

@@ -75,9 +75,10 @@ def show(
     """
     from curlfit.output.console import terminal
 
-    kind, result, chain = _load(folder, "--derive" * bool(derive))
+    kind, result, chain = _load(folder, "--derive" if derive else "")
     if derive:
-        result = result.with_derived(derive, *[chain] * (kind == "fit"))
+        of_chain = [chain] if kind == "fit" else []
+        result = result.with_derived(derive, *of_chain)
     if as_json:
         print(json.dumps(result.summary(), indent=1))
     else:
@@ -153,7 +154,7 @@ def report(
 @of_record
 def write_page(folder: Path, out: Path | None = None, law: Any = None) -> Path:
     """Write the page of a saved result; returns the file."""
-    kind, result, chain = _load(folder, "--law" * (law is not None), law)
+    kind, result, chain = _load(folder, "" if law is None else "--law", law)
     if law is not None and kind == "joint":
         result = result.with_law(law)
     file = out or (folder if folder.is_dir() else folder.parent) / "report.html"

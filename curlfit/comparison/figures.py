@@ -41,7 +41,9 @@ def comparison_figure(comparison: Comparison) -> draw.Picture:
     height = 4.0 + 0.2 * len(shown)
     added = 0.0 if lacking is None else 2.0
     figure = draw.Picture(figsize=(draw.WIDTH, height + added), layout="constrained")
-    ratios = [height / 2, height / 2, *[added] * (lacking is not None)]
+    ratios = [height / 2, height / 2]
+    if lacking is not None:
+        ratios.append(added)
     rows = figure.add_gridspec(len(ratios), 1, height_ratios=ratios)
     path: Any = rows[0].subgridspec(1, 1).subplots()
     lower: Any = rows[1].subgridspec(1, 2, width_ratios=(1.3, 1.0)).subplots()

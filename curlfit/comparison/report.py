@@ -296,16 +296,20 @@ def _about_correlation(comparison: Comparison) -> str:
     for name, count in comparison.effective.items():
         values = comparison.observed.get(name, [])
         rows = sum(value is not None and math.isfinite(value) for value in values)
-        worth.append(f"{count:.0f}{f' of {rows}' * bool(rows)} in {name}")
-    return (
+        of_rows = f" of {rows}" if rows else ""
+        worth.append(f"{count:.0f}{of_rows} in {name}")
+    warning = (
         "the ranking is not reliable. Even the law that fits best leaves residuals "
         "that are correlated from row to row. The likelihoods in dBIC and dAICc are "
         f"weighted by effective sample sizes ({', '.join(worth)}), an approximation; "
         "correlated noise alone can put a wrong law first"
-    ) + (len(comparison.noises) == 1) * (
-        ". The log evidence and leave-one-out, which assume independent residuals, "
-        "are not given. Use --noise white,ar1 to compare noise models"
     )
+    if len(comparison.noises) == 1:
+        warning += (
+            ". The log evidence and leave-one-out, which assume independent residuals, "
+            "are not given. Use --noise white,ar1 to compare noise models"
+        )
+    return warning
 
 
 def _about_isotropic(isotropic: list[Candidate]) -> str:

@@ -67,20 +67,20 @@ def _about(one: SetOfData) -> str:
     count = {"track": "track", "friction": "friction"}.get(
         one.kind, counted(one.throws, "throw")
     )
-    fewer = f", worth {one.effective:.0f} independent ones" * (
-        one.effective < one.values - 0.5
-    )
+    fewer = ""
+    if one.effective < one.values - 0.5:
+        fewer = f", worth {one.effective:.0f} independent ones"
     return f"{one.name}: {count}, {counted(one.values, 'value')}{fewer}"
 
 
 def _noise(one: SetOfData) -> str:
     sigma = ", ".join(f"{name} {value:.2g}" for name, value in one.sigma.items())
-    tracker = ", or that of an ordinary tracker where that is correlated and smaller"
-    return (
-        f"{short(one)}: sigma is not given and taken for all laws to be the least "
-        f"that any leaves ({one.noise_of}){tracker * (one.kind == 'track')}: "
-        f"{sigma}{' (m, rad)' * (one.kind == 'track')}"
-    )
+    least = f"the least that any leaves ({one.noise_of})"
+    if one.kind == "track":
+        least += ", or that of an ordinary tracker where that is correlated and smaller"
+        sigma += " (m, rad)"
+    about = "sigma is not given and taken for all laws to be"
+    return f"{short(one)}: {about} {least}: {sigma}"
 
 
 def _per_value(chi_squared: float, dof: float) -> str:

@@ -25,7 +25,7 @@ def summary(comparison: Comparison, first: str, more: str) -> dict[str, Any]:
     """Of a document: which law ranks first, and by how much; the `first` conclusion.
     `more` says how many laws are not named."""
     ranked = [item for item in comparison.candidates if item.rank is not None]
-    unsure = ", not reliably" * bool(comparison.effective)
+    unsure = ", not reliably" if comparison.effective else ""
     order = ", ".join(
         f"{item.label} ({difference(item.delta_bic)})" for item in ranked[:_FIRST]
     )

@@ -42,7 +42,7 @@ def friction_figure(result: FrictionFits) -> draw.Picture:
             curves.append(([one.law], one.curve))
     shown = curves[:_MOST]
     for (names, curve), style in zip(shown, draw.line_styles(len(shown)), strict=True):
-        more = f" and {len(names) - 2} more" * (len(names) > 2)
+        more = f" and {len(names) - 2} more" if len(names) > 2 else ""
         label = draw.literal(", ".join(names[:2]) + more)
         axes.plot(curve["speed"], curve["mu"], **style, label=label)
     axes.set(xlabel="speed (m/s)", ylabel="coefficient of friction", ylim=(0, None))

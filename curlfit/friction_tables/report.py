@@ -34,6 +34,9 @@ def document(result: FrictionFits) -> Document:
     finding = f"{len(result.fits)} laws, {first.law} first by BIC"
     if len(result.fits) == 1:
         finding = "converged" if first.converged else "not converged"
+    notes = []
+    if result.data["sigma"] == "estimated":
+        notes.append("sigma is estimated from the residuals of each law")
     return Document(
         finding=finding,
         style=style_of(first),
@@ -56,8 +59,7 @@ def document(result: FrictionFits) -> Document:
         warnings=[
             f"{one.law}: {lower(text)}" for one in result.fits for text in one.warnings
         ],
-        notes=["sigma is estimated from the residuals of each law"]
-        * (result.data["sigma"] == "estimated"),
+        notes=notes,
         title=f"{result.data['file']}: friction against speed",
         settings={"Data": result.data["file"], "Sigma": result.data["sigma"]},
         command=command_line("compare", result.data["file"]),

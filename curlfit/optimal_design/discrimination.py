@@ -270,8 +270,9 @@ def _summary(found: Discrimination) -> list[str]:
     odds = f"leads by odds of {ODDS} to 1 with a probability of"
     if found.decided:
         alone = sum(value > DECISIVE for value in found.by_size.values())
+        decide = "decides" if count == 1 else "decide"
         lines = [
-            f"{counted(count, 'throw')} decide{'s' * (count == 1)}: {which}. "
+            f"{counted(count, 'throw')} {decide}: {which}. "
             f"Whichever law is true, it {odds} at least {_percent(worst.decides)}."
         ]
         if count == 1 and alone > 1:

@@ -129,7 +129,7 @@ def saved_chain(folder: Path, chain: Any) -> list[Path]:
     file = folder / "chain.h5"
     if chain is None:
         file.unlink(missing_ok=True)
-    return [file] * (chain is not None)
+    return [] if chain is None else [file]
 
 
 @contextmanager

@@ -62,7 +62,9 @@ def figures_of(result: object) -> dict[str, Any]:
     """The figures of a saved result, by name."""
     kind = kind_of(result)
     _, noun, several, with_corner = KINDS[kind]
-    draw = getattr(import_module("curlfit"), f"{noun}_figure{'s' * bool(several)}")
+    draw = getattr(
+        import_module("curlfit"), f"{noun}_figures" if several else f"{noun}_figure"
+    )
     found: dict[str, Any] = draw(result) if several else {kind: draw(result)}
     chain = getattr(result, "chain", None) if with_corner else None
     return found if chain is None else found | corner_of(result, chain)

@@ -98,10 +98,9 @@ class Document:
         yield from map(_text, (*self.heading, ""))
         for section in self.sections:
             parts = list(section)
-            title = [Text(section.heading, style="bold")] * (
-                section.titled and bool(parts)
-            )
-            for part in (*title, *parts):
+            if section.titled and parts:
+                parts.insert(0, Text(section.heading, style="bold"))
+            for part in parts:
                 yield part
                 yield Text("")
         yield from self.warned(spaced=True)

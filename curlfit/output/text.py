@@ -57,12 +57,13 @@ def stone_text(stone: Stone, *, mass: bool = True) -> str:
 def rows_text(data: Mapping[str, Any]) -> str:
     """Number of the rows used of a file, and the times that they span; empty
     without rows."""
-    said = [
-        f"{counted(data['rows'], 'row')}, t = {data['from']:g} .. {data['to']:g} s"
-    ] * bool(data["rows"])
-    return ", ".join(
-        [*said, *(f"without {a:g} .. {b:g} s" for a, b in data.get("exclude") or ())]
-    )
+    parts = []
+    if data["rows"]:
+        parts.append(counted(data["rows"], "row"))
+        parts.append(f"t = {data['from']:g} .. {data['to']:g} s")
+    for begin, end in data.get("exclude") or ():
+        parts.append(f"without {begin:g} .. {end:g} s")
+    return ", ".join(parts)
 
 
 def format_estimate(value: float, stderr: float | None) -> tuple[str, str]:

@@ -200,7 +200,10 @@ def predict(
             check=throw,
         )
     words = [*start.words(), *goal.words(), *called.words(), *reading.words()]
-    words += [f"--from={line}"] * bool(line) + [f"--check={check}"] * bool(check)
+    if line:
+        words.append(f"--from={line}")
+    if check:
+        words.append(f"--check={check}")
     words += [f"--draws={draws}", f"--seed={seed}"]
     found = replace(found, command=command_line("predict", str(fit), *words))
     name = "-".join(

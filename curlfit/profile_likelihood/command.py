@@ -80,7 +80,9 @@ def profile(
         found = compute_profile(fit, param, chain=chain, points=points, ranges=limits)
     words = [f"--param={name}" for name in param]
     words += [f"--range={low:.10g},{high:.10g}" for low, high in ranges]
-    words += [f"--points={points}"] * bool(points) + [*reading.words(), *chosen.words()]
+    if points:
+        words.append(f"--points={points}")
+    words += [*reading.words(), *chosen.words()]
     found = replace(found, command=command_line("profile", str(data), *words))
     return output.finish(found, folder, drawn)
 
@@ -94,7 +96,7 @@ def _known(
         own = (
             *replace(flags, law=None).words(),
             *reading.words(),
-            *["--config"] * bool(config),
+            *(["--config"] if config else []),
         )
         if own:
             option_of = own[0].partition("=")[0]

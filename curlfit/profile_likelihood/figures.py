@@ -10,7 +10,7 @@ from matplotlib.patches import Patch
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.output import figures as draw
 from curlfit.output.ticks import neat_axis
-from curlfit.profile_likelihood.result import PairProfile, Profile
+from curlfit.profile_likelihood.result import PairProfile, Profile, ProfileVerdict
 
 _REGIONS = ("#a6cfe5", "#deedf6")  # of the profile, 68 and 95 %
 _HIGH, _LOW = 10.0, 5.5  # upper ends of the axis, of limited profiles and of others
@@ -48,7 +48,7 @@ def _single_figure(profile: Profile) -> draw.Picture:
 
 
 def _chi_squared(profile: Profile, axes: Any) -> None:
-    limited = profile.verdict == "limited"
+    limited = profile.verdict == ProfileVerdict.LIMITED
     top = _HIGH if limited else _LOW
     at, item, found = profile.at, profile.estimate, profile.posterior
     for level in profile.levels:
@@ -111,7 +111,7 @@ def _rise(profile: Profile) -> str:
 def _others(profile: Profile, axes: Any) -> None:
     """Changes of the others in standard errors; those without one, by their values."""
     shown = np.isfinite(profile.delta) & (profile.delta < _HIGH + 2)
-    if profile.verdict != "limited":  # beyond, a bound causes the changes
+    if profile.verdict != ProfileVerdict.LIMITED:  # beyond, a bound causes the changes
         shown &= (profile.at >= profile.free[0]) & (profile.at <= profile.free[1])
     at, others = (
         profile.at[shown],
@@ -184,7 +184,7 @@ def _pair_figure(profile: PairProfile) -> draw.Picture:
         for level, color in zip(profile.levels, _REGIONS, strict=True)
     ] + axes.get_legend_handles_labels()[0]
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
-    if along.verdict in ("flat", "hardly"):
+    if along.verdict.is_valley:
         sums = [
             draw.weighted_sum(item.weights, profile.parameters)
             for item in along.combinations

@@ -28,6 +28,7 @@ from curlfit.profile_likelihood.result import (
     Level,
     PairProfile,
     Profile,
+    ProfileVerdict,
     require_usable,
 )
 
@@ -147,7 +148,7 @@ def _profile_one(
         free=free,
         stops=stops,
         rise=float(np.nanmax(np.maximum(delta[inside], 0.0))),
-        verdict="",
+        verdict=ProfileVerdict.NARROW,  # until the intervals are known
         combinations=tuple(item for item in fit.combinations if name in item.weights),
         posterior=None if chain is None else _marginal(fit, chain, name, line, delta),
         quantiles={}
@@ -184,18 +185,20 @@ def _settled(fits: ConstrainedFits, line: Floats) -> Floats:
     return line
 
 
-def _verdict(made: Profile, first: Interval, *, cut: bool) -> str:
-    """See `Profile.verdict`; `cut` where the given range may be too narrow."""
+def _verdict(made: Profile, first: Interval, *, cut: bool) -> ProfileVerdict:
+    """See `ProfileVerdict`; `cut` where the given range may be too narrow."""
     soft = made.free[1] - made.free[0] > _LARGE_PART * (first.high - first.low)
     if (
         cut
         and made.rise < made.levels[-1].delta_chi2
         and (made.estimate.verdict != Verdict.NOT_IDENTIFIABLE)
     ):
-        return "narrow"
+        return ProfileVerdict.NARROW
     if not soft or made.rise >= _HARDLY:
-        return "limited"
-    return "flat" if made.rise < _FLAT else "hardly"
+        return ProfileVerdict.LIMITED
+    if made.rise < _FLAT:
+        return ProfileVerdict.FLAT
+    return ProfileVerdict.HARDLY
 
 
 def _search_range(fits: ConstrainedFits, name: str) -> tuple[float, float]:
@@ -427,7 +430,7 @@ def _off_ellipse(
 def _columns(one: Profile, points: int) -> Floats:
     """Values of the first of two parameters, evenly spaced; of a flat one, within
     its free part."""
-    if one.verdict == "limited":
+    if one.verdict == ProfileVerdict.LIMITED:
         return np.unique([*np.linspace(one.at[0], one.at[-1], points), one.best])
     beyond = one.at[(one.at < one.free[0]) | (one.at > one.free[1])]
     return np.unique([*np.linspace(*one.free, points), one.best, *beyond])

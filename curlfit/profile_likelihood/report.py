@@ -23,16 +23,22 @@ from curlfit.output.text import (
     rows_text,
     two_digits,
 )
-from curlfit.profile_likelihood.result import Interval, Level, PairProfile, Profile
+from curlfit.profile_likelihood.result import (
+    Interval,
+    Level,
+    PairProfile,
+    Profile,
+    ProfileVerdict,
+)
 
 _AGREE = 0.1  # largest difference of agreeing limits, standard errors
 _EXACT = 1e-9  # of chi squared: rounding errors
 _AGREE_PAIR = 0.5  # largest difference of chi squared within an agreeing ellipse
 _VERDICTS = {
-    "limited": ("limited by the data", ""),
-    "hardly": ("weakly determined", STYLE["weak"]),
-    "flat": ("not identifiable", STYLE["not identifiable"]),
-    "narrow": ("unclear, for the range is too narrow", STYLE["weak"]),
+    ProfileVerdict.LIMITED: ("limited by the data", ""),
+    ProfileVerdict.HARDLY: ("weakly determined", STYLE["weak"]),
+    ProfileVerdict.FLAT: ("not identifiable", STYLE["not identifiable"]),
+    ProfileVerdict.NARROW: ("unclear, for the range is too narrow", STYLE["weak"]),
 }
 """What each verdict says, and its style."""
 
@@ -58,7 +64,7 @@ def document(profile: Profile | PairProfile) -> Document:
         lines.append(describe_pair(profile))
         remarks.append(Said(lines[0]))
     for item in profile.each:
-        if item.verdict == "limited":
+        if item.verdict == ProfileVerdict.LIMITED:
             lines.append(_limited(item))
             remarks += _limits(item) if item is profile else []
         else:
@@ -97,12 +103,12 @@ def document(profile: Profile | PairProfile) -> Document:
 def describe_undetermined(profile: Profile) -> str:
     """Why a parameter is not identifiable, in words, and what would determine it."""
     span, name, rise = _span(profile, *profile.free), profile.name, profile.rise
-    if profile.verdict == "narrow":
+    if profile.verdict == ProfileVerdict.NARROW:
         return (
             f"The range is too narrow: within {span} chi squared rises by no more "
             f"than {rise:.2g}."
         )
-    if profile.verdict == "flat":
+    if profile.verdict == ProfileVerdict.FLAT:
         text = (
             f"{name} is not identifiable, its profile is flat: chi squared is the "
             f"same to {max(rise, _EXACT):.0e} over the whole range {span}."
@@ -145,7 +151,7 @@ def describe_pair(profile: PairProfile) -> str:
         )
     if profile.across is None:
         text += f" {other} is not identifiable even with {one} fixed."
-    elif profile.each[0].verdict in ("flat", "hardly"):
+    elif profile.each[0].verdict.is_valley:
         text += (
             f" Both lie in a valley, drawn as a line: with {one} fixed, "
             f"the standard error of {other} is {profile.across:.2g}."
@@ -184,14 +190,14 @@ def _table(profile: Profile | PairProfile) -> PlainTable | None:
             {"region spans": labelled(one.name, one.estimate.unit)}
             | {
                 name: _ends(extent[index], _scale(one))
-                if one.verdict == "limited"
+                if one.verdict == ProfileVerdict.LIMITED
                 else "-"
                 for name, extent in profile.extent.items()
             }
             for index, one in enumerate(profile.each)
         ]
         return PlainTable(rows, "Extent of the regions of both parameters")
-    if profile.verdict != "limited":
+    if profile.verdict != ProfileVerdict.LIMITED:
         return None
     scale, found, item = _scale(profile), profile.quantiles, profile.estimate
     sources = {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import StrEnum
 from os import PathLike
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, NamedTuple
@@ -72,6 +73,28 @@ def levels_for(
 Limit = Annotated[str, Choice(("data", "others", "bound", "range"))]
 
 
+class ProfileVerdict(StrEnum):
+    """What a profile says of its parameter."""
+
+    LIMITED = "limited"
+    """the data set limits"""
+    HARDLY = "hardly"
+    """delta chi squared is below 1 within the free part, which is most of the
+    interval: weakly determined"""
+    FLAT = "flat"
+    """the same, and zero to rounding: not identifiable"""
+    NARROW = "narrow"
+    """the given range is too narrow for a verdict"""
+
+    def __repr__(self) -> str:
+        return repr(self.value)
+
+    @property
+    def is_valley(self) -> bool:
+        """Whether chi squared hardly rises along the profile."""
+        return self in (ProfileVerdict.FLAT, ProfileVerdict.HARDLY)
+
+
 @dataclass(frozen=True)
 class Interval:
     """A confidence interval of a parameter.
@@ -121,10 +144,7 @@ class Profile(Record):
         reaches a bound.
     stops : the names of those that reach one, beyond either end of it.
     rise : the largest delta chi squared within that part.
-    verdict : "limited" (the data set limits), "hardly" (delta chi squared is below 1
-        within the free part, which is most of the interval: weakly determined), "flat"
-        (the same, and zero to rounding: not identifiable), "narrow" (the given range is
-        too narrow for a verdict).
+    verdict : what the profile says of the parameter, one of `ProfileVerdict`.
     combinations : those of the fit that contain the parameter.
     posterior : None, or "at", "height" (-2 log of the marginal density, shifted onto
         the profile), "error" (its standard deviation), by bin of the chain.
@@ -162,7 +182,7 @@ class Profile(Record):
     free: tuple[float, float]
     stops: tuple[tuple[str, ...], tuple[str, ...]]
     rise: float
-    verdict: Annotated[str, Choice(("limited", "hardly", "flat", "narrow"))]
+    verdict: ProfileVerdict
     combinations: tuple[Combination, ...]
     posterior: (
         Annotated[dict[str, Floats], keys(at=Floats, height=Floats, error=Floats)]

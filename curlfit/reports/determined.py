@@ -38,11 +38,12 @@ def identifiability(fit: FitResult) -> str:
     held = [name for name in free if name not in fit.covariance["names"]]
     what, number = "The path", len(fit.events)
     if not fit.rms:
-        what = f"{_NUMBERS[number]} measured value{'s' * (number != 1)}"
+        values = "value" if number == 1 else "values"
+        what = f"{_NUMBERS[number]} measured {values}"
     if any(item.prior for item in fit.parameters.values()):
         what += " and the priors determine"
     else:
-        what += " determine" + "s" * (bool(fit.rms) or number == 1)
+        what += " determines" if fit.rms or number == 1 else " determine"
     if not fit.rms and fit.rank == len(free) and len(fit.coefficients) == 1:
         return (
             f"{what} one coefficient of friction and the initial state "
@@ -73,7 +74,8 @@ def identifiability(fit: FitResult) -> str:
         )
     for reason in dict.fromkeys(fit.parameters[name].reason for name in weak):
         alike = [name for name in weak if fit.parameters[name].reason == reason]
-        why = f": {'for each, ' * (len(alike) > 1)}{reason}" if reason else ""
+        each = "for each, " if len(alike) > 1 else ""
+        why = f": {each}{reason}" if reason else ""
         said.append(f"{_with_verb(alike, 'is', 'are')} weakly determined{why}.")
     if not unseen:
         said += _instead(fit, weak)

@@ -126,10 +126,10 @@ def document(fit: FitResult) -> Document:
 
 def extent(fit: FitResult) -> str:
     """Number of data, and the time that they span."""
-    events = f"{counted(len(fit.events), 'event')} at lines and at rest" * bool(
-        fit.events
-    )
-    return "; ".join(filter(None, (rows_text(fit.data), events)))
+    parts = [rows_text(fit.data)]
+    if fit.events:
+        parts.append(f"{counted(len(fit.events), 'event')} at lines and at rest")
+    return "; ".join(filter(None, parts))
 
 
 def _estimates(fit: FitResult) -> PlainTable:
@@ -348,10 +348,9 @@ def outliers(fit: FitResult) -> str:
             f"{UNITS[item['channel']]} ({two_digits(item['sigmas'])} robust sigma)"
         )
     more = len(fit.outliers) - len(named)
-    return (
-        "Outliers: "
-        f"{'; '.join(named)}{f'; and {more} more (all in fit.json)' * bool(more)}."
-    )
+    if more:
+        named.append(f"and {more} more (all in fit.json)")
+    return f"Outliers: {'; '.join(named)}."
 
 
 def _posterior(fit: FitResult) -> Text | None:

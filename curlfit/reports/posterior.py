@@ -50,7 +50,7 @@ def of_chain(chain: Chain) -> Document:
             f"{counted(steps, 'step')}, of which the first "
             f"{chain.discarded} are left out"
         ),
-        lines=[f"68 %: {shown}{' ...' * (len(known) > _SHOWN)}"],
+        lines=[f"68 %: {shown} ..." if len(known) > _SHOWN else f"68 %: {shown}"],
         sections=[Section("quantiles", "Quantiles", [_table(known)])],
     )
 

@@ -548,7 +548,8 @@ def _rates(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
             remedy = f"if it is in {unit}: {option(throw, 'units', f'{name}={unit}')}"
         elif opposite:
             kind = "axes"
-            says = "spin and angle count in opposite senses: " * (name == "spin") + says
+            if name == "spin":
+                says = f"spin and angle count in opposite senses: {says}"
         yield Finding(kind, says, remedy, bool(unit) or opposite)
 
 

@@ -138,10 +138,11 @@ class Throw(Displayed):
             object.__setattr__(self, name, values)
             if values.shape != (n,):
                 raise self._error(f"{name} has shape {values.shape}, t has {(n,)}")
-            bad = np.isinf(values) | (np.isnan(values) & (name == "t"))
-            self._require(
-                ~bad, name, "expected a finite number" + ", or NaN" * (name != "t")
-            )
+            if name == "t":
+                self._require(np.isfinite(values), name, "expected a finite number")
+            else:
+                sound = ~np.isinf(values)
+                self._require(sound, name, "expected a finite number, or NaN")
         for name, values in self.sigma.items():
             sound = (np.isfinite(values) & (values > 0)) | np.isnan(getattr(self, name))
             self._require(

@@ -59,8 +59,9 @@ def curl_warnings(fits: Sequence[FitResult]) -> list[str]:
     else:
         what = f"the measured curls of {len(curls)} of {len(fits)} throws are"
     in_heading = first.parameters["heading"].verdict.is_free
-    where = ["in the heading"] * in_heading
-    where += ["in the residuals"] * (bool(first.rms) or not in_heading)
+    where = ["in the heading"] if in_heading else []
+    if first.rms or not in_heading:
+        where.append("in the residuals")
     return [
         f"the {first.law} law cannot curl a stone: {what} {' and '.join(where)}; "
         "`--law front-back` has friction that curls"

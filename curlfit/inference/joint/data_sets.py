@@ -220,7 +220,8 @@ class LawOnSets:
         if channel < _LAST:
             return f"{ROWS_OF_DATA[channel]} at {throw.t[place]:.4g} s"
         _, row_of, number = throw.name.partition(" row ")
-        return throw.events[place].name + f" of{row_of}{number}" * bool(row_of)
+        event = throw.events[place].name
+        return f"{event} of{row_of}{number}" if row_of else event
 
     def of_set(self, number: int) -> Booleans:
         """Which throws and tables are those of a data set."""

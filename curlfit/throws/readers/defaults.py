@@ -93,9 +93,9 @@ def begun(
         raise file.error(_settings(known[: first + 1])[1], known[first][0])
     more = f" and {len(unknown) - 5} more" if len(unknown) > 5 else ""
     notes = [file.note] if file.note else []
-    notes += [f"settings not known and ignored: {', '.join(unknown[:5])}{more}"] * bool(
-        unknown
-    )
+    if unknown:
+        listed = ", ".join(unknown[:5])
+        notes.append(f"settings not known and ignored: {listed}{more}")
     reference = _reference(file, settings.pop("reference", None))
     return ParsedFile(
         source or file.path, format, settings=settings, reference=reference, notes=notes

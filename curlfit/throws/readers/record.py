@@ -266,8 +266,11 @@ class Record:
     def spin(self) -> tuple[float, str]:
         """Spin in rad/s at which a fit fixes it if it is not determined, and
         a note on it."""
-        told = ["turns are counted from the near hog line"] * ("turns" in self.found)
-        told += ["the spin is that at the near hog line"] * ("spin" in self.found)
+        told = []
+        if "turns" in self.found:
+            told.append("turns are counted from the near hog line")
+        if "spin" in self.found:
+            told.append("the spin is that at the near hog line")
         if told:
             return 0.0, "; ".join(told)
         by_handle = self._sense("handle")
@@ -299,9 +302,10 @@ class Record:
                 if key not in self.found
             ]
             more = ", ".join([*keys[:2], "or another time"])
+            what = "the mean speed" if times[0] in TIMES else "speed"
             return (
-                f"{times[0]} alone gives {'the mean ' * (times[0] in TIMES)}speed and "
-                f"no friction; expected one more of {more}"
+                f"{times[0]} alone gives {what} and no friction; expected one more of "
+                f"{more}"
             )
         hog, to_tee = (
             self.found[key].value if key in self.found else default

@@ -423,10 +423,10 @@ def said_in(table: Path, source: str) -> tuple[dict[str, str], list[Event], str]
     if not found:
         return {}, [], f"{table} says nothing of it"
     events = Record(file, found[0]).events()
-    what = f"labels{' and measurements' * bool(events)}"
+    what = "labels and measurements" if events else "labels"
     said = [
         f"{what} from {table}, line {found[0].line}",
         *found[0].notes,
-        *[file.note] * bool(file.note),
+        *([file.note] if file.note else []),
     ]
     return found[0].labels, events, "; ".join(said)

@@ -68,9 +68,9 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
         parsed = begun(file, "tracker", first)
         if len(objects) > 1:
             listed = ", ".join(f"{k} {name}" for k, name in enumerate(labels, 1))
-            other = "; --handle N, one that marks the handle of this stone" * (
-                not reading.handle
-            )
+            other = ""
+            if not reading.handle:
+                other = "; --handle N, one that marks the handle of this stone"
             parsed.notes.append(
                 f"{len(objects)} objects: {listed}; taken: {index + 1} {labels[index]} "
                 f"(--stone-index selects another{other})"
