@@ -1,12 +1,13 @@
 """Losses: how much a residual counts when it is too large to be noise.
 
 Each replaces the square of a residual r (in units of its sigma) by rho(r), which grows
-more slowly. Least squares minimises the sum of rho as the square of `sqrt(rho)` with
-the sign of r, so that one solver serves all. The constants of huber and cauchy are
-those of 95 % efficiency for Gaussian noise (Huber 1981; Holland and Welsch 1977);
-Student's t has 4 degrees of freedom.
+more slowly, but without bound. Least squares minimises the sum of rho as the square of
+`sqrt(rho)` with the sign of r, so that one solver serves all. The constants of huber
+and cauchy are those of 95 % efficiency for Gaussian noise (Huber 1981; Holland and
+Welsch 1977); Student's t has 4 degrees of freedom.
 
-To add a loss: a subclass of `Loss` and its place in `LOSSES`.
+To add a loss: a subclass of `Loss`, and its entry in `LOSSES`; the tests of losses try
+every one that is there.
 """
 
 from __future__ import annotations
@@ -42,9 +43,12 @@ def robust_sigma(values: Floats) -> float:
 class Loss:
     """How much a residual counts that may be too large to be noise.
 
-    Every loss is the likelihood of some noise, of the density exp(-rho/2)/norm. A
-    subclass states its `name`, its `norm` and three formulas; residuals are in units
-    of their sigma throughout.
+    Every loss is the likelihood of some noise, of the density exp(-rho/2)/norm: rho is
+    r^2 near 0, and far out exceeds (1 + e) log r^2 for some e > 0, so that the density
+    has an integral and a likeliest sigma exists. A bounded rho (of Tukey, of Geman and
+    McClure) is no such loss. A subclass states its `name`, its `norm` and the formulas
+    `signed_root`, `psi` and `psi_slope`; residuals are in units of their sigma
+    throughout.
 
     Attributes
     ----------
@@ -53,7 +57,7 @@ class Loss:
     norm : the integral of exp(-rho/2) over all residuals.
     is_robust : whether large residuals count less than their square.
     sigma_efficiency : degrees of freedom of an estimated sigma, over those of the rms
-        of Gaussian noise.
+        of Gaussian noise: of the median, by which all robust losses estimate it.
     """
 
     name: ClassVar[str]
@@ -63,7 +67,8 @@ class Loss:
     sigma_efficiency: ClassVar[float] = _MEDIAN_EFFICIENCY
 
     def signed_root(self, r: Any) -> Any:
-        """sqrt(rho) with the sign of r, for arrays of NumPy or JAX."""
+        """sqrt(rho) with the sign of r, for arrays of NumPy, or of JAX within a
+        program; its derivative is finite at 0."""
         raise NotImplementedError
 
     def psi(self, r: Floats) -> Floats:
@@ -266,7 +271,8 @@ LINEAR = Linear()
 LOSSES: dict[str, Loss] = {
     loss.name: loss for loss in (LINEAR, Huber(), SoftL1(), Cauchy(), Student())
 }
-"""By name; the numbers of losses in compiled programs are their places here."""
+"""By name, least squares first. Compiled programs have the places of losses here as
+their numbers, files have their names."""
 
 
 def place_of(loss: Loss) -> int:
