@@ -76,6 +76,8 @@ class Comparison:
 
     case: str = ""
     """the case that is being compared"""
+    case_names: list[str] = field(default_factory=list)
+    """the cases that were compared"""
     differences: list[Difference] = field(default_factory=list)
     near_threshold: list[Difference] = field(default_factory=list)
     """verdicts and combinations that differ in fits with a number near a threshold"""
@@ -88,6 +90,7 @@ class Comparison:
         """Compare the answers to cases of these names."""
         for name in names:
             self.case = name
+            self.case_names.append(name)
             self.folder(before / name, after / name)
 
     def folder(self, before: Path, after: Path) -> None:
