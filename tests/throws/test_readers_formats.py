@@ -29,6 +29,7 @@ from sample_files import (
 from curlfit import DataError, InputError, Throw, load_throw
 from curlfit.sheet import LINES
 from curlfit.throws.load import detect_format
+from curlfit.throws.readers import digitalcurling
 from curlfit.throws.readers.unwrapping import AmbiguousTurnError, unwrap
 
 
@@ -226,6 +227,14 @@ def test_a_shot_that_cannot_be_read(write, change, words):
     change(entry["log"]["trajectory"])
     with pytest.raises(DataError, match=words):
         load_throw(write(json.dumps(entry)))
+
+
+def test_a_log_that_would_take_too_much_memory_is_refused_unread(write, monkeypatch):
+    monkeypatch.setattr(digitalcurling, "_MOST_PARTS", 1000)
+    text = json.dumps({"trajectory": [{}] * 1000})
+    monkeypatch.setattr(digitalcurling.json, "loads", pytest.fail)
+    with pytest.raises(DataError, match="line 1: more than 1,000 lists and objects"):
+        load_throw(write(text))
 
 
 # Tables in memory

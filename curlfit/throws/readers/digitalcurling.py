@@ -37,7 +37,10 @@ _EXPECTED = (
     'expected a log of a DigitalCurling 3 shot with a "trajectory" '
     "(shot_*.json or server.log)"
 )
-_MOST_NUMBERS, _MOST_STONES = 2_000_000, 64
+_MOST_NUMBERS = 2_000_000
+_MOST_STONES = 64
+_MOST_PARTS = 4_000_000
+"""Lists and objects of a shot; 16 million empty ones would take 1.2 GB."""
 _DEEPEST = 6  # entry around a trajectory
 _HEAD = 200  # lines whose comments are settings
 _MOVED = 1e-4  # m; positions are 32-bit numbers
@@ -157,13 +160,26 @@ def _values(file: TextFile) -> Iterator[tuple[int, Any]]:
     """The JSON values of the file, with their lines."""
     rows = [(k, line) for k, line in enumerate(file.lines) if not is_aside(line)]
     try:
-        yield 1, json.loads("\n".join(line for _, line in rows))
+        yield 1, _loaded("\n".join(line for _, line in rows))
     except (ValueError, RecursionError):
         for index, line in rows:
             try:
-                yield index + 1, json.loads(line)
+                yield index + 1, _loaded(line)
+            except _TooManyPartsError as error:
+                raise file.error(f"{error}; {_EXPECTED}", index) from None
             except (ValueError, RecursionError):
                 raise file.error(f"not a line of JSON; {_EXPECTED}", index) from None
+
+
+class _TooManyPartsError(ValueError):
+    """JSON that would take too much memory."""
+
+
+def _loaded(text: str) -> Any:
+    """The value of JSON of at most as many parts as a shot can have."""
+    if text.count("[") + text.count("{") > _MOST_PARTS:
+        raise _TooManyPartsError(f"more than {_MOST_PARTS:,} lists and objects")
+    return json.loads(text)
 
 
 def _trajectory(
