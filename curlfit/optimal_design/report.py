@@ -287,7 +287,6 @@ def _separated(design: Design, separation: Separation) -> list[str]:
     """Under which load no throws separate two coefficients, and which do under the
     other."""
     pair = join_words(separation.pair)
-    count = counted(design.throws, "throw")
     is_separated = separation.scenario(design.load).throws is not None
     sentences = []
     for scenario in separation.ways:
@@ -299,8 +298,7 @@ def _separated(design: Design, separation: Separation) -> list[str]:
         elif load != design.load and not is_separated:
             throws = throws_text(design.candidates, scenario.throws)
             sentences.append(
-                f"Under {load} load (`--load {load}`), the best {count} for "
-                f"{separation.difference} are {throws}: standard error "
+                f"With `--load {load}`, {throws} separate them best: standard error "
                 f"{_error(scenario.stderr)}."
             )
     return sentences

@@ -459,8 +459,8 @@ def test_the_command(tmp_path):
         "2 x (2 m/s, 5 rad/s)",
         "3 of 4 directions",
         "Under uniform load, none of these throws separate mu1_eta and mu2_eta.",
-        "Under consistent load (`--load consistent`), the best 2 throws for mu1_eta "
-        "- mu2_eta are 1 x (2 m/s, -1 rad/s) and 1 x (2 m/s, 5 rad/s): standard error",
+        "With `--load consistent`, 1 x (2 m/s, -1 rad/s) and 1 x (2 m/s, 5 rad/s) "
+        "separate them best: standard error",
         "these errors hold if the law is correct",
     ):
         assert words in text, words
