@@ -14,11 +14,11 @@ from cyclopts import App
 from cyclopts.exceptions import CycloptsError
 from rich.console import Console
 
-from curlfit.errors import CurlfitError, InputError
+from curlfit.errors import InputError
 from curlfit.foreign import cut
 from curlfit.friction import LAWS, TERMS
 from curlfit.settings.choices import FILE, LAW
-from curlfit.settings.forms import PATH, SWITCH, Form
+from curlfit.settings.forms import PATH, SWITCH, Form, refusal_of
 
 _OPTION = re.compile(r"`(--[a-z][^`]*)`")
 _WORDS_OF_FILES = ("--columns", "--by", "--trend", "--worksheet")
@@ -121,10 +121,7 @@ def values_of(cli: App, words: Sequence[str]) -> dict[str, Any]:
     try:
         command, bound, _ = cli.parse_args(["fit", *words])
     except CycloptsError as error:
-        cause = error.__cause__  # of a value that cannot be used
-        raise (
-            cause if isinstance(cause, CurlfitError) else InputError(str(error))
-        ) from None
+        raise refusal_of(error) from None
     if command is not cli["fit"].default_command:
         raise InputError(
             "--help: expected options of the fit; all are listed below the line"

@@ -18,13 +18,14 @@ from curlfit.cli.page import app as page
 from curlfit.cli.saved import plot, report, show, write_page
 from curlfit.cli.throws import check, simulate
 from curlfit.comparison.command import compare
-from curlfit.errors import CurlfitError, InputError
+from curlfit.errors import CurlfitError
 from curlfit.foreign import say
 from curlfit.optimal_design.command import design
 from curlfit.options.output import Saved
 from curlfit.paper.command import reproduce
 from curlfit.prediction.command import predict
 from curlfit.profile_likelihood.command import profile
+from curlfit.settings.forms import refusal_of
 from curlfit.version import __version__
 
 _LIBRARIES = ("jax", "jaxlib", "optimistix", "numpy", "scipy", "emcee", "matplotlib")
@@ -91,10 +92,7 @@ def run(words: Sequence[str]) -> int:
                 say(f"Written: {file}")
         return saved.status
     except CycloptsError as error:
-        cause = error.__cause__  # of a value that cannot be used
-        raise (
-            cause if isinstance(cause, CurlfitError) else InputError(str(error))
-        ) from None
+        raise refusal_of(error) from None
     finally:
         if files := sys.modules.get("curlfit.output.files"):
             files.release_folders()

@@ -103,19 +103,8 @@ def page_of(result: Any, chain: Chain | None = None) -> str:
         rows("Versions that wrote this page", _versions()),
     ]
     programs = (*_SCRIPTS, _FRAMED) if added.data else (_FRAMED,)
-    script = "".join(map(source, programs))
-    return (
-        _templates()
-        .get_template("page.html.j2")
-        .render(
-            document=document,
-            sections=sections,
-            style=Markup(source("report.css")),
-            script=Markup(script),
-            digest=_digest(script),
-            data=Markup(_embedded(added.data)) if added.data else "",
-            version=__version__,
-        )
+    return _filled(
+        "page.html.j2", programs, added.data, document=document, sections=sections
     )
 
 
@@ -124,19 +113,22 @@ def page_alone(
 ) -> str:
     """The text of a page of one interactive part, with its data by id and the programs
     that move it."""
+    return _filled("alone.html.j2", programs, data, title=title, block=block)
+
+
+def _filled(
+    template: str, programs: Sequence[str], data: dict[str, Any], **parts: Any
+) -> str:
+    """A template of a whole page with its parts, style, programs and data, if any."""
     script = "".join(map(source, programs))
-    return (
-        _templates()
-        .get_template("alone.html.j2")
-        .render(
-            title=title,
-            block=block,
-            style=Markup(source("report.css")),
-            script=Markup(script),
-            digest=_digest(script),
-            data=Markup(_embedded(data)),
-            version=__version__,
-        )
+    page = _templates().get_template(template)
+    return page.render(
+        **parts,
+        style=Markup(source("report.css")),
+        script=Markup(script),
+        digest=_digest(script),
+        data=Markup(_embedded(data)) if data else "",
+        version=__version__,
     )
 
 

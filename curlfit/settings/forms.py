@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from cyclopts import Parameter
+from cyclopts.exceptions import CycloptsError
 
-from curlfit.errors import InputError
+from curlfit.errors import CurlfitError, InputError
 from curlfit.foreign import SIZES, cut, is_number, is_size, quoted
 
 
@@ -282,6 +283,13 @@ PRIORS = Table(
     "NAME=PRIOR",
 )
 TEXTS = Several(TEXT, "a list of strings", "a text", commas=False)
+
+
+def refusal_of(error: CycloptsError) -> CurlfitError:
+    """Why a command line cannot be carried out: that of the value at fault, or that of
+    the parser."""
+    cause = error.__cause__  # of a value that cannot be used
+    return cause if isinstance(cause, CurlfitError) else InputError(str(error))
 
 
 def option(form: Form, metavar: str = "", **others: Any) -> Parameter:
