@@ -3,15 +3,52 @@ was expected."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cache
 from os import PathLike
 
 from curlfit.foreign import message, quoted, say
 
 
+@dataclass(frozen=True)
+class Option:
+    """An option that mends what was found, as the user types it.
+
+    Attributes
+    ----------
+    name : as on the command line, without hyphens.
+    value : as it is typed after the name; empty for a switch.
+    in_python : whether the data came from arrays, so that it is a keyword.
+    left_out : whether the option is to be left out instead.
+
+    Examples
+    --------
+    >>> from curlfit.errors import Option
+    >>> str(Option("units", "t=ms")), str(Option("since", "3", in_python=True))
+    ('`--units t=ms`', '`since=3`')
+    """
+
+    name: str
+    value: str = ""
+    in_python: bool = False
+    left_out: bool = False
+
+    def __str__(self) -> str:
+        """The option between backticks."""
+        if self.left_out:
+            return f"leave out `{self.name if self.in_python else f'--{self.name}'}`"
+        if not self.in_python:
+            return f"`--{self.name} {self.value}`" if self.value else f"`--{self.name}`"
+        if self.name in ("units", "axes"):
+            return f'`Throw.from_arrays(..., {self.name}="{self.value}")`'
+        if self.name == "as-given":
+            return '`Throw.from_arrays(..., defaults={"as_given": True})`'
+        return f"`{self.name}={self.value}`"
+
+
 class CurlfitError(Exception):
     """Base of all errors that curlfit raises on purpose; `exit_status` is that of
-    the command.
+    the command, and `options` are what to type instead.
 
     Examples
     --------
@@ -20,6 +57,7 @@ class CurlfitError(Exception):
     """
 
     exit_status = 1
+    options: tuple[Option, ...] = ()
 
     def __str__(self) -> str:
         """One line of bounded length; unprintable characters are escaped."""
@@ -38,6 +76,10 @@ class InputError(CurlfitError, ValueError):
     """
 
     exit_status = 2
+
+    def __init__(self, *args: object, options: tuple[Option, ...] = ()) -> None:
+        super().__init__(*args)
+        self.options = options
 
 
 def require_kind(
@@ -67,6 +109,7 @@ class DataError(InputError):
         file: str | PathLike[str] | None = None,
         line: int | None = None,
         column: str | None = None,
+        options: tuple[Option, ...] = (),
     ) -> None:
         self.file, self.line, self.column = file, line, column
         location = [] if file is None else [str(file)]
@@ -74,7 +117,8 @@ class DataError(InputError):
             location.append(f"line {line}")
         if column is not None:
             location.append(f"column {column}")
-        super().__init__(f"{', '.join(location)}: {message}" if location else message)
+        text = f"{', '.join(location)}: {message}" if location else message
+        super().__init__(text, options=options)
 
 
 class UnusableFitError(CurlfitError):

@@ -33,6 +33,7 @@ from typing import (
 import numpy as np
 
 from curlfit.errors import DataError
+from curlfit.findings import Finding, Level
 from curlfit.foreign import cut, quoted
 from curlfit.numerics.arrays import Floats
 from curlfit.output.display import Displayed
@@ -51,6 +52,10 @@ ADDED = {"needed": False}
 """Metadata of a field that files of earlier versions lack."""
 SERIES = {"series": True}
 """Metadata of a field that a summary leaves out."""
+
+_LEVELS = {"warnings": Level.WARNING, "notes": Level.NOTE}
+"""Keys of findings, which are sentences in a file; beside them stands the key
+`findings`, with the code, numbers and remedies of each."""
 
 
 class Axes(int):
@@ -160,8 +165,11 @@ def plain(value: Any, *, series: bool = True) -> Any:
     """
     if isinstance(value, float) and not math.isfinite(value):
         return None if math.isnan(value) else str(float(value))
+    if isinstance(value, Finding):
+        return str(value)
     if isinstance(value, Mapping):
-        return {key: plain(item, series=series) for key, item in value.items()}
+        found = {key: plain(item, series=series) for key, item in value.items()}
+        return found | _findings_of(value)
     if isinstance(value, np.ndarray):
         return plain(value.tolist())
     if isinstance(value, list | tuple):
@@ -177,6 +185,7 @@ def plain(value: Any, *, series: bool = True) -> Any:
     ]
     names += getattr(value, "written", ())
     found = {name: plain(getattr(value, name), series=series) for name in names}
+    found |= _findings_of({name: getattr(value, name) for name in names})
     if isinstance(value, Record):
         group_of = {
             name: group
@@ -190,6 +199,21 @@ def plain(value: Any, *, series: bool = True) -> Any:
             ] = item
         return whole
     return found
+
+
+def _findings_of(entries: Mapping[str, Any]) -> dict[str, Any]:
+    """The key `findings` of an object that has warnings or notes."""
+    findings = [finding for key in _LEVELS for finding in entries.get(key) or ()]
+    has_key = any(key in entries for key in _LEVELS)
+    if not has_key or not all(isinstance(item, Finding) for item in findings):
+        return {}
+    names = [item.name for item in fields(Finding)]
+    return {
+        "findings": [
+            {name: plain(getattr(finding, name)) for name in names}
+            for finding in findings
+        ]
+    }
 
 
 def saved_fields(kind: Any) -> list[Field[Any]]:
@@ -415,6 +439,9 @@ def _of_object(made: Any, kind: Any) -> Any:
         name: override(struct_hook=made.get_structure_hook(hints[name]), omit=not read)
         for name, read in known.items()
     }
+    of_findings = [key for key in _LEVELS if Finding in get_args(hints.get(key))]
+    for key in of_findings:  # which `_with_findings` has read
+        overrides[key] = override(struct_hook=lambda findings, _: findings)
     usual, groups = make(kind, made, **overrides), getattr(kind, "written_together", {})
 
     def hook(value: Any, _: Any) -> Any:
@@ -427,12 +454,43 @@ def _of_object(made: Any, kind: Any) -> Any:
         missing = [name for name in required if name not in value]
         if missing:
             raise ValueError(f"no {missing[0]!r} in it")
-        found = usual(value, kind)
+        found = usual(_with_findings(value, of_findings), kind)
         if isinstance(found, Record):
             found.require_consistent()
         return found
 
     return hook
+
+
+def _with_findings(value: dict[str, Any], keys: Sequence[str]) -> dict[str, Any]:
+    """An object of a file with findings in place of the sentences of some keys."""
+    sentences = [sentence for key in keys for sentence in value.get(key) or ()]
+    # Earlier versions wrote no codes.
+    codes = value.get("findings", [None] * len(sentences))
+    if type(codes) is not list or len(codes) != len(sentences):
+        raise ValueError("findings are not those of its warnings and notes")
+    remaining = iter(codes)
+    read = {}
+    for key in keys:
+        sentences = value.get(key, [])
+        if type(sentences) is not list:
+            raise unexpected(sentences, "a list")
+        read[key] = tuple(
+            _finding(sentence, next(remaining), _LEVELS[key]) for sentence in sentences
+        )
+    return value | read
+
+
+def _finding(sentence: Any, code: Any, level: Level) -> Finding:
+    """A finding from its sentence and the object that has its code; one of the sentence
+    alone where this version does not know the code."""
+    if type(sentence) is not str:
+        raise unexpected(sentence, "text")
+    if code is not None:
+        finding: Finding = _converter().structure(code, Finding)
+        if finding.has_words:
+            return finding
+    return Finding("text", level, {"text": sentence})
 
 
 _HUGE = 1e100

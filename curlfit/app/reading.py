@@ -105,7 +105,7 @@ def _one(
     figures = motion_figures(throw) if throw.has_path else {}
     try:
         require_motion(job.cut)
-        oddities = [str(one) for one in examine(job.cut) if not one.refused]
+        oddities = [str(one) for one in examine(job.cut) if not one.is_refusal]
         require_plausible(job.cut)
         _ = job.parameters
     except CurlfitError as error:

@@ -94,7 +94,7 @@ def _row(result: FitResult, plan: BatchSettings, sums: Sequence[str]) -> dict[st
             + ("" if item.stderr is None else f" +- {item.stderr!r}")
             for item in result.combinations
         ),
-        "warnings": "; ".join(result.warnings),
+        "warnings": "; ".join(map(str, result.warnings)),
         DURATION: result.data["to"] - result.data["from"],
         LABELS: "; ".join(
             f"{name} = {label.replace(';', ',')}" for name, label in labels

@@ -23,8 +23,9 @@ from curlfit.foreign import counted
 from curlfit.losses import LOSSES
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Said, Section, command_line, show
-from curlfit.output.text import compact, join_words, rows_text, stone_text
+from curlfit.output.text import rows_text, stone_text
 from curlfit.settings.noise_kinds import NoiseKind
+from curlfit.wording import compact, join_words
 
 _PROBABLE = 0.01  # weight of a law that is named
 _SEEN = 3.0  # standard errors

@@ -19,7 +19,8 @@ from curlfit.foreign import counted
 from curlfit.inference.verdict import Verdict
 from curlfit.output.console import Items, PlainTable
 from curlfit.output.document import Document, Said, Section, command_line
-from curlfit.output.text import STYLE, join_words, p_text, stone_text
+from curlfit.output.text import STYLE, stone_text
+from curlfit.wording import join_words, p_text
 
 _FAR = 3.0  # sigmas, from which a value speaks against a law
 

@@ -9,7 +9,8 @@ from rich.text import Text
 from curlfit.comparison.result import Candidate, Comparison
 from curlfit.inference.verdict import Verdict
 from curlfit.output.console import Items, PlainTable
-from curlfit.output.text import STYLE, compact, join_words
+from curlfit.output.text import STYLE
+from curlfit.wording import compact, join_words
 
 _FIRST = 3  # laws named in a line
 

@@ -18,8 +18,8 @@ from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.identifiability import Combination
 from curlfit.inference.verdict import Verdict
 from curlfit.output.console import PlainTable
-from curlfit.output.text import compact, from_to
 from curlfit.version import __version__
+from curlfit.wording import compact, from_to
 
 if TYPE_CHECKING:
     from curlfit.inference.fit.result import FitResult

@@ -11,8 +11,8 @@ from curlfit.friction_tables.result import FrictionFit, FrictionFits
 from curlfit.inference.verdict import Verdict
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Section, command_line, show
-from curlfit.output.text import compact, join_words, lower
 from curlfit.reports.estimates import reported, row_of, style_of
+from curlfit.wording import compact, join_words, lower
 
 _NEAR = 6.0  # of BIC: a difference beyond is strong evidence (Kass and Raftery 1995)
 

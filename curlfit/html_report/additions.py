@@ -15,7 +15,7 @@ from curlfit.html_report.blocks import Block, paragraph, rows
 from curlfit.html_report.drawings import inline_svg
 from curlfit.losses import LOSSES
 from curlfit.output.display import corner_of, figures_of
-from curlfit.output.text import join_words
+from curlfit.wording import join_words
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from curlfit.output.document import Part, Said
 from curlfit.output.html import COLORS, inline
-from curlfit.output.text import capital
+from curlfit.wording import capital
 
 _CODE = re.compile(r"`([^`]+)`")
 _LONG = 40  # characters above which a cell is wrapped

@@ -20,8 +20,8 @@ from curlfit.inference.fit.curves import CurveModel, Curves
 from curlfit.inference.fit.result import FitResult
 from curlfit.numerics.arrays import Floats
 from curlfit.output.figures import some_rows
-from curlfit.output.text import compact, join_words
 from curlfit.throws.throw import UNITS
+from curlfit.wording import compact, join_words
 
 _POSITIONS = 33  # along a direction
 _INSTANTS = 49  # times of a path

@@ -27,8 +27,8 @@ from curlfit.html_report.slider_curves import (
 from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.numerics.arrays import Floats
 from curlfit.output.figures import some_rows
-from curlfit.output.text import join_words
 from curlfit.throws.throw import UNITS
+from curlfit.wording import join_words
 
 _ID = "sliders"
 _POSITIONS = 250  # of a slider, from the fit to either end

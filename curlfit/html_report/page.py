@@ -85,8 +85,8 @@ def page_of(result: Any, chain: Chain | None = None) -> str:
     for section in document.sections:
         blocks = [*blocks_of(section), *added.blocks.get(section.id, ())]
         sections[section.id, section.heading] = blocks
-    warnings = [sentence(text, document.names) for text in document.warnings]
-    notes = [sentence(text, document.names) for text in document.notes]
+    warnings = [sentence(str(item), document.names) for item in document.warnings]
+    notes = [sentence(str(item), document.names) for item in document.notes]
     heading = "Warnings and notes"
     if not warnings or not notes:
         heading = "Warnings" if warnings else "Notes"

@@ -14,10 +14,10 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.verdict import Verdict
 from curlfit.numerics.arrays import Floats
 from curlfit.output.figures import DATA_COLOR, some_rows
-from curlfit.output.text import decimals, join_words
 from curlfit.output.ticks import unit_for
 from curlfit.prediction.result import Prediction
 from curlfit.sheet import HOUSE, LINES, STONE_RADIUS, TEE, WIDTH
+from curlfit.wording import decimals, join_words
 
 _BEYOND = 0.6  # m drawn around the house
 # half the height of the close view, relative to the spread of the resting positions

@@ -16,9 +16,10 @@ from curlfit.optimal_design.report import measured, noise_text, throws_text
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Said, Section, show
 from curlfit.output.frames import frame
-from curlfit.output.text import join_words, lower, stone_text
+from curlfit.output.text import stone_text
 from curlfit.records import Record, require
 from curlfit.stone import Stone
+from curlfit.wording import join_words, lower
 
 ODDS = 100
 """Odds to 1 at which a law is decided, and ..."""

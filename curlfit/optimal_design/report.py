@@ -15,15 +15,9 @@ from curlfit.inference.verdict import Verdict
 from curlfit.optimal_design.result import Design, Scenario, Separation
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Said, Section, show
-from curlfit.output.text import (
-    join_words,
-    judged,
-    labelled,
-    lower,
-    stone_text,
-    two_digits,
-)
+from curlfit.output.text import judged, labelled, stone_text
 from curlfit.stone import Stone
+from curlfit.wording import join_words, lower, two_digits
 
 _CRITERIA = {
     "D": "smallest volume of the confidence ellipsoid (D-optimal)",

@@ -11,6 +11,7 @@ from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.table import Table
 from rich.text import Text
 
+from curlfit.findings import Finding
 from curlfit.output.console import terminal
 
 Part = str | Text | Table | None
@@ -74,8 +75,8 @@ class Document:
     about: Sequence[str | Text] = ()
     lines: Sequence[str] = ()
     sections: Sequence[Section] = ()
-    warnings: Sequence[str] = ()
-    notes: Sequence[str] = ()
+    warnings: Sequence[Finding] = ()
+    notes: Sequence[Finding] = ()
     title: str = ""
     settings: Mapping[str, str] = field(default_factory=dict)
     command: str = ""

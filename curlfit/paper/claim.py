@@ -10,7 +10,7 @@ from importlib.resources import files
 from typing import Any, Literal, NamedTuple
 
 from curlfit.output.document import Document, Section
-from curlfit.output.text import lower
+from curlfit.wording import lower
 
 Verdict = Literal["holds", "holds with a correction", "does not hold"]
 

@@ -11,16 +11,7 @@ from rich.text import Text
 
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Said, Section, show
-from curlfit.output.text import (
-    capital,
-    decimals,
-    format_estimate,
-    labelled,
-    lower,
-    rows_text,
-    sided,
-    stone_text,
-)
+from curlfit.output.text import labelled, rows_text, sided, stone_text
 from curlfit.prediction.result import (
     OUTCOMES,
     QUANTITIES,
@@ -30,6 +21,7 @@ from curlfit.prediction.result import (
 )
 from curlfit.sheet import FOOT, STONE_RADIUS, TEE, TEE_TO_BACK
 from curlfit.throws.odd_row import odd_rows_in_words
+from curlfit.wording import capital, decimals, format_estimate, lower
 
 _LINES = {
     "hack": "at the hack",

@@ -13,16 +13,7 @@ from curlfit.inference.verdict import Verdict
 from curlfit.losses import LOSSES
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Said, Section, show
-from curlfit.output.text import (
-    STYLE,
-    compact,
-    format_estimate,
-    from_to,
-    join_words,
-    labelled,
-    rows_text,
-    two_digits,
-)
+from curlfit.output.text import STYLE, labelled, rows_text
 from curlfit.profile_likelihood.result import (
     Interval,
     Level,
@@ -30,6 +21,7 @@ from curlfit.profile_likelihood.result import (
     Profile,
     ProfileVerdict,
 )
+from curlfit.wording import compact, format_estimate, from_to, join_words, two_digits
 
 _AGREE = 0.1  # largest difference of agreeing limits, standard errors
 _EXACT = 1e-9  # of chi squared: rounding errors

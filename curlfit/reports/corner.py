@@ -14,8 +14,8 @@ from curlfit.inference.mcmc.chain import Chain
 from curlfit.inference.verdict import Verdict
 from curlfit.numerics.arrays import Floats
 from curlfit.output import figures as draw
-from curlfit.output.text import format_estimate
 from curlfit.output.ticks import neat_axis
+from curlfit.wording import format_estimate
 
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.8, 0.12, 0.42, 0.65  # inches around the panels
 _GAP = 0.06  # between them

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from curlfit.foreign import counted
 from curlfit.inference.verdict import Verdict
-from curlfit.output.text import join_words
+from curlfit.wording import join_words
 
 if TYPE_CHECKING:
     from curlfit.inference.fit.result import FitResult

@@ -2,33 +2,26 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from typing import Any
 
+from curlfit.findings import Finding
 from curlfit.inference.conditions import CALIBRATION, if_off
 from curlfit.inference.derived import Derived, Quantiles
 from curlfit.inference.verdict import Verdict
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Said
-from curlfit.output.text import (
-    capital,
-    compact,
-    format_estimate,
-    from_to,
-    join_words,
-    judged,
-    labelled,
-)
+from curlfit.output.text import judged, labelled
+from curlfit.wording import capital, compact, format_estimate, from_to, join_words
 
 _NOTABLE = 0.1  # systematic shift that is reported, over the standard error
 
 
-def about(result: Any, warnings: Sequence[str], line: str = "") -> tuple[Said, ...]:
+def about(result: Any, warnings: Sequence[Finding], line: str = "") -> tuple[Said, ...]:
     """Whether a fit, of one throw or several, converged, a line of numbers, and what
     the warnings of one that may be used are about."""
-    heads = dict.fromkeys(re.split(r" \(|[;:,] ", one)[0] for one in warnings)
-    caution = f"Caution: {'; '.join(heads)}." if heads else "No warnings."
+    subjects = dict.fromkeys(warning.brief for warning in warnings)
+    caution = f"Caution: {'; '.join(subjects)}." if subjects else "No warnings."
     status = Said(capital(result.status), style=style_of(result))
     return status, Said(line), Said(caution * result.converged)
 

@@ -18,17 +18,7 @@ from curlfit.inference.verdict import Verdict
 from curlfit.losses import LOSSES
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Section, command_line, show
-from curlfit.output.text import (
-    capital,
-    compact,
-    decimals,
-    format_estimate,
-    join_words,
-    lower,
-    rows_text,
-    stone_text,
-    two_digits,
-)
+from curlfit.output.text import rows_text, stone_text
 from curlfit.reports import posterior
 from curlfit.reports.determined import identifiability
 from curlfit.reports.estimates import (
@@ -43,6 +33,15 @@ from curlfit.reports.estimates import (
 from curlfit.sheet import FOOT
 from curlfit.stone import UNITS as UNIT
 from curlfit.throws.throw import UNITS
+from curlfit.wording import (
+    capital,
+    compact,
+    decimals,
+    format_estimate,
+    join_words,
+    lower,
+    two_digits,
+)
 
 if TYPE_CHECKING:
     from curlfit.inference.fit.result import FitResult

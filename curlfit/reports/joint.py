@@ -13,16 +13,7 @@ from curlfit.inference.joint.effects import SLOPES_DIFFER, chances_of_alike_slop
 from curlfit.inference.joint.result import warnings_of
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Section, command_line, show
-from curlfit.output.text import (
-    capital,
-    compact,
-    format_estimate,
-    join_words,
-    labelled,
-    lower,
-    p_text,
-    two_digits,
-)
+from curlfit.output.text import labelled
 from curlfit.reports.estimates import (
     about,
     derived_table,
@@ -35,6 +26,15 @@ from curlfit.reports.estimates import (
 from curlfit.reports.fit import file_of, settings_of, with_derived
 from curlfit.throws.odd_row import odd_rows_in_words
 from curlfit.throws.throw import UNITS
+from curlfit.wording import (
+    capital,
+    compact,
+    format_estimate,
+    join_words,
+    lower,
+    p_text,
+    two_digits,
+)
 
 if TYPE_CHECKING:
     from curlfit.inference.joint.effects import Effect

@@ -11,7 +11,7 @@ from curlfit.foreign import counted
 from curlfit.inference.derived import Quantiles, quantiles_of
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Section
-from curlfit.output.text import from_to
+from curlfit.wording import from_to
 
 if TYPE_CHECKING:
     from curlfit.inference.fit.estimates import Posterior

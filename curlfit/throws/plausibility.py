@@ -13,12 +13,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from curlfit.errors import DataError, InputError
+from curlfit.errors import DataError, InputError, Option
+from curlfit.findings import Finding, Level, Remedy
 from curlfit.foreign import counted
 from curlfit.numerics.arrays import Floats
 from curlfit.sheet import LENGTH, WIDTH
@@ -74,28 +74,6 @@ _BESIDE = 5  # values with whose median each is compared
 _FEW = 0.2  # fraction of the values that may be far off; of more the unit is wrong
 
 
-@dataclass(frozen=True)
-class Finding:
-    """Something implausible in a throw or its fit.
-
-    Attributes
-    ----------
-    kind : keyword for programs, such as "units", "axes", "growing speed".
-    says : what was found, with the evidence. remedy : what to type, as a clause;
-        may be empty.
-    refused : whether it is impossible for a curling stone, not merely unusual.
-    """
-
-    kind: str
-    says: str
-    remedy: str
-    refused: bool = True
-
-    def __str__(self) -> str:
-        """The finding, followed by its remedy."""
-        return f"{self.says}; {self.remedy}" if self.remedy else self.says
-
-
 def examine(throw: Throw) -> tuple[Finding, ...]:
     """Implausible features of a throw before it is fitted, the most serious first.
 
@@ -111,9 +89,9 @@ def examine(throw: Throw) -> tuple[Finding, ...]:
         for stage in _STAGES:
             here = [finding for check in stage for finding in check(one, motion)]
             found += here
-            if any(finding.refused for finding in here):
+            if any(finding.is_refusal for finding in here):
                 break
-    return tuple(sorted(found, key=lambda finding: not finding.refused))
+    return tuple(sorted(found, key=lambda finding: not finding.is_refusal))
 
 
 def require_plausible(throw: Throw) -> tuple[Finding, ...]:
@@ -125,21 +103,20 @@ def require_plausible(throw: Throw) -> tuple[Finding, ...]:
         the latter is accepted if `as_given` is among the throw's defaults.
     """
     require_motion(throw)
-    found = examine(throw)
+    findings = examine(throw)
     if throw.defaults.get("as_given"):
-        return tuple(replace(finding, refused=False) for finding in found)
-    refused = [str(finding) for finding in found if finding.refused]
+        return tuple(finding.at_level(Level.WARNING) for finding in findings)
+    refused = [finding for finding in findings if finding.is_refusal]
     if refused:
-        right = (
-            '`Throw.from_arrays(..., defaults={"as_given": True})`'
-            if throw.conventions is None
-            else "`--as-given`"
-        )
+        as_given = Option("as-given", in_python=throw.conventions is None)
+        remedies = [remedy for finding in refused for remedy in finding.remedies]
+        options = [remedy.option for remedy in remedies if remedy.option is not None]
         raise InputError(
-            f"{throw.name}: {'. '.join(refused)}. To accept the data as "
-            f"they are: {right}"
+            f"{throw.name}: {'. '.join(map(str, refused))}. To accept the data as "
+            f"they are: {as_given}",
+            options=(*options, as_given),
         )
-    return found
+    return findings
 
 
 def require_motion(throw: Throw) -> None:
@@ -177,19 +154,14 @@ def examine_fit(
     alone : whether the throw was fitted by itself. Throws that were fitted together
         may differ by more than `_MISFIT`; that is unusual, not impossible.
     """
-    said: dict[str, str] = {}
-    remedy = f"if units are wrong, set them as in {some_units(throw)}"
+    level = Level.WARNING if throw.defaults.get("as_given") else Level.REFUSAL
+    remedy = Remedy("wrong-units", *some_units(throw))
     if not set(throw.seen) & {"x", "y", "speed"} and not throw.events:
-        remedy = (
-            "angles alone hardly determine the speed; measure it as well, or fix v0"
-        )
+        remedy = Remedy("measure-speed")
+    findings = []
     error = start_error or 0.0
     if start_speed - 3 * error > SPEED:
-        speeds = (
-            f"the fitted initial speed of {start_speed:.3g} m/s is more "
-            "than anyone throws "
-        )
-        said["fitted speed"] = f"{speeds}(about 4 m/s)"
+        findings.append(Finding("fitted-speed", level, {"speed": start_speed}))
     moving = speed > 1e-3
     if moving.sum() > 2:
         t, speed = t[moving], speed[moving]
@@ -200,30 +172,25 @@ def examine_fit(
         if motion is not None and math.isfinite(motion.friction_error):
             error = motion.friction_error
         if mean + 3 * error < low or mean - 3 * error > high:
-            usual = f"on ice it is {low:g} to {high:g}"
-            friction = f"the fitted mean coefficient of friction is {mean:.2g}; {usual}"
-            speeds_up = "the fitted stone speeds up, which friction cannot cause"
-            said["fitted friction"] = speeds_up if mean < 0 else friction
-    refused = not throw.defaults.get("as_given")
-    found = [Finding(kind, says, remedy, refused) for kind, says in said.items()]
-    return (*found, *_misfitting(throw, misfit, refused=refused and alone))
+            numbers = {"friction": mean, "low": low, "high": high}
+            code = "fitted-speeds-up" if mean < 0 else "fitted-friction"
+            findings.append(Finding(code, level, numbers))
+    findings = [finding.with_remedies(remedy) for finding in findings]
+    return (*findings, *_misfitting(throw, misfit, level if alone else Level.WARNING))
 
 
 def _misfitting(
-    throw: Throw, misfit: Mapping[str, float], *, refused: bool
+    throw: Throw, misfit: Mapping[str, float], level: Level
 ) -> Iterator[Finding]:
     """Residuals as large as no camera and no friction make them."""
-    far = {name: misfit[name] for name in ("x", "y") if misfit.get(name, 0) > _MISFIT}
+    far = [
+        {"channel": name, "size": misfit[name]}
+        for name in ("x", "y")
+        if misfit.get(name, 0) > _MISFIT
+    ]
     if far:
-        listed = " and ".join(f"{size:.2g} m in {name}" for name, size in far.items())
-        yield Finding(
-            "misfit",
-            f"the fit misses the data by {listed} (root mean square)",
-            "if rows are wrong, leave them out or use "
-            f"{option(throw, 'loss', 'student')}; otherwise check units, axes, fixed "
-            "values and bounds",
-            refused,
-        )
+        remedy = Remedy("wrong-rows", option(throw, "loss", "student"))
+        yield Finding("misfit", level, {"misfit": far}, (remedy,))
 
 
 # Checks of the rows
@@ -237,10 +204,9 @@ def _wrapped(throw: Throw) -> Iterator[Finding]:
         with suppress(AmbiguousTurnError, ContradictoryAnglesError):
             jumps = unwrap(throw.t, 2 * math.pi / period * throw.phi).jumps
             if jumps and float(np.nanmax(np.abs(throw.phi))) < 1.1 * period:
-                yield Finding(
-                    "wrapped angle",
-                    f"phi jumps by 360 degrees {counted(jumps, 'time')}: it is wrapped",
-                    f'`Throw.from_arrays(..., units="angle={unit}")` unwraps it',
+                unwraps = Option("units", f"angle={unit}", in_python=True)
+                yield Finding.refusal(
+                    "wrapped-angle", Remedy("unwraps", unwraps), count=jumps
                 )
                 return
 
@@ -250,16 +216,13 @@ def _turns(throw: Throw) -> Iterator[Finding]:
     turned, mean = turning(throw)
     if not abs(turned) > 2 * math.pi * _MOST_TURNS:
         return
-    what, unit = (
-        ("angles", "angle=deg") if "phi" in throw.seen else ("spins", "spin=deg/s")
-    )
-    yield Finding(
-        "turns",
-        f"the stone turns {abs(turned) / (2 * math.pi):.3g} times, "
-        f"at {abs(mean):.3g} rad/s; stones turn at most about 10 times",
-        f"if {what} are in degrees: {option(throw, 'units', unit)}",
-        abs(mean) > MAX_SPIN,
-    )
+    if "phi" in throw.seen:
+        remedy = Remedy("angles-in-degrees", option(throw, "units", "angle=deg"))
+    else:
+        remedy = Remedy("spins-in-degrees", option(throw, "units", "spin=deg/s"))
+    level = Level.REFUSAL if abs(mean) > MAX_SPIN else Level.WARNING
+    numbers = {"turns": abs(turned) / (2 * math.pi), "spin": abs(mean)}
+    yield Finding("turns", level, numbers, (remedy,))
 
 
 def _gap(throw: Throw) -> Iterator[Finding]:
@@ -274,15 +237,17 @@ def _gap(throw: Throw) -> Iterator[Finding]:
     early = last + 1 < len(throw) / 2
     row = last if early else last + 1
     alone = row in (0, len(throw) - 1)
-    rows = "the row" if alone else "the rows until" if early else "the rows from"
-    remedy = "correct the time, or leave out " + ("the row" if alone else "these rows")
-    cut, time = ("since", throw.t[last + 1]) if early else ("until", throw.t[last])
-    yield Finding(
-        "time",
-        f"{rows} t = {throw.t[row]:.6g} s{_line(throw, row)} "
-        f"{'is' if alone else 'are'} {steps[last]:.3g} s from the others, and no throw "
-        "takes a minute",
-        f"{remedy}: {option(throw, cut, f'{time:.10g}')}",
+    if early:
+        cut = option(throw, "since", f"{throw.t[last + 1]:.10g}")
+    else:
+        cut = option(throw, "until", f"{throw.t[last]:.10g}")
+    rows = "rows-before-a-gap" if early else "rows-after-a-gap"
+    yield Finding.refusal(
+        "row-beyond-a-gap" if alone else rows,
+        Remedy("correct-time" if alone else "correct-times", cut),
+        t=float(throw.t[row]),
+        line=_line(throw, row),
+        gap=float(steps[last]),
     )
 
 
@@ -298,22 +263,26 @@ def _far(throw: Throw) -> Iterator[Finding]:
         if not far.any() or far.mean() > _FEW or np.ptp(values[~far]) > 2 * _LENGTH:
             continue
         worst = int(np.argmax(off))
-        more = f" (and {counted(far.sum() - 1, 'other')})" if far.sum() > 1 else ""
         row = int(seen[worst])
-        time = throw.t[row]
+        time = float(throw.t[row])
         step = 0.5 * float(np.diff(throw.t[max(row - 1, 0) : row + 2]).min())
-        yield Finding(
-            "far away",
-            f"{name} = {values[worst]:.6g} m at t = {time:.6g} s{_line(throw, row)}"
-            f"{more} is {off[worst]:.3g} m from those beside it, and a sheet is "
-            f"{LENGTH:.1f} m long",
-            "correct the value, or leave out the row: "
-            + option(throw, "exclude", f"{time - step:.10g}:{time + step:.10g}"),
+        cut = option(throw, "exclude", f"{time - step:.10g}:{time + step:.10g}")
+        yield Finding.refusal(
+            "far-away",
+            Remedy("correct-value", cut),
+            channel=name,
+            value=float(values[worst]),
+            t=time,
+            line=_line(throw, row),
+            others=counted(far.sum() - 1, "other") if far.sum() > 1 else None,
+            off=float(off[worst]),
+            sheet=LENGTH,
         )
 
 
-def _line(throw: Throw, row: int) -> str:
-    return "" if throw.lines is None else f" (line {throw.lines[row]})"
+def _line(throw: Throw, row: int) -> int | None:
+    """The line of a row in its file."""
+    return None if throw.lines is None else int(throw.lines[row])
 
 
 # Checks of the motion
@@ -327,13 +296,17 @@ def _jump(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
     before, after, size = found
     row = int(np.searchsorted(throw.t, after))
     early = after - throw.t[0] < throw.t[-1] - before
-    cut = ("since", after) if early else ("until", before)
-    yield Finding(
+    if early:
+        code, name, time = "rows-before-jump", "since", after
+    else:
+        code, name, time = "rows-after-jump", "until", before
+    yield Finding.refusal(
         "jump",
-        f"the position jumps by about {size:.2g} m between t = {before:.4g} and "
-        f"{after:.4g} s{_line(throw, row)}, which no stone does",
-        f"correct the rows, or leave out what is {'before' if early else 'after'}: "
-        + option(throw, cut[0], f"{cut[1]:.10g}"),
+        Remedy(code, option(throw, name, f"{time:.10g}")),
+        size=float(size),
+        before=float(before),
+        after=float(after),
+        line=_line(throw, row),
     )
 
 
@@ -347,76 +320,85 @@ def _scale(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
     # A stone of usual speed and friction needs no other unit to slide so far: a
     # simulator may have no back line.
     usual = fastest < USUAL_SPEED and least < mu < most
-    moves = f"the stone moves at {fastest:.3g} m/s, and"
-    path = f"the path is {motion.length:.3g} m long, and a sheet {LENGTH:.1f} m"
-    braking = (
-        f"it decelerates at {mu * GRAVITY:.2g} m/s^2, a coefficient of friction of "
-        f"{mu:.2g} (on ice {low:g} to {high:g})"
-    )
-    mean = (
-        f"its mean coefficient of friction is {mu:.2g}, and published ones "
-        "are 0.006 to 0.02"
-    )
-    impossible = (
-        (sure > SPEED, f"{moves} none is thrown at more than about 4 m/s"),
-        (long and not usual, path),
-        (slows and (mu + 3 * error < low or mu - 3 * error > high), braking),
-    )
-    rare = (
-        (fastest > USUAL_SPEED, f"{moves} few are thrown at more than 4 m/s"),
-        (long, f"{path}, unless the ice goes on behind the back line"),
-        (slows and mu + 3 * error < least, mean),
-    )
-    for checks, refused in ((impossible, True), (rare, False)):
-        if said := [says for holds, says in checks if holds]:
-            yield Finding("units", ", and ".join(said[:2]), unit_remedy(throw), refused)
-            return
+    impossible = {
+        "impossible-speed": sure > SPEED,
+        "impossible-length": long and not usual,
+        "impossible-friction": slows
+        and (mu + 3 * error < low or mu - 3 * error > high),
+    }
+    rare = {
+        "high-speed": fastest > USUAL_SPEED,
+        "long-path": long,
+        "low-friction": slows and mu + 3 * error < least,
+    }
+    numbers = {
+        "speed": float(fastest),
+        "length": float(motion.length),
+        "sheet": LENGTH,
+        "deceleration": float(mu * GRAVITY),
+        "friction": float(mu),
+        "low": low,
+        "high": high,
+    }
+    for checks, level in ((impossible, Level.REFUSAL), (rare, Level.WARNING)):
+        for code, holds in checks.items():
+            if holds:  # of several, the first: they have the same cause
+                yield Finding(code, level, numbers, (unit_remedy(throw),))
+                return
 
 
 def _curl(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
     """A curl impossible for a stone: a wrong unit across the sheet."""
     sure = abs(motion.curl) - 3 * motion.curl_error
-    if sure > USUAL_CURL:
-        most = (
-            f"a sheet is {WIDTH:.1f} m wide"
-            if sure > WIDTH
-            else "few curl more than 2 m"
-        )
-        text = f"the stone curls {abs(motion.curl):.3g} m, and {most}"
-        yield Finding("units", text, unit_remedy(throw), sure > WIDTH)
+    numbers = {"curl": abs(float(motion.curl)), "width": WIDTH}
+    if sure > WIDTH:
+        yield Finding.refusal("impossible-curl", unit_remedy(throw), **numbers)
+    elif sure > USUAL_CURL:
+        yield Finding.warning("large-curl", unit_remedy(throw), **numbers)
 
 
 class _Touch(NamedTuple):
-    """A change of the motion that friction does not cause: its finding, and the time
-    that since or until cuts it off at; neither, if it is not cut off."""
+    """A change of the motion that friction does not cause.
 
-    kind: str
-    says: str
+    Attributes
+    ----------
+    code, numbers : of its finding. remedy : the code of what to do.
+    cut : since or until, if its rows can be cut off; else empty.
+    time : at which they are cut off, s.
+    """
+
+    code: str
+    numbers: dict[str, float]
     remedy: str
     cut: str = ""
     time: float = math.nan
+
+    def finding(self, throw: Throw) -> Finding:
+        """The finding, which proposes to cut off the rows."""
+        cut = None
+        if self.cut:
+            cut = option(throw, self.cut, f"{_rounded(self.cut, self.time):g}")
+        return Finding.refusal(self.code, Remedy(self.remedy, cut), **self.numbers)
 
 
 def _push(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
     """The hand that holds a stone before the release, or the touch of a hand or
     another stone."""
-    let_go, touch = release(throw), _touch(throw, motion)
-    early, late = (touch, None) if touch and touch.cut == "since" else (None, touch)
+    touch = _touch(throw, motion)
+    early = touch if touch is not None and touch.cut == "since" else None
+    let_go = release(throw)
     if let_go is not None and (early is None or _clear(throw, let_go) == let_go):
-        held = f"the stone is held by a hand, and begins to turn at t = {let_go:.4g} s"
-        kind, says, *_ = early or ("release", held)
-        remedy = "leave out what is before the release, where it begins to turn"
-        early = _Touch(kind, says, remedy, "since", let_go)
+        if early is None:
+            early = _Touch("held", {"t": let_go}, "")
+        early = early._replace(
+            remedy="rows-before-release", cut="since", time=float(let_go)
+        )
     elif early is not None:
         early = early._replace(time=_clear(throw, early.time))
-    for one in filter(None, (early, late)):
-        # to a hundredth of a second
-        cut = (
-            option(throw, one.cut, f"{_rounded(one.cut, one.time):g}")
-            if one.cut
-            else ""
-        )
-        yield Finding(one.kind, one.says, ": ".join(filter(None, (one.remedy, cut))))
+    if early is not None:
+        yield early.finding(throw)
+    if touch is not None and touch.cut != "since":
+        yield touch.finding(throw)
 
 
 def _clear(throw: Throw, time: float) -> float:
@@ -433,15 +415,12 @@ def _touch(throw: Throw, motion: MeasuredMotion) -> _Touch | None:
     jump = velocity_jump(throw, motion)
     if jump is not None:
         at, change = jump
-        early = at - throw.t[0] < throw.t[-1] - at
-        says = (
-            f"the velocity jumps by {change:.2g} m/s at t = {at:.4g} s, "
-            "as in a collision or at the touch of a hand"
-        )
-        remedy = "leave out what is " + ("before" if early else "after")
-        if early and "phi" not in throw.seen:
-            remedy += ", and the slide in the hand, which an angle would show"
-        return _Touch("collision", says, remedy, "since" if early else "until", at)
+        numbers = {"change": float(change), "t": float(at)}
+        if at - throw.t[0] >= throw.t[-1] - at:
+            return _Touch("collision", numbers, "rows-after", "until", at)
+        # An angle would show where the stone is let go.
+        remedy = "rows-before" if "phi" in throw.seen else "rows-before-and-slide"
+        return _Touch("collision", numbers, remedy, "since", at)
     speed, error = motion.speed, motion.error
     rise = speed - np.minimum.accumulate(speed)
     peak = int(np.argmax(rise))
@@ -449,20 +428,21 @@ def _touch(throw: Throw, motion: MeasuredMotion) -> _Touch | None:
     if rise[peak] <= max(_GROWTH, SURE * math.hypot(error[peak], error[trough])):
         return None
     begin, end, last = motion.t[trough], motion.t[peak], len(speed) - 1
-    cut, time = "until", float(motion.begin[trough])
-    why, remedy = "something pushed the stone", "leave out what follows"
+    numbers = {
+        "low": float(speed[trough]),
+        "high": float(speed[peak]),
+        "begin": float(begin),
+        "end": float(end),
+    }
     if peak == last and trough < 0.2 * len(speed):
-        why = "times may run backwards, or all rows are before the release"
-        cut, remedy = "", "check the column of the time"
-    elif begin - motion.t[0] < 0.5 * (motion.t[-1] - motion.t[0]) and peak < last - 1:
-        why = "a hand was still on the stone, or something pushed it"
-        remedy = "leave out what is before the release"
-        cut, time = "since", float(motion.end[peak]) + 1e-9
-    says = (
-        f"the speed grows from {speed[trough]:.2g} to {speed[peak]:.2g} m/s between "
-        f"t = {begin:.3g} and {end:.3g} s, which friction cannot do: {why}"
-    )
-    return _Touch("growing speed", says, remedy, cut, time)
+        return _Touch("speed-grows-throughout", numbers, "check-times")
+    if begin - motion.t[0] < 0.5 * (motion.t[-1] - motion.t[0]) and peak < last - 1:
+        time = float(motion.end[peak]) + 1e-9
+        return _Touch(
+            "pushed-at-first", numbers, "rows-before-letting-go", "since", time
+        )
+    time = float(motion.begin[trough])
+    return _Touch("pushed", numbers, "rows-after", "until", time)
 
 
 def _axes(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
@@ -474,7 +454,7 @@ def _axes(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
     along_x = abs(x) > 2 * abs(y)
     forward = 1 if (x if along_x else y) > 0 else -1
 
-    def axes(across: int, along: int, turn: int = 1) -> str:
+    def axes(across: int, along: int, turn: int = 1) -> Option:
         return option(
             throw, "axes", corrected(words, across, along, turn, exchanged=along_x)
         )
@@ -482,36 +462,28 @@ def _axes(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
     turned, _ = turning(throw)
     certain = abs(motion.curl) - SURE * motion.curl_error > _CLEAR_CURL
     if certain and abs(turned) > _CLEAR_TURN and motion.curl * turned < 0:
-        sense, side = (
-            ("clockwise", "left") if motion.curl > 0 else ("counter-clockwise", "right")
-        )
+        sense, side = "clockwise", "left"
+        if motion.curl < 0:
+            sense, side = "counter-clockwise", "right"
         if along_x:
-            first, axis = (
-                axes(forward, forward),
-                "x runs along the sheet and y across it",
-            )
+            first = Remedy("if-x-is-along", axes(forward, forward))
         elif forward > 0:
-            first, axis = axes(-1, 1), "x points to the left"
+            first = Remedy("if-x-is-to-the-left", axes(-1, 1))
         else:
-            first, axis = axes(1, -1), "y points back at the thrower"
+            first = Remedy("if-y-points-back", axes(1, -1))
         other = option(throw, "axes", corrected(words, 1, 1, -1))
-        yield Finding(
-            "axes",
-            f"the stone turns {sense} and curls {abs(motion.curl):.2g} m to the "
-            f"{side}, and stones on ice curl to the side to which they turn: "
-            "unless the ice slopes, an axis or the angle is mirrored, "
-            "and the fit would interchange the friction of front and back",
-            f"if {axis}: {first}; if angles count the other way: {other}",
-            refused=False,
+        yield Finding.warning(
+            "curls-the-wrong-way",
+            first,
+            Remedy("if-angles-count-the-other-way", other),
+            sense=sense,
+            side=side,
+            curl=abs(float(motion.curl)),
         )
     elif along_x:
-        text = (
-            "the stone moves along x, and x is taken as the direction across the sheet"
-        )
-        if words:
-            text = f"with axes {words} the stone moves across the sheet"
-        remedy = f"if it moves along the sheet: {axes(-forward, forward)}"  # a rotation
-        yield Finding("axes", text, remedy, refused=False)
+        rotated = axes(-forward, forward)
+        code = "across-by-axes" if words else "across"
+        yield Finding.warning(code, Remedy("if-it-is-along", rotated), axes=words)
 
 
 def _rates(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
@@ -536,21 +508,22 @@ def _rates(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
     for (name, of), ratio in ratios.items():
         if low < ratio < high:
             continue
-        kind, says = "units", f"the measured {name} is {ratio:.3g} times that of {of}"
-        remedy = f"rename or remove the column of the {name}"
         opposite = low < -ratio < high
         units = factors(throw, "speed" if name == "speed" else "omega").items()
         unit = next(
             (u for u, f in units if ratio * f > 0 and abs(math.log(ratio * f)) < 0.1),
             "",
         )
+        remedy = Remedy("other-column", numbers={"rate": name})
         if unit:
-            remedy = f"if it is in {unit}: {option(throw, 'units', f'{name}={unit}')}"
-        elif opposite:
-            kind = "axes"
-            if name == "spin":
-                says = f"spin and angle count in opposite senses: {says}"
-        yield Finding(kind, says, remedy, bool(unit) or opposite)
+            typed = option(throw, "units", f"{name}={unit}")
+            remedy = Remedy("unit-of-rate", typed, {"unit": unit})
+        level = Level.REFUSAL if unit or opposite else Level.WARNING
+        code = "rate-unlike-path"
+        if opposite and not unit and name == "spin":
+            code = "spin-against-angle"
+        numbers = {"rate": name, "ratio": ratio, "of": of}
+        yield Finding(code, level, numbers, (remedy,))
 
 
 def _rounded(name: str, time: float) -> float:

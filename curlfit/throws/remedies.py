@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from curlfit.errors import Option
+from curlfit.findings import Remedy
 from curlfit.sheet import LENGTH
 from curlfit.throws.motion import motion_of
 from curlfit.throws.readers.columns import in_unit
@@ -38,21 +40,18 @@ _NAMES = {
 }
 
 
-def option(throw: Throw, name: str, value: str) -> str:
+def option(throw: Throw, name: str, value: str) -> Option:
     """An option as written on the command line, or in Python for a throw
-    from arrays."""
-    if not value:
-        return f"leave out `{name if throw.conventions is None else f'--{name}'}`"
-    if throw.conventions is not None:
-        return f"`--{name} {value}`"
-    if name in ("units", "axes"):
-        return f'`Throw.from_arrays(..., {name}="{value}")`'
-    return f"`{name}={value}`"
+    from arrays; one without a value is to be left out."""
+    from_arrays = throw.conventions is None
+    return Option(name, value, in_python=from_arrays, left_out=not value)
 
 
-def some_units(throw: Throw) -> str:
-    """Units as an example of what to type."""
-    return " or ".join(option(throw, "units", unit) for unit in ("t=ms", "length=cm"))
+def some_units(throw: Throw) -> tuple[Option, dict[str, str]]:
+    """Units as an example of what to type: an option, and the words of another as the
+    number `other`."""
+    other = option(throw, "units", "length=cm")
+    return option(throw, "units", "t=ms"), {"other": str(other)}
 
 
 def factors(throw: Throw, quantity: str) -> dict[str, float]:
@@ -83,9 +82,8 @@ def _candidates(throw: Throw) -> dict[str, dict[str, float]]:
     return found
 
 
-def unit_remedy(throw: Throw) -> str:
-    """The fewest changes of units that make this the least odd throw, as an
-    option to type."""
+def unit_remedy(throw: Throw) -> Remedy:
+    """The fewest changes of units that make this the least odd throw."""
     best, units = math.inf, ""
     for name, changes in _candidates(throw).items():
         scaled = {
@@ -98,19 +96,20 @@ def unit_remedy(throw: Throw) -> str:
         if odd < best:
             best, units = odd, name
     if not units:
-        return f"set the units of the file, as in {some_units(throw)}"
-    flag = option(throw, "units", units)
+        return Remedy("set-units", *some_units(throw))
+    typed = option(throw, "units", units)
     if units.endswith(_READ):
         filmed, _, read = units.removeprefix("t=").removesuffix("fps").partition("/")
-        return f"if a film of {filmed} frames a second was read at {read}: {flag}"
+        return Remedy("units-of-film", typed, {"filmed": filmed, "read": read})
     if units.endswith("fps"):
-        return f"if t counts frames: {flag}, with the frame rate of the camera"
-    what = {"t": "the time is", "length": "lengths are"}
-    parts = [part.partition("=") for part in units.split(",")]
-    said = [
-        f"{what.get(name, f'{name} is')} in {_NAMES.get(u, u)}" for name, _, u in parts
-    ]
-    return f"if {' and '.join(said)}: {flag}"
+        return Remedy("units-of-frames", typed)
+    subjects = {"t": "the time is", "length": "lengths are"}
+    columns = []
+    for part in units.split(","):
+        name, _, unit = part.partition("=")
+        subject = subjects.get(name, f"{name} is")
+        columns.append({"subject": subject, "unit": _NAMES.get(unit, unit)})
+    return Remedy("units", typed, {"columns": columns})
 
 
 def _oddity(throw: Throw, alone: bool) -> float:

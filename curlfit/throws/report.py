@@ -11,15 +11,15 @@ from rich.text import Text
 
 from curlfit.foreign import counted
 from curlfit.output.console import PlainTable
-from curlfit.output.text import compact
 from curlfit.settings.choices import Reading
 from curlfit.throws.motion import MIN_POSITIONS, final_speed, first_row_at_rest, path_of
 from curlfit.throws.odd_row import odd_rows_in_words
 from curlfit.throws.throw import CHANNELS, UNITS, scatter
+from curlfit.wording import compact
 
 if TYPE_CHECKING:
+    from curlfit.findings import Finding
     from curlfit.numerics.arrays import Floats
-    from curlfit.throws.plausibility import Finding
     from curlfit.throws.readers.parsed_file import ParsedFile
     from curlfit.throws.throw import Throw
 
@@ -68,7 +68,7 @@ def print_findings(findings: Sequence[Finding], console: Console) -> None:
         return
     console.print("\nImplausible for a curling stone", style="bold")
     for finding in findings:
-        console.print(f"- {finding}", style="red" if finding.refused else "yellow")
+        console.print(f"- {finding}", style="red" if finding.is_refusal else "yellow")
 
 
 def _columns(parsed: ParsedFile) -> PlainTable:

@@ -21,10 +21,10 @@ from curlfit.inference.fit.estimates import Estimate, RidgePoint
 from curlfit.inference.fit.quantities import quantities_of
 from curlfit.inference.products import products_of
 from curlfit.inference.verdict import Verdict
-from curlfit.output.text import compact
 from curlfit.reports.fit import document
 from curlfit.sheet import LINES, TEE
 from curlfit.throws.synthetic import write_table
+from curlfit.wording import compact
 
 ROOT = Path(__file__).parents[2]
 G = 9.81

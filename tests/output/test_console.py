@@ -17,9 +17,10 @@ from rich.text import Text
 
 import curlfit
 from curlfit.output.console import PlainTable, terminal
-from curlfit.output.text import compact, format_estimate, p_text, sided
+from curlfit.output.text import sided
 from curlfit.paper.claim import Claim, claims_table
 from curlfit.throws.synthetic import law_with, synthetic_throw, write_table
+from curlfit.wording import compact, format_estimate, p_text
 
 
 @pytest.fixture(scope="module")

@@ -19,9 +19,10 @@ from typing import Any
 
 import numpy as np
 
+from curlfit.errors import Option
+from curlfit.findings import Finding, Remedy
 from curlfit.friction import check_load
 from curlfit.friction.curl import can_curl
-from curlfit.inference.fit.caveats import CORRELATED
 from curlfit.inference.fit.prepared import LeastSquaresFit
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import WEAK_ERROR, Identifiability, analyse
@@ -30,7 +31,6 @@ from curlfit.inference.likelihood import predict_channels
 from curlfit.inference.noise.models import is_rough
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.differences import slopes
-from curlfit.output.text import join_words, two_digits
 from curlfit.settings.noise_kinds import NoiseKind
 from curlfit.throws.motion import SURE, motion_of
 from curlfit.throws.throw import CHANNELS
@@ -38,7 +38,7 @@ from curlfit.throws.throw import CHANNELS
 _CLEAR = 0.2  # m; a smaller curl of a path may be that of the ice
 
 
-def curl_warnings(fits: Sequence[FitResult]) -> list[str]:
+def curl_warnings(fits: Sequence[FitResult]) -> list[Finding]:
     """A warning if throws fitted with one law were measured to curl, and
     the law cannot.
 
@@ -53,19 +53,21 @@ def curl_warnings(fits: Sequence[FitResult]) -> list[str]:
     curls = [curl for fit in fits if (curl := measured_curl(fit)) is not None]
     if not curls:
         return []
-    if len(fits) == 1:
-        side = "right" if curls[0] > 0 else "left"
-        what = f"the measured curl of {abs(curls[0]):.2f} m to the {side} is"
-    else:
-        what = f"the measured curls of {len(curls)} of {len(fits)} throws are"
     in_heading = first.parameters["heading"].verdict.is_free
     where = ["in the heading"] if in_heading else []
     if first.rms or not in_heading:
         where.append("in the residuals")
-    return [
-        f"the {first.law} law cannot curl a stone: {what} {' and '.join(where)}; "
-        "`--law front-back` has friction that curls"
-    ]
+    finding = Finding.warning(
+        "law-cannot-curl",
+        Remedy("law-that-curls", Option("law", "front-back")),
+        law=first.law,
+        where=where,
+        count=len(fits),
+        measured=len(curls),
+        curl=abs(curls[0]),
+        side="right" if curls[0] > 0 else "left",
+    )
+    return [finding]
 
 
 def with_curl_warning(fit: FitResult) -> FitResult:
@@ -96,36 +98,32 @@ def with_noise_advice(
 ) -> FitResult:
     """A fit with independent noise whose warning about correlated residuals
     says what helps."""
-    if not any(one.startswith(CORRELATED) for one in result.warnings):
+    if not any(warning.code == "correlated" for warning in result.warnings):
         return result
     advice = _advice(result, refit)
-    warnings = (
-        f"{one}; {advice}" if one.startswith(CORRELATED) else one
-        for one in result.warnings
+    warnings = tuple(
+        warning.with_remedies(advice) if warning.code == "correlated" else warning
+        for warning in result.warnings
     )
-    return replace(result, warnings=tuple(warnings))
+    return replace(result, warnings=warnings)
 
 
 def _advice(
     result: FitResult, refit: Callable[[FitResult, NoiseKind], FitResult]
-) -> str:
+) -> Remedy:
+    """Which noise model describes correlated residuals, if any."""
     doubtful = [name for name, item in result.independence.items() if item.doubtful]
     left = {name: result.observed[name] - result.fitted[name] for name in doubtful}
     if not any(is_rough(series[np.isfinite(series)]) for series in left.values()):
-        return (
-            "no noise is that smooth: it is the law that deviates from the data "
-            "(or from a formula or filter that made them), and its standard errors do "
-            "not contain that"
-        )
+        return Remedy("no-noise-so-smooth")
     for noise in (NoiseKind.AR1, NoiseKind.DISCREPANCY):
         other = refit(result, noise)
         if _describes(other, result):
-            tried = f"`--noise {noise}`, which was tried, leaves independent residuals"
-            return tried + _errors(other, result)
-    return (
-        "`--noise ar1` and `--noise discrepancy`, which were tried, "
-        "do not describe them either"
-    )
+            option = Option("noise", noise.value)
+            factors = _larger_errors(other, result)
+            code = "noise-with-larger-errors" if factors else "noise"
+            return Remedy(code, option, {"factors": factors})
+    return Remedy("no-noise")
 
 
 def _describes(other: FitResult, white: FitResult) -> bool:
@@ -139,21 +137,18 @@ def _describes(other: FitResult, white: FitResult) -> bool:
     )
 
 
-def _errors(other: FitResult, white: FitResult) -> str:
+def _larger_errors(other: FitResult, white: FitResult) -> list[dict[str, Any]]:
     """How many times as large the standard errors of the coefficients are."""
     names = [*white.coefficients, *(item.expression for item in white.combinations)]
-    pairs = {
-        name: (white[name].stderr, other[name].stderr)
-        for name in names
-        if name in other
-    }
-    found = {name: new / old for name, (old, new) in pairs.items() if old and new}
-    if not found:
-        return ""
-    times = join_words(
-        [f"{two_digits(ratio)} ({name})" for name, ratio in found.items()]
-    )
-    return f"; standard errors are then larger by factors of {times}"
+    factors = []
+    for name in names:
+        if name not in other:
+            continue
+        before = white[name].stderr
+        after = other[name].stderr
+        if before and after:
+            factors.append({"name": name, "factor": after / before})
+    return factors
 
 
 NOISE = {"x": 0.005, "y": 0.005, "phi": 0.01, "speed": 0.02, "omega": 0.02}

@@ -26,6 +26,8 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 
+from curlfit.errors import Option
+from curlfit.findings import Finding, Remedy
 from curlfit.inference.fit.prepared import LeastSquaresFit
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import predict_channels
@@ -56,21 +58,23 @@ class Change(NamedTuple):
     last: float
     """between which the stone moves"""
 
-    def __str__(self) -> str:
+    def finding(self) -> Finding:
         """When, where to look, and what to try."""
         times = sorted({self.begin, self.end} - {self.first, self.last})
-        at = " and at ".join(f"t = {time:.1f} s" for time in times)
         swept_to = self.end if self.end > self.begin else self.last
+        sweep = Option("sweep", f"{self.begin:.1f}:{swept_to:.1f}")
         if self.begin - self.first > self.last - self.end:
             until = math.floor(2 * self.begin - 0.5) / 2
-            without = f"`--until {until:g}` (without the rows after it)"
+            without = Remedy("without-later-rows", Option("until", f"{until:g}"))
         else:
             since = math.ceil(2 * self.end + 0.5) / 2
-            without = f"`--since {since:g}` (without the rows before it)"
-        return (
-            f"the residuals change at {at}, most in {self.channel} (see fit.png); "
-            f"to be tried: `--sweep {self.begin:.1f}:{swept_to:.1f}` (friction that "
-            f"differs meanwhile), {without}"
+            without = Remedy("without-earlier-rows", Option("since", f"{since:g}"))
+        return Finding.warning(
+            "residuals-change",
+            Remedy("sweep", sweep),
+            without,
+            times=times,
+            channel=self.channel,
         )
 
 
@@ -183,7 +187,7 @@ def with_change(fit: LeastSquaresFit, result: FitResult) -> FitResult:
     change = change_of(fit)
     if change is None:
         return result
-    return replace(result, warnings=(str(change), *result.warnings))
+    return replace(result, warnings=(change.finding(), *result.warnings))
 
 
 def _of_friction(times: Floats, since: Floats) -> _Candidates:

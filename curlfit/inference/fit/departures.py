@@ -81,7 +81,7 @@ class Probe(NamedTuple):
         return not abs(rise - self.expected) < _LEVEL
 
 
-class Remedy(NamedTuple):
+class KnownCondition(NamedTuple):
     """What a parameter would have to be known to, so that others are determined."""
 
     parameter: str
@@ -105,7 +105,7 @@ class Departures(NamedTuple):
     """of parameters, between values that fit as well"""
     released: frozenset[str] = frozenset()
     """parameters at a bound from which values far away fit as well"""
-    remedy: Remedy | None = None
+    remedy: KnownCondition | None = None
     distance: float | None = None
     """to the optimum, standard errors: along the ridge, where there is no lower point,
     the quadratic says nothing of it"""
@@ -408,7 +408,7 @@ def departures_nearby(
 
 def _remedy(
     covariance: Covariance, lost: set[str], ridge: Ridge, usual: Floats
-) -> Remedy | None:
+) -> KnownCondition | None:
     """What would determine coefficients that the ridge leaves open: another
     parameter along it, known as well as it is usually measured. That depends on the
     place along the ridge: it is told of the most usual coefficients."""
@@ -440,7 +440,7 @@ def _remedy(
         if errors:
             offset = float(covariance.values[index] - ridge.optimum.values[index])
             near = float(point.values[index]) + offset
-            return Remedy(name, UNITS.get(name, "1"), near, known_to, errors)
+            return KnownCondition(name, UNITS.get(name, "1"), near, known_to, errors)
     return None
 
 

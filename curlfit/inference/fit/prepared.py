@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from curlfit.findings import Finding
 from curlfit.friction import find_law
 from curlfit.inference.conditions import WEAK_CONDITIONS
 from curlfit.inference.fit.result import FitResult
@@ -27,7 +28,7 @@ from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import stacked
 from curlfit.settings.choices import Modelling
 from curlfit.stone import Stone
-from curlfit.throws.plausibility import Finding, require_plausible
+from curlfit.throws.plausibility import require_plausible
 from curlfit.throws.throw import CHANNELS, Throw
 
 _HELD = 1e-4  # standard deviation that holds a parameter, over that of its prior

@@ -15,6 +15,7 @@ from typing import Annotated, Any, ClassVar, NotRequired
 import numpy as np
 
 from curlfit.errors import InputError, require_kind
+from curlfit.findings import Finding
 from curlfit.friction import Law, Parameter, check_load, find_law
 from curlfit.inference.conditions import CONDITIONS
 from curlfit.inference.derived import Derived, FirstOrder, derive
@@ -79,7 +80,7 @@ DataOfFit = Annotated[
         exclude=list[Pair],
         swept=Pair | None,
         sigma=dict[ChannelName, str],
-        notes=list[str],
+        notes=tuple[Finding, ...],
         labels=NotRequired[dict[str, str]],
         flags=NotRequired[list[str]],
     ),
@@ -194,7 +195,7 @@ class FitResult(NamedEstimates):
     data: DataOfFit
     converged: bool
     status: str
-    warnings: tuple[str, ...]
+    warnings: tuple[Finding, ...]
     n_observations: int
     rms: dict[str, float]
     sigma: dict[str, float]

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, Self
 import jax
 import numpy as np
 
+from curlfit.findings import Finding
 from curlfit.foreign import counted
 from curlfit.inference.derived import derive, gradient_of
 from curlfit.inference.fit.caveats import warnings_of
@@ -59,10 +60,9 @@ from curlfit.inference.verdict import Verdict
 from curlfit.losses import Loss
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import stacked, unstacked
-from curlfit.throws.plausibility import Finding, examine_fit
+from curlfit.throws.plausibility import examine_fit
 from curlfit.throws.throw import CHANNELS
 
-IMPLAUSIBLE = "implausible"
 """First word of the status of a fit that is impossible for a curling stone."""
 _MOST_STEPS = 60
 """Of a refit along a ridge."""
@@ -499,7 +499,8 @@ def _record(
         load=fit.model.load,
         stone=fit.prepared.stone,
         data=_data(fit),
-        converged=distance < CONVERGED and not any(one.refused for one in unusual),
+        converged=distance < CONVERGED
+        and not any(finding.is_refusal for finding in unusual),
         status=_status(fit, distance, unusual),
         warnings=(),
         n_observations=throw.n_observations,
@@ -703,9 +704,9 @@ def _status(fit: LeastSquaresFit, distance: float, unusual: Sequence[Finding]) -
     steps = counted(int(fit.solution.steps), "step")
     if fit.tried > 1:
         steps += f", best of {fit.tried} starts"
-    refused = [str(one) for one in unusual if one.refused]
+    refused = [str(finding) for finding in unusual if finding.is_refusal]
     if refused:
-        return f"{IMPLAUSIBLE}: {'. '.join(refused)}"
+        return f"implausible: {'. '.join(refused)}"
     if distance >= CONVERGED:
         return (
             f"not converged: the optimum is still about {distance:.2g} standard "

@@ -17,8 +17,8 @@ from curlfit.inference.derived import Quantiles
 from curlfit.inference.identifiability import WithInterval
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.mixed_model import MixedFit, bounded, to_mean
-from curlfit.output.text import compact, join_words, p_text
 from curlfit.records import ADDED, Matrix
+from curlfit.wording import compact, join_words, p_text
 
 _PER = {"h": "an hour", "day": "a day"}
 _CLOCK = re.compile(r"(\d{1,2})[:h](\d{2})(?::(\d{2}))?")

@@ -22,10 +22,10 @@ from curlfit.inference.joint.effects import Effect, Means
 from curlfit.inference.mcmc.chain import Chain, digest, load_chain
 from curlfit.inference.parameters import START
 from curlfit.numerics.arrays import Floats
-from curlfit.output.text import join_words, p_text
 from curlfit.records import ADDED, UNSAVED, Names, keys, plain, require, structured
 from curlfit.stone import Stone
 from curlfit.throws.odd_row import OddRow
+from curlfit.wording import join_words, p_text
 
 _SIGNIFICANT = 0.01
 _NAMED = 3  # throws whose files a warning of several names

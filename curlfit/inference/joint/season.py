@@ -42,8 +42,8 @@ from curlfit.inference.problem import LEVEL_AND_STILL
 from curlfit.inference.system import motions
 from curlfit.inference.verdict import Verdict
 from curlfit.numerics.arrays import Floats
-from curlfit.output.text import join_words
 from curlfit.stone import Stone
+from curlfit.wording import join_words
 
 _TURNING = 200  # throws from which the usual angle of a draw is taken
 _FEWEST = 4

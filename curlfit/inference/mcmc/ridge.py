@@ -28,7 +28,7 @@ from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.verdict import Verdict
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import FEW, unstacked
-from curlfit.output.text import join_words
+from curlfit.wording import join_words
 
 Indices = NDArray[np.int64]
 

@@ -11,7 +11,6 @@ import numpy as np
 from curlfit.errors import InputError
 from curlfit.foreign import counted
 from curlfit.numerics.arrays import Floats
-from curlfit.output.text import join_words
 from curlfit.settings.choices import Reading
 from curlfit.throws.channels import CHANNELS, block_means
 from curlfit.throws.readers.angles import (
@@ -23,6 +22,7 @@ from curlfit.throws.readers.axes import AxisConvention, parse_axes
 from curlfit.throws.readers.camera import pixels_to_metres
 from curlfit.throws.readers.parsed_file import ParsedFile, clock_of
 from curlfit.throws.reference import Conventions
+from curlfit.wording import join_words
 
 _MEASURED = ("x", "y", "u", "v", "phi")
 _PLACEHOLDERS = (0.0, -1.0, -99.0, -999.0, -9999.0, 999.0, 9999.0)
