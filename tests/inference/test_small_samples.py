@@ -8,10 +8,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import NOISE as SIGMA, filmed, shown
+from conftest import NOISE as SIGMA, codes_of, filmed, finding_of, shown
 from scipy.stats import binomtest, chi2, f, t
 
 import curlfit
+from curlfit.errors import Option
 from curlfit.inference.fit.caveats import outlier_warning
 from curlfit.inference.fit.covariance import Covariance
 from curlfit.inference.fit.fit import fit_throws
@@ -120,10 +121,9 @@ def test_a_gross_outlier_is_found_in_few_rows(rows, sigmas):
     assert [(item["channel"], item["t"]) for item in fit.outliers] == [
         ("x", throw.t[row])
     ]
-    assert any(
-        "one outlier: x at" in text and "--loss student" in text
-        for text in fit.warnings
-    )
+    outliers = finding_of(fit, "outliers")
+    assert str(outliers).startswith("one outlier: x at")
+    assert outliers.options == (Option("loss", "student"),)
 
 
 def test_few_rows_have_their_interval_in_the_report():
@@ -152,7 +152,7 @@ def test_a_coefficient_beside_one_at_its_bound_is_not_weak_for_that(seed):
     item = fit.parameters["mu2_xi"]
     assert item.stderr < 0.01 * item.value
     assert (item.verdict, item.reason) == ("determined", "")
-    assert not any("quadratic" in text for text in fit.warnings)
+    assert "curve" not in codes_of(fit)
 
 
 def test_a_weak_parameter_says_why():
