@@ -13,7 +13,7 @@ from scipy.stats import binomtest, chi2, f, t
 
 import curlfit
 from curlfit.errors import Option
-from curlfit.inference.fit.caveats import outlier_warning
+from curlfit.inference.fit.caveats import of_outliers
 from curlfit.inference.fit.covariance import Covariance
 from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.fit.residuals import outliers_of
@@ -201,7 +201,8 @@ def test_outliers_in_the_first_rows_alone_have_a_flag_that_leaves_them_out():
     early = [
         {"channel": name, "t": 0.0, "line": 2, "sigmas": 60.0} for name in ("y", "phi")
     ]
-    assert "--since 0.5 leaves out the first rows" in outlier_warning(tuple(early), t)
+    since = Option("since", "0.5")
+    assert since in of_outliers(tuple(early), t).options
     late = {"channel": "y", "t": 0.8, "line": 6, "sigmas": 50.0}
-    assert "--since" not in outlier_warning((*early, late), t)
-    assert "--since" not in outlier_warning((late,), t)
+    assert of_outliers((*early, late), t).options == (Option("loss", "student"),)
+    assert of_outliers((late,), t).options == (Option("loss", "student"),)

@@ -286,7 +286,7 @@ def test_fitted_values_are_those_of_the_motion_under_every_loss(loss):
         f"hog_to_rest by {abs(12.5 - expected['hog_to_rest']) / 0.1:.2g} sigma"
         in missed
     )
-    assert missed.endswith("--law power lets the friction change with the speed")
+    assert missed.endswith("`--law power` lets the friction change with the speed")
 
 
 def test_systematic_errors_of_lengths_and_times(problem):
@@ -365,7 +365,7 @@ def test_a_law_that_cannot_curl_names_the_measured_curl(curled):
         "the coulomb law cannot curl a stone: the measured curl of 1.00 m "
         "to the left is in "
     )
-    assert said.startswith(words + "the heading; ")
+    assert str(said).startswith(words + "the heading; ")
     assert abs(found["heading"].value + 1.0 / 28.7) < 1e-3  # the chord of the curl
 
 
