@@ -4,10 +4,12 @@ held-out rows."""
 from __future__ import annotations
 
 from collections.abc import Collection
+from typing import Any
 
 import numpy as np
 
 from curlfit.errors import InputError
+from curlfit.findings import Finding
 from curlfit.inference.fit.advice import curl_warnings
 from curlfit.inference.fit.result import FitResult
 from curlfit.numerics.arrays import Floats
@@ -31,155 +33,160 @@ _RELEVANT = 1e-3  # m and rad; smaller effects of null directions at rest are ne
 
 
 def remarks(
-    throw: PlannedThrow, found: Simulation, anywhere: bool
-) -> tuple[list[str], list[str]]:
+    throw: PlannedThrow, simulation: Simulation, anywhere: bool
+) -> tuple[list[Finding], list[Finding]]:
     """Warnings and notes; `anywhere` is where neither user nor data say where the
     throw starts."""
-    fit, new = throw.fit, throw.new
-    null_warnings, null_notes = _null_direction_effects(fit, found)
-    law_warnings, law_notes = _discrepancy_remarks(found.discrepancy)
-    notes = {
-        "the data do not state where on the sheet y = 0 lies; the throw is "
-        "assumed to start on the near hog line, which affects the resting position "
-        "but not the motion": anywhere and throw.line == "hog" and not new,
-        "the variation of the ice from throw to throw cannot be estimated "
-        "from a single throw": new and found.discrepancy is not None,
-    }
-    return [
-        *_extrapolation(fit, found, new),
+    fit = throw.fit
+    null_warnings, null_notes = _of_null_directions(fit, simulation)
+    law_warnings, law_notes = _of_discrepancy(simulation.discrepancy)
+    warnings = [
+        *_of_extrapolation(fit, simulation, throw.new),
         *null_warnings,
         *law_warnings,
         *curl_warnings([fit]),
-        *_off_the_sheet(found),
-    ], [*null_notes, *law_notes, *(note for note, holds in notes.items() if holds)]
+        *_off_the_sheet(simulation),
+    ]
+    notes = [*null_notes, *law_notes]
+    if anywhere and throw.line == "hog" and not throw.new:
+        notes.append(Finding.note("start-assumed"))
+    if throw.new and simulation.discrepancy is not None:
+        notes.append(Finding.note("ice-of-one-throw"))
+    return warnings, notes
 
 
-def _extrapolation(fit: FitResult, found: Simulation, new: bool) -> list[str]:
+def _of_extrapolation(
+    fit: FitResult, simulation: Simulation, new: bool
+) -> list[Finding]:
     """Warnings where the throw leaves the fitted range of speed or spin."""
-    seen, spins = fit.fitted["speed"], np.abs(fit.fitted["omega"])
-    speed, omega, y = (
-        found.best.speed[0],
-        found.best.state[0, 5, 0],
-        found.best.state[0, 1],
-    )
-    warnings = []
-    for name, unit, first, lowest, highest in (
-        ("speed", "m/s", speed[0], 0.0, seen.max()),
-        ("spin", "rad/s", abs(omega) * new, spins.min(), spins.max()),
-    ):
-        above, below = (
-            first > _EXTRAPOLATION * highest,
-            0 < first < lowest / _EXTRAPOLATION,
-        )
-        if above or below:
-            side = "above" if above else "below"
-            end = f"up to {highest:.3g}" if above else f"from {lowest:.3g}"
-            warnings.append(
-                f"the initial {name} of {first:.3g} {unit} is {side} the fitted "
-                f"range, {end} {unit}: an extrapolation"
-            )
-    slow = np.flatnonzero(speed < seen.min() / _EXTRAPOLATION)
+    fitted_speed = fit.fitted["speed"]
+    fitted_omega = fit.fitted["omega"]
+    speed = simulation.best.speed[0]
+    omega = simulation.best.state[0, 5, 0]
+    y = simulation.best.state[0, 1]
+    warnings = _beyond("speed", "m/s", speed[0], 0.0, fitted_speed.max())
+    if new:
+        spin = np.abs(fitted_omega)
+        warnings += _beyond("spin", "rad/s", abs(omega), spin.min(), spin.max())
+    slow = np.flatnonzero(speed < fitted_speed.min() / _EXTRAPOLATION)
     distance = float(y[-1] - y[slow[0]]) if len(slow) else 0.0
     if distance > 0.01:
         warnings.append(
-            f"the last {distance:.2g} m, below {seen.min():.2g} m/s, "
-            "are slower than the fitted range: an extrapolation"
+            Finding.warning(
+                "end-below-fitted-range",
+                distance=distance,
+                speed=float(fitted_speed.min()),
+            )
         )
-    if new and (omega * fit.fitted["omega"] < 0).all():
-        warnings.append(
-            "it turns the opposite way to what was fitted: mirror symmetry of "
-            "the ice is assumed"
-        )
+    if new and (omega * fitted_omega < 0).all():
+        warnings.append(Finding.warning("opposite-turn"))
     return warnings
 
 
-def _null_direction_effects(
-    fit: FitResult, found: Simulation
-) -> tuple[list[str], list[str]]:
+def _beyond(
+    quantity: str, unit: str, value: float, lowest: float, highest: float
+) -> list[Finding]:
+    """A warning if an initial value is outside the fitted range."""
+    if value > _EXTRAPOLATION * highest:
+        code = "above-fitted-range"
+        limit = highest
+    elif 0 < value < lowest / _EXTRAPOLATION:
+        code = "below-fitted-range"
+        limit = lowest
+    else:
+        return []
+    finding = Finding.warning(
+        code, quantity=quantity, value=float(value), unit=unit, limit=float(limit)
+    )
+    return [finding]
+
+
+def _of_null_directions(
+    fit: FitResult, simulation: Simulation
+) -> tuple[list[Finding], list[Finding]]:
     """Warnings about null directions of the fit that affect the throw, and notes
     on the others; of a curve of values that fit, along which the bands are drawn, where
     they lead says nothing."""
     if fit.ridge:
-        return [], [
-            "the bands are drawn along the values that fit, which lie on a curve"
-        ]
-    warnings: list[str] = []
-    notes: list[str] = []
+        return [], [Finding.note("bands-along-curve")]
+    warnings: list[Finding] = []
+    notes: list[Finding] = []
     for index, direction in enumerate(fit.null_directions):
-        ends = found.probed[f"null {index}"]
-        names = " and ".join(direction) if len(direction) < 3 else ", ".join(direction)
-        what = f"{names} {'is' if len(direction) == 1 else 'are'} not determined"
-        what += " individually" if len(direction) > 1 else ""
+        ends = simulation.probed[f"null {index}"]
+        numbers: dict[str, Any] = {"names": [*direction], "count": len(direction)}
         if not ends.good.all():
-            warnings.append(
-                f"{what}; at the ends of the allowed range the stone does "
-                "not come to rest"
-            )
+            warnings.append(Finding.warning("null-without-rest", **numbers))
             continue
-        off = ends.end - found.best.end
-        moved, turned = np.hypot(off[:, 0], off[:, 1]).max(), np.abs(off[:, 2]).max()
+        off = ends.end - simulation.best.end
+        moved = float(np.hypot(off[:, 0], off[:, 1]).max())
+        turned = float(np.abs(off[:, 2]).max())
+        numbers |= {"moved": moved, "turned": turned}
         if max(moved, turned) < _RELEVANT:
-            size = "less than 0.01 mm" if moved < 1e-5 else f"{1000 * moved:.2g} mm"
-            notes.append(
-                f"{what}, which has no effect here: over the allowed range the resting "
-                f"position moves by {size}"
-            )
+            notes.append(Finding.note("null-without-effect", **numbers))
         else:
-            warnings.append(
-                f"{what}, which affects this throw: the resting position may "
-                f"change by {moved:.2g} m and the final angle by {turned:.2g} rad; "
-                "the bands include this, uniformly over the allowed range"
-            )
+            warnings.append(Finding.warning("null-moves-rest", **numbers))
     return warnings, notes
 
 
-def _discrepancy_remarks(
+def _of_discrepancy(
     discrepancy: Discrepancy | None,
-) -> tuple[list[str], list[str]]:
+) -> tuple[list[Finding], list[Finding]]:
     """Warnings and notes on the model discrepancy, without one of a joint fit."""
     if discrepancy is None:
-        return [], [
-            "the bands contain the spread between the throws of the joint fit, "
-            "and with it what the law lacks at the speeds and spins of these"
-        ]
-    found = {name for name, excess in discrepancy.excess.items() if excess > DETECTION}
-
-    def listing(shown: Collection[str]) -> str:
-        return ", ".join(
-            f"{discrepancy.sizes[name]:.2g} {'rad' if name == 'turning' else 'm'}/s^2 "
-            f"{label}"
-            for name, label in COMPONENT_LABELS.items()
-            if name in shown
-        )
-
+        return [], [Finding.note("bands-between-throws")]
     if not discrepancy.estimated:
-        return [
-            "too few rows were fitted to estimate the model discrepancy; "
-            f"the bands use its prior alone: {listing(COMPONENT_LABELS)}"
-        ], []
-    warnings = [
-        "the law does not describe the fitted rows: the residuals show a "
-        f"missing acceleration of about {listing(found)}. The bands include it, "
-        "to the side of the path of the law that the residuals indicate; "
-        "beyond the fitted speeds and spins the error of the law may be larger"
-    ]
-    notes = [
-        "the bands include accelerations too small to be detected in the fitted rows, "
-        f"about {listing(COMPONENT_LABELS.keys() - found)}; the prior is truncated at "
-        f"what friction does to this throw (mu = {discrepancy.friction:.2g})"
-    ]
-    return warnings[: len(found)], notes[: len(COMPONENT_LABELS) - len(found)]
+        sizes = _sizes(discrepancy, COMPONENT_LABELS)
+        return [Finding.warning("discrepancy-by-prior", sizes=sizes)], []
+    detected = {
+        name for name, excess in discrepancy.excess.items() if excess > DETECTION
+    }
+    undetected = COMPONENT_LABELS.keys() - detected
+    warnings = []
+    notes = []
+    if detected:
+        sizes = _sizes(discrepancy, detected)
+        warnings.append(Finding.warning("missing-acceleration", sizes=sizes))
+    if undetected:
+        notes.append(
+            Finding.note(
+                "undetected-acceleration",
+                sizes=_sizes(discrepancy, undetected),
+                friction=float(discrepancy.friction),
+            )
+        )
+    return warnings, notes
 
 
-def _off_the_sheet(found: Simulation) -> list[str]:
-    """A warning where the stone leaves the sheet."""
-    x, y = found.best.state[0, :2]
-    outside = np.flatnonzero(np.abs(x) + STONE_RADIUS > WIDTH / 2)
+def _sizes(
+    discrepancy: Discrepancy, components: Collection[str]
+) -> list[dict[str, Any]]:
+    """Sizes of missing accelerations, of some of their components."""
     return [
-        f"it touches the side of a {WIDTH:g} m wide sheet {abs(y[first] - TEE):.3g} m "
-        f"{'before' if y[first] < TEE else 'beyond'} the tee, and would be removed"
-        for first in outside[:1]
+        {
+            "size": float(discrepancy.sizes[name]),
+            "unit": "rad/s^2" if name == "turning" else "m/s^2",
+            "component": label,
+        }
+        for name, label in COMPONENT_LABELS.items()
+        if name in components
     ]
+
+
+def _off_the_sheet(simulation: Simulation) -> list[Finding]:
+    """A warning where the stone leaves the sheet."""
+    x = simulation.best.state[0, 0]
+    y = simulation.best.state[0, 1]
+    outside = np.flatnonzero(np.abs(x) + STONE_RADIUS > WIDTH / 2)
+    if not len(outside):
+        return []
+    first = float(y[outside[0]])
+    finding = Finding.warning(
+        "touches-side",
+        width=WIDTH,
+        distance=abs(first - TEE),
+        where="before" if first < TEE else "beyond",
+    )
+    return [finding]
 
 
 def compare_held_out(

@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 
 from curlfit.errors import InputError, UnusableFitError
+from curlfit.findings import Finding, Remedy
 from curlfit.friction import Law
 from curlfit.inference.fit.fit import fit as fit_throw, refit
 from curlfit.inference.fit.result import FitResult, require_fit
@@ -125,8 +126,8 @@ def predict(
         )
         return replace(first, other=other)
     random = np.random.default_rng(seed)
-    notes: list[str] = []
-    few: tuple[str, ...] = ()
+    notes: list[Finding] = []
+    few: tuple[Finding, ...] = ()
     odd_rows: tuple[OddRow, ...] = ()
     if together := isinstance(fit, JointResult):
         odd_rows = fit.odd_rows
@@ -144,9 +145,8 @@ def predict(
     )
     warned, noted = diagnostics.remarks(throw, found, line is None)
     if (used := len(found.plain.t)) < draws:
-        warned.append(
-            f"{1 - used / draws:.1%} of the draws do not come to rest and are left out"
-        )
+        fraction = 1 - used / draws
+        warned.append(Finding.warning("draws-without-rest", fraction=fraction))
     comparison = None
     if check is not None:
         comparison = diagnostics.compare_held_out(check, throw, found, random)
@@ -177,7 +177,7 @@ def predict(
 
 def _with_white_noise(
     fit: FitResult, chain: Chain | None, call: Call, draws: int
-) -> tuple[FitResult, Chain | None, list[str]]:
+) -> tuple[FitResult, Chain | None, list[Finding]]:
     """The fit of one throw and its chain, and a note if the law was fitted again.
 
     Raises
@@ -194,10 +194,7 @@ def _with_white_noise(
     _require_predictable(fit, draws)
     if fit.noise.kind != NoiseKind.DISCREPANCY:
         return fit, chain, []
-    note = (
-        "the path is that of the least-squares coefficients; the discrepancy that the "
-        "fit has as noise is here in the bands"
-    )
+    note = Finding.note("law-without-discrepancy")
     return refit(fit, NoiseKind.WHITE), None, [note]
 
 
@@ -264,7 +261,7 @@ def held_out(
 
 def _drawn_values(
     fit: FitResult, chain: Chain | None, draws: int, random: np.random.Generator
-) -> tuple[Floats, str, tuple[str, ...]]:
+) -> tuple[Floats, str, tuple[Finding, ...]]:
     """Parameter vectors from the posterior, their source, and a warning where they are
     few."""
     if chain is not None:
@@ -275,11 +272,12 @@ def _drawn_values(
         return flat[chosen], "chain", ()
     if fit.ridge:
         values, effective = draws_along_ridge(fit, draws, random)
-        warning = (
-            f"the bands rest on {effective:.0f} independent draws: the values that "
-            "fit lie on a curve that proposals do not follow; sample the posterior"
+        if effective >= _FEW:
+            return values, "ridge", ()
+        warning = Finding.warning(
+            "few-draws", Remedy("sample-posterior"), draws=float(effective)
         )
-        return values, "ridge", (warning,) if effective < _FEW else ()
+        return values, "ridge", (warning,)
     free, proposal = fit.parameter_set.free, ridge_proposal(fit)
     lower, upper = fit.parameter_set.lower[free], fit.parameter_set.upper[free]
     accepted: list[Floats] = []
