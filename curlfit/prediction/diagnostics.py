@@ -3,13 +3,13 @@ held-out rows."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from typing import Any
+from collections.abc import Collection, Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from curlfit.errors import InputError
-from curlfit.findings import Finding
+from curlfit.findings import Finding, Level
 from curlfit.inference.fit.advice import curl_warnings
 from curlfit.inference.fit.result import FitResult
 from curlfit.numerics.arrays import Floats
@@ -32,60 +32,60 @@ _EXTRAPOLATION = 1.02
 _RELEVANT = 1e-3  # m and rad; smaller effects of null directions at rest are negligible
 
 
-def remarks(
-    throw: PlannedThrow, simulation: Simulation, anywhere: bool
-) -> tuple[list[Finding], list[Finding]]:
-    """Warnings and notes; `anywhere` is where neither user nor data say where the
-    throw starts."""
-    fit = throw.fit
-    null_warnings, null_notes = _of_null_directions(fit, simulation)
-    law_warnings, law_notes = _of_discrepancy(simulation.discrepancy)
-    warnings = [
-        *_of_extrapolation(fit, simulation, throw.new),
-        *null_warnings,
-        *law_warnings,
-        *curl_warnings([fit]),
+class Remarks(NamedTuple):
+    """Warnings and notes of a prediction."""
+
+    warnings: list[Finding]
+    notes: list[Finding]
+
+
+def remarks(throw: PlannedThrow, simulation: Simulation, anywhere: bool) -> Remarks:
+    """What a user should know of a prediction; `anywhere` is where neither user nor
+    data say where the throw starts."""
+    findings = [
+        *_of_extrapolation(throw.fit, simulation, throw.new),
+        *_of_null_directions(throw.fit, simulation),
+        *_of_discrepancy(simulation.discrepancy),
+        *curl_warnings([throw.fit]),
         *_off_the_sheet(simulation),
     ]
-    notes = [*null_notes, *law_notes]
     if anywhere and throw.line == "hog" and not throw.new:
-        notes.append(Finding.note("start-assumed"))
+        findings.append(Finding.note("start-assumed"))
     if throw.new and simulation.discrepancy is not None:
-        notes.append(Finding.note("ice-of-one-throw"))
-    return warnings, notes
+        findings.append(Finding.note("ice-of-one-throw"))
+    return Remarks(
+        warnings=[one for one in findings if one.level is Level.WARNING],
+        notes=[one for one in findings if one.level is Level.NOTE],
+    )
 
 
 def _of_extrapolation(
     fit: FitResult, simulation: Simulation, new: bool
-) -> list[Finding]:
+) -> Iterator[Finding]:
     """Warnings where the throw leaves the fitted range of speed or spin."""
     fitted_speed = fit.fitted["speed"]
     fitted_omega = fit.fitted["omega"]
     speed = simulation.best.speed[0]
     omega = simulation.best.state[0, 5, 0]
     y = simulation.best.state[0, 1]
-    warnings = _beyond("speed", "m/s", speed[0], 0.0, fitted_speed.max())
+    yield from _beyond("speed", "m/s", speed[0], 0.0, fitted_speed.max())
     if new:
         spin = np.abs(fitted_omega)
-        warnings += _beyond("spin", "rad/s", abs(omega), spin.min(), spin.max())
+        yield from _beyond("spin", "rad/s", abs(omega), spin.min(), spin.max())
     slow = np.flatnonzero(speed < fitted_speed.min() / _EXTRAPOLATION)
     distance = float(y[-1] - y[slow[0]]) if len(slow) else 0.0
     if distance > 0.01:
-        warnings.append(
-            Finding.warning(
-                "end-below-fitted-range",
-                distance=distance,
-                speed=float(fitted_speed.min()),
-            )
+        slowest = float(fitted_speed.min())
+        yield Finding.warning(
+            "end-below-fitted-range", distance=distance, speed=slowest
         )
     if new and (omega * fitted_omega < 0).all():
-        warnings.append(Finding.warning("opposite-turn"))
-    return warnings
+        yield Finding.warning("opposite-turn")
 
 
 def _beyond(
     quantity: str, unit: str, value: float, lowest: float, highest: float
-) -> list[Finding]:
+) -> Iterator[Finding]:
     """A warning if an initial value is outside the fitted range."""
     if value > _EXTRAPOLATION * highest:
         code = "above-fitted-range"
@@ -94,67 +94,57 @@ def _beyond(
         code = "below-fitted-range"
         limit = lowest
     else:
-        return []
-    finding = Finding.warning(
+        return
+    yield Finding.warning(
         code, quantity=quantity, value=float(value), unit=unit, limit=float(limit)
     )
-    return [finding]
 
 
-def _of_null_directions(
-    fit: FitResult, simulation: Simulation
-) -> tuple[list[Finding], list[Finding]]:
+def _of_null_directions(fit: FitResult, simulation: Simulation) -> Iterator[Finding]:
     """Warnings about null directions of the fit that affect the throw, and notes
     on the others; of a curve of values that fit, along which the bands are drawn, where
     they lead says nothing."""
     if fit.ridge:
-        return [], [Finding.note("bands-along-curve")]
-    warnings: list[Finding] = []
-    notes: list[Finding] = []
+        yield Finding.note("bands-along-curve")
+        return
     for index, direction in enumerate(fit.null_directions):
         ends = simulation.probed[f"null {index}"]
         numbers: dict[str, Any] = {"names": [*direction], "count": len(direction)}
         if not ends.good.all():
-            warnings.append(Finding.warning("null-without-rest", **numbers))
+            yield Finding.warning("null-without-rest", **numbers)
             continue
         off = ends.end - simulation.best.end
         moved = float(np.hypot(off[:, 0], off[:, 1]).max())
         turned = float(np.abs(off[:, 2]).max())
         numbers |= {"moved": moved, "turned": turned}
         if max(moved, turned) < _RELEVANT:
-            notes.append(Finding.note("null-without-effect", **numbers))
+            yield Finding.note("null-without-effect", **numbers)
         else:
-            warnings.append(Finding.warning("null-moves-rest", **numbers))
-    return warnings, notes
+            yield Finding.warning("null-moves-rest", **numbers)
 
 
-def _of_discrepancy(
-    discrepancy: Discrepancy | None,
-) -> tuple[list[Finding], list[Finding]]:
-    """Warnings and notes on the model discrepancy, without one of a joint fit."""
+def _of_discrepancy(discrepancy: Discrepancy | None) -> Iterator[Finding]:
+    """Warnings and notes on the model discrepancy; None is that of a joint fit."""
     if discrepancy is None:
-        return [], [Finding.note("bands-between-throws")]
+        yield Finding.note("bands-between-throws")
+        return
     if not discrepancy.estimated:
         sizes = _sizes(discrepancy, COMPONENT_LABELS)
-        return [Finding.warning("discrepancy-by-prior", sizes=sizes)], []
+        yield Finding.warning("discrepancy-by-prior", sizes=sizes)
+        return
     detected = {
         name for name, excess in discrepancy.excess.items() if excess > DETECTION
     }
     undetected = COMPONENT_LABELS.keys() - detected
-    warnings = []
-    notes = []
     if detected:
         sizes = _sizes(discrepancy, detected)
-        warnings.append(Finding.warning("missing-acceleration", sizes=sizes))
+        yield Finding.warning("missing-acceleration", sizes=sizes)
     if undetected:
-        notes.append(
-            Finding.note(
-                "undetected-acceleration",
-                sizes=_sizes(discrepancy, undetected),
-                friction=float(discrepancy.friction),
-            )
+        yield Finding.note(
+            "undetected-acceleration",
+            sizes=_sizes(discrepancy, undetected),
+            friction=float(discrepancy.friction),
         )
-    return warnings, notes
 
 
 def _sizes(
@@ -172,28 +162,31 @@ def _sizes(
     ]
 
 
-def _off_the_sheet(simulation: Simulation) -> list[Finding]:
+def _off_the_sheet(simulation: Simulation) -> Iterator[Finding]:
     """A warning where the stone leaves the sheet."""
     x = simulation.best.state[0, 0]
     y = simulation.best.state[0, 1]
     outside = np.flatnonzero(np.abs(x) + STONE_RADIUS > WIDTH / 2)
     if not len(outside):
-        return []
+        return
     first = float(y[outside[0]])
-    finding = Finding.warning(
+    yield Finding.warning(
         "touches-side",
         width=WIDTH,
         distance=abs(first - TEE),
         where="before" if first < TEE else "beyond",
     )
-    return [finding]
 
 
 def compare_held_out(
-    throw: Throw, begun: PlannedThrow, found: Simulation, random: np.random.Generator
+    throw: Throw,
+    planned: PlannedThrow,
+    simulation: Simulation,
+    random: np.random.Generator,
 ) -> HeldOut:
     """Comparison of the prediction with measured rows after the fitted ones."""
-    fit, last = begun.fit, begun.fit.data["to"]
+    fit = planned.fit
+    last = fit.data["to"]
     _require_same_throw(throw, fit)
     later = np.flatnonzero(throw.t > last)
     if not len(later):
@@ -203,17 +196,18 @@ def compare_held_out(
         )
     later = later[:: len(later) // MOST_ROWS + 1]
     observed = {"t": throw.t[later] - fit.data["from"]}
-    predicted = found.full.positions_at(observed["t"]).swapaxes(0, 1)
-    best = found.best.positions_at(observed["t"])[0]
+    predicted = simulation.full.positions_at(observed["t"]).swapaxes(0, 1)
+    best = simulation.best.positions_at(observed["t"])[0]
     channels = {}
     for row, (name, shift) in enumerate(
-        zip(PREDICTED, (*begun.shift, 0.0), strict=True)
+        zip(PREDICTED, (*planned.shift, 0.0), strict=True)
     ):
-        values = observed[name] = getattr(throw, name)[later] + shift
+        values = getattr(throw, name)[later] + shift
+        observed[name] = values
         seen = np.isfinite(values)
         if not seen.any():
             continue
-        noise = _noise(throw, fit, found.discrepancy, name)[later]
+        noise = _noise(throw, fit, simulation.discrepancy, name)[later]
         noisy = predicted[row] + noise * random.standard_normal(predicted[row].shape)
         low95, low68, high68, high95 = np.quantile(
             noisy, [0.025, 0.16, 0.84, 0.975], axis=0
@@ -230,15 +224,17 @@ def compare_held_out(
         channels[name] = {key: float(value) for key, value in numbers.items()}
     if not channels:
         raise InputError(f"{throw.name}: no x, y or phi after t = {last:g} s")
-    first, last = map(float, throw.t[later[[0, -1]]])
-    return HeldOut(throw.name, first, last, channels, observed)
+    begin = float(throw.t[later[0]])
+    end = float(throw.t[later[-1]])
+    return HeldOut(throw.name, begin, end, channels, observed)
 
 
 def _noise(
     throw: Throw, fit: FitResult, discrepancy: Discrepancy | None, name: str
 ) -> Floats:
     """Standard deviation of the noise of a channel in each row."""
-    if (given := throw.sigma.get(name)) is not None:
+    given = throw.sigma.get(name)
+    if given is not None:
         return given
     course = throw.relative_sigma.get(name)
     if course is not None and f"sigma_{name}" in fit.observed:
@@ -250,9 +246,11 @@ def _noise(
 
 def _require_same_throw(throw: Throw, fit: FitResult) -> None:
     """Raise `InputError` if a throw does not contain the fitted rows."""
-    for name in (one for one in PREDICTED if one in fit.rms):
-        own = np.interp(fit.observed["t"], throw.t, getattr(throw, name))
-        off = np.abs(own - fit.observed[name])
+    for name in PREDICTED:
+        if name not in fit.rms:
+            continue
+        measured = np.interp(fit.observed["t"], throw.t, getattr(throw, name))
+        off = np.abs(measured - fit.observed[name])
         size = 10 * fit.rms[name] + 0.05 * float(np.ptp(fit.fitted[name]))
         if not np.isfinite(off).any() or np.nanmedian(off) > size:
             raise InputError(

@@ -126,8 +126,8 @@ def predict(
         )
         return replace(first, other=other)
     random = np.random.default_rng(seed)
+    warnings: list[Finding] = []
     notes: list[Finding] = []
-    few: tuple[Finding, ...] = ()
     odd_rows: tuple[OddRow, ...] = ()
     if together := isinstance(fit, JointResult):
         odd_rows = fit.odd_rows
@@ -135,21 +135,24 @@ def predict(
         source = "throws"
     else:
         fit, chain, notes = _with_white_noise(fit, chain, call, draws)
-        values, source, few = _drawn_values(fit, chain, draws, random)
+        values, source, warnings = _drawn_values(fit, chain, draws, random)
     _require_predictable(fit, draws)
     throw = planned(fit, call, start or {}, line, target, weight, tee_speed)
     _require_alike(throw, together, check)
     prepare_ensemble(fit)
-    found = Simulation.of(
+    simulation = Simulation.of(
         ThrowFamily(throw), values, random, call if together else None
     )
-    warned, noted = diagnostics.remarks(throw, found, line is None)
-    if (used := len(found.plain.t)) < draws:
+    remarks = diagnostics.remarks(throw, simulation, line is None)
+    warnings += remarks.warnings
+    notes += remarks.notes
+    used = len(simulation.plain.t)
+    if used < draws:
         fraction = 1 - used / draws
-        warned.append(Finding.warning("draws-without-rest", fraction=fraction))
+        warnings.append(Finding.warning("draws-without-rest", fraction=fraction))
     comparison = None
     if check is not None:
-        comparison = diagnostics.compare_held_out(check, throw, found, random)
+        comparison = diagnostics.compare_held_out(check, throw, simulation, random)
     return Prediction(
         law=fit.law,
         load=fit.load,
@@ -168,10 +171,10 @@ def predict(
         odd_rows=odd_rows,
         weights=weights_of(fit, throw.values["omega0"]) if together else (),
         measured={} if together else _measured_rows(throw),
-        warnings=(*few, *warned),
-        notes=(*notes, *noted),
+        warnings=tuple(warnings),
+        notes=tuple(notes),
         check=comparison,
-        **found.summary(),
+        **simulation.summary(),
     )
 
 
@@ -261,7 +264,7 @@ def held_out(
 
 def _drawn_values(
     fit: FitResult, chain: Chain | None, draws: int, random: np.random.Generator
-) -> tuple[Floats, str, tuple[Finding, ...]]:
+) -> tuple[Floats, str, list[Finding]]:
     """Parameter vectors from the posterior, their source, and a warning where they are
     few."""
     if chain is not None:
@@ -269,17 +272,19 @@ def _drawn_values(
             raise InputError("the chain is of another fit: its parameters differ")
         flat = chain.flat
         chosen = random.choice(len(flat), draws, replace=len(flat) < draws)
-        return flat[chosen], "chain", ()
+        return flat[chosen], "chain", []
     if fit.ridge:
         values, effective = draws_along_ridge(fit, draws, random)
         if effective >= _FEW:
-            return values, "ridge", ()
+            return values, "ridge", []
         warning = Finding.warning(
             "few-draws", Remedy("sample-posterior"), draws=float(effective)
         )
-        return values, "ridge", (warning,)
-    free, proposal = fit.parameter_set.free, ridge_proposal(fit)
-    lower, upper = fit.parameter_set.lower[free], fit.parameter_set.upper[free]
+        return values, "ridge", [warning]
+    proposal = ridge_proposal(fit)
+    free = fit.parameter_set.free
+    lower = fit.parameter_set.lower[free]
+    upper = fit.parameter_set.upper[free]
     accepted: list[Floats] = []
     for _ in range(_ROUNDS):
         proposed = proposal.draw(draws, random, gaussian=True)
@@ -289,7 +294,7 @@ def _drawn_values(
     accepted.extend(np.clip(proposed, lower, upper))
     values = np.tile(fit.values, (draws, 1))
     values[:, free] = accepted[:draws]
-    return values, "covariance", ()
+    return values, "covariance", []
 
 
 def _measured_rows(throw: PlannedThrow) -> dict[str, Floats]:

@@ -27,6 +27,7 @@ from curlfit.prediction.discrepancy import discrepancy_posterior
 from curlfit.prediction.ensemble import simulate_ensemble
 from curlfit.prediction.figures import prediction_figure
 from curlfit.prediction.request import GUARD, TAKEOUT
+from curlfit.prediction.result import DETECTION
 
 STONE = curlfit.Stone(R=0.065)
 TRUE = {"mu1_xi": 0.005, "mu2_xi": 0.05, "mu1_eta": 0.009, "mu2_eta": 0.009}
@@ -576,6 +577,10 @@ def test_held_out_rows_of_the_right_law(fit):
 
 def test_held_out_rows_of_eq12_are_farther_off_than_its_parameters_say(eq12):
     found = curlfit.held_out(eq12, until=12.0, draws=200)
+    (finding,) = (one for one in found.warnings if one.code == "missing-acceleration")
+    shown = {size["component"]: size["size"] for size in finding.numbers["sizes"]}
+    assert shown["along the path"] == found.misfit.sizes["along"]
+    assert found.misfit.excess["along"] > DETECTION
     for name in ("y", "phi"):
         channel = found.check.channels[name]
         own = np.interp(20.0, found.series["t"], found.series[f"{name}_parameter_sd"])

@@ -17,10 +17,12 @@ from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.likelihood import whitened_residuals_of_many
 from curlfit.inference.mcmc.sampler import sample
 from curlfit.inference.problem import Origin, build_problem
+from curlfit.inference.verdict import Verdict
 from curlfit.losses import LOSSES
 from curlfit.numerics.batches import stacked
 from curlfit.profile_likelihood.profile import _warnings
 from curlfit.profile_likelihood.refit import Refit
+from curlfit.profile_likelihood.report import document
 
 STONE = curlfit.Stone(R=0.065)
 TRUE = {"mu1_xi": 0.005, "mu2_xi": 0.05, "mu1_eta": 0.009, "mu2_eta": 0.009}
@@ -302,6 +304,17 @@ def test_what_the_fits_of_a_profile_met_is_said(fit, sharp):
     assert (failed.code, failed.numbers["failed"]) == ("values-without-motion", 1)
     assert (second.code, second.numbers) == ("second-minimum", {"at": sharp.at[-1]})
     assert not [*_warnings(Refit(fit), sharp, unfinished=0, failed=0)]
+
+
+def test_what_thresholds_and_chi_squared_mean_is_noted(sharp):
+    at_bound = replace(sharp.estimate, verdict=Verdict.AT_BOUND)
+    profile = replace(
+        sharp, loss="huber", parameters=sharp.parameters | {"mu1_xi": at_bound}
+    )
+    assert not document(sharp).notes
+    bound, loss = document(profile).notes
+    assert bound.code == "limits-near-bound"
+    assert (loss.code, loss.numbers) == ("chi-squared-of-loss", {"loss": "huber"})
 
 
 # --- the posterior beside it ----------------------------------------------------------
