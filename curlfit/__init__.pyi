@@ -18,6 +18,7 @@ from .errors import (
     InputError as InputError,
     UnusableFitError as UnusableFitError,
 )
+from .findings.finding import Finding as Finding
 from .friction import (
     LAWS as LAWS,
     Law as Law,

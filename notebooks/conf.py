@@ -24,6 +24,7 @@ extensions = [
     "myst_nb",
     "sphinx.ext.autodoc",
     "sphinx.ext.mathjax",
+    "findings",
     "public_names",
 ]
 exclude_patterns = ["_build", "_extensions", "**.ipynb_checkpoints"]

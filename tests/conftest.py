@@ -264,6 +264,17 @@ def wait_for(condition: Callable[[], Any], seconds: float = 30.0) -> None:
         time.sleep(0.03)
 
 
+def codes_of(result: Any) -> list[str]:
+    """The codes of the warnings of a result."""
+    return [warning.code for warning in result.warnings]
+
+
+def finding_of(result: Any, code: str) -> curlfit.Finding:
+    """The one warning of a result with a code."""
+    (warning,) = [warning for warning in result.warnings if warning.code == code]
+    return warning
+
+
 @pytest.fixture(scope="session")
 def eq12() -> curlfit.Throw:
     return curlfit.load_throw(DATA)

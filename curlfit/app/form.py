@@ -3,9 +3,8 @@ command line reads them."""
 
 from __future__ import annotations
 
-import re
 import shlex
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from io import StringIO
 from typing import Any
@@ -14,13 +13,12 @@ from cyclopts import App
 from cyclopts.exceptions import CycloptsError
 from rich.console import Console
 
-from curlfit.errors import InputError
+from curlfit.errors import InputError, Option
 from curlfit.foreign import cut
 from curlfit.friction import LAWS, TERMS
 from curlfit.settings.choices import FILE, LAW
 from curlfit.settings.forms import PATH, SWITCH, Form, refusal_of
 
-_OPTION = re.compile(r"`(--[a-z][^`]*)`")
 _WORDS_OF_FILES = ("--columns", "--by", "--trend", "--worksheet")
 _WIDTH = 100  # columns of the help
 
@@ -159,25 +157,28 @@ def words_for(flags: Collection[str], words: Sequence[str]) -> list[str]:
     return kept
 
 
-def proposals(flags: Mapping[str, Flag], sentence: str) -> list[tuple[str, str]]:
-    """The options between backticks that can be set as they stand, as flag and text;
-    flags that the sentence wants a file for have none.
+def proposals(
+    flags: Mapping[str, Flag], options: Iterable[Option]
+) -> list[tuple[str, str]]:
+    """Which options a button can set, as flag and text; those that take a file have
+    none.
 
-    Text of a file has no backticks (`TextFile.read`), and an option that curlfit makes
-    of words of a file, such as a heading, is for the user to type.
+    An option for which words of a file were used, such as a heading, is for the user to
+    type.
     """
     proposed = []
-    for code in _OPTION.findall(sentence):
-        name, _, text = code.partition(" ")
+    for option in options:
+        name = f"--{option.name}"
         flag = flags.get(name)
-        if flag is None:
+        value = option.value
+        if flag is None or option.left_out or option.in_python:
             continue
         if flag.takes_file:
             proposed.append((name, ""))
         elif flag.form is SWITCH:
             proposed.append((name, "yes"))
-        elif text not in ("", flag.written) and _is_of_curlfit(flag, text):
-            proposed.append((name, text))
+        elif value not in ("", flag.written) and _is_of_curlfit(flag, value):
+            proposed.append((name, value))
     return list(dict.fromkeys(proposed))
 
 

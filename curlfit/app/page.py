@@ -6,7 +6,7 @@ from __future__ import annotations
 import asyncio
 import shlex
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial, wraps
 from html import escape
@@ -27,7 +27,7 @@ from curlfit.app.form import (
 )
 from curlfit.app.reading import Seen, look
 from curlfit.app.work import Work
-from curlfit.errors import CurlfitError, InputError
+from curlfit.errors import CurlfitError, InputError, Option
 from curlfit.foreign import message, safe_name
 from curlfit.friction import LAWS
 from curlfit.html_report.blocks import Block, marked, sentence
@@ -232,7 +232,7 @@ class Page:
         try:
             seen = await asyncio.to_thread(look, self.files, chosen)
         except CurlfitError as error:
-            seen = Seen(fault=str(error))
+            seen = Seen(fault=str(error), options=error.options)
         if reading == self._readings:
             self.seen = seen
             self.refresh()
@@ -297,26 +297,28 @@ class Page:
         with _box("section", "h2", "What was read"):
             _tag("h3", ", ".join(map(str, self.files)))
             _tag("p", self.seen.finding)
-            self._say(self.seen.fault, "finding bad")
-            for text in self.seen.oddities:
-                self._say(text, "warned")
+            self._say(self.seen.fault, "finding bad", self.seen.options)
+            for oddity in self.seen.oddities:
+                self._say(str(oddity), "warned", oddity.options)
             if self.seen.shown:
                 # on which figures are drawn
                 paper = "card" if "<svg" in self.seen.shown else ""
                 ui.html(self.seen.shown, sanitize=False).classes(f"seen {paper}")
-            for text in self.seen.notes:
-                self._say(text, "note")
+            for note in self.seen.notes:
+                self._say(str(note), "note", note.options)
             if self.seen.text:
                 with _box("details", "summary", "As curlfit check prints it"):
                     _tag("pre", self.seen.text, "wide")
 
-    def _say(self, text: str, role: str, verb: str = "") -> None:
+    def _say(
+        self, text: str, role: str, options: Iterable[Option] = (), verb: str = ""
+    ) -> None:
         """A sentence, and beneath it what it proposes."""
         if not text:
             return
         with _box("div", role=role):
             ui.html(marked(sentence(text, CHANNELS)), sanitize=False)
-            for name, value in proposals(self.flags["fit"], text):
+            for name, value in proposals(self.flags["fit"], options):
                 if not value:
                     self._file(f"Choose the file for {name}", name)
                     continue
@@ -377,10 +379,10 @@ class Page:
             _, heading = _VERBS[work.verb]
             with _box("details", "summary", heading, "result", open=place == 0):
                 for text in work.complaints:
-                    self._say(text, "finding bad", work.verb)
-                for text in work.warnings:
-                    if proposals(self.flags["fit"], text):
-                        self._say(text, "warned", work.verb)
+                    self._say(text, "finding bad")
+                for warning in work.warnings:
+                    if proposals(self.flags["fit"], warning.options):
+                        self._say(str(warning), "warned", warning.options, work.verb)
                 if work.page is not None:
                     self._page_of(work, work.page)
 
@@ -416,7 +418,7 @@ def _standing_alone(part: Callable[[], None]) -> Callable[[], None]:
 
 
 def _own_error(error: Exception) -> str:
-    """An error that is not the user's, without what would become a button."""
+    """An error that is not the user's."""
     text = message(f"{type(error).__name__}: {error}")
     return "This is an error of curlfit: " + text.replace("`", "'")
 

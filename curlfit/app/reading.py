@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from curlfit.errors import CurlfitError
+from curlfit.errors import CurlfitError, Option
+from curlfit.findings import Finding
 from curlfit.foreign import counted
 from curlfit.html_report.blocks import blocks_of
 from curlfit.html_report.drawings import inline_svg
@@ -34,14 +35,16 @@ class Seen:
     Attributes
     ----------
     finding : in a line. fault : why it cannot be fitted; empty if it can.
-    oddities, notes : sentences. shown : figures or a table, as HTML.
+    options : what to type to mend the fault. oddities, notes : of the data.
+    shown : figures or a table, as HTML.
     text : as `curlfit check` prints it.
     """
 
     finding: str = ""
     fault: str = ""
-    oddities: Sequence[str] = ()
-    notes: Sequence[str] = ()
+    options: Sequence[Option] = ()
+    oddities: Sequence[Finding] = ()
+    notes: Sequence[Finding] = ()
     shown: str = ""
     text: str = ""
 
@@ -68,7 +71,7 @@ def look(files: Sequence[Path], chosen: Mapping[str, Any]) -> Seen:
             return _several([job.throw for job in jobs])
         return _one(files[0], jobs[0], reading, chosen.get("config"))
     except CurlfitError as error:
-        return Seen(fault=str(error))
+        return Seen(fault=str(error), options=error.options)
 
 
 def _several(throws: Sequence[Throw]) -> Seen:
@@ -96,8 +99,11 @@ def _one(
     from curlfit.throws.plausibility import examine, require_motion, require_plausible
     from curlfit.throws.report import print_inspection
 
-    throw, printed, fault = job.throw, StringIO(), ""
-    oddities: list[str] = []
+    throw = job.throw
+    printed = StringIO()
+    fault = ""
+    options: tuple[Option, ...] = ()
+    oddities: list[Finding] = []
     settings = {**throw.settings, **read_config(config)}
     print_inspection(
         read(file, reading), throw, settings, Console(file=printed, width=110)
@@ -105,20 +111,21 @@ def _one(
     figures = motion_figures(throw) if throw.has_path else {}
     try:
         require_motion(job.cut)
-        oddities = [str(one) for one in examine(job.cut) if not one.is_refusal]
+        oddities = [item for item in examine(job.cut) if not item.is_refusal]
         require_plausible(job.cut)
         _ = job.parameters
     except CurlfitError as error:
         fault = str(error)
+        options = error.options
+    pictures = [inline_svg(fig, f"seen-{name}-", name) for name, fig in figures.items()]
     return Seen(
-        motion_in_words(throw) or f"{len(throw.events)} times and places",
-        fault,
-        oddities,
-        throw.notes,
-        "".join(
-            inline_svg(one, f"seen-{name}-", name) for name, one in figures.items()
-        ),
-        printed.getvalue(),
+        finding=motion_in_words(throw) or f"{len(throw.events)} times and places",
+        fault=fault,
+        options=options,
+        oddities=oddities,
+        notes=throw.notes,
+        shown="".join(pictures),
+        text=printed.getvalue(),
     )
 
 

@@ -11,7 +11,11 @@ from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
+import curlfit
+from curlfit.findings import Finding
 from curlfit.foreign import cut
+from curlfit.options.settings import kind_of
+from curlfit.output.display import KINDS, document_of
 
 _LONGEST = 120  # characters of a line of progress
 _CONTROL = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]|[━╸╺⠀-⣿]")
@@ -23,21 +27,28 @@ _TERMINAL = {"FORCE_COLOR": "1", "COLUMNS": "9999", "PYTHONIOENCODING": "utf-8"}
 _ENDS_WITH_PAGE = {"CURLFIT_ENDS_WITH_INPUT": "1"}
 
 
+def warnings_beside(page: Path) -> list[Finding]:
+    """The warnings of the result in the folder of its page."""
+    kind = kind_of(page.parent)
+    result = getattr(curlfit, f"load_{KINDS[kind].noun}")(page.parent)
+    return list(document_of(result).warnings)
+
+
 class Work:
     """One command, running or done.
 
     Attributes
     ----------
     verb, words : what is typed after `curlfit`.
-    complaints, warnings : what it said. page : the page that it wrote,
-        within the folder.
+    complaints : what it said on failing. page : the page that it wrote, within the
+        folder. warnings : of the result beside that page.
     stopped, over : whether it was told to stop, and whether it has ended.
     """
 
     def __init__(self, verb: str, words: Sequence[str]) -> None:
         self.verb, self.words = verb, words
         self.complaints: list[str] = []
-        self.warnings: list[str] = []
+        self.warnings: list[Finding] = []
         self.page: Path | None = None
         self.stopped, self.over = False, asyncio.Event()
         self._line = "Starting"
@@ -77,6 +88,8 @@ class Work:
         status = await self._process.wait()
         if self.page is None and not self.complaints:
             self.complaints = [f"the command ended with status {status}: {self._line}"]
+        if self.page is not None:
+            self.warnings = warnings_beside(folder / self.page)
 
     def _hear(self, raw: bytes) -> None:
         self._line = (
@@ -88,8 +101,8 @@ class Work:
         within = not page.is_absolute() and ".." not in page.parts
         if kind == "Written" and page.name == "report.html" and within:
             self.page = page
-        heard = {"curlfit": self.complaints, "Warning": self.warnings}.get(kind, [text])
-        heard.extend({text}.difference(heard))
+        if kind == "curlfit" and text not in self.complaints:
+            self.complaints.append(text)
 
     @property
     def progress(self) -> str:

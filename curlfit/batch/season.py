@@ -20,7 +20,7 @@ from curlfit.batch.settings import (
 from curlfit.batch.table import plan_of, settings_file
 from curlfit.errors import DataError
 from curlfit.foreign import counted, printable
-from curlfit.friction import Law, find_law
+from curlfit.friction import Law, Load, find_law
 from curlfit.inference.joint.result import JointResult
 from curlfit.inference.joint.season import Season, mean_of
 from curlfit.inference.model import Model
@@ -150,7 +150,7 @@ def _read(file: Path, law: str | type[Law] | None = None) -> Season:
         notes = [f"{counted(others, 'row')} {are} not ok and {are} left out"]
     return Season(
         str(file),
-        Model(kind, chosen.load),
+        Model(kind, Load(chosen.load)),
         Stone().with_values(dict(chosen.stone)),
         labels,
         values,

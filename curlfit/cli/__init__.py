@@ -11,6 +11,7 @@ from cyclopts.exceptions import CycloptsError
 
 from curlfit.batch.command import batch
 from curlfit.cli.example import example
+from curlfit.cli.explain import explain
 from curlfit.cli.export import export
 from curlfit.cli.fit import fit
 from curlfit.cli.laws import laws
@@ -72,6 +73,7 @@ for _verb in (
     export,
     simulate,
     laws,
+    explain,
     reproduce,
     example,
     page,

@@ -103,7 +103,7 @@ def _accelerations_jvp(
     of_stone, of_ring = _ring_change(kind, inputs, change)
     contact = inputs.contact(kind, load, clustering)
     forces = ring_forces(contact)
-    tilt = None if load == "uniform" else tuple(balanced_tilt(forces, contact.lever))
+    tilt = None if load == Load.UNIFORM else tuple(balanced_tilt(forces, contact.lever))
     out, total = _along(partial(accelerations_under, forces), stone, of_stone)
 
     def under_load(change: Values) -> Accelerations:

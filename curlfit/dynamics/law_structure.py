@@ -185,7 +185,7 @@ def is_mirror_symmetric(kind: type[LocalLaw], load: Load) -> bool:
     """Whether friction on the back half mirrors that on the front, as under an
     isotropic law."""
     law = example_law(kind)
-    if load != "uniform" or has_edges(kind):
+    if load != Load.UNIFORM or has_edges(kind):
         return False
     names = ("e_xi", "slide_xi", "eta", "angle", "front")  # differ between the halves
 

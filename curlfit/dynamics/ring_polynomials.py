@@ -180,13 +180,13 @@ def traction(
         speed=_symbol(speed=1),
         e_xi=_symbol(e_xi=1),
         e_eta=_symbol(e_eta=1),
-        load=1.0 if load == "uniform" else _LOAD,
+        load=1.0 if load == Load.UNIFORM else _LOAD,
         v=v,
         u=u,
         turned=turned,
         time=time,
     )
-    factor = 1.0 if load == "uniform" else _LOAD  # traction is per unit load
+    factor = 1.0 if load == Load.UNIFORM else _LOAD  # traction is per unit load
     across, along = law.traction(point)
     return Polynomial.of(across) * factor, Polynomial.of(along) * factor
 
@@ -279,7 +279,7 @@ def _check(law: LocalLaw, load: Load, motion: tuple[float, ...]) -> None:
 def _check_means(found: tuple[Polynomial, Polynomial], load: Load) -> None:
     if any(powers.load not in (0, 1) for part in found for powers in part.terms):
         raise TypeError("expected a load that is linear in n")
-    loads = (1.0,) if load == "uniform" else (1.0, XI, ETA)
+    loads = (1.0,) if load == Load.UNIFORM else (1.0, XI, ETA)
     for force in (Force.of(*found).under(one) for one in loads):
         size = max(map(abs, force.moment.terms.values()), default=0.0)
         for part in force:

@@ -140,7 +140,7 @@ def _terms(law: type[LocalLaw], load: Load) -> tuple[type[LocalLaw], ...]:
     """The laws that are summed over the ring each in its own way: those of a sum,
     or this one."""
     apart = (
-        issubclass(law, Sum) and load == "uniform" and not has_closed_form(law, load)
+        issubclass(law, Sum) and load == Load.UNIFORM and not has_closed_form(law, load)
     )
     return law.parts if apart else (law,)  # type: ignore[attr-defined]
 
@@ -152,10 +152,10 @@ def forces_of(
     load (eq. 8)."""
     if has_closed_form(type(law), load):
         total = partial(_total, _parts_in_closed_form(law, load, motion, ring), motion)
-        if load == "uniform":
+        if load == Load.UNIFORM:
             return (total(1.0),)
         return total(1.0), total(XI, constant=False), total(ETA, constant=False)
-    if load == "uniform":
+    if load == Load.UNIFORM:
         return (force_under(law, load, motion, ring, None),)
     ring_panels = ring.panels_of(law, motion)
     if depends_on_load(law, ring_panels[0].points):
@@ -177,7 +177,7 @@ def force_under(
     if has_closed_form(type(law), load):
         tilted = 1.0 if tilt is None else 1 + tilt[0] * XI + tilt[1] * ETA
         return _total(_parts_in_closed_form(law, load, motion, ring), motion, tilted)
-    if isinstance(law, Sum) and load == "uniform":
+    if isinstance(law, Sum) and load == Load.UNIFORM:
         each = [force_under(term, load, motion, ring, tilt) for term in law.terms]
         return tuple(
             sum(row, start=jnp.zeros_like(motion.v)) for row in zip(*each, strict=True)
@@ -278,7 +278,7 @@ def _about_balance(law: LocalLaw, ring: list[Panel], lever: Array) -> RingForces
 
         def force(tilt: Array) -> Array:
             return jnp.stack(
-                _by_quadrature(law, "consistent", ring, (tilt[0], tilt[1]))
+                _by_quadrature(law, Load.CONSISTENT, ring, (tilt[0], tilt[1]))
             )
 
         one, zero = jnp.ones_like(tilt[0]), jnp.zeros_like(tilt[0])

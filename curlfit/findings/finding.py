@@ -99,6 +99,12 @@ class Finding:
         return replace(self, about=names)
 
     @property
+    def options(self) -> tuple[Option, ...]:
+        """What to type, the first remedy first."""
+        remedies = self.remedies
+        return tuple(item.option for item in remedies if item.option is not None)
+
+    @property
     def is_refusal(self) -> bool:
         """Whether it makes a fit impossible or unusable."""
         return self.level is Level.REFUSAL
@@ -108,6 +114,11 @@ class Finding:
         """What was found, in a few words."""
         message = messages()[self.code]
         return message.brief.format(**self.numbers) or message.title
+
+    @property
+    def means(self) -> str:
+        """What it means and what to do, in a few sentences."""
+        return " ".join(messages()[self.code].means.split())
 
     @property
     def has_words(self) -> bool:

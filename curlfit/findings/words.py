@@ -24,10 +24,13 @@ import string
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from functools import cache
 from importlib import resources
 from typing import Any
 
+from curlfit.errors import InputError
+from curlfit.foreign import quoted
 from curlfit.wording import compact, join_words, two_digits
 
 _MOST_NAMED = 3  # throws that a sentence names; of more the first two
@@ -108,6 +111,20 @@ def _tables() -> dict[str, dict[str, Message]]:
 def messages() -> dict[str, Message]:
     """The words of findings, by code."""
     return _tables()["findings"]
+
+
+def message_of(code: str) -> Message:
+    """The words of a code. Raises `InputError` for one that is not known."""
+    known = messages()
+    if code not in known:
+        near = get_close_matches(code, known, 3, 0.5)
+        expected = (
+            f"did you mean {join_words(near, 'or')}?"
+            if near
+            else ("`curlfit explain` lists the codes")
+        )
+        raise InputError(f"no finding {quoted(code)}; {expected}")
+    return known[code]
 
 
 def sentence(

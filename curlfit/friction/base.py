@@ -10,14 +10,13 @@ import dataclasses
 import functools
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from enum import StrEnum
 from typing import (
     Any,
     ClassVar,
-    Literal,
     NamedTuple,
     Self,
     dataclass_transform,
-    get_args,
 )
 
 import numpy as np
@@ -25,11 +24,16 @@ import numpy as np
 from curlfit.errors import InputError
 from curlfit.foreign import quoted
 
-Load = Literal["uniform", "consistent"]
-"""Distribution of the weight over the ring: uniform, or consistent with
-friction (eq. 8-9)."""
 
-LOADS: tuple[str, ...] = get_args(Load)
+class Load(StrEnum):
+    """Distribution of the weight over the ring: uniform, or consistent with
+    friction (eq. 8-9)."""
+
+    UNIFORM = "uniform"
+    CONSISTENT = "consistent"
+
+
+LOADS: tuple[str, ...] = tuple(Load)
 
 START_NAMES = ("x0", "y0", "heading", "v0", "phi0", "omega0")
 """Parameters of the initial state, which a fit estimates together with
@@ -40,12 +44,12 @@ def check_load(load: str) -> Load:
     """The name of a load. Raises `InputError` for any other name."""
     if load not in LOADS:
         raise InputError(f"unknown load {quoted(load)}; expected {' or '.join(LOADS)}")
-    return load  # type: ignore[return-value]
+    return Load(load)
 
 
 def no_motion_because(load: str) -> str:
     """The likely reason why a law admits no motion, to be appended to a message."""
-    if load != "consistent":
+    if load != Load.CONSISTENT:
         return ""
     return "; the consistent load (eq. 8-9) would have to be negative somewhere"
 

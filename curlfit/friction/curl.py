@@ -43,7 +43,7 @@ def can_curl(kind: type[Law], load: Load, stone: Stone) -> bool:
         else:
             assert isinstance(law, LocalLaw)
             across, along = _ring_force(law, v, stone.R * omega, turned, time)
-            if load == "consistent":
+            if load == Load.CONSISTENT:
                 # n1 R/n0 = lever T_xi, n2 R/n0 = lever T_eta
                 lever = -2 * stone.h / stone.R
                 tilt = lever * across, lever * along

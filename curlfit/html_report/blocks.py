@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from markupsafe import Markup
 from rich.table import Table
 
+from curlfit.findings import Finding, Level
 from curlfit.output.document import Part, Said
 from curlfit.output.html import COLORS, inline
 from curlfit.wording import capital
@@ -48,10 +49,19 @@ def paragraph(text: Any, role: str = "") -> Block:
     return Block("paragraph", {"text": marked(text), "role": role})
 
 
-def bullets(items: Iterable[str], role: str = "") -> list[Block]:
-    """Sentences as a list."""
-    found = tuple(map(marked, items))
-    return [Block("bullets", {"items": found, "role": role})] if found else []
+def of_findings(
+    findings: Sequence[Finding], role: str, names: Collection[str] = ()
+) -> list[Block]:
+    """Findings as a list; what a warning means is shown on request."""
+    items = [
+        {
+            "text": marked(sentence(str(finding), names)),
+            "code": finding.code,
+            "means": "" if finding.level is Level.NOTE else marked(finding.means),
+        }
+        for finding in findings
+    ]
+    return [Block("findings", {"items": items, "role": role})] if items else []
 
 
 def rows(caption: str, items: Mapping[str, str]) -> Block:

@@ -20,7 +20,14 @@ from markupsafe import Markup
 from curlfit import sheet
 from curlfit.errors import InputError
 from curlfit.html_report.additions import additions_of
-from curlfit.html_report.blocks import Block, blocks_of, bullets, marked, rows, sentence
+from curlfit.html_report.blocks import (
+    Block,
+    blocks_of,
+    marked,
+    of_findings,
+    rows,
+    sentence,
+)
 from curlfit.output.display import document_of, kind_of
 from curlfit.output.files import atomic_write, prepare_folder, require_replaceable
 from curlfit.records import plain
@@ -85,15 +92,12 @@ def page_of(result: Any, chain: Chain | None = None) -> str:
     for section in document.sections:
         blocks = [*blocks_of(section), *added.blocks.get(section.id, ())]
         sections[section.id, section.heading] = blocks
-    warnings = [sentence(str(item), document.names) for item in document.warnings]
-    notes = [sentence(str(item), document.names) for item in document.notes]
+    warnings = of_findings(document.warnings, "warning", document.names)
+    notes = of_findings(document.notes, "note", document.names)
     heading = "Warnings and notes"
     if not warnings or not notes:
         heading = "Warnings" if warnings else "Notes"
-    sections["warnings", heading] = [
-        *bullets(warnings, "warning"),
-        *bullets(notes, "note"),
-    ]
+    sections["warnings", heading] = [*warnings, *notes]
     for id, later in _LATER.items():
         sections[id, later] = added.blocks.get(id, [])
     commands = {"lines": [document.command] if document.command else []}

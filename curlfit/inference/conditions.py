@@ -190,6 +190,13 @@ CALIBRATION = "calibration"
 """The map from pixels to metres; its width is in units of its own standard
 uncertainty, 1 unless given, and its independent errors are conditions named
 `calibration_1` and so on."""
+
+
+def is_calibration(condition: str) -> bool:
+    """Whether a condition is an independent error of the map from pixels to metres."""
+    return condition.startswith(CALIBRATION)
+
+
 WEAK_CONDITIONS = ("R", "rho", "h", "length_scale", "time_scale")
 """Conditions that a single path hardly determines."""
 

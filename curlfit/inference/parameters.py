@@ -12,7 +12,7 @@ import numpy as np
 
 from curlfit.errors import DataError, InputError
 from curlfit.foreign import counted, quoted
-from curlfit.friction import Law, Parameter
+from curlfit.friction import Law, Load, Parameter
 from curlfit.friction.curl import can_curl
 from curlfit.inference.conditions import CONDITIONS
 from curlfit.inference.priors import Penalty, Prior, parse_priors, penalty_of
@@ -171,7 +171,7 @@ class ParameterSet:
                 one for one in throw.events if one.quantity == "x" and one.since is None
             ]
             # mypy takes a class for one of its instances, which have no hash.
-            curls = can_curl(law, "uniform", Stone())  # type: ignore[arg-type]
+            curls = can_curl(law, Load.UNIFORM, Stone())  # type: ignore[arg-type]
             straight = not places and ("x" not in measured or curls)
             if (straight or free > len(throw.events)) and "heading" not in named:
                 parameters = parameters.with_fixed("heading", 0.0)

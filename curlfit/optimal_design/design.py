@@ -25,7 +25,7 @@ import numpy as np
 
 from curlfit.errors import InputError
 from curlfit.foreign import quoted
-from curlfit.friction import LOADS, Law, check_load
+from curlfit.friction import LOADS, Law, Load, check_load
 from curlfit.inference.fit.departures import Departures
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.systematics import shifts, widths_of
@@ -492,7 +492,7 @@ def _undetermined_pair(
 ) -> tuple[str, str] | None:
     """Two coefficients of which planned throws determine only the sum under uniform
     load, if any."""
-    uniform = assumed.by_load["uniform"]
+    uniform = assumed.by_load[Load.UNIFORM]
     factor = combined(uniform.factors(planned))
     for direction in _identifiability(uniform, factor).null_directions:
         if len(direction) == 2 and sum(direction.values()) == 0:

@@ -208,7 +208,7 @@ class Assumptions:
     @cached_property
     def by_load(self) -> dict[Load, Assumptions]:
         """The same for an exact law, under each load."""
-        loads: tuple[Load, ...] = ("uniform", "consistent")
+        loads: tuple[Load, ...] = tuple(Load)
         own = {} if self.discrepancy else {self.load: self}
         return {load: replace(self, load=load, discrepancy=0.0) for load in loads} | own
 

@@ -159,7 +159,7 @@ class ConfiguredThrow(Generic[Chosen]):
         self: ConfiguredThrow[ModelChoices],
     ) -> tuple[Model, ParameterSet, Problem]:
         """The initial problem of the fit, for programs compiled alongside it."""
-        from curlfit.friction import find_law
+        from curlfit.friction import Load, find_law
         from curlfit.inference.fit.prepared import PreparedThrow
         from curlfit.inference.fit.rounds import Rounds
         from curlfit.inference.model import Model
@@ -167,7 +167,9 @@ class ConfiguredThrow(Generic[Chosen]):
 
         chosen = self.chosen
         prepared = PreparedThrow.of(self.throw, chosen)
-        model = Model(find_law(chosen.law), chosen.load, prepared.parameters.conditions)
+        model = Model(
+            find_law(chosen.law), Load(chosen.load), prepared.parameters.conditions
+        )
         rounds = Rounds(model, [prepared], loss=LOSSES[chosen.loss], noise=chosen.noise)
         (problem,) = unstacked(rounds.problems)
         return model, prepared.local_parameters, problem

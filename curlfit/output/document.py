@@ -107,12 +107,16 @@ class Document:
         yield from self.warned(spaced=True)
 
     def warned(self, *, spaced: bool = False) -> Iterator[Text]:
-        """Warnings and notes as paragraphs."""
+        """Warnings and notes as paragraphs, and how to learn more of the former."""
         for warning in self.warnings:
             yield Text(f"Warning: {warning}.", style="yellow")
             if spaced:
                 yield Text("")
-        yield from (Text(f"Note: {note}.", style="dim") for note in self.notes)
+        for note in self.notes:
+            yield Text(f"Note: {note}.", style="dim")
+        if self.warnings:
+            codes = " ".join(dict.fromkeys(finding.code for finding in self.warnings))
+            yield Text(f"What this means: curlfit explain {codes}", style="dim")
 
     def as_text(self, name: str, more: str) -> str:
         """A few lines; `name` is that of the class, `more` that of what

@@ -95,7 +95,7 @@ def net_forces(
     values: Floats,
     epsilon: Floats,
     stone: Stone = _STONE,
-    load: Load = "uniform",
+    load: Load = Load.UNIFORM,
 ) -> Floats:
     """Force over m g (right, forward) and moment over m g R, shape (n, 3).
 
@@ -117,7 +117,7 @@ def uniform_load(_found: Any) -> Judged:
         stone = Stone(R=radius, h=0.057)
         uniform, consistent = (
             net_forces(FrontBack, mu, EPSILONS[1:2], stone, load)
-            for load in ("uniform", "consistent")
+            for load in (Load.UNIFORM, Load.CONSISTENT)
         )
         errors.append(100 * np.abs(uniform / consistent - 1)[0])
     off = np.array(errors)
@@ -146,7 +146,7 @@ def _at_nodes(mu: Array, epsilon: Array) -> list[tuple[Array, tuple[Array, Array
     """Angles of the nodes of the ring's quadrature, and friction there by
     the radial law."""
     law = Radial.from_vector(mu)
-    contact = contact_of(law, _STONE, "uniform", _SPEED, _SPEED * epsilon / RADIUS)
+    contact = contact_of(law, _STONE, Load.UNIFORM, _SPEED, _SPEED * epsilon / RADIUS)
     rows = panels(law, *contact.motion, contact.clustering)
     return [(points.angle, law.traction(points)) for points, _ in rows]
 
@@ -227,7 +227,7 @@ def study_ring() -> SimpleNamespace:
         net_forces(FrontBack, other, _SPLIT_EPSILONS, _STONE, load)
         / net_forces(FrontBack, one, _SPLIT_EPSILONS, _STONE, load)
         - 1
-        for load in ("uniform", "consistent")
+        for load in (Load.UNIFORM, Load.CONSISTENT)
     )
     return SimpleNamespace(
         t=TIMES,
@@ -304,7 +304,7 @@ def eq_27(found: Any) -> Judged:
     )
     start = np.array([*mu, 0.0, 0.0, 0.0, _SPEED, 0.0, 1.0])
     integrated, ring = (
-        np.asarray(predict_channels(Model(law, "uniform"), start, problem))[
+        np.asarray(predict_channels(Model(law, Load.UNIFORM), start, problem))[
             :, : len(TIMES)
         ]
         for law in (FrontBackFirstOrder, FrontBack)

@@ -22,7 +22,7 @@ from curlfit.dynamics.contact import accelerations_under, contact_of
 from curlfit.dynamics.quadrature import panels
 from curlfit.dynamics.ring_forces import ring_forces
 from curlfit.dynamics.ring_sum import balanced_tilt
-from curlfit.friction import LAWS, Law, LocalLaw, RingPoint, coefficient
+from curlfit.friction import LAWS, Law, Load, LocalLaw, RingPoint, coefficient
 from curlfit.friction.family import family_of
 from curlfit.friction.isotropic import Coulomb, Power, Stribeck
 from curlfit.friction.sums import Sum
@@ -308,7 +308,7 @@ class RingStates(NamedTuple):
 @compiled("law")
 def _ring(law: type[Law], values: Array, v: Array, omega: Array) -> RingStates:
     def state(values: Array, v: Array, omega: Array) -> RingStates:
-        contact = contact_of(law.from_vector(values), STONE, "consistent", v, omega)
+        contact = contact_of(law.from_vector(values), STONE, Load.CONSISTENT, v, omega)
         forces = ring_forces(contact)
         motion = accelerations_under(forces, STONE)
         n1, n2 = balanced_tilt(forces, contact.lever)
@@ -335,7 +335,7 @@ def ring_states(
 ) -> RingStates:
     """The ring in each of n states: a local law with coefficients of shape (n,
     coefficients), speed (m/s) and spin (1/s) of shape (n,)."""
-    model = Model(law, "consistent").within(_FAMILY)
+    model = Model(law, Load.CONSISTENT).within(_FAMILY)
     program = partial(_ring, model.of_program.law)
     return in_batches(program, (model.vector(values), v, omega), BATCH)
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from curlfit.findings import Finding
-from curlfit.inference.conditions import CALIBRATION, if_off
+from curlfit.inference.conditions import if_off, is_calibration
 from curlfit.inference.derived import Derived, Quantiles
 from curlfit.inference.verdict import Verdict
 from curlfit.output.console import PlainTable
@@ -100,7 +100,7 @@ def systematics(result: Any) -> str:
         shifts = {
             condition: shift
             for condition, shift in found.shifts.get(name, {}).items()
-            if not condition.startswith(CALIBRATION)
+            if not is_calibration(condition)
         }
         condition = max(shifts, key=lambda one: abs(shifts[one]), default="")
         shift, of_camera = (

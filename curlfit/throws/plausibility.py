@@ -109,8 +109,7 @@ def require_plausible(throw: Throw) -> tuple[Finding, ...]:
     refused = [finding for finding in findings if finding.is_refusal]
     if refused:
         as_given = Option("as-given", in_python=throw.conventions is None)
-        remedies = [remedy for finding in refused for remedy in finding.remedies]
-        options = [remedy.option for remedy in remedies if remedy.option is not None]
+        options = [option for finding in refused for option in finding.options]
         raise InputError(
             f"{throw.name}: {'. '.join(map(str, refused))}. To accept the data as "
             f"they are: {as_given}",

@@ -1,5 +1,5 @@
 """What is written on the page: its line of options as the command reads it, and what
-sentences propose."""
+findings propose."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from curlfit.app.form import (
 )
 from curlfit.app.reading import look
 from curlfit.cli import app
-from curlfit.errors import InputError
+from curlfit.errors import InputError, Option
 
 SUM = ("--law", "power+sideways")
 FIT, COMPARE = flags_of(app, "fit"), flags_of(app, "compare")
@@ -89,36 +89,33 @@ def test_what_the_command_would_refuse_is_refused_in_a_sentence(line, said):
 
 
 @pytest.mark.parametrize(
-    ("sentence", "found"),
+    ("options", "found"),
     [
         (
-            "in feet: `--units length=ft`. As they are: `--as-given`",
+            [Option("units", "length=ft"), Option("as-given")],
             [("--units", "length=ft"), ("--as-given", "yes")],
         ),
-        ("`--noise ar1` or `--law power`", [("--noise", "ar1"), ("--law", "power")]),
         (
-            "give points with `--reference FILE` (columns u,v,x,y)",
-            [("--reference", "")],
+            [Option("noise", "ar1"), Option("noise", "ar1"), Option("law", "power")],
+            [("--noise", "ar1"), ("--law", "power")],
         ),
+        ([Option("reference", "FILE")], [("--reference", "")]),
+        ([Option("columns", '"x=wide"'), Option("by", "sheet")], []),
         (
-            "to be tried: `--sweep 5.0:9.2` (friction that differs meanwhile), "
-            "`--until 4.5` (without the rows after it)",
-            [("--sweep", "5.0:9.2"), ("--until", "4.5")],
+            [
+                Option("law", "evil.py:L"),
+                Option("law", "power+evil.py:L"),
+                Option("law", "power+sideways"),
+            ],
+            [SUM],
         ),
-        ("a heading with --reference FILE in it", []),
-        ('as in `--columns "x=wide"`, or `--by sheet`', []),
-        ("`--law evil.py:L`, `--law power+evil.py:L`, `--law power+sideways`", [SUM]),
-        ("`--units 'x`, `--bound a=\"0:1`", []),
-        (
-            "`--systematic` sets, `--stone-index N` selects, "
-            "`curlfit design --separate a,b`",
-            [],
-        ),
-        ("`--rm /`", []),
+        ([Option("bound", '"0:1"'), Option("units", "'x")], []),
+        ([Option("stone-index", "N"), Option("rm", "/")], []),
+        ([Option("since", "3", in_python=True), Option("axes", left_out=True)], []),
     ],
 )
-def test_proposals(sentence, found):
-    assert proposals(FIT, sentence) == found
+def test_proposals(options, found):
+    assert proposals(FIT, options) == found
 
 
 def test_a_proposal_is_added_to_what_is_written():
@@ -164,9 +161,9 @@ def test_what_is_seen_of_a_throw_is_what_the_command_says(write):
         ]
     )
     file = write(text, "feet.csv")
-    said = str(invoke(["fit", file, "--no-sample"]).exception)
-    assert look([file], {}).fault == said
-    assert proposals(FIT, said)[0] == ("--units", "length=ft")
+    seen = look([file], {})
+    assert seen.fault == str(invoke(["fit", file, "--no-sample"]).exception)
+    assert proposals(FIT, seen.options)[0] == ("--units", "length=ft")
     assert look([file], {"units": "length=ft"}).fault == ""
 
 
@@ -211,9 +208,10 @@ HOSTILE = {
 @pytest.mark.parametrize("chosen", [{}, {"columns": {"x": EVIL}}, {"worksheet": "a"}])
 def test_words_of_a_file_make_no_button(name, chosen, write):
     seen = look([write(HOSTILE[name], name)], chosen)
-    sentences = [seen.fault, *seen.oddities, *seen.notes]
-    assert any(sentences) or seen.finding
-    found = [one for text in sentences for one in proposals(FIT, text)]
+    findings = [*seen.oddities, *seen.notes]
+    assert seen.fault or findings or seen.finding
+    options = [*seen.options, *(one for item in findings for one in item.options)]
+    found = proposals(FIT, options)
     assert ("--as-given", "yes") not in found
     assert not {flag for flag, _ in found} & {"--law", "--reference"}
 
@@ -232,7 +230,7 @@ def test_any_line_is_taken_or_refused(flag, text):
     ):
         with suppress(InputError):
             values_of(app, written.words())
-    for proposed, value in proposals(FIT, f"give `{flag} {text}`"):
+    for proposed, value in proposals(FIT, [Option(flag[2:], text)]):
         written = Written(line=text).with_option(FIT[proposed], value)
         with suppress(InputError):
             assert written.words()

@@ -23,6 +23,7 @@ from docstring_examples import run_examples
 from scipy import stats
 
 import curlfit
+from curlfit import Finding
 from curlfit.errors import InputError
 from curlfit.inference.mcmc.arviz_export import (
     draw_noise,
@@ -199,8 +200,12 @@ def test_pages_are_escaped(known):
     name = '<img src=x onerror="alert(1)">&[bold]'
     fit, throw = known["fit"], known["throw"]
     for result in (
-        replace(fit, data=fit.data | {"file": name}, warnings=(name,)),
-        replace(throw, name=name, notes=(name,)),
+        replace(
+            fit,
+            data=fit.data | {"file": name},
+            warnings=(Finding.warning("text", text=name),),
+        ),
+        replace(throw, name=name, notes=(Finding.note("text", text=name),)),
     ):
         page = result._repr_html_()
         assert "<img" not in page

@@ -17,6 +17,7 @@ from conftest import python
 from independent_motion import Reference, front_back
 
 import curlfit
+from curlfit import Finding
 from curlfit.cli import app
 from curlfit.html_report.page import page_of
 from curlfit.html_report.replay import replay_of_fit
@@ -163,7 +164,7 @@ def test_the_numbers_of_the_table_are_those_of_the_record(pages, records):
     said = " ".join(pages["fit"].texts["p"])
     assert "mu1_eta and mu2_eta are not identifiable" in said
     for warning in fit.warnings:
-        assert warning[5:] in html.unescape(pages["fit"].source)
+        assert str(warning)[5:] in html.unescape(pages["fit"].source)
 
 
 def test_lengths_are_in_metres_and_in_feet(pages, records):
@@ -250,11 +251,12 @@ def test_a_prediction_without_draws_has_no_animation_of_them(records):
 
 def test_hostile_names_stay_text(records):
     fit = records["fit"]
+    hostile = Finding.warning("text", text=HOSTILE)
     gap = {"x": np.where(fit.observed["t"] == 3.0, np.nan, fit.observed["x"])}
     named = replace(
         fit,
-        data=fit.data | {"file": HOSTILE, "notes": [HOSTILE]},
-        warnings=(HOSTILE,),
+        data=fit.data | {"file": HOSTILE, "notes": [hostile]},
+        warnings=(hostile,),
         observed=fit.observed | gap,
     )
     page = Page(page_of(named))

@@ -520,7 +520,7 @@ def test_the_report_names_the_product(on_a_curve):
     product = fit["b*omega0"]
     assert "Only b*omega0 is determined: b falls as omega0 grows." in said
     value = compact(product.value, product.stderr)
-    assert f"b*omega0 = {value} is determined" in fit.warnings[-1]
+    assert f"b*omega0 = {value} is determined" in str(fit.warnings[-1])
     again = curlfit.FitResult.from_json(json.loads(json.dumps(fit.to_json())))
     assert again.products == fit.products
     assert fit.to_frame().loc["b*omega0", "verdict"] == "determined"

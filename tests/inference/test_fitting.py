@@ -9,7 +9,7 @@ from dataclasses import replace
 import jax
 import numpy as np
 import pytest
-from conftest import NOISE, filmed, shown
+from conftest import NOISE, codes_of, filmed, finding_of, shown
 from scipy.integrate import cumulative_simpson
 from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
@@ -38,7 +38,8 @@ def test_eq_28_as_checked(eq12_fit):
     assert eq12_fit.rms["x"] < 0.0015
     assert eq12_fit.rms["y"] < 0.025
     assert eq12_fit.rms["phi"] < 0.005
-    assert any("no noise is that smooth" in warning for warning in eq12_fit.warnings)
+    (remedy,) = finding_of(eq12_fit, "correlated").remedies
+    assert remedy.code == "no-noise-so-smooth"
 
 
 def test_the_larger_ring_needs_a_negative_coefficient(eq12):
@@ -46,7 +47,7 @@ def test_the_larger_ring_needs_a_negative_coefficient(eq12):
     assert bounded.parameters["mu1_xi"].verdict == "at bound"
     assert bounded.parameters["mu1_xi"].stderr is None
     assert bounded.parameters["mu1_xi"].value == 0.0
-    assert any("mu1_xi is at its bound" in warning for warning in bounded.warnings)
+    assert finding_of(bounded, "at-bound").numbers["name"] == "mu1_xi"
     free = fit(eq12, stone=Stone(R=0.065, rho=0.1), unbounded=True)
     assert free.parameters["mu1_xi"].value == pytest.approx(-0.0036, abs=4e-4)
 
@@ -117,15 +118,13 @@ def test_residuals_far_larger_than_the_sigma_given_are_told(times, told):
     noise = {name: times * size for name, size in NOISE.items()}
     throw = filmed(law_with("coulomb", {"mu": 0.01}), seed=3, noise=noise)
     result = fit(throw.with_sigma(NOISE), "coulomb")
-    said = " ".join(
-        warning for warning in result.warnings if "the given sigma" in warning
-    )
-    ratios = re.findall(r"([\d.]+) times in", said)
+    channels = finding_of(result, "sigma-too-small").numbers["channels"] if told else []
+    ratios = [channel["times"] for channel in channels]
     assert len(ratios) == told
     for ratio in ratios:
         assert float(ratio) == pytest.approx(times, rel=0.1)
     # sigma that the fit estimates is never too small by its own measure
-    assert not [w for w in fit(throw, "coulomb").warnings if "sigma given" in w]
+    assert "sigma-too-small" not in codes_of(fit(throw, "coulomb"))
 
 
 def test_one_far_value_does_not_make_all_sigma_too_small():
@@ -134,7 +133,7 @@ def test_one_far_value_does_not_make_all_sigma_too_small():
     x[50] += 0.5
     result = fit(replace(throw, x=x).with_sigma(NOISE), "coulomb")
     assert len(result.outliers) == 1
-    assert not [warning for warning in result.warnings if "sigma given" in warning]
+    assert "sigma-too-small" not in codes_of(result)
 
 
 def test_what_cannot_be_fitted_is_refused(eq12):

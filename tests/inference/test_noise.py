@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import DATA, NOISE as SIGMA, filmed
+from conftest import DATA, NOISE as SIGMA, codes_of, filmed, finding_of
 from scipy.linalg import block_diag, toeplitz
 
 import curlfit
+from curlfit.errors import Option
 from curlfit.inference.noise.accelerations import SHAPES
 from curlfit.inference.noise.linearized import Linearized
 from curlfit.inference.noise.models import Independence, Noise
@@ -169,16 +170,16 @@ def test_independence_by_hand():
 
 def test_white_noise_is_told_from_noise_with_a_memory():
     white = curlfit.fit(thrown(3), "front-back")
-    assert not any("row to row" in text or "smooth" in text for text in white.warnings)
+    assert "correlated" not in codes_of(white)
     other = curlfit.fit(thrown(3), "front-back", noise="ar1")
     for name in ("mu1_xi", "mu2_xi", "v0"):
         one, two = white.parameters[name], other.parameters[name]
         assert two.stderr == pytest.approx(one.stderr, rel=0.25)
         assert abs(two.value - one.value) < one.stderr
     told = curlfit.fit(thrown(3, 0.9), "front-back")
-    assert any(
-        "`--noise ar1`, which was tried, leaves indep" in text for text in told.warnings
-    )
+    (remedy,) = finding_of(told, "correlated").remedies
+    assert remedy.option == Option("noise", "ar1")
+    assert "`--noise ar1`, which was tried, leaves independent residuals" in str(remedy)
     assert told.independence["y"].effective < 40
 
 
@@ -188,7 +189,7 @@ def test_the_memory_of_the_noise_is_found():
         found = curlfit.fit(thrown(seed, 0.8), noise="ar1", details=False)
         lasting += [found.noise.memory[name] for name in SIGMA]
         sizes += [found.sigma[name] / SIGMA[name] for name in SIGMA]
-        assert not any("correlated" in text for text in found.warnings)
+        assert not {"correlated", "noise-not-described"} & set(codes_of(found))
         assert max(abs(item.lag1) for item in found.independence.values()) < 0.35
     assert np.exp(np.mean(np.log(lasting))) == pytest.approx(
         -0.1 / np.log(0.8), rel=0.25

@@ -9,6 +9,7 @@ import re
 from pathlib import Path
 
 import pytest
+from conftest import codes_of, finding_of
 
 import curlfit
 from curlfit.inference.fit.fit import fit_throws
@@ -27,8 +28,7 @@ def fits_of(file: str, law: str, **choices) -> list[curlfit.FitResult]:
 
 def curve_warning(fit: curlfit.FitResult) -> str:
     """The warning that the values that fit lie on a curve."""
-    (warning,) = [words for words in fit.warnings if "lie on a curve" in words]
-    return warning
+    return str(finding_of(fit, "curve"))
 
 
 def test_without_the_angle_nothing_tells_the_force_from_the_spin():
@@ -107,7 +107,7 @@ def test_a_table_of_friction_determines_no_scale_of_the_spin():
     assert not fit.combinations
     for name in ("f_min", "alpha"):
         assert fit.coefficients[name].verdict in NOT_KNOWN
-    assert any("lie on a curve" in warning for warning in fit.warnings)
+    assert "curve" in codes_of(fit)
 
 
 @pytest.mark.parametrize(

@@ -8,11 +8,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import NOISE as SIGMA, filmed, shown
+from conftest import NOISE as SIGMA, codes_of, filmed, finding_of, shown
 from scipy.stats import binomtest, chi2, f, t
 
 import curlfit
-from curlfit.inference.fit.caveats import outlier_warning
+from curlfit.errors import Option
+from curlfit.inference.fit.caveats import of_outliers
 from curlfit.inference.fit.covariance import Covariance
 from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.fit.residuals import outliers_of
@@ -120,10 +121,9 @@ def test_a_gross_outlier_is_found_in_few_rows(rows, sigmas):
     assert [(item["channel"], item["t"]) for item in fit.outliers] == [
         ("x", throw.t[row])
     ]
-    assert any(
-        "one outlier: x at" in text and "--loss student" in text
-        for text in fit.warnings
-    )
+    outliers = finding_of(fit, "outliers")
+    assert str(outliers).startswith("one outlier: x at")
+    assert outliers.options == (Option("loss", "student"),)
 
 
 def test_few_rows_have_their_interval_in_the_report():
@@ -152,7 +152,7 @@ def test_a_coefficient_beside_one_at_its_bound_is_not_weak_for_that(seed):
     item = fit.parameters["mu2_xi"]
     assert item.stderr < 0.01 * item.value
     assert (item.verdict, item.reason) == ("determined", "")
-    assert not any("quadratic" in text for text in fit.warnings)
+    assert "curve" not in codes_of(fit)
 
 
 def test_a_weak_parameter_says_why():
@@ -201,7 +201,8 @@ def test_outliers_in_the_first_rows_alone_have_a_flag_that_leaves_them_out():
     early = [
         {"channel": name, "t": 0.0, "line": 2, "sigmas": 60.0} for name in ("y", "phi")
     ]
-    assert "--since 0.5 leaves out the first rows" in outlier_warning(tuple(early), t)
+    since = Option("since", "0.5")
+    assert since in of_outliers(tuple(early), t).options
     late = {"channel": "y", "t": 0.8, "line": 6, "sigmas": 50.0}
-    assert "--since" not in outlier_warning((*early, late), t)
-    assert "--since" not in outlier_warning((late,), t)
+    assert of_outliers((*early, late), t).options == (Option("loss", "student"),)
+    assert of_outliers((late,), t).options == (Option("loss", "student"),)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import TIMES, filmed
+from conftest import TIMES, codes_of, filmed, finding_of
 
 import curlfit
 from curlfit import LAWS, InputError, Throw
@@ -41,30 +41,30 @@ def test_the_friction_while_swept_is_found(fitted):
     assert fitted.conditions.keys() == {"sweep"}
     total = fitted.combinations[0]
     assert abs(total.value - 0.018) < 3 * total.stderr
-    assert not any("the residuals change" in text for text in fitted.warnings)
+    assert "residuals-change" not in codes_of(fitted)
 
 
 def test_a_fit_that_does_not_know_of_it_says_so(swept):
     """And what it says to try finds the sweeping (see also `test_change_points`)."""
-    (warning,) = (
-        text for text in curlfit.fit(swept).warnings if "the residuals change" in text
-    )
-    said = [
-        float(time) for time in warning.split("--sweep ")[1].split("`")[0].split(":")
-    ]
+    said = sweep_of(finding_of(curlfit.fit(swept), "residuals-change"))
     assert said == pytest.approx([T0 + time for time in SWEPT], abs=1.5)
     again = curlfit.fit(swept, swept=said, details=False)
     assert again.parameters["sweep"].value == pytest.approx(0.85, abs=0.05)
 
 
+def sweep_of(finding):
+    """The times between which a finding proposes that a throw was swept, s."""
+    (option,) = [option for option in finding.options if option.name == "sweep"]
+    return [float(time) for time in option.value.split(":")]
+
+
 def abrupt_changes(result):
     """Warnings of a joint fit, by the throw that they name."""
-    found = {}
-    for one in result.throws:
-        texts = [text for text in one.warnings if "the residuals change" in text]
-        if texts:
-            (found[one.data["file"]],) = texts
-    return found
+    return {
+        throw.data["file"]: finding_of(throw, "residuals-change")
+        for throw in result.throws
+        if "residuals-change" in codes_of(throw)
+    }
 
 
 def test_a_joint_fit_says_what_single_fits_say(swept):
@@ -73,20 +73,12 @@ def test_a_joint_fit_says_what_single_fits_say(swept):
     parameter of all, and has no effect on this one."""
     others = [replace(thrown(seed, factor=1.0), name=f"{seed}") for seed in (2, 3)]
     suspect = replace(swept, name="suspect")
-    (alone,) = (
-        text for text in curlfit.fit(suspect).warnings if "the residuals change" in text
-    )
+    alone = finding_of(curlfit.fit(suspect), "residuals-change")
     together = curlfit.fit_together([suspect, *others], share="all")
     said = abrupt_changes(together)
     assert said.keys() == {"suspect"}
-    times = [
-        text.split("--sweep ")[1].split("`")[0] for text in (alone, said["suspect"])
-    ]
-    (begin, end), joint = ([float(time) for time in one.split(":")] for one in times)
-    assert joint == pytest.approx([begin, end], abs=1.0)
-    assert any(
-        text.startswith("suspect: the residuals change") for text in together.warnings
-    )
+    assert sweep_of(said["suspect"]) == pytest.approx(sweep_of(alone), abs=1.0)
+    assert finding_of(together, "residuals-change").about == ("suspect",)
     known = replace(
         thrown(4), name="known", defaults={"swept": [T0 + time for time in SWEPT]}
     )
@@ -102,21 +94,20 @@ def test_joint_fits_of_throws_that_vary_say_so_too(swept):
 
 
 @pytest.mark.parametrize(
-    ("at", "size", "flag", "limits"),
-    [(12.0, 0.2, "--until", (10.5, 12.0)), (6.0, 0.2, "--since", (6.0, 7.5))],
+    ("at", "size", "cut", "limits"),
+    [(12.0, 0.2, "until", (10.5, 12.0)), (6.0, 0.2, "since", (6.0, 7.5))],
 )
-def test_a_stone_that_another_one_touches_is_found(at, size, flag, limits):
+def test_a_stone_that_another_one_touches_is_found(at, size, cut, limits):
     plain = thrown(1, factor=1.0)
     hit = plain.x + size * np.maximum(TIMES - at, 0.0)
     throw = Throw.from_arrays(plain.t, hit, plain.y, plain.phi)
-    said = curlfit.fit(throw, details=False).warnings
-    (warning,) = (text for text in said if "the residuals change" in text)
-    assert float(warning.split("t = ")[1].split()[0]) == pytest.approx(T0 + at, abs=0.6)
-    value = float(warning.split(f"`{flag} ")[1].split("`")[0]) - T0
+    change = finding_of(curlfit.fit(throw, details=False), "residuals-change")
+    assert change.numbers["times"][0] == pytest.approx(T0 + at, abs=0.6)
+    (option,) = [option for option in change.options if option.name == cut]
+    value = float(option.value) - T0
     assert limits[0] <= value <= limits[1]
-    cut = {"--until": "until", "--since": "since"}[flag]
     again = curlfit.fit(throw, **{cut: T0 + value}, details=False)
-    assert not any("the residuals change" in text for text in again.warnings)
+    assert "residuals-change" not in codes_of(again)
 
 
 @pytest.mark.parametrize(

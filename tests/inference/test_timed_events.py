@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import codes_of, finding_of
 from independent_motion import Reference, front_back
 from scipy.optimize import least_squares
 
@@ -280,12 +281,12 @@ def test_fitted_values_are_those_of_the_motion_under_every_loss(loss):
     )
     for one in result.events:
         assert one["fitted"] == pytest.approx(expected[one["name"]], abs=1e-6)
-    (missed,) = (text for text in result.warnings if "the fit deviates from" in text)
+    missed = str(finding_of(result, "events-missed"))
     assert (
         f"hog_to_rest by {abs(12.5 - expected['hog_to_rest']) / 0.1:.2g} sigma"
         in missed
     )
-    assert missed.endswith("--law power lets the friction change with the speed")
+    assert missed.endswith("`--law power` lets the friction change with the speed")
 
 
 def test_systematic_errors_of_lengths_and_times(problem):
@@ -359,19 +360,19 @@ def curled():
 
 def test_a_law_that_cannot_curl_names_the_measured_curl(curled):
     found = curlfit.fit(curled, "coulomb")
-    (said,) = (item for item in found.warnings if "cannot curl" in item)
+    said = finding_of(found, "law-cannot-curl")
     words = (
         "the coulomb law cannot curl a stone: the measured curl of 1.00 m "
         "to the left is in "
     )
-    assert said.startswith(words + "the heading; ")
+    assert str(said).startswith(words + "the heading; ")
     assert abs(found["heading"].value + 1.0 / 28.7) < 1e-3  # the chord of the curl
 
 
 @pytest.mark.slow
 def test_a_prediction_by_a_law_that_cannot_curl_says_so(curled):
     found = curlfit.fit(curled, "coulomb")
-    (said,) = (item for item in found.warnings if "cannot curl" in item)
+    said = finding_of(found, "law-cannot-curl")
     predicted = curlfit.predict(found, start={"v0": 2.2}, draws=100)
     assert said in predicted.warnings
     assert describe_rest(predicted)[1] == "It does not curl."
@@ -382,9 +383,8 @@ def test_a_path_that_curls_names_its_curl_and_a_straight_one_none():
     x = -0.9 * (t / 20) ** 3
     y = 10.059 + 2.2 * t - 0.05 * t**2
     said = curlfit.fit(Throw.from_arrays(t, x, y, t), "coulomb").warnings
-    assert any("is in the heading and in the residuals" in item for item in said)
-    assert any("cannot curl a stone: the measured curl of 0." in item for item in said)
+    (finding,) = [item for item in said if item.code == "law-cannot-curl"]
+    assert "the measured curl of 0." in str(finding)
+    assert finding.numbers["where"] == ["in the heading", "in the residuals"]
     straight = Throw.from_arrays(t, 0.01 * np.sin(5 * t), y, t)
-    assert not any(
-        "cannot curl" in item for item in curlfit.fit(straight, "coulomb").warnings
-    )
+    assert "law-cannot-curl" not in codes_of(curlfit.fit(straight, "coulomb"))

@@ -288,6 +288,7 @@ def fitted(
         )
         for name, (item, weights, why) in asked.items()
     }
+    codes = {warning.code for warning in fit.warnings}
     sampler = ""
     if trial.known:
         try:
@@ -306,10 +307,8 @@ def fitted(
     return Outcome(
         found,
         sampler=sampler,
-        correlated=any("lag-1 correlation" in text for text in fit.warnings),
-        lasting=any(
-            "the noise has a correlation time" in text for text in fit.warnings
-        ),
+        correlated=bool(codes & {"correlated", "noise-not-described"}),
+        lasting="long-memory" in codes,
         outliers=len(fit.outliers),
     )
 

@@ -9,7 +9,7 @@ from importlib import import_module
 from typing import Any, Self
 
 from curlfit.friction import Parameter
-from curlfit.inference.conditions import CALIBRATION
+from curlfit.inference.conditions import CALIBRATION, is_calibration
 from curlfit.inference.derived import Derived, Quantiles
 from curlfit.inference.identifiability import Combination, WithInterval
 from curlfit.inference.verdict import Verdict
@@ -166,7 +166,7 @@ class Systematics:
         """The part of each error that the map from pixels to metres contributes."""
         return {
             name: math.hypot(
-                *(shifts[one] for one in shifts if one.startswith(CALIBRATION))
+                *(shift for name, shift in shifts.items() if is_calibration(name))
             )
             for name, shifts in self.shifts.items()
         }
@@ -175,7 +175,7 @@ class Systematics:
     def settings(self) -> dict[str, float]:
         """The widths as `fit` takes them, with one for the calibration."""
         return {
-            CALIBRATION if name.startswith(CALIBRATION) else name: width
+            CALIBRATION if is_calibration(name) else name: width
             for name, width in self.widths.items()
         }
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from curlfit.errors import CurlfitError, UnusableFitError
-from curlfit.friction import Law, NetLaw, find_law, no_motion_because
+from curlfit.friction import Law, Load, NetLaw, find_law, no_motion_because
 from curlfit.friction.family import LawFamily
 from curlfit.inference.derived import check_derived
 from curlfit.inference.fit.advice import remedies, with_curl_warning, with_noise_advice
@@ -110,7 +110,7 @@ def _fit(
     family: type[LawFamily] | None,
 ) -> FitResult:
     model = Model(
-        find_law(chosen.law), chosen.load, prepared.parameters.conditions
+        find_law(chosen.law), Load(chosen.load), prepared.parameters.conditions
     ).within(family)
     loss = LOSSES[chosen.loss]
     noise = chosen.noise
@@ -395,7 +395,7 @@ def fit_throws(
         batch = side_by_side(len(alike))
         while part := dict(islice(rest, max(BATCH, _ROWS // rows))):
             model = Model(
-                law, common.load, next(iter(part.values())).parameters.conditions
+                law, Load(common.load), next(iter(part.values())).parameters.conditions
             )
             rounds = Rounds(
                 model, list(part.values()), loss=loss, noise=noise, batch=batch

@@ -496,7 +496,7 @@ def _record(
         systematics = Systematics(dict(widths), found.shifts_of_determined(shifts))
     result = FitResult(
         law=law.name,
-        load=fit.model.load,
+        load=fit.model.load.value,
         stone=fit.prepared.stone,
         data=_data(fit),
         converged=distance < CONVERGED

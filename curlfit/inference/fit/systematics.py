@@ -21,6 +21,7 @@ from curlfit.inference.conditions import (
     UNKNOWN_SPIN,
     WIDTHS,
     check_systematics,
+    is_calibration,
 )
 from curlfit.inference.fit.prepared import PreparedThrow
 from curlfit.inference.identifiability import inverted, visible
@@ -203,7 +204,7 @@ def _measured(
 def with_condition_off(problems: Problem, name: str, by: float) -> Problem:
     """Problems with a condition changed by `by`; lengths and their calibration do not
     change the motion."""
-    if name == "length_scale" or name.startswith(CALIBRATION):
+    if name == "length_scale" or is_calibration(name):
         return problems
     if name == "time_scale":
         events = problems.events

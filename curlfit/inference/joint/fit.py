@@ -11,7 +11,7 @@ import numpy as np
 
 from curlfit.errors import InputError, UnusableFitError, require_kind
 from curlfit.foreign import quoted
-from curlfit.friction import Law, find_law, no_motion_because
+from curlfit.friction import Law, Load, find_law, no_motion_because
 from curlfit.inference.derived import check_derived
 from curlfit.inference.fit.covariance import Covariance
 from curlfit.inference.fit.departures import NO_DEPARTURES, Departures
@@ -210,7 +210,7 @@ def solved_together(
     parameters = prepared[0].parameters
     common = np.isin(parameters.names, (*shared, *parameters.conditions))
     channels, rows = zip(*(problem_shape(one.throw) for one in prepared), strict=True)
-    model = Model(find_law(first.law), first.load, parameters.conditions)
+    model = Model(find_law(first.law), Load(first.load), parameters.conditions)
     rounds = Rounds(
         model,
         prepared,
