@@ -12,6 +12,7 @@ from zipfile import ZipFile
 import numpy as np
 
 from curlfit import Throw
+from curlfit.findings import Finding
 
 # A throw that slows down and curls: what every file below says in its own way.
 N = 60
@@ -62,9 +63,15 @@ def is_throw(
             )
 
 
-def said(throw: Throw, words: str) -> bool:
-    """Whether a note on a throw has these words."""
-    return any(words in note for note in throw.notes)
+def note_on(throw: Throw, code: str) -> Finding:
+    """The only note of a code on a throw."""
+    (note,) = (note for note in throw.notes if note.code == code)
+    return note
+
+
+def has_note(throw: Throw, code: str) -> bool:
+    """Whether there is a note of a code on a throw."""
+    return any(note.code == code for note in throw.notes)
 
 
 def tracker(

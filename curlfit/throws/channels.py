@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from curlfit.foreign import counted
+from curlfit.findings import Finding
 from curlfit.numerics.arrays import Floats
 
 CHANNELS = ("x", "y", "phi", "speed", "omega")
@@ -101,21 +101,18 @@ def condensed(throw: Any, most: int) -> dict[str, Any]:
         }
 
     length = block * float(np.median(np.diff(throw.t)))
-    note = (
-        f"{n} rows condensed to {len(starts)}: means over {counted(block, 'row')} "
-        f"({1000 * length:.3g} ms) up to t = {throw.t[min(rest, n - 1)]:.6g} s"
-    )
-    if rest < n:
-        note += (
-            f", over {counted(rest_block, 'row')} after that, when the stone was at "
-            f"rest and every row repeats one measurement, which counts as {still}"
-        )
-    # A deceleration a = 0.2 m/s^2, twice the usual, displaces a mean over T
-    # by a T^2/24.
-    bend = 0.2 * length**2 / 24
-    note += (
-        f"; means of moving rows lie off the path by some {bend:.1g} m, "
-        "which is negligible"
+    note = Finding.note(
+        "condensed",
+        rows=n,
+        means=len(starts),
+        count=block,
+        milliseconds=1000 * length,
+        until=float(throw.t[min(rest, n - 1)]),
+        at_rest=rest_block if rest < n else None,
+        measurements=still,
+        # A deceleration a = 0.2 m/s^2, twice the usual, displaces a mean over T
+        # by a T^2/24.
+        bend=0.2 * length**2 / 24,
     )
     return {
         **{name: means for name, (means, _) in found.items()},

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from curlfit.errors import DataError, InputError
+from curlfit.findings import Finding
 from curlfit.foreign import counted
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.readers.columns import parse_header
@@ -48,7 +49,7 @@ class FrictionTable:
     mu: Floats
     omega: Floats
     sigma: Floats | None = None
-    note: str = ""
+    note: Finding | None = None
 
 
 def _quantity(header: str) -> str:

@@ -12,7 +12,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from curlfit.errors import CurlfitError, DataError, InputError
+from curlfit.errors import CurlfitError, DataError, InputError, Option
+from curlfit.findings import Finding, Remedy
 from curlfit.foreign import quoted
 from curlfit.settings.choices import Reading, takes
 from curlfit.throws.odd_row import OddRow
@@ -24,7 +25,11 @@ from curlfit.throws.readers.known_points import load_homography
 from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile
 from curlfit.throws.readers.table import TABLE
 from curlfit.throws.readers.text import TextFile, is_aside
-from curlfit.throws.readers.timings import TIMINGS, said_in, usual_law as law_of_timings
+from curlfit.throws.readers.timings import (
+    TIMINGS,
+    entry_in,
+    usual_law as law_of_timings,
+)
 from curlfit.throws.readers.tracker import TRACKER
 from curlfit.throws.throw import Throw, counts_from_hack
 
@@ -189,18 +194,18 @@ def throw_of(parsed: ParsedFile, reading: Reading) -> Throw:
     throw = replace(make(**assemble(parsed, reading)), read_with=tuple(given.words()))
     if reading.throws is None:
         return throw
-    labels, events, note = said_in(Path(reading.throws), throw.name)
+    entry = entry_in(Path(reading.throws), throw.name)
+    events = entry.events
+    notes = [*throw.notes, *entry.notes]
     if events and not counts_from_hack(throw.notes):
-        note += (
-            "; its measurements are not used, as they are at lines of the sheet: "
-            "`--axes from-hack` says that y begins there"
-        )
+        begins_there = Remedy("y-begins-there", Option("axes", "from-hack"))
+        notes.append(Finding.note("measurements-not-used", begins_there))
         events = []
     return replace(
         throw,
-        labels=throw.labels | labels,
+        labels=throw.labels | entry.labels,
         events=(*throw.events, *events),
-        notes=(*throw.notes, note),
+        notes=tuple(notes),
     )
 
 
@@ -243,7 +248,8 @@ def _open(file: str | PathLike[str], reading: Reading) -> tuple[Path, Format, Co
     try:
         return text.path, format, format.contents(text, reading)
     except DataError as error:
-        error.args = ("; ".join(filter(None, (str(error), text.note))),)
+        if text.note is not None:
+            error.args = (f"{error}; {text.note}",)
         raise
 
 

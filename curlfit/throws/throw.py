@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from curlfit.errors import DataError, InputError, require_kind
+from curlfit.findings import Finding
 from curlfit.foreign import counted, quoted
 from curlfit.numerics.arrays import Booleans, Floats, floats
 from curlfit.output.console import PlainTable
@@ -43,13 +44,25 @@ MOST_ROWS = 6000
 """Number of rows above which a fit condenses its data."""
 
 
-def counts_from_hack(notes: Iterable[str]) -> bool:
+def counts_from_hack(notes: Iterable[Finding]) -> bool:
     """Whether y is measured from the hack, according to the notes of a reader."""
-    return any(
-        note.startswith("y from the hack")
-        or (note.startswith("axes:") and "from-" in note)
-        for note in notes
-    )
+    return any(_says_that_y_is_from_hack(note) for note in notes)
+
+
+def _says_that_y_is_from_hack(note: Finding) -> bool:
+    """Whether a note says that y is measured from the hack."""
+    if note.code == "axes":
+        return bool(note.numbers["states_zero"])
+    if note.code == "text":  # of a fit that an earlier version saved
+        return _older_sentence_is_of_hack(note.numbers["text"])
+    return note.code == "y-from-the-hack"
+
+
+def _older_sentence_is_of_hack(sentence: str) -> bool:
+    """Whether a note of curlfit 0.2, which wrote no codes, says that y is measured from
+    the hack."""
+    of_axes = sentence.startswith("axes:") and "from-" in sentence
+    return of_axes or sentence.startswith("y from the hack")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -117,7 +130,7 @@ class Throw(Displayed):
     name: str = "throw"
     reference: Reference | None = None
     defaults: dict[str, Any] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
+    notes: tuple[Finding, ...] = ()
     lines: NDArray[np.int64] | None = None
     events: tuple[Event, ...] = ()
     assumed: dict[str, float] = field(default_factory=dict)

@@ -376,7 +376,8 @@ def test_throws_are_equal_by_content(known):
     throw = known["throw"]
     again = curlfit.load_throw(ROOT / "data" / "jensen_shegelski_2004.csv")
     assert throw == again
-    assert throw == replace(again, name="another file", notes=("a note",), lines=None)
+    note = Finding.note("text", text="a note")
+    assert throw == replace(again, name="another file", notes=(note,), lines=None)
     gap = np.where(again.t == 1.0, np.nan, again.x)
     assert replace(throw, x=gap) == replace(again, x=gap.copy())
     for other in (

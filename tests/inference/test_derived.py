@@ -30,6 +30,7 @@ ROOT = Path(__file__).parents[2]
 G = 9.81
 MU, V0, Y0, T_END = 0.0095, 2.45, 9.5, 24.0
 NAMES = ("a", "b", "c")
+FROM_HACK = curlfit.Finding.note("y-from-the-hack", lines=[], far_tee=TEE)
 AT = {"a": 0.7, "b": -1.3, "c": 2.1}
 
 
@@ -46,7 +47,7 @@ def throw():
         for series in (path.x, path.y, path.phi)
     )
     made = curlfit.Throw.from_arrays(t, x, y, phi, name="draw.csv")
-    return replace(made, notes=("y from the hack",))
+    return replace(made, notes=(FROM_HACK,))
 
 
 @pytest.fixture(scope="module")
@@ -621,7 +622,7 @@ def test_a_draw_has_its_time_and_its_curl(eq12_fit):
     made = curlfit.Throw.from_arrays(
         t, path.x, path.y, path.phi, sigma={"x": 0.003, "y": 0.003, "phi": 0.005}
     )
-    made = replace(made, notes=("y from the hack",), defaults={"stone": {"R": 0.054}})
+    made = replace(made, notes=(FROM_HACK,), defaults={"stone": {"R": 0.054}})
     found = curlfit.fit(made).quantities
     hog = np.interp(LINES["hog"], path.y[:9], t[:9])
     assert found["draw_time"].value == pytest.approx(float(path.rest) - hog, abs=2e-3)
@@ -644,7 +645,7 @@ def test_an_error_of_the_clock_scales_times_and_friction():
                 curlfit.Throw.from_arrays(
                     rate * t, path.x, path.y, path.phi, sigma=sigma
                 ),
-                notes=("y from the hack",),
+                notes=(FROM_HACK,),
             ),
             "coulomb",
             systematics={"all": 0.0, "time_scale": width},

@@ -8,9 +8,10 @@ from contextlib import suppress
 import numpy as np
 import pytest
 from conftest import command
-from sample_files import PHI, T, X, Y, is_throw, table
+from sample_files import PHI, T, X, Y, is_throw, note_on, table
 
 from curlfit import DataError, InputError, Throw, load_throw
+from curlfit.errors import Option
 
 TURNS = PHI / (2 * np.pi)
 DEGREES = np.degrees(PHI)
@@ -76,11 +77,11 @@ def test_words_in_other_languages_yield_to_those_of_curlfit(write):
     words = "\n".join(f"{t},{x},{y},out" for t, x, y in zip(T, X, Y, strict=True))
     throw = load_throw(write("t,x,y,Drehung\n" + words))
     is_throw(throw, phi=False)
-    assert "columns ignored: Drehung" in throw.notes
+    assert note_on(throw, "columns-ignored").numbers == {"columns": ["Drehung"]}
     two = load_throw(write(written("t;x;y;Winkel;yaw", T, X, Y, PHI, 2 * PHI)))
     assert two.seen == ("x", "y")
     assert (
-        two.notes[0]
+        str(two.notes[0])
         == 'not used, and perhaps phi: Winkel; `--columns "phi=Winkel"` reads them so'
     )
 
@@ -145,7 +146,11 @@ def test_what_is_not_used_is_named_first_with_the_option_that_reads_it(write):
     )
     throw = load_throw(file, columns={"x": "Lateral", "y": "Distance"})
     is_throw(throw, phi=False)
-    assert throw.notes[0] == (
+    assert caught.value.options == (
+        Option("columns", '"x=Lateral (m), y=Distance (m)"'),
+    )
+    assert throw.notes[0].code == "columns-not-used"
+    assert str(throw.notes[0]) == (
         'not used, and perhaps phi: Degrees; `--columns "phi=Degrees"` reads them so'
     )
     is_throw(
@@ -156,7 +161,8 @@ def test_what_is_not_used_is_named_first_with_the_option_that_reads_it(write):
 def test_a_unit_that_is_not_known_is_never_taken_for_another(write):
     file = write(written("t;x;y;Twist (gon)", T, X, Y, PHI * 200 / np.pi))
     throw = load_throw(file)
-    assert throw.notes == ("columns ignored: Twist (gon)",)
+    (note,) = throw.notes
+    assert str(note) == "columns ignored: Twist (gon)"
     with pytest.raises(
         DataError, match=r"line 1: phi in 'gon': unknown unit; .*--units phi=UNIT"
     ):
@@ -170,11 +176,14 @@ def test_what_cannot_be_one_of_ours_is_not_proposed(write):
     others = "velocity x;acceleration (m/s^2);twist;weight"
     rows = "".join(f"{k / 10};2;{k};1;out;5\n" for k in range(20))
     throw = load_throw(write(f"t;speed;{others}\n{rows}"))
-    assert throw.notes == (f"columns ignored: {others.replace(';', ', ')}",)
-    rows = "".join(f"{k / 10};{k / 9};1\n" for k in range(20))
-    assert load_throw(write(f"t;phi;distance\n{rows}")).notes == (
-        "columns ignored: distance",
+    (note,) = throw.notes
+    assert (note.code, note.numbers["columns"]) == (
+        "columns-ignored",
+        others.split(";"),
     )
+    rows = "".join(f"{k / 10};{k / 9};1\n" for k in range(20))
+    (note,) = load_throw(write(f"t;phi;distance\n{rows}")).notes
+    assert str(note) == "columns ignored: distance"
 
 
 def test_pixels_ask_for_known_points(write):

@@ -11,7 +11,7 @@ from curlfit import load_throw
 from curlfit.throws.readers.axes import parse_axes
 from curlfit.throws.readers.homography import displacements, homography
 from curlfit.throws.readers.known_points import odd_points
-from tests.sample_files import KNOWN, known_points, project, said, table
+from tests.sample_files import KNOWN, has_note, known_points, note_on, project, table
 
 PLACES = np.array([[0.0, 1.0, -1.5], [5.0, 20.0, 27.0]])
 T = np.linspace(0.0, 20.0, 60)
@@ -68,7 +68,7 @@ def test_four_points_leave_the_errors_unknown(write):
     assert homography(project(*KNOWN[:, :4]), KNOWN[:, :4]).errors is None
     four = load_throw(write(ROWS), reference=write(known_points(4), "points.csv"))
     assert four.calibration is None
-    assert said(four, "unknown and missing from the systematic errors")
+    assert has_note(four, "pixels-to-metres-by-four-points")
 
 
 def test_the_noise_of_a_row_is_that_of_one_pixel(write):
@@ -133,8 +133,8 @@ def test_a_point_listed_twice_is_one(write):
         points = write(listed(seen(1)[:, places], LINES[:, places]), f"{name}.csv")
         throw = load_throw(write(ROWS), reference=points)
         assert throw.calibration is None
-        assert said(throw, "by 4 points of")
-        assert said(throw, "1 point listed twice") == (name == "twice")
+        assert has_note(throw, "pixels-to-metres-by-four-points")
+        assert has_note(throw, "points-listed-twice") == (name == "twice")
 
 
 @pytest.mark.parametrize("away", [(72.0, 0.0), (-25.0, 25.0), (0.0, 500.0)])
@@ -143,11 +143,11 @@ def test_a_point_that_was_clicked_wrongly_is_named_and_left_out(write, away):
     pixels[:, 7] += away
     points = write(listed(pixels, LINES), "points.csv")
     throw = load_throw(write(ROWS), reference=points)
-    (note,) = (note for note in throw.notes if "left out as odd" in note)
-    assert "line 9 (x = 0 m, y = 17 m), " in note
-    assert "line" not in note.split("line 9")[1]
-    off = float(note.split("17 m), ")[1].split(" px")[0])
-    assert off == pytest.approx(np.hypot(*away), abs=6)
+    note = note_on(throw, "odd-points")
+    assert "left out as odd: line 9 (x = 0 m, y = 17 m), " in str(note)
+    assert str(note).endswith(" put it; `--as-given` uses it")
+    (point,) = note.numbers["points"]
+    assert point["off"] == pytest.approx(np.hypot(*away), abs=6)
     without = write(
         listed(np.delete(seen(2), 7, 1), np.delete(LINES, 7, 1)), "others.csv"
     )
@@ -158,10 +158,11 @@ def test_odd_points_are_used_as_given(write):
     pixels = seen(2)
     pixels[0, 7] += 30.0
     points = write(listed(pixels, LINES), "points.csv")
-    assert said(load_throw(write(ROWS), reference=points), "by 11 points of")
+    without = load_throw(write(ROWS), reference=points)
+    assert note_on(without, "pixels-to-metres").numbers["points"] == 11
     throw = load_throw(write(ROWS), reference=points, as_given=True)
-    assert said(throw, "by 12 points of")
-    assert not said(throw, "left out")
+    assert note_on(throw, "pixels-to-metres").numbers["points"] == 12
+    assert not has_note(throw, "odd-points")
 
 
 def test_two_odd_points_do_not_hide_one_another():

@@ -17,14 +17,15 @@ from sample_files import (
     X,
     Y,
     is_throw,
+    note_on,
     ods,
-    said,
     table,
     xlsx,
     xlsx_rows,
 )
 
 from curlfit import DataError, InputError, Throw, load_throw, load_throws
+from curlfit.foreign import quoted
 from curlfit.throws.readers import worksheet_size
 
 HEADER = ",".join(COLUMNS)
@@ -41,7 +42,8 @@ def test_titles_above_the_header(write):
         assert throw.lines[0] == titles.count("\n") + 3
         first = titles.split("\n")[0].strip(",")
         above = titles.count("\n") - titles.count("\n\n")
-        assert throw.notes == (f"{above} lines above the header not read: '{first}'",)
+        (note,) = throw.notes
+        assert str(note) == f"{above} lines above the header not read: '{first}'"
 
 
 def test_units_in_the_second_row(write):
@@ -71,7 +73,8 @@ def test_a_row_without_values_is_no_row_of_units(write):
     for empty in (",,,", "-,-,-,-", "n/a,,,-"):
         throw = load_throw(write("\n".join([head, empty, *ROWS])))
         is_throw(throw)
-        assert throw.notes == ("1 empty row left out",)
+        (note,) = throw.notes
+        assert str(note) == "1 empty row left out"
 
 
 def test_errors_of_spreadsheets_are_gaps(write):
@@ -80,7 +83,8 @@ def test_errors_of_spreadsheets_are_gaps(write):
         rows[k][2] = error
     throw = load_throw(write("\n".join([HEADER, *map(",".join, rows)])))
     assert np.flatnonzero(np.isnan(throw.y)).tolist() == [3, 5, 9, 11]
-    assert throw.notes == ("3 cells such as '#NV' are taken as gaps",)
+    (note,) = throw.notes
+    assert str(note) == "3 cells such as '#NV' are taken as gaps"
 
 
 def grouped(value: float, thousands: str, decimal: str) -> str:
@@ -109,7 +113,7 @@ def test_thousands_may_be_separated(write, thousands, decimal, separator):
     ]
     throw = load_throw(write("\n".join([head, *rows])))
     is_throw(throw, atol=6e-4)
-    assert said(throw, " separates thousands: ")
+    assert note_on(throw, "thousands").numbers["mark"] == quoted(thousands)
 
 
 def test_a_mark_that_cannot_separate_thousands_is_not_removed(write):
@@ -146,7 +150,8 @@ def test_a_spreadsheet_may_have_titles_units_apart_and_errors(tmp_path):
     assert np.flatnonzero(np.isnan(throw.y)).tolist() == [7]
     np.testing.assert_allclose(throw.phi, PHI, atol=1e-9)
     np.testing.assert_allclose(throw.x, X, atol=1e-9)
-    assert said(throw, "2 lines above the header not read: 'Curling, Bahn 3'")
+    note = note_on(throw, "lines-above-the-header")
+    assert note.numbers == {"count": 2, "first": "'Curling, Bahn 3'"}
 
 
 STRAY = '<row r="1048576"><c r="XFD1048576"><v>1</v></c></row>'
@@ -269,8 +274,8 @@ def test_throws_side_by_side(write, head):
     file = write("\n".join([head, *rows]))
     throw = load_throw(file)
     is_throw(throw)
-    assert throw.notes[0].startswith("2 objects: 1 ")
-    assert "taken: 1 " in throw.notes[0]
+    note = note_on(throw, "one-of-objects")
+    assert (note.numbers["count"], note.numbers["taken"]) == (2, 1)
     np.testing.assert_allclose(load_throw(file, stone_index=2).x, X[:-5] + 0.5)
 
 
@@ -302,10 +307,11 @@ def test_a_worksheet_is_chosen_by_its_name_and_the_others_are_named(tmp_path, wr
     first, second = load_throw(file), load_throw(file, worksheet="second")
     np.testing.assert_allclose(second.x, first.x + 0.5, atol=1e-12)
     those = (
-        "3 worksheets: evening, second, Legend; taken: {} (--worksheet selects another)"
+        "3 worksheets: evening, second, Legend; taken: {}; `--worksheet NAME` selects "
+        "another"
     )
-    assert first.notes[0] == those.format("evening")
-    assert second.notes[0] == those.format("second")
+    assert str(first.notes[0]) == those.format("evening")
+    assert str(second.notes[0]) == those.format("second")
     assert second.read_with == ("--worksheet=second",)
     with pytest.raises(
         InputError, match="worksheet with data; expected one of evening, second, L"

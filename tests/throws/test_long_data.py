@@ -45,8 +45,11 @@ def test_means_over_blocks_keep_time_place_and_noise(long):
     assert short.x[short.t <= rest].mean() == pytest.approx(
         long.x[rows].mean(), abs=2e-3
     )
-    assert "was at rest" in short.notes[-1]
-    assert "30001 rows condensed to" in short.notes[-1]
+    note = short.notes[-1]
+    assert note.code == "condensed"
+    assert note.numbers["rows"] == 30001
+    assert note.numbers["means"] == len(short)
+    assert "was at rest" in str(note)
 
 
 def test_gaps_stay_gaps(long):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from conftest import parts_in
-from sample_files import COLUMNS, PHI, T, X, Y, said, table
+from sample_files import COLUMNS, PHI, T, X, Y, note_on, table
 
 from curlfit import DataError, InputError, load_throw
 
@@ -54,7 +54,8 @@ def test_the_direction_of_the_handle_is_the_angle(write, unit, factor):
     turns = 2 * np.pi * np.round((throw.phi[0] - phi[0]) / (2 * np.pi))
     np.testing.assert_allclose(throw.phi - turns, phi, atol=1e-6)
     np.testing.assert_allclose(throw.x, X, atol=1e-8)
-    assert said(throw, "the direction of the mark, 120 mm from")
+    note = note_on(throw, "angle-of-mark-and-scatter")
+    assert note.numbers["millimetres"] == pytest.approx(120, rel=1e-4)
 
 
 @pytest.mark.parametrize(

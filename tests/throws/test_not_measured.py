@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from sample_files import note_on
 
 from curlfit import Throw, load_throw
 
@@ -31,9 +32,11 @@ def test_rows_of_a_placeholder_are_not_measured_and_named(tmp_path, path, number
     for channel in (throw.x, throw.y, throw.phi):
         assert np.isnan(channel[lost]).all()
         assert np.isfinite(np.delete(channel, lost)).all()
-    (note,) = (note for note in throw.notes if "taken" in note)
-    assert f"3 rows with {number:g} in every column" in note
-    assert "the first in line 22" in note
+    note = note_on(throw, "placeholders")
+    assert str(note) == (
+        f"3 rows with {number:g} in every column taken as not measured, the first in "
+        "line 22; `--as-given` keeps them"
+    )
     kept = load_throw(table_of(tmp_path, *columns), as_given=True)
     assert np.isfinite(kept.x).all()
 
@@ -50,7 +53,7 @@ def test_a_channel_that_never_changes_is_left_out(tmp_path, path, place, name):
     columns[place] = np.full(60, 2.0)
     throw = load_throw(table_of(tmp_path, *columns))
     assert np.isnan(getattr(throw, name)).all()
-    assert any(f"{name} is 2 in every row" in note for note in throw.notes)
+    assert note_on(throw, "never-changes").numbers == {"quantity": name, "value": 2.0}
     kept = load_throw(table_of(tmp_path, *columns), as_given=True)
     assert (getattr(kept, name) == 2.0).all()
 

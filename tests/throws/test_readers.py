@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from conftest import DATA
-from sample_files import said
+from sample_files import note_on
 
 from curlfit import DataError, InputError, Throw, load_throw
 from curlfit.throws.readers.columns import parse_header
@@ -68,7 +68,7 @@ def test_an_empty_column_was_not_measured(write, header):
     throw = load_throw(file)
     assert throw.seen == ("x", "y")
     assert not throw.sigma
-    assert said(throw, f"column {header} is empty")
+    assert note_on(throw, "empty-column").numbers["column"] == header
 
 
 @pytest.mark.parametrize(
@@ -88,7 +88,8 @@ def test_settings_and_other_comments(write):
         )
     )
     assert throw.defaults == {"until": 1.5, "stone": {"R": 0.06}}
-    assert "settings not known and ignored: 'ice' (line 4)" in throw.notes
+    note = note_on(throw, "unknown-settings")
+    assert str(note) == "settings not known and ignored: 'ice' (line 4)"
 
 
 @pytest.mark.parametrize(

@@ -17,9 +17,10 @@ from sample_files import (
     T,
     X,
     Y,
+    has_note,
     known_points,
     log,
-    said,
+    note_on,
     shot,
     table,
     tracker,
@@ -27,6 +28,7 @@ from sample_files import (
 )
 
 from curlfit import DataError, InputError, Throw, load_throw
+from curlfit.errors import Option
 from curlfit.sheet import LINES
 from curlfit.throws.load import detect_format
 from curlfit.throws.readers import digitalcurling
@@ -149,9 +151,10 @@ def test_tracker(write, separator, comma):
     np.testing.assert_allclose(throw.x, X + 0.5)
     np.testing.assert_allclose(throw.y, Y + 1)
     assert throw.seen == ("x", "y")
-    assert said(throw, "mass_A")
-    assert said(throw, "left out: θ_{r}")
-    assert said(throw, "Tracker computes them from the positions")
+    assert note_on(throw, "object").numbers == {"name": "mass_A"}
+    computed = str(note_on(throw, "computed-by-tracker"))
+    assert computed.startswith("left out: θ_{r}")
+    assert "Tracker computes them from the positions" in computed
 
 
 def test_what_tracker_computes_is_told_by_its_name(write):
@@ -167,19 +170,24 @@ def test_what_tracker_computes_is_told_by_its_name(write):
     throw = load_throw(
         write("stone\n" + table(columns | {"phi": PHI, "spin": OMEGA}, "\t"))
     )
-    assert said(throw, "left out: v, θ_{r}, ω, θ: Tracker computes them")
+    computed = note_on(throw, "computed-by-tracker").numbers
+    assert computed == {"columns": ["v", "θ_{r}", "ω", "θ"]}
     assert throw.seen == ("x", "y", "phi", "omega")
 
 
 def test_two_objects_side_by_side(write):
     file = write(two_masses())
     throw = load_throw(file)
-    assert said(throw, "2 objects: 1 mass A, 2 mass B; taken: 1 mass A")
-    assert said(throw, "--handle N, one that marks the handle")
+    note = note_on(throw, "one-of-objects")
+    assert str(note) == (
+        "2 objects: 1 mass A, 2 mass B; taken: 1 mass A; `--stone-index N` selects "
+        "another; `--handle N`, one that marks the handle of this stone"
+    )
     np.testing.assert_allclose(throw.x, X, atol=1e-8)
     other = load_throw(file, stone_index=2)
     np.testing.assert_allclose(other.x, X[T > 1] + 0.1, atol=1e-8)
-    assert said(other, "5 rows without mass B left out")
+    note = note_on(other, "rows-without-the-object")
+    assert str(note) == "5 rows without mass B left out"
 
 
 # DigitalCurling
@@ -191,8 +199,11 @@ def test_a_shot(write):
     np.testing.assert_allclose(throw.y, Y)
     np.testing.assert_allclose(throw.phi - throw.phi[0], PHI - PHI[0], atol=1e-9)
     assert throw.defaults["until"] == pytest.approx(39 * 0.25)
-    assert said(throw, "another stone moves after t = 9.75 s")
-    assert said(throw, "team1 stone 1, the one thrown")
+    assert note_on(throw, "another-stone-moves").numbers == {"t": 9.75}
+    logged = note_on(throw, "logged-stone")
+    assert "(team1 stone 1, the one thrown), " in str(logged)
+    assert logged.numbers["count"] == N
+    assert has_note(throw, "simulated")
 
 
 def test_the_stone_that_was_hit(write):
@@ -203,7 +214,8 @@ def test_the_stone_that_was_hit(write):
 
 def test_a_log_of_several_shots(write):
     file = write(log(2), "server.log")
-    assert said(load_throw(file, shot=2), "end 0 shot 1")
+    second = load_throw(file, shot=2)
+    assert note_on(second, "logged-stone").numbers["shot"] == "end 0 shot 1"
 
 
 @pytest.mark.parametrize(
@@ -248,7 +260,7 @@ def test_a_data_frame():
     frame.index = pd.Index(1000 * T, name="time_ms")
     throw = Throw.from_frame(frame)
     np.testing.assert_allclose(throw.observed[:3], [X, Y, PHI], atol=1e-12)
-    assert said(throw, "columns ignored: who")
+    assert note_on(throw, "columns-ignored").numbers == {"columns": ["who"]}
     for origin in (pd.Timedelta(0), pd.Timestamp("2024-01-01")):
         frame.index = origin + pd.to_timedelta(T, unit="s")
         np.testing.assert_allclose(Throw.from_frame(frame).t, T, atol=1e-9)
@@ -349,8 +361,8 @@ def test_pixels(write):
     points = write(known_points(), "points.csv")
     throw = load_throw(write(PIXELS), reference=points)
     np.testing.assert_allclose(throw.observed[:3], [X, Y, PHI], atol=1e-9)
-    assert said(throw, "pixels to metres by 6 points")
-    assert said(throw, "one pixel is")
+    assert note_on(throw, "pixels-to-metres").numbers["points"] == 6
+    assert has_note(throw, "one-pixel")
     renamed = PIXELS.replace("u,v,", "x,y,", 1)
     np.testing.assert_allclose(
         load_throw(write(renamed), reference=points).y, Y, atol=1e-9
@@ -392,18 +404,21 @@ def test_turning_too_fast_for_radians_is_refused(write, header, values, flag):
     with pytest.raises(DataError, match="more than two turns a second") as caught:
         load_throw(write(table(columns)))
     assert caught.value.column == header
-    assert f"--units {flag}" in str(caught.value)
+    assert caught.value.options[0] == Option("units", flag)
+    assert f"give `--units {flag}` if so, " in str(caught.value)
     throw = load_throw(write(table(columns)), units=flag)
     np.testing.assert_allclose(throw.phi if header == "theta" else throw.omega, values)
-    assert not said(load_throw(write(table(columns | {header: values}))), "two turns")
+    slow = load_throw(write(table(columns | {header: values})))
+    assert not has_note(slow, "unit-of-angles-unknown")
 
 
 def test_the_columns_of_curlfit_itself_are_radians_and_said_where_doubtful(write):
     hard = load_throw(write(table({"t": T, "x": X, "y": Y, "phi": 30 * T})))
     np.testing.assert_allclose(hard.phi, 30 * T)
-    assert said(
-        hard,
-        "phi: no unit is given, and 30 rad/s would be more than two turns a second",
+    assert str(note_on(hard, "unit-of-angles-unknown")) == (
+        "phi: no unit is given, and 30 rad/s would be more than two turns a second; "
+        "these may be degrees; give `--units angle=deg` if so, `--units angle=rad` if "
+        "not"
     )
 
 
@@ -454,7 +469,7 @@ def test_a_fast_spin_needs_the_spin(write):
     assert caught.value.column == "phi"
     throw = load_throw(write(table(columns | {"omega": np.full(30, 2.9)})))
     np.testing.assert_allclose(throw.phi, phi, atol=1e-12)
-    assert said(throw, "of 360 degrees removed")
+    assert note_on(throw, "jumps-removed").numbers["degrees"] == 360
 
 
 # Clocks
@@ -463,5 +478,6 @@ def test_a_fast_spin_needs_the_spin(write):
 def test_clocks_are_merged(write):
     throw = load_throw(write(CLOCKS))
     assert np.isfinite(throw.x).sum() == np.isfinite(throw.phi).sum() == 12
-    assert said(throw, "clocks t (12 rows), t_phi (12 rows) merged")
+    merged = note_on(throw, "clocks-merged")
+    assert str(merged) == "clocks t (12 rows), t_phi (12 rows) merged"
     np.testing.assert_allclose(throw.phi[throw.t == 0.1], 0)

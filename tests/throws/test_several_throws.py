@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from conftest import parts_in
-from sample_files import COLUMNS, HEADER, ROWS, N, T, X, Y, is_throw, said, table
+from sample_files import COLUMNS, HEADER, ROWS, N, T, X, Y, is_throw, note_on, table
 
 from curlfit import DataError, InputError, Throw, load_throw
+from curlfit.errors import Option
 
 OTHERS = table(COLUMNS | {"x": X + 0.5}).splitlines()[1:]
 
@@ -33,10 +34,11 @@ def test_a_column_names_the_throws(write, interleaved):
         f"{file}: 2 throws; choose one with `--stone-index N`: 1 stone red (60 rows); "
         "2 stone yellow (60 rows)"
     )
+    assert caught.value.options == (Option("stone-index", "N"),)
     is_throw(load_throw(file, stone_index=1))
     second = load_throw(file, stone_index=2)
     is_throw(second, 0.5)
-    assert said(second, "2 throws; taken: 2 stone yellow")
+    assert str(note_on(second, "one-of-throws")) == "2 throws; taken: 2 stone yellow"
     assert second.lines[0] == (3 if interleaved else N + 2)
     with pytest.raises(
         InputError, match="--stone-index 3: there is no such throw; expected"
@@ -65,7 +67,7 @@ def test_a_column_that_names_one_throw_or_each_row_is_ignored(write, column):
     body = [f"{row},{cell.format(k=k)}" for k, row in enumerate(ROWS)]
     throw = load_throw(write("\n".join([f"{HEADER},{name}", *body])))
     is_throw(throw)
-    assert said(throw, f"columns ignored: {name}")
+    assert note_on(throw, "columns-ignored").numbers == {"columns": [name]}
 
 
 def test_two_stones_without_names_are_refused(write):
@@ -78,6 +80,7 @@ def test_two_stones_without_names_are_refused(write):
     assert "in a column `stone`, and choose one with `--stone-index N`" in str(
         caught.value
     )
+    assert caught.value.options == (Option("stone-index", "N"),)
 
 
 def test_rows_are_sorted_and_repeated_ones_left_out(write):
@@ -85,11 +88,12 @@ def test_rows_are_sorted_and_repeated_ones_left_out(write):
     rows[10], rows[11] = rows[11], rows[10]
     throw = load_throw(write("\n".join([HEADER, *rows])))
     is_throw(throw)
-    assert said(throw, "1 row out of the order of time, now sorted")
+    note = note_on(throw, "rows-sorted")
+    assert str(note) == "1 row out of the order of time, now sorted"
     assert throw.lines[10:12].tolist() == [13, 12]
     throw = load_throw(write("\n".join([HEADER, *rows[:20], *rows[15:]])))
     is_throw(throw)
-    assert said(throw, "5 repeated rows left out")
+    assert note_on(throw, "repeated-rows").numbers == {"count": 5}
     backwards = load_throw(write("\n".join([HEADER, *rows[::-1]])))
     is_throw(backwards)
 
@@ -99,7 +103,7 @@ def test_rows_of_one_time_are_averaged(write):
     throw = load_throw(write(table(coarse)))
     np.testing.assert_allclose(throw.t, T[::2])
     np.testing.assert_allclose(throw.x, X.reshape(-1, 2).mean(1), atol=1e-12)
-    assert said(throw, "60 rows share their time with others: means")
+    assert note_on(throw, "equal-times").numbers == {"count": 60}
 
 
 CLOCKS = {
@@ -119,7 +123,8 @@ def test_clock_times_are_read_as_seconds(write, name, clock):
     ]
     throw = load_throw(write("\n".join([HEADER.replace("t", name, 1), *body])))
     is_throw(throw)
-    assert said(throw, f"{name}: clock times, taken as seconds since {times[0]}")
+    numbers = note_on(throw, "clock-times").numbers
+    assert numbers == {"column": name, "since": times[0]}
     is_throw(Throw.from_frame(COLUMNS | {"t": np.array(times)}))
 
 

@@ -283,7 +283,9 @@ def test_a_table_has_a_throw_in_each_row(tmp_path):
     assert fourth.line == 7
     chosen = load_throw(file, shot=2)
     assert values(chosen) == values(second)
-    assert any("taken: 2 (--shot selects another)" in note for note in chosen.notes)
+    assert str(chosen.notes[0]) == (
+        "4 throws, one in each row; taken: 2; `--shot N` selects another"
+    )
     (third,) = parts_in(file, shot=3)
     assert (third.shot, third.throw.read_with) == (3, ("--shot=3",))
     with pytest.raises(
@@ -325,7 +327,8 @@ def test_a_table_says_of_which_throw_each_row_is(tmp_path):
         "who_threw": "Anna",
     }
     assert second.labels == {"draw": "2", "start": "19:12", "who_threw": "Bea"}
-    assert first.notes.count("columns not used: remark, humidity") == 1
+    (ignored,) = (note for note in first.notes if note.code == "columns-ignored")
+    assert ignored.numbers == {"columns": ["remark", "humidity"]}
     assert (
         second.with_defaults(law="power").with_sigma({"time": 0.2}).labels
         == second.labels
@@ -466,7 +469,7 @@ def test_rows_of_weight_alone_need_one_that_determines_friction(tmp_path, monkey
         "Note: left out of a joint fit, since no time was measured: line 3.",
         "Note: column hog spilt is not understood; expected one of "
         "back_to_hog, hog_to_hog",
-        "Note: columns not used: hog spilt, humidity.",
+        "Note: columns ignored: hog spilt, humidity.",
     ):
         assert said.count(words) == 1, words
     joint = load_joint(tmp_path / "joint")
@@ -484,13 +487,14 @@ def test_labels_of_tracks(tmp_path):
     )
     a, b, c = (load_throw(tmp_path / f"{name}.csv", throws=notes) for name in "abc")
     assert (a.labels, b.labels, c.labels) == ({"sheet": "2"}, {"sheet": "3"}, {})
-    assert a.notes[-1] == (
-        f"labels and measurements from {notes}, line 2; columns not used: humidity; "
-        "its measurements are not used, as they are at lines of the sheet: "
-        "`--axes from-hack` says that y begins there"
-    )
+    assert [str(note) for note in a.notes] == [
+        f"labels and measurements from {notes}, line 2",
+        "columns ignored: humidity",
+        "its measurements are not used, as they are at lines of the sheet; "
+        "`--axes from-hack` says that y begins there",
+    ]
     assert not a.events
-    assert c.notes[-1] == f"{notes} says nothing of it"
+    assert [note.code for note in c.notes] == ["not-in-the-table"]
     assert a == c
     for text, words in (
         (
@@ -523,7 +527,7 @@ def test_measurements_beside_a_track_are_used(tmp_path):
     known = {"axes": "from-hack", "throws": str(notes)}
     alone, whole = load_throw(clip, axes="from-hack"), load_throw(clip, **known)
     assert [event.name for event in whole.events] == ["rest", "curl", "turns"]
-    assert whole.notes[-1].startswith(f"labels and measurements from {notes}")
+    assert whole.notes[-1].code == "measurements-of-a-table"
     fits = [curlfit.fit(throw, details=False) for throw in (alone, whole)]
     errors = [fit.combinations[0].stderr for fit in fits]
     assert errors[1] < errors[0] / 3
@@ -571,10 +575,8 @@ def test_a_column_that_is_not_understood_is_never_left_out_in_silence(write):
     time is left."""
     rows = "1,13.4,12.9,1 m past,3A\n2,13.6,12.5,0.5 m past,4B\n"
     throw = load_throw(write("draw,hog to hog,hog to rest,Abstand,mark\n" + rows))
-    assert any(
-        "column Abstand is not understood; expected one of" in note
-        for note in throw.notes
-    )
+    (note,) = (note for note in throw.notes if note.code == "columns-not-understood")
+    assert str(note).startswith("column Abstand is not understood; expected one of ")
     assert throw.labels["abstand"] == "1 m past"
     with pytest.raises(DataError) as caught:
         load_throw(
@@ -586,5 +588,5 @@ def test_a_column_that_is_not_understood_is_never_left_out_in_silence(write):
     assert str(caught.value).endswith(
         "line 2: hog_to_hog alone gives the mean speed and no friction; expected one "
         "more of rest, hog_to_rest, or another time; columns hog-tee, Curl (cm) L+ "
-        "are not understood; columns not used: hog-tee, Curl (cm) L+, weight"
+        "are not understood; columns ignored: hog-tee, Curl (cm) L+, weight"
     )

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from curlfit import DataError, load_throw
+from curlfit.errors import Option
 from curlfit.throws.readers.unwrapping import unwrap
-from tests.sample_files import COLUMNS, PHI, T, said, table
+from tests.sample_files import COLUMNS, PHI, T, note_on, table
 
 TURN = 2 * np.pi
 
@@ -92,11 +93,12 @@ def test_bad_rows_are_named_with_the_option_that_leaves_them_out(write, high):
     throw = load_throw(write(table(COLUMNS | {"phi": frozen(high)})))
     np.testing.assert_array_equal(np.delete(throw.phi, FROZEN), np.delete(PHI, FROZEN))
     np.testing.assert_allclose(throw.phi[FROZEN], PHI[FROZEN[0]] + high)
-    assert said(
-        throw,
-        "phi: 3 values contradict those before and after, line 25 to line 27; kept: "
-        "`--exclude 5.625:6.375` leaves the rows out",
+    note = note_on(throw, "angles-off-course")
+    assert str(note) == (
+        "phi: 3 values contradict those before and after, line 25 to line 27; kept; "
+        "`--exclude 5.625:6.375` leaves the rows out"
     )
+    assert note.remedies[0].option == Option("exclude", "5.625:6.375")
     rest = throw.select_rows(exclude=[(5.625, 6.375)])
     np.testing.assert_array_equal(rest.phi, np.delete(PHI, FROZEN))
 

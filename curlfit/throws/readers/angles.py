@@ -7,7 +7,8 @@ import math
 
 import numpy as np
 
-from curlfit.foreign import counted
+from curlfit.errors import Option
+from curlfit.findings import Finding, Remedy
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.throws.channels import scatter
 from curlfit.throws.readers.columns import parse_header
@@ -23,6 +24,7 @@ from curlfit.throws.readers.unwrapping import (
 MAX_SPIN = 2 * TURN
 """rad/s; a thrown stone makes two to four turns, at about 1 rad/s or 60 degrees/s."""
 _MOST_NAMED = 3  # stretches of rows whose angle contradicts the others
+_HANDLE = Option("handle", "N")
 _FARTHEST = 0.3  # m, of a mark; the stone's diameter is 0.29 m
 
 
@@ -37,43 +39,48 @@ def require_radians(parsed: ParsedFile, columns: dict[str, Floats]) -> None:
         if quantity not in ("phi", "omega"):
             continue
         values = columns[quantity]
-        flag, other = ("angle", "deg") if quantity == "phi" else ("spin", "deg/s")
-        remedy = f"--units {flag}={other} if so, {flag}=rad{other[3:]} if not"
+        if quantity == "phi":
+            degrees = Option("units", "angle=deg")
+            radians = Option("units", "angle=rad")
+        else:
+            degrees = Option("units", "spin=deg/s")
+            radians = Option("units", "spin=rad/s")
         jump = jump_in_degrees(columns["t"], values) if quantity == "phi" else None
         if stated:
             named = parse_header(header)
             if jump is not None and factor == 1 and named is not None and named.stated:
                 fault = (
                     f"the header says {unit}, and the numbers jump by "
-                    f"{jump[1]} as degrees do; "
+                    f"{jump[1]} as degrees do; give {degrees}"
                 )
-                raise parsed.error(
-                    f"{fault}give `--units angle=deg`", jump[0], quantity
-                )
+                raise parsed.error(fault, jump[0], quantity, options=(degrees,))
             continue
+        remedy = Remedy("unit-of-angles", degrees, {"other": str(radians)})
         if jump is not None:
             fault = (
                 f"no unit is given, and the numbers jump by {jump[1]} as "
-                "degrees do; give "
+                f"degrees do; {remedy}"
             )
-            raise parsed.error(fault + remedy, jump[0], quantity)
+            raise parsed.error(fault, jump[0], quantity, options=(degrees, radians))
         rate = (
             turning_rate(columns["t"], values)
-            if flag == "angle"
+            if quantity == "phi"
             else float(np.nanquantile(np.abs(values), 0.9))
         )
         if rate <= MAX_SPIN:
             continue
-        fault = (
-            f"no unit is given, and {rate:.3g} rad/s would be more than two turns a "
-            f"second; these may be degrees: give {remedy}"
-        )
         if header.strip().lower() != quantity:
-            raise parsed.error(fault, quantity=quantity)
-        parsed.notes.append(f"{quantity}: {fault}")
+            fault = (
+                f"no unit is given, and {rate:.3g} rad/s would be more than two turns "
+                f"a second; these may be degrees: {remedy}"
+            )
+            raise parsed.error(fault, quantity=quantity, options=(degrees, radians))
+        parsed.notes.append(
+            Finding.note("unit-of-angles-unknown", remedy, quantity=quantity, rate=rate)
+        )
 
 
-def unwrap_angle(parsed: ParsedFile, columns: dict[str, Floats]) -> list[str]:
+def unwrap_angle(parsed: ParsedFile, columns: dict[str, Floats]) -> list[Finding]:
     """Undo the jumps of the angle; says how many, and which rows contradict the
     others. Raises `DataError` where the sense of a jump is unclear."""
     try:
@@ -97,38 +104,55 @@ def unwrap_angle(parsed: ParsedFile, columns: dict[str, Floats]) -> list[str]:
     columns["phi"] = unwrapped.angle
     notes = []
     if unwrapped.jumps:
-        size = "360" if unwrapped.period > 4 else "180"
-        notes.append(
-            f"phi: {counted(unwrapped.jumps, 'jump')} of {size} degrees removed"
+        removed = Finding.note(
+            "jumps-removed",
+            count=unwrapped.jumps,
+            degrees=round(math.degrees(unwrapped.period)),
         )
+        notes.append(removed)
     if unwrapped.off_course.any():
         notes.append(_off_course(parsed, columns["t"], unwrapped.off_course))
     return notes
 
 
-def _off_course(parsed: ParsedFile, t: Floats, rows: Booleans) -> str:
+def _off_course(parsed: ParsedFile, t: Floats, rows: Booleans) -> Finding:
     """Which rows have an angle that contradicts those before and after them."""
-    count = int(rows.sum())
     change = np.diff(np.concatenate([[False], rows, [False]]).astype(int))
     begins = np.flatnonzero(change == 1)
     ends = np.flatnonzero(change == -1) - 1
     places = []
     options = []
     for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
-        place = parsed.place(begin)
-        places.append(place if begin == end else f"{place} to {parsed.place(end)}")
+        place = _place(parsed, begin)
+        places.append(place if begin == end else f"{place} to {_place(parsed, end)}")
         low = (t[begin] + t[max(begin - 1, 0)]) / 2
         high = (t[end] + t[min(end + 1, len(t) - 1)]) / 2
-        options.append(f"--exclude {low:.6g}:{high:.6g}")
-    listed = ", ".join(places[:_MOST_NAMED])
-    if len(places) > _MOST_NAMED:
-        listed += f", and {len(places) - _MOST_NAMED} more"
-    verb = "contradicts" if count == 1 else "contradict"
-    remedy = " ".join(options) if len(options) <= _MOST_NAMED else "--exclude A:B"
-    return (
-        f"phi: {counted(count, 'value')} {verb} those before and after, {listed}; "
-        f"kept: `{remedy}` leaves the rows out"
+        options.append(Option("exclude", f"{low:.6g}:{high:.6g}"))
+    more = len(places) - _MOST_NAMED
+    if more > 0:
+        remedies = [Remedy("leaves-the-rows-out", Option("exclude", "A:B"))]
+    elif len(places) == 1:
+        remedies = [Remedy("leaves-the-rows-out", options[0])]
+    else:
+        remedies = [
+            Remedy("leaves-out", option, {"rows": place})
+            for place, option in zip(places, options, strict=True)
+        ]
+    return Finding.note(
+        "angles-off-course",
+        *remedies,
+        count=int(rows.sum()),
+        places=places[:_MOST_NAMED],
+        more=more if more > 0 else None,
     )
+
+
+def _place(parsed: ParsedFile, row: int) -> str:
+    """Where a row is, in words."""
+    place = parsed.place(row)
+    if place["line"] is not None:
+        return f"line {place['line']}"
+    return f"row {place['row']}"
 
 
 def add_angle_of_mark(
@@ -170,25 +194,28 @@ def add_angle_of_mark(
     if not 0 < typical < _FARTHEST:
         raise parsed.error(
             f"the mark is {typical:.3g} m from the stone, and a stone's diameter is "
-            "0.29 m; expected a point of the same stone (--handle N)"
+            f"0.29 m; expected a point of the same stone ({_HANDLE})",
+            options=(_HANDLE,),
         )
     columns["phi"] = phi = np.arctan2(dy, dx)
     unwrap_angle(parsed, columns)
-    note = (
-        f"phi is the direction of the mark, {1000 * typical:.3g} mm from the "
-        "stone's position"
-    )
+    note = Finding.note("angle-of-mark", millimetres=1000 * typical)
     if {"sigma_x", "sigma_y"} <= columns.keys():
         across = columns["sigma_x"] ** 2 * np.sin(phi) ** 2
         across += columns["sigma_y"] ** 2 * np.cos(phi) ** 2
         columns["sigma_phi"] = np.sqrt(2 * across) / typical
-        how = "from sigma_x and sigma_y"
+        note = Finding.note(
+            "angle-of-mark-with-sigma",
+            millimetres=1000 * typical,
+            sigma=float(np.nanmedian(columns["sigma_phi"])),
+        )
     elif (noise := float(scatter(length[seen]))) > 0:
         columns["sigma_phi"] = np.full(len(phi), noise / typical)
-        how = f"from the scatter of that length, {1000 * noise:.2g} mm"
-    if "sigma_phi" in columns:
-        note += (
-            f"; its sigma, {float(np.nanmedian(columns['sigma_phi'])):.2g} rad, {how}"
+        note = Finding.note(
+            "angle-of-mark-and-scatter",
+            millimetres=1000 * typical,
+            sigma=noise / typical,
+            scatter=1000 * noise,
         )
     parsed.notes.append(note)
 

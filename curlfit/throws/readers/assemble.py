@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from curlfit.errors import InputError
-from curlfit.foreign import counted
+from curlfit.errors import InputError, Option
+from curlfit.findings import Finding, Remedy
 from curlfit.numerics.arrays import Floats
 from curlfit.settings.choices import Reading
 from curlfit.throws.channels import CHANNELS, block_means
@@ -18,11 +18,10 @@ from curlfit.throws.readers.angles import (
     require_radians,
     unwrap_angle,
 )
-from curlfit.throws.readers.axes import AxisConvention, parse_axes
+from curlfit.throws.readers.axes import AxisConvention, parse_axes, states_zero
 from curlfit.throws.readers.camera import pixels_to_metres
 from curlfit.throws.readers.parsed_file import ParsedFile, clock_of
 from curlfit.throws.reference import Conventions
-from curlfit.wording import join_words
 
 _MEASURED = ("x", "y", "u", "v", "phi")
 _PLACEHOLDERS = (0.0, -1.0, -99.0, -999.0, -9999.0, 999.0, 9999.0)
@@ -54,10 +53,16 @@ def assemble(parsed: ParsedFile, reading: Reading) -> dict[str, Any]:
         "labels": dict(parsed.labels),
     }
     if parsed.events:
-        if reading.reference is not None or convention != AxisConvention():
+        without = []
+        if convention != AxisConvention():
+            without.append(Option("axes", left_out=True))
+        if reading.reference is not None:
+            without.append(Option("reference", left_out=True))
+        if without:
             raise InputError(
                 f"{parsed.source}: times between lines have no axes and no pixels; "
-                "leave out --axes and --reference"
+                f"{' and '.join(map(str, without))}",
+                options=tuple(without),
             )
         events = {
             "events": parsed.events,
@@ -79,7 +84,9 @@ def assemble(parsed: ParsedFile, reading: Reading) -> dict[str, Any]:
     mark = [columns.pop(name) for name in ("x_mark", "y_mark") if name in columns]
     columns = _to_sheet_axes(columns, convention)
     if words:
-        parsed.notes.append(f"axes: {words}")
+        parsed.notes.append(
+            Finding.note("axes", axes=words, states_zero=states_zero(words))
+        )
     relative = {name: columns.pop(f"sigma_{name}") for name in unknown}
     if len(mark) == 2:
         add_angle_of_mark(parsed, columns, convention.to_sheet(mark[0], mark[1]))
@@ -116,7 +123,7 @@ def _not_empty(parsed: ParsedFile) -> _Columns:
             fault = f"no value of {column.quantity}: every cell is empty or NaN"
             raise parsed.error(fault, quantity=header)
         parsed.notes.append(
-            f"column {header} is empty: {column.quantity} is taken as not measured"
+            Finding.note("empty-column", column=header, quantity=column.quantity)
         )
     return {s.column.quantity: s.values for s in parsed.series}
 
@@ -134,12 +141,15 @@ def _only_measured(parsed: ParsedFile, columns: _Columns) -> _Columns:
     lost = alike & np.isin(written[:, 0], _PLACEHOLDERS)
     lost &= np.maximum.accumulate(~alike)
     if len(channels) > 1 and lost.any():
-        number = join_words([f"{one:g}" for one in np.unique(written[lost, 0])])
-        parsed.notes.append(
-            f"{counted(int(lost.sum()), 'row')} with {number} in every column taken as "
-            f"not measured, the first in {parsed.place(int(np.argmax(lost)))}; "
-            "--as-given keeps them"
+        count = int(lost.sum())
+        not_measured = Finding.note(
+            "placeholders",
+            Remedy("keeps", Option("as-given"), {"count": count}),
+            count=count,
+            values=np.unique(written[lost, 0]).tolist(),
+            **parsed.place(int(np.argmax(lost))),
         )
+        parsed.notes.append(not_measured)
         columns = {
             name: np.where(lost, np.nan, values) if name in channels else values
             for name, values in columns.items()
@@ -148,10 +158,13 @@ def _only_measured(parsed: ParsedFile, columns: _Columns) -> _Columns:
     if constant and len(constant) < len(channels):
         for name in constant:
             value = columns[name][np.isfinite(columns[name])][0] / factors[name]
-            parsed.notes.append(
-                f"{name} is {value:g} in every row, which is no measurement: left out; "
-                "--as-given keeps it"
+            never_changes = Finding.note(
+                "never-changes",
+                Remedy("keeps", Option("as-given"), {"count": 1}),
+                quantity=name,
+                value=float(value),
             )
+            parsed.notes.append(never_changes)
         left_out = {*constant, *(f"sigma_{name}" for name in constant)}
         columns = {name: v for name, v in columns.items() if name not in left_out}
         parsed.series = [s for s in parsed.series if s.column.quantity not in left_out]
@@ -174,10 +187,15 @@ def _on_one_clock(parsed: ParsedFile) -> _Columns:
     """Every column beside the times "t", with a row for each row of each clock;
     gaps are NaN."""
     if parsed.ignored:
-        parsed.notes.append(f"columns ignored: {', '.join(parsed.ignored)}")
+        parsed.notes.append(
+            Finding.note("columns-ignored", columns=list(parsed.ignored))
+        )
     for _, column, _ in parsed.series:
         if column.factor != 1:
-            parsed.notes.append(f"{column.quantity} converted from {column.unit}")
+            converted = Finding.note(
+                "converted", quantity=column.quantity, unit=column.unit
+            )
+            parsed.notes.append(converted)
     columns = _not_empty(parsed)
     clocks = {
         name: columns.pop(name) for name in list(columns) if name.split("_")[0] == "t"
@@ -203,15 +221,15 @@ def _on_one_clock(parsed: ParsedFile) -> _Columns:
     timed = {name: np.isfinite(clocks[name]) for name in used}
     empty = int((~np.any([*used.values(), *timed.values()], axis=0)).sum())
     if empty:
-        parsed.notes.append(f"{counted(empty, 'empty row')} left out")
+        parsed.notes.append(Finding.note("empty-rows", count=empty))
     # of several clocks, a row counts only where one of its channels has a value
     if len(used) == 1:
         used = timed
     else:
-        listed = ", ".join(
-            f"{name} ({counted(int(r.sum()), 'row')})" for name, r in used.items()
-        )
-        parsed.notes.append(f"clocks {listed} merged")
+        merged = [
+            {"clock": name, "rows": int(rows.sum())} for name, rows in used.items()
+        ]
+        parsed.notes.append(Finding.note("clocks-merged", clocks=merged))
     origin = np.concatenate([np.flatnonzero(rows) for rows in used.values()])
     of = np.repeat(list(used), [rows.sum() for rows in used.values()])
     every = {c: np.where(of == clock[c], v[origin], np.nan) for c, v in columns.items()}
@@ -230,8 +248,7 @@ def _in_order(parsed: ParsedFile, columns: _Columns) -> _Columns:
         place = np.argsort(order)
         moved = int((np.maximum.accumulate(place) > place).sum())
         if not merged:
-            say = f"{counted(moved, 'row')} out of the order of time, now sorted"
-            parsed.notes.append(say)
+            parsed.notes.append(Finding.note("rows-sorted", count=moved))
     first = np.append(True, np.diff(columns["t"]) > 0)
     if first.all():
         return columns
@@ -247,12 +264,10 @@ def _in_order(parsed: ParsedFile, columns: _Columns) -> _Columns:
     repeated = int((same & ~first).sum())
     means = int((~first).sum()) - repeated
     if repeated:
-        parsed.notes.append(f"{counted(repeated, 'repeated row')} left out")
+        parsed.notes.append(Finding.note("repeated-rows", count=repeated))
     if means and not merged:
-        parsed.notes.append(
-            f"{means + len(np.unique(owner[~same]))} rows share their time with "
-            "others: means over rows of one time are taken"
-        )
+        sharing = means + len(np.unique(owner[~same]))
+        parsed.notes.append(Finding.note("equal-times", count=sharing))
     columns = _chosen(parsed, columns, first | ~same)
     begin = np.flatnonzero(np.append(True, np.diff(columns["t"]) > 0))
     means_of = {name: block_means(values, begin)[0] for name, values in columns.items()}
@@ -274,12 +289,14 @@ def _require_one_place(
         usual = usual[np.isfinite(usual)]
         if off.max() > max(0.1, 3 * float(np.median(usual)) if len(usual) else 0.0):
             row = int(np.argmax(off))
+            select = Option("stone-index", "N")
             raise parsed.error(
                 f"time {t[row]:g} s is repeated with places {off[row]:.3g} m apart, "
                 "as of two stones; name the throw of each row in a column `stone`, "
-                "and choose one with `--stone-index N`",
+                f"and choose one with {select}",
                 row,
                 "t",
+                options=(select,),
             )
 
 

@@ -109,6 +109,12 @@ def corrected(
     return now._replace(x=moved(now.x), y=moved(now.y), turn=turn * now.turn).words
 
 
+def states_zero(text: str) -> bool:
+    """Whether words for axes say where zero lies along the sheet."""
+    words = text.replace(",", " ").lower().replace("_", "-").split()
+    return any(word.startswith("from-") for word in words)
+
+
 def parse_axes(text: str | None) -> AxisConvention:
     """An axis convention from words separated by commas or spaces, such
     as `x-along,clockwise`.

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from curlfit.errors import Option
+from curlfit.findings import Finding
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.readers.axes import AxisConvention
 from curlfit.throws.readers.homography import Homography, displacements
@@ -39,9 +41,11 @@ def pixels_to_metres(
         shows no ice.
     """
     if reference is None:
+        give = Option("reference", "FILE")
         raise parsed.error(
-            "positions are in pixels; give four or more known points with "
-            "`--reference FILE` (columns u,v,x,y)"
+            f"positions are in pixels; give four or more known points with {give} "
+            "(columns u,v,x,y)",
+            options=(give,),
         )
     if {"x", "y"} & columns.keys():
         raise parsed.error("positions in pixels and in metres; remove one pair")
@@ -74,10 +78,7 @@ def pixels_to_metres(
             plane, reference, np.stack([x, y])[:, seen], sizes[..., seen], unknown
         )
     if "phi" in columns:
-        parsed.notes.append(
-            "angles are taken as angles on the ice, seen from above; "
-            "an oblique camera distorts them"
-        )
+        parsed.notes.append(Finding.note("angles-in-the-picture"))
     to_sheet = convention.matrix
     errors = (
         None
@@ -106,7 +107,7 @@ def _smooth(t: Floats, u: Floats, v: Floats) -> tuple[Floats, Floats]:
 
 def _of_pixels(
     plane: Homography, reference: str, places: Floats, sizes: Floats, unknown: bool
-) -> list[str]:
+) -> list[Finding]:
     """Notes on the map from pixels to metres.
 
     Parameters
@@ -115,31 +116,32 @@ def _of_pixels(
         (2, 2, rows).
     unknown : whether the noise of the pixels is unknown.
     """
-
-    def extent(values: Floats) -> str:
-        return f"{1000 * values.min():.2g} to {1000 * values.max():.2g} mm"
-
-    fitted = f"pixels to metres by {plane.points} points of {reference}: "
     if plane.errors is None:
-        fitted += (
-            "four points are fitted exactly, so their errors are unknown and missing "
-            "from the systematic errors; use more points"
-        )
+        fitted = Finding.note("pixels-to-metres-by-four-points", file=reference)
     else:
-        across, along = np.hypot.reduce(displacements(plane.errors, *places), axis=0)
-        fitted += (
-            f"rms residual {plane.rms_px:.2g} px ({2 * plane.points - 8} degrees "
-            "of freedom), which makes positions along the track uncertain by "
-            f"{extent(across)} in x and {extent(along)} in y"
+        errors = np.hypot.reduce(displacements(plane.errors, *places), axis=0)
+        fitted = Finding.note(
+            "pixels-to-metres",
+            points=plane.points,
+            file=reference,
+            pixels=plane.rms_px,
+            freedom=2 * plane.points - 8,
+            **_extent(errors),
         )
-    across, along = np.hypot(sizes[:, 0], sizes[:, 1])
-    return [
-        "; ".join(filter(None, (fitted, plane.note))),
-        f"one pixel is {extent(across)} in x and {extent(along)} in y along the "
-        "track: the noise "
-        + (
-            "of each row is that of one unknown number of pixels"
-            if unknown
-            else "of each row follows from its sigma_u and sigma_v"
-        ),
-    ]
+    pixel = Finding.note(
+        "one-pixel" if unknown else "one-pixel-of-known-noise",
+        **_extent(np.hypot(sizes[:, 0], sizes[:, 1])),
+    )
+    return [fitted, *plane.notes, pixel]
+
+
+def _extent(sizes: Floats) -> dict[str, float]:
+    """The least and the largest of sizes in x and y, m, shape (2, rows), in mm."""
+    low_x, low_y = 1000 * sizes.min(axis=1)
+    high_x, high_y = 1000 * sizes.max(axis=1)
+    return {
+        "x_low": float(low_x),
+        "x_high": float(high_x),
+        "y_low": float(low_y),
+        "y_high": float(high_y),
+    }

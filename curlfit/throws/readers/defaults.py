@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from curlfit.errors import InputError
+from curlfit.findings import Finding
 from curlfit.foreign import cut, quoted
 from curlfit.friction import find_law
 from curlfit.settings.choices import SEED, Modelling, Reading
@@ -36,6 +37,7 @@ _SETTINGS = (
     "columns",
 )
 _MOST_SETTINGS = 500
+_MOST_NAMED = 5  # settings that are not known
 _KEY = re.compile(r"\w+(\.\w+)*")
 _FORMS = {**Modelling.forms(), **Reading.forms(), "seed": SEED}
 _REFERENCE = (
@@ -67,7 +69,7 @@ def begun(
     DataError : a setting that cannot be read or used.
     """
     known: list[tuple[int, str]] = []
-    unknown: list[str] = []
+    unknown: list[dict[str, Any]] = []
     for index, line in file.comments(until):
         body = line.lstrip().lstrip("#").strip()
         key, dot, _ = body.split("=", 1)[0].strip().partition(".")
@@ -79,7 +81,7 @@ def begun(
         if key in _SETTINGS and (key != "columns" or dot):
             known.append((index, body))
         else:
-            unknown.append(f"{quoted(key)} (line {index + 1})")
+            unknown.append({"key": quoted(key), "line": index + 1})
     if len(known) > _MOST_SETTINGS:
         fault = f"more than {_MOST_SETTINGS} settings; expected those of one throw"
         raise file.error(fault, known[_MOST_SETTINGS][0])
@@ -91,11 +93,15 @@ def begun(
             key=lambda end: bool(_settings(known[: end + 1])[1]),
         )
         raise file.error(_settings(known[: first + 1])[1], known[first][0])
-    more = f" and {len(unknown) - 5} more" if len(unknown) > 5 else ""
-    notes = [file.note] if file.note else []
+    notes = [] if file.note is None else [file.note]
     if unknown:
-        listed = ", ".join(unknown[:5])
-        notes.append(f"settings not known and ignored: {listed}{more}")
+        more = len(unknown) - _MOST_NAMED
+        ignored = Finding.note(
+            "unknown-settings",
+            settings=unknown[:_MOST_NAMED],
+            more=more if more > 0 else None,
+        )
+        notes.append(ignored)
     reference = _reference(file, settings.pop("reference", None))
     return ParsedFile(
         source or file.path, format, settings=settings, reference=reference, notes=notes

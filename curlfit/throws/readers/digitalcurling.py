@@ -25,7 +25,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from curlfit.errors import DataError
-from curlfit.foreign import counted, is_number, quoted
+from curlfit.findings import Finding
+from curlfit.foreign import is_number, quoted
 from curlfit.numerics.arrays import Floats
 from curlfit.settings.choices import Reading
 from curlfit.throws.readers.columns import Column
@@ -113,17 +114,22 @@ def _read_shot(file: TextFile, chosen: Shot, stone_index: int | None) -> ParsedF
     if others:
         end = float(time[min(others) - 1])
         parsed.settings.setdefault("until", end)
-        notes.append(f"another stone moves after t = {end:g} s; until is set to that")
+        notes.append(Finding.note("another-stone-moves", t=end))
     keep = np.isfinite(positions[stone, :, 0]) & (
         np.arange(len(time)) >= began[stone] - 1
     )
-    notes.insert(
-        0,
-        f"{chosen.name}: stone {stone + 1} of {len(names)} ({names[stone]}"
-        + (", the one thrown)" if stone == thrown else ")")
-        + f", {counted(int(keep.sum()), 'frame')} of {period:g} s",
+    logged = Finding.note(
+        "logged-stone",
+        shot=chosen.name,
+        number=stone + 1,
+        stones=len(names),
+        name=names[stone],
+        thrown=bool(stone == thrown),
+        count=int(keep.sum()),
+        period=period,
     )
-    notes.append("a simulated throw: positions are exact to the 32 bits of the log")
+    notes.insert(0, logged)
+    notes.append(Finding.note("simulated"))
     parsed.lines = np.full(int(keep.sum()), chosen.line, np.int64)
     parsed.add("seconds_per_frame", Column("t", "s", 1.0), np.asarray(time[keep]))
     measured = (

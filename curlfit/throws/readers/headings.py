@@ -8,7 +8,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from typing import NamedTuple
 
-from curlfit.errors import DataError, InputError
+from curlfit.errors import DataError, InputError, Option
+from curlfit.findings import Finding, Remedy
 from curlfit.foreign import cut, quoted
 from curlfit.settings.choices import Reading
 from curlfit.throws.channels import CHANNELS
@@ -28,12 +29,13 @@ class Headings(NamedTuple):
 
     Attributes
     ----------
-    names : the headings, in order. error : makes an error about them.
+    names : the headings, in order. error : makes an error about them, from a message
+        and, if any, options to type instead.
     numeric : whether the column of an index holds numbers.
     """
 
     names: Sequence[str]
-    error: Callable[[str], DataError]
+    error: Callable[..., DataError]
     numeric: Callable[[int], bool] = lambda _: True
 
     def of_throw(
@@ -53,12 +55,14 @@ class Headings(NamedTuple):
         names = enumerate(self.names)
         parsed.ignored = [name for k, name in names if name and k not in columns]
         if like := self._unused(columns):
-            headings = ", ".join(like.values())
-            option = ", ".join(f"{key}={name}" for key, name in like.items())
-            said = f"`columns={like}`" if python else f'`--columns "{option}"`'
-            note = (
-                f"not used, and perhaps {', '.join(like)}: {headings}; "
-                f"{said} reads them so"
+            option = _columns_option(like)
+            if python:
+                option = Option("columns", str(like), in_python=True)
+            note = Finding.note(
+                "columns-not-used",
+                Remedy("reads-them-so", option),
+                quantities=list(like),
+                columns=list(like.values()),
             )
             parsed.notes.insert(0, note)
         return columns
@@ -130,7 +134,7 @@ class Headings(NamedTuple):
             columns[index] = column
         columns |= self._in_other_words(columns, as_set)
         if missing := missing_columns(column.quantity for column in columns.values()):
-            raise self.error(self._what_is_missing(missing, bool(frames)))
+            raise self._missing(missing, has_frames=bool(frames))
         return dict(sorted(columns.items()))
 
     def _named(
@@ -160,7 +164,8 @@ class Headings(NamedTuple):
             try:
                 found[places[0]] = c.named_column(heading, quantity)
             except InputError as fault:
-                raise self.error(f"{fault}, or `--units {key}=UNIT`") from None
+                option = Option("units", f"{key}=UNIT")
+                raise self.error(f"{fault}, or {option}", options=(option,)) from None
         return found
 
     def _in_other_words(
@@ -194,16 +199,25 @@ class Headings(NamedTuple):
             if not column.quantity.startswith("sigma")
         }
 
-    def _what_is_missing(self, missing: Sequence[str], counted: bool) -> str:
-        names = reversed(self.names)
-        guesses = {key: name for name in names if (key := c.resembled(name)) in missing}
-        example = ", ".join(f"{key}={guesses.get(key, 'HEADING')}" for key in missing)
-        remedy = f'; or say which they are, as in `--columns "{example}"`'
-        if counted and "t" in missing:
-            remedy = "; `--units t=30fps`, with the camera's rate, makes frames times"
-        return (
+    def _missing(self, missing: Sequence[str], *, has_frames: bool) -> DataError:
+        """The error of columns that are missing, with what would make other columns
+        these; numbers of frames become times."""
+        if has_frames and "t" in missing:
+            option = Option("units", "t=30fps")
+            remedy = f"{option}, with the camera's rate, makes frames times"
+        else:
+            guesses: dict[str, str] = {}
+            for name in reversed(self.names):
+                quantity = c.resembled(name)
+                if quantity is not None and quantity in missing:
+                    guesses[quantity] = name
+            example = {key: guesses.get(key, "HEADING") for key in missing}
+            option = _columns_option(example)
+            remedy = f"or say which they are, as in {option}"
+        return self.error(
             f"no column for {' and '.join(missing)} among {self._listed}; "
-            f"{EXPECTED}{remedy}"
+            f"{EXPECTED}; {remedy}",
+            options=(option,),
         )
 
     def _unused(self, columns: Mapping[int, Column]) -> dict[str, str]:
@@ -233,6 +247,12 @@ class Headings(NamedTuple):
     @property
     def _listed(self) -> str:
         return cut(", ".join(self.names), _MOST_NAMES)
+
+
+def _columns_option(headings: Mapping[str, str]) -> Option:
+    """The option that reads columns of these headings, by quantity."""
+    pairs = ", ".join(f"{quantity}={name}" for quantity, name in headings.items())
+    return Option("columns", f'"{pairs}"')
 
 
 def missing_columns(quantities: Iterable[str]) -> list[str]:

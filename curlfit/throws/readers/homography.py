@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from curlfit.errors import DataError
+from curlfit.findings import Finding
 from curlfit.foreign import counted
 from curlfit.numerics.arrays import Floats
 
@@ -36,7 +37,7 @@ class Homography(NamedTuple):
     points: int
     rms_px: float
     errors: Floats | None = None
-    note: str = ""
+    notes: tuple[Finding, ...] = ()
     """on what of the file of the points was read"""
 
     def __call__(self, u: Floats, v: Floats) -> tuple[Floats, Floats]:

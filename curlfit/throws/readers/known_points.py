@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from curlfit.errors import DataError
-from curlfit.foreign import counted
+from curlfit.errors import DataError, Option
+from curlfit.findings import Finding, Remedy
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.throws.readers.columns import parse_header
 from curlfit.throws.readers.homography import (
@@ -49,7 +49,7 @@ _ROUNDS = 10
 def load_homography(file: Path, as_given: bool = False) -> Homography:
     """Read known points (columns u, v in pixels and x, y on the sheet) and fit the
     map to them. One that is listed twice is one; odd ones are left out, and named in
-    the note.
+    a note.
 
     Parameters
     ----------
@@ -64,23 +64,31 @@ def load_homography(file: Path, as_given: bool = False) -> Homography:
     table = TextTable.of(text, _EXPECTED)
     points = _points(table)
     lines = np.array(table.rows) + 1
-    notes = [text.note] if text.note else []
+    notes = [] if text.note is None else [text.note]
     _, first = np.unique(points, axis=1, return_index=True)
     repeated = points.shape[1] - len(first)
     if repeated:
-        notes.append(f"{counted(repeated, 'point')} listed twice, which is one")
+        notes.append(Finding.note("points-listed-twice", count=repeated))
     points = points[:, np.sort(first)]
     lines = lines[np.sort(first)]
     odd = {} if as_given else odd_points(points[:2], points[2:])
     if odd:
-        listed = "; ".join(
-            f"line {lines[k]} (x = {points[2, k]:g} m, y = {points[3, k]:g} m), "
-            f"{off:.2g} px from where the others put it"
-            for k, off in odd.items()
+        left_out = Finding.note(
+            "odd-points",
+            Remedy("uses", Option("as-given"), {"count": len(odd)}),
+            points=[
+                {
+                    "line": int(lines[k]),
+                    "x": float(points[2, k]),
+                    "y": float(points[3, k]),
+                    "off": off,
+                }
+                for k, off in odd.items()
+            ],
         )
-        notes.append(f"left out as odd: {listed}; --as-given uses it")
+        notes.append(left_out)
     kept = np.delete(points, list(odd), axis=1)
-    return homography(kept[:2], kept[2:], file)._replace(note="; ".join(notes))
+    return homography(kept[:2], kept[2:], file)._replace(notes=tuple(notes))
 
 
 def _points(table: TextTable) -> Floats:

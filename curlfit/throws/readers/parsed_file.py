@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from curlfit.errors import DataError, InputError
+from curlfit.errors import DataError, InputError, Option
+from curlfit.findings import Finding
 from curlfit.foreign import LARGEST
 from curlfit.numerics.arrays import Floats
 from curlfit.settings.choices import Reading, given
@@ -51,7 +52,7 @@ class ParsedFile:
     ignored: list[str] = field(default_factory=list)
     settings: dict[str, Any] = field(default_factory=dict)
     reference: Reference | None = None
-    notes: list[str] = field(default_factory=list)
+    notes: list[Finding] = field(default_factory=list)
     lines: np.ndarray | None = None
     events: list[Event] = field(default_factory=list)
     assumed: dict[str, float] = field(default_factory=dict)
@@ -60,22 +61,28 @@ class ParsedFile:
     odd_rows: tuple[OddRow, ...] = ()
 
     def error(
-        self, message: str, row: int | None = None, quantity: str | None = None
+        self,
+        message: str,
+        row: int | None = None,
+        quantity: str | None = None,
+        options: tuple[Option, ...] = (),
     ) -> DataError:
-        """An error with its location in the file."""
+        """An error with its location in the file, and with options to type instead."""
         header = next(
             (s.header for s in self.series if s.column.quantity == quantity), quantity
         )
         line = None if row is None or self.lines is None else int(self.lines[row])
         if row is not None and line is None:
             message = f"row {row}: {message}"
-        return DataError(message, file=self.source, line=line, column=header)
+        return DataError(
+            message, file=self.source, line=line, column=header, options=options
+        )
 
-    def place(self, row: int) -> str:
-        """Where a row is, by its line if that is known."""
+    def place(self, row: int) -> dict[str, int | None]:
+        """Where a row is: its `line` if that is known, or else its number `row`."""
         if self.lines is None:
-            return f"row {row + 1}"
-        return f"line {int(self.lines[row])}"
+            return {"line": None, "row": row + 1}
+        return {"line": int(self.lines[row]), "row": None}
 
     def rows(self, rows: np.ndarray) -> ParsedFile:
         """Some of its rows; the notes and settings are copies."""
@@ -111,8 +118,8 @@ class Contents(NamedTuple):
     labels : their names; one name without meaning where the file has only one.
     parse : reads the one of an index.
     among : indices of those that are throws by themselves; all, if None.
-    note : on the one of several that is taken, with places for their number
-        and its own.
+    note : makes the note on the one of several that is taken, from their number and
+        its own; None for none.
     left_out : indices of those that a joint fit leaves out.
     odd_rows : those of a stopwatch table that contradict the others.
     """
@@ -120,7 +127,7 @@ class Contents(NamedTuple):
     labels: Sequence[str]
     parse: Callable[[int], ParsedFile]
     among: Sequence[int] | None = None
-    note: str = ""
+    note: Callable[[int, int], Finding] | None = None
     left_out: Collection[int] = ()
     odd_rows: Sequence[OddRow] = ()
 
@@ -177,14 +184,15 @@ class Format(NamedTuple):
                 f"{k} {label}" for k, label in enumerate(labels[:_MOST_LISTED], 1)
             )
             more = f"; and {count - _MOST_LISTED} more" if count > _MOST_LISTED else ""
-            fault = f"{count} {self.what}s; choose one with `{flag} N`: {listed}{more}"
-            raise DataError(fault, file=source)
+            select = Option(flag.removeprefix("--"), "N")
+            fault = f"{count} {self.what}s; choose one with {select}: {listed}{more}"
+            raise DataError(fault, file=source, options=(select,))
         index = choose(self.what, flag, number, labels, self.usual or 0)
         parsed = contents.parse(index)
         if parsed.alone is not None:
             raise parsed.alone
-        if count > 1 and contents.note:
-            parsed.notes.insert(0, contents.note.format(count, index + 1))
+        if count > 1 and contents.note is not None:
+            parsed.notes.insert(0, contents.note(count, index + 1))
         return parsed
 
 

@@ -7,6 +7,7 @@ import math
 from typing import NamedTuple
 
 from curlfit.errors import DataError, InputError
+from curlfit.findings import Finding
 from curlfit.foreign import quoted
 from curlfit.sheet import LINES
 from curlfit.throws.events import SIGMA_TIME, Event
@@ -128,7 +129,7 @@ class Row(NamedTuple):
     line: int
     entries: dict[str, Entry]
     labels: dict[str, str]
-    notes: list[str]
+    notes: list[Finding]
 
 
 class Record:
@@ -263,27 +264,26 @@ class Record:
                 return -found if key == "curl" else found
         return 0
 
-    def spin(self) -> tuple[float, str]:
+    def spin(self) -> tuple[float, list[Finding]]:
         """Spin in rad/s at which a fit fixes it if it is not determined, and
-        a note on it."""
-        told = []
+        notes on it."""
+        measured = []
         if "turns" in self.found:
-            told.append("turns are counted from the near hog line")
+            measured.append(Finding.note("turns-from-the-hog-line"))
         if "spin" in self.found:
-            told.append("the spin is that at the near hog line")
-        if told:
-            return 0.0, "; ".join(told)
+            measured.append(Finding.note("spin-at-the-hog-line"))
+        if measured:
+            return 0.0, measured
         by_handle = self._sense("handle")
         sense = by_handle or self._sense("curl")
         if not sense:
-            return 0.0, "the spin was not measured and is taken to be zero"
-        word = "counter-clockwise" if sense > 0 else "clockwise"
-        why = "by the handle" if by_handle else "by the side of the curl"
-        return sense * USUAL_SPIN, (
-            f"the spin was not measured: it is held at {USUAL_SPIN} rad/s, "
-            f"{word} {why}, as for two and a half turns; a value of `turns` gives "
-            "the measured number"
+            return 0.0, [Finding.note("spin-not-measured")]
+        held = Finding.note(
+            "spin-by-the-handle" if by_handle else "spin-by-the-curl",
+            spin=USUAL_SPIN,
+            sense="counter-clockwise" if sense > 0 else "clockwise",
         )
+        return sense * USUAL_SPIN, [held]
 
     def fault_alone(self) -> str:
         """Why the record determines no friction by itself; empty if it does.

@@ -11,7 +11,8 @@ from typing import Any
 from xml.parsers.expat import ExpatError
 from zipfile import BadZipFile, ZipFile
 
-from curlfit.errors import DataError, InputError
+from curlfit.errors import DataError, InputError, Option
+from curlfit.findings import Finding, Remedy
 from curlfit.throws.readers.worksheet_size import (
     MOST_CELLS,
     Extent,
@@ -25,9 +26,9 @@ _ARCHIVE_FAULTS = (BadZipFile, zlib.error, EOFError, OSError, RuntimeError, Expa
 
 def text_of_sheet(
     raw: bytes, path: Path, most_bytes: int, wanted: str | None = None
-) -> tuple[str, str]:
-    """The cells as a table separated by semicolons, and a note on other
-    worksheets with data.
+) -> tuple[str, Finding | None]:
+    """The cells as a table separated by semicolons, and a note where other worksheets
+    have data too.
 
     Row n is line n. Clock times are HH:MM, with seconds if any has some. If no
     worksheet is wanted, the first one with data is read.
@@ -60,13 +61,12 @@ def text_of_sheet(
         names = [name for name, sheet in sheets.items() if sheet.height]
         if not names:
             raise DataError("a spreadsheet without data", file=path)
-        listed = ", ".join(names).replace("`", "'")
         if wanted is not None and wanted not in names:
             fault = (
                 f"--worksheet {wanted}: {path} has no such worksheet with "
                 "data; expected one of"
             )
-            raise InputError(f"{fault} {listed}")
+            raise InputError(f"{fault} {', '.join(map(_without_backticks, names))}")
         chosen = names[0] if wanted is None else wanted
         sheet = sheets[chosen]
         extent = Extent((sheet.total_height, 1), (1, sheet.total_width))
@@ -86,11 +86,21 @@ def text_of_sheet(
             lines.write(" ".join(filter(None, found)) + "\n")
         else:
             write(found)
-    several = (
-        f"{len(names)} worksheets: {listed}; taken: {chosen} "
-        "(--worksheet selects another)"
+    if len(names) == 1:
+        return lines.getvalue(), None
+    several = Finding.note(
+        "one-of-worksheets",
+        Remedy("selects-another", Option("worksheet", "NAME")),
+        count=len(names),
+        worksheets=[_without_backticks(name) for name in names],
+        taken=_without_backticks(chosen),
     )
-    return lines.getvalue(), several if len(names) > 1 else ""
+    return lines.getvalue(), several
+
+
+def _without_backticks(name: str) -> str:
+    """A name for a sentence, in which what is between backticks is an option."""
+    return name.replace("`", "'")
 
 
 def _plain(cell: Any) -> Any:

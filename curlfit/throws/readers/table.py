@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from curlfit.errors import DataError, InputError
-from curlfit.foreign import counted, quoted
+from curlfit.findings import Finding
+from curlfit.foreign import quoted
 from curlfit.numerics.arrays import filled, floats
 from curlfit.settings.choices import Reading
 from curlfit.throws.readers.assemble import assemble
@@ -96,8 +97,12 @@ def _table_of(file: TextFile, reading: Reading) -> tuple[ParsedFile, TextTable]:
         except DataError:
             continue
         if titles:
-            said = f"{counted(titles, 'line')} above the header not read: "
-            table.remarks.append(said + quoted(file.lines[first].strip(" ,;\t")))
+            not_read = Finding.note(
+                "lines-above-the-header",
+                count=titles,
+                first=quoted(file.lines[first].strip(" ,;\t")),
+            )
+            table.remarks.append(not_read)
         return parsed, with_units_below(table)
     table = TextTable.of(file)
     return begun(file, "table", table.header), table
@@ -137,7 +142,7 @@ def read_columns(
     for k, (begin, _) in clocks.items():
         columns[k] = in_unit(columns[k].quantity, "s")
         parsed.notes.append(
-            f"{table.names[k]}: clock times, taken as seconds since {begin}"
+            Finding.note("clock-times", column=table.names[k], since=begin)
         )
     plain = [k for k in columns if k not in clocks]
     values = dict(zip(plain, table.numbers(plain), strict=True))
@@ -146,9 +151,9 @@ def read_columns(
     if any("#" in table.file.lines[row] for row in table.rows):
         faults = [cell for k in plain for cell in table.column(k) if cell[:1] == "#"]
         if faults:
-            said = "is taken as a gap" if len(faults) == 1 else "are taken as gaps"
-            many = counted(len(faults), "cell")
-            parsed.notes.append(f"{many} such as {quoted(faults[0])} {said}")
+            parsed.notes.append(
+                Finding.note("gaps", count=len(faults), cell=quoted(faults[0]))
+            )
     parsed.lines = np.asarray(table.rows, np.int64) + 1
     for k, column in columns.items():
         parsed.add(table.names[k], column, values[k])
@@ -184,9 +189,12 @@ def contents_of(parsed: ParsedFile, words: Mapping[str, Sequence[Any]]) -> Conte
 
     def parse(index: int) -> ParsedFile:
         name, rows = throws[index]
-        found = parsed.rows(rows)
-        found.notes.append(f"{len(throws)} throws; taken: {index + 1} {name}")
-        return found
+        selected = parsed.rows(rows)
+        taken = Finding.note(
+            "one-of-throws", count=len(throws), taken=index + 1, name=name
+        )
+        selected.notes.append(taken)
+        return selected
 
     return Contents([f"{name} ({len(rows)} rows)" for name, rows in throws], parse)
 
@@ -324,8 +332,8 @@ def _of_dataset(table: Any, parsed: ParsedFile) -> _Variables:
         name: variable for name, variable in every.items() if len(variable.dims) == 1
     }
     if len(flat) < len(every):
-        others = ", ".join(name for name in every if name not in flat)
-        parsed.notes.append(f"variables ignored, not of one dimension: {others}")
+        others = [name for name in every if name not in flat]
+        parsed.notes.append(Finding.note("variables-ignored", variables=others))
     used = {
         name: v.dims[0] for name, v in flat.items() if parse_header(name) is not None
     }

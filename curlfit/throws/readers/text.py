@@ -16,7 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from curlfit.errors import DataError, InputError
+from curlfit.errors import DataError, InputError, Option
+from curlfit.findings import Finding
 from curlfit.foreign import counted, quoted
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.readers.columns import has_japanese_words
@@ -98,7 +99,7 @@ class TextFile(NamedTuple):
 
     path: Path
     lines: list[str]
-    note: str = ""
+    note: Finding | None = None
 
     @classmethod
     def read(
@@ -114,7 +115,8 @@ class TextFile(NamedTuple):
             is too long. InputError : no such worksheet.
         """
         kind = ("settings", _MOST_OF_SETTINGS) if settings else ("throws", _MOST_BYTES)
-        raw, note = _bytes_of(path, *kind), ""
+        raw = _bytes_of(path, *kind)
+        note = None
         if raw.startswith(_SPREADSHEETS):
             text, note = text_of_sheet(raw, path, _MOST_BYTES, worksheet)
         elif worksheet is not None:
@@ -124,7 +126,7 @@ class TextFile(NamedTuple):
         else:
             text = _decoded(raw)
         # In sentences, what is between backticks is an option that curlfit proposes.
-        file = cls(path, text.replace("`", "'").split("\n"), note.replace("`", "'"))
+        file = cls(path, text.replace("`", "'").split("\n"), note)
         if "\x00" in text:
             raise file.error(f"this is not a text file; {EXPECTED}")
         if len(file.lines) > _MOST_LINES + 1:
@@ -145,11 +147,17 @@ class TextFile(NamedTuple):
         return file
 
     def error(
-        self, message: str, index: int | None = None, column: str | None = None
+        self,
+        message: str,
+        index: int | None = None,
+        column: str | None = None,
+        options: tuple[Option, ...] = (),
     ) -> DataError:
-        """An error at the line of this index."""
+        """An error at the line of this index, with options to type instead."""
         line = None if index is None else index + 1
-        return DataError(message, file=self.path, line=line, column=column)
+        return DataError(
+            message, file=self.path, line=line, column=column, options=options
+        )
 
     def head(self, expected: str = EXPECTED) -> int:
         """Index of the first line that is not a comment.
@@ -288,7 +296,7 @@ class TextTable:
     header: int
     separator: str | None
     names: list[str]
-    remarks: list[str] = field(default_factory=list)
+    remarks: list[Finding] = field(default_factory=list)
     """on how its numbers were read"""
 
     @classmethod
@@ -306,9 +314,9 @@ class TextTable:
             raise table.error(f"the table begins with numbers; {expected}")
         return table
 
-    def error(self, message: str) -> DataError:
-        """An error at the header."""
-        return self.file.error(message, self.header)
+    def error(self, message: str, options: tuple[Option, ...] = ()) -> DataError:
+        """An error at the header, with options to type instead."""
+        return self.file.error(message, self.header, options=options)
 
     @cached_property
     def rows(self) -> list[int]:
@@ -369,14 +377,17 @@ class TextTable:
             plain = np.loadtxt(lines, delimiter=self.separator, comments=None, ndmin=2)
             if plain.shape[1] == width and not np.isinf(plain).any():
                 return list(plain[:, list(columns)].T.copy())
-        remedy = (
-            "; where numbers have decimal commas, separate the columns by semicolons"
-        )
         for index, row in zip(self.rows, self._cells, strict=True):
             if len(row) < width or any(row[width:]):
-                many, head = counted(len(row), "cell"), counted(width, "column")
-                commas = self.separator == "," and width < len(row) <= 2 * width
-                fault = f"{many} where the header has {head}" + remedy * commas
+                cells_of_row = counted(len(row), "cell")
+                fault = (
+                    f"{cells_of_row} where the header has {counted(width, 'column')}"
+                )
+                if self.separator == "," and width < len(row) <= 2 * width:
+                    fault += (
+                        "; where numbers have decimal commas, separate the columns by "
+                        "semicolons"
+                    )
                 raise self.file.error(fault, index)
         try:
             return [self._numbers(place) for place in columns]
@@ -388,12 +399,13 @@ class TextTable:
                 raise
             with suppress(DataError):
                 values = [self._numbers(place, found["mark"]) for place in columns]
-                number = _without_groups(found[0], found["mark"])
-                said = (
-                    f"{quoted(found['mark'])} separates thousands: "
-                    f"{quoted(found[0])} is"
+                thousands = Finding.note(
+                    "thousands",
+                    mark=quoted(found["mark"]),
+                    cell=quoted(found[0]),
+                    number=_without_groups(found[0], found["mark"]),
                 )
-                self.remarks.append(f"{said} {number}")
+                self.remarks.append(thousands)
                 return values
             raise
 

@@ -7,11 +7,14 @@ import math
 import re
 from collections.abc import Collection, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from curlfit.errors import DataError, InputError
+from curlfit.errors import DataError, InputError, Option
+from curlfit.findings import Finding, Remedy
 from curlfit.foreign import counted, file_and_number, quoted
 from curlfit.numerics.arrays import Floats
 from curlfit.settings.choices import Reading
@@ -55,10 +58,6 @@ _ALIASES = {
     "hog_hog": "hog_to_hog",
 }
 _LIKE_MEASUREMENTS = {"hog", "tee", "rest", "curl", "turns", "split", "speed", "spin"}
-_COLUMNS = (
-    f"one of {', '.join(TIMES)}, curl, rest, turns, speed, spin, "
-    "with a unit as in curl_ft"
-)
 _SPLIT = re.compile(r"[\s_\-./()\[\]]+")
 _LINE = re.compile(
     r"""(?!\s*["']?[-+.\d])\s*["']?([^=:;,\t"']*?)["']?\s*[=:;,\t]\s*(\S.*?)\s*[;,]?\s*$"""
@@ -82,13 +81,11 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
     without_time = [
         index for index, row in enumerate(rows) if not row.entries.keys() & ALONG
     ]
-    said = []
+    left_out = []
     if several and without_time:
-        listed = ", ".join(str(rows[index].line) for index in without_time)
-        said.append(
-            f"left out of a joint fit, since no time was measured: line {listed}"
-        )
-    faults = {odd.row - 1: odd.fault for odd in odd_rows}
+        lines = [rows[index].line for index in without_time]
+        left_out.append(Finding.note("rows-without-a-time", lines=lines))
+    odd_row_at = {odd.row - 1: odd for odd in odd_rows}
 
     def parse(index: int) -> ParsedFile:
         row = rows[index]
@@ -100,27 +97,25 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
         parsed.events, parsed.labels = record.events(), row.labels
         parsed.odd_rows = odd_rows
         if fault := record.fault_alone():
-            fault = "; ".join([fault, *(note.partition("; ")[0] for note in row.notes)])
+            unread = [str(replace(note, remedies=())) for note in row.notes]
+            fault = "; ".join([fault, *unread])
             parsed.alone = file.error(fault, row.line - 1 if several else None)
             if not several or not row.entries.keys() & ALONG:
                 raise parsed.alone
-        spin, of_spin = record.spin()
+        spin, notes_on_spin = record.spin()
         parsed.assumed = {"omega0": spin}
         crossed = {y for event in parsed.events for y in (event.at, event.since)}
-        places = ", ".join(
-            f"{name.replace('far-', 'far ')} line at {y:.3f} m"
+        lines = [
+            {"line": name.replace("far-", "far "), "y": y}
             for name, y in LINES.items()
             if y in crossed
-        )
-        parsed.notes += [
-            "y from the hack, x from the line of delivery: the stone's centre "
-            f"crosses the {places} (far tee {LINES['far-tee']:.3f} m)",
-            of_spin,
-            *row.notes,
-            *said,
         ]
-        if index in faults:
-            parsed.notes.append(f"odd beside the other rows: {faults[index]}")
+        from_the_hack = Finding.note(
+            "y-from-the-hack", lines=lines, far_tee=LINES["far-tee"]
+        )
+        parsed.notes += [from_the_hack, *notes_on_spin, *row.notes, *left_out]
+        if index in odd_row_at:
+            parsed.notes.append(_of_odd_row(odd_row_at[index]))
         return parsed
 
     return Contents(
@@ -131,7 +126,26 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
             *(without_time if several else ()),
         },
         odd_rows=odd_rows,
-        note="{} throws, one in each row; taken: {} (--shot selects another)",
+        note=_of_taken_row,
+    )
+
+
+def _of_taken_row(count: int, taken: int) -> Finding:
+    """That one throw of a table is read, by its number."""
+    another = Remedy("selects-another", Option("shot", "N"))
+    return Finding.note("one-of-rows", another, count=count, taken=taken)
+
+
+def _of_odd_row(odd: OddRow) -> Finding:
+    """The value for which a row is odd."""
+    value = {"column": odd.column, "value": odd.value, "unit": odd.unit}
+    if odd.deviation is None:
+        return Finding.note("value-beyond-any-stone", **value)
+    return Finding.note(
+        "odd-value",
+        **value,
+        off=abs(odd.deviation),
+        sense="more" if odd.deviation > 0 else "less",
     )
 
 
@@ -289,7 +303,7 @@ def _labels(
     names: Sequence[str],
     header: Sequence[tuple[str, str]],
     rows: Sequence[Sequence[str]],
-) -> tuple[dict[int, str], list[str]]:
+) -> tuple[dict[int, str], list[Finding]]:
     """Columns that are labels, by place, and notes on those that are not used."""
     kept, unused, strange = {}, [], []
     for place, name in enumerate(names):
@@ -307,12 +321,15 @@ def _labels(
             kept[place] = label
         else:
             unused.append(name)
-    notes = [f"columns not used: {', '.join(unused)}"] if unused else []
+    notes = []
     if strange:
-        said = (
-            f"s {', '.join(strange)} are" if len(strange) > 1 else f" {strange[0]} is"
+        expected = Remedy("known-headings", numbers={"times": list(TIMES)})
+        not_understood = Finding.note(
+            "columns-not-understood", expected, columns=strange, count=len(strange)
         )
-        notes.insert(0, f"column{said} not understood; expected {_COLUMNS}")
+        notes.append(not_understood)
+    if unused:
+        notes.append(Finding.note("columns-ignored", columns=unused))
     return kept, notes
 
 
@@ -389,9 +406,17 @@ def _told(keys: set[str], rows: list[Row]) -> bool:
     return 2 * told >= len(rows) > 0
 
 
-def said_in(table: Path, source: str) -> tuple[dict[str, str], list[Event], str]:
-    """What a table with a column `file` or `track` says of a throw: labels, events that
-    were measured beside its path, and a note on it.
+class TableEntry(NamedTuple):
+    """What a table of throws says of one: its labels, the events that were measured
+    beside its path, and notes on both."""
+
+    labels: dict[str, str]
+    events: list[Event]
+    notes: list[Finding]
+
+
+def entry_in(table: Path, source: str) -> TableEntry:
+    """What a table with a column `file` or `track` says of a throw.
 
     Parameters
     ----------
@@ -421,12 +446,15 @@ def said_in(table: Path, source: str) -> tuple[dict[str, str], list[Event], str]
     if len(found) > 1:
         raise file.error(f"{quoted(path.name)} is named again", found[1].line - 1)
     if not found:
-        return {}, [], f"{table} says nothing of it"
-    events = Record(file, found[0]).events()
-    what = "labels and measurements" if events else "labels"
-    said = [
-        f"{what} from {table}, line {found[0].line}",
-        *found[0].notes,
-        *([file.note] if file.note else []),
-    ]
-    return found[0].labels, events, "; ".join(said)
+        return TableEntry({}, [], [Finding.note("not-in-the-table", table=str(table))])
+    row = found[0]
+    events = Record(file, row).events()
+    source_of_labels = Finding.note(
+        "measurements-of-a-table" if events else "labels-of-a-table",
+        table=str(table),
+        line=row.line,
+    )
+    notes = [source_of_labels, *row.notes]
+    if file.note is not None:
+        notes.append(file.note)
+    return TableEntry(row.labels, events, notes)

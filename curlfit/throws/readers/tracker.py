@@ -15,8 +15,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from curlfit.errors import InputError
-from curlfit.foreign import counted
+from curlfit.errors import InputError, Option
+from curlfit.findings import Finding, Remedy
 from curlfit.settings.choices import Reading
 from curlfit.throws.readers.columns import Column, parse_header
 from curlfit.throws.readers.defaults import begun
@@ -67,16 +67,23 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
     def parse(index: int) -> ParsedFile:
         parsed = begun(file, "tracker", first)
         if len(objects) > 1:
-            listed = ", ".join(f"{k} {name}" for k, name in enumerate(labels, 1))
-            other = ""
+            remedies = [Remedy("selects-another", Option("stone-index", "N"))]
             if not reading.handle:
-                other = "; --handle N, one that marks the handle of this stone"
-            parsed.notes.append(
-                f"{len(objects)} objects: {listed}; taken: {index + 1} {labels[index]} "
-                f"(--stone-index selects another{other})"
+                remedies.append(Remedy("marks-the-handle", Option("handle", "N")))
+            taken = Finding.note(
+                "one-of-objects",
+                *remedies,
+                count=len(objects),
+                objects=[
+                    {"number": number, "name": name}
+                    for number, name in enumerate(labels, 1)
+                ],
+                taken=index + 1,
+                name=labels[index],
             )
+            parsed.notes.append(taken)
         elif titles[0]:
-            parsed.notes.append(f"object: {labels[0]}")
+            parsed.notes.append(Finding.note("object", name=labels[0]))
         columns = _columns(parsed, table, objects[index], reading)
         if reading.handle is not None:
             flag = f"--handle {reading.handle}"
@@ -96,8 +103,12 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
         ]
         seen = np.asarray(np.isfinite(own).any(axis=0))
         if seen.any() and not seen.all():
-            rows = counted(int((~seen).sum()), "row")
-            parsed.notes.append(f"{rows} without {labels[index]} left out")
+            without = Finding.note(
+                "rows-without-the-object",
+                count=int((~seen).sum()),
+                name=labels[index],
+            )
+            parsed.notes.append(without)
             parsed = parsed.rows(seen)
         return parsed
 
@@ -139,11 +150,8 @@ def _columns(
     if not {"x", "y"} <= set(found):  # pixels u, v
         computed = []
     if computed:
-        listed = ", ".join(table.names[k] for k in computed)
-        parsed.notes.append(
-            f"left out: {listed}: Tracker computes them from the positions, not from "
-            "how the stone turns; a measurement has another name, such as phi"
-        )
+        left_out = [table.names[k] for k in computed]
+        parsed.notes.append(Finding.note("computed-by-tracker", columns=left_out))
     places = [k for k in places if k not in computed]
     names = [table.names[k] for k in places]
     headings = Headings(
