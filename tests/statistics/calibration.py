@@ -303,13 +303,12 @@ def fitted(
                 found[name] = found[name]._replace(
                     **_among(chain.of(weights), value, random)
                 )
+    codes = {warning.code for warning in fit.warnings}
     return Outcome(
         found,
         sampler=sampler,
-        correlated=any("lag-1 correlation" in text for text in fit.warnings),
-        lasting=any(
-            "the noise has a correlation time" in text for text in fit.warnings
-        ),
+        correlated=bool(codes & {"correlated", "noise-not-described"}),
+        lasting="long-memory" in codes,
         outliers=len(fit.outliers),
     )
 

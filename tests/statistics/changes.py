@@ -12,7 +12,6 @@ whose sigma is estimated.
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -171,10 +170,11 @@ def thrown(
 
 def times_told(result: curlfit.FitResult) -> list[float]:
     """The times at which the residuals are said to change."""
-    for text in result.warnings:
-        if text.startswith("the residuals change"):
-            return [float(time) for time in re.findall(r"t = ([\d.]+) s", text)]
-    return []
+    times = []
+    for warning in result.warnings:
+        if warning.code == "residuals-change":
+            times += warning.numbers["times"]
+    return times
 
 
 def counts(case: Case, throws: int) -> tuple[int, int, int, int]:
