@@ -31,13 +31,9 @@ from functools import cache
 from importlib import resources
 from typing import Any
 
-<<<<<<< HEAD
 from curlfit.errors import InputError
 from curlfit.foreign import quoted
-from curlfit.wording import compact, join_words, two_digits
-=======
 from curlfit.wording import compact, join_words, p_text, two_digits
->>>>>>> h1-f
 
 _MOST_NAMED = 3  # throws that a sentence names; of more the first two
 

@@ -170,18 +170,11 @@ def thrown(
 
 def times_told(result: curlfit.FitResult) -> list[float]:
     """The times at which the residuals are said to change."""
-<<<<<<< HEAD
-    for warning in result.warnings:
-        if warning.code == "residuals-change":
-            return warning.numbers["times"]
-    return []
-=======
     times = []
     for warning in result.warnings:
         if warning.code == "residuals-change":
             times += warning.numbers["times"]
     return times
->>>>>>> h1-f
 
 
 def counts(case: Case, throws: int) -> tuple[int, int, int, int]:
