@@ -158,7 +158,7 @@ def _lacking(made: Comparison, family: type[LawFamily] | None) -> Lacking | None
     fits = {
         item.label: one
         for item, one in zip(made.candidates, made.fits, strict=True)
-        if item.rank is not None and one is not None and item.noise == NoiseKind.WHITE
+        if item.rank is not None and one is not None and item.noise.is_white
     }
     if not fits:
         return None

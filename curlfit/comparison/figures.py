@@ -16,7 +16,6 @@ from curlfit.comparison.result import (
 )
 from curlfit.losses import LOSSES
 from curlfit.output import figures as draw
-from curlfit.settings.noise_kinds import NoiseKind
 
 _MOST = 4  # other laws drawn
 
@@ -56,7 +55,7 @@ def comparison_figure(comparison: Comparison) -> draw.Picture:
         }
         style |= {"lw": 1.5 if item.follows else 0.9, "zorder": 3 + len(shown) - place}
         name = item.label if item.rank is None else f"{item.rank}. {item.label}"
-        if item.noise == NoiseKind.DISCREPANCY:
+        if item.noise.has_discrepancy:
             name += ", law alone"
         path.plot(fitted["y"], fitted["x"], **style, label=name)
         residual.plot(t, 1000 * (x - fitted["x"]), **style)

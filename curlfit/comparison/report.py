@@ -55,11 +55,9 @@ def document(comparison: Comparison) -> Document:
     first, *others = conclusions(comparison)
     count = len(comparison.candidates)
     loss = LOSSES[comparison.loss].suffix
-    noise = (
-        ""
-        if comparison.noise == NoiseKind.WHITE
-        else f", {join_words(comparison.noises)} noise"
-    )
+    noise = ""
+    if comparison.noises != (NoiseKind.WHITE,):
+        noise = f", {join_words(comparison.noises)} noise"
     bend = (
         f"to the {comparison.side}" if comparison.side else "no more than its scatter"
     )

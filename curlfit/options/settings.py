@@ -29,6 +29,7 @@ from curlfit.settings.choices import (
     Reading,
 )
 from curlfit.settings.forms import NUMBER, PATH, VALUES, option
+from curlfit.settings.noise_kinds import NoiseKind
 
 if TYPE_CHECKING:
     from curlfit.inference.fit.result import FitResult
@@ -170,7 +171,9 @@ class ConfiguredThrow(Generic[Chosen]):
         model = Model(
             find_law(chosen.law), Load(chosen.load), prepared.parameters.conditions
         )
-        rounds = Rounds(model, [prepared], loss=LOSSES[chosen.loss], noise=chosen.noise)
+        rounds = Rounds(
+            model, [prepared], loss=LOSSES[chosen.loss], noise=NoiseKind(chosen.noise)
+        )
         (problem,) = unstacked(rounds.problems)
         return model, prepared.local_parameters, problem
 

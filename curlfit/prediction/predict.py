@@ -195,7 +195,7 @@ def _with_white_noise(
             "groups; leave it out"
         )
     _require_predictable(fit, draws)
-    if fit.noise.kind != NoiseKind.DISCREPANCY:
+    if not fit.noise.kind.has_discrepancy:
         return fit, chain, []
     note = Finding.note("law-without-discrepancy")
     return refit(fit, NoiseKind.WHITE), None, [note]

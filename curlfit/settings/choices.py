@@ -380,7 +380,7 @@ class Estimation(Rows):
         noise = getattr(self, "noise", ())
         kinds = [noise] if isinstance(noise, str) else list(noise)
         for kind in kinds:
-            if kind != NoiseKind.WHITE and LOSSES[self.loss].is_robust:
+            if not NoiseKind(kind).is_white and LOSSES[self.loss].is_robust:
                 raise InputError(
                     f"noise {kind} and loss {self.loss} cannot be combined: "
                     "a robust loss takes each value by itself"

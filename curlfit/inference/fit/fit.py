@@ -113,7 +113,7 @@ def _fit(
         find_law(chosen.law), Load(chosen.load), prepared.parameters.conditions
     ).within(family)
     loss = LOSSES[chosen.loss]
-    noise = chosen.noise
+    noise = NoiseKind(chosen.noise)
     start = chosen.start
     rounds = Rounds(model, [prepared], loss=loss, noise=noise)
     found = _fitted_alone(rounds, start)
@@ -378,8 +378,8 @@ def fit_throws(
     common = Fitting.of(law=law, **choices)
     law = find_law(common.law)
     loss = LOSSES[common.loss]
-    noise = common.noise
-    curves = curves or loss.is_robust or noise != NoiseKind.WHITE
+    noise = NoiseKind(common.noise)
+    curves = curves or loss.is_robust or not noise.is_white
     found: dict[int, Any] = {}
     groups: dict[tuple[int, int, tuple[str, ...]], dict[int, PreparedThrow]] = {}
     for index, throw in enumerate(throws):

@@ -79,13 +79,13 @@ class Rounds:
         throws: Sequence[PreparedThrow],
         *,
         loss: Loss = LINEAR,
-        noise: str = NoiseKind.WHITE,
+        noise: NoiseKind = NoiseKind.WHITE,
         shape: tuple[int, int] | None = None,
         batch: int = 1,
     ) -> None:
         """`shape` is that of all problems; `batch` the number of paths integrated
         side by side."""
-        if noise != NoiseKind.WHITE:
+        if not noise.is_white:
             for one in throws:
                 if one.throw.events and one.throw.has_path:
                     raise InputError(
@@ -115,8 +115,8 @@ class Rounds:
         self.initial_problems = self.problems = built(
             [one.throw for one in throws], shape
         )
-        if noise != NoiseKind.WHITE:
-            size, blank = len(throws[0].parameters), Noise(NoiseKind(noise))
+        if not noise.is_white:
+            size, blank = len(throws[0].parameters), Noise(noise)
             each = zip(self.problems.times, self.problems.weight, strict=True)
             whiteners = stacked([Whitener.of(blank, *one, size) for one in each])
             self.problems = self.problems._replace(whitener=whiteners)
@@ -136,7 +136,7 @@ class Rounds:
         )
         self._estimated = np.zeros_like(self.sigma)
         self.free = np.stack([throw.parameters.free for throw in throws])
-        self.noises = [Noise(NoiseKind(noise))] * len(throws)
+        self.noises = [Noise(noise)] * len(throws)
         self.failures: dict[int, InputError] = {}
         robust = _ROBUST_FITS if loss.is_robust else 0
         self._rounds: list[Callable[[Indices, Solution], None]] = [
@@ -144,7 +144,7 @@ class Rounds:
             self._tighten,
             *[self._estimate_robust_sigma] * robust,
         ]
-        if noise != NoiseKind.WHITE:
+        if not noise.is_white:
             self._rounds.append(self._estimate_noise)
         self._next = np.where(self.unknown.any(1), 0, _WITH_SIGMA)
 
@@ -299,7 +299,7 @@ class Rounds:
         _, lower, upper = local_bounds([one])
         adjustable = ((lower < solution.values) & (solution.values < upper))[0]
         typical, n = one.parameters.typical, len(one.throw)
-        if self.noises[index].kind == NoiseKind.DISCREPANCY:
+        if self.noises[index].kind.has_discrepancy:
             return linearized(
                 self.model,
                 problem,

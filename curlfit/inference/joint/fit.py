@@ -53,6 +53,7 @@ from curlfit.losses import LOSSES
 from curlfit.numerics.arrays import Booleans
 from curlfit.numerics.batches import side_by_side, unstacked
 from curlfit.settings.choices import Fitting, takes
+from curlfit.settings.noise_kinds import NoiseKind
 from curlfit.throws.throw import Throw, require_throw
 
 _VARYING = 4  # throws from which on their coefficients may vary
@@ -215,7 +216,7 @@ def solved_together(
         model,
         prepared,
         loss=LOSSES[first.loss],
-        noise=first.noise,
+        noise=NoiseKind(first.noise),
         shape=(max(channels), max(rows)),
     )
     starts = [

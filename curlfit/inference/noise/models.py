@@ -63,7 +63,7 @@ class Noise:
     @property
     def is_white(self) -> bool:
         """Whether it is independent from row to row."""
-        return self.kind == NoiseKind.WHITE
+        return self.kind.is_white
 
     def white_share(self, channel: str) -> float:
         """Independent share of the variance of a channel."""

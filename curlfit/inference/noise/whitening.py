@@ -17,7 +17,6 @@ from curlfit.inference.noise.linearized import Linearized, regression_of
 from curlfit.inference.noise.models import Noise
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.compiled import compiled
-from curlfit.settings.noise_kinds import NoiseKind
 
 STATE = 6
 """Number of parameters of the initial state, the last of all."""
@@ -70,7 +69,7 @@ class Whitener(NamedTuple):
         if noise.is_white:
             return None
         own = KalmanFilter.of_noise(noise, times, weight > 0)
-        if noise.kind != NoiseKind.DISCREPANCY:
+        if not noise.kind.has_discrepancy:
             return cls(own)
         k, n = _COUNT, weight.size
         directions, shrink = np.zeros((n, k + parameters)), np.zeros(k + parameters)
