@@ -22,7 +22,7 @@ from curlfit.options.settings import ConfiguredThrow, prepare_all, read_config
 from curlfit.output.console import PlainTable
 from curlfit.output.text import sided
 from curlfit.settings.choices import Fitting, Reading
-from curlfit.throws.odd_row import odd_rows_in_words
+from curlfit.throws.odd_row import odd_row_findings
 
 if TYPE_CHECKING:
     from curlfit.throws.throw import Throw
@@ -85,7 +85,7 @@ def _several(throws: Sequence[Throw]) -> Seen:
     ]
     return Seen(
         f"{len(throws)} throws, which are fitted together",
-        oddities=odd_rows_in_words(throws[0].odd_rows),
+        oddities=odd_row_findings(throws[0].odd_rows),
         notes=list(dict.fromkeys(note for throw in throws for note in throw.notes)),
         shown="".join(map(rendered, blocks_of([PlainTable(rows)]))),
     )

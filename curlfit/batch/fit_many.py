@@ -17,10 +17,12 @@ from curlfit.batch.settings import (
 )
 from curlfit.batch.table import ODD
 from curlfit.errors import CurlfitError, UnusableFitError
+from curlfit.findings import Finding
 from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.fit.result import FitResult
 from curlfit.settings.choices import Fitting
 from curlfit.throws.load import Part, parts_of
+from curlfit.throws.odd_row import odd_row_findings
 from curlfit.throws.throw import Throw
 
 
@@ -52,9 +54,9 @@ def fit_files(
         row: dict[str, Any] = dict.fromkeys(names)
         row |= {"file": file, "shot": part.shot, "stone_index": part.stone_index}
         if part.odd_row is not None:
-            keeps = f"`--keep {part.odd_row.line}` keeps it"
+            (odd,) = odd_row_findings([part.odd_row])
             row["status"] = ODD
-            row["reason"] = f"{part.odd_row.words}; {keeps}"
+            row["reason"] = str(odd)
             rows.append(row)
             continue
         result = next(fits) if isinstance(part.throw, Throw) else part.throw
@@ -94,7 +96,6 @@ def _row(result: FitResult, plan: BatchSettings, sums: Sequence[str]) -> dict[st
             + ("" if item.stderr is None else f" +- {item.stderr!r}")
             for item in result.combinations
         ),
-        "warnings": "; ".join(map(str, result.warnings)),
         DURATION: result.data["to"] - result.data["from"],
         LABELS: "; ".join(
             f"{name} = {label.replace(';', ',')}" for name, label in labels
@@ -123,27 +124,29 @@ def _row(result: FitResult, plan: BatchSettings, sums: Sequence[str]) -> dict[st
     if plan.systematics:
         for name, error in result.systematics.errors.items():
             row[column(name, "systematic")] = error
+    warnings = list(result.warnings)
     if plan.posterior and result.converged:
-        quantiles_of_all, warning = _sampled(result, plan.seed)
-        row["warnings"] = "; ".join(filter(None, [row["warnings"], warning]))
-        for name, quantiles in quantiles_of_all.items():
+        quantiles_by_name, warnings_of_posterior = _sampled(result, plan.seed)
+        warnings += warnings_of_posterior
+        for name, quantiles in quantiles_by_name.items():
             if name in known:
                 row |= {column(name, q): quantiles[q] for q in QUANTILES}
+    row["warnings"] = "; ".join(map(str, warnings))
     return row
 
 
 def _sampled(
     result: FitResult, seed: int
-) -> tuple[Mapping[str, Mapping[str, float]], str]:
-    """Quantiles of the posterior by name, or why there are none."""
+) -> tuple[Mapping[str, Mapping[str, float]], list[Finding]]:
+    """Quantiles of the posterior by name, or a warning that says why there are none."""
     from curlfit.inference.mcmc.sampler import sample
 
     try:
         sampled, _ = sample(result, seed=seed)
     except UnusableFitError as error:
-        return {}, f"no posterior: {error}"
+        return {}, [Finding.warning("no-posterior", fault=str(error))]
     posterior = sampled.posterior
     assert posterior is not None
     if not posterior.converged:
-        return {}, f"posterior {posterior.status}"
-    return posterior.quantiles, ""
+        return {}, [Finding.warning("no-quantiles", status=posterior.status)]
+    return posterior.quantiles, []

@@ -19,6 +19,7 @@ from curlfit.batch.settings import (
 )
 from curlfit.batch.table import plan_of, settings_file
 from curlfit.errors import DataError
+from curlfit.findings import Finding
 from curlfit.foreign import counted, printable
 from curlfit.friction import Law, Load, find_law
 from curlfit.inference.joint.result import JointResult
@@ -144,10 +145,7 @@ def _read(file: Path, law: str | type[Law] | None = None) -> Season:
     rows = np.array(told).reshape(len(told), 2, len(names), len(names) + 1)
     if not (np.isfinite(found).all() and np.isfinite(rows).all()):
         raise DataError("numbers that are not finite", file=file)
-    are = "is" if others == 1 else "are"
-    notes = []
-    if others:
-        notes = [f"{counted(others, 'row')} {are} not ok and {are} left out"]
+    notes = [Finding.note("rows-not-ok", count=others)] if others else []
     return Season(
         str(file),
         Model(kind, Load(chosen.load)),

@@ -196,7 +196,7 @@ class Table:
             self.counts[row["status"]] += 1
             self.warned += row["status"] == "ok" and bool(row["warnings"])
             if row["status"] == ODD:
-                self.odd.append(f"{row['file']}: left out as odd: {row['reason']}")
+                self.odd.append(f"{row['file']}: {row['reason']}")
 
     def _settle(self) -> None:
         self.stream.flush()

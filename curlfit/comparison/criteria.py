@@ -54,6 +54,7 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import SIGMA_FLOOR
 from curlfit.inference.mcmc.draws import WeightedProposals
 from curlfit.inference.noise.whitening import whitened
+from curlfit.inference.priors import Lognormal
 from curlfit.inference.verdict import Verdict
 from curlfit.losses import LOSSES
 from curlfit.numerics.arrays import Booleans, Floats
@@ -264,15 +265,15 @@ def _prior(result: FitResult, name: str) -> tuple[float, float, float, float]:
         own = [one for one in result.law_class.coefficients() if one.name == name]
         sizes = [max(one.typical, abs(one.default)) for one in own]
         return 0.0, _ORDER * sizes[0] if sizes else math.inf, *bounds
-    if prior.kind == "uniform":
+    if prior.is_flat:
         return 0.0, math.inf, *bounds
-    if prior.kind != "lognormal":
-        return prior.mode, prior.values[-1], *bounds
+    if not isinstance(prior, Lognormal):
+        return prior.mode, prior.width, *bounds
     median, lower, upper = (
         item.value * (1 + math.log(p / item.value)) if p > 0 else -math.inf
-        for p in (prior.values[0], *bounds)
+        for p in (prior.median, *bounds)
     )
-    return median, prior.values[1] * item.value, lower, upper
+    return median, prior.sigma * item.value, lower, upper
 
 
 def log_evidence(result: FitResult, log_likelihood: float) -> float:
@@ -282,7 +283,7 @@ def log_evidence(result: FitResult, log_likelihood: float) -> float:
     (mean, precision), off = known.prior, known.away
     total = log_likelihood - 0.5 * float(off @ (precision * off))
     for name, prior in result.parameter_set.priors.items():
-        if prior.kind == "uniform":
+        if prior.is_flat:
             total -= math.log(
                 result.parameters[name].upper - result.parameters[name].lower
             )
@@ -307,7 +308,7 @@ def _log_integral_along_ridge(result: FitResult, known: Posterior) -> float | No
     """Logarithm of the integral of the posterior density over that at the estimates;
     None where the proposals do not follow the ridge, or a prior is lognormal."""
     priors = result.parameter_set.priors
-    if any(prior.kind == "lognormal" for prior in priors.values()):
+    if any(prior.is_logarithmic for prior in priors.values()):
         return None
     random = np.random.default_rng(0)
     proposals = WeightedProposals.of(result, _PROPOSALS, random)

@@ -19,6 +19,8 @@ from curlfit.comparison.tables import (
     ranked_row,
     summary,
 )
+from curlfit.errors import Option
+from curlfit.findings import Finding, Remedy
 from curlfit.foreign import counted
 from curlfit.losses import LOSSES
 from curlfit.output.console import PlainTable
@@ -84,7 +86,8 @@ def document(comparison: Comparison) -> Document:
                 "lacking", "What the first law lacks", _lacking(comparison), brief=False
             ),
         ),
-        warnings=[_about_correlation(comparison)] if comparison.effective else (),
+        warnings=_warnings(comparison),
+        notes=_notes(comparison),
         title=f"{Path(data['file']).name}: which law?",
         settings={
             "Data": f"{data['file']}, {rows_text(data)}",
@@ -290,27 +293,27 @@ def _about_noise(comparison: Comparison) -> str:
     )
 
 
-def _about_correlation(comparison: Comparison) -> str:
-    """That a ranking with correlated residuals is unreliable, and its effective
-    sample sizes."""
+def _warnings(comparison: Comparison) -> list[Finding]:
+    """A warning that a ranking with correlated residuals is unreliable."""
+    if not comparison.effective:
+        return []
     worth = []
-    for name, count in comparison.effective.items():
-        values = comparison.observed.get(name, [])
+    for channel, effective in comparison.effective.items():
+        values = comparison.observed.get(channel, [])
         rows = sum(value is not None and math.isfinite(value) for value in values)
-        of_rows = f" of {rows}" if rows else ""
-        worth.append(f"{count:.0f}{of_rows} in {name}")
-    warning = (
-        "the ranking is not reliable. Even the law that fits best leaves residuals "
-        "that are correlated from row to row. The likelihoods in dBIC and dAICc are "
-        f"weighted by effective sample sizes ({', '.join(worth)}), an approximation; "
-        "correlated noise alone can put a wrong law first"
-    )
+        worth.append({"channel": channel, "effective": effective, "rows": rows or None})
+    remedies = []
     if len(comparison.noises) == 1:
-        warning += (
-            ". The log evidence and leave-one-out, which assume independent residuals, "
-            "are not given. Use --noise white,ar1 to compare noise models"
-        )
-    return warning
+        remedies.append(Remedy("compare-noise", Option("noise", "white,ar1")))
+    return [Finding.warning("ranking-not-reliable", *remedies, worth=worth)]
+
+
+def _notes(comparison: Comparison) -> list[Finding]:
+    """A note on the criteria that are not given; of several noise models the
+    conclusions say it."""
+    if not comparison.effective or len(comparison.noises) > 1:
+        return []
+    return [Finding.note("evidence-not-given")]
 
 
 def _about_isotropic(isotropic: list[Candidate]) -> str:

@@ -15,6 +15,7 @@ from curlfit.comparison.tables import (
     ranked_row,
     summary,
 )
+from curlfit.findings import Finding
 from curlfit.foreign import counted
 from curlfit.inference.verdict import Verdict
 from curlfit.output.console import Items, PlainTable
@@ -50,7 +51,7 @@ def document_of_sets(comparison: Comparison) -> Document:
             ),
             Section("conclusions", "What follows", (Said(first), *others)),
         ),
-        notes=[_noise(one) for one in sets if one.noise_of],
+        notes=[_noise(data_set) for data_set in sets if data_set.noise_of],
         title=f"{', '.join(map(short, sets))}: which law?",
         settings={"Data": files, "Stone": stone_text(comparison.stone)},
         command=command_line(
@@ -74,14 +75,13 @@ def _about(one: SetOfData) -> str:
     return f"{one.name}: {count}, {counted(one.values, 'value')}{fewer}"
 
 
-def _noise(one: SetOfData) -> str:
-    sigma = ", ".join(f"{name} {value:.2g}" for name, value in one.sigma.items())
-    least = f"the least that any leaves ({one.noise_of})"
-    if one.kind == "track":
-        least += ", or that of an ordinary tracker where that is correlated and smaller"
-        sigma += " (m, rad)"
-    about = "sigma is not given and taken for all laws to be"
-    return f"{short(one)}: {about} {least}: {sigma}"
+def _noise(data_set: SetOfData) -> Finding:
+    """A note on the sigma of a data set that gives none."""
+    is_track = data_set.kind == "track"
+    code = "sigma-of-best-law-or-tracker" if is_track else "sigma-of-best-law"
+    sigma = [{"name": name, "value": value} for name, value in data_set.sigma.items()]
+    finding = Finding.note(code, law=data_set.noise_of, sigma=sigma)
+    return finding.of(short(data_set))
 
 
 def _per_value(chi_squared: float, dof: float) -> str:

@@ -8,6 +8,7 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
+from curlfit.findings import Finding
 from curlfit.inference.fit.result import DataOfFit, FitResult, LossName
 from curlfit.inference.verdict import Verdict
 from curlfit.numerics.arrays import Floats
@@ -179,7 +180,7 @@ class Candidate:
     negative: tuple[str, ...] = ()
     at_bound: tuple[str, ...] = ()
     not_identifiable: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Finding, ...] = ()
     fitted: dict[str, list[float]] | None = None
     noise: NoiseKind = NoiseKind.WHITE
     noise_model: _Noise = field(default_factory=dict)

@@ -9,13 +9,15 @@ Each code of a finding has
     parts  words for a number that may be missing, and for each item of a list
     means  what it means and what to do, for `curlfit explain` and the book
 
-Numbers have the formats of Python, and two more: `{x:digits}` is x with two digits and
-without an exponent, `{x:error}` a value with the error of its last digits, from a list
-of both. A list is joined by commas, with a word as in `{x:and}` before its last item;
-by signs as in `{x:;}`; with `{x:+}` by nothing. A part stands for its number: nothing
-if that is None, False or empty; for a list, the part of each of its items, which are
-named `value` or are objects whose keys are named. Words of remedies have `says`, `one`
-and `parts`, and `{option}` for what is to be typed.
+Numbers have the formats of Python, and three more: `{x:digits}` is x with two digits
+and without an exponent, `{x:error}` a value with the error of its last digits, from a
+list of both, `{x:p}` a probability as in "p < 0.001". A list is joined by commas, with
+a word as in `{x:and}` before its last item; by signs as in `{x:;}`; with `{x:+}` by
+nothing. A part stands for its number: nothing if that is None, False or empty; for a
+list, the part of each of its items, which are named `value` or are objects whose keys
+are named. A key of such objects that may be missing has a part of its own, as in
+`parts."rows.line"`. Words of remedies have `says`, `one` and `parts`, and `{option}`
+for what is to be typed.
 """
 
 from __future__ import annotations
@@ -31,7 +33,7 @@ from typing import Any
 
 from curlfit.errors import InputError
 from curlfit.foreign import quoted
-from curlfit.wording import compact, join_words, two_digits
+from curlfit.wording import compact, join_words, p_text, two_digits
 
 _MOST_NAMED = 3  # throws that a sentence names; of more the first two
 
@@ -52,7 +54,9 @@ class Message:
         these are others than it names."""
         shown = dict(numbers)
         for name, template in self.parts.items():
-            shown[name] = _part(template, numbers[name], numbers)
+            if "." not in name:
+                of_items = _below(name, self.parts)
+                shown[name] = _part(template, numbers[name], numbers, of_items)
         words = self.one if self.one and numbers.get("count") == 1 else self.says
         return _FORMATTER.vformat(words, (), shown)
 
@@ -66,6 +70,8 @@ class _Formatter(string.Formatter):
             return two_digits(value)
         if spec == "error":
             return compact(*value)
+        if spec == "p":
+            return p_text(value)
         if isinstance(value, list | tuple):
             return _joined([str(item) for item in value], spec)
         return format(value, spec)
@@ -83,8 +89,25 @@ def _joined(texts: list[str], spec: str) -> str:
     return f"{spec or ','} ".join(texts)
 
 
-def _part(template: str, value: Any, numbers: Mapping[str, Any]) -> str | list[str]:
-    """The words of a part for its number, or for each item of its list."""
+def _below(name: str, parts: Mapping[str, str]) -> dict[str, str]:
+    """Parts of the keys of a list's objects, from those of the message, whose names
+    begin with that of the list."""
+    prefix = f"{name}."
+    return {
+        part.removeprefix(prefix): template
+        for part, template in parts.items()
+        if part.startswith(prefix)
+    }
+
+
+def _part(
+    template: str,
+    value: Any,
+    numbers: Mapping[str, Any],
+    of_items: Mapping[str, str] | None = None,
+) -> str | list[str]:
+    """The words of a part for its number, or for each item of its list, whose keys
+    may have parts `of_items`."""
     if value is None or value is False:
         return ""
     if not isinstance(value, list | tuple):
@@ -92,7 +115,10 @@ def _part(template: str, value: Any, numbers: Mapping[str, Any]) -> str | list[s
     texts = []
     for item in value:
         of_item = item if isinstance(item, Mapping) else {"value": item}
-        texts.append(_FORMATTER.vformat(template, (), {**numbers, **of_item}))
+        named = {**numbers, **of_item}
+        for key, of_key in (of_items or {}).items():
+            named[key] = _part(of_key, of_item[key], {**numbers, **of_item})
+        texts.append(_FORMATTER.vformat(template, (), named))
     return texts
 
 

@@ -7,12 +7,13 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
+from curlfit.findings import Finding
 from curlfit.friction_tables.result import FrictionFit, FrictionFits
 from curlfit.inference.verdict import Verdict
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Section, command_line, show
 from curlfit.reports.estimates import reported, row_of, style_of
-from curlfit.wording import compact, join_words, lower
+from curlfit.wording import compact, join_words
 
 _NEAR = 6.0  # of BIC: a difference beyond is strong evidence (Kass and Raftery 1995)
 
@@ -36,7 +37,7 @@ def document(result: FrictionFits) -> Document:
         finding = "converged" if first.converged else "not converged"
     notes = []
     if result.data["sigma"] == "estimated":
-        notes.append("sigma is estimated from the residuals of each law")
+        notes.append(Finding.note("sigma-by-law"))
     return Document(
         finding=finding,
         style=style_of(first),
@@ -57,7 +58,7 @@ def document(result: FrictionFits) -> Document:
             ),
         ),
         warnings=[
-            f"{one.law}: {lower(text)}" for one in result.fits for text in one.warnings
+            warning.of(fit.law) for fit in result.fits for warning in fit.warnings
         ],
         notes=notes,
         title=f"{result.data['file']}: friction against speed",

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from os import PathLike
 from typing import Annotated, Any
 
+from curlfit.findings import Finding
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.identifiability import Combination
 from curlfit.numerics.arrays import Floats
@@ -37,7 +38,7 @@ class FrictionFit:
     sigma: float
     rms: float
     bic: float
-    warnings: tuple[str, ...]
+    warnings: tuple[Finding, ...]
     fitted: Floats
     curve: Arrays
 

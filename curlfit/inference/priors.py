@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -16,82 +17,178 @@ from curlfit.friction import Parameter
 from curlfit.numerics.arrays import Floats
 
 FORMS = "MEAN+-SD, lognormal:MEDIAN,SIGMA, half-normal:SD or uniform:LOW,HIGH"
-_VALUES = {"normal": 2, "lognormal": 2, "half-normal": 1, "uniform": 2}
 
 
-@dataclass(frozen=True)
-class Prior:
-    """The prior density of one parameter.
+class Prior(ABC):
+    """The prior density of one parameter; each kind is a class below.
 
     Attributes
     ----------
-    kind : "normal", "lognormal", "half-normal" or "uniform".
-    values : mean and standard deviation; median and standard deviation of the
-        logarithm; standard deviation (of the normal density whose upper half it is);
-        lower and upper end.
+    kind : its name in the `FORMS`.
+    is_flat : whether the density is constant within its bounds.
+    is_logarithmic : whether the logarithm of the parameter is normal.
     """
 
-    kind: str
-    values: tuple[float, ...]
-
-    @classmethod
-    def parse(cls, name: str, text: str) -> Prior:
-        """A prior from text, in one of the `FORMS`. Raises `InputError` for
-        anything else."""
-        kind, _, rest = text.rpartition(":")
-        kind = kind.strip() or "normal"
-        try:
-            values = tuple(map(float, re.split(r"\+-|\+/-|±|,", rest)))
-        except ValueError:
-            values = ()
-        if len(values) != _VALUES.get(kind):
-            raise InputError(
-                f"prior of {name}: {quoted(text)} is no prior; expected {FORMS}"
-            )
-        found, fault = cls(kind, values), None
-        if not all(map(is_size, values)):
-            fault = f"expected finite numbers, {SIZES}"
-        elif kind == "uniform" and not values[0] < values[1]:
-            fault = "is empty; expected LOW below HIGH"
-        elif kind != "uniform" and not values[-1] > 0:
-            fault = "expected a positive width"
-        elif kind == "lognormal" and not values[0] > 0:
-            fault = "expected a positive median"
-        if fault:
-            raise InputError(f"prior of {name}: {found} {fault}")
-        return found
-
-    def __str__(self) -> str:
-        """As text, in one of the `FORMS`."""
-        if self.kind == "normal":
-            return f"{self.values[0]:.10g}+-{self.values[1]:.10g}"
-        return f"{self.kind}:" + ",".join(f"{value:.10g}" for value in self.values)
+    kind: ClassVar[str]
+    is_flat: ClassVar[bool] = False
+    is_logarithmic: ClassVar[bool] = False
 
     @property
+    @abstractmethod
     def mode(self) -> float:
-        """Where the density is largest; the middle of a uniform one."""
-        if self.kind == "lognormal":
-            median, sigma = self.values
-            return median * math.exp(-(sigma**2))
-        return {"half-normal": 0.0, "uniform": sum(self.values) / 2}.get(
-            self.kind, self.values[0]
-        )
+        """Where the density is largest; the middle of a flat one."""
+
+    @property
+    @abstractmethod
+    def width(self) -> float:
+        """Standard deviation of the parameter, or of its logarithm where that is
+        normal; of a half-normal density, that of the whole; infinite of a flat one."""
+
+    @abstractmethod
+    def fault(self) -> str:
+        """What is wrong with its values; empty if nothing is."""
 
     def bounds(self, lower: float, upper: float) -> tuple[float, float]:
         """The bounds of the parameter, limited to the support of the density."""
-        if self.kind == "uniform":
-            return max(lower, self.values[0]), min(upper, self.values[1])
-        if self.kind == "half-normal":
-            return max(lower, 0.0), upper
-        # a density of zero at zero, which no step may reach
-        if self.kind == "lognormal":
-            return max(lower, self.values[0] * 1e-9), upper
         return lower, upper
+
+    def __str__(self) -> str:
+        """As text, in one of the `FORMS`."""
+        return f"{self.kind}:" + ",".join(f"{value:.10g}" for value in _values(self))
+
+
+@dataclass(frozen=True)
+class Normal(Prior):
+    """A normal density."""
+
+    mean: float
+    sd: float
+    kind: ClassVar[str] = "normal"
+
+    @property
+    def mode(self) -> float:
+        return self.mean
+
+    @property
+    def width(self) -> float:
+        return self.sd
+
+    def fault(self) -> str:
+        return "" if self.sd > 0 else "expected a positive width"
+
+    def __str__(self) -> str:
+        return f"{self.mean:.10g}+-{self.sd:.10g}"
+
+
+@dataclass(frozen=True)
+class Lognormal(Prior):
+    """A density under which the logarithm is normal; sigma is its standard
+    deviation."""
+
+    median: float
+    sigma: float
+    kind: ClassVar[str] = "lognormal"
+    is_logarithmic: ClassVar[bool] = True
+
+    @property
+    def mode(self) -> float:
+        return self.median * math.exp(-(self.sigma**2))
+
+    @property
+    def width(self) -> float:
+        return self.sigma
+
+    def bounds(self, lower: float, upper: float) -> tuple[float, float]:
+        # The density is zero at zero, which no step may reach.
+        return max(lower, self.median * 1e-9), upper
+
+    def fault(self) -> str:
+        if not self.sigma > 0:
+            return "expected a positive width"
+        return "" if self.median > 0 else "expected a positive median"
+
+
+@dataclass(frozen=True)
+class HalfNormal(Prior):
+    """The upper half of a normal density about zero."""
+
+    sd: float
+    kind: ClassVar[str] = "half-normal"
+
+    @property
+    def mode(self) -> float:
+        return 0.0
+
+    @property
+    def width(self) -> float:
+        return self.sd
+
+    def bounds(self, lower: float, upper: float) -> tuple[float, float]:
+        return max(lower, 0.0), upper
+
+    def fault(self) -> str:
+        return "" if self.sd > 0 else "expected a positive width"
+
+
+@dataclass(frozen=True)
+class Uniform(Prior):
+    """A constant density between two ends."""
+
+    low: float
+    high: float
+    kind: ClassVar[str] = "uniform"
+    is_flat: ClassVar[bool] = True
+
+    @property
+    def mode(self) -> float:
+        return (self.low + self.high) / 2
+
+    @property
+    def width(self) -> float:
+        return math.inf
+
+    def bounds(self, lower: float, upper: float) -> tuple[float, float]:
+        return max(lower, self.low), min(upper, self.high)
+
+    def fault(self) -> str:
+        return "" if self.low < self.high else "is empty; expected LOW below HIGH"
+
+
+_KINDS: dict[str, Any] = {
+    prior.kind: prior for prior in (Normal, Lognormal, HalfNormal, Uniform)
+}
+
+
+def _values(prior: Any) -> tuple[float, ...]:
+    """The numbers of a prior, in the order of its form."""
+    return tuple(getattr(prior, item.name) for item in fields(prior))
+
+
+def parse_prior(name: str, text: str) -> Prior:
+    """The prior of a parameter from text, in one of the `FORMS`. Raises `InputError`
+    for anything else."""
+    kind, _, rest = text.rpartition(":")
+    made = _KINDS.get(kind.strip() or Normal.kind)
+    try:
+        values = tuple(map(float, re.split(r"\+-|\+/-|±|,", rest)))
+    except ValueError:
+        values = ()
+    if made is None or len(values) != len(fields(made)):
+        raise InputError(
+            f"prior of {name}: {quoted(text)} is no prior; expected {FORMS}"
+        )
+    prior: Prior = made(*values)
+    fault = prior.fault()
+    if not all(map(is_size, values)):
+        fault = f"expected finite numbers, {SIZES}"
+    if fault:
+        raise InputError(f"prior of {name}: {prior} {fault}")
+    return prior
 
 
 def parse_priors(given: Mapping[str, str]) -> dict[str, Prior]:
     """Priors by the name of the parameter. Raises `InputError` for an invalid one."""
-    return {name: Prior.parse(name, text) for name, text in given.items()}
+    return {name: parse_prior(name, text) for name, text in given.items()}
 
 
 class Penalty(NamedTuple):
@@ -170,10 +267,10 @@ def penalty_of(
     offset = np.zeros(len(names)) + offset
     for name, prior in priors.items():
         index = names.index(name)
-        if prior.kind == "uniform":
+        weight[index] = 1 / prior.width
+        if prior.is_flat:
             continue
-        weight[index] = 1 / prior.values[-1]
-        if prior.kind == "lognormal":
+        if prior.is_logarithmic:
             logarithmic[index] = 1.0
             location[index] = math.log(prior.mode)
         else:

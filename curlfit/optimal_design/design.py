@@ -16,14 +16,15 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from typing import Any
 
 import numpy as np
 
-from curlfit.errors import InputError
+from curlfit.errors import InputError, Option
+from curlfit.findings import Finding, Remedy
 from curlfit.foreign import quoted
 from curlfit.friction import LOADS, Law, Load, check_load
 from curlfit.inference.fit.departures import Departures
@@ -241,7 +242,7 @@ def _designed(
         best=best,
         curves=_curves(assumed, plans[0], candidates, quantities),
         separation=separation,
-        notes=_notes(assumed.discrepancy),
+        notes=_notes(assumed, planned, separation),
         discrepancy=assumed.discrepancy,
         scenarios=scenarios(assumed, plans[0], quantities),
     )
@@ -537,18 +538,47 @@ def _curves(
     return curves
 
 
-def _notes(discrepancy: float) -> tuple[str, ...]:
-    if discrepancy:
-        return (
-            "these errors allow for accelerations that the law lacks, of "
-            f"{100 * discrepancy:.2g} % of what friction does and independent from "
-            "throw to throw; where they recur, more throws help less",
+def _notes(
+    assumed: Assumptions,
+    planned: Sequence[PlannedThrow],
+    separation: Separation | None,
+) -> tuple[Finding, ...]:
+    """The load under which throws separate two coefficients, if those of this load do
+    not, and what the errors assume of the law."""
+    notes: list[Finding] = []
+    if separation is not None:
+        notes += _of_other_load(assumed.load, planned, separation)
+    if assumed.discrepancy:
+        percent = 100 * assumed.discrepancy
+        notes.append(Finding.note("design-with-discrepancy", percent=percent))
+    else:
+        remedy = Remedy("allow-for-discrepancy", Option("discrepancy", "0.05"))
+        notes.append(Finding.note("design-without-discrepancy", remedy))
+    return tuple(notes)
+
+
+def _of_other_load(
+    load: str, planned: Sequence[PlannedThrow], separation: Separation
+) -> Iterator[Finding]:
+    """Throws that separate two coefficients under another load than the assumed one,
+    if none do under that."""
+    if separation.scenario(load).throws is not None:
+        return
+    for scenario in separation.ways:
+        if scenario.throws is None:
+            continue
+        throws = [
+            {"count": count, "v0": planned[index].v0, "omega0": planned[index].omega0}
+            for index, count in Counter(scenario.throws).items()
+        ]
+        yield Finding.note(
+            "other-load-separates",
+            Remedy("assume-load", Option("load", scenario.load)),
+            load=scenario.load,
+            throws=throws,
+            pair=[*separation.pair],
+            stderr=scenario.stderr,
         )
-    return (
-        "these errors hold if the law is correct and noise is independent "
-        "from row to row; the discrepancy of a law does not average out: "
-        "`--discrepancy 0.05` allows for one",
-    )
 
 
 def scenarios(

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 from rich.console import Console
 from rich.text import Text
 
+from curlfit.findings import Finding
 from curlfit.foreign import counted
 from curlfit.inference.fit.result import LoadName
 from curlfit.optimal_design.report import measured, noise_text, throws_text
@@ -345,21 +346,12 @@ def _single(found: Discrimination) -> PlainTable:
     return PlainTable(rows, "A single throw of either sense of spin", keys=2)
 
 
-def _notes(found: Discrimination) -> tuple[str, ...]:
-    notes = [
-        f"log odds are natural logarithms, by BIC; odds of {ODDS} to 1 are "
-        f"{DECISIVE:.1f}. The slope and the wear of the ice, the air, the stone and "
-        "the scales have their usual uncertainties, the same in all throws, and count "
-        "to first order, by which what is left may be a tenth too large; laws are "
-        "taken to be exact and noise to be independent from row to row. What a rival "
-        "leaves far below the noise decides only if nothing else is that large"
-    ]
-    if found.left_out:
-        which = ", ".join(
-            f"{v0:g} m/s with {spin:g} rad/s" for v0, spin in found.left_out
-        )
-        notes.append(
-            "left out, since such a stone leaves the sheet or a law cannot be "
-            f"fitted to it: {which}"
-        )
-    return tuple(notes)
+def _notes(discrimination: Discrimination) -> list[Finding]:
+    """How the odds are computed, and which throws are not compared."""
+    notes = [Finding.note("odds-by-bic", odds=ODDS, decisive=DECISIVE)]
+    if discrimination.left_out:
+        throws = [
+            {"v0": v0, "omega0": omega0} for v0, omega0 in discrimination.left_out
+        ]
+        notes.append(Finding.note("throws-left-out", throws=throws))
+    return notes

@@ -253,7 +253,7 @@ def _summary(design: Design) -> list[str]:
             f"unchanged when {changes}."
         )
     if design.separation is not None:
-        lines += _separated(design, design.separation)
+        lines += _not_separated(design.separation)
     return lines
 
 
@@ -277,22 +277,11 @@ def _single_throws(design: Design) -> PlainTable:
     return PlainTable(rows, "Expected errors from a single throw", keys=2, note=note)
 
 
-def _separated(design: Design, separation: Separation) -> list[str]:
-    """Under which load no throws separate two coefficients, and which do under the
-    other."""
+def _not_separated(separation: Separation) -> list[str]:
+    """The loads under which no throws separate two coefficients, a sentence each."""
     pair = join_words(separation.pair)
-    is_separated = separation.scenario(design.load).throws is not None
-    sentences = []
-    for scenario in separation.ways:
-        load = scenario.load
-        if scenario.throws is None:
-            sentences.append(
-                f"Under {load} load, none of these throws separate {pair}."
-            )
-        elif load != design.load and not is_separated:
-            throws = throws_text(design.candidates, scenario.throws)
-            sentences.append(
-                f"With `--load {load}`, {throws} separate them best: standard error "
-                f"{_error(scenario.stderr)}."
-            )
-    return sentences
+    return [
+        f"Under {scenario.load} load, none of these throws separate {pair}."
+        for scenario in separation.ways
+        if scenario.throws is None
+    ]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from os import PathLike
 from typing import Any, ClassVar
 
+from curlfit.findings import Finding
 from curlfit.inference.fit.result import LoadName
 from curlfit.inference.identifiability import Combination
 from curlfit.inference.verdict import Verdict
@@ -112,7 +113,8 @@ class Design(Record):
         optimal ones for each); each has the abscissa, "at", and the errors by quantity.
     separation : the best throws for the difference of two coefficients under each load,
         if requested or if under uniform load only their sum is determined.
-    notes : caveats, as sentences.
+    notes : what the errors assume, and the load under which throws would separate two
+        coefficients.
     command : that made it; empty if it was made in Python.
     discrepancy : size of the accelerations that the law may lack, relative to
         the friction.
@@ -146,7 +148,7 @@ class Design(Record):
     best: dict[str, ExpectedErrors]
     curves: dict[str, dict[str, list[float | None]]]
     separation: Separation | None
-    notes: tuple[str, ...]
+    notes: tuple[Finding, ...]
     scenarios: tuple[Scenario, ...] = ()
     discrepancy: float = 0.0
     command: str = ""

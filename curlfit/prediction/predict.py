@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 
 from curlfit.errors import InputError, UnusableFitError
+from curlfit.findings import Finding, Remedy
 from curlfit.friction import Law
 from curlfit.inference.fit.fit import fit as fit_throw, refit
 from curlfit.inference.fit.result import FitResult, require_fit
@@ -125,8 +126,8 @@ def predict(
         )
         return replace(first, other=other)
     random = np.random.default_rng(seed)
-    notes: list[str] = []
-    few: tuple[str, ...] = ()
+    warnings: list[Finding] = []
+    notes: list[Finding] = []
     odd_rows: tuple[OddRow, ...] = ()
     if together := isinstance(fit, JointResult):
         odd_rows = fit.odd_rows
@@ -134,22 +135,24 @@ def predict(
         source = "throws"
     else:
         fit, chain, notes = _with_white_noise(fit, chain, call, draws)
-        values, source, few = _drawn_values(fit, chain, draws, random)
+        values, source, warnings = _drawn_values(fit, chain, draws, random)
     _require_predictable(fit, draws)
     throw = planned(fit, call, start or {}, line, target, weight, tee_speed)
     _require_alike(throw, together, check)
     prepare_ensemble(fit)
-    found = Simulation.of(
+    simulation = Simulation.of(
         ThrowFamily(throw), values, random, call if together else None
     )
-    warned, noted = diagnostics.remarks(throw, found, line is None)
-    if (used := len(found.plain.t)) < draws:
-        warned.append(
-            f"{1 - used / draws:.1%} of the draws do not come to rest and are left out"
-        )
+    remarks = diagnostics.remarks(throw, simulation, line is None)
+    warnings += remarks.warnings
+    notes += remarks.notes
+    used = len(simulation.plain.t)
+    if used < draws:
+        fraction = 1 - used / draws
+        warnings.append(Finding.warning("draws-without-rest", fraction=fraction))
     comparison = None
     if check is not None:
-        comparison = diagnostics.compare_held_out(check, throw, found, random)
+        comparison = diagnostics.compare_held_out(check, throw, simulation, random)
     return Prediction(
         law=fit.law,
         load=fit.load,
@@ -168,16 +171,16 @@ def predict(
         odd_rows=odd_rows,
         weights=weights_of(fit, throw.values["omega0"]) if together else (),
         measured={} if together else _measured_rows(throw),
-        warnings=(*few, *warned),
-        notes=(*notes, *noted),
+        warnings=tuple(warnings),
+        notes=tuple(notes),
         check=comparison,
-        **found.summary(),
+        **simulation.summary(),
     )
 
 
 def _with_white_noise(
     fit: FitResult, chain: Chain | None, call: Call, draws: int
-) -> tuple[FitResult, Chain | None, list[str]]:
+) -> tuple[FitResult, Chain | None, list[Finding]]:
     """The fit of one throw and its chain, and a note if the law was fitted again.
 
     Raises
@@ -194,10 +197,7 @@ def _with_white_noise(
     _require_predictable(fit, draws)
     if fit.noise.kind != NoiseKind.DISCREPANCY:
         return fit, chain, []
-    note = (
-        "the path is that of the least-squares coefficients; the discrepancy that the "
-        "fit has as noise is here in the bands"
-    )
+    note = Finding.note("law-without-discrepancy")
     return refit(fit, NoiseKind.WHITE), None, [note]
 
 
@@ -264,7 +264,7 @@ def held_out(
 
 def _drawn_values(
     fit: FitResult, chain: Chain | None, draws: int, random: np.random.Generator
-) -> tuple[Floats, str, tuple[str, ...]]:
+) -> tuple[Floats, str, list[Finding]]:
     """Parameter vectors from the posterior, their source, and a warning where they are
     few."""
     if chain is not None:
@@ -272,16 +272,19 @@ def _drawn_values(
             raise InputError("the chain is of another fit: its parameters differ")
         flat = chain.flat
         chosen = random.choice(len(flat), draws, replace=len(flat) < draws)
-        return flat[chosen], "chain", ()
+        return flat[chosen], "chain", []
     if fit.ridge:
         values, effective = draws_along_ridge(fit, draws, random)
-        warning = (
-            f"the bands rest on {effective:.0f} independent draws: the values that "
-            "fit lie on a curve that proposals do not follow; sample the posterior"
+        if effective >= _FEW:
+            return values, "ridge", []
+        warning = Finding.warning(
+            "few-draws", Remedy("sample-posterior"), draws=float(effective)
         )
-        return values, "ridge", (warning,) if effective < _FEW else ()
-    free, proposal = fit.parameter_set.free, ridge_proposal(fit)
-    lower, upper = fit.parameter_set.lower[free], fit.parameter_set.upper[free]
+        return values, "ridge", [warning]
+    proposal = ridge_proposal(fit)
+    free = fit.parameter_set.free
+    lower = fit.parameter_set.lower[free]
+    upper = fit.parameter_set.upper[free]
     accepted: list[Floats] = []
     for _ in range(_ROUNDS):
         proposed = proposal.draw(draws, random, gaussian=True)
@@ -291,7 +294,7 @@ def _drawn_values(
     accepted.extend(np.clip(proposed, lower, upper))
     values = np.tile(fit.values, (draws, 1))
     values[:, free] = accepted[:draws]
-    return values, "covariance", ()
+    return values, "covariance", []
 
 
 def _measured_rows(throw: PlannedThrow) -> dict[str, Floats]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from os import PathLike
 from typing import Annotated, Any, ClassVar
 
+from curlfit.findings import Finding
 from curlfit.inference.derived import LEVELS
 from curlfit.inference.fit.result import Extent, LoadName
 from curlfit.inference.parameters import START
@@ -262,8 +263,8 @@ class Prediction(Record):
     ]
     chances: Annotated[dict[str, float], keys(**dict.fromkeys(OUTCOMES, float))]
     sensitivity: dict[str, _Sensitivity]
-    warnings: tuple[str, ...]
-    notes: tuple[str, ...]
+    warnings: tuple[Finding, ...]
+    notes: tuple[Finding, ...]
     call: Call = field(default_factory=Call)
     command: str = ""
     odd_rows: tuple[OddRow, ...] = field(default=(), metadata=ADDED)

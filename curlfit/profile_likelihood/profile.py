@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from curlfit.errors import InputError, UnusableFitError
+from curlfit.errors import InputError, Option, UnusableFitError
+from curlfit.findings import Finding, Remedy
 from curlfit.inference.fit.result import FitResult, require_fit
 from curlfit.inference.mcmc.chain import Chain
 from curlfit.inference.verdict import Verdict
@@ -304,34 +305,27 @@ def _interval_of(profile: Profile, level: str, threshold: float) -> Interval:
 
 def _warnings(
     refit: Refit, made: Profile, unfinished: int, failed: int
-) -> Iterator[str]:
+) -> Iterator[Finding]:
     """Warnings about the fits, of which some did not converge or have no path."""
-    at, delta, widest = made.at, made.delta, made.intervals[-1]
     decrease = refit.first - refit.best.chi_squared
     if decrease > BETTER:
         better = refit.parameters.values_of(refit.best.values)
         start = ",".join(
             f"{name}={better[name]:.6g}" for name in refit.fit.coefficients
         )
-        yield (
-            f"a better fit was found, its chi squared {decrease:.3g} lower, "
-            f"and the profile is relative to it; fit again with --start {start}"
-        )
+        remedy = Remedy("fit-again", Option("start", start))
+        yield Finding.warning("better-fit", remedy, decrease=float(decrease))
+    values = len(made.at)
     if unfinished:
-        yield (
-            f"{unfinished} of {len(at)} fits did not converge; chi squared there is "
-            "at most the value shown"
-        )
+        yield Finding.warning("refits-unfinished", unfinished=unfinished, values=values)
     if failed:
-        yield f"at {failed} of {len(at)} values the law admits no motion"
-    outside = (at < widest.low) | (at > widest.high)
-    outside &= delta < made.levels[-1].delta_chi2 - 0.1
+        yield Finding.warning("values-without-motion", failed=failed, values=values)
+    widest = made.intervals[-1]
+    outside = (made.at < widest.low) | (made.at > widest.high)
+    outside &= made.delta < made.levels[-1].delta_chi2 - 0.1
     if outside.any():
-        yield (
-            "chi squared falls again near "
-            f"{at[outside][np.argmin(delta[outside])]:.4g}: the intervals are those "
-            "about the best fit"
-        )
+        lowest = made.at[outside][np.argmin(made.delta[outside])]
+        yield Finding.warning("second-minimum", at=float(lowest))
 
 
 def _marginal(

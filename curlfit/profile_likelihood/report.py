@@ -8,6 +8,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.text import Text
 
+from curlfit.findings import Finding
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.verdict import Verdict
 from curlfit.losses import LOSSES
@@ -76,7 +77,7 @@ def document(profile: Profile | PairProfile) -> Document:
         lines=lines,
         sections=(Section("intervals", "Intervals", (_table(profile), *remarks)),),
         warnings=list(
-            dict.fromkeys(line for item in profile.each for line in item.warnings)
+            dict.fromkeys(warning for item in profile.each for warning in item.warnings)
         ),
         notes=_notes(profile.each),
         title=f"{Path(one.data['file']).name}: profile of {join_words(names)}",
@@ -251,19 +252,15 @@ def _limits(profile: Profile) -> list[str]:
     return remarks
 
 
-def _notes(each: Sequence[Profile]) -> list[str]:
-    found = []
-    if any(one.estimate.verdict == Verdict.AT_BOUND for one in each):
-        found.append(
-            "at a bound the thresholds of chi squared are too high, "
-            "and the limits have more than the stated confidence"
-        )
-    if LOSSES[each[0].loss].is_robust:
-        found.append(
-            "chi squared means minus twice the log-likelihood of the "
-            f"{each[0].loss} loss"
-        )
-    return found
+def _notes(profiles: Sequence[Profile]) -> list[Finding]:
+    """What thresholds and chi squared mean, where they are not the usual ones."""
+    notes = []
+    if any(profile.estimate.verdict == Verdict.AT_BOUND for profile in profiles):
+        notes.append(Finding.note("limits-near-bound"))
+    loss = profiles[0].loss
+    if LOSSES[loss].is_robust:
+        notes.append(Finding.note("chi-squared-of-loss", loss=loss))
+    return notes
 
 
 def _scale(profile: Profile) -> float:

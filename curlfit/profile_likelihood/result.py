@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, NamedTuple
 
 from curlfit.errors import InputError
+from curlfit.findings import Finding
 from curlfit.inference.derived import Quantiles
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.result import Extent, LoadName, LossName
@@ -189,7 +190,7 @@ class Profile(Record):
         | None
     ) = field(metadata=SERIES)
     quantiles: Quantiles
-    warnings: tuple[str, ...]
+    warnings: tuple[Finding, ...]
     command: str = ""
 
     @property
@@ -304,7 +305,7 @@ class PairProfile(Record):
     covariance: Matrix | None
     ellipse: float | None
     samples: Matrix = field(metadata=SERIES)
-    warnings: tuple[str, ...]
+    warnings: tuple[Finding, ...]
     command: str = ""
 
     @property

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from rich.console import Console
 from rich.text import Text
 
+from curlfit.findings import Finding
 from curlfit.inference.joint.effects import SLOPES_DIFFER, chances_of_alike_slopes
-from curlfit.inference.joint.result import warnings_of
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Section, command_line, show
 from curlfit.output.text import labelled
@@ -47,12 +47,8 @@ _WORDS = {
 _DRAWN = {"friction": ("friction",), **_WORDS}
 _CHANCE = 0.05  # probability above which an effect is within the errors
 _R_HAT = 1.05  # of a sample that ended without the 1.01 that it aims at
-_FIRST_ORDER = (
-    "each throw counts as the quadratic about its own optimum; "
-    "errors due to conditions, which all throws have in common, are not contained: "
-    "see the fit of a throw"
-)
 _HIDDEN = ("x0", "y0", "phi0", "heading")
+_Item = TypeVar("_Item")
 
 
 def print_joint(result: JointResult, console: Console | None = None) -> None:
@@ -78,14 +74,9 @@ def document(result: JointResult) -> Document:
     determined = (
         f"The throws determine {result.rank} of {result.parameters} parameters."
     )
-    of_throws = {*warnings_of(result.throws)}
-    warned = [one for one in result.warnings if one not in of_throws]
-    warned += [one for throw in result.throws for one in throw.warnings]
     unconverged = []
     if result.r_hat is not None and result.r_hat >= _R_HAT:
-        unconverged = [
-            f"the posterior of the spreads has not converged (R-hat {result.r_hat:.3f})"
-        ]
+        unconverged.append(Finding.warning("spreads-not-converged", r_hat=result.r_hat))
     return Document(
         finding=lower(result.status),
         style=style_of(result),
@@ -94,7 +85,7 @@ def document(result: JointResult) -> Document:
             (f"{result.law} law", "bold"),
             f", {result.load} load, {throws}; shared: {', '.join(result.share)}",
         ),
-        about=about(result, warned, odd),
+        about=about(result, result.warnings, odd),
         lines=[
             odd,
             *effects,
@@ -279,20 +270,18 @@ def _throws(result: JointResult) -> PlainTable:
     return PlainTable(rows, "Each throw, with what it says alone")
 
 
-def _notes(result: JointResult) -> list[str]:
-    """Remarks of the reader on all throws."""
+def _notes(result: JointResult) -> list[Finding]:
+    """Notes of the reader on all throws."""
     if result.table is not None:
-        return [*result.table.notes, _FIRST_ORDER]
-    return _of_all([one.data["notes"] for one in result.throws])
+        return [*result.table.notes, Finding.note("quadratic-throws")]
+    return _of_all([throw.data["notes"] for throw in result.throws])
 
 
-def _of_all(lists: Sequence[Sequence[str]]) -> list[str]:
-    """What is in all of some lists."""
-    return (
-        [one for one in lists[0] if all(one in other for other in lists)]
-        if lists
-        else []
-    )
+def _of_all(lists: Sequence[Sequence[_Item]]) -> list[_Item]:
+    """The items that are in all of some lists."""
+    if not lists:
+        return []
+    return [item for item in lists[0] if all(item in other for other in lists)]
 
 
 def _files(result: JointResult) -> list[str]:

@@ -4,6 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
+
+from curlfit.errors import Option
+from curlfit.findings import Finding, Remedy
+from curlfit.wording import capital
 
 
 @dataclass(frozen=True)
@@ -36,40 +41,59 @@ class OddRow:
     left_out: bool = True
 
     @property
-    def fault(self) -> str:
+    def finding(self) -> Finding:
         """The value and how far it is from what the other rows say."""
-        value = f"{self.column} {self.value:.4g} {self.unit}"
+        numbers = {"column": self.column, "value": self.value, "unit": self.unit}
         if self.deviation is None:
-            return f"{value}, beyond any stone"
-        more = "more" if self.deviation > 0 else "less"
-        off = f"{abs(self.deviation):.3g} {self.unit}"
-        return f"{value}: {off} {more} than the other rows say"
+            return Finding.note("impossible-value", **numbers)
+        return Finding.note("odd-value", **numbers, **_deviation(self.deviation))
 
     @property
-    def words(self) -> str:
-        """Where the row is, and its fault."""
-        return f"line {self.line} (row {self.row}, {self.fault})"
+    def fault(self) -> str:
+        """The finding in words."""
+        return str(self.finding)
+
+
+def _deviation(deviation: float | None) -> dict[str, Any]:
+    """A deviation as its size and direction."""
+    if deviation is None:
+        return {"off": None, "direction": None}
+    return {"off": abs(deviation), "direction": "more" if deviation > 0 else "less"}
+
+
+def odd_row_findings(odd_rows: Iterable[OddRow]) -> list[Finding]:
+    """A finding for each table on the odd rows that are left out, or that are used
+    since they are many; about the table, where there are several."""
+    rows_by_table: dict[tuple[str, bool], list[OddRow]] = {}
+    for odd in odd_rows:
+        rows_by_table.setdefault((odd.file, odd.left_out), []).append(odd)
+    several_tables = len({file for file, _ in rows_by_table}) > 1
+    findings = []
+    for (file, left_out), odd_of_table in rows_by_table.items():
+        rows = [
+            {
+                "line": odd.line,
+                "row": odd.row,
+                "column": odd.column,
+                "value": odd.value,
+                "unit": odd.unit,
+                "impossible": odd.deviation is None,
+                **_deviation(odd.deviation),
+            }
+            for odd in odd_of_table
+        ]
+        finding = Finding.warning("odd-rows-used", rows=rows)
+        if left_out:
+            lines = ",".join(str(odd.line) for odd in odd_of_table)
+            keep = Remedy("keep-rows", Option("keep", lines), {"count": len(rows)})
+            finding = Finding.warning("odd-rows-left-out", keep, rows=rows)
+        findings.append(finding.of(file) if several_tables else finding)
+    return findings
 
 
 def odd_rows_in_words(odd_rows: Iterable[OddRow]) -> list[str]:
-    """A sentence for each table on the odd rows that are left out, or that are used
-    since they are many."""
-    by_table: dict[tuple[str, bool], list[OddRow]] = {}
-    for odd in odd_rows:
-        by_table.setdefault((odd.file, odd.left_out), []).append(odd)
-    several_tables = len({file for file, _ in by_table}) > 1
-    sentences = []
-    for (file, left_out), rows in by_table.items():
-        table = f"{file}: " if several_tables else ""
-        listed = "; ".join(odd.words for odd in rows)
-        if left_out:
-            lines = ",".join(str(odd.line) for odd in rows)
-            keeps = "keeps it" if len(rows) == 1 else "keeps them"
-            sentences.append(
-                f"{table}Left out as odd: {listed}; `--keep {lines}` {keeps}."
-            )
-        else:
-            sentences.append(
-                f"{table}Odd rows, used since they are more than a fifth: {listed}."
-            )
-    return sentences
+    """Sentences on odd rows, one for each table."""
+    return [
+        f"{finding if finding.about else capital(str(finding))}."
+        for finding in odd_row_findings(odd_rows)
+    ]

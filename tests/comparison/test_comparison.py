@@ -100,7 +100,15 @@ def test_criteria_are_those_of_a_gaussian(of_eq12):
     effective = sum(of_eq12.effective.values())
     assert item.bic == pytest.approx(minus_two + k * np.log(effective), rel=1e-12)
     assert item.aicc == pytest.approx(minus_two + 2 * k * n / (n - k - 1), rel=1e-12)
-    assert document(of_eq12).warnings[0].startswith("the ranking is not reliable.")
+    (warning,) = document(of_eq12).warnings
+    assert warning.code == "ranking-not-reliable"
+    worth = {item["channel"]: item for item in warning.numbers["worth"]}
+    assert worth["x"] == {
+        "channel": "x",
+        "effective": of_eq12.effective["x"],
+        "rows": 201,
+    }
+    assert f"({of_eq12.effective['x']:.0f} of 201 in x, " in str(warning)
 
 
 def correlated_throw(seed, law):
@@ -125,7 +133,8 @@ def test_correlated_noise_does_not_reject_the_true_law():
         assert found.of("coulomb").follows is not False
         assert "No law follows" not in text
         assert "No isotropic law" not in text
-        assert "the ranking is not reliable" in " ".join(document(found).warnings)
+        codes = {warning.code for warning in document(found).warnings}
+        assert "ranking-not-reliable" in codes
         rejected += found.of("coulomb").delta_bic > 6
     assert rejected <= 1
 

@@ -107,10 +107,11 @@ def test_correlated_residuals_count_effective_values_less_those_spent(throw):
         minus_two += (np.log(2 * np.pi * rms**2) + 1) * (counts[name] - spent)
     expected = minus_two + k * np.log(sum(counts.values()))
     assert found.best.bic == pytest.approx(expected, rel=1e-9)
-    assert (
-        "which assume independent residuals, are not given"
-        in document(found).warnings[0]
-    )
+    said = document(found)
+    assert [note.code for note in said.notes] == ["evidence-not-given"]
+    (warning,) = said.warnings
+    (remedy,) = warning.remedies
+    assert str(remedy) == "`--noise white,ar1` compares noise models"
 
 
 def test_what_a_prior_says_is_not_counted_as_what_the_data_determine(throw):

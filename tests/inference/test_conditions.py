@@ -12,6 +12,7 @@ from conftest import DATA, NOISE, TIMES, shown
 import curlfit
 from curlfit import LAWS, InitialState, InputError, Stone, Throw, load_fit, simulate
 from curlfit.environment import Environment
+from curlfit.errors import Option
 from curlfit.inference.conditions import CONDITIONS, WIDTHS, if_off
 from curlfit.throws.events import Event
 
@@ -278,8 +279,11 @@ def test_opposite_spins_cancel_the_shift_by_the_slope(pair):
     assert shifts[0] * shifts[1] < 0
     together = joint.systematics.shifts["mu1_xi"]["slope_x"]
     assert abs(together) < 0.1 * min(map(abs, shifts))
-    assert any(
-        "`--free slope_x` fits a common slope" in warning for warning in joint.warnings
+    (warning,) = (w for w in joint.warnings if w.code == "spins-differ")
+    assert [remedy.option for remedy in warning.remedies] == [Option("free", "slope_x")]
+    assert str(warning) == (
+        "throws of opposite spins differ, as they do on ice that is not level; "
+        "`--free slope_x` fits a common slope"
     )
     for throw in joint.throws:
         shifts = throw.systematics.shifts["mu1_xi"]  # to rounding

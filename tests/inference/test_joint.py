@@ -16,6 +16,7 @@ from scipy.optimize import brentq, least_squares
 import curlfit
 from curlfit import LAWS, InitialState, Stone, fit_together, simulate
 from curlfit.errors import InputError
+from curlfit.findings import Finding
 from curlfit.inference.joint.result import warnings_of
 from curlfit.inference.joint.variation import _variation
 from curlfit.options.settings import load_fit_and_chain
@@ -155,9 +156,12 @@ def test_short_throws_together_have_the_degrees_of_freedom_of_all(three):
 def test_a_bound_that_all_throws_press_on_is_said_once(three):
     joint = fit_together(three, bounds={"mu2_xi": (0.0, 0.04)})
     assert joint.coefficients["mu2_xi"].verdict == "at bound"
-    assert [text for text in joint.warnings if "bound" in text] == [
+    (at_bound,) = (w for w in joint.warnings if w.code == "at-bound")
+    assert at_bound.numbers["name"] == "mu2_xi"
+    assert at_bound.about == ()
+    assert str(at_bound) == (
         "mu2_xi is at its bound; the data favour values outside 0..0.04"
-    ]
+    )
 
 
 def test_a_coefficient_that_varies_is_found_and_its_spread_measured():
@@ -169,8 +173,12 @@ def test_a_coefficient_that_varies_is_found_and_its_spread_measured():
     assert not varying["mu1_eta + mu2_eta"].significant
     assert varying["mu2_xi"].spread == pytest.approx(spread, rel=0.5)
     assert abs(varying["mu2_xi"].mean - LAW().mu2_xi) < 3 * varying["mu2_xi"].stderr
-    assert any("mu2_xi varies between throws" in warning for warning in joint.warnings)
-    assert not any("--free slope_x" in warning for warning in joint.warnings)
+    (varies,) = (w for w in joint.warnings if w.code == "varies-between-throws")
+    assert varies.numbers == {"expression": "mu2_xi", "p": varying["mu2_xi"].p_value}
+    assert str(varies).startswith(
+        "mu2_xi varies between throws by more than its errors (p < 0.001); "
+    )
+    assert "spins-differ" not in {warning.code for warning in joint.warnings}
     # what each throw says alone is what its own fit says, to first order
     alone = curlfit.fit(sheet(4, spread=spread)[0], details=False).parameters["mu2_xi"]
     estimate, error = varying["mu2_xi"].each[0]
@@ -215,15 +223,26 @@ def test_what_cannot_be_fitted_together_is_refused(three):
 
 
 def test_a_warning_of_several_throws_is_one():
-    warned = {
-        "a": ("old", "all"),
-        "b": ("old", "all"),
-        "c": ("old", "all"),
-        "d": ("old", "all"),
-        "e": ("all", "own"),
+    old, of_all, own = (
+        Finding.warning("text", text=text) for text in ("old", "all", "own")
+    )
+    warnings_by_file = {
+        "a": (old, of_all),
+        "b": (old, of_all),
+        "c": (old, of_all),
+        "d": (old, of_all),
+        "e": (of_all, own),
     }
-    throws = [SimpleNamespace(data={"file": k}, warnings=v) for k, v in warned.items()]
-    assert warnings_of(throws) == ["a, b and 2 more: old", "all", "e: own"]
+    throws = [
+        SimpleNamespace(data={"file": file}, warnings=warnings)
+        for file, warnings in warnings_by_file.items()
+    ]
+    assert warnings_of(throws) == [old.of("a", "b", "c", "d"), of_all, own.of("e")]
+    assert [str(warning) for warning in warnings_of(throws)] == [
+        "a, b and 2 more: old",
+        "all",
+        "e: own",
+    ]
 
 
 def test_on_the_command_line(three, tmp_path):
@@ -396,10 +415,9 @@ def test_the_spread_between_throws_is_that_of_paule_and_mandel():
 def test_a_report_begins_with_what_the_warnings_are_about(eq12_fit):
     said = shown(eq12_fit)
     assert "Caution: the residuals are correlated from row to row. parameter" in said
-    warned = replace(
-        eq12_fit, warnings=("a value is odd (3): it may be mistyped; mend it",)
-    )
-    assert "Caution: a value is odd. parameter" in shown(warned)
+    at_bound = Finding.warning("at-bound", name="mu2_xi", lower=0.0, upper=0.04)
+    warned = replace(eq12_fit, warnings=(at_bound, at_bound))
+    assert "Caution: mu2_xi is at its bound. parameter" in shown(warned)
     assert "No warnings. parameter" in shown(replace(eq12_fit, warnings=()))
     failed = shown(replace(eq12_fit, converged=False))
     assert "Caution" not in failed

@@ -10,6 +10,7 @@ from scipy.special import stdtr
 
 import curlfit
 from curlfit import InputError, load_joint
+from curlfit.errors import Option
 from curlfit.inference.joint.effects import SLOPES_DIFFER, Covariates, with_own_slopes
 from curlfit.numerics.mixed_model import MixedFit, MixedModel
 from curlfit.prediction.result import Call
@@ -42,7 +43,12 @@ def require_slopes(joint):
 def test_slopes_that_differ_are_said_and_not_switched_on():
     joint = fitted()
     (warning,) = joint.warnings
-    assert warning.startswith(
+    assert warning.code == "slopes-differ"
+    (difference,) = warning.numbers["differences"]
+    assert (difference["parameter"], difference["group"]) == ("friction", "2")
+    (remedy,) = warning.remedies
+    assert remedy.option == Option("trend-by", "sheet")
+    assert str(warning) == (
         "the slopes by sheet differ: friction rises by 5.0(11) % an hour more on "
         "sheet 2 than on sheet 1 (p < 0.001); `--trend-by sheet` gives each its own"
     )

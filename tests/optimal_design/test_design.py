@@ -11,6 +11,7 @@ from conftest import command, invoke
 
 import curlfit
 from curlfit import LAWS, InitialState, Stone
+from curlfit.errors import Option
 from curlfit.inference.noise.accelerations import Responses
 from curlfit.optimal_design.departures import expected_departures
 from curlfit.optimal_design.design import design
@@ -84,7 +85,9 @@ def test_a_discrepancy_enters_as_its_covariance():
     for name, error in zip(("mu1_xi", "mu2_xi", SUM), errors, strict=False):
         assert plan.candidates[0].stderr[name] == pytest.approx(error, rel=0.03)
         assert plan.candidates[0].stderr[name] > 2 * exact.candidates[0].stderr[name]
-    assert "5 % of what friction does" in plan.notes[0]
+    (note,) = plan.notes
+    assert (note.code, note.numbers) == ("design-with-discrepancy", {"percent": 5.0})
+    assert "of 5 % of what friction does" in str(note)
 
 
 def throw_of(v0, omega0, stone=STONE, load="uniform", seed=None, until=20.0, rate=10.0):
@@ -372,6 +375,13 @@ def test_throws_under_consistent_load_alone_separate_front_and_back(plain):
     assert scenario.stderr == pytest.approx(
         standard_error(factor, DIFFERENCE), rel=1e-6
     )
+    note, other = plain.notes
+    assert note.code == "other-load-separates"
+    assert note.remedies[0].option == Option("load", "consistent")
+    assert note.numbers["stderr"] == scenario.stderr
+    assert sum(throw["count"] for throw in note.numbers["throws"]) == plain.throws
+    assert other.code == "design-without-discrepancy"
+    assert other.remedies[0].option == Option("discrepancy", "0.05")
 
 
 def test_the_error_of_a_difference_is_that_of_a_fit():
@@ -409,6 +419,7 @@ def test_a_saved_design_is_the_same(plain, tmp_path):
     plain.save(tmp_path / "design.json")
     again = curlfit.load_design(tmp_path)
     assert again.to_json() == plain.to_json()
+    assert again.notes == plain.notes
     assert json.loads((tmp_path / "design.json").read_text())["schema"] == 1
 
 
@@ -423,12 +434,16 @@ def test_a_saved_design_without_noise_is_refused(plain, tmp_path):
 def test_a_design_of_version_0_2_is_read(plain, tmp_path):
     record = plain.to_json()
     proof = {"states": 400, "by_difference": [0.0], "hidden": True, "because": ""}
+    del record["findings"]
     record["separation"] |= {"size": 0.009, "of": "mean", "wanted": 0.2}
     record["separation"] |= {"proof": proof, "ordinary": 6, "changes": []}
     for scenario in record["separation"]["ways"]:
         scenario |= {"each": [None] * len(plain.candidates), "steady": None}
     (tmp_path / "design.json").write_text(json.dumps(record))
-    assert curlfit.load_design(tmp_path).to_json() == plain.to_json()
+    read = curlfit.load_design(tmp_path)
+    assert {note.code for note in read.notes} == {"text"}
+    entries = read.to_json() | {"findings": plain.to_json()["findings"]}
+    assert entries == plain.to_json()
 
 
 def test_the_command(tmp_path):
@@ -459,8 +474,9 @@ def test_the_command(tmp_path):
         "2 x (2 m/s, 5 rad/s)",
         "3 of 4 directions",
         "Under uniform load, none of these throws separate mu1_eta and mu2_eta.",
-        "With `--load consistent`, 1 x (2 m/s, -1 rad/s) and 1 x (2 m/s, 5 rad/s) "
-        "separate them best: standard error",
+        "Note: under consistent load, 1 x (2 m/s, -1 rad/s) and 1 x (2 m/s, 5 rad/s) "
+        "separate mu1_eta and mu2_eta best: standard error",
+        "`--load consistent` designs for it.",
         "these errors hold if the law is correct",
     ):
         assert words in text, words

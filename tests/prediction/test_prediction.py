@@ -27,6 +27,7 @@ from curlfit.prediction.discrepancy import discrepancy_posterior
 from curlfit.prediction.ensemble import simulate_ensemble
 from curlfit.prediction.figures import prediction_figure
 from curlfit.prediction.request import GUARD, TAKEOUT
+from curlfit.prediction.result import DETECTION
 
 STONE = curlfit.Stone(R=0.065)
 TRUE = {"mu1_xi": 0.005, "mu2_xi": 0.05, "mu1_eta": 0.009, "mu2_eta": 0.009}
@@ -217,7 +218,7 @@ def test_a_mirrored_throw_has_a_mirrored_prediction(eq12_fit):
     assert other.quantities["curl"].value == pytest.approx(
         -one.quantities["curl"].value
     )
-    assert any("opposite way" in warning for warning in other.warnings)
+    assert "opposite-turn" in {warning.code for warning in other.warnings}
 
 
 def test_the_fitted_throw_is_laid_on_a_line(fit, carried):
@@ -244,7 +245,9 @@ def test_throws_of_a_stop_watch_lie_on_the_sheet(tmp_path):
     found = curlfit.predict(watched, draws=100)
     assert found.line == "data"
     assert found.quantities["hog_to_hog"].value == pytest.approx(13.45, abs=0.3)
-    assert any("too few rows" in warning for warning in found.warnings)
+    (finding,) = (one for one in found.warnings if one.code == "discrepancy-by-prior")
+    components = [size["component"] for size in finding.numbers["sizes"]]
+    assert components == ["across the path", "along the path", "in the spin"]
 
 
 # --- aiming ---------------------------------------------------------------------------
@@ -345,7 +348,14 @@ def test_the_split_that_is_not_known_does_not_widen_the_bands(fit):
         assert free.quantities[name].parameter_sd == pytest.approx(
             held.quantities[name].parameter_sd, rel=0.1
         )
-    assert any("has no effect here" in note for note in free.notes)
+    (note,) = (note for note in free.notes if note.code == "null-without-effect")
+    assert note.numbers["names"] == ["mu1_eta", "mu2_eta"]
+    assert 0 <= note.numbers["moved"] < 1e-5
+    assert str(note) == (
+        "mu1_eta and mu2_eta are not determined individually, which has no effect "
+        "here: over the allowed range the resting position moves by less than a "
+        "millimetre"
+    )
 
 
 def test_what_is_not_known_and_matters_is_said_and_in_the_bands():
@@ -363,9 +373,9 @@ def test_what_is_not_known_and_matters_is_said_and_in_the_bands():
     again = curlfit.predict(straight, draws=200)
     assert again.quantities["curl"].parameter_sd < 0.01
     turning = curlfit.predict(straight, start={"omega0": 1.2}, draws=200)
-    assert any(
-        "not determined, which affects this throw" in one for one in turning.warnings
-    )
+    (finding,) = (one for one in turning.warnings if one.code == "null-moves-rest")
+    assert finding.numbers["moved"] > 0.1
+    assert "mu2_xi is not determined, which affects this throw" in str(finding)
     assert turning.quantities["curl"].parameter_sd > 0.1
 
 
@@ -567,6 +577,10 @@ def test_held_out_rows_of_the_right_law(fit):
 
 def test_held_out_rows_of_eq12_are_farther_off_than_its_parameters_say(eq12):
     found = curlfit.held_out(eq12, until=12.0, draws=200)
+    (finding,) = (one for one in found.warnings if one.code == "missing-acceleration")
+    shown = {size["component"]: size["size"] for size in finding.numbers["sizes"]}
+    assert shown["along the path"] == found.misfit.sizes["along"]
+    assert found.misfit.excess["along"] > DETECTION
     for name in ("y", "phi"):
         channel = found.check.channels[name]
         own = np.interp(20.0, found.series["t"], found.series[f"{name}_parameter_sd"])
@@ -611,15 +625,27 @@ def test_a_fit_that_is_not_usable_foretells_nothing(fit):
 
 
 def test_extrapolation_is_said(fit):
-    def said(**start):
-        return " ".join(curlfit.predict(fit, start=start, draws=100).warnings)
+    def warnings_of(**start):
+        return curlfit.predict(fit, start=start, draws=100).warnings
 
-    fast, slow = said(v0=3.0, omega0=5.0), said(v0=2.1, omega0=0.1, heading=0.15)
-    assert "initial speed of 3 m/s is above the fitted range, up to 2.15" in fast
-    assert "initial spin of 5 rad/s" in fast
-    assert "is below the fitted range" in slow
-    assert "slower than the fitted range" in slow
-    assert "touches the side" in slow
+    of_speed, of_spin = (
+        warning
+        for warning in warnings_of(v0=3.0, omega0=5.0)
+        if warning.code == "above-fitted-range"
+    )
+    assert str(of_speed).startswith(
+        "the initial speed of 3 m/s is above the fitted range, up to 2.15"
+    )
+    assert of_speed.numbers["limit"] == pytest.approx(fit.fitted["speed"].max())
+    assert (of_spin.numbers["quantity"], of_spin.numbers["value"]) == ("spin", 5.0)
+    slow = {
+        warning.code: warning
+        for warning in warnings_of(v0=2.1, omega0=0.1, heading=0.15)
+    }
+    assert slow["below-fitted-range"].numbers["value"] == pytest.approx(0.1)
+    slowest = slow["end-below-fitted-range"].numbers["speed"]
+    assert slowest == pytest.approx(fit.fitted["speed"].min())
+    assert slow["touches-side"].numbers["where"] == "before"
 
 
 # --- records, files and the command ---------------------------------------------------
@@ -665,6 +691,12 @@ def test_a_record_comes_back(carried, tmp_path):
     carried.save(tmp_path / "predict.json")
     again = curlfit.load_prediction(tmp_path)
     assert json.dumps(again.summary()) == json.dumps(carried.summary())
+    assert (again.warnings, again.notes) == (carried.warnings, carried.notes)
+    assert [note.code for note in again.notes] == [
+        "null-without-effect",
+        "undetected-acceleration",
+        "start-assumed",
+    ]
     for name, values in carried.series.items():
         np.testing.assert_array_equal(again.series[name], values)
     assert again.table() == carried.table()
@@ -773,4 +805,4 @@ def test_a_discrepancy_that_the_fit_has_as_noise_is_in_the_bands(fit):
         own, beside = other.quantities[name], white.quantities[name]
         assert own.value == pytest.approx(beside.value, abs=1e-4)
         assert own.model_sd == pytest.approx(beside.model_sd, rel=1e-6)
-    assert any("least-squares coefficients" in text for text in other.notes)
+    assert "law-without-discrepancy" in {note.code for note in other.notes}

@@ -17,8 +17,12 @@ from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.likelihood import whitened_residuals_of_many
 from curlfit.inference.mcmc.sampler import sample
 from curlfit.inference.problem import Origin, build_problem
+from curlfit.inference.verdict import Verdict
 from curlfit.losses import LOSSES
 from curlfit.numerics.batches import stacked
+from curlfit.profile_likelihood.profile import _warnings
+from curlfit.profile_likelihood.refit import Refit
+from curlfit.profile_likelihood.report import document
 
 STONE = curlfit.Stone(R=0.065)
 TRUE = {"mu1_xi": 0.005, "mu2_xi": 0.05, "mu1_eta": 0.009, "mu2_eta": 0.009}
@@ -276,6 +280,43 @@ def test_a_better_fit_that_is_met_is_the_one_to_count_from(fit, sharp):
     assert np.nanmin(found.delta) > -1e-6
 
 
+def test_what_the_fits_of_a_profile_met_is_said(fit, sharp):
+    refit = Refit(fit)
+    refit.first = refit.best.chi_squared + 5
+    delta = sharp.delta.copy()
+    delta[-1] = 0.5
+    warnings = _warnings(refit, replace(sharp, delta=delta), unfinished=2, failed=1)
+    better, unfinished, failed, second = warnings
+    (remedy,) = better.remedies
+    assert remedy.option.name == "start"
+    start = dict(item.split("=") for item in remedy.option.value.split(","))
+    assert {name: float(value) for name, value in start.items()} == pytest.approx(
+        {name: item.value for name, item in fit.coefficients.items()}, rel=1e-4
+    )
+    assert str(better) == (
+        "a better fit was found, its chi squared 5 lower, and the profile is relative "
+        f"to it; fit again with `--start {remedy.option.value}`"
+    )
+    assert str(unfinished) == (
+        f"2 of {len(sharp.at)} fits did not converge; chi squared there is at most "
+        "the value shown"
+    )
+    assert (failed.code, failed.numbers["failed"]) == ("values-without-motion", 1)
+    assert (second.code, second.numbers) == ("second-minimum", {"at": sharp.at[-1]})
+    assert not [*_warnings(Refit(fit), sharp, unfinished=0, failed=0)]
+
+
+def test_what_thresholds_and_chi_squared_mean_is_noted(sharp):
+    at_bound = replace(sharp.estimate, verdict=Verdict.AT_BOUND)
+    profile = replace(
+        sharp, loss="huber", parameters=sharp.parameters | {"mu1_xi": at_bound}
+    )
+    assert not document(sharp).notes
+    bound, loss = document(profile).notes
+    assert bound.code == "limits-near-bound"
+    assert (loss.code, loss.numbers) == ("chi-squared-of-loss", {"loss": "huber"})
+
+
 # --- the posterior beside it ----------------------------------------------------------
 
 
@@ -302,6 +343,7 @@ def assert_the_same_when_saved(profile, folder):
     profile.save(folder / "profile.json")
     again = curlfit.load_profile(folder)
     assert again.to_json() == profile.to_json()
+    assert again.warnings == profile.warnings
     np.testing.assert_array_equal(again.delta, profile.delta)
     assert printed(again) == printed(profile)
     return again

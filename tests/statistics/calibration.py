@@ -304,6 +304,7 @@ def fitted(
                 found[name] = found[name]._replace(
                     **_among(chain.of(weights), value, random)
                 )
+    codes = {warning.code for warning in fit.warnings}
     return Outcome(
         found,
         sampler=sampler,

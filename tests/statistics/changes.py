@@ -170,10 +170,11 @@ def thrown(
 
 def times_told(result: curlfit.FitResult) -> list[float]:
     """The times at which the residuals are said to change."""
+    times = []
     for warning in result.warnings:
         if warning.code == "residuals-change":
-            return warning.numbers["times"]
-    return []
+            times += warning.numbers["times"]
+    return times
 
 
 def counts(case: Case, throws: int) -> tuple[int, int, int, int]:

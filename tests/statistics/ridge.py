@@ -381,7 +381,7 @@ def bands_of(
         prediction = predicted()
     except Exception as error:
         return every(quantities, fault_of(error), source)
-    if any("independent draws" in warning for warning in prediction.warnings):
+    if any(warning.code == "few-draws" for warning in prediction.warnings):
         return every(quantities, "few draws", source)
     return {
         quantity: within(

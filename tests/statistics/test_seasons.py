@@ -57,8 +57,10 @@ def test_throws_without_an_angle_tell_no_coefficient_of_the_spin(season_without_
         assert item.verdict == "determined"
         assert abs(item.value - TRANSVERSE[name]) < 3 * item.stderr
     (warning,) = found.warnings
-    assert warning.startswith("8 of 8 throws leave b open: values far apart")
-    assert "`--fix omega0=...`" in warning
+    assert warning.code == "left-open"
+    assert warning.numbers["left"] == [{"count": 8, "names": ["b"]}]
+    assert str(warning).startswith("8 of 8 throws leave b open: values far apart")
+    assert "`--fix omega0=...`" in str(warning)
     assert "8 of 8 throws leave b open" in ran.stdout
     # nor of the curl of a draw
     assert "curl" not in {one.parameter for one in found.groups}

@@ -14,11 +14,11 @@ from sample_files import CELL, PLAIN, TIMINGS, ods
 
 import curlfit
 from curlfit import load_joint
-from curlfit.errors import DataError, InputError
+from curlfit.errors import DataError, InputError, Option
 from curlfit.settings.choices import Reading
 from curlfit.sheet import LINES
 from curlfit.throws.load import detect_format, load_throw, usual_law
-from curlfit.throws.odd_row import odd_rows_in_words
+from curlfit.throws.odd_row import odd_row_findings, odd_rows_in_words
 from curlfit.throws.readers.text import TextFile
 
 FOOT = 0.3048
@@ -398,6 +398,9 @@ def test_an_odd_row_is_left_out_of_a_joint_fit_unless_it_is_kept(tmp_path, row):
     parts = parts_in(file)
     assert [k for k, part in enumerate(parts) if part.left_out] == [4]
     assert [odd.line for odd in parts[0].throw.odd_rows] == [6]
+    (finding,) = odd_row_findings(parts[0].throw.odd_rows)
+    assert finding.code == "odd-rows-left-out"
+    assert [remedy.option for remedy in finding.remedies] == [Option("keep", "6")]
     (sentence,) = odd_rows_in_words(parts[0].throw.odd_rows)
     assert sentence.startswith("Left out as odd: line 6 (row 5, ")
     assert sentence.endswith("; `--keep 6` keeps it.")
@@ -427,7 +430,7 @@ def test_an_odd_row_is_in_the_first_lines_of_check_and_batch(tmp_path, monkeypat
     with open("season.csv", newline="") as stream:
         rows = [*csv.DictReader(stream)]
     assert [row["status"] for row in rows[3:6]] == ["ok", "odd", "ok"]
-    assert rows[4]["reason"].startswith(odd)
+    assert rows[4]["reason"].startswith(f"left out as odd: {odd}")
     run = invoke(
         ["batch", "evening.csv", "--workers", "1", "--keep", "6", "--out", "kept.csv"]
     )
@@ -441,6 +444,8 @@ def test_guards_and_takeouts_are_not_odd_and_few_rows_are_left_out(tmp_path):
     first, *others = parts_in(evening(tmp_path, *absurd))
     assert not any(part.left_out for part in (first, *others))
     assert [odd.left_out for odd in first.throw.odd_rows] == [False] * 3
+    (finding,) = odd_row_findings(first.throw.odd_rows)
+    assert finding.code == "odd-rows-used"
     (sentence,) = odd_rows_in_words(first.throw.odd_rows)
     assert sentence.startswith(
         "Odd rows, used since they are more than a fifth: line 3"

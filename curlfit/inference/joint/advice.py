@@ -7,10 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from curlfit.errors import Option
+from curlfit.findings import Finding, Remedy
 from curlfit.foreign import counted
 from curlfit.inference.fit.advice import curl_warnings
 from curlfit.inference.fit.result import FitResult
-from curlfit.inference.fit.summary import IMPLAUSIBLE
 from curlfit.inference.joint.effects import slope_warnings
 from curlfit.inference.joint.result import JointResult, Variation, warnings_of
 from curlfit.inference.least_squares import Solution
@@ -22,26 +23,30 @@ def with_throws(
 ) -> JointResult:
     """The result with its throws, and with the status and the warnings that follow from
     them; where the search for the optimum of all failed, none of them has converged."""
-    implausible = [one for one in throws if one.status.startswith(IMPLAUSIBLE)]
-    failed = [
-        one.status for one in throws if not one.converged and one not in implausible
+    refused = [throw for throw in throws if any(w.is_refusal for w in throw.warnings)]
+    failures = [
+        throw.status for throw in throws if not throw.converged and throw not in refused
     ]
     steps = counted(int(solution.steps[0]), "step")
     if not solution.success.all():
-        failed.append(f"not converged ({steps})")
-    if failed:
+        failures.append(f"not converged ({steps})")
+    status = f"converged ({steps})"
+    if failures:
+        status = failures[0]
         throws = [
-            one
-            if one in implausible
-            else replace(one, converged=False, status=failed[0])
-            for one in throws
+            throw
+            if throw in refused
+            else replace(throw, converged=False, status=status)
+            for throw in throws
         ]
+    if refused:
+        faults = [f"{throw.data['file']}: {throw.status}" for throw in refused]
+        status = ". ".join(faults)
     result = replace(
         result,
         throws=tuple(throws),
-        converged=not (failed or implausible),
-        status=". ".join(f"{one.data['file']}: {one.status}" for one in implausible)
-        or (failed or [f"converged ({steps})"])[0],
+        converged=not (failures or refused),
+        status=status,
     )
     return replace(
         result,
@@ -55,36 +60,39 @@ def with_throws(
     )
 
 
-def _of_spins(result: JointResult) -> list[str]:
+def _of_spins(result: JointResult) -> list[Finding]:
     """A warning if throws of opposite spins differ."""
     # For a throw without a path the curl is at most one number, which the
     # heading absorbs.
-    paths = any(one.rms for one in result.throws)
-    senses = np.array([one.parameters["omega0"].value > 0 for one in result.throws])
+    paths = any(throw.rms for throw in result.throws)
+    spins = np.array([throw.parameters["omega0"].value for throw in result.throws])
     differ = any(
-        _differs_by_spin(item, senses) for item in result.variation if item.significant
+        _differs_by_spin(variation, spins > 0)
+        for variation in result.variation
+        if variation.significant
     )
     if not differ or not paths or result.throws[0].model.has_slope:
         return []
-    return [
-        "throws of opposite spins differ, as they do on ice that is not level; "
-        "`--free slope_x` fits a common slope"
-    ]
+    remedy = Remedy("common-slope", Option("free", "slope_x"))
+    return [Finding.warning("spins-differ", remedy)]
 
 
-def warnings_of_slopes(result: JointResult) -> list[str]:
+def warnings_of_slopes(result: JointResult) -> list[Finding]:
     """Warnings about groups that change differently along a trend."""
     if result.means is None or not result.converged:
         return []
-    friction = next(one.value for one in result.groups if one.parameter == "friction")
+    friction = next(
+        effect.value for effect in result.groups if effect.parameter == "friction"
+    )
     trend_by = result.means.trend_by
     return slope_warnings(result.slope_differences, friction, trend_by)
 
 
-def _differs_by_spin(item: Variation, counter_clockwise: Booleans) -> bool:
+def _differs_by_spin(variation: Variation, counter_clockwise: Booleans) -> bool:
     """Whether throws of the same sense of spin agree much better than all throws do."""
-    known = np.array([one is not None for one in item.each])
-    value, error = np.array([one for one in item.each if one is not None]).T
+    known = np.array([estimate is not None for estimate in variation.each])
+    estimates = np.array([each for each in variation.each if each is not None])
+    value, error = estimates.T
     sense = counter_clockwise[known]
 
     def chi_squared(rows: Booleans) -> float:
@@ -97,13 +105,16 @@ def _differs_by_spin(item: Variation, counter_clockwise: Booleans) -> bool:
     return within < chi_squared(np.ones_like(sense)) / 2
 
 
-def _of_equality(result: JointResult) -> list[str]:
+def _of_equality(result: JointResult) -> list[Finding]:
     """Warnings about equal coefficients that differ from throw to throw."""
+    if result.varies:
+        return []
     return [
-        f"{item.expression} varies between throws by more than its errors "
-        f"({item.p_text}); its standard error is that of the mean over such throws, "
-        "and large residuals of single throws may be due to the common value rather "
-        "than to their data"
-        for item in reversed(result.variation)
-        if item.significant and not result.varies
+        Finding.warning(
+            "varies-between-throws",
+            expression=variation.expression,
+            p=variation.p_value,
+        )
+        for variation in reversed(result.variation)
+        if variation.significant
     ]

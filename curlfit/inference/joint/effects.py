@@ -11,14 +11,15 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from curlfit.errors import InputError
+from curlfit.errors import InputError, Option
+from curlfit.findings import Finding, Remedy
 from curlfit.foreign import quoted
 from curlfit.inference.derived import Quantiles
 from curlfit.inference.identifiability import WithInterval
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.mixed_model import MixedFit, bounded, to_mean
 from curlfit.records import ADDED, Matrix
-from curlfit.wording import compact, join_words, p_text
+from curlfit.wording import join_words
 
 _PER = {"h": "an hour", "day": "a day"}
 _CLOCK = re.compile(r"(\d{1,2})[:h](\d{2})(?::(\d{2}))?")
@@ -401,7 +402,7 @@ def chances_of_alike_slopes(differences: Sequence[Effect]) -> dict[str, float]:
 
 def slope_warnings(
     differences: Sequence[Effect], friction: float, trend_by: Sequence[str]
-) -> list[str]:
+) -> list[Finding]:
     """A warning for each label whose groups change differently along a trend, while the
     fit has one slope for all.
 
@@ -411,22 +412,34 @@ def slope_warnings(
     friction : of a draw to the tee.
     trend_by : labels whose groups have slopes of their own already.
     """
-    by_label: dict[str, list[str]] = {}
-    for one, chance in _with_chances(differences):
-        if one.by in trend_by or chance >= SLOPES_DIFFER:
+    by_label: dict[str, list[dict[str, Any]]] = {}
+    for effect, chance in _with_chances(differences):
+        if effect.by in trend_by or chance >= SLOPES_DIFFER:
             continue
-        per = _PER.get(one.unit.rpartition("/")[2], f"per unit of {one.along}")
-        size = f"{compact(abs(one.value), one.stderr)} m"
-        if one.parameter == "friction":
-            percent = 100 / friction
-            size = f"{compact(percent * abs(one.value), percent * one.stderr)} %"
-        more = "more" if one.value > 0 else "less"
-        by_label.setdefault(one.by, []).append(
-            f"{one.parameter} rises by {size} {per} {more} on {one.by} {one.group} "
-            f"than on {one.by} {one.against} ({p_text(chance)})"
+        in_unit = 1.0
+        unit = "m"
+        if effect.parameter == "friction":
+            in_unit = 100 / friction
+            unit = "%"
+        time_unit = effect.unit.rpartition("/")[2]
+        by_label.setdefault(effect.by, []).append(
+            {
+                "parameter": effect.parameter,
+                "rise": [in_unit * abs(effect.value), in_unit * effect.stderr],
+                "unit": unit,
+                "per": _PER.get(time_unit, f"per unit of {effect.along}"),
+                "direction": "more" if effect.value > 0 else "less",
+                "group": effect.group,
+                "against": effect.against,
+                "p": chance,
+            }
         )
     return [
-        f"the slopes by {label} differ: {'; '.join(parts)}; "
-        f"`--trend-by {label}` gives each its own"
-        for label, parts in by_label.items()
+        Finding.warning(
+            "slopes-differ",
+            Remedy("own-slopes", Option("trend-by", label)),
+            label=label,
+            differences=of_label,
+        )
+        for label, of_label in by_label.items()
     ]

@@ -12,6 +12,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 
 from curlfit.errors import DataError, InputError
+from curlfit.findings import Finding
 from curlfit.foreign import file_and_number, safe_name
 from curlfit.friction import Law, find_law
 from curlfit.inference.derived import Derived, Quantiles, derive
@@ -25,10 +26,9 @@ from curlfit.numerics.arrays import Floats
 from curlfit.records import ADDED, UNSAVED, Names, keys, plain, require, structured
 from curlfit.stone import Stone
 from curlfit.throws.odd_row import OddRow
-from curlfit.wording import join_words, p_text
+from curlfit.wording import p_text
 
 _SIGNIFICANT = 0.01
-_NAMED = 3  # throws whose files a warning of several names
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class SeparateFits:
     file: str
     throws: int
     stone: Stone
-    notes: tuple[str, ...]
+    notes: tuple[Finding, ...]
     starts: tuple[_Start, ...] = field(default=(), metadata=ADDED)
     duration: float = field(default=0.0, metadata=ADDED)
     speeds: Floats = field(default_factory=lambda: np.zeros(0), metadata=ADDED)
@@ -166,7 +166,7 @@ class JointResult(NamedEstimates):
     share: tuple[str, ...]
     converged: bool
     status: str
-    warnings: tuple[str, ...]
+    warnings: tuple[Finding, ...]
     coefficients: dict[str, Estimate]
     combinations: tuple[Combination, ...]
     rank: int
@@ -338,19 +338,17 @@ def folder_name(throw: str) -> str:
     return safe_name("-".join(filter(None, [Path(file).stem, number])))
 
 
-def warnings_of(throws: Sequence[FitResult]) -> list[str]:
-    """Warnings of single throws; of several with the same, one."""
-    files: dict[str, list[str]] = {}
-    for one in throws:
-        for warning in one.warnings:
-            files.setdefault(warning, []).append(one.data["file"])
-    found = []
-    for warning, some in files.items():
-        named = some if len(some) <= _NAMED else [*some[:2], f"{len(some) - 2} more"]
-        found.append(
-            warning if len(some) == len(throws) else f"{join_words(named)}: {warning}"
-        )
-    return found
+def warnings_of(throws: Sequence[FitResult]) -> list[Finding]:
+    """Warnings of single throws, each about those that have it; about all, if all
+    have it."""
+    files_by_warning: dict[Finding, list[str]] = {}
+    for throw in throws:
+        for warning in throw.warnings:
+            files_by_warning.setdefault(warning, []).append(throw.data["file"])
+    return [
+        warning if len(files) == len(throws) else warning.of(*files)
+        for warning, files in files_by_warning.items()
+    ]
 
 
 def load_joint(file: str | PathLike[str]) -> JointResult:

@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from curlfit.errors import InputError
+from curlfit.findings import Finding, Remedy
 from curlfit.friction import Coefficient
 from curlfit.inference.fit.covariance import Covariance
 from curlfit.inference.fit.estimates import Estimate
@@ -43,7 +44,6 @@ from curlfit.inference.system import motions
 from curlfit.inference.verdict import Verdict
 from curlfit.numerics.arrays import Floats
 from curlfit.stone import Stone
-from curlfit.wording import join_words
 
 _TURNING = 200  # throws from which the usual angle of a draw is taken
 _FEWEST = 4
@@ -65,7 +65,7 @@ class Season(NamedTuple):
     told: Floats
     """by each, see `FitResult.coefficient_rows`; of a throw with a ridge, the first
     part of `FitResult.coefficient_rows_along_ridge`"""
-    notes: tuple[str, ...]
+    notes: tuple[Finding, ...]
     conditions: tuple[str, ...] = ()
     """that each throw has for itself"""
     stretched: Floats = np.zeros((0, 0, 0))
@@ -92,22 +92,20 @@ class Season(NamedTuple):
         names = [item.name for item in self.model.law.coefficients()]
         return {name: counts[name] for name in names if name in counts}
 
-    def warnings(self) -> tuple[str, ...]:
+    def warnings(self) -> tuple[Finding, ...]:
         """What the throws leave open, and what would help."""
         counts = self.counts_left_open()
         if not counts:
             return ()
+        names_by_count: dict[int, list[str]] = {}
+        for name, count in counts.items():
+            names_by_count.setdefault(count, []).append(name)
+        left = [
+            {"count": count, "names": names} for count, names in names_by_count.items()
+        ]
+        remedy = Remedy("angle-or-spin")
         throws = len(self.left_open)
-        left = "; ".join(
-            f"{count} of {throws} throws leave "
-            f"{join_words([name for name in counts if counts[name] == count])} open"
-            for count in dict.fromkeys(counts.values())
-        )
-        return (
-            f"{left}: values far apart fit each of them about as well. What would "
-            "help: `curlfit batch` with an angle, or with the spin "
-            "(`--fix omega0=...`); or the files themselves, `curlfit fit *.csv`",
-        )
+        return (Finding.warning("left-open", remedy, left=left, throws=throws),)
 
     def summary(
         self, by: Iterable[str], null_directions: tuple[dict[str, float], ...]

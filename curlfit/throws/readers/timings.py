@@ -115,7 +115,7 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
         )
         parsed.notes += [from_the_hack, *notes_on_spin, *row.notes, *left_out]
         if index in odd_row_at:
-            parsed.notes.append(_of_odd_row(odd_row_at[index]))
+            parsed.notes.append(odd_row_at[index].finding)
         return parsed
 
     return Contents(
@@ -134,19 +134,6 @@ def _of_taken_row(count: int, taken: int) -> Finding:
     """That one throw of a table is read, by its number."""
     another = Remedy("selects-another", Option("shot", "N"))
     return Finding.note("one-of-rows", another, count=count, taken=taken)
-
-
-def _of_odd_row(odd: OddRow) -> Finding:
-    """The value for which a row is odd."""
-    value = {"column": odd.column, "value": odd.value, "unit": odd.unit}
-    if odd.deviation is None:
-        return Finding.note("value-beyond-any-stone", **value)
-    return Finding.note(
-        "odd-value",
-        **value,
-        off=abs(odd.deviation),
-        sense="more" if odd.deviation > 0 else "less",
-    )
 
 
 def _odd_rows(
