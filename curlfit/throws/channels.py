@@ -37,7 +37,8 @@ def scatter(values: Floats) -> Any:
 def _median(values: Floats) -> Any:
     """Median along the last axis; several times faster than NumPy's for a few
     hundred values."""
-    ordered, n = np.sort(values, -1), values.shape[-1]
+    ordered = np.sort(values, -1)
+    n = values.shape[-1]
     return (ordered[..., (n - 1) // 2] + ordered[..., n // 2]) / 2
 
 
@@ -63,7 +64,8 @@ def last_motion(t: Floats, x: Floats, y: Floats) -> float:
     complete = np.isfinite(x) & np.isfinite(y)
     if complete.sum() <= 8:
         return float(t[-1])
-    positions, t = np.stack([x, y])[:, complete], t[complete]
+    positions = np.stack([x, y])[:, complete]
+    t = t[complete]
     tail = slice(-max(3, len(t) // 50), None)
     distance = np.hypot(*(positions - _median(positions[:, tail])[:, None]))
     near = max(_REST_DISTANCE, 5 * math.hypot(*scatter(positions)))
@@ -79,23 +81,27 @@ def condensed(throw: Any, most: int) -> dict[str, Any]:
     Rows after the stone has come to rest, which repeat one measurement, are
     averaged over long blocks.
     """
-    n, names = len(throw.t), ("t", *CHANNELS)
+    n = len(throw.t)
     rest = int(
         np.searchsorted(throw.t, last_motion(throw.t, throw.x, throw.y), side="right")
     )
     block = max(1, -(-rest // (most - _REST_ROWS)))
     rest_block = max(block, -(-(n - rest) // _REST_ROWS))  # not noisier than the others
-    moving, still = -(-rest // block), -(-(n - rest) // rest_block)
+    moving = -(-rest // block)
+    still = -(-(n - rest) // rest_block)
     pieces = (0, rest, moving), (rest, n, still)
     starts = np.concatenate(
         [np.linspace(*piece, endpoint=False).astype(int) for piece in pieces]
     )
-    found = {name: block_means(getattr(throw, name), starts) for name in names}
+    means_and_counts = {
+        name: block_means(getattr(throw, name), starts) for name in ("t", *CHANNELS)
+    }
 
     def of_means(sigma: dict[str, Floats]) -> dict[str, Floats]:
         return {
             name: np.sqrt(
-                block_means(values**2, starts)[0] / np.maximum(found[name][1], 1)
+                block_means(values**2, starts)[0]
+                / np.maximum(means_and_counts[name][1], 1)
             )
             for name, values in sigma.items()
         }
@@ -115,7 +121,7 @@ def condensed(throw: Any, most: int) -> dict[str, Any]:
         bend=0.2 * length**2 / 24,
     )
     return {
-        **{name: means for name, (means, _) in found.items()},
+        **{name: means for name, (means, _) in means_and_counts.items()},
         "sigma": of_means(throw.sigma),
         "relative_sigma": of_means(throw.relative_sigma),
         "lines": None if throw.lines is None else throw.lines[starts],

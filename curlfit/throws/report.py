@@ -72,6 +72,7 @@ def print_findings(findings: Sequence[Finding], console: Console) -> None:
 
 
 def _columns(parsed: ParsedFile) -> PlainTable:
+    """The columns that were read, with their units and ranges."""
     rows = []
     for header, column, values in parsed.series:
         finite = values[np.isfinite(values)] / column.factor
@@ -90,6 +91,7 @@ def _columns(parsed: ParsedFile) -> PlainTable:
 
 
 def _events(throw: Throw) -> PlainTable:
+    """The measured times and places."""
     return PlainTable(
         {
             "measured": event.name,
@@ -109,31 +111,29 @@ def facts(throw: Throw, settings: Mapping[str, Any]) -> Iterator[str]:
         if len(throw) > 1:
             yield from _clock(throw.t)
         for name, row in (("first row", 0), ("last row", -1)):
-            found = ((c, getattr(throw, c)[row] + 0.0) for c in throw.seen)
-            values = (
-                f"{c} {value:.6g} {UNITS[c]}"
-                for c, value in found
-                if np.isfinite(value)
-            )
+            values = []
+            for channel in throw.seen:
+                value = getattr(throw, channel)[row] + 0.0  # no -0
+                if np.isfinite(value):
+                    values.append(f"{channel} {value:.6g} {UNITS[channel]}")
             yield ", ".join([f"{name:<10} t {throw.t[row]:.6g} s", *values])
-        measured = {c: getattr(throw, c) for c in throw.seen}
-        noise = {
-            c: scatter(values[np.isfinite(values)]) for c, values in measured.items()
-        }
-        if seen := [
-            f"{c} {size:.2g} {UNITS[c]}" for c, size in noise.items() if size > 1e-12
-        ]:
-            yield f"scatter    {', '.join(seen)} (from row to row)"
+        scatters = []
+        for channel in throw.seen:
+            measured = getattr(throw, channel)
+            size = scatter(measured[np.isfinite(measured)])
+            if size > 1e-12:
+                scatters.append(f"{channel} {size:.2g} {UNITS[channel]}")
+        if scatters:
+            yield f"scatter    {', '.join(scatters)} (from row to row)"
         if throw.sigma:
-            yield "sigma      given for " + ", ".join(
-                c for c in CHANNELS if c in throw.sigma
-            )
+            given = [channel for channel in CHANNELS if channel in throw.sigma]
+            yield f"sigma      given for {', '.join(given)}"
         yield "rest       " + _rest(throw)
-    others = {
+    of_fits = {
         key: value for key, value in settings.items() if key not in Reading.forms()
     }
-    if others:
-        listed = (f"{key} = {value}" for key, value in others.items() if value)
+    if of_fits:
+        listed = (f"{key} = {value}" for key, value in of_fits.items() if value)
         yield "settings   " + ", ".join(listed)
 
 
@@ -162,10 +162,11 @@ def _rest(throw: Throw) -> str:
             return "unknown: too few positions"
         last = float(measured[-1])
         return f"not reached: {last:.3g} m/s at the end" if last else "at the last row"
-    if (first := first_row_at_rest(t, positions)) is not None:
+    first = first_row_at_rest(t, positions)
+    if first is not None:
         at_rest = positions[:, first:]
         off = np.hypot(*(at_rest - np.median(at_rest, axis=1, keepdims=True)))
         return f"reached at t = {t[first]:.5g} s, within {1000 * off.max():.2g} mm"
     speed, error = final_speed(t, positions)
-    known = "uncertain" if speed < 2 * error else "not observed"
-    return f"{known}: {compact(speed, error)} m/s at the last row"
+    rest = "uncertain" if speed < 2 * error else "not observed"
+    return f"{rest}: {compact(speed, error)} m/s at the last row"

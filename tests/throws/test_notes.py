@@ -7,6 +7,7 @@ import json
 import pytest
 from sample_files import PLAIN, SAMPLES, note_on
 
+import curlfit
 from curlfit import DataError, InputError, load_throw
 from curlfit.errors import Option
 from curlfit.findings import Finding
@@ -80,3 +81,18 @@ def test_an_error_carries_the_option_that_its_sentence_proposes(
         load_throw(write(text), **choices)
     assert caught.value.options == (option,)
     assert str(option) in str(caught.value)
+
+
+def test_a_saved_fit_still_says_that_y_is_from_the_hack(write):
+    timed = load_throw(write("hog_to_hog = 14.2\nhog_to_rest = 10\n"))
+    fit = curlfit.fit(timed, "coulomb", details=False)
+    assert fit.counts_from_hack
+    entries = json.loads(json.dumps(fit.to_json()))
+    again = curlfit.FitResult.from_json(entries)
+    assert tuple(again.data["notes"]) == timed.notes
+    assert again.counts_from_hack
+    del entries["data"]["findings"]  # as an earlier version wrote it
+    earlier = curlfit.FitResult.from_json(entries)
+    assert {note.code for note in earlier.data["notes"]} == {"text"}
+    assert list(map(str, earlier.data["notes"])) == list(map(str, timed.notes))
+    assert earlier.counts_from_hack

@@ -14,7 +14,8 @@ from curlfit.throws.readers.homography import Homography, displacements
 from curlfit.throws.readers.known_points import load_homography
 from curlfit.throws.readers.parsed_file import ParsedFile
 
-_BLOCK, _MOST_BLOCKS = 10, 50  # rows of a block, at least, and blocks
+_BLOCK = 10  # rows of a block, at least
+_MOST_BLOCKS = 50
 
 
 def pixels_to_metres(
@@ -50,7 +51,8 @@ def pixels_to_metres(
     if {"x", "y"} & columns.keys():
         raise parsed.error("positions in pixels and in metres; remove one pair")
     plane = load_homography(Path(reference), as_given)
-    u, v = columns.pop("u"), columns.pop("v")
+    u = columns.pop("u")
+    v = columns.pop("v")
     x, y = plane(u, v)
     seen = np.isfinite(u) & np.isfinite(v)
     lost = seen & ~(
@@ -62,7 +64,8 @@ def pixels_to_metres(
             int(np.argmax(lost)),
             "v",
         )
-    columns["x"], columns["y"] = x, y
+    columns["x"] = x
+    columns["y"] = y
     if "x_mark" in columns:
         columns["x_mark"], columns["y_mark"] = plane(
             columns["x_mark"], columns["y_mark"]
@@ -72,7 +75,8 @@ def pixels_to_metres(
     unknown = not {"sigma_u", "sigma_v"} <= columns.keys()
     noise = [columns.pop(f"sigma_{axis}", np.ones_like(u)) for axis in ("u", "v")]
     across, along = sizes * (1.0 if unknown else np.stack(noise))
-    columns["sigma_x"], columns["sigma_y"] = np.hypot(*across), np.hypot(*along)
+    columns["sigma_x"] = np.hypot(*across)
+    columns["sigma_y"] = np.hypot(*along)
     if seen.any():
         parsed.notes += _of_pixels(
             plane, reference, np.stack([x, y])[:, seen], sizes[..., seen], unknown
@@ -100,9 +104,11 @@ def _smooth(t: Floats, u: Floats, v: Floats) -> tuple[Floats, Floats]:
     knots = np.stack(
         [np.median(series[:, b], 1) for b in np.array_split(seen, count)], 1
     )
-    first, last = 2 * knots[:, :1] - knots[:, 1:2], 2 * knots[:, -1:] - knots[:, -2:-1]
-    times, *places = np.concatenate([first, knots, last], 1)
-    return np.interp(t, times, places[0]), np.interp(t, times, places[1])
+    # on straight lines, a block before the first knot and after the last one
+    first = 2 * knots[:, :1] - knots[:, 1:2]
+    last = 2 * knots[:, -1:] - knots[:, -2:-1]
+    times, smooth_u, smooth_v = np.concatenate([first, knots, last], 1)
+    return np.interp(t, times, smooth_u), np.interp(t, times, smooth_v)
 
 
 def _of_pixels(

@@ -83,10 +83,8 @@ class Headings(NamedTuple):
         ------
         DataError : two columns have the same meaning, or a required one is missing.
         """
-        units, bare = (
-            c.parse_units(reading.units),
-            [name.strip().lower() for name in self.names],
-        )
+        units = c.parse_units(reading.units)
+        bare = [name.strip().lower() for name in self.names]
         meant = {
             column.quantity for name in self.names if (column := c.parse_header(name))
         }
@@ -110,7 +108,7 @@ class Headings(NamedTuple):
         named = self._named({**own, **reading.columns}, units)
         columns = {index: as_set(column) for index, column in named.items()}
         chosen = {column.quantity for column in columns.values()}
-        found: dict[str, int] = {}
+        index_of: dict[str, int] = {}
         for index, (name, word) in enumerate(zip(self.names, bare, strict=True)):
             column = c.parse_header(name)
             if index in frames and units.get("t", "").endswith("fps"):
@@ -126,14 +124,16 @@ class Headings(NamedTuple):
             column = as_set(column)
             if column.quantity in chosen:
                 continue
-            if (other := found.setdefault(column.quantity, index)) != index:
+            other = index_of.setdefault(column.quantity, index)
+            if other != index:
                 raise self.error(
                     f"columns {quoted(self.names[other])} and {quoted(name)} both mean "
                     f"{column.quantity}; rename or remove one"
                 )
             columns[index] = column
         columns |= self._in_other_words(columns, as_set)
-        if missing := missing_columns(column.quantity for column in columns.values()):
+        missing = missing_columns(column.quantity for column in columns.values())
+        if missing:
             raise self._missing(missing, has_frames=bool(frames))
         return dict(sorted(columns.items()))
 
@@ -142,31 +142,37 @@ class Headings(NamedTuple):
     ) -> dict[int, Column]:
         """The columns that the user names, by index; a heading may be named
         without its unit."""
-        found: dict[int, Column] = {}
-        whole = [name.strip().lower() for name in self.names]
-        bare = [_UNIT.sub("", name) for name in whole]
+        columns: dict[int, Column] = {}
+        names = [name.strip().lower() for name in self.names]
+        without_units = [_UNIT.sub("", name) for name in names]
         for key, header in wanted.items():
-            quantity, sought = c.quantity_of(key), header.strip().lower()
-            said = f"columns {key}={quoted(header)}: "
+            quantity = c.quantity_of(key)
             if quantity is None:
-                said = f"columns {quoted(key)}={quoted(header)}: "
-                raise self.error(f"{said}expected one of {_QUANTITIES}")
-            headings = whole if sought in whole else bare
-            places = [k for k, name in enumerate(headings) if name == sought]
-            if len(places) != 1 or places[0] in found:
-                many = (
-                    "no column"
-                    if not places
-                    else "more than one column, or one named twice,"
+                raise self.error(
+                    f"columns {quoted(key)}={quoted(header)}: expected one of "
+                    f"{_QUANTITIES}"
                 )
-                raise self.error(f"{said}{many} of this name among {self._listed}")
-            heading = bare[places[0]] if quantity in units else whole[places[0]]
+            sought = header.strip().lower()
+            headings = names if sought in names else without_units
+            indices = [k for k, name in enumerate(headings) if name == sought]
+            if len(indices) != 1 or indices[0] in columns:
+                how_many = (
+                    "more than one column, or one named twice,"
+                    if indices
+                    else "no column"
+                )
+                raise self.error(
+                    f"columns {key}={quoted(header)}: {how_many} of this name among "
+                    f"{self._listed}"
+                )
+            index = indices[0]
+            heading = without_units[index] if quantity in units else names[index]
             try:
-                found[places[0]] = c.named_column(heading, quantity)
+                columns[index] = c.named_column(heading, quantity)
             except InputError as fault:
                 option = Option("units", f"{key}=UNIT")
                 raise self.error(f"{fault}, or {option}", options=(option,)) from None
-        return found
+        return columns
 
     def _in_other_words(
         self, columns: Mapping[int, Column], as_set: Callable[[Column], Column]
@@ -174,25 +180,26 @@ class Headings(NamedTuple):
         """Further columns by words that are less certain: of quantities that no other
         column has, each of one column alone, positions only in pairs."""
         taken = {column.quantity for column in columns.values()}
-        found: dict[str, list[tuple[int, Column]]] = {}
+        candidates: dict[str, list[tuple[int, Column]]] = {}
         for index, name in enumerate(self.names):
             column = c.parse_header(name, other_words=True)
             if index in columns or column is None or c.parse_header(name) is not None:
                 continue
             column = as_set(column)
             if column.quantity in ("t", "x", "y", "u", "v") or self.numeric(index):
-                found.setdefault(column.quantity, []).append((index, column))
+                candidates.setdefault(column.quantity, []).append((index, column))
         sole = {
-            key: one
-            for key, (one, *more) in found.items()
-            if not more and key not in taken
+            quantity: columns_of_it[0]
+            for quantity, columns_of_it in candidates.items()
+            if len(columns_of_it) == 1 and quantity not in taken
         }
         for pair, other in (
             ("xy", taken & {"u", "v"}),
             ("uv", (taken | sole.keys()) & {"x", "y"}),
         ):
             if other or not set(pair) <= taken | sole.keys():
-                sole = {key: one for key, one in sole.items() if key not in pair}
+                for axis in pair:
+                    sole.pop(axis, None)
         return {
             k: column
             for k, column in sole.values()
@@ -257,17 +264,15 @@ def _columns_option(headings: Mapping[str, str]) -> Option:
 
 def missing_columns(quantities: Iterable[str]) -> list[str]:
     """Quantities required for a throw that the columns lack."""
-    found = set(quantities)
-    axes, others = (
-        ("u", "v") if {"u", "v"} & found else ("x", "y"),
-        {"phi", "speed", "omega"},
-    )
-    missing = [axis for axis in axes if axis not in found]
-    if missing == ["x", "y"] and found & others:
+    present = set(quantities)
+    axes = ("u", "v") if {"u", "v"} & present else ("x", "y")
+    without_axes = {"phi", "speed", "omega"}
+    missing = [axis for axis in axes if axis not in present]
+    if missing == ["x", "y"] and present & without_axes:
         missing = []  # a gyroscope or a radar alone
-    need = {*axes, *others} & found
-    if "t" not in found and (
-        not need or any(clock_of(quantity, found) == "t" for quantity in need)
+    timed = {*axes, *without_axes} & present
+    if "t" not in present and (
+        not timed or any(clock_of(quantity, present) == "t" for quantity in timed)
     ):
         missing.insert(0, "t")
     return missing

@@ -137,7 +137,9 @@ class Record:
     for any throw."""
 
     def __init__(self, file: TextFile, row: Row, *, limited: bool = True) -> None:
-        self.file, self.row, self.limited = file, row, limited
+        self.file = file
+        self.row = row
+        self.limited = limited
         self.found = {key: self._read(key) for key in row.entries}
 
     def _error(self, key: str, message: str) -> DataError:
@@ -154,7 +156,8 @@ class Record:
             raise self._error(key, str(error)) from None
         if not of:
             return found
-        value, fault = found.value, ""
+        value = found.value
+        fault = ""
         if math.isnan(value) or found.words - words or len(found.words) > 1:
             what = f"a number and {' or '.join(sorted(words))}" if words else "a number"
             fault = f"{quoted(text)} found, expected {what}"
@@ -236,7 +239,8 @@ class Record:
         words = self.found["handle"].words
         if words & _SENSES:
             return -1 if "clockwise" in words else 1
-        turn, hand = words & {"in-turn", "out-turn"}, words & {"left", "right"}
+        turn = words & {"in-turn", "out-turn"}
+        hand = words & {"left", "right"}
         if len(turn) == 1 and len(hand) == 1:
             return -1 if ("in-turn" in turn) == ("right" in hand) else 1
         sides = [

@@ -76,7 +76,8 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
     """
     rows = _rows(file)
     keep = {*reading.keep, *begun(file, "timings").settings.get("keep", ())}
-    law, several = _usual_law(rows), len(rows) > 1
+    law = _usual_law(rows)
+    several = len(rows) > 1
     odd_rows = _odd_rows(file, rows, keep) if several else ()
     without_time = [
         index for index, row in enumerate(rows) if not row.entries.keys() & ALONG
@@ -94,7 +95,8 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
         parsed.settings.setdefault("law", law)
         parsed.settings.pop("keep", None)
         record = Record(file, row, limited=row.line not in keep)
-        parsed.events, parsed.labels = record.events(), row.labels
+        parsed.events = record.events()
+        parsed.labels = row.labels
         parsed.odd_rows = odd_rows
         if fault := record.fault_alone():
             unread = [str(replace(note, remedies=())) for note in row.notes]
@@ -131,7 +133,7 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
 
 
 def _of_taken_row(count: int, taken: int) -> Finding:
-    """That one throw of a table is read, by its number."""
+    """The note that one throw of a table is read, by its number."""
     another = Remedy("selects-another", Option("shot", "N"))
     return Finding.note("one-of-rows", another, count=count, taken=taken)
 
@@ -194,16 +196,17 @@ def is_table(head: list[str]) -> bool:
 
 
 def _recognizes(head: list[str]) -> bool:
+    """Whether the first lines are those of a record or of a table of times."""
     if is_table(head):
         names = _header(head[0])
         keys = {key for key, _ in map(_key, names)}
         columns = [column for name in names if (column := parse_header(name))]
         path = "speed" not in keys or any(column.base == "t" for column in columns)
         return bool(keys & TIMES.keys()) or (bool(keys & {"curl", "rest"}) and not path)
-    found = [pair for pair in map(_pair, head) if pair is not None]
+    pairs = [pair for pair in map(_pair, head) if pair is not None]
     # The header of a table may begin with such a name too, but has no digits.
-    return any(key in TIMES for key, _, _ in found) or (
-        _pair(head[0]) is not None and any(map(str.isdigit, found[0][2]))
+    return any(key in TIMES for key, _, _ in pairs) or (
+        _pair(head[0]) is not None and any(map(str.isdigit, pairs[0][2]))
     )
 
 
@@ -222,7 +225,8 @@ def _key(text: str) -> tuple[str, str]:
     column = parse_header(text.strip("\"' "))
     if column is None or column.base not in RATES:
         return "", ""
-    return column.quantity.replace("omega", "spin"), column.unit * column.stated
+    unit = column.unit if column.stated else ""
+    return column.quantity.replace("omega", "spin"), unit
 
 
 def _meant(key: str, text: str) -> str:
@@ -232,14 +236,17 @@ def _meant(key: str, text: str) -> str:
 
 
 def _header(line: str) -> list[str]:
+    """The headings in a line."""
     return header_cells(line, separator_of(line))
 
 
 def _pair(line: str) -> tuple[str, str, str] | None:
     """Quantity, unit and text of a line; None if it names no known quantity."""
     match = _LINE.match(line)
-    key, unit = ("", "") if match is None else _key(match[1])
-    return (key, unit, match[2]) if match is not None and key else None
+    if match is None:
+        return None
+    key, unit = _key(match[1])
+    return (key, unit, match[2]) if key else None
 
 
 def _rows(file: TextFile, *, table: bool = False) -> list[Row]:
@@ -255,11 +262,12 @@ def _rows(file: TextFile, *, table: bool = False) -> list[Row]:
         return [Row(body[0][0] + 1 if body else 0, _entries(file, body), {}, [])]
     if len(body) > _MOST_ROWS:
         raise file.error(f"more than {_MOST_ROWS} throws", body[_MOST_ROWS][0])
-    (first, head), *others = body
-    separator, names = separator_of(head), _without_blank_end(_header(head))
+    first, head = body[0]
+    separator = separator_of(head)
+    names = _without_blank_end(_header(head))
     header = [_key(name) for name in names]
     rows: dict[int, list[str]] = {}
-    for index, text in others:
+    for index, text in body[1:]:
         values = _without_blank_end(_cells(text, separator, len(names)), len(names))
         if len(values) != len(names):
             fault = (
@@ -270,7 +278,7 @@ def _rows(file: TextFile, *, table: bool = False) -> list[Row]:
         rows[index + 1] = ["" if cell.lower() in GAPS else cell for cell in values]
     if not rows:
         raise file.error("a header but no rows", first)
-    kept, notes = _labels(names, header, list(rows.values()))
+    labels, notes = _labels(names, header, list(rows.values()))
     return [
         Row(
             line,
@@ -279,7 +287,7 @@ def _rows(file: TextFile, *, table: bool = False) -> list[Row]:
                 for (key, unit), cell in zip(header, values, strict=True)
                 if key and cell
             },
-            {label: values[place] for place, label in kept.items() if values[place]},
+            {label: values[place] for place, label in labels.items() if values[place]},
             notes,
         )
         for line, values in rows.items()
@@ -292,11 +300,14 @@ def _labels(
     rows: Sequence[Sequence[str]],
 ) -> tuple[dict[int, str], list[Finding]]:
     """Columns that are labels, by place, and notes on those that are not used."""
-    kept, unused, strange = {}, [], []
+    labels = {}
+    unused = []
+    strange = []
     for place, name in enumerate(names):
-        label, key = "_".join(name.lower().split()), header[place][0]
+        label = "_".join(name.lower().split())
+        key, _ = header[place]
         if key and all(_meant(key, row[place]) == "handle" for row in rows):
-            kept[place] = "handle"
+            labels[place] = "handle"
         if key or not name:
             continue
         like = _LIKE_MEASUREMENTS & set(_SPLIT.split(name.lower()))
@@ -305,7 +316,7 @@ def _labels(
             strange.append(name)
         words = sum(not is_number(row[place] or "0") for row in rows)
         if label in LABELS or 2 * words > len(rows):
-            kept[place] = label
+            labels[place] = label
         else:
             unused.append(name)
     notes = []
@@ -317,7 +328,7 @@ def _labels(
         notes.append(not_understood)
     if unused:
         notes.append(Finding.note("columns-ignored", columns=unused))
-    return kept, notes
+    return labels, notes
 
 
 def _is_measurement(cell: str) -> bool:
@@ -328,6 +339,7 @@ def _is_measurement(cell: str) -> bool:
 
 
 def _without_blank_end(row: list[str], fewest: int = 1) -> list[str]:
+    """A row without the empty cells at its end, but of some cells at least."""
     while len(row) > fewest and not row[-1]:
         row.pop()
     return row
@@ -335,32 +347,34 @@ def _without_blank_end(row: list[str], fewest: int = 1) -> list[str]:
 
 def _cells(line: str, separator: str | None, width: int) -> list[str]:
     """Cells of a row, in which a quotation mark may be that of inches."""
-    found = (
-        [] if separator is None else [cell.strip() for cell in line.split(separator)]
+    parts = (
+        [] if separator is None else [part.strip() for part in line.split(separator)]
     )
-    if len(found) == width and all(
-        cell[:1] != '"' or cell[-1:] == '"' for cell in found
+    if len(parts) == width and all(
+        part[:1] != '"' or part[-1:] == '"' for part in parts
     ):
         return [
-            cell[1:-1].replace('""', '"') if cell[:1] == '"' else cell for cell in found
+            part[1:-1].replace('""', '"') if part[:1] == '"' else part for part in parts
         ]
     return cells(line, separator)
 
 
 def _entries(file: TextFile, body: Sequence[tuple[int, str]]) -> dict[str, Entry]:
-    found: dict[str, Entry] = {}
+    """The quantities of a record, by name."""
+    entries: dict[str, Entry] = {}
     for index, line in body:
         text = line.strip()
         pair = _pair(text)
         if pair is None:
-            if not found and re.fullmatch(r"(?i)(name|key|quantity|what)\W.*", text):
+            if not entries and re.fullmatch(r"(?i)(name|key|quantity|what)\W.*", text):
                 continue  # a header
             raise file.error(f"{quoted(text)} is not known; {EXPECTED}", index)
-        key, unit, value = _meant(pair[0], pair[2]), *pair[1:]
-        if key in found:
+        heading, unit, value = pair
+        key = _meant(heading, value)
+        if key in entries:
             raise file.error(f"{key} is given twice", index)
-        found[key] = Entry(index + 1, value, unit)
-    return found
+        entries[key] = Entry(index + 1, value, unit)
+    return entries
 
 
 def usual_law(file: TextFile) -> str:
@@ -389,8 +403,8 @@ def _law_of_draws(rows: list[Row]) -> str:
 
 def _told(keys: set[str], rows: list[Row]) -> bool:
     """Whether half of the rows or more have one of some quantities."""
-    told = sum(bool(keys & row.entries.keys()) for row in rows)
-    return 2 * told >= len(rows) > 0
+    count = sum(bool(keys & row.entries.keys()) for row in rows)
+    return 2 * count >= len(rows) > 0
 
 
 class TableEntry(NamedTuple):
@@ -414,27 +428,28 @@ def entry_in(table: Path, source: str) -> TableEntry:
     DataError : as the reader; no such column, or the throw is named twice.
     """
     file = TextFile.read(table)
-    head, path = file.head(), Path(file_and_number(source)[0]).resolve()
-    rows = []
+    head = file.head()
+    path = Path(file_and_number(source)[0]).resolve()
+    names = path.parts, path.with_suffix("").parts
+    rows_of_throw = []
+    any_named = False
     for row in _rows(file, table=True):
         name = row.labels.pop("file", None) or row.labels.pop("track", None) or ""
-        rows.append((Path(name.replace("\\", "/")).parts, row))
-    if not any(parts for parts, _ in rows):
+        parts = Path(name.replace("\\", "/")).parts
+        if parts:
+            any_named = True
+            if any(parts == ending[-len(parts) :] for ending in names):
+                rows_of_throw.append(row)
+    if not any_named:
         raise file.error(
             "no names of throws; expected a column `file` or `track`", head
         )
-    names = path.parts, path.with_suffix("").parts
-    ends = [
-        (row, [name[-len(parts) :] for name in names], parts)
-        for parts, row in rows
-        if parts
-    ]
-    found = [row for row, those, parts in ends if parts in those]
-    if len(found) > 1:
-        raise file.error(f"{quoted(path.name)} is named again", found[1].line - 1)
-    if not found:
+    if len(rows_of_throw) > 1:
+        again = rows_of_throw[1].line - 1
+        raise file.error(f"{quoted(path.name)} is named again", again)
+    if not rows_of_throw:
         return TableEntry({}, [], [Finding.note("not-in-the-table", table=str(table))])
-    row = found[0]
+    row = rows_of_throw[0]
     events = Record(file, row).events()
     source_of_labels = Finding.note(
         "measurements-of-a-table" if events else "labels-of-a-table",

@@ -87,29 +87,30 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
         columns = _columns(parsed, table, objects[index], reading)
         if reading.handle is not None:
             flag = f"--handle {reading.handle}"
-            place = choose("object", "--handle", reading.handle, labels, 0)
-            if place == index:
+            handle = choose("object", "--handle", reading.handle, labels, 0)
+            if handle == index:
                 raise InputError(f"{flag} is the stone itself; expected another object")
-            mark = _mark(table, objects[place], columns)
+            mark = _mark(table, objects[handle], columns)
             if len(mark) != 2:
-                raise InputError(f"{flag}: {labels[place]} has no columns x and y")
+                raise InputError(f"{flag}: {labels[handle]} has no columns x and y")
             columns |= mark
         read_columns(parsed, table, columns)
         # In some frames an object is not marked.
-        own = [
-            s.values
-            for s in parsed.series
-            if not s.column.quantity.endswith("_mark") and s.column.quantity != "t"
+        channels = [
+            series.values
+            for series in parsed.series
+            if not series.column.quantity.endswith("_mark")
+            and series.column.quantity != "t"
         ]
-        seen = np.asarray(np.isfinite(own).any(axis=0))
-        if seen.any() and not seen.all():
+        marked = np.asarray(np.isfinite(channels).any(axis=0))
+        if marked.any() and not marked.all():
             without = Finding.note(
                 "rows-without-the-object",
-                count=int((~seen).sum()),
+                count=int((~marked).sum()),
                 name=labels[index],
             )
             parsed.notes.append(without)
-            parsed = parsed.rows(seen)
+            parsed = parsed.rows(marked)
         return parsed
 
     alone = [
@@ -135,19 +136,19 @@ def _columns(
     """Columns of one object, by place; those that are ignored or left out are noted."""
     # one column of times for all
     if "t" not in _quantities([table.names[k] for k in places]):
-        shared = (
+        clocks = [
             k for k, name in enumerate(table.names) if _quantities([name]) == ["t"]
-        )
-        places = [*list(shared)[:1], *places]
-    found = _quantities([table.names[k] for k in places])
-    named = {**parsed.settings.get("columns", {}), **reading.columns}
-    chosen = {name.strip().lower() for name in named.values()}
+        ]
+        places = [*clocks[:1], *places]
+    quantities = _quantities([table.names[k] for k in places])
+    headings_of_user = {**parsed.settings.get("columns", {}), **reading.columns}
+    chosen = {heading.strip().lower() for heading in headings_of_user.values()}
     computed = [
         k
         for k in places
         if _COMPUTED.fullmatch(table.names[k]) and table.names[k].lower() not in chosen
     ]
-    if not {"x", "y"} <= set(found):  # pixels u, v
+    if not {"x", "y"} <= set(quantities):  # pixels u, v
         computed = []
     if computed:
         left_out = [table.names[k] for k in computed]
@@ -166,22 +167,27 @@ def _mark(
 ) -> dict[int, Column]:
     """Columns of the second mark on a stone, by place; in the units of the
     stone's `columns`."""
-    own = {
-        _AXES[c.quantity]: c
-        for c in columns.values()
-        if c.quantity in ("x", "y", "u", "v")
+    column_of_stone = {
+        _AXES[column.quantity]: column
+        for column in columns.values()
+        if column.quantity in ("x", "y", "u", "v")
     }
-    meant = {place: _quantities([table.names[place]]) for place in places}
-    axes = {place: _AXES.get(found[0], "") for place, found in meant.items() if found}
-    return {
-        k: own[a]._replace(quantity=f"{a}_mark") for k, a in axes.items() if a in own
-    }
+    columns_of_mark = {}
+    for place in places:
+        quantities = _quantities([table.names[place]])
+        axis = _AXES.get(quantities[0], "") if quantities else ""
+        if axis in column_of_stone:
+            column = column_of_stone[axis]._replace(quantity=f"{axis}_mark")
+            columns_of_mark[place] = column
+    return columns_of_mark
 
 
 def _layout(file: TextFile, first: int) -> tuple[TextTable, list[str], list[list[int]]]:
     """The table, and the titles and the places of the columns of its objects: each
     begins at its title, or else where a quantity is repeated."""
-    lines, header, titles = file.lines, first, [""]
+    lines = file.lines
+    header = first
+    titles = [""]
     if _known(_header(lines[first])) < 2:
         below = range(first + 1, min(first + 5, len(lines)))
         header = next((k for k in below if lines[k].strip()), first)
@@ -194,23 +200,25 @@ def _layout(file: TextFile, first: int) -> tuple[TextTable, list[str], list[list
         )
     starts = [k for k, title in enumerate(titles[: len(table.names)]) if title]
     if len(starts) < 2:
-        starts, seen = [0], set[str]()
+        starts = [0]
+        names_of_object = set[str]()
         for place, name in enumerate(map(str.lower, table.names)):
-            if name and name in seen:
+            if name and name in names_of_object:
                 starts.append(place)
-                seen.clear()
-            seen.add(name)
+                names_of_object.clear()
+            names_of_object.add(name)
     ends = [*starts[1:], len(table.names)]
     starts[0] = 0
-    places = [list(range(start, end)) for start, end in zip(starts, ends, strict=True)]
-    return (
-        table,
-        [next(filter(None, titles[one[0] : one[-1] + 1]), "") for one in places],
-        places,
-    )
+    title_of_objects = []
+    places_of_objects = []
+    for start, end in zip(starts, ends, strict=True):
+        title_of_objects.append(next(filter(None, titles[start:end]), ""))
+        places_of_objects.append(list(range(start, end)))
+    return table, title_of_objects, places_of_objects
 
 
 def _header(line: str) -> list[str]:
+    """The headings in a line, without numbers of throws side by side."""
     return _without_numbers(header_cells(line, separator_of(line)))
 
 
@@ -218,15 +226,20 @@ def _without_numbers(names: list[str]) -> list[str]:
     """Headings of several throws side by side, `x1, y1, x2, y2` or
     `t, x, y, t.1, x.1, y.1`, as those of each; any others as they are."""
     plain = [_NUMBER.sub("", name) for name in names]
-    found, lacking = _quantities(plain), "x" not in _quantities(names)
-    whole = found.count("t") > 1 and not any(map(_COMPUTED.fullmatch, plain))
-    return plain if min(map(found.count, "xy")) > 1 and (lacking or whole) else names
+    quantities = _quantities(plain)
+    if min(map(quantities.count, "xy")) < 2:
+        return names
+    all_are_numbered = "x" not in _quantities(names)
+    whole = quantities.count("t") > 1 and not any(map(_COMPUTED.fullmatch, plain))
+    return plain if all_are_numbered or whole else names
 
 
 def _known(names: Sequence[str]) -> int:
+    """How many of the quantities of a path the headings name."""
     return len({"t", "x", "y", "phi", "u", "v"} & set(_quantities(names)))
 
 
 def _quantities(names: Sequence[str]) -> list[str]:
-    found = map(parse_header, names)
-    return [column.quantity for column in found if column is not None]
+    """The quantities that headings name, without those of unknown meaning."""
+    columns = map(parse_header, names)
+    return [column.quantity for column in columns if column is not None]
