@@ -177,9 +177,14 @@ def proposals(
             proposed.append((name, ""))
         elif flag.form is SWITCH:
             proposed.append((name, "yes"))
-        elif value not in ("", flag.written) and _is_of_curlfit(flag, value):
+        elif _is_definite(flag, value) and _is_of_curlfit(flag, value):
             proposed.append((name, value))
     return list(dict.fromkeys(proposed))
+
+
+def _is_definite(flag: Flag, value: str) -> bool:
+    """Whether a proposed value can be used as it is, unlike `N` or `phi=UNIT`."""
+    return value not in ("", flag.written) and not value.endswith("=UNIT")
 
 
 def _is_of_curlfit(flag: Flag, text: str) -> bool:

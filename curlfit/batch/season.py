@@ -91,44 +91,45 @@ def _read(file: Path, law: str | type[Law] | None = None) -> Season:
         raise DataError(
             "priors of the batch would count once for each throw", file=file
         )
-    known, names = columns(chosen), [item.name for item in kind.coefficients()]
-    of_start = [item.name for item in START]
-    labels, numbers, told, others = [], [], [], 0
+    names = [item.name for item in kind.coefficients()]
+    names_of_numbers = [*names, *(item.name for item in START), DURATION]
+    size = len(names) * (len(names) + 1)
+    labels: list[tuple[str, dict[str, str]]] = []
+    numbers: list[list[float]] = []
+    information: list[list[float]] = []
     left_open: list[tuple[str, ...]] = []
+    not_ok = 0
     doubtful = 0
     try:
         with file.open(encoding="utf-8", newline="") as stream:
             reader = csv.DictReader(stream)
             head = reader.fieldnames or ()
-            for name in (*names, *of_start, "status", DURATION, INFORMATION, LABELS):
+            for name in (*names_of_numbers, "status", INFORMATION, LABELS):
                 if name not in head:
                     raise KeyError(f"no column {name}; {_AGAIN}")
+            written = columns(chosen)
             if LEFT_OPEN not in head:
-                known.remove(LEFT_OPEN)
-            added = [name for name in head if name not in known]
+                written.remove(LEFT_OPEN)
+            added = [name for name in head if name not in written]
             for row in reader:
                 if any(len(cell or "") > _LONGEST for cell in row.values()):
                     raise ValueError(f"a cell of more than {_LONGEST} characters")
                 if row["status"] != "ok":
-                    others += 1
+                    not_ok += 1
                     continue
-                name = f"{file} row {reader.line_num - 1}"
                 if LEFT_OPEN not in head and not _is_quadratic(row):
                     doubtful += 1
-                left_open.append(
-                    tuple(filter(None, row.get(LEFT_OPEN, "").split("; ")))
-                )
-                labels.append((name, _labels(row, added)))
-                numbers.append(
-                    [float(row[one]) for one in (*names, *of_start, DURATION)]
-                )
-                told.append(
-                    [float(cell) for cell in row[INFORMATION].strip("[]").split(",")]
-                )
-                size = len(names) * (len(names) + 1)
-                if len(told[-1]) not in (size, 2 * size):
+                open_names = row.get(LEFT_OPEN, "").split("; ")
+                left_open.append(tuple(filter(None, open_names)))
+                throw = f"{file} row {reader.line_num - 1}"
+                labels.append((throw, _labels(row, added)))
+                numbers.append([float(row[name]) for name in names_of_numbers])
+                cells = row[INFORMATION].strip("[]").split(",")
+                told = [float(cell) for cell in cells]
+                if len(told) not in (size, 2 * size):
                     raise ValueError("another number of numbers")
-                told[-1] += [0.0] * (2 * size - len(told[-1]))
+                # without a ridge there is no second part
+                information.append(told + [0.0] * (2 * size - len(told)))
     except KeyError as error:
         raise DataError(error.args[0], file=file, line=1) from None
     except (AttributeError, TypeError, ValueError, csv.Error) as error:
@@ -140,25 +141,26 @@ def _read(file: Path, law: str | type[Law] | None = None) -> Season:
             f"of curlfit took for quadratics in the coefficients; {_AGAIN}",
             file=file,
         )
-    found = np.array(numbers).reshape(len(numbers), len(names) + len(of_start) + 1)
-    values, start, durations = np.split(found, [len(names), -1], 1)
-    rows = np.array(told).reshape(len(told), 2, len(names), len(names) + 1)
-    if not (np.isfinite(found).all() and np.isfinite(rows).all()):
+    throws = len(numbers)
+    table = np.array(numbers).reshape(throws, len(names_of_numbers))
+    rows = np.array(information).reshape(throws, 2, len(names), len(names) + 1)
+    if not (np.isfinite(table).all() and np.isfinite(rows).all()):
         raise DataError("numbers that are not finite", file=file)
-    notes = [Finding.note("rows-not-ok", count=others)] if others else []
+    values, start, durations = np.split(table, [len(names), -1], 1)
+    notes = (Finding.note("rows-not-ok", count=not_ok),) if not_ok else ()
     return Season(
-        str(file),
-        Model(kind, Load(chosen.load)),
-        Stone().with_values(dict(chosen.stone)),
-        labels,
-        values,
-        start,
-        durations[:, 0],
-        rows[:, 0],
-        tuple(notes),
-        tuple({*chosen.parameter_set().conditions} - {"sweep"}),
-        rows[:, 1],
-        tuple(left_open),
+        file=str(file),
+        model=Model(kind, Load(chosen.load)),
+        stone=Stone().with_values(dict(chosen.stone)),
+        labels=labels,
+        values=values,
+        start=start,
+        durations=durations[:, 0],
+        told=rows[:, 0],
+        notes=notes,
+        conditions=tuple({*chosen.parameter_set().conditions} - {"sweep"}),
+        stretched=rows[:, 1],
+        left_open=tuple(left_open),
     )
 
 

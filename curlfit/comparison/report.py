@@ -99,57 +99,65 @@ def document(comparison: Comparison) -> Document:
 def _lacking(comparison: Comparison) -> tuple[Any, ...]:
     """Where the path has most beyond the first law, and which other law
     would add it."""
-    found = comparison.lacking
-    if found is None:
+    lacking = comparison.lacking
+    if lacking is None:
         return ()
-    by_error, friction, rows = found.significance(), np.abs(found.of_law[1]), []
+    by_error = lacking.significance()
+    friction = np.abs(lacking.of_law[1])
+    rows = []
     for row, (name, unit) in enumerate(COMPONENTS.items()):
         at = int(np.argmax(np.abs(by_error[row])))
-        lacks, error = found.lacks[row, at], found.stderr[row, at]
-        whole = friction[at] if row < 2 else abs(found.of_law[row, at])
+        lacks = lacking.lacks[row, at]
+        error = lacking.stderr[row, at]
+        whole = friction[at] if row < 2 else abs(lacking.of_law[row, at])
         rows.append(
             {
                 "lacking": name,
                 ">most": f"{compact(lacks, error)} {unit}",
                 ">std. errors": f"{abs(by_error[row, at]):.1f}",
-                ">at v": f"{found.speed[at]:.2f} m/s",
-                ">spin": f"{found.omega[at]:.2f} rad/s",
+                ">at v": f"{lacking.speed[at]:.2f} m/s",
+                ">spin": f"{lacking.omega[at]:.2f} rad/s",
                 ">of the law's": f"{100 * abs(lacks) / whole:.2g} %" if whole else "",
             }
         )
     table = PlainTable(rows, "Accelerations that the path has beyond the first law")
     if np.abs(by_error).max() < _SEEN:
-        said = (
-            f"The path shows nothing that {found.law} lacks: all within {_SEEN:g} "
+        conclusion = (
+            f"The path shows nothing that {lacking.law} lacks: all within {_SEEN:g} "
             "standard errors."
         )
-    elif found.nearest:
-        said = (
-            f"{found.nearest} would leave least of what {found.law} lacks: "
-            f"a mean square of {found.size(found.nearest):.3g} of {found.size():.3g}, "
+    elif lacking.nearest:
+        left = lacking.size(lacking.nearest)
+        conclusion = (
+            f"{lacking.nearest} would leave least of what {lacking.law} lacks: "
+            f"a mean square of {left:.3g} of {lacking.size():.3g}, "
             "in standard errors."
         )
     else:
-        said = f"No other law has half of what {found.law} lacks."
-    return table, Said(said)
+        conclusion = f"No other law has half of what {lacking.law} lacks."
+    return table, Said(conclusion)
 
 
 def _ranks(comparison: Comparison) -> PlainTable:
-    several, candidates = len(comparison.noises) > 1, comparison.candidates
-    evidence = any(item.log_evidence is not None for item in candidates)
+    """Laws with their criteria and residuals, best first."""
+    several = len(comparison.noises) > 1
+    candidates = comparison.candidates
+    evidence = any(candidate.log_evidence is not None for candidate in candidates)
     rows = [
-        ranked_row(item, item.noise * several) | _fitted(item, evidence=evidence)
-        for item in candidates
+        ranked_row(candidate, candidate.noise if several else "")
+        | _fitted(candidate, evidence=evidence)
+        for candidate in candidates
     ]
-    measure, by = "rms", ""
+    measure = "rms"
+    by = ""
     if LOSSES[comparison.loss].is_robust:
         measure = "robust scale"
         by = (
             " BIC and AICc are those of the noise distribution of the "
             f"{comparison.loss} loss."
         )
-    criteria = "dlnZ: log evidence minus the largest; " * evidence
-    if any(item.delta_elpd is not None for item in candidates):
+    criteria = "dlnZ: log evidence minus the largest; " if evidence else ""
+    if any(candidate.delta_elpd is not None for candidate in candidates):
         criteria += (
             "delpd: expected log predictive density of leave-one-out (elpd_loo) minus "
             "the largest, with the standard error of that in its last two digits; "
@@ -168,27 +176,30 @@ def _ranks(comparison: Comparison) -> PlainTable:
     )
 
 
-def _fitted(item: Candidate, *, evidence: bool) -> dict[str, Any]:
+def _fitted(candidate: Candidate, *, evidence: bool) -> dict[str, Any]:
     """Cells of the criteria and residuals of a fit."""
-    if item.rms is None:
+    if candidate.rms is None:
         return {"follows": Text("no fit", style="red")}
-    size = item.residual_size
-    criterion, other = (
-        ("dlnZ", item.delta_evidence) if evidence else ("dAICc", item.delta_aicc)
-    )
-    elpd = difference(item.delta_elpd)
-    if item.delta_elpd_se:
-        elpd = compact(item.delta_elpd or 0.0, item.delta_elpd_se)
+    size = candidate.residual_size
+    criterion = {">dAICc": difference(candidate.delta_aicc)}
+    if evidence:
+        criterion = {">dlnZ": difference(candidate.delta_evidence)}
+    elpd = difference(candidate.delta_elpd)
+    if candidate.delta_elpd_se:
+        elpd = compact(candidate.delta_elpd or 0.0, candidate.delta_elpd_se)
+    curl = ""
+    if candidate.curl_explained is not None:
+        curl = _share(candidate.curl_explained)
     return {
-        f">{criterion}": difference(other),
+        **criterion,
         ">delpd": elpd,
         **{
             f">{name} ({unit})": f"{1000 * size[name]:.3g}" if name in size else ""
             for name, unit in (("x", "mm"), ("y", "mm"), ("phi", "mrad"))
         },
-        ">curl": "" if item.curl_explained is None else _share(item.curl_explained),
-        "follows": _FOLLOWS[item.follows],
-        "ccw curls": " or ".join(item.sides) or "neither way",
+        ">curl": curl,
+        "follows": _FOLLOWS[candidate.follows],
+        "ccw curls": " or ".join(candidate.sides) or "neither way",
     }
 
 
@@ -207,81 +218,83 @@ def _share(value: float) -> str:
 
 def conclusions(comparison: Comparison) -> list[str]:
     """The conclusions from the comparison, in sentences."""
-    fitted = [item for item in comparison.candidates if item.rms is not None]
-    within = [item for item in fitted if not item.signs_free]
-    following, unclear = (
-        "; ".join(
-            item.label
-            for item in within
-            if item.follows is follows and not item.negative
+    fitted = [law for law in comparison.candidates if law.rms is not None]
+    within_bounds = [law for law in fitted if not law.signs_free]
+    physical = [law for law in within_bounds if not law.negative]
+    following = [law.label for law in physical if law.follows is True]
+    unclear = [law.label for law in physical if law.follows is None]
+    sentences = []
+    if following:
+        sentences.append(
+            f"Laws that follow the path within their bounds: {'; '.join(following)}."
         )
-        for follows in (True, None)
-    )
-    isotropic = [item for item in within if item.isotropic]
-    weights = {item.label: item.weight for item in within if item.weight is not None}
-    predicted = [item for item in within if item.rank and item.delta_elpd is not None]
-    lines = [
-        f"Laws that follow the path within their bounds: {following}."
-        if following
-        else "",
-        "Laws of which it is unclear whether they follow the path, "
-        f"as their residuals may be correlated noise: {unclear}."
-        if unclear
-        else "",
-        "" if following or unclear else "No law follows the path within its bounds.",
-        _about_isotropic(isotropic) if isotropic else "",
-        *(
-            f"{item.label}: follows the path only with negative "
-            f"{join_words(item.negative)}."
-            for item in fitted
-            if item.negative and item.follows
-        ),
-        _about_evidence(weights) if weights else "",
-        _about_predictions(predicted) if predicted else "",
-        _about_noise(comparison) if len(comparison.noises) > 1 else "",
+    if unclear:
+        sentences.append(
+            "Laws of which it is unclear whether they follow the path, as their "
+            f"residuals may be correlated noise: {'; '.join(unclear)}."
+        )
+    if not (following or unclear):
+        sentences.append("No law follows the path within its bounds.")
+    isotropic = [law for law in within_bounds if law.isotropic]
+    if isotropic:
+        sentences.append(_about_isotropic(isotropic))
+    for law in fitted:
+        if law.negative and law.follows:
+            names = join_words(law.negative)
+            sentences.append(
+                f"{law.label}: follows the path only with negative {names}."
+            )
+    weights = {law.label: law.weight for law in within_bounds if law.weight is not None}
+    if weights:
+        sentences.append(_about_evidence(weights))
+    predicted = [
+        law for law in within_bounds if law.rank and law.delta_elpd is not None
     ]
-    return [line for line in lines if line]
+    if predicted:
+        sentences.append(_about_predictions(predicted))
+    if len(comparison.noises) > 1:
+        sentences.append(_about_noise(comparison))
+    return sentences
 
 
 def _about_evidence(weights: Mapping[str, float]) -> str:
     """The laws that the evidence leaves probable, and their probabilities."""
     ordered = sorted(weights, key=lambda label: -weights[label])
     named = [label for label in ordered if weights[label] > _PROBABLE] or ordered[:1]
-    said = join_words([f"{label} {_share(weights[label])}" for label in named])
+    shares = join_words([f"{label} {_share(weights[label])}" for label in named])
     return (
         "Posterior probabilities from the evidence, with equal prior probabilities "
-        f"of the {len(weights)} laws: {said}. They hold among these laws only; "
+        f"of the {len(weights)} laws: {shares}. They hold among these laws only; "
         "possibly none is correct."
     )
 
 
 def _about_predictions(ranked: list[Candidate]) -> str:
     """Which laws leave-one-out does not distinguish from the best."""
-    best, *others = sorted(ranked, key=lambda item: -(item.delta_elpd or 0.0))
-    same = [
-        item.label
-        for item in others
-        if -(item.delta_elpd or 0.0) < max(_ELPD, 2 * (item.delta_elpd_se or 0.0))
+    best, *others = sorted(ranked, key=lambda law: -(law.delta_elpd or 0.0))
+    alike = [
+        law.label
+        for law in others
+        if -(law.delta_elpd or 0.0) < max(_ELPD, 2 * (law.delta_elpd_se or 0.0))
     ]
-    said = (
-        f"does not distinguish {best.label} from {'; '.join(same)}"
-        if same
-        else (f"prefers {best.label} to all others")
-    )
-    return f"Leave-one-out {said}: {_ELPD:g} or two standard errors apart would count."
+    order = f"prefers {best.label} to all others"
+    if alike:
+        order = f"does not distinguish {best.label} from {'; '.join(alike)}"
+    return f"Leave-one-out {order}: {_ELPD:g} or two standard errors apart would count."
 
 
 def _about_noise(comparison: Comparison) -> str:
     """The noise model of the best fit, and how far the best fits of the others
     are from it."""
-    best, others = comparison.best, []
-    for name in comparison.noises:
-        own = (
-            item for item in comparison.candidates if item.noise == name and item.rank
+    best = comparison.best
+    others = []
+    for noise in comparison.noises:
+        ranked = (
+            law for law in comparison.candidates if law.noise == noise and law.rank
         )
-        if name != best.noise and (first := next(own, None)):
+        if noise != best.noise and (first := next(ranked, None)):
             others.append(
-                f"; with {name} noise it is {difference(first.delta_bic)} higher"
+                f"; with {noise} noise it is {difference(first.delta_bic)} higher"
             )
     return (
         f"The lowest BIC is that of {best.noise} noise "
@@ -315,17 +328,17 @@ def _notes(comparison: Comparison) -> list[Finding]:
 
 
 def _about_isotropic(isotropic: list[Candidate]) -> str:
-    positive = [item for item in isotropic if not item.negative]
+    positive = [law for law in isotropic if not law.negative]
     enough = "friction, opposite to sliding at every point, is enough"
-    if following := [item.label for item in positive if item.follows]:
+    if following := [law.label for law in positive if law.follows]:
         return f"Isotropic {enough}: {following[0]}."
-    if any(item.follows is None for item in positive):
+    if any(law.follows is None for law in positive):
         return f"Whether isotropic {enough} is unclear."
     text = (
         "No isotropic law (friction opposite to sliding at every point) with "
         "non-negative coefficients follows the path"
     )
-    best = max(positive, key=lambda item: item.curl_explained or 0.0, default=None)
+    best = max(positive, key=lambda law: law.curl_explained or 0.0, default=None)
     if best is None or best.curl_explained is None:
         return f"{text}."
     return (

@@ -28,25 +28,31 @@ _FAR = 3.0  # sigmas, from which a value speaks against a law
 
 def document_of_sets(comparison: Comparison) -> Document:
     """Ranks, each data set, coefficients, and what speaks against which law."""
-    sets, candidates = comparison.sets, comparison.candidates
+    sets = comparison.sets
+    candidates = comparison.candidates
     first, *others = _conclusions(comparison)
-    many = len(sets) > 1
-    files = ", ".join(one.name for one in sets)
+    several = len(sets) > 1
+    files = ", ".join(data_set.name for data_set in sets)
     laws = f"{counted(len(candidates), 'law')}, {counted(len(sets), 'data set')}"
     return Document(
         **summary(comparison, first, " ..."),
         subject=f"{laws}: {files}",
         headline=Text(f"{laws}: {files}", style="bold"),
-        about=[_about(one) for one in sets],
+        about=[_about(data_set) for data_set in sets],
         sections=(
             Section(
-                "laws", "The laws", (_ranks(comparison), *[_alone(comparison)] * many)
+                "laws",
+                "The laws",
+                (_ranks(comparison), _alone(comparison) if several else None),
             ),
             Section("against", "What speaks against each law", (_against(comparison),)),
             Section(
                 "coefficients",
                 "Coefficients",
-                (coefficients_table(comparison), *[_determined(comparison)] * many),
+                (
+                    coefficients_table(comparison),
+                    _determined(comparison) if several else None,
+                ),
                 brief=False,
             ),
             Section("conclusions", "What follows", (Said(first), *others)),
@@ -55,24 +61,27 @@ def document_of_sets(comparison: Comparison) -> Document:
         title=f"{', '.join(map(short, sets))}: which law?",
         settings={"Data": files, "Stone": stone_text(comparison.stone)},
         command=command_line(
-            "compare", *(one.name for one in sets), *comparison.data.get("flags", ())
+            "compare",
+            *(data_set.name for data_set in sets),
+            *comparison.data.get("flags", ()),
         ),
     )
 
 
-def short(one: SetOfData) -> str:
+def short(data_set: SetOfData) -> str:
     """The name of a data set in a heading."""
-    return Path(one.name).stem
+    return Path(data_set.name).stem
 
 
-def _about(one: SetOfData) -> str:
-    count = {"track": "track", "friction": "friction"}.get(
-        one.kind, counted(one.throws, "throw")
+def _about(data_set: SetOfData) -> str:
+    """What a data set is, and how many values it has."""
+    kind = {"track": "track", "friction": "friction"}.get(
+        data_set.kind, counted(data_set.throws, "throw")
     )
     fewer = ""
-    if one.effective < one.values - 0.5:
-        fewer = f", worth {one.effective:.0f} independent ones"
-    return f"{one.name}: {count}, {counted(one.values, 'value')}{fewer}"
+    if data_set.effective < data_set.values - 0.5:
+        fewer = f", worth {data_set.effective:.0f} independent ones"
+    return f"{data_set.name}: {kind}, {counted(data_set.values, 'value')}{fewer}"
 
 
 def _noise(data_set: SetOfData) -> Finding:
@@ -90,134 +99,143 @@ def _per_value(chi_squared: float, dof: float) -> str:
 
 def _ranks(comparison: Comparison) -> PlainTable:
     rows: list[dict[str, Any]] = []
-    for item in comparison.candidates:
-        row = ranked_row(item)
-        for one, on in zip(comparison.sets, item.sets, strict=False):
-            said = _per_value(on.chi_squared, on.dof)
-            if len(comparison.sets) > 1:
-                said += f" ({_per_value(on.own_chi_squared, on.own_dof)})"
-            row[f">{short(one)}"] = Text(
-                said, style="green" if on.follows else "yellow"
-            )
-        if item.p_together is not None:
-            row["one ice"] = p_text(item.p_together)
-        row["follows"] = (
-            Text(item.status, style="red") if not item.sets else _follows(item)
-        )
+    several = len(comparison.sets) > 1
+    for candidate in comparison.candidates:
+        row = ranked_row(candidate)
+        for data_set, on in zip(comparison.sets, candidate.sets, strict=False):
+            misfit = _per_value(on.chi_squared, on.dof)
+            if several:
+                misfit += f" ({_per_value(on.own_chi_squared, on.own_dof)})"
+            style = "green" if on.follows else "yellow"
+            row[f">{short(data_set)}"] = Text(misfit, style=style)
+        if candidate.p_together is not None:
+            row["one ice"] = p_text(candidate.p_together)
+        row["follows"] = _follows(candidate)
+        if not candidate.sets:
+            row["follows"] = Text(candidate.status, style="red")
         rows.append(row)
     note = (
-        "Under each data set: chi squared per degree of freedom with the coefficients "
-        "that all have in common, and in parentheses with those of the set alone. "
-        "one ice: the probability that common coefficients raise chi squared as much "
-        "by chance. A law follows if each is within what chance or 1.5 times the "
-        "noise makes it, and p is above 0.001."
-        if len(comparison.sets) > 1
-        else "Under the data set: chi squared per degree of freedom. A law follows if "
+        "Under the data set: chi squared per degree of freedom. A law follows if "
         "it is within what chance or 1.5 times the noise makes it."
     )
+    if several:
+        note = (
+            "Under each data set: chi squared per degree of freedom with the "
+            "coefficients that all have in common, and in parentheses with those of "
+            "the set alone. one ice: the probability that common coefficients raise "
+            "chi squared as much by chance. A law follows if each is within what "
+            "chance or 1.5 times the noise makes it, and p is above 0.001."
+        )
     return PlainTable(
         rows, "The laws, best first", keys=3, note=Text(note, style="dim")
     )
 
 
-def _follows(item: Candidate) -> Text:
-    if item.follows:
+def _follows(candidate: Candidate) -> Text:
+    """Whether a law follows all data sets, or each of them alone."""
+    if candidate.follows:
         return Text("yes", style="green")
-    apart = all(on.own_follows for on in item.sets)
-    return Text("each alone" if apart and len(item.sets) > 1 else "no", style="yellow")
+    apart = all(on.own_follows for on in candidate.sets)
+    several = len(candidate.sets) > 1
+    return Text("each alone" if apart and several else "no", style="yellow")
 
 
 def _alone(comparison: Comparison) -> PlainTable:
     rows = [
-        {"law, load": item.label}
+        {"law, load": candidate.label}
         | {
-            f">{short(one)}": difference(on.own_delta_bic)
-            for one, on in zip(comparison.sets, item.sets, strict=True)
+            f">{short(data_set)}": difference(on.own_delta_bic)
+            for data_set, on in zip(comparison.sets, candidate.sets, strict=True)
         }
-        for item in comparison.candidates
-        if item.sets
+        for candidate in comparison.candidates
+        if candidate.sets
     ]
     return PlainTable(rows, "dBIC of each data set alone, with coefficients of its own")
 
 
 def _against(comparison: Comparison) -> PlainTable:
     rows = []
-    for item in comparison.candidates:
-        said = []
-        for one, on in zip(comparison.sets, item.sets, strict=False):
+    for candidate in comparison.candidates:
+        residuals = []
+        for data_set, on in zip(comparison.sets, candidate.sets, strict=False):
             far = [
                 f"{what} by {abs(off):.2g}"
                 for what, off in on.largest
                 if abs(off) > _FAR
             ]
             if far and not on.follows:
-                said.append(Text(f"{short(one)}: {join_words(far)} sigma"))
-        if said:
-            rows.append({"law, load": item.label, "~farthest off": Items(said)})
+                residuals.append(Text(f"{short(data_set)}: {join_words(far)} sigma"))
+        if residuals:
+            far_off = Items(residuals)
+            rows.append({"law, load": candidate.label, "~farthest off": far_off})
     return PlainTable(rows, "Largest residuals, with common coefficients")
 
 
 def _determined(comparison: Comparison) -> PlainTable:
     rows: list[dict[str, Any]] = [
-        {"law, load": item.label}
+        {"law, load": candidate.label}
         | {
-            f"~{short(one)}": ", ".join(on.determined) or Text("-", style=STYLE["weak"])
-            for one, on in zip(comparison.sets, item.sets, strict=True)
+            f"~{short(data_set)}": ", ".join(on.determined)
+            or Text("-", style=STYLE["weak"])
+            for data_set, on in zip(comparison.sets, candidate.sets, strict=True)
         }
-        for item in comparison.candidates
-        if item.sets
+        for candidate in comparison.candidates
+        if candidate.sets
     ]
     return PlainTable(rows, "What each data set determines")
 
 
 def _conclusions(comparison: Comparison) -> list[str]:
-    items = [item for item in comparison.candidates if item.sets]
+    fitted = [candidate for candidate in comparison.candidates if candidate.sets]
     several = len(comparison.sets) > 1
     what = "all data sets with the same coefficients" if several else "the throws"
-    found = [item.label for item in items if item.follows]
+    following = [candidate.label for candidate in fitted if candidate.follows]
     apart = [
-        item.label
-        for item in items
-        if several and not item.follows and all(on.own_follows for on in item.sets)
+        candidate.label
+        for candidate in fitted
+        if several
+        and not candidate.follows
+        and all(on.own_follows for on in candidate.sets)
     ]
-    lines = [
-        f"Laws that follow {what}: {'; '.join(found)}."
-        if found
-        else f"No law follows {what}."
-    ]
+    lines = [f"No law follows {what}."]
+    if following:
+        lines = [f"Laws that follow {what}: {'; '.join(following)}."]
     if apart:
         lines.append(
             "Laws that follow each data set alone, but not all with the same "
             f"coefficients: {'; '.join(apart)}."
         )
-    for number, one in enumerate(comparison.sets):
-        if several and not any(item.sets[number].own_follows for item in items):
+    if not several:
+        return lines
+    for number, data_set in enumerate(comparison.sets):
+        if not any(candidate.sets[number].own_follows for candidate in fitted):
             lines.append(
-                f"No law follows {short(one)}, even with coefficients of its own."
+                f"No law follows {short(data_set)}, even with coefficients of its own."
             )
-    lines += _gained(items[:1], comparison.sets) if several else []
-    return lines
+    return [*lines, *_gained(fitted[:1], comparison.sets)]
 
 
-def _gained(items: Sequence[Candidate], sets: Sequence[SetOfData]) -> list[str]:
+def _gained(
+    candidates: Sequence[Candidate], data_sets: Sequence[SetOfData]
+) -> list[str]:
     """What is determined by all data sets, but by none of them."""
     lines = []
-    for item in items:
-        known = {
+    for candidate in candidates:
+        determined = {
             name
-            for name, one in (item.coefficients or {}).items()
-            if one["verdict"] in (Verdict.DETERMINED, Verdict.WEAK)
-        } | {one["expression"] for one in item.combinations}
-        alone = {name for on in item.sets for name in on.determined}
-        if new := sorted(known - alone):
+            for name, coefficient in (candidate.coefficients or {}).items()
+            if coefficient["verdict"] in (Verdict.DETERMINED, Verdict.WEAK)
+        }
+        determined |= {
+            combination["expression"] for combination in candidate.combinations
+        }
+        alone = {name for on in candidate.sets for name in on.determined}
+        if gained := sorted(determined - alone):
             lines.append(
-                f"{item.label}: {join_words(new)} by all data sets "
+                f"{candidate.label}: {join_words(gained)} by all data sets "
                 "together, by none alone."
             )
-        for one, on in zip(sets, item.sets, strict=True):
-            lines.append(
-                f"{item.label}: {short(one)} determines {join_words(on.determined)}."
-                if on.determined
-                else f"{item.label}: {short(one)} determines nothing."
-            )
+        for data_set, on in zip(data_sets, candidate.sets, strict=True):
+            names = join_words(on.determined) if on.determined else "nothing"
+            lines.append(f"{candidate.label}: {short(data_set)} determines {names}.")
     return lines

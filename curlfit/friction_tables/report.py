@@ -31,7 +31,8 @@ def print_friction(result: FrictionFits, console: Console | None = None) -> None
 
 def document(result: FrictionFits) -> Document:
     """The laws with their criteria, and the coefficients of each."""
-    speed, first = result.observed["speed"], result.fits[0]
+    speed = result.observed["speed"]
+    first = result.fits[0]
     finding = f"{len(result.fits)} laws, {first.law} first by BIC"
     if len(result.fits) == 1:
         finding = "converged" if first.converged else "not converged"
@@ -50,7 +51,7 @@ def document(result: FrictionFits) -> Document:
             f"{result.data['file']}",
         ),
         about=(_conclusion(result),),
-        lines=[_said(first)],
+        lines=[_determined(first)],
         sections=(
             Section("laws", "Laws", (_laws(result),)),
             Section(
@@ -71,34 +72,30 @@ def _conclusion(result: FrictionFits) -> str:
     """Which laws the table leaves possible."""
     first, *others = result.fits
     if not others:
-        return _said(first)
-    near = [one.law for one in others if one.converged and one.bic - first.bic <= _NEAR]
-    rest = (
-        f"not to be told from it: {join_words(near)}"
-        if near
-        else "the others are far behind"
-    )
+        return _determined(first)
+    near = [fit.law for fit in others if fit.converged and fit.bic - first.bic <= _NEAR]
+    rest = "the others are far behind"
+    if near:
+        rest = f"not to be told from it: {join_words(near)}"
     return f"{first.law} describes the values best by BIC; {rest}."
 
 
-def _said(one: FrictionFit) -> str:
+def _determined(fit: FrictionFit) -> str:
     """What of a law the table determines."""
     hidden = [
         name
-        for name, item in one.coefficients.items()
-        if item.verdict == Verdict.NOT_IDENTIFIABLE
+        for name, estimate in fit.coefficients.items()
+        if estimate.verdict == Verdict.NOT_IDENTIFIABLE
     ]
-    known = [
-        f"{name} = {compact(*found)}"
-        for name, found in reported(one).items()
+    estimates = [
+        f"{name} = {compact(value, stderr)}"
+        for name, (value, stderr) in reported(fit).items()
         if name not in hidden
     ]
-    text = f"{one.law}: {', '.join(known)}"
-    return (
-        f"{text}; friction along the motion does not determine {join_words(hidden)}."
-        if hidden
-        else f"{text}."
-    )
+    text = f"{fit.law}: {', '.join(estimates)}"
+    if not hidden:
+        return f"{text}."
+    return f"{text}; friction along the motion does not determine {join_words(hidden)}."
 
 
 def _laws(result: FrictionFits) -> PlainTable:
@@ -106,21 +103,24 @@ def _laws(result: FrictionFits) -> PlainTable:
     return PlainTable(
         (
             {
-                "law": one.law,
-                "load": one.load,
-                ">determined": f"{one.rank}",
-                ">rms": f"{one.rms:.2g}",
-                ">dBIC": f"{one.bic - least:.1f}",
-                "": "" if one.converged else "not converged",
+                "law": fit.law,
+                "load": fit.load,
+                ">determined": f"{fit.rank}",
+                ">rms": f"{fit.rms:.2g}",
+                ">dBIC": f"{fit.bic - least:.1f}",
+                "": "" if fit.converged else "not converged",
             }
-            for one in result.fits
+            for fit in result.fits
         ),
         "Laws by BIC: number of coefficients that the values determine, "
         "and rms of the residuals",
     )
 
 
-def _coefficients(one: FrictionFit) -> PlainTable:
-    items: dict[str, Any] = {item.expression: item for item in one.combinations}
-    rows = (row_of(one.law, *item) for item in (one.coefficients | items).items())
-    return PlainTable(rows, f"Coefficients of {one.law}")
+def _coefficients(fit: FrictionFit) -> PlainTable:
+    combinations: dict[str, Any] = {
+        combination.expression: combination for combination in fit.combinations
+    }
+    estimates = fit.coefficients | combinations
+    rows = (row_of(fit.law, name, estimate) for name, estimate in estimates.items())
+    return PlainTable(rows, f"Coefficients of {fit.law}")

@@ -68,8 +68,8 @@ class FrictionFits(Record):
         """Raise `ValueError` where the rows of the record differ in number."""
         rows = len(self.observed["mu"])
         require_rows("observed", self.observed, rows)
-        for one in self.fits:
-            require_rows(one.law, {"fitted": one.fitted}, rows)
+        for fit in self.fits:
+            require_rows(fit.law, {"fitted": fit.fitted}, rows)
 
 
 def load_friction(file: str | PathLike[str]) -> FrictionFits:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -65,12 +65,15 @@ def print_joint(result: JointResult, console: Console | None = None) -> None:
 def document(result: JointResult) -> Document:
     """Shared coefficients, how the throws differ in them, and each throw's
     own parameters."""
-    throws, effects = f"{result.count} throws together", effect_lines(result)
+    throws = f"{result.count} throws together"
+    effects = effect_lines(result)
     odd = " ".join(odd_rows_in_words(result.odd_rows))
     differing = ", ".join(
-        item.expression for item in result.variation if item.significant
+        variation.expression
+        for variation in result.variation
+        if variation.significant and not result.varies
     )
-    hidden = result.rank < result.parameters
+    all_determined = result.rank >= result.parameters
     determined = (
         f"The throws determine {result.rank} of {result.parameters} parameters."
     )
@@ -90,9 +93,7 @@ def document(result: JointResult) -> Document:
             odd,
             *effects,
             *lines_of(result),
-            f"Differs between throws: {differing}."
-            if differing and not result.varies
-            else "",
+            f"Differs between throws: {differing}." if differing else "",
         ],
         sections=(
             Section(
@@ -108,7 +109,9 @@ def document(result: JointResult) -> Document:
             ),
             Section(
                 "determined",
-                f"What the throws{' do not' * hidden} determine",
+                "What the throws determine"
+                if all_determined
+                else "What the throws do not determine",
                 (determined,),
             ),
             Section(
@@ -130,81 +133,95 @@ def document(result: JointResult) -> Document:
 
 
 def _shared(result: JointResult) -> PlainTable:
-    differences = {item.expression: item for item in result.variation}
+    """Shared coefficients and combinations, and how they vary between throws."""
+    variations = {variation.expression: variation for variation in result.variation}
     heading = "~spread between throws" if result.varies else "~differs between throws"
-    items: dict[str, Any] = {one.expression: one for one in result.combinations}
+    combinations: dict[str, Any] = {
+        combination.expression: combination for combination in result.combinations
+    }
     errors = result.systematics.errors
     rows = []
-    for name, item in (result.coefficients | items).items():
-        difference = differences.get(name)
-        said = "" if difference is None else _said(difference, result.varies)
-        rows.append(row_of("shared", name, item, errors.get(name)) | {heading: said})
+    for name, estimate in (result.coefficients | combinations).items():
+        row = row_of("shared", name, estimate, errors.get(name))
+        row[heading] = ""
+        if name in variations:
+            row[heading] = _variation_in_words(variations[name], result.varies)
+        rows.append(row)
     what = "Means of the throws" if result.varies else "What the throws have in common"
     return PlainTable(rows, f"{what}, with standard errors")
 
 
-def _said(item: Variation, varies: bool) -> Text | str:
-    """How a coefficient varies between throws."""
+def _variation_in_words(variation: Variation, varies: bool) -> Text | str:
+    """How a coefficient varies between throws; `varies`, whether the fit lets it."""
+    p = variation.p_text
+    spread = f"{variation.spread:.2g}"
     if varies:
-        share = (
-            f", {abs(100 * item.spread / item.mean):.2g} %"
-            if item.mean and item.spread
-            else ""
-        )
-        return f"{item.spread:.2g}{share} ({item.p_text})"
-    if not item.significant:
-        return Text(f"no ({item.p_text})", style="green")
-    mean = compact(item.mean, item.stderr)
-    return Text(
-        f"yes ({item.p_text}): spread {item.spread:.2g}, mean {mean}", style="yellow"
-    )
+        if variation.mean and variation.spread:
+            percent = abs(100 * variation.spread / variation.mean)
+            spread += f", {percent:.2g} %"
+        return f"{spread} ({p})"
+    if not variation.significant:
+        return Text(f"no ({p})", style="green")
+    mean = compact(variation.mean, variation.stderr)
+    return Text(f"yes ({p}): spread {spread}, mean {mean}", style="yellow")
 
 
 def effect_lines(result: JointResult) -> list[str]:
     """A draw to the tee, and what groups and trends do to it, in sentences."""
-    of_all = {one.parameter: one for one in result.groups if not one.by}
-    if not of_all:
+    means = {effect.parameter: effect for effect in result.groups if not effect.by}
+    if not means:
         return []
-    friction = of_all["friction"]
+    friction = means["friction"]
     parts = [f"mean friction {compact(friction.value, friction.stderr)}"]
-    parts += [
-        f"{said} {compact(of_all[name].value, of_all[name].stderr)} {unit}"
-        for name, (said, *_, unit) in _WORDS.items()
-        if name in of_all
-    ]
-    found = [f"A draw to the tee: {', '.join(parts)}."]
-    of_what: dict[tuple[str, str, str], dict[str, Effect]] = {}
+    for name, (words, *_, unit) in _WORDS.items():
+        if name in means:
+            size = compact(means[name].value, means[name].stderr)
+            parts.append(f"{words} {size} {unit}")
+    sentences = [f"A draw to the tee: {', '.join(parts)}."]
+    effects_by_subject: dict[tuple[str, str, str], dict[str, Effect]] = {}
     trends = () if result.slopes else result.trend
-    for one in (*result.differences, *trends, *result.slopes):
-        key = (one.along, one.by, one.group)
-        of_what.setdefault(key, {})[one.parameter] = one
-    for (along, by, group), mine in of_what.items():
-        first = mine["friction"]
-        if along or not group:
-            trend = along or by
-            per = first.unit.partition("/")[2] or "unit"
-            head = f"Per {per}" + (f" of {trend}" if trend != per else "")
-            head += f" on {by} {group}" if group else ""
-        else:
-            head = f"{capital(by)} {group} against {first.against}"
-        percent = compact(
-            *(100 * abs(one) / friction.value for one in (first.value, first.stderr))
-        )
-        parts = [f"friction {percent} % {'higher' if first.value > 0 else 'lower'}"]
-        for name, (said, more, less, unit) in _WORDS.items():
-            if effect := mine.get(name):
-                size = compact(abs(effect.value), effect.stderr)
-                parts.append(
-                    f"{said} {size} {unit} {more if effect.value > 0 else less}"
-                )
-        chance = [
-            said
-            for name, (said, *_) in _DRAWN.items()
-            if name in mine and (mine[name].p or 0) > _CHANCE
-        ]
-        within = f" ({join_words(chance)} within the errors)" if chance else ""
-        found.append(f"{head}: {', '.join(parts)}{within}.")
-    return [*found, *_alike_slopes(result)]
+    for effect in (*result.differences, *trends, *result.slopes):
+        subject = (effect.along, effect.by, effect.group)
+        effects_by_subject.setdefault(subject, {})[effect.parameter] = effect
+    for effects in effects_by_subject.values():
+        sentences.append(_effects_in_words(effects, friction.value))
+    return [*sentences, *_alike_slopes(result)]
+
+
+def _effects_in_words(effects: Mapping[str, Effect], mean_friction: float) -> str:
+    """A sentence on what a group or a trend does to a draw to the tee.
+
+    Parameters
+    ----------
+    effects : by name of what is drawn.
+    """
+    of_friction = effects["friction"]
+    by = of_friction.by
+    group = of_friction.group
+    if of_friction.along or not group:
+        trend = of_friction.along or by
+        per = of_friction.unit.partition("/")[2] or "unit"
+        subject = f"Per {per}"
+        if trend != per:
+            subject += f" of {trend}"
+        if group:
+            subject += f" on {by} {group}"
+    else:
+        subject = f"{capital(by)} {group} against {of_friction.against}"
+    change = 100 * abs(of_friction.value) / mean_friction
+    percent = compact(change, 100 * abs(of_friction.stderr) / mean_friction)
+    parts = [f"friction {percent} % {'higher' if of_friction.value > 0 else 'lower'}"]
+    for name, (words, more, less, unit) in _WORDS.items():
+        if effect := effects.get(name):
+            size = compact(abs(effect.value), effect.stderr)
+            parts.append(f"{words} {size} {unit} {more if effect.value > 0 else less}")
+    by_chance = [
+        words
+        for name, (words, *_) in _DRAWN.items()
+        if name in effects and (effects[name].p or 0) > _CHANCE
+    ]
+    within = f" ({join_words(by_chance)} within the errors)" if by_chance else ""
+    return f"{subject}: {', '.join(parts)}{within}."
 
 
 def _alike_slopes(result: JointResult) -> list[str]:
@@ -219,52 +236,52 @@ def _alike_slopes(result: JointResult) -> list[str]:
 
 
 def _effects(result: JointResult) -> PlainTable:
+    """Groups and trends in what varies, and the spreads if they were sampled."""
     rows = []
     trend_by = () if result.means is None else result.means.trend_by
     effects = [*result.groups, *result.differences, *result.trend, *result.slopes]
-    effects += [one for one in result.slope_differences if one.by in trend_by]
-    for one in effects:
-        if one.parameter in _DRAWN or not one.by:
+    effects += [effect for effect in result.slope_differences if effect.by in trend_by]
+    for effect in effects:
+        if effect.parameter in _DRAWN or not effect.by:
             continue
-        what = f"{one.by} {one.group}".strip()
-        what += f" - {one.against}" if one.against else ""
-        what += f", {one.along}" if one.along else ""
-        value, error = format_estimate(one.value, one.stderr)
-        rows.append(
-            {
-                "": what,
-                "quantity": labelled(one.parameter, one.unit),
-                ">estimate": value,
-            }
-            | {">std. error": error, "p": "" if one.p is None else p_text(one.p)}
-            | of_posterior(one.quantiles)
-        )
-    rows += [
-        {
-            "": "between throws",
-            "quantity": item.expression,
-            ">estimate": two_digits(item.spread),
+        subject = f"{effect.by} {effect.group}".strip()
+        if effect.against:
+            subject += f" - {effect.against}"
+        if effect.along:
+            subject += f", {effect.along}"
+        value, error = format_estimate(effect.value, effect.stderr)
+        row = {
+            "": subject,
+            "quantity": labelled(effect.parameter, effect.unit),
+            ">estimate": value,
+            ">std. error": error,
+            "p": "" if effect.p is None else p_text(effect.p),
         }
-        | of_posterior(item.quantiles)
-        for item in result.variation
-        if item.quantiles
-    ]
+        rows.append(row | of_posterior(effect.quantiles))
+    for variation in result.variation:
+        if variation.quantiles:
+            row = {
+                "": "between throws",
+                "quantity": variation.expression,
+                ">estimate": two_digits(variation.spread),
+            }
+            rows.append(row | of_posterior(variation.quantiles))
     return PlainTable(rows, "Groups and trends")
 
 
 def _throws(result: JointResult) -> PlainTable:
+    """Each throw's own parameters, what it says alone, and its residuals."""
     rows = []
-    for place, one in enumerate(result.throws):
-        row = {"throw": Path(one.data["file"]).name}
-        for name, item in one.parameters.items():
-            if name not in (*result.share, *_HIDDEN) and item.verdict.is_free:
-                row[f">{name}"] = format_estimate(item.value, item.stderr)[0]
-        for difference in result.variation:
-            alone = difference.each[place]
-            row[f">{difference.expression} alone"] = (
-                "" if alone is None else compact(*alone)
-            )
-        for name, rms in one.rms.items():
+    for number, throw in enumerate(result.throws):
+        row = {"throw": Path(throw.data["file"]).name}
+        for name, estimate in throw.parameters.items():
+            if name not in (*result.share, *_HIDDEN) and estimate.verdict.is_free:
+                row[f">{name}"] = format_estimate(estimate.value, estimate.stderr)[0]
+        for variation in result.variation:
+            alone = variation.each[number]
+            heading = f">{variation.expression} alone"
+            row[heading] = "" if alone is None else compact(*alone)
+        for name, rms in throw.rms.items():
             row[f">{name}\n(m{UNITS[name]})"] = f"{1000 * rms:.3g}"
         rows.append(row)
     return PlainTable(rows, "Each throw, with what it says alone")
@@ -293,7 +310,7 @@ def _files(result: JointResult) -> list[str]:
 
 def _command(result: JointResult) -> str:
     """The command of a joint fit: with the flags that all throws have in common."""
-    flags = _of_all([one.data.get("flags", ()) for one in result.throws])
+    flags = _of_all([throw.data.get("flags", ()) for throw in result.throws])
     if result.throws and tuple(result.share) != tuple(result.throws[0].coefficients):
         flags.append("--share=" + ",".join(result.share))
     elif result.means is None:

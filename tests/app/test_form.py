@@ -111,6 +111,7 @@ def test_what_the_command_would_refuse_is_refused_in_a_sentence(line, said):
         ),
         ([Option("bound", '"0:1"'), Option("units", "'x")], []),
         ([Option("stone-index", "N"), Option("rm", "/")], []),
+        ([Option("units", "phi=UNIT")], []),
         ([Option("since", "3", in_python=True), Option("axes", left_out=True)], []),
     ],
 )

@@ -142,7 +142,7 @@ def of_ridges(
     """Parameters that are not determined since the values that fit lie on a curve, and
     their products that are."""
     open_ = [
-        {"name": name, "low": low, "high": high}
+        {"name": name, "low": float(low), "high": float(high)}
         for name, (low, high) in departures.intervals.items()
         if estimates[name].verdict.is_open
     ]

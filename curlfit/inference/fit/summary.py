@@ -619,7 +619,7 @@ def _data(fit: LeastSquaresFit) -> dict[str, Any]:
         "sigma": {
             name: "estimated" if name in fit.sigma else "given" for name in throw.seen
         },
-        "notes": list(throw.notes),
+        "notes": tuple(throw.notes),
         "labels": dict(throw.labels),
         "flags": list(prepared.flags),
     }

@@ -111,48 +111,53 @@ class Season(NamedTuple):
         self, by: Iterable[str], null_directions: tuple[dict[str, float], ...]
     ) -> SeparateFits:
         """What a prediction of another throw needs besides the mean."""
-        own = np.column_stack([self.values, self.start])
-        state, _ = motions(self.model, own, self.stone, LEVEL_AND_STILL, TIMES)
-        ends = zip(self.durations, state[:, 3:], strict=True)
-        last = [[np.interp(end, TIMES, one) for one in rates] for end, rates in ends]
-        *velocity, spins = np.concatenate([state[:, 3:, 0], last]).T
-        speeds, senses = np.hypot(*velocity), (spins[spins < 0], spins[spins >= 0])
-        last_of = {
+        parameters = np.column_stack([self.values, self.start])
+        state, _ = motions(self.model, parameters, self.stone, LEVEL_AND_STILL, TIMES)
+        # velocities and spins, shape (throws, 3, times)
+        rates_by_throw = state[:, 3:]
+        rates_at_end = [
+            [np.interp(duration, TIMES, series) for series in rates]
+            for duration, rates in zip(self.durations, rates_by_throw, strict=True)
+        ]
+        *velocity, spins = np.concatenate([rates_by_throw[..., 0], rates_at_end]).T
+        speeds = np.hypot(*velocity)
+        ends_of_spins = []
+        for of_one_sense in (spins[spins < 0], spins[spins >= 0]):
+            if len(of_one_sense):
+                ends_of_spins += [of_one_sense.min(), of_one_sense.max()]
+        last_rows = {
             tuple((name, labels[name]) for name in by): row
             for row, (_, labels) in enumerate(self.labels)
             if not self.conditions
         }
+        names = [item.name for item in START]
         starts = [
-            {"labels": dict(labels)}
-            | {
-                "start": {
-                    item.name: float(self.start[row, k]) for k, item in enumerate(START)
-                }
+            {
+                "labels": dict(labels),
+                "start": dict(zip(names, self.start[row].tolist(), strict=True)),
             }
-            for labels, row in sorted(last_of.items(), key=itemgetter(1))
+            for labels, row in sorted(last_rows.items(), key=itemgetter(1))
         ]
         return SeparateFits(
-            self.file,
-            len(self.told),
-            self.stone,
-            self.notes,
-            tuple(starts),
-            float(self.durations.max()),
-            np.array([speeds.min(), speeds.max()]),
-            np.array(
-                [end for one in senses if len(one) for end in (one.min(), one.max())]
-            ),
-            null_directions,
+            file=self.file,
+            throws=len(self.told),
+            stone=self.stone,
+            notes=self.notes,
+            starts=tuple(starts),
+            duration=float(self.durations.max()),
+            speeds=np.array([speeds.min(), speeds.max()]),
+            spins=np.array(ends_of_spins),
+            null_directions=null_directions,
         )
 
 
 def _linearized(season: Season, share: float) -> LinearizedThrows:
     """The throws about their own optima, with a share of what they say roughly; the
     reference is their median."""
-    items = season.model.law.coefficients()
-    typical = np.array([item.typical for item in items])
-    lower = np.array([item.lower for item in items])
-    upper = np.array([item.upper for item in items])
+    laws_coefficients = season.model.law.coefficients()
+    typical = np.array([coefficient.typical for coefficient in laws_coefficients])
+    lower = np.array([coefficient.lower for coefficient in laws_coefficients])
+    upper = np.array([coefficient.upper for coefficient in laws_coefficients])
     reference = np.clip(np.median(season.values, axis=0), lower, upper)
     told = season.rows(share)
     rows = told[..., :-1]
@@ -175,17 +180,21 @@ def _joined(throws: LinearizedThrows, varying: Varying, columns: Floats) -> Popu
 
 
 def _equal(
-    throws: LinearizedThrows, items: Sequence[Coefficient]
+    throws: LinearizedThrows, laws_coefficients: Sequence[Coefficient]
 ) -> tuple[Covariance, dict[str, Estimate]]:
     """What all throws say if they are equal."""
     nothing = Varying({}, np.zeros(0))
     same = np.zeros((len(throws.rows), 0))
-    known = _joined(throws, nothing, same).of_mean([item.name for item in items])
+    names = [coefficient.name for coefficient in laws_coefficients]
+    covariance = _joined(throws, nothing, same).of_mean(names)
     estimates = {}
-    for row, item in enumerate(items):
-        verdict = known.classified(row)[1] if throws.free[row] else Verdict.FIXED
-        estimates[item.name] = Estimate.of(item, float(throws.reference[row]), verdict)
-    return known, estimates
+    for row, coefficient in enumerate(laws_coefficients):
+        verdict = Verdict.FIXED
+        if throws.free[row]:
+            _, verdict, _ = covariance.classified(row)
+        value = float(throws.reference[row])
+        estimates[coefficient.name] = Estimate.of(coefficient, value, verdict)
+    return covariance, estimates
 
 
 def mean_of(
@@ -212,19 +221,22 @@ def mean_of(
             f"{season.file}: {count} usable throws; expected {_FEWEST} or more"
         )
     covariates = Covariates.of(season.labels, by, trend, trend_by)
-    items = season.model.law.coefficients()
+    laws_coefficients = season.model.law.coefficients()
     throws = _linearized(season, season.share)
-    known, coefficients = _equal(throws, items)
-    if any(item.verdict == Verdict.AT_BOUND for item in coefficients.values()):
+    covariance, coefficients = _equal(throws, laws_coefficients)
+    verdicts = {name: estimate.verdict for name, estimate in coefficients.items()}
+    if Verdict.AT_BOUND in verdicts.values():
         # What one throw leaves open may have gone there to explain what differs
         # between them.
         root = count**-0.5
         as_one = throws._replace(
             rows=root * throws.rows, residual=root * throws.residual
         )
-        known, coefficients = _equal(as_one, items)
-    verdicts = {name: item.verdict for name, item in coefficients.items()}
-    known_weights = weights_of_known(verdicts, known.combinations, tuple(coefficients))
+        covariance, coefficients = _equal(as_one, laws_coefficients)
+        verdicts = {name: estimate.verdict for name, estimate in coefficients.items()}
+    known_weights = weights_of_known(
+        verdicts, covariance.combinations, tuple(coefficients)
+    )
     rows = season.rows()[..., :-1]
     alone = ThrowsAlone(season.values, rows, throws.typical, [{}] * count)
     variations = variations_of(alone, rows, known_weights, covariates.values)
@@ -239,21 +251,23 @@ def mean_of(
         status=f"converged ({count} throws that were fitted one by one)",
         warnings=season.warnings(),
         coefficients=coefficients,
-        combinations=known.combinations,
-        rank=known.identifiability.rank,
+        combinations=covariance.combinations,
+        rank=covariance.identifiability.rank,
         parameters=int(throws.free.sum()),
         variation=tuple(variations.values()),
-        table=season.summary(covariates.groups, known.identifiability.null_directions),
+        table=season.summary(
+            covariates.groups, covariance.identifiability.null_directions
+        ),
     )
-    found = _joined(throws, varying, covariates.values)
-    some = np.linspace(0, count - 1, min(count, _TURNING)).astype(int)
+    population = _joined(throws, varying, covariates.values)
+    turning = np.linspace(0, count - 1, min(count, _TURNING)).astype(int)
     result = about_mean(
         equal,
-        found,
+        population,
         covariates,
         Draw(season.model, season.stone),
-        (season.values[some], season.start[some, -1]),
-        sampled(found.fit, varying.first_spreads, seed),
+        (season.values[turning], season.start[turning, -1]),
+        sampled(population.fit, varying.first_spreads, seed),
         left_open=season.counts_left_open(),
     )
     warnings = (*result.warnings, *warnings_of_slopes(result))
