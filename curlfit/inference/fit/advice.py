@@ -121,7 +121,7 @@ def _advice(
         if _describes(other, result):
             option = Option("noise", noise.value)
             factors = _larger_errors(other, result)
-            code = "noise-with-larger-errors" if factors else "noise"
+            code = "noise-with-errors" if factors else "noise"
             return Remedy(code, option, {"factors": factors})
     return Remedy("no-noise")
 
