@@ -464,6 +464,8 @@ def _of_object(made: Any, kind: Any) -> Any:
 
 def _with_findings(value: dict[str, Any], keys: Sequence[str]) -> dict[str, Any]:
     """An object of a file with findings in place of the sentences of some keys."""
+    if not keys:  # as where a part of a record is read by itself
+        return value
     sentences = [sentence for key in keys for sentence in value.get(key) or ()]
     # Earlier versions wrote no codes.
     codes = value.get("findings", [None] * len(sentences))

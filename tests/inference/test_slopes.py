@@ -87,6 +87,8 @@ def test_a_season_tests_slopes_too(tmp_path, monkeypatch):
     said = " ".join(run.stdout.split())
     assert "Caution: the slopes by sheet differ." in said
     assert "`--trend-by sheet` gives each its own" in said
+    (warning,) = load_joint("season-fit").warnings
+    assert (warning.code, warning.numbers["label"]) == ("slopes-differ", "sheet")
     run = invoke(["fit", "season.csv", *words.split(), "--trend-by", "sheet"])
     assert run.exit_code == 0, run.exception
     season = load_joint("season-fit")

@@ -18,7 +18,7 @@ from curlfit.errors import DataError, InputError, Option
 from curlfit.settings.choices import Reading
 from curlfit.sheet import LINES
 from curlfit.throws.load import detect_format, load_throw, usual_law
-from curlfit.throws.odd_row import odd_row_findings, odd_rows_in_words
+from curlfit.throws.odd_row import OddRow, odd_row_findings, odd_rows_in_words
 from curlfit.throws.readers.text import TextFile
 
 FOOT = 0.3048
@@ -411,6 +411,23 @@ def test_an_odd_row_is_left_out_of_a_joint_fit_unless_it_is_kept(tmp_path, row):
     file.write_text("# keep = [6]\n" + file.read_text())
     # now line 7
     assert [k for k, part in enumerate(parts_in(file)) if part.left_out] == [4]
+
+
+def test_odd_rows_of_a_table_are_told_in_one_sentence():
+    exchanged = OddRow("a.csv", 5, 6, "hog to hog", 16.93, "s", 3.934)
+    impossible = OddRow("a.csv", 7, 8, "curl", 10.0, "m", None)
+    of_another = OddRow("b.csv", 1, 2, "turns", 9.0, "turns", -6.0, left_out=False)
+    assert odd_rows_in_words([exchanged, impossible]) == [
+        "Left out as odd: line 6 (row 5, hog to hog 16.93 s: 3.93 s more than the "
+        "other rows say); line 8 (row 7, curl 10 m, beyond any stone); "
+        "`--keep 6,8` keeps them."
+    ]
+    first, second = odd_rows_in_words([exchanged, of_another])
+    assert first.startswith("a.csv: left out as odd: line 6 (row 5, ")
+    assert second == (
+        "b.csv: odd rows, used since they are more than a fifth: line 2 (row 1, "
+        "turns 9 turns: 6 turns less than the other rows say)."
+    )
 
 
 def test_an_odd_row_is_in_the_first_lines_of_check_and_batch(tmp_path, monkeypatch):
