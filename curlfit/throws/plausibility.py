@@ -61,6 +61,8 @@ m): 3.5 m/s."""
 _LENGTH = 1.05 * LENGTH  # 5 % for an error in scale
 _MOST_TURNS = 10.0  # a thrown stone makes two to four
 _GROWTH = 0.1  # m/s; largest growth of a speed, that of friction 0.01 in 1 s
+# of the throw; a speed that grows from there to the end is one that never falls
+_FIRST_PART = 0.2
 _CLEAR_CURL, _CLEAR_TURN = 0.2, 0.5  # m, rad; above these their senses are compared
 # ratio of a measured rate to that of the path: calibration is within 20 %
 _AGREE = 0.8, 1.25
@@ -411,37 +413,51 @@ def _clear(throw: Throw, time: float) -> float:
 
 def _touch(throw: Throw, motion: MeasuredMotion) -> _Touch | None:
     """A velocity that jumps, or a speed that grows."""
+    return _jump_of_velocity(throw, motion) or _growth_of_speed(motion)
+
+
+def _jump_of_velocity(throw: Throw, motion: MeasuredMotion) -> _Touch | None:
+    """A velocity that jumps; the shorter part of the throw is the one to leave out."""
     jump = velocity_jump(throw, motion)
-    if jump is not None:
-        at, change = jump
-        numbers = {"change": float(change), "t": float(at)}
-        if at - throw.t[0] >= throw.t[-1] - at:
-            return _Touch("collision", numbers, "rows-after", "until", at)
-        # An angle would show where the stone is let go.
-        remedy = "rows-before" if "phi" in throw.seen else "rows-before-and-slide"
-        return _Touch("collision", numbers, remedy, "since", at)
-    speed, error = motion.speed, motion.error
+    if jump is None:
+        return None
+    at, change = jump
+    numbers = {"change": float(change), "t": float(at)}
+    if at - throw.t[0] >= throw.t[-1] - at:
+        return _Touch("collision", numbers, "rows-after", cut="until", time=at)
+    # An angle would show where the stone is let go.
+    remedy = "rows-before" if "phi" in throw.seen else "rows-before-and-slide"
+    return _Touch("collision", numbers, remedy, cut="since", time=at)
+
+
+def _growth_of_speed(motion: MeasuredMotion) -> _Touch | None:
+    """A speed that grows by more than its errors: throughout, in the first half of the
+    throw, as while a hand is on the stone, or later."""
+    speed = motion.speed
+    error = motion.error
     rise = speed - np.minimum.accumulate(speed)
     peak = int(np.argmax(rise))
     trough = int(np.argmin(speed[: peak + 1]))
     if rise[peak] <= max(_GROWTH, SURE * math.hypot(error[peak], error[trough])):
         return None
-    begin, end, last = motion.t[trough], motion.t[peak], len(speed) - 1
     numbers = {
         "low": float(speed[trough]),
         "high": float(speed[peak]),
-        "begin": float(begin),
-        "end": float(end),
+        "begin": float(motion.t[trough]),
+        "end": float(motion.t[peak]),
     }
-    if peak == last and trough < 0.2 * len(speed):
+    last = len(speed) - 1
+    if peak == last and trough < _FIRST_PART * len(speed):
         return _Touch("speed-grows-throughout", numbers, "check-times")
-    if begin - motion.t[0] < 0.5 * (motion.t[-1] - motion.t[0]) and peak < last - 1:
-        time = float(motion.end[peak]) + 1e-9
-        return _Touch(
-            "pushed-at-first", numbers, "rows-before-letting-go", "since", time
-        )
-    time = float(motion.begin[trough])
-    return _Touch("pushed", numbers, "rows-after", "until", time)
+    middle = (motion.t[0] + motion.t[-1]) / 2
+    if motion.t[trough] < middle and peak < last - 1:
+        end = float(motion.end[peak])
+        remedy = "rows-before-letting-go"
+        # the first row after the block, whose last one is at `end`
+        time = end + 1e-9
+        return _Touch("pushed-at-first", numbers, remedy, cut="since", time=time)
+    begin = float(motion.begin[trough])
+    return _Touch("pushed", numbers, "rows-after", cut="until", time=begin)
 
 
 def _axes(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
