@@ -85,15 +85,16 @@ def examine(throw: Throw) -> tuple[Finding, ...]:
     astray = (*_gap(throw), *_far(throw))
     if astray:
         return astray
-    one = throw.condensed(_MOST_ROWS)
-    found = [*_wrapped(one), *_turns(one)]
-    if (motion := motion_of(one)) is not None:
+    condensed = throw.condensed(_MOST_ROWS)
+    findings = [*_wrapped(condensed), *_turns(condensed)]
+    motion = motion_of(condensed)
+    if motion is not None:
         for stage in _STAGES:
-            here = [finding for check in stage for finding in check(one, motion)]
-            found += here
-            if any(finding.is_refusal for finding in here):
+            of_stage = [item for check in stage for item in check(condensed, motion)]
+            findings += of_stage
+            if any(finding.is_refusal for finding in of_stage):
                 break
-    return tuple(sorted(found, key=lambda finding: not finding.is_refusal))
+    return tuple(sorted(findings, key=lambda finding: not finding.is_refusal))
 
 
 def require_plausible(throw: Throw) -> tuple[Finding, ...]:
@@ -159,25 +160,36 @@ def examine_fit(
     remedy = Remedy("wrong-units", *some_units(throw))
     if not set(throw.seen) & {"x", "y", "speed"} and not throw.events:
         remedy = Remedy("measure-speed")
-    findings = []
     error = start_error or 0.0
+    findings = []
     if start_speed - 3 * error > SPEED:
-        findings.append(Finding("fitted-speed", level, {"speed": start_speed}))
+        numbers = {"speed": start_speed}
+        findings.append(Finding("fitted-speed", level, numbers, (remedy,)))
     moving = speed > 1e-3
     if moving.sum() > 2:
-        t, speed = t[moving], speed[moving]
-        slowing = GRAVITY * float(t[-1] - t[0])
-        mean, error = (float(speed[0]) - float(speed[-1])) / slowing, error / slowing
+        friction, friction_error = _fitted_friction(
+            throw, t[moving], speed[moving], error
+        )
         low, high = FRICTION
-        motion = None if low <= mean <= high else motion_of(throw)
-        if motion is not None and math.isfinite(motion.friction_error):
-            error = motion.friction_error
-        if mean + 3 * error < low or mean - 3 * error > high:
-            numbers = {"friction": mean, "low": low, "high": high}
-            code = "fitted-speeds-up" if mean < 0 else "fitted-friction"
-            findings.append(Finding(code, level, numbers))
-    findings = [finding.with_remedies(remedy) for finding in findings]
+        if friction + 3 * friction_error < low or friction - 3 * friction_error > high:
+            numbers = {"friction": friction, "low": low, "high": high}
+            code = "fitted-speeds-up" if friction < 0 else "fitted-friction"
+            findings.append(Finding(code, level, numbers, (remedy,)))
     return (*findings, *_misfitting(throw, misfit, level if alone else Level.WARNING))
+
+
+def _fitted_friction(
+    throw: Throw, t: Floats, speed: Floats, speed_error: float
+) -> tuple[float, float]:
+    """Mean deceleration over g of a fitted motion, and its standard error: that of the
+    measured motion if the friction is not usual, else from the error of a speed."""
+    low, high = FRICTION
+    slowing = GRAVITY * float(t[-1] - t[0])
+    friction = (float(speed[0]) - float(speed[-1])) / slowing
+    motion = None if low <= friction <= high else motion_of(throw)
+    if motion is not None and math.isfinite(motion.friction_error):
+        return friction, motion.friction_error
+    return friction, speed_error / slowing
 
 
 def _misfitting(
@@ -255,8 +267,8 @@ def _gap(throw: Throw) -> Iterator[Finding]:
 def _far(throw: Throw) -> Iterator[Finding]:
     """Single values farther from those beside them than any sheet is long."""
     for name in ("x", "y"):
-        seen = np.flatnonzero(np.isfinite(getattr(throw, name)))
-        values = getattr(throw, name)[seen]
+        rows = np.flatnonzero(np.isfinite(getattr(throw, name)))
+        values = getattr(throw, name)[rows]
         if len(values) < 2 * _BESIDE:
             continue
         off = np.abs(values - running_median(values, _BESIDE))
@@ -264,7 +276,7 @@ def _far(throw: Throw) -> Iterator[Finding]:
         if not far.any() or far.mean() > _FEW or np.ptp(values[~far]) > 2 * _LENGTH:
             continue
         worst = int(np.argmax(off))
-        row = int(seen[worst])
+        row = int(rows[worst])
         time = float(throw.t[row])
         step = 0.5 * float(np.diff(throw.t[max(row - 1, 0) : row + 2]).min())
         cut = option(throw, "exclude", f"{time - step:.10g}:{time + step:.10g}")
@@ -291,19 +303,21 @@ def _line(throw: Throw, row: int) -> int | None:
 
 def _jump(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
     """A position that jumps from one row to the next."""
-    found = position_jump(throw)
-    if found is None:
+    jump = position_jump(throw)
+    if jump is None:
         return
-    before, after, size = found
+    before, after, size = jump
     row = int(np.searchsorted(throw.t, after))
-    early = after - throw.t[0] < throw.t[-1] - before
-    if early:
-        code, name, time = "rows-before-jump", "since", after
+    # The shorter part of the throw is the one to leave out.
+    if after - throw.t[0] < throw.t[-1] - before:
+        since = option(throw, "since", f"{after:.10g}")
+        remedy = Remedy("rows-before-jump", since)
     else:
-        code, name, time = "rows-after-jump", "until", before
+        until = option(throw, "until", f"{before:.10g}")
+        remedy = Remedy("rows-after-jump", until)
     yield Finding.refusal(
         "jump",
-        Remedy(code, option(throw, name, f"{time:.10g}")),
+        remedy,
         size=float(size),
         before=float(before),
         after=float(after),
@@ -313,8 +327,11 @@ def _jump(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
 
 def _scale(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
     """Speeds, lengths and decelerations impossible for a stone: wrong units."""
-    fastest, mu, error = motion.fastest, motion.friction, motion.friction_error
-    (low, high), (least, most) = FRICTION, USUAL_FRICTION
+    fastest = motion.fastest
+    mu = motion.friction
+    error = motion.friction_error
+    low, high = FRICTION
+    least, most = USUAL_FRICTION
     sure = fastest - 3 * float(motion.error[motion.speed.argmax()])
     slows = not (mu < 0 and motion.speed[-1] > motion.speed[0])
     long = motion.length > _LENGTH
@@ -477,9 +494,7 @@ def _axes(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
     turned, _ = turning(throw)
     certain = abs(motion.curl) - SURE * motion.curl_error > _CLEAR_CURL
     if certain and abs(turned) > _CLEAR_TURN and motion.curl * turned < 0:
-        sense, side = "clockwise", "left"
-        if motion.curl < 0:
-            sense, side = "counter-clockwise", "right"
+        to_the_left = motion.curl > 0
         if along_x:
             first = Remedy("if-x-is-along", axes(forward, forward))
         elif forward > 0:
@@ -491,8 +506,8 @@ def _axes(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
             "curls-the-wrong-way",
             first,
             Remedy("if-angles-count-the-other-way", other),
-            sense=sense,
-            side=side,
+            sense="clockwise" if to_the_left else "counter-clockwise",
+            side="left" if to_the_left else "right",
             curl=abs(float(motion.curl)),
         )
     elif along_x:
@@ -501,44 +516,62 @@ def _axes(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
         yield Finding.warning(code, Remedy("if-it-is-along", rotated), axes=words)
 
 
+class _Ratio(NamedTuple):
+    """A measured rate over the same quantity from positions or angles."""
+
+    rate: str
+    """speed or spin"""
+    of: str
+    """what it is compared with, in words"""
+    ratio: float
+
+
+def _ratios(throw: Throw, motion: MeasuredMotion) -> Iterator[_Ratio]:
+    """The measured speed over that of the path, where the stone is fast enough, and
+    the integral of the spin over the change of the angle."""
+    has_speed = np.isfinite(throw.speed)
+    fast = motion.speed > max(0.3 * motion.fastest, 10 * float(np.median(motion.error)))
+    if has_speed.sum() >= 4 and fast.sum() >= 3:
+        speed = np.interp(motion.t, throw.t[has_speed], throw.speed[has_speed])
+        ratio = float(np.median(speed[fast] / motion.speed[fast]))
+        yield _Ratio("speed", "the path", ratio)
+    has_angle = np.isfinite(throw.phi)
+    has_spin = np.isfinite(throw.omega)
+    turned, _ = turning(throw)
+    if has_angle.sum() >= FEWEST and has_spin.sum() >= 4 and abs(turned) > 1.0:
+        t = throw.t[has_angle]
+        spin = np.interp(t, throw.t[has_spin], throw.omega[has_spin])
+        yield _Ratio("spin", "the angle", float(np.trapezoid(spin, t)) / turned)
+
+
 def _rates(throw: Throw, motion: MeasuredMotion) -> Iterator[Finding]:
     """A measured speed that disagrees with the path, a spin that disagrees
     with the angle."""
-    ratios = {}
-    seen = np.isfinite(throw.speed)
-    fast = motion.speed > max(0.3 * motion.fastest, 10 * float(np.median(motion.error)))
-    if seen.sum() >= 4 and fast.sum() >= 3:
-        own = np.interp(motion.t, throw.t[seen], throw.speed[seen])
-        ratios["speed", "the path"] = float(np.median(own[fast] / motion.speed[fast]))
-    angle, rate = np.isfinite(throw.phi), np.isfinite(throw.omega)
-    if (
-        angle.sum() >= FEWEST
-        and rate.sum() >= 4
-        and abs(turned := turning(throw)[0]) > 1.0
-    ):
-        t = throw.t[angle]
-        by_rate = np.trapezoid(np.interp(t, throw.t[rate], throw.omega[rate]), t)
-        ratios["spin", "the angle"] = float(by_rate) / turned
     low, high = _AGREE
-    for (name, of), ratio in ratios.items():
+    for rate, of, ratio in _ratios(throw, motion):
         if low < ratio < high:
             continue
         opposite = low < -ratio < high
-        units = factors(throw, "speed" if name == "speed" else "omega").items()
-        unit = next(
-            (u for u, f in units if ratio * f > 0 and abs(math.log(ratio * f)) < 0.1),
-            "",
-        )
-        remedy = Remedy("other-column", numbers={"rate": name})
+        unit = _unit_of_rate(throw, rate, ratio)
+        remedy = Remedy("other-column", numbers={"rate": rate})
         if unit:
-            typed = option(throw, "units", f"{name}={unit}")
+            typed = option(throw, "units", f"{rate}={unit}")
             remedy = Remedy("unit-of-rate", typed, {"unit": unit})
         level = Level.REFUSAL if unit or opposite else Level.WARNING
         code = "rate-unlike-path"
-        if opposite and not unit and name == "spin":
+        if opposite and not unit and rate == "spin":
             code = "spin-against-angle"
-        numbers = {"rate": name, "ratio": ratio, "of": of}
+        numbers = {"rate": rate, "ratio": ratio, "of": of}
         yield Finding(code, level, numbers, (remedy,))
+
+
+def _unit_of_rate(throw: Throw, rate: str, ratio: float) -> str:
+    """The unit that explains a ratio within 10 %; empty if none does."""
+    quantity = "speed" if rate == "speed" else "omega"
+    for unit, factor in factors(throw, quantity).items():
+        if ratio * factor > 0 and abs(math.log(ratio * factor)) < 0.1:
+            return unit
+    return ""
 
 
 def _rounded(name: str, time: float) -> float:

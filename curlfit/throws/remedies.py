@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
+from typing import NamedTuple
 
 from curlfit.errors import Option
 from curlfit.findings import Remedy
@@ -58,57 +60,91 @@ def factors(throw: Throw, quantity: str) -> dict[str, float]:
     """Units that a column may really be in, with the factors by which its values
     would change."""
     now = (throw.conventions or Conventions()).factors.get(quantity, 1.0)
-    found = {unit: in_unit(quantity, unit).factor / now for unit in _UNITS[quantity]}
-    return {unit: factor for unit, factor in found.items() if factor != 1}
+    by_unit = {unit: in_unit(quantity, unit).factor / now for unit in _UNITS[quantity]}
+    return {unit: factor for unit, factor in by_unit.items() if factor != 1}
 
 
-def _candidates(throw: Throw) -> dict[str, dict[str, float]]:
-    """Units that may be the right ones, with the factors by which the channels
-    would change."""
-    times, lengths = factors(throw, "t"), factors(throw, "x")
-    found = {f"t={unit}": {"t": factor} for unit, factor in times.items()}
-    for unit, factor in lengths.items():
-        both = {"x": factor, "y": factor}
-        found |= {
-            f"length={unit}": both,
-            f"x={unit}": {"x": factor},
-            f"y={unit}": {"y": factor},
-        }
-        found |= {
-            f"t={time},length={unit}": {"t": of_time, **both}
-            for time, of_time in times.items()
-            if not time.endswith("fps")
-        }
-    return found
+class _Change(NamedTuple):
+    """Units that columns may really be in.
+
+    Attributes
+    ----------
+    units : by the name of the columns in `--units`, as {"t": "ms", "length": "cm"}.
+    factors : by channel, by which its values would change.
+    """
+
+    units: dict[str, str]
+    factors: dict[str, float]
+
+    @property
+    def typed(self) -> str:
+        """The value of `--units`."""
+        return ",".join(f"{name}={unit}" for name, unit in self.units.items())
+
+    @property
+    def of_one_axis(self) -> bool:
+        """Whether only one of x and y changes."""
+        return len(self.factors) == 1 and "t" not in self.factors
+
+    @property
+    def rarity(self) -> int:
+        """How seldom people's files need it, beside the oddity of the throw: that two
+        columns, one axis alone (feet or inches still less often) or a film read at
+        another rate are wrong."""
+        rarity = len(self.units) - 1
+        if self.of_one_axis:
+            rarity += 1
+            if self.units.keys() & {"x", "y"} and self.typed.endswith(("in", "ft")):
+                rarity += 1
+        if self.units.get("t") in _READ:
+            rarity += 2
+        return rarity
+
+
+def _changes(throw: Throw) -> Iterator[_Change]:
+    """Changes of the units of times, of lengths, of one axis, and of times and
+    lengths together."""
+    times = factors(throw, "t")
+    for time, factor in times.items():
+        yield _Change({"t": time}, {"t": factor})
+    for length, factor in factors(throw, "x").items():
+        lengths = {"x": factor, "y": factor}
+        yield _Change({"length": length}, lengths)
+        yield _Change({"x": length}, {"x": factor})
+        yield _Change({"y": length}, {"y": factor})
+        for time, of_time in times.items():
+            if not time.endswith("fps"):
+                yield _Change({"t": time, "length": length}, {"t": of_time, **lengths})
 
 
 def unit_remedy(throw: Throw) -> Remedy:
     """The fewest changes of units that make this the least odd throw."""
-    best, units = math.inf, ""
-    for name, changes in _candidates(throw).items():
+    least_odd = math.inf
+    best = None
+    for change in _changes(throw):
         scaled = {
             channel: factor * getattr(throw, channel)
-            for channel, factor in changes.items()
+            for channel, factor in change.factors.items()
         }
-        alone = len(changes) == 1 and "t" not in changes  # rare
-        odd = _oddity(replace(throw, sigma={}, **scaled), alone) + name.count(",")
-        odd += alone * (1 + name.endswith(("in", "ft"))) + 2 * name.endswith(_READ)
-        if odd < best:
-            best, units = odd, name
-    if not units:
+        there = replace(throw, sigma={}, **scaled)
+        odd = _oddity(there, change.of_one_axis) + change.rarity
+        if odd < least_odd:
+            least_odd = odd
+            best = change
+    if best is None:
         return Remedy("set-units", *some_units(throw))
-    typed = option(throw, "units", units)
-    if units.endswith(_READ):
-        filmed, _, read = units.removeprefix("t=").removesuffix("fps").partition("/")
+    typed = option(throw, "units", best.typed)
+    time = best.units.get("t", "")
+    if time in _READ:
+        filmed, _, read = time.removesuffix("fps").partition("/")
         return Remedy("units-of-film", typed, {"filmed": filmed, "read": read})
-    if units.endswith("fps"):
+    if time.endswith("fps"):
         return Remedy("units-of-frames", typed)
     subjects = {"t": "the time is", "length": "lengths are"}
-    columns = []
-    for part in units.split(","):
-        name, _, unit = part.partition("=")
-        subject = subjects.get(name, f"{name} is")
-        columns.append({"subject": subject, "unit": _NAMES.get(unit, unit)})
+    columns = [
+        {"subject": subjects.get(name, f"{name} is"), "unit": _NAMES.get(unit, unit)}
+        for name, unit in best.units.items()
+    ]
     return Remedy("units", typed, {"columns": columns})
 
 
