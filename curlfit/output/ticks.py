@@ -49,6 +49,7 @@ def neat_axis(
     letter_width = _LETTER_WIDTH if axis.axis_name == "x" else 0.0
     unit = "" if unit == "1" else literal(unit).replace("^2", "\N{SUPERSCRIPT TWO}")
     steps = [1, 2, 3, 4, 5, 10] if neighbours else [1, 2, 5, 10]
+    # fewer ticks until their labels fit beside one another
     for most in range(5 if neighbours else 7, 1, -1):
         ticks = np.asarray(MaxNLocator(most, steps=steps).tick_values(low, high))
         step = float(ticks[1] - ticks[0])
