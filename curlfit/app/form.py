@@ -124,14 +124,14 @@ def values_of(cli: App, words: Sequence[str]) -> dict[str, Any]:
         raise InputError(
             "--help: expected options of the fit; all are listed below the line"
         )
-    read = bound.arguments
-    if extra := read.get("data"):
+    arguments = bound.arguments
+    if files := arguments.get("data"):
         raise InputError(
-            f"{cut(str(extra[0]))}: expected an option, as --until 18; files are "
+            f"{cut(str(files[0]))}: expected an option, as --until 18; files are "
             "dropped above, and a value with spaces has quotation marks"
         )
-    refused = read["output"].words() if "output" in read else []
-    if "sampling" in read and read["sampling"].resume:
+    refused = arguments["output"].words() if "output" in arguments else []
+    if "sampling" in arguments and arguments["sampling"].resume:
         refused.append("--resume")
     if refused:
         name = refused[0].partition("=")[0]
@@ -139,9 +139,11 @@ def values_of(cli: App, words: Sequence[str]) -> dict[str, Any]:
             f"{name}: the page itself writes and saves results; expected options of "
             "the fit"
         )
-    config = {"config": read["config"]} if read.get("config") else {}
-    given = [read[name].given() for name in ("flags", "reading") if name in read]
-    return {key: value for part in (config, *given) for key, value in part.items()}
+    choices = {"config": arguments["config"]} if arguments.get("config") else {}
+    for group in ("flags", "reading"):
+        if group in arguments:
+            choices |= arguments[group].given()
+    return choices
 
 
 def words_for(flags: Collection[str], words: Sequence[str]) -> list[str]:

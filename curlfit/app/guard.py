@@ -111,18 +111,19 @@ class Guard:
         self, scope: _Message, headers: dict[str, str], most_bytes: int
     ) -> int:
         """The status with which a request is refused; 0 if it may be served."""
-        known = headers.get("host") == self._host
-        if not known or not scope["path"].startswith(f"{self.path}/"):
+        if headers.get("host") != self._host:
             return 404
-        own = f"http://{self._host}"
-        if headers.get("origin", own) != own:
+        if not scope["path"].startswith(f"{self.path}/"):
+            return 404
+        origin = f"http://{self._host}"
+        if headers.get("origin", origin) != origin:
             return 403
         try:
             cookies = SimpleCookie(headers.get("cookie", ""))
         except CookieError:
             return 403
-        given = cookies.get(self.cookie)
-        if given is None or not secrets.compare_digest(given.value, self._value):
+        cookie = cookies.get(self.cookie)
+        if cookie is None or not secrets.compare_digest(cookie.value, self._value):
             return 403
         has_no_body = scope.get("method", "GET") in ("GET", "HEAD")
         length = headers.get("content-length", "0" if has_no_body else "unknown")
@@ -131,26 +132,27 @@ class Guard:
         return 0
 
     def _answering(self, scope: _Message, send: _Send) -> _Send:
+        """Sending with the headers that limit what a page or a result may do."""
         is_result = scope["path"].startswith(f"{self.path}/results/")
         policy = _OF_RESULTS if is_result else _OF_PAGE.format(host=self._host)
 
         async def answer(message: _Message) -> None:
             if message["type"] == "http.response.start":
                 # of socket.io, which lets any origin in
-                kept = [
+                headers = [
                     (name, value)
                     for name, value in message.get("headers", [])
                     if not name.lower().startswith(b"access-control-")
                 ]
-                message["headers"] = kept + _encoded(
-                    _ALWAYS | {"content-security-policy": policy}
-                )
+                headers += _encoded(_ALWAYS | {"content-security-policy": policy})
+                message["headers"] = headers
             await send(message)
 
         return answer
 
 
 def _encoded(headers: dict[str, str]) -> list[tuple[bytes, bytes]]:
+    """Headers as ASGI has them."""
     return [(name.encode(), value.encode()) for name, value in headers.items()]
 
 

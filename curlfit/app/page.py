@@ -181,7 +181,8 @@ class Page:
         path = Path(safe_name(name.replace("`", "'")))
         if path.suffix.lower() not in _SUFFIXES:
             path = Path(f"{path}.txt")
-        number, free = 1, path
+        number = 1
+        free = path
         while (self.folder / free).exists():
             number += 1
             free = path.with_stem(f"{path.stem}_{number}")
@@ -278,10 +279,10 @@ class Page:
         if self.work is not None:
             self.work.kill()
 
-    def save(self, folder: Path, place: str) -> str:
-        """Copy a folder to a place where there is nothing yet; what is to
-        be said of it."""
-        target = self.start / Path(place).expanduser()
+    def save(self, folder: Path, destination: str) -> str:
+        """Copy a folder to a destination where there is nothing yet; returns a sentence
+        that says whether it was."""
+        target = self.start / Path(destination).expanduser()
         try:
             return f"Written: {shutil.copytree(folder, target)}"
         except FileExistsError:
@@ -292,6 +293,7 @@ class Page:
     # What is shown
 
     def _read(self) -> None:
+        """What was read: its fault, oddities, figures and notes."""
         if not self.files and not self.seen.fault:
             return
         with _box("section", "h2", "What was read"):
@@ -327,6 +329,7 @@ class Page:
                 _button(f"Apply {shown}", partial(self.accept, name, value, verb))
 
     def _choices(self) -> None:
+        """Law, stone, further options, and the buttons of the commands."""
         if not self.files:
             return
         with _box("section", "h2", "Choices"):
@@ -370,14 +373,15 @@ class Page:
         upload.props("flat").classes("beside")
 
     def _results(self) -> None:
+        """The command that runs, and the pages of those that ended."""
         if self.work is not None:
             with _box("section", "h2", "At work"):
                 status = ui.html("", sanitize=False).classes("status")
                 status.bind_content_from(self.work, "progress")
                 _button("Stop", self.work.stop)
-        for place, work in enumerate(self.done.values()):
+        for number, work in enumerate(self.done.values()):
             _, heading = _VERBS[work.verb]
-            with _box("details", "summary", heading, "result", open=place == 0):
+            with _box("details", "summary", heading, "result", open=number == 0):
                 for text in work.complaints:
                     self._say(text, "finding bad")
                 for warning in work.warnings:
@@ -387,6 +391,7 @@ class Page:
                     self._page_of(work, work.page)
 
     def _page_of(self, work: Work, page: Path) -> None:
+        """The page that a command wrote, its command, and where to save it."""
         with _box("div", role="repeat"):
             line = _command(work.verb, work.words)
             _button("Copy", partial(ui.clipboard.write, line))
@@ -397,8 +402,9 @@ class Page:
             button = _tag("button", "Save")
         outcome = _tag("p", role="status")
 
-        def save(place: str) -> None:
-            outcome.set_content(escape(self.save(self.folder / page.parent, place)))
+        def save(destination: str) -> None:
+            text = self.save(self.folder / page.parent, destination)
+            outcome.set_content(escape(text))
 
         button.on("click", lambda e: save(e.args), js_handler=ask)
         _tag("iframe", src=f"results/{page}?{id(work)}", title="Report")
@@ -442,6 +448,7 @@ def _box(
 
 
 def _button(text: str, act: Callable[..., Any]) -> ui.element:
+    """A button that does something when it is clicked."""
     return _tag("button", text).on("click", act)
 
 

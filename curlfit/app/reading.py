@@ -58,31 +58,30 @@ def look(files: Sequence[Path], chosen: Mapping[str, Any]) -> Seen:
         if len(files) == 1 and is_friction_table(files[0], worksheet):
             table = load_friction_table(files[0], worksheet)
             span = f"{table.speed.min():.3g} to {table.speed.max():.3g} m/s"
-            said = f"{len(table.speed)} values of friction against speed, {span}"
-            return Seen(said, notes=[table.note] if table.note else [])
-        reading = Reading(
-            **{k: chosen[k] for k in chosen.keys() & Reading.forms().keys()}
-        )
-        flags = Fitting(
-            **{k: chosen[k] for k in chosen.keys() & Fitting.forms().keys()}
-        )
-        jobs = [*prepare_all(files, chosen.get("config"), reading, flags).values()]
+            finding = f"{len(table.speed)} values of friction against speed, {span}"
+            return Seen(finding, notes=[table.note] if table.note else [])
+        of_reading = chosen.keys() & Reading.forms().keys()
+        of_fitting = chosen.keys() & Fitting.forms().keys()
+        reading = Reading(**{name: chosen[name] for name in of_reading})
+        fitting = Fitting(**{name: chosen[name] for name in of_fitting})
+        config = chosen.get("config")
+        jobs = list(prepare_all(files, config, reading, fitting).values())
         if len(jobs) > 1:
             return _several([job.throw for job in jobs])
-        return _one(files[0], jobs[0], reading, chosen.get("config"))
+        return _one(files[0], jobs[0], reading, config)
     except CurlfitError as error:
         return Seen(fault=str(error), options=error.options)
 
 
 def _several(throws: Sequence[Throw]) -> Seen:
-    rows = [
-        {"throw": throw.name, **throw.labels, "motion": motion_in_words(throw)}
-        | {
-            f">{e.name.replace('_', ' ')} ({e.unit})": f"{e.value:.5g}"
-            for e in throw.events
-        }
-        for throw in throws
-    ]
+    """What was read of several throws: a table with a row for each."""
+    rows = []
+    for throw in throws:
+        row = {"throw": throw.name, **throw.labels, "motion": motion_in_words(throw)}
+        for event in throw.events:
+            heading = f">{event.name.replace('_', ' ')} ({event.unit})"
+            row[heading] = f"{event.value:.5g}"
+        rows.append(row)
     return Seen(
         f"{len(throws)} throws, which are fitted together",
         oddities=odd_row_findings(throws[0].odd_rows),
@@ -94,6 +93,7 @@ def _several(throws: Sequence[Throw]) -> Seen:
 def _one(
     file: Path, job: ConfiguredThrow[Fitting], reading: Reading, config: Path | None
 ) -> Seen:
+    """What was read of one throw: figures, what is odd, and why it cannot be fitted."""
     from curlfit.throws.figures import motion_figures
     from curlfit.throws.load import read
     from curlfit.throws.plausibility import examine, require_motion, require_plausible
@@ -111,13 +111,16 @@ def _one(
     figures = motion_figures(throw) if throw.has_path else {}
     try:
         require_motion(job.cut)
-        oddities = [item for item in examine(job.cut) if not item.is_refusal]
+        findings = examine(job.cut)
+        oddities = [finding for finding in findings if not finding.is_refusal]
         require_plausible(job.cut)
         _ = job.parameters
     except CurlfitError as error:
         fault = str(error)
         options = error.options
-    pictures = [inline_svg(fig, f"seen-{name}-", name) for name, fig in figures.items()]
+    pictures = [
+        inline_svg(figure, f"seen-{name}-", name) for name, figure in figures.items()
+    ]
     return Seen(
         finding=motion_in_words(throw) or f"{len(throw.events)} times and places",
         fault=fault,
@@ -135,16 +138,16 @@ def motion_in_words(throw: Throw) -> str:
 
     if not throw.has_path:
         return ""
-    words = [f"{counted(len(throw), 'row')} in {throw.t[-1] - throw.t[0]:.4g} s"]
-    if (motion := motion_of(throw)) is not None:
-        words += [
-            f"a path of {motion.length:.3g} m",
-            f"{motion.speed[0]:.3g} m/s at the start",
-            f"curls {abs(motion.curl):.1f} m {sided('to the right', -motion.curl)[0]}",
-        ]
-    turned = turning(throw)[0] / (2 * math.pi)
-    if math.isfinite(turned):
-        words.append(
-            f"turns {abs(turned):.2g} times {sided('counter-clockwise', turned)[0]}"
-        )
+    duration = throw.t[-1] - throw.t[0]
+    words = [f"{counted(len(throw), 'row')} in {duration:.4g} s"]
+    motion = motion_of(throw)
+    if motion is not None:
+        side, _ = sided("to the right", -motion.curl)
+        words.append(f"a path of {motion.length:.3g} m")
+        words.append(f"{motion.speed[0]:.3g} m/s at the start")
+        words.append(f"curls {abs(motion.curl):.1f} m {side}")
+    turns = turning(throw)[0] / (2 * math.pi)
+    if math.isfinite(turns):
+        sense, _ = sided("counter-clockwise", turns)
+        words.append(f"turns {abs(turns):.2g} times {sense}")
     return ", ".join(words)

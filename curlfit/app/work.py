@@ -46,11 +46,13 @@ class Work:
     """
 
     def __init__(self, verb: str, words: Sequence[str]) -> None:
-        self.verb, self.words = verb, words
+        self.verb = verb
+        self.words = words
         self.complaints: list[str] = []
         self.warnings: list[Finding] = []
         self.page: Path | None = None
-        self.stopped, self.over = False, asyncio.Event()
+        self.stopped = False
+        self.over = asyncio.Event()
         self._line = "Starting"
         self._process: asyncio.subprocess.Process | None = None
 
@@ -92,10 +94,10 @@ class Work:
             self.warnings = warnings_beside(folder / self.page)
 
     def _hear(self, raw: bytes) -> None:
-        self._line = (
-            " ".join(_CONTROL.sub("", raw.decode(errors="replace")).split())
-            or self._line
-        )
+        """Take a line that the command printed: its page, a complaint, or progress. Of
+        an empty one, the line before stays."""
+        text = _CONTROL.sub("", raw.decode(errors="replace"))
+        self._line = " ".join(text.split()) or self._line
         kind, _, text = self._line.partition(": ")
         page = Path(text)
         within = not page.is_absolute() and ".." not in page.parts

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import textwrap
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from curlfit.findings.words import Message
 
 
 def explain(*codes: str) -> None:
@@ -24,20 +27,18 @@ def explain(*codes: str) -> None:
 
     width = terminal().width
     if codes:
-        found = [(code, message_of(code)) for code in codes]
-        texts = [_text(code, item.title, item.means, width) for code, item in found]
-        print("\n\n".join(texts))
+        print("\n\n".join([_text(code, message_of(code), width) for code in codes]))
         return
     longest = max(map(len, messages()))
-    for code, item in messages().items():
+    for code, message in messages().items():
         head = f"{code:<{longest}}  "
-        print(textwrap.fill(f"{head}{item.title}", width, **_under(head)))
+        print(textwrap.fill(f"{head}{message.title}", width, **_under(head)))
 
 
-def _text(code: str, title: str, means: str, width: int) -> str:
+def _text(code: str, message: Message, width: int) -> str:
     """A code with its title, and beneath it what it means."""
-    lines = [textwrap.fill(f"{code}: {title}", width)]
-    for paragraph in means.split("\n\n"):
+    lines = [textwrap.fill(f"{code}: {message.title}", width)]
+    for paragraph in message.means.split("\n\n"):
         text = " ".join(paragraph.split())
         lines.append(textwrap.fill(f"  {text}", width, **_under("  ")))
     return "\n".join(lines)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from enum import StrEnum
-from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -75,8 +74,10 @@ def export(
             f"{folder}: a result of curlfit {kind}; expected the folder of a fit, "
             "a joint fit or a comparison"
         )
-    every = (_GAME if form is Form.game else (form,) for form in to)
-    forms = list(dict.fromkeys(chain.from_iterable(every)))
+    forms: list[Form] = []
+    for form in to:
+        forms += _GAME if form is Form.game else (form,)
+    forms = list(dict.fromkeys(forms))
     for form in to:
         if form in (Form.netcdf, Form.game, *_GAME) and kind != "fit":
             such = f", such as {folder}/NAME" if kind == "joint" else ""
@@ -86,38 +87,41 @@ def export(
         if kind == "compare":
             raise InputError(f"--law: {folder} is no fit; expected the folder of a fit")
         result.with_law(law)
-    # Everything is made before anything is written.
-    made: dict[str, bytes] = {}
+    # everything is made before anything is written
+    contents: dict[str, bytes] = {}
     for form in forms:
-        made |= {} if form in _GAME else _files(form, result, kind, folder)
-    of_games, note = _game(result, forms) if {*forms} & {*_GAME} else ({}, "")
-    made |= of_games
+        if form not in _GAME:
+            contents |= _files(form, result, kind, folder)
+    note = ""
+    if not set(forms).isdisjoint(_GAME):
+        games, note = _game(result, forms)
+        contents |= games
     target = claim_folder(out or Path(f"{s.name_of(folder)}-export"))
-    for name, data in made.items():
-        atomic_write(target / name, data)
-    say("Written: " + ", ".join(str(target / name) for name in made))
+    for name, content in contents.items():
+        atomic_write(target / name, content)
+    say("Written: " + ", ".join(str(target / name) for name in contents))
     if note:
         say(note)
 
 
 def _files(form: Form, result: Any, kind: str, folder: Path) -> dict[str, bytes]:
-    """What to write, by file name."""
+    """Contents of the files of a form, games apart, by file name."""
     from curlfit.export import tables
 
     if form is Form.csv and kind == "compare":
         return {"candidates.csv": tables.candidates_csv(result).encode()}
     if form is Form.csv:
-        found = {"parameters.csv": tables.parameters_csv(result).encode()}
-        if fits := result.throws if kind == "joint" else (result,):
-            found["path.csv"] = tables.path_csv(fits).encode()
-        return found
+        files = {"parameters.csv": tables.parameters_csv(result).encode()}
+        fits = result.throws if kind == "joint" else (result,)
+        if fits:
+            files["path.csv"] = tables.path_csv(fits).encode()
+        return files
     if form is Form.latex:
         table = tables.candidates_table if kind == "compare" else tables.estimates_table
         return {"table.tex": table(result).encode()}
     if form is Form.json:
-        return {
-            f"{kind}.json": (json.dumps(result.summary(), indent=1) + "\n").encode()
-        }
+        text = json.dumps(result.summary(), indent=1) + "\n"
+        return {f"{kind}.json": text.encode()}
     result, sample = s.load_fit_and_chain(folder)
     if sample is None:
         raise InputError(
@@ -125,11 +129,11 @@ def _files(form: Form, result: Any, kind: str, folder: Path) -> dict[str, bytes]
             "`curlfit fit ... --resume` samples it"
         )
     data = sample.to_arviz(result)
-    # of ArviZ before 1.0
-    tree = data.to_datatree() if hasattr(data, "to_datatree") else data
+    if hasattr(data, "to_datatree"):  # ArviZ before 1.0
+        data = data.to_datatree()
     # In memory, as HDF5 does not recover from a full disk; a copy, as a view of a
     # buffer that the garbage collector closes is an error on Python 3.13.
-    return {"posterior.nc": bytes(tree.to_netcdf(engine="h5netcdf"))}
+    return {"posterior.nc": bytes(data.to_netcdf(engine="h5netcdf"))}
 
 
 def _game(fit: FitResult, forms: Sequence[Form]) -> tuple[dict[str, bytes], str]:
@@ -143,13 +147,13 @@ def _game(fit: FitResult, forms: Sequence[Form]) -> tuple[dict[str, bytes], str]
     )
 
     table = tabulate(fit)
-    made = {
-        Form.table: (
-            "accelerations.json",
-            json.dumps(table.to_json(), indent=1) + "\n",
-        ),
-        Form.c: ("curlfit_stone.h", c_header(table)),
-        Form.js: ("curlfit_stone.mjs", javascript_module(table)),
-    }
-    files = (made[form] for form in forms if form in made)
-    return {name: text.encode() for name, text in files}, not_included(table)
+    files = {}
+    for form in forms:
+        if form is Form.table:
+            files["accelerations.json"] = json.dumps(table.to_json(), indent=1) + "\n"
+        elif form is Form.c:
+            files["curlfit_stone.h"] = c_header(table)
+        elif form is Form.js:
+            files["curlfit_stone.mjs"] = javascript_module(table)
+    contents = {name: text.encode() for name, text in files.items()}
+    return contents, not_included(table)

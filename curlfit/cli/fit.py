@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -22,11 +21,14 @@ from curlfit.settings.forms import NAMES, SWITCH, option, whole
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from curlfit.friction import Law
     from curlfit.inference.fit.result import FitResult
     from curlfit.inference.joint.result import JointResult
     from curlfit.inference.mcmc.chain import Chain
 
 
+_BY_THROW = ("since", "until", "exclude", "stone", "sigma", "swept")
+"""Settings that each throw keeps for itself, unless they are given for all."""
 _FEW = 4  # throws from which on those without a path have no figure of their own
 
 
@@ -140,8 +142,9 @@ def fit(
         )
     jobs = s.prepare_all(files, config, reading, flags)
     if len(jobs) > 1:
-        one, several = data[0].resolve(), Path("joint-fit")
-        usual = s.result_folder(one, "fit", reading) if len(data) == 1 else several
+        usual = Path("joint-fit")
+        if len(data) == 1:
+            usual = s.result_folder(data[0].resolve(), "fit", reading)
         return _fit_jointly(jobs, together, sampling.of_several(), output, usual)
     for name in together.given():
         flag = name.replace("_", "-")
@@ -170,16 +173,16 @@ def _fit_one(
     from curlfit.output.files import claim_folder
 
     s.checked(job)
-    folder, seed = (
-        output.out or usual,
-        job.seed if sampling.seed is None else sampling.seed,
-    )
+    folder = output.out or usual
+    seed = job.seed if sampling.seed is None else sampling.seed
     saved = None
     if sampling.resume:
         saved, seed = _load_saved(folder, seed, job)
     folder = claim_folder(folder)
-    record, chain_file = folder / "fit.json", folder / "chain.h5"
-    drawn, console = output.drawn(), output.console()
+    record = folder / "fit.json"
+    chain_file = folder / "chain.h5"
+    drawn = output.drawn()
+    console = output.console()
     if sampling.resume and saved is None:
         console.print(
             f"Nothing to resume in {folder}; this is a first run.", soft_wrap=True
@@ -221,14 +224,14 @@ def _fit_one(
                 raise
             # the fit holds, though its posterior has no end or no beginning
             say(f"curlfit: warning: no posterior: {error}", error=True)
-            result, chain = replace(result, sampling="none"), None
+            result = replace(result, sampling="none")
         result.save(record)
-        if chain is not None:
-            drawn.replace(folder, ["corner"], partial(corner_of, result, chain))
+    files = [record]
+    if chain is not None:
+        files.append(chain_file)
+        drawn.replace(folder, ["corner"], partial(corner_of, result, chain))
     console.print(document_of(result))
-    chains = [] if chain is None else [chain_file]
-    written = [record, *chains, *drawn.written()]
-    done = output.written(folder, written, console)
+    done = output.written(folder, [*files, *drawn.written()], console)
     if (
         result.converged
         and result.posterior is not None
@@ -250,9 +253,9 @@ def _load_saved(
     from curlfit.inference.mcmc import chain
     from curlfit.stone import Stone
 
-    found = load_fit(folder)
+    saved = load_fit(folder)
     chosen = job.chosen
-    now = chain.subject_of_fit(
+    subject = chain.subject_of_fit(
         job.cut.condensed(),
         find_law(chosen.law),
         chosen.load,
@@ -261,13 +264,13 @@ def _load_saved(
         chosen.loss,
         chosen.noise,
     )
-    chain.require_same(chain.subject_of_saved(found), now, folder / "fit.json")
+    chain.require_same(chain.subject_of_saved(saved), subject, folder / "fit.json")
     file = folder / "chain.h5"
     if file.exists():
         stored = chain.load_chain(file)
         seed = stored.seed if seed is None else seed
-        chain.require_same(stored.subject, chain.subject_of(found, seed), file)
-    return found, seed
+        chain.require_same(stored.subject, chain.subject_of(saved, seed), file)
+    return saved, seed
 
 
 def _finish(result: FitResult | JointResult, done: Saved) -> Saved:
@@ -281,25 +284,32 @@ def _finish(result: FitResult | JointResult, done: Saved) -> Saved:
 def _sample(
     console: Console, result: FitResult, *, effective: int, **choices: Any
 ) -> tuple[FitResult, Chain]:
+    """Sample the posterior of a fit with a line of progress on the terminal."""
     from rich.progress import BarColumn, TimeRemainingColumn
 
     from curlfit.inference.mcmc.sampler import sample
 
-    count = "{task.completed:.0f}/{task.total} effective samples"
-    columns = "Sampling the posterior", BarColumn(), count, TimeRemainingColumn()
-    with progress_line(console, *columns, "{task.description}") as show:
+    columns = (
+        "Sampling the posterior",
+        BarColumn(),
+        "{task.completed:.0f}/{task.total} effective samples",
+        TimeRemainingColumn(),
+        "{task.description}",
+    )
+    with progress_line(console, *columns) as show:
         show("compiling", 0, effective)
 
         def show_state(samples: float, steps: int, r_hat: float) -> None:
             show(f"{steps} steps, R-hat {r_hat:.3f}", min(samples, effective))
 
-        hidden = console.quiet or not console.is_terminal  # R-hat takes time
-        shown = None if hidden else show_state
-        return sample(result, effective=effective, progress=shown, **choices)
+        # R-hat takes time: it is not computed where nobody sees it
+        hidden = console.quiet or not console.is_terminal
+        progress = None if hidden else show_state
+        return sample(result, effective=effective, progress=progress, **choices)
 
 
 def _fit_jointly(
-    named: Mapping[str, s.ConfiguredThrow[Fitting]],
+    jobs_by_name: Mapping[str, s.ConfiguredThrow[Fitting]],
     together: Together,
     seed: int | None,
     output: Output,
@@ -311,41 +321,34 @@ def _fit_jointly(
     from curlfit.output.files import claim_folder
     from curlfit.throws.plausibility import require_plausible
 
-    drawn, share = output.drawn(), together.share
-    jobs = list(named.values())
+    drawn = output.drawn()
+    jobs = list(jobs_by_name.values())
     chosen = jobs[0].chosen
     _require_alike(jobs)
-    law = find_law(chosen.law)
-    names = [item.name for item in law.coefficients()]
-    for name in () if share == ("all",) else share:
-        if name not in names:
-            raise InputError(
-                f"--share {name}: law {law.name} has no such coefficient; "
-                f"it has {', '.join(names)}"
-            )
-    # Each throw keeps its own rows, stone and times of sweeping, unless one is
-    # given for all.
-    each = ("since", "until", "exclude", "stone", "sigma", "swept")
+    share: Sequence[str] | str | None = together.share or None
+    if share == ("all",):
+        share = "all"
+    else:
+        _require_coefficients(together.share, find_law(chosen.law))
     any_swept = any(job.chosen.swept is not None for job in jobs)
     for job in jobs:
         require_plausible(job.cut)
         s.checked_parameters(job.chosen, job.cut, others_swept=any_swept)
     throws = [
-        job.throw.with_defaults(**{name: getattr(job.chosen, name) for name in each})
+        job.throw.with_defaults(**{key: getattr(job.chosen, key) for key in _BY_THROW})
         for job in jobs
     ]
-    common = {name: value for name, value in chosen if name not in each}
+    common = {key: value for key, value in chosen if key not in _BY_THROW}
     folder = claim_folder(output.out or usual)
     drawn.draw_beside()
 
-    shared = "all" if share == ("all",) else share or None
-    columns = f"Fitting {len(jobs)} throws {COMPILES}", "{task.description}"
+    columns = (f"Fitting {len(jobs)} throws {COMPILES}", "{task.description}")
     with progress_line(output.console(), *columns) as show:
         from curlfit.inference.joint.fit import fit_together
 
         result = fit_together(
             throws,
-            share=shared,
+            share=share,
             **together.effects,
             seed=seed,
             **common,
@@ -353,26 +356,41 @@ def _fit_jointly(
                 f"step {step}, chi squared {chi_squared:.6g}"
             ),
         )
-    for name, one in zip(named, result.throws, strict=True):
-        own_folder = claim_folder(folder / name)
-        one.save(own_folder / "fit.json")
-        if one.rms or len(named) < _FEW:  # times alone are seen in one figure
-            drawn.replace(own_folder, ["fit"], partial(figures_of, one))
-    first, *others, last = named
-    folders = [first, *(others if len(others) < 2 else ["..."]), last]
-    each_in = f", and in {folder}/ a folder for each throw: {', '.join(folders)}"
-    return _finish(result, output.finish(result, folder, drawn, more=each_in))
+    for name, fit in zip(jobs_by_name, result.throws, strict=True):
+        folder_of_throw = claim_folder(folder / name)
+        fit.save(folder_of_throw / "fit.json")
+        if fit.rms or len(jobs) < _FEW:  # times alone are seen in one figure
+            drawn.replace(folder_of_throw, ["fit"], partial(figures_of, fit))
+    folders = list(jobs_by_name)
+    if len(folders) > 3:
+        folders = [folders[0], "...", folders[-1]]
+    more = f", and in {folder}/ a folder for each throw: {', '.join(folders)}"
+    return _finish(result, output.finish(result, folder, drawn, more=more))
+
+
+def _require_coefficients(names: Sequence[str], law: type[Law]) -> None:
+    """Raise `InputError` for names of `--share` that are no coefficients of the law."""
+    coefficients = [coefficient.name for coefficient in law.coefficients()]
+    for name in names:
+        if name not in coefficients:
+            raise InputError(
+                f"--share {name}: law {law.name} has no such coefficient; "
+                f"it has {', '.join(coefficients)}"
+            )
 
 
 def _require_alike(jobs: Sequence[s.ConfiguredThrow[Fitting]]) -> None:
     """Raise `InputError` for throws whose files state different laws or loads."""
-    for job, key in product(jobs, ("law", "load")):
-        own, first = getattr(job.chosen, key), getattr(jobs[0].chosen, key)
-        if own != first:
-            raise InputError(
-                f"{job.throw.name}: {key}: {own}, where {jobs[0].throw.name} has "
-                f"{first}; give one with --{key}"
-            )
+    first = jobs[0]
+    for job in jobs[1:]:
+        for key in ("law", "load"):
+            value = getattr(job.chosen, key)
+            expected = getattr(first.chosen, key)
+            if value != expected:
+                raise InputError(
+                    f"{job.throw.name}: {key}: {value}, where {first.throw.name} has "
+                    f"{expected}; give one with --{key}"
+                )
 
 
 def _fit_table(

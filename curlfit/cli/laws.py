@@ -41,42 +41,43 @@ def laws(
     if conditions:
         print("\n".join(_listed("", _condition, (*CONDITIONS, *ASSUMED), width)))
         return
-    every = (*LAWS.values(), *TERMS.values())
-    chosen = [TERMS.get(name) or find_law(name) for name in names] if names else every
+    chosen = [*LAWS.values(), *TERMS.values()]
+    if names:
+        chosen = [TERMS.get(name) or find_law(name) for name in names]
     print("\n\n".join(_text(law, width) for law in chosen))
 
 
 def _summary(law: type[Law]) -> str:
-    # A dataclass without a docstring is given its signature as one.
+    """The first paragraph of a law's docstring as one line."""
     text = (law.__doc__ or "").strip()
+    # a dataclass without a docstring is given its signature as one
+    if text.startswith(f"{law.__name__}("):
+        return ""
     first, _, _ = text.partition("\n\n")
-    return "" if text.startswith(f"{law.__name__}(") else " ".join(first.split())
+    return " ".join(first.split())
 
 
 def _text(law: type[Law], width: int) -> str:
-    lines = [law.name, *_wrap("  ", _summary(law), width)]
-    for label, text in (
-        ("", law.formula),
-        ("source: ", law.source or law.origin),
-        ("a counter-clockwise stone curls ", law.predicts),
-        (
-            "",
-            ""
-            if law.brakes
-            else f"does not brake: a part of sums, as in power+{law.name}",
-        ),
-    ):
-        if text:
-            lines += _wrap("  ", f"{label}{text}", width)
-    return "\n".join(
-        [*lines, *_listed("    ", _coefficient, law.coefficients(), width)]
-    )
+    """A law: name, summary, formula, source, direction of curl, coefficients."""
+    paragraphs = [_summary(law), law.formula]
+    source = law.source or law.origin
+    if source:
+        paragraphs.append(f"source: {source}")
+    if law.predicts:
+        paragraphs.append(f"a counter-clockwise stone curls {law.predicts}")
+    if not law.brakes:
+        paragraphs.append(f"does not brake: a part of sums, as in power+{law.name}")
+    lines = [law.name]
+    for paragraph in paragraphs:
+        lines += _wrap("  ", paragraph, width)
+    lines += _listed("    ", _coefficient, law.coefficients(), width)
+    return "\n".join(lines)
 
 
 def _listed(
     indent: str, describe: Callable[[Any], str], items: Sequence[Any], width: int
 ) -> Iterator[str]:
-    """Lines of items, each with its name and description."""
+    """Lines of coefficients or conditions, each with its name and description."""
     longest = max((len(item.name) for item in items), default=0)
     for item in items:
         yield from _wrap(f"{indent}{item.name:<{longest}}  ", describe(item), width)
@@ -94,21 +95,26 @@ def _wrap(head: str, text: str, width: int) -> list[str]:
     )
 
 
-def _coefficient(item: Coefficient) -> str:
-    unit = _unit(item)
-    fixed = "; fixed there in a fit unless bounds are given" if item.optional else ""
-    return (
-        f"{item.meaning}; within {item.lower:g} .. {item.upper:g}{unit}, "
-        f"default {item.default:g}{unit}{fixed}"
+def _coefficient(coefficient: Coefficient) -> str:
+    """Meaning, bounds and default of a coefficient."""
+    unit = _unit(coefficient)
+    text = (
+        f"{coefficient.meaning}; within {coefficient.lower:g} .. "
+        f"{coefficient.upper:g}{unit}, default {coefficient.default:g}{unit}"
     )
+    if coefficient.optional:
+        text += "; fixed there in a fit unless bounds are given"
+    return text
 
 
-def _condition(item: Condition) -> str:
+def _condition(condition: Condition) -> str:
+    """Meaning and standard uncertainty of a condition, and why it is that."""
     return (
-        f"{item.meaning}; standard uncertainty "
-        f"{item.width:g}{_unit(item)} ({item.basis})"
+        f"{condition.meaning}; standard uncertainty "
+        f"{condition.width:g}{_unit(condition)} ({condition.basis})"
     )
 
 
 def _unit(item: Coefficient | Condition) -> str:
+    """The unit after a number; empty for pure numbers."""
     return "" if item.unit == "1" else f" {item.unit}"

@@ -77,8 +77,10 @@ def show(
 
     kind, result, chain = _load(folder, "--derive" if derive else "")
     if derive:
-        of_chain = [chain] if kind == "fit" else []
-        result = result.with_derived(derive, *of_chain)
+        if kind == "fit":
+            result = result.with_derived(derive, chain)
+        else:
+            result = result.with_derived(derive)
     if as_json:
         print(json.dumps(result.summary(), indent=1))
     else:
@@ -165,7 +167,7 @@ def write_page(folder: Path, out: Path | None = None, law: Any = None) -> Path:
 def _load(
     folder: Path, flag: str = "", law: str | None = None
 ) -> tuple[str, Any, Chain | None]:
-    """Kind, result and chain, that so far if sampling was interrupted; `flag`
+    """Kind, result and chain, of interrupted sampling the chain so far; `flag`
     needs a fit."""
     kind = kind_of(folder)
     if kind != "fit":
@@ -178,8 +180,8 @@ def _load(
     if result.sampling == "unfinished":
         from curlfit.inference.mcmc.summary import unfinished_posterior
 
-        result, chain = unfinished_posterior(result, chain_beside(folder)) or (
-            result,
-            None,
-        )
+        chain = None
+        sampled = unfinished_posterior(result, chain_beside(folder))
+        if sampled is not None:
+            result, chain = sampled
     return kind, result, chain

@@ -88,6 +88,7 @@ def check(
 
 
 def _require_picture(file: Path) -> None:
+    """Raise `InputError` for a file that cannot become a picture."""
     if file.suffix.lower() not in (".png", ".pdf", ".svg"):
         raise InputError(
             f"--out {file}: expected a name that ends in .png, .pdf or .svg"
@@ -97,17 +98,19 @@ def _require_picture(file: Path) -> None:
 
 
 def _swept(word: str) -> tuple[tuple[float, float], float]:
-    period, _, ratio = word.partition("=")
-    found = PERIOD.read_word("--sweep ", period), float(ratio)
-    if found[1] < 0:
+    """Begin and end of sweeping (s), and the ratio of friction, of "8:14=0.9"."""
+    times, _, number = word.partition("=")
+    period = PERIOD.read_word("--sweep ", times)
+    ratio = float(number)
+    if ratio < 0:
         raise ValueError
-    return found
+    return period, ratio
 
 
 _LINE = OneOf("line", list(LINES)[:-1])
 _SWEPT = Form(
     "",
-    lambda one: one,
+    lambda value: value,
     _swept,
     "A:B=V, times in s and the ratio of friction, of 0 or more",
 )
@@ -133,12 +136,12 @@ class Conditions(Choices):
     sweep: Annotated[Any, option(_SWEPT, "A:B=V")] = None
 
     def environment(self) -> dict[str, float]:
-        """Those that are given, as fields of `Environment`."""
-        found = self.given()
+        """The conditions that are given, as fields of `Environment`."""
+        fields = self.given()
         if self.sweep is not None:
             (begin, end), ratio = self.sweep
-            found |= {"sweep": ratio, "swept_from": begin, "swept_to": end}
-        return found
+            fields |= {"sweep": ratio, "swept_from": begin, "swept_to": end}
+        return fields
 
 
 @Parameter(name="*")
@@ -241,16 +244,17 @@ def _write(throw: Throw, out: Path | None) -> None:
 
 
 def _given_model(given: Simulated) -> dict[str, Any]:
-    """What is simulated unless flags say otherwise, as arguments of
-    `synthetic_throw`."""
+    """Arguments of `synthetic_throw` from flags, with defaults for what they leave
+    out."""
     from curlfit.environment import Environment
     from curlfit.stone import Stone
     from curlfit.throws.synthetic import law_with
 
+    law = law_with(
+        given.law or "front-back", given.coefficients, unbounded=given.unbounded
+    )
     return {
-        "law": law_with(
-            given.law or "front-back", given.coefficients, unbounded=given.unbounded
-        ),
+        "law": law,
         "stone": Stone().with_values(dict(given.stone)),
         "load": given.load or "uniform",
         "environment": Environment(),
@@ -261,16 +265,16 @@ def _given_model(given: Simulated) -> dict[str, Any]:
 
 
 def _fitted_model(folder: Path, given: Simulated) -> dict[str, Any]:
-    """The same of a saved fit, except for what is given."""
+    """Arguments of `synthetic_throw` from a saved fit, except for what flags give."""
     from curlfit.environment import Environment
     from curlfit.errors import UnusableFitError
-    from curlfit.friction import find_law
+    from curlfit.friction import Law, find_law
     from curlfit.inference.parameters import START
     from curlfit.inference.system import System
     from curlfit.throws.synthetic import law_with
 
     fit, _ = s.load_fit_and_chain(folder)
-    law = None if given.law is None else find_law(given.law)
+    law_class = None if given.law is None else find_law(given.law)
     if not fit.converged:
         raise UnusableFitError(
             f"{folder}: nothing can be simulated from this fit: {fit.status}"
@@ -278,25 +282,36 @@ def _fitted_model(folder: Path, given: Simulated) -> dict[str, Any]:
     system = System.of(
         fit.model, [float(value) for value in fit.values], fit.stone, Environment()
     )
-    environment, swept, begin = system.environment, fit.data["swept"], fit.data["from"]
-    if swept is not None:
+    # times of the simulated throw begin at the first row
+    begin = fit.data["from"]
+    environment = system.environment
+    if fit.data["swept"] is not None:
+        swept_from, swept_to = fit.data["swept"]
         environment = replace(
-            environment, swept_from=swept[0] - begin, swept_to=swept[1] - begin
+            environment, swept_from=swept_from - begin, swept_to=swept_to - begin
         )
-    own: dict[str, float] = {}
-    if law is None or law.name == fit.law:
-        law, own = (
-            fit.law_class,
-            {name: one.value for name, one in fit.coefficients.items()},
+    # without coefficients of its own, another law has its default ones
+    fitted: dict[str, float] = {}
+    if law_class is None or law_class.name == fit.law:
+        law_class = fit.law_class
+        fitted = {
+            name: coefficient.value for name, coefficient in fit.coefficients.items()
+        }
+    law: Law
+    if fitted and not given.coefficients:
+        law = fit.fitted_law
+    else:
+        law = law_with(
+            law_class, given.coefficients, unbounded=given.unbounded, others=fitted
         )
-    plain = own and not given.coefficients
+    start = {
+        parameter.name: fit.parameters[parameter.name].value for parameter in START
+    }
     return {
-        "law": fit.fitted_law
-        if plain
-        else law_with(law, given.coefficients, unbounded=given.unbounded, others=own),
+        "law": law,
         "stone": system.stone.with_values(dict(given.stone)),
         "load": given.load or fit.load,
         "environment": environment,
         "until": fit.data["to"] - begin,
-        **{one.name: fit.parameters[one.name].value for one in START},
+        **start,
     }

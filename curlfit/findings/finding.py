@@ -101,8 +101,9 @@ class Finding:
     @property
     def options(self) -> tuple[Option, ...]:
         """What to type, the first remedy first."""
-        remedies = self.remedies
-        return tuple(item.option for item in remedies if item.option is not None)
+        return tuple(
+            remedy.option for remedy in self.remedies if remedy.option is not None
+        )
 
     @property
     def is_refusal(self) -> bool:

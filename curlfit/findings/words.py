@@ -52,13 +52,13 @@ class Message:
     def filled(self, numbers: Mapping[str, Any]) -> str:
         """The sentence with its numbers. Raises `KeyError` or `ValueError` where
         these are others than it names."""
-        shown = dict(numbers)
+        filled = dict(numbers)
         for name, template in self.parts.items():
             if "." not in name:
-                of_items = _below(name, self.parts)
-                shown[name] = _part(template, numbers[name], numbers, of_items)
+                parts_of_keys = _below(name, self.parts)
+                filled[name] = _part(template, numbers[name], numbers, parts_of_keys)
         words = self.one if self.one and numbers.get("count") == 1 else self.says
-        return _FORMATTER.vformat(words, (), shown)
+        return _FORMATTER.vformat(words, (), filled)
 
 
 class _Formatter(string.Formatter):
@@ -73,7 +73,7 @@ class _Formatter(string.Formatter):
         if spec == "p":
             return p_text(value)
         if isinstance(value, list | tuple):
-            return _joined([str(item) for item in value], spec)
+            return _joined(list(map(str, value)), spec)
         return format(value, spec)
 
 
@@ -104,21 +104,22 @@ def _part(
     template: str,
     value: Any,
     numbers: Mapping[str, Any],
-    of_items: Mapping[str, str] | None = None,
+    parts_of_keys: Mapping[str, str] | None = None,
 ) -> str | list[str]:
     """The words of a part for its number, or for each item of its list, whose keys
-    may have parts `of_items`."""
+    may have parts of their own."""
     if value is None or value is False:
         return ""
     if not isinstance(value, list | tuple):
         return _FORMATTER.vformat(template, (), numbers)
     texts = []
-    for item in value:
-        of_item = item if isinstance(item, Mapping) else {"value": item}
-        named = {**numbers, **of_item}
-        for key, of_key in (of_items or {}).items():
-            named[key] = _part(of_key, of_item[key], {**numbers, **of_item})
-        texts.append(_FORMATTER.vformat(template, (), named))
+    for entry in value:
+        numbers_of_entry = entry if isinstance(entry, Mapping) else {"value": entry}
+        context = {**numbers, **numbers_of_entry}
+        filled = dict(context)
+        for key, template_of_key in (parts_of_keys or {}).items():
+            filled[key] = _part(template_of_key, numbers_of_entry[key], context)
+        texts.append(_FORMATTER.vformat(template, (), filled))
     return texts
 
 
@@ -141,16 +142,14 @@ def messages() -> dict[str, Message]:
 
 def message_of(code: str) -> Message:
     """The words of a code. Raises `InputError` for one that is not known."""
-    known = messages()
-    if code not in known:
-        near = get_close_matches(code, known, 3, 0.5)
-        expected = (
-            f"did you mean {join_words(near, 'or')}?"
-            if near
-            else ("`curlfit explain` lists the codes")
-        )
+    message_by_code = messages()
+    if code not in message_by_code:
+        near = get_close_matches(code, message_by_code, 3, 0.5)
+        expected = "`curlfit explain` lists the codes"
+        if near:
+            expected = f"did you mean {join_words(near, 'or')}?"
         raise InputError(f"no finding {quoted(code)}; {expected}")
-    return known[code]
+    return message_by_code[code]
 
 
 def sentence(
@@ -165,10 +164,10 @@ def sentence(
     words = "; ".join([messages()[code].filled(numbers), *remedies])
     if not about:
         return words
-    named = list(about)
-    if len(named) > _MOST_NAMED:
-        named = [*named[:2], f"{len(named) - 2} more"]
-    return f"{join_words(named)}: {words}"
+    names = list(about)
+    if len(names) > _MOST_NAMED:
+        names = [*names[:2], f"{len(names) - 2} more"]
+    return f"{join_words(names)}: {words}"
 
 
 def clause(code: str, numbers: Mapping[str, Any]) -> str:

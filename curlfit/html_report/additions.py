@@ -52,17 +52,18 @@ class Additions:
         svg = inline_svg(figure, f"{name}-", caption)
         self.add("figures", Block("drawing", {"svg": svg, "caption": caption}))
 
-    def move(self, section: str, found: tuple[Block, dict[str, Any]] | None) -> None:
+    def move(self, section: str, part: tuple[Block, dict[str, Any]] | None) -> None:
         """Add an interactive part, if there is one, with its data."""
-        if found is not None:
-            self.add(section, found[0])
-            self.data[found[0].shows["id"]] = found[1]
+        if part is not None:
+            block, data = part
+            self.add(section, block)
+            self.data[block.shows["id"]] = data
 
     def directions(
-        self, fits: Sequence[FitResult], found: Sequence[dict[str, float]]
+        self, fits: Sequence[FitResult], directions: Sequence[dict[str, float]]
     ) -> None:
-        """Add the null directions of fits."""
-        if not found or not all(fit.converged for fit in fits):
+        """Add the null directions of fits, in parameters that they have in common."""
+        if not directions or not all(fit.converged for fit in fits):
             return
         try:
             fits[0].law_class  # noqa: B018  (a user's law is read from its file)
@@ -74,41 +75,46 @@ class Additions:
             return
         from curlfit.html_report.direction import directions_of
 
-        for one in directions_of(fits, found, "direction"):
-            self.move("determined", one)
+        for part in directions_of(fits, directions, "direction"):
+            self.move("determined", part)
 
     def throws(self, fits: Sequence[FitResult]) -> None:
         """Add the animated throws."""
         from curlfit.html_report.replay import replay_of_fit
 
-        for place, fit in enumerate(fits):
+        for number, fit in enumerate(fits):
             label = Path(fit.data["file"]).name if len(fits) > 1 else ""
-            self.move("throw", replay_of_fit(fit, f"replay-{place}", label))
+            self.move("throw", replay_of_fit(fit, f"replay-{number}", label))
 
 
 def _of_joint(page: Additions, joint: JointResult) -> None:
+    """What is measured of each throw, the null directions that the throws have in
+    common, and the first throws animated."""
     from curlfit.reports.fit import extent, quantities_line
 
-    throws, count = joint.throws, len(joint.throws)
+    throws = joint.throws
     if not throws:
         return
-    measured = {
-        Path(one.data["file"]).name: "; ".join(
-            filter(None, (extent(one), quantities_line(one)))
-        )
-        for one in throws
-    }
+    measured = {}
+    for throw in throws:
+        parts = (extent(throw), quantities_line(throw))
+        file = Path(throw.data["file"]).name
+        measured[file] = "; ".join(part for part in parts if part)
     page.add("coefficients", rows("The throws", measured))
-    page.directions(
-        throws,
-        [one for one in throws[0].null_directions if set(one) <= set(joint.share)],
-    )
+    shared = [
+        direction
+        for direction in throws[0].null_directions
+        if set(direction) <= set(joint.share)
+    ]
+    page.directions(throws, shared)
+    count = len(throws)
     if count > _MOVING:
         page.add("throw", paragraph(f"The first {_MOVING} of {count} throws.", "note"))
     page.throws(throws[:_MOVING])
 
 
 def _of_prediction(page: Additions, prediction: Prediction) -> None:
+    """The predicted throw, animated, and where its draws come to rest."""
     from curlfit.html_report.replay import replay_of_prediction, rests_of
 
     page.move("throw", replay_of_prediction(prediction, "replay-0"))
@@ -118,6 +124,7 @@ def _of_prediction(page: Additions, prediction: Prediction) -> None:
 
 
 def _of_fit(page: Additions, fit: FitResult) -> None:
+    """The null directions of a fit, and its throw, animated."""
     page.directions([fit], fit.null_directions)
     page.throws([fit])
 
@@ -153,14 +160,11 @@ def _caption(result: Any, name: str) -> str:
         loss = getattr(result, "each", [result])[0].loss
         robust = LOSSES[loss].is_robust
         what = "Minus twice the log-likelihood" if robust else "Chi squared"
-        return (
-            f"{what} over {join_words(result.names)}, all other parameters fitted again"
-        )
-    return (
-        "Timed events beside the fit"
-        if name == "fit" and not result.rms
-        else _CAPTIONS[name]
-    )
+        names = join_words(result.names)
+        return f"{what} over {names}, all other parameters fitted again"
+    if name == "fit" and not result.rms:
+        return "Timed events beside the fit"
+    return _CAPTIONS[name]
 
 
 def additions_of(result: Any, chain: Chain | None) -> Additions:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from markupsafe import Markup
-from rich.table import Table
+from rich.table import Column, Table
 
 from curlfit.findings import Finding, Level
 from curlfit.output.document import Part, Said
@@ -30,10 +30,10 @@ class Block:
 def marked(text: Any) -> Markup:
     """A text, or the content of a cell, as HTML: escaped, in the colours of the page,
     with text between backticks as code."""
-    found = _CODE.sub(r"<code>\1</code>", inline(text))
+    html = _CODE.sub(r"<code>\1</code>", inline(text))
     for name, color in COLORS.items():
-        found = found.replace(f"color: {color}", f"color: var(--{name})")
-    return Markup(found)
+        html = html.replace(f"color: {color}", f"color: var(--{name})")
+    return Markup(html)
 
 
 def sentence(text: str, names: Collection[str] = ()) -> str:
@@ -66,9 +66,8 @@ def of_findings(
 
 def rows(caption: str, items: Mapping[str, str]) -> Block:
     """A table of two columns: names and values, of which empty ones are left out."""
-    return Block(
-        "rows", {"caption": caption, "items": [one for one in items.items() if one[1]]}
-    )
+    shown = [(name, value) for name, value in items.items() if value]
+    return Block("rows", {"caption": caption, "items": shown})
 
 
 def blocks_of(parts: Iterable[Part]) -> Iterator[Block]:
@@ -82,26 +81,30 @@ def blocks_of(parts: Iterable[Part]) -> Iterator[Block]:
             yield paragraph(part)
 
 
-def _table(found: Table) -> Block:
+def _table(table: Table) -> Block:
     """A table whose first column of words contains the row headers."""
-    columns = found.columns
-
-    def style(cell: Any, place: int) -> str:
-        if columns[place].justify == "right":
-            return "right"
-        return "long" if not columns[place].no_wrap or len(str(cell)) > _LONG else ""
-
+    heads = []
+    cells_by_column = []
+    for column in table.columns:
+        heads.append((marked(column.header), column.justify))
+        cells = [(marked(cell), _cell_style(column, cell)) for cell in column.cells]
+        cells_by_column.append(cells)
+    words = [column.justify != "right" for column in table.columns]
     return Block(
         "table",
         {
-            "caption": getattr(found, "called", ""),
-            "heads": [(marked(one.header), one.justify) for one in columns],
-            "rows": [
-                [(marked(cell), style(cell, place)) for place, cell in enumerate(row)]
-                for row in zip(*(one.cells for one in columns), strict=True)
+            "caption": getattr(table, "called", ""),
+            "heads": [
+                (marked(column.header), column.justify) for column in table.columns
             ],
-            "words": next(
-                (k for k, one in enumerate(columns) if one.justify != "right"), 0
-            ),
+            "rows": list(zip(*cells_by_column, strict=True)),
+            "words": words.index(True) if True in words else 0,
         },
     )
+
+
+def _cell_style(column: Column, cell: Any) -> str:
+    """Class of a cell in the style sheet: numbers to the right, long words wrapped."""
+    if column.justify == "right":
+        return "right"
+    return "long" if not column.no_wrap or len(str(cell)) > _LONG else ""

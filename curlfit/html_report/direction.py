@@ -121,83 +121,95 @@ def _direction(
     steps = positions_along(fit, weights)
     if not np.isfinite(steps).all() or not np.ptp(steps) > 0:
         return None
+    start = int(np.flatnonzero(steps == 0)[0])  # the fit itself
+
+    # parameters of the direction, shape (positions, names)
     moves = np.outer(steps, list(weights.values()))
     values = np.array([fit.parameters[name].value for name in names]) + moves
     sizes = np.abs(values).max(0)
-    start = int(np.flatnonzero(steps == 0)[0])
+    sizes = np.where(sizes > 0, sizes, 1.0)
+
+    # curves of all throws at each position, and how far they are from the fit
     curves = _curves(models, names, moves)
     curves_alone = _curves(models, names[:1], moves)
     best = curves[start]
     changes = [_change(moved, best, models) for moved in curves]
     changes_alone = [_change(moved, best, models) for moved in curves_alone]
-    sides = ("y", "x") if {"x", "y"} <= fit.rms.keys() else ("t", next(iter(fit.rms)))
-    instants = some_rows(len(best[0].t), _INSTANTS)
+    chi_squared = [sum(throw.chi_squared for throw in moved) for moved in curves]
+
+    # the path of the first throw, from above; without x and y, a channel over time
+    sides = ("t", next(iter(fit.rms)))
+    if {"x", "y"} <= fit.rms.keys():
+        sides = ("y", "x")
+    has_path = sides == ("y", "x")
+    t = best[0].t
+    instants = some_rows(len(t), _INSTANTS)
     paths = [_sides_of(moved[0], sides, instants) for moved in curves]
     paths_alone = [_sides_of(moved[0], sides, instants) for moved in curves_alone]
     low = np.nanmin(np.array(paths + paths_alone), axis=(0, 2))
     high = np.nanmax(np.array(paths + paths_alone), axis=(0, 2))
-    drawing = Drawing.of(low, high, from_above=sides[1] == "x")
+    drawing = Drawing.of(low, high, from_above=has_path)
+    rows = some_rows(len(fit.observed["t"]), 200)
+    measured = np.array([fit.observed[side][rows] for side in sides])
+
     data: dict[str, Any] = {
         "kind": "direction",
-        "what": "the path" if sides[0] == "y" else "what was measured",
+        "what": "the path" if has_path else "what was measured",
         "names": names,
         "values": [rounded(row, 9) for row in values],
-        "sizes": np.where(sizes > 0, sizes, 1.0).tolist(),
+        "sizes": sizes.tolist(),
         **drawing._asdict(),
         "paths": [[rounded(side, 8) for side in path] for path in paths],
         "alone": [[rounded(side, 4) for side in path] for path in paths_alone],
         "changes": changes,
         "apart": changes_alone,
-        "chi_squared": [
-            _number(sum(throw.chi_squared for throw in moved)) for moved in curves
-        ],
+        "chi_squared": [_number(value) for value in chi_squared],
         "start": start,
-        "t": rounded(best[0].t[instants], 6),
+        "t": rounded(t[instants], 6),
     }
-    measured = some_rows(len(fit.observed["t"]), 200)
     shows = {
         **data,
         "id": id,
         "last": len(steps) - 1,
         "joined": join_words(names),
-        "shares": (100 * np.abs(values[start]) / data["sizes"]).tolist(),
+        "shares": (100 * np.abs(values[start]) / sizes).tolist(),
         "sum": _constant(fit, names),
         "largest": _largest(changes),
         "apart": _largest(changes_alone),
         "width": WIDTH,
         "height": HEIGHT,
         "axes": _axes(fit, sides, low, high, len(models)),
-        "points": drawing.at(
-            np.array([fit.observed[name][measured] for name in sides])
-        ),
+        "points": drawing.at(measured),
         "path": drawing.at(np.array(paths[start])),
     }
     return Block("direction", shows), data
 
 
 def _sides_of(curves: Curves, sides: tuple[str, str], instants: Any) -> list[Floats]:
-    """A path along the two sides of the drawing."""
-    columns = {"t": curves.t, **curves.path}
-    return [columns[name][instants] for name in sides]
+    """A path along the two sides of the drawing, at some of its times."""
+    series = {"t": curves.t, **curves.path}
+    return [series[side][instants] for side in sides]
 
 
 def _curves(
     models: list[CurveModel], names: list[str], moves: Floats
 ) -> list[list[Curves]]:
-    """The curves of all models at each of some moves of the parameters of
-    these names."""
+    """Curves by position of the slider and by model, with the parameters of these names
+    moved; moves have shape (positions, names or more)."""
     fit = models[0].fit
-    places = [list(fit.parameters).index(name) for name in names]
-
-    def at(model: CurveModel, move: Floats) -> Curves:
-        values = model.fit.values
-        values[places] += move[: len(places)]
-        # The step to a bound ends on it up to rounding.
-        return model.at(
-            np.clip(values, fit.parameter_set.lower, fit.parameter_set.upper)
-        )
-
-    return [[at(model, move) for model in models] for move in moves]
+    columns = [list(fit.parameters).index(name) for name in names]
+    curves = []
+    for move in moves:
+        curves_of_move = []
+        for model in models:
+            values = model.fit.values
+            values[columns] += move[: len(columns)]
+            # the step to a bound ends on it up to rounding
+            bounds = fit.parameter_set
+            values = np.clip(values, bounds.lower, bounds.upper)
+            curves_of_move.append(model.at(values))
+        curves.append(curves_of_move)
+    return curves
 
 
 def _largest(changes: list[dict[str, Any] | None]) -> str:
@@ -221,35 +233,36 @@ def _constant(fit: FitResult, names: list[str]) -> str:
 def _axes(
     fit: FitResult, sides: tuple[str, str], low: Floats, high: Floats, throws: int
 ) -> str:
-    """What the drawing shows, in words."""
-    ranges = [
-        f"{name} ({first:.2f} .. {last:.2f} {UNITS[name]})"
-        for name, first, last in zip(
-            sides, low.round(2) + 0.0, high.round(2) + 0.0, strict=True
-        )
-    ]
-    shown = f"{ranges[1]} against {ranges[0]}"
+    """What the drawing shows, in words: "x (-0.02 .. 0.71 m) against y (...)"."""
+    ranges = []
+    for side, first, last in zip(sides, low, high, strict=True):
+        begin = first.round(2) + 0.0  # no minus before a zero
+        end = last.round(2) + 0.0
+        ranges.append(f"{side} ({begin:.2f} .. {end:.2f} {UNITS[side]})")
+    text = f"{ranges[1]} against {ranges[0]}"
     if throws == 1:
-        return shown
-    return f"{shown} of {Path(fit.data['file']).name}, one of {throws} throws"
+        return text
+    return f"{text} of {Path(fit.data['file']).name}, one of {throws} throws"
 
 
 def _change(
     curves: list[Curves], best: list[Curves], models: list[CurveModel]
 ) -> dict[str, Any] | None:
-    """The largest changes of the measured channels of the paths, in words; None where a
-    path does not exist."""
+    """The largest changes of the measured channels of all throws from the best fit, in
+    words; None where a path does not exist."""
     sizes: dict[str, float] = {}
     for moved, fitted, model in zip(curves, best, models, strict=True):
         for name, channels in _MEASURES.items():
             measured = [channel for channel in channels if channel in model.fit.rms]
-            if measured:
-                squares = sum(
-                    (moved.path[channel] - fitted.path[channel]) ** 2
-                    for channel in measured
-                )
-                largest = float(np.max(np.sqrt(squares)))
-                sizes[name] = float(np.maximum(sizes.get(name, 0.0), largest))
+            if not measured:
+                continue
+            squares = sum(
+                (moved.path[channel] - fitted.path[channel]) ** 2
+                for channel in measured
+            )
+            largest = float(np.max(np.sqrt(squares)))
+            # a NaN, where there is no motion, stays
+            sizes[name] = float(np.maximum(sizes.get(name, 0.0), largest))
     if not all(map(math.isfinite, sizes.values())):
         return None
     words = [

@@ -33,35 +33,30 @@ def inline_svg(figure: Figure, prefix: str, title: str) -> Markup:
     """
     text = _WASTE.sub("", _drawn(figure))
     used = set(_USED.findall(text))
-    text = _ID.sub(
-        lambda found: f' id="{prefix}{found[1]}"' if found[1] in used else "", text
-    )
-    text = text.replace('xlink:href="#', f'href="#{prefix}').replace(
-        "url(#", f"url(#{prefix}"
-    )
+    text = _ID.sub(lambda id: f' id="{prefix}{id[1]}"' if id[1] in used else "", text)
+    text = text.replace('xlink:href="#', f'href="#{prefix}')
+    text = text.replace("url(#", f"url(#{prefix}")
     text = text.replace("xlink:href", "href")
-    images = re.split(r'("data:[^"]*")', text)  # whose digits are not coordinates
-    images[::2] = [
-        re.sub(r"\s+", " ", _DECIMALS.sub(r"\1", part)) for part in images[::2]
+    # every second part is an image, whose digits are no coordinates
+    parts = re.split(r'("data:[^"]*")', text)
+    parts[::2] = [
+        re.sub(r"\s+", " ", _DECIMALS.sub(r"\1", part)) for part in parts[::2]
     ]
-    text = "".join(images).replace("> <", "><")
-    head = (
-        rf'<svg class="plot" role="img" aria-labelledby="{prefix}title" \1>'
-        f'<title id="{prefix}title">'
-    )
-    said = f"{Markup.escape(title)}</title>"
-    return Markup(_HEAD.sub(lambda found: found.expand(head) + said, text, count=1))
+    text = "".join(parts).replace("> <", "><")
+    tag = rf'<svg class="plot" role="img" aria-labelledby="{prefix}title" \1>'
+    heading = f'<title id="{prefix}title">{Markup.escape(title)}</title>'
+    # the title is not expanded, as it may contain backslashes
+    return Markup(_HEAD.sub(lambda head: head.expand(tag) + heading, text, count=1))
 
 
 def _drawn(figure: Figure) -> str:
     """The figure as written by matplotlib, many markers as an image, which
     takes less space."""
-    for line in (line for axes in figure.axes for line in axes.lines):
-        if (
-            line.get_marker() not in (None, "None")
-            and len(line.get_path()) > _MAX_MARKERS
-        ):
-            line.set_rasterized(True)
+    for axes in figure.axes:
+        for line in axes.lines:
+            has_markers = line.get_marker() not in (None, "None")
+            if has_markers and len(line.get_path()) > _MAX_MARKERS:
+                line.set_rasterized(True)
     file = BytesIO()
     with rc_context({"svg.fonttype": "path"}):
         figure.savefig(file, format="svg", dpi=_DPI)

@@ -112,8 +112,7 @@ def _shown(
 ) -> dict[str, Any]:
     """What the template shows."""
     layout = curves.layout
-    sides = layout.drawn if layout.has_path else ["t", *layout.drawn]
-    axes = [f"{name} ({UNITS[name]})" for name in sides]
+    axes = [f"{side} ({UNITS[side]})" for side in layout.sides]
     return {
         "id": _ID,
         "sliders": [_slider_shown(curves.fit, slider) for slider in curves.sliders],
@@ -223,10 +222,8 @@ def _finite(value: float) -> float | None:
 
 def _measured(curves: SliderCurves) -> list[Floats]:
     """What was measured, along the two sides of the drawing."""
-    layout = curves.layout
-    sides = layout.drawn if layout.has_path else ["t", *layout.drawn]
     rows = some_rows(len(curves.fit.observed["t"]), _POINTS)
-    return [curves.fit.observed[name][rows] for name in sides]
+    return [curves.fit.observed[side][rows] for side in curves.layout.sides]
 
 
 def _drawing(curves: SliderCurves) -> Drawing:

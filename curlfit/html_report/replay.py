@@ -42,10 +42,11 @@ def sheet_view(
 ) -> tuple[float, float, float, float]:
     """The part of the plane to draw, thrown to the right: smallest y and x, and the
     extents of both, m; it contains the sheet from hack to hack, and the path."""
-    half = WIDTH / 2
-    ends = min(0.0, *y) - _MARGIN, max(TEE + LINES["tee"], *y) + _MARGIN
-    sides = min(-half, *x) - _MARGIN / 2, max(half, *x) + _MARGIN / 2
-    return ends[0], sides[0], ends[1] - ends[0], sides[1] - sides[0]
+    low_y = min(0.0, *y) - _MARGIN
+    high_y = max(TEE + LINES["tee"], *y) + _MARGIN
+    low_x = min(-WIDTH / 2, *x) - _MARGIN / 2
+    high_x = max(WIDTH / 2, *x) + _MARGIN / 2
+    return low_y, low_x, high_y - low_y, high_x - low_x
 
 
 def rounded(values: Floats, places: int) -> list[float | None]:
@@ -62,43 +63,46 @@ def replay_of_fit(
     """The fitted throw; None if the record has no path, as with timed events alone."""
     if not fit.fitted or len(fit.observed["t"]) < 2:
         return None
-    some = some_rows(len(fit.observed["t"]), _MOST)
-    t = fit.observed["t"][some]
-    path = {name: fit.predicted[name][some] for name in _NAMES}
-    shift = np.array([0.0, 0.0])
+    rows = some_rows(len(fit.observed["t"]), _MOST)
     what = "the law with the model discrepancy" if fit.discrepancy else "the fit"
     if fit.counts_from_hack or fit.events:
+        shift = {"x": 0.0, "y": 0.0}
         where = f"The path is that of {what}, on the sheet as measured."
     else:
-        start = [fit.parameters[name].value for name in ("x0", "y0")]
-        shift = np.array([0.0, LINES["hog"]]) - start
+        shift = {
+            "x": 0.0 - fit.parameters["x0"].value,
+            "y": LINES["hog"] - fit.parameters["y0"].value,
+        }
         where = (
             f"The path is that of {what}, drawn from the near hog line, "
             "since the data do not say where on the sheet they were taken."
         )
-    assumed = [
-        name
-        for name, starts in _STARTS.items()
-        if any(fit.parameters[start].verdict in _ASSUMED for start in starts)
-        and name not in fit.rms
-    ]
+    assumed = [channel for channel in _STARTS if _is_assumed(fit, channel)]
     if assumed:
-        said = join_words([_NAMES[name][0] for name in assumed])
-        where += f" Not determined, and drawn as assumed: {said}."
+        meanings = join_words([_NAMES[channel][0] for channel in assumed])
+        where += f" Not determined, and drawn as assumed: {meanings}."
+    path = {channel: fit.predicted[channel][rows] for channel in _NAMES}
+    for channel, distance in shift.items():
+        path[channel] = path[channel] + distance
     measured = {
-        name: fit.observed[name][some] + add
-        for name, add in zip("xy", shift, strict=True)
-        if name in fit.rms
+        channel: fit.observed[channel][rows] + shift[channel]
+        for channel in shift
+        if channel in fit.rms
     }
-    path["x"], path["y"] = path["x"] + shift[0], path["y"] + shift[1]
     residuals = {
-        name: fit.observed[name][some] - fit.predicted[name][some]
-        for name in fit.residuals
+        channel: fit.observed[channel][rows] - fit.predicted[channel][rows]
+        for channel in fit.residuals
     }
-    shown = [name for name in _NAMES if name not in assumed]
-    return _Thrown(t, path, measured, residuals, fit.stone.R).replay(
-        id, label, where, shown
-    )
+    known = [channel for channel in _NAMES if channel not in assumed]
+    thrown = _Thrown(fit.observed["t"][rows], path, measured, residuals, fit.stone.R)
+    return thrown.replay(id, label, where, known)
+
+
+def _is_assumed(fit: FitResult, channel: str) -> bool:
+    """Whether a channel was not measured, and the data do not say how it began."""
+    if channel in fit.rms:
+        return False
+    return any(fit.parameters[name].verdict in _ASSUMED for name in _STARTS[channel])
 
 
 def replay_of_prediction(
@@ -106,26 +110,31 @@ def replay_of_prediction(
 ) -> tuple[Block, dict[str, Any]]:
     """The predicted throw, to rest."""
     series = prediction.series
-    ends = series["t"] <= prediction.quantities["time"].value
-    some = np.flatnonzero(ends | (np.cumsum(~ends) == 1))  # and one at rest
-    some = some[some_rows(len(some), _MOST)]
-    thrown = _Thrown(
-        series["t"][some],
-        {name: series[name][some] for name in _NAMES},
-        {
-            name: prediction.measured[name]
-            for name in "xy"
-            if name in prediction.measured
-        },
-        {},
-        prediction.stone.R,
-    )
+    moving = series["t"] <= prediction.quantities["time"].value
+    first_at_rest = np.cumsum(~moving) == 1
+    rows = np.flatnonzero(moving | first_at_rest)
+    rows = rows[some_rows(len(rows), _MOST)]
+    path = {channel: series[channel][rows] for channel in _NAMES}
+    measured = {
+        channel: values
+        for channel, values in prediction.measured.items()
+        if channel in ("x", "y")
+    }
+    thrown = _Thrown(series["t"][rows], path, measured, {}, prediction.stone.R)
     return thrown.replay(id, "", "The path is that of the best estimate.", list(_NAMES))
 
 
 class _Thrown(NamedTuple):
-    """What is shown of a throw: times, the path, and what was measured, by channel;
-    residuals at these times; the radius of the contact ring."""
+    """A throw that is animated.
+
+    Attributes
+    ----------
+    t : times, s.
+    path : by channel, at these times.
+    measured : points of the path by channel, drawn where there are x and y.
+    residuals : by channel, at these times.
+    ring : radius of the contact ring, m.
+    """
 
     t: Floats
     path: dict[str, Floats]
@@ -134,32 +143,39 @@ class _Thrown(NamedTuple):
     ring: float
 
     def replay(
-        self, id: str, label: str, where: str, names: list[str]
+        self, id: str, label: str, where: str, channels: list[str]
     ) -> tuple[Block, dict[str, Any]]:
-        """The part of the page, with the channels of these names as numbers."""
-        t, path, residuals, traces = self.t, self.path, dict[str, Any](), []
-        for name, values in self.residuals.items():
+        """The part of the page, which shows some channels as numbers, and its data."""
+        residuals: dict[str, Any] = {}
+        traces = []
+        for channel, values in self.residuals.items():
             if np.isfinite(values).any():
-                residuals[name], trace = self._trace(name, values)
+                residuals[channel], trace = self._trace(channel, values)
                 traces.append(trace)
-        data: dict[str, Any] = {"kind": "replay", "t": rounded(t, 4)}
-        data |= {name: rounded(values, 5) for name, values in path.items()}
+        data: dict[str, Any] = {"kind": "replay", "t": rounded(self.t, 4)}
+        for channel, values in self.path.items():
+            data[channel] = rounded(values, 5)
         data["residuals"] = residuals
-        measured = (
-            self.measured
-            if {"x", "y"} <= self.measured.keys()
-            else {"x": t[:0], "y": t[:0]}
-        )
-        shown = [
-            {
-                "name": name,
-                "meaning": _NAMES[name][0],
-                "unit": _NAMES[name][1],
-                "value": float(path[name][-1]) / _TURN.get(name, 1.0),
-                "residual": _last(residuals.get(name)),
-            }
-            for name in names
-        ]
+        points = []
+        if {"x", "y"} <= self.measured.keys():
+            points = _points(self.measured["x"], self.measured["y"])
+        end = {channel: float(self.path[channel][-1]) for channel in _NAMES}
+        rows = []
+        for channel in channels:
+            meaning, unit = _NAMES[channel]
+            rows.append(
+                {
+                    "name": channel,
+                    "meaning": meaning,
+                    "unit": unit,
+                    "value": end[channel] / _TURN.get(channel, 1.0),
+                    "residual": _last(residuals.get(channel)),
+                }
+            )
+        x = self.path["x"].tolist()
+        y = self.path["y"].tolist()
+        begin = float(self.t[0])
+        end_time = float(self.t[-1])
         block = Block(
             "replay",
             {
@@ -167,15 +183,15 @@ class _Thrown(NamedTuple):
                 "label": label,
                 "explained": id.endswith("-0"),
                 "where": where,
-                "view": sheet_view(path["x"].tolist(), path["y"].tolist()),
-                "points": _points(measured["x"], measured["y"]),
-                "path": list(zip(path["x"].tolist(), path["y"].tolist(), strict=True)),
-                "end": {name: float(path[name][-1]) for name in _NAMES},
-                "from": float(t[0]),
-                "to": float(t[-1]),
-                "step": _step(float(t[-1] - t[0])),
+                "view": sheet_view(x, y),
+                "points": points,
+                "path": list(zip(x, y, strict=True)),
+                "end": end,
+                "from": begin,
+                "to": end_time,
+                "step": _step(end_time - begin),
                 "traces": traces,
-                "rows": shown,
+                "rows": rows,
                 "radius": STONE_RADIUS,
                 "ring": self.ring,
             },
@@ -183,25 +199,26 @@ class _Thrown(NamedTuple):
         return block, data
 
     def _trace(
-        self, name: str, values: Floats
+        self, channel: str, values: Floats
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Residuals as numbers and as points over time, in a unit that
-        suits their size."""
+        """Residuals of a channel as numbers, in a unit that suits their size, and as
+        dots over time: 0 to 1 across, and down -1 to 1."""
         finite = values[np.isfinite(values)]
-        size, unit = unit_for(max(float(np.sqrt(np.mean(finite**2))), 1e-12), name)
+        rms = float(np.sqrt(np.mean(finite**2)))
+        size, unit = unit_for(max(rms, 1e-12), channel)
         scaled = values / size
         reach = float(np.nanmax(np.abs(scaled))) or 1.0
         places = min(decimals(reach / 10) + 1, 6)
-        dots = _points(
-            (self.t - self.t[0]) / float(self.t[-1] - self.t[0]), -scaled / reach
-        )
-        return {"unit": unit, "values": rounded(scaled, places)}, {
-            "name": name,
+        numbers = {"unit": unit, "values": rounded(scaled, places)}
+        across = (self.t - self.t[0]) / float(self.t[-1] - self.t[0])
+        trace = {
+            "name": channel,
             "unit": unit,
             "reach": f"{float(f'{reach:.2g}'):g}",
-            "dots": dots,
+            "dots": _points(across, -scaled / reach),
             "color": DATA_COLOR,
         }
+        return numbers, trace
 
 
 def _points(x: Floats, y: Floats) -> list[tuple[float, float]]:
@@ -210,9 +227,11 @@ def _points(x: Floats, y: Floats) -> list[tuple[float, float]]:
     return list(zip(x[known].tolist(), y[known].tolist(), strict=True))
 
 
-def _last(found: dict[str, Any] | None) -> str:
-    value = None if found is None else found["values"][-1]
-    return "" if found is None or value is None else f"{value:+.3g} {found['unit']}"
+def _last(residuals: dict[str, Any] | None) -> str:
+    """The last residual with its unit; empty where there is none."""
+    if residuals is None or residuals["values"][-1] is None:
+        return ""
+    return f"{residuals['values'][-1]:+.3g} {residuals['unit']}"
 
 
 def _step(span: float) -> float:
@@ -225,9 +244,12 @@ def rests_of(prediction: Prediction, id: str) -> tuple[Block, dict[str, Any]] | 
     sample = prediction.sample
     if not sample:
         return None
-    x, y, phi = (sample[name] for name in ("x", "y", "phi"))
+    x = sample["x"]
+    y = sample["y"]
+    # to the right and beyond the tee, m, shape (draws, 2)
     ends = np.stack([x[:, -1], y[:, -1] - TEE], 1)
-    inside = np.hypot(*ends.T) < HOUSE + STONE_RADIUS
+    in_house = np.hypot(*ends.T) < HOUSE + STONE_RADIUS
+    # the house with all draws, and in the close view the draws alone
     reach = HOUSE + _BEYOND
     low = np.minimum(ends.min(0) - _BEYOND, -reach)
     high = np.maximum(ends.max(0) + _BEYOND, reach)
@@ -238,10 +260,10 @@ def rests_of(prediction: Prediction, id: str) -> tuple[Block, dict[str, Any]] | 
         "t": rounded(sample["t"], 3),
         "x": [rounded(row, 4) for row in x],
         "y": [rounded(row, 4) for row in y],
-        "phi": [rounded(row, 3) for row in phi],
+        "phi": [rounded(row, 3) for row in sample["phi"]],
         "rest": rounded(sample["rest"], 3),
         "tee": TEE,
-        "inside": inside.tolist(),
+        "inside": in_house.tolist(),
     }
     block = Block(
         "rests",
@@ -249,7 +271,7 @@ def rests_of(prediction: Prediction, id: str) -> tuple[Block, dict[str, Any]] | 
             "id": id,
             "number": len(x),
             "ends": ends.tolist(),
-            "inside": int(inside.sum()),
+            "inside": int(in_house.sum()),
             "view": (low[0], -high[1], high[0] - low[0], high[1] - low[1]),
             "close": (middle[0] - half, -middle[1] - half, 2 * half, 2 * half),
             "radius": STONE_RADIUS,

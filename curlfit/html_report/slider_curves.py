@@ -34,12 +34,17 @@ WHOLE = 1.0
 
 class Layout:
     """Where the curves of a fit are in one vector: the path that is drawn, then the
-    residuals by measured channel."""
+    residuals by measured channel.
+
+    The two sides of the drawing are y and x or, where these were not measured, the time
+    and one channel.
+    """
 
     def __init__(self, fit: FitResult, model: CurveModel) -> None:
         self.measured = list(fit.rms)
         self.has_path = {"x", "y"} <= fit.rms.keys()
         self.drawn = ["y", "x"] if self.has_path else self.measured[:1]
+        self.sides = self.drawn if self.has_path else ["t", *self.drawn]
         self.t = model.at(fit.values).t
         self.instants = some_rows(len(self.t), _INSTANTS)
         self.rows = some_rows(len(fit.observed["t"]), _INSTANTS)
@@ -103,13 +108,12 @@ class Slider:
         first = int(np.searchsorted(self.steps, step)) - 2
         first = min(max(first, 0), len(self.steps) - 4)
         nodes = self.steps[first : first + 4]
-        weights = [
-            np.prod(
-                [(step - other) / (node - other) for other in nodes if other != node]
-            )
-            for node in nodes
-        ]
-        return np.asarray(weights) @ self.changes[first : first + 4]
+        # Lagrange's weights: 1 at a node of its own, 0 at the others
+        weights = np.ones(len(nodes))
+        for index, node in enumerate(nodes):
+            others = np.delete(nodes, index)
+            weights[index] = np.prod((step - others) / (node - others))
+        return weights @ self.changes[first : first + 4]
 
     def share(self, step: float) -> float:
         """How much of the way to the end on its side a step goes, 0 to 1."""

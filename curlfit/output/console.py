@@ -50,20 +50,24 @@ def terminal(*, quiet: bool = False, highlight: bool = True) -> Console:
 
 
 class _Trimmer(RenderHook):
+    """What is printed on a console, without trailing blanks."""
+
     def process_renderables(
         self, renderables: list[ConsoleRenderable]
     ) -> list[ConsoleRenderable]:
-        return [_TrimmedLines(item) for item in renderables]
+        return [_TrimmedLines(printed) for printed in renderables]
 
 
 class _TrimmedLines:
-    def __init__(self, item: ConsoleRenderable) -> None:
-        self.item = item
+    """A text or a table without trailing blanks."""
+
+    def __init__(self, printed: ConsoleRenderable) -> None:
+        self.printed = printed
 
     def __rich_console__(
         self, console: Console, options: ConsoleOptions
     ) -> RenderResult:
-        yield from _trim(console.render(self.item, options))
+        yield from _trim(console.render(self.printed, options))
 
 
 def _trim(segments: Iterable[Segment]) -> Iterator[Segment]:
@@ -95,18 +99,18 @@ class Items:
         self, console: Console, options: ConsoleOptions
     ) -> RenderResult:
         line = Text()
-        for item in self.items:
-            if line and line.cell_len + len(_GAP) + item.cell_len > options.max_width:
+        for text in self.items:
+            if line and line.cell_len + len(_GAP) + text.cell_len > options.max_width:
                 yield line
                 line = Text()
-            line.append(_GAP if line else "").append_text(item)
+            line.append(_GAP if line else "").append_text(text)
         yield line
 
     def __rich_measure__(
         self, console: Console, options: ConsoleOptions
     ) -> Measurement:
-        whole = sum(item.cell_len + len(_GAP) for item in self.items)
-        words = [Measurement.get(console, options, item).minimum for item in self.items]
+        whole = sum(text.cell_len + len(_GAP) for text in self.items)
+        words = [Measurement.get(console, options, text).minimum for text in self.items]
         least = max(words, default=0)
         return Measurement(min(least, options.max_width), min(whole, options.max_width))
 
@@ -134,7 +138,9 @@ class PlainTable(Table):
         note: Text | None = None,
     ) -> None:
         super().__init__(**_PLAIN)
-        self.keys, self.called, self.note = keys, caption, note
+        self.keys = keys
+        self.called = caption
+        self.note = note
         rows = list(rows)
         heads = dict.fromkeys(head for row in rows for head in row)
         shown = [
@@ -164,30 +170,25 @@ class PlainTable(Table):
             if number:
                 yield Text("")
             fits = _total_width(widths, block) <= options.max_width
-            part = Table(
-                *(
-                    replace(
-                        column,
-                        no_wrap=column.no_wrap and fits,
-                        overflow="fold",
-                        _cells=[],
-                    )
-                    for column in (self.columns[index] for index in block)
-                ),
-                **_PLAIN,
-            )
-            for row in zip(
-                *(self.columns[index].cells for index in block), strict=True
-            ):
+            columns = [self.columns[index] for index in block]
+            heads = [
+                replace(
+                    column, no_wrap=column.no_wrap and fits, overflow="fold", _cells=[]
+                )
+                for column in columns
+            ]
+            table = Table(*heads, **_PLAIN)
+            for row in zip(*(column.cells for column in columns), strict=True):
                 if len(blocks) == 1 or any(map(str, row[self.keys :])):
-                    part.add_row(*row)
-            yield part
+                    table.add_row(*row)
+            yield table
         if self.note is not None:
             yield self.note
 
     def _widths(self, console: Console, options: ConsoleOptions) -> list[int]:
         """Width that each column needs, in characters."""
-        wide, widths = options.update_width(_UNLIMITED), []
+        wide = options.update_width(_UNLIMITED)
+        widths = []
         for column in self.columns:
             sizes = [
                 console.measure(cell, options=wide)
@@ -212,4 +213,5 @@ class PlainTable(Table):
 
 
 def _total_width(widths: list[int], block: list[int]) -> int:
+    """Width of the columns of a block, with two blanks between them."""
     return sum(widths[index] for index in block) + 2 * (len(block) - 1)

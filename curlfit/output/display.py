@@ -54,20 +54,24 @@ def kind_of(result: object) -> str:
 def document_of(result: object) -> Document:
     """What a saved result says."""
     module = import_module(f"curlfit.{KINDS[kind_of(result)].report}")
-    found: Document = module.document(result)
-    return found
+    document: Document = module.document(result)
+    return document
 
 
 def figures_of(result: object) -> dict[str, Any]:
     """The figures of a saved result, by name."""
-    kind = kind_of(result)
-    _, noun, several, with_corner = KINDS[kind]
-    draw = getattr(
-        import_module("curlfit"), f"{noun}_figures" if several else f"{noun}_figure"
-    )
-    found: dict[str, Any] = draw(result) if several else {kind: draw(result)}
-    chain = getattr(result, "chain", None) if with_corner else None
-    return found if chain is None else found | corner_of(result, chain)
+    name = kind_of(result)
+    kind = KINDS[name]
+    curlfit = import_module("curlfit")
+    figures: dict[str, Any]
+    if kind.figures:
+        figures = getattr(curlfit, f"{kind.noun}_figures")(result)
+    else:
+        figures = {name: getattr(curlfit, f"{kind.noun}_figure")(result)}
+    chain = getattr(result, "chain", None)
+    if kind.with_corner and chain is not None:
+        figures |= corner_of(result, chain)
+    return figures
 
 
 def corner_of(result: object, chain: object) -> dict[str, Any]:

@@ -89,13 +89,13 @@ class Document:
 
     @property
     def introduction(self) -> list[str]:
-        """The same without what the finding or the lines say."""
+        """The first lines of a report without what the finding or the lines say."""
         return [str(line) for line in self.heading if not isinstance(line, Said)]
 
     def __rich_console__(
         self, console: Console, options: ConsoleOptions
     ) -> RenderResult:
-        """The whole on a terminal."""
+        """The whole report on a terminal."""
         yield from map(_text, (*self.heading, ""))
         for section in self.sections:
             parts = list(section)

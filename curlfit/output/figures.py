@@ -184,26 +184,24 @@ def measured_slopes(t: Floats, *series: Floats) -> tuple[Floats, Floats, float]:
     s. There are at most 40 groups of at least three rows; rows with a gap in any series
     are left out.
     """
-    there = np.isfinite(series).all(0)
-    t, values = t[there], np.array(series)[:, there]
+    complete = np.isfinite(series).all(0)
+    t = t[complete]
+    values = np.array(series)[:, complete]
     number = min(_SLOPES, len(t) // 3)
     if number < 2:
         return np.zeros(0), np.zeros((len(series), 0)), 0.0
-    groups = [
-        rows
-        for rows in np.array_split(np.arange(len(t)), number)
-        if np.ptp(t[rows]) > 0
-    ]
-    middles = np.array([t[rows].mean() for rows in groups])
+    middles = []
     slopes = []
-    for rows, middle in zip(groups, middles, strict=True):
-        dt = t[rows] - middle
-        slopes.append(values[:, rows] @ dt / (dt @ dt))
-    return (
-        middles,
-        np.transpose(slopes),
-        float(np.median([np.ptp(t[rows]) for rows in groups])),
-    )
+    durations = []
+    for rows in np.array_split(np.arange(len(t)), number):
+        duration = np.ptp(t[rows])
+        if duration > 0:
+            middle = t[rows].mean()
+            dt = t[rows] - middle
+            middles.append(middle)
+            slopes.append(values[:, rows] @ dt / (dt @ dt))
+            durations.append(duration)
+    return np.array(middles), np.transpose(slopes), float(np.median(durations))
 
 
 def plot_rate(
@@ -211,18 +209,16 @@ def plot_rate(
 ) -> None:
     """Plot the speed or the spin of measured rows, or else the slopes of the
     path or angle."""
-    path = [
-        rows[one]
-        for one in ({"speed": ("x", "y"), "omega": ("phi",)}[name])
-        if one in rows
-    ]
+    sources = ("x", "y") if name == "speed" else ("phi",)
+    series = [rows[source] for source in sources if source in rows]
     if name in rows:
         axes.plot(rows["t"], rows[name], **style)
-    elif path:
-        at, slopes, over = measured_slopes(rows["t"], *path)
-        if len(at):
+    elif series:
+        times, slopes, span = measured_slopes(rows["t"], *series)
+        if len(times):
             rates = np.hypot(*slopes) if name == "speed" else slopes[0]
-            axes.plot(at, rates, **style, label=f"slopes of the data over {over:.2g} s")
+            label = f"slopes of the data over {span:.2g} s"
+            axes.plot(times, rates, **style, label=label)
     axes.set(xlabel="t (s)", ylabel=RATE_LABEL[name])
 
 
@@ -302,16 +298,15 @@ def math_symbol(symbol: str) -> str:
         drawn = re.search(r"[%&#~$\n]|\^\^", symbol) is None
     except ValueError:
         drawn = False
-    return (
-        symbol
-        if drawn
-        else rf"\mathrm{{{re.sub('[^A-Za-z0-9]+', ' ', symbol).strip() or '?'}}}"
-    )
+    if drawn:
+        return symbol
+    letters = re.sub("[^A-Za-z0-9]+", " ", symbol).strip() or "?"
+    return rf"\mathrm{{{letters}}}"
 
 
-def symbol_of(item: Any) -> str:
-    """The symbol of an estimate."""
-    return f"${math_symbol(item.symbol)}$"
+def symbol_of(estimate: Any) -> str:
+    """The symbol of an estimate, as mathematics."""
+    return f"${math_symbol(estimate.symbol)}$"
 
 
 def in_symbols(expression: str, symbols: Mapping[str, str]) -> str:
@@ -327,17 +322,17 @@ def weighted_sum(weights: Mapping[str, float], parameters: Mapping[str, Any]) ->
     """A combination of parameters in their symbols, for mathematics."""
     text = ""
     for name, weight in weights.items():
+        sign = "-" if weight < 0 else "+"
         size = "" if abs(weight) == 1 else f"{abs(weight):.3g}\\,"
-        text += (
-            f"{'-' if weight < 0 else '+'}{size}{math_symbol(parameters[name].symbol)}"
-        )
+        text += f"{sign}{size}{math_symbol(parameters[name].symbol)}"
     return text.removeprefix("+")
 
 
 def legend_above(axes: Any, ncols: int | None = None) -> None:
     """A legend above the right end of the axes, where no curve runs, if any;
     in one line."""
-    if count := len(axes.get_legend_handles_labels()[1]):
+    count = len(axes.get_legend_handles_labels()[1])
+    if count:
         axes.legend(
             loc="lower right",
             bbox_to_anchor=(1.0, 1.0),
@@ -429,7 +424,8 @@ def save_figure(figure: Figure, file: str | PathLike[str], dpi: int = DPI) -> No
     from curlfit.output.files import atomic_write
 
     # Drawn in memory: matplotlib's own writers leave half a file on a full disk.
-    path, image = FilePath(file), BytesIO()
+    path = FilePath(file)
+    image = BytesIO()
     with rc_context({"svg.fonttype": "none"}):  # text as text
         figure.savefig(image, dpi=dpi, format=path.suffix[1:].lower() or "png")
     atomic_write(path, image.getvalue())

@@ -57,12 +57,12 @@ def require_replaceable(file: Path, what: str, mark: str) -> None:
     if file.is_dir():
         raise InputError(f"{file}: this is a folder, expected the name of {what}")
     try:
-        found = file.read_text(encoding="utf-8")
+        text = file.read_text(encoding="utf-8")
     except (FileNotFoundError, NotADirectoryError):
         return
     except (OSError, ValueError):
-        found = ""
-    if mark not in found:
+        text = ""
+    if mark not in text:
         raise InputError(
             f"{file}: this file exists and is not {what} that curlfit wrote; "
             "give another name, or delete it"
@@ -70,6 +70,7 @@ def require_replaceable(file: Path, what: str, mark: str) -> None:
 
 
 def _umask() -> int:
+    """The permissions that this process withholds from new files."""
     mask = os.umask(0)
     os.umask(mask)
     return mask
@@ -94,22 +95,22 @@ def prepare_folder(folder: Path) -> Path:
 
 
 def claim_folder(folder: Path) -> Path:
-    """The same of a folder that no other process shall write to until this one ends,
+    """Prepare a folder and keep other processes from writing to it until this one ends,
     or until `release_folders`.
 
     Raises
     ------
     InputError : it cannot be written to, or another process has claimed it.
     """
-    place = prepare_folder(folder).resolve()
-    if place in _claimed:
+    path = prepare_folder(folder).resolve()
+    if path in _claimed:
         return folder
     try:
         if sys.platform == "win32":  # where no folder can be opened
             flags = os.O_RDWR | os.O_CREAT | os.O_TEMPORARY
-            descriptor = os.open(place / f"{_PREFIX}lock", flags)
+            descriptor = os.open(path / f"{_PREFIX}lock", flags)
         else:
-            descriptor = os.open(place, os.O_RDONLY)
+            descriptor = os.open(path, os.O_RDONLY)
     except OSError:
         return folder
     if not locked(descriptor):
@@ -118,7 +119,7 @@ def claim_folder(folder: Path) -> Path:
             f"{folder}: another `curlfit` is writing its results there; name another "
             "folder with --out, or wait for its end"
         )
-    _claimed[place] = descriptor
+    _claimed[path] = descriptor
     return folder
 
 

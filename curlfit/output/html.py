@@ -40,6 +40,7 @@ def brief(document: Document, name: str) -> str:
 
 
 def _block(part: Text | Table) -> str:
+    """A paragraph, or a table with its note below."""
     if isinstance(part, Table):
         note = getattr(part, "note", None)
         return _table(part) + (_block(note) if note else "")
@@ -51,7 +52,7 @@ def inline(part: Any) -> str:
     if isinstance(part, Items):
         return ", ".join(map(inline, part.items))
     if isinstance(part, Text):
-        return "".join(_styled(run.plain, run) for run in _runs(part))
+        return "".join(_styled(run) for run in _runs(part))
     return escape(str(part)).replace("\n", "<br>")
 
 
@@ -61,7 +62,8 @@ def _runs(text: Text) -> Iterable[Text]:
     return text.divide(sorted(edges - {0, len(text)}))
 
 
-def _styled(plain: str, run: Text) -> str:
+def _styled(run: Text) -> str:
+    """A text of one style."""
     style = run.get_style_at_offset(_STYLES, 0)
     css = []
     if style.bold:
@@ -70,22 +72,22 @@ def _styled(plain: str, run: Text) -> str:
         css.append("opacity: 0.75")
     if style.color is not None and style.color.name in COLORS:
         css.append(f"color: {COLORS[style.color.name]}")
-    shown = escape(plain).replace("\n", "<br>")
-    return f'<span style="{"; ".join(css)}">{shown}</span>' if css else shown
+    text = escape(run.plain).replace("\n", "<br>")
+    return f'<span style="{"; ".join(css)}">{text}</span>' if css else text
 
 
 def _table(table: Table) -> str:
-    columns = table.columns
-    head = "".join(_cell(item.header, item.justify, "th") for item in columns)
-    rows = [
-        "".join(
-            _cell(cell, item.justify) for cell, item in zip(cells, columns, strict=True)
-        )
-        for cells in zip(*(item.cells for item in columns), strict=True)
-    ]
-    body = "".join(
-        f'<tr style="background-color: transparent">{row}</tr>' for row in rows
+    """A table with its header, without its note."""
+    head = "".join(
+        _cell(column.header, column.justify, "th") for column in table.columns
     )
+    columns = [
+        [_cell(content, column.justify) for content in column.cells]
+        for column in table.columns
+    ]
+    body = ""
+    for row in zip(*columns, strict=True):
+        body += f'<tr style="background-color: transparent">{"".join(row)}</tr>'
     return (
         '<table style="border-collapse: collapse; margin: 0.5em 0; color: inherit">'
         f'<thead><tr style="border-bottom: {_LINE}">{head}</tr></thead>'
@@ -94,5 +96,6 @@ def _table(table: Table) -> str:
 
 
 def _cell(content: Any, justify: str, tag: str = "td") -> str:
+    """A cell of a table, aligned as on the terminal."""
     side = "right" if justify == "right" else "left"
     return f'<{tag} style="text-align: {side}; {_CELL}">{inline(content)}</{tag}>'

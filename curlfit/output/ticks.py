@@ -27,11 +27,13 @@ _MAX_RATIO = 1e4
 def unit_for(size: float, channel: str) -> tuple[float, str]:
     """The unit suited to a size of a channel: its factor to SI and its name."""
     units = _ANGLES if channel in ("phi", "omega") else _LENGTHS
-    suited = (
-        one for one in units if size >= one[0] * (1.0 if one[0] >= 1 else _MIN_IN_UNIT)
-    )
-    factor, unit = next(suited, units[-1])
-    return factor, f"{unit}/s" if channel in ("speed", "omega") else unit
+    per = "/s" if channel in ("speed", "omega") else ""
+    for factor, unit in units:
+        smallest = factor if factor >= 1 else factor * _MIN_IN_UNIT
+        if size >= smallest:
+            return factor, unit + per
+    factor, unit = units[-1]
+    return factor, unit + per
 
 
 def neat_axis(
@@ -42,15 +44,17 @@ def neat_axis(
     With `neighbours`, no tick label extends beyond the ends of the axis.
     """
     low, high = sorted(map(float, axis.get_view_interval()))
+    # letters take up a part of a horizontal axis, but not of a vertical one
     inches = axis.axes.get_window_extent().width / axis.axes.get_figure().dpi
     letter_width = _LETTER_WIDTH if axis.axis_name == "x" else 0.0
     unit = "" if unit == "1" else literal(unit).replace("^2", "\N{SUPERSCRIPT TWO}")
     steps = [1, 2, 3, 4, 5, 10] if neighbours else [1, 2, 5, 10]
+    # fewer ticks until their labels fit beside one another
     for most in range(5 if neighbours else 7, 1, -1):
         ticks = np.asarray(MaxNLocator(most, steps=steps).tick_values(low, high))
         step = float(ticks[1] - ticks[0])
         ticks = ticks[(ticks >= low) & (ticks <= high)]
-        numbers, start, power = _tick_labels(ticks, step)
+        numbers, offset, power = _tick_labels(ticks, step)
         letters = max(map(len, numbers), default=0)
         label_width = max(0.12, letter_width * letters / inches) * (high - low)
         margin = label_width / 2 if neighbours else 0.0
@@ -59,17 +63,18 @@ def neat_axis(
             break
     labels = [number for number, shown in zip(numbers, inside, strict=True) if shown]
     axis.set_ticks(ticks[inside], labels=labels)
-    ten = f"$10^{{{power}}}$" if power else ""
-    in_brackets = " ".join(part for part in (ten, unit) if part)
-    between = "\n" if start else " "
-    axis.set_label_text(
-        label + start + (f"{between}({in_brackets})" if in_brackets else "")
-    )
+    text = label + offset
+    if power:
+        unit = f"$10^{{{power}}}$ {unit}".rstrip()
+    if unit:
+        text += f"\n({unit})" if offset else f" ({unit})"
+    axis.set_label_text(text)
 
 
 def _tick_labels(ticks: Floats, step: float) -> tuple[list[str], str, int]:
     """Tick labels, the offset subtracted from them as text, and their power of ten."""
-    start, power = 0.0, 0
+    start = 0.0
+    power = 0
     largest = float(np.abs(ticks).max(initial=0.0))
     if largest > _MAX_RATIO * step:
         start = float(ticks[len(ticks) // 2])

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from curlfit.inference.fit.result import FitResult, require_fit
-from curlfit.inference.identifiability import Combination
 from curlfit.inference.joint.result import JointResult
 from curlfit.inference.mcmc.chain import Chain
 from curlfit.inference.verdict import Verdict
@@ -17,9 +16,13 @@ from curlfit.output import figures as draw
 from curlfit.output.ticks import neat_axis
 from curlfit.wording import format_estimate
 
-_LEFT, _RIGHT, _TOP, _BOTTOM = 0.8, 0.12, 0.42, 0.65  # inches around the panels
-_GAP = 0.06  # between them
-_SMALLEST = 0.95  # side of a panel
+# inches: around the panels, between them, and the least side of a panel
+_LEFT = 0.8
+_RIGHT = 0.12
+_TOP = 0.42
+_BOTTOM = 0.65
+_GAP = 0.06
+_SMALLEST = 0.95
 _BINS = 30
 _SMOOTH = 1.0  # bins, standard deviation
 _LEVELS = (0.95, 0.68)
@@ -27,15 +30,45 @@ _LEGEND = "dashed: 68 %; shaded: 68 and 95 % of the posterior"
 _SHADES = ("#ecd2e0", draw.POSTERIOR_COLOR)
 _MOST = 40_000  # samples used for the densities
 _DOTS = 2000  # points drawn along a ridge, about
+_SPREAD = "spread of "  # begins the name of a spread between throws in a chain
 _ROOM = 8  # panels side by side, beyond which groups and trends are left to the report
 
 
-class _Shown(NamedTuple):
-    """One of what is drawn: its label, unit and verdict."""
+class _Label(NamedTuple):
+    """How a parameter is labelled: its symbol, unit and verdict."""
 
-    label: str
+    text: str
     unit: str
     verdict: Verdict = Verdict.DETERMINED
+
+
+class _Ridge(NamedTuple):
+    """A combination of two parameters of which only it is determined: its weights by
+    name, its symbols, and the value of a reference."""
+
+    weights: Mapping[str, float]
+    symbols: str
+    reference: float | None
+
+
+class _Lines(NamedTuple):
+    """Lines of text of one colour in the corner."""
+
+    color: str
+    lines: list[str]
+
+
+class _Content(NamedTuple):
+    """What a corner plot shows."""
+
+    labels: dict[str, _Label]
+    """by name, in the order of the panels"""
+    ridges: dict[tuple[int, int], _Ridge]
+    """by row and column"""
+    reference: Mapping[str, float]
+    """published or true values by name"""
+    heading: str
+    corner: list[_Lines]
 
 
 @draw.style()
@@ -49,98 +82,118 @@ def corner_figure(fit: FitResult | JointResult, chain: Chain) -> draw.Picture:
     --------
     >>> curlfit.corner_figure(sampled, chain).savefig("corner.png")
     """
-    if isinstance(fit, JointResult):
-        shown, ridges, known, heading, said = _of_joint(fit, chain)
-    else:
-        shown, ridges, known, heading, said = _of_fit(fit)
-    names = list(shown)
+    content = _of_joint(fit, chain) if isinstance(fit, JointResult) else _of_fit(fit)
+    names = list(content.labels)
     samples = np.stack([chain.of({name: 1.0}) for name in names])
     samples = samples[:, draw.some_rows(samples.shape[1], _MOST)]
-    extents = [
-        _extent(*pair) for pair in zip(samples, map(known.get, names), strict=True)
+    references = [content.reference.get(name) for name in names]
+    limits = [
+        _limits(values, reference)
+        for values, reference in zip(samples, references, strict=True)
     ]
-    figure, grid = _panels(len(names))
-    for (row, column), axes in grid.items():
+    figure, panels = _panels(len(names))
+    for (row, column), axes in panels.items():
         axes.grid(visible=False)
         axes.spines[:].set_visible(True)
-        axes.set_xlim(extents[column])
+        axes.set_xlim(limits[column])
         if row == column:
-            _histogram(axes, shown[names[row]].verdict, samples[row])
-            _mark(axes.axvline, known.get(names[row]))
+            verdict = content.labels[names[row]].verdict
+            _histogram(axes, verdict, samples[row])
+            _mark(axes.axvline, references[row])
             continue
-        axes.set_ylim(extents[row])
-        if item := ridges.get((row, column)):
-            combination, words = item
-            weights = [combination.weights[names[place]] for place in (column, row)]
-            of_it = known.get(combination.expression)
-            _ridge(axes, words, weights, samples[[column, row]], of_it)
+        axes.set_ylim(limits[row])
+        pair = samples[[column, row]]
+        ridge = content.ridges.get((row, column))
+        if ridge is not None:
+            slope = (ridge.weights[names[column]], ridge.weights[names[row]])
+            _draw_ridge(axes, ridge, slope, pair)
             continue
-        _density(axes, samples[[column, row]])
-        _mark(axes.axhline, known.get(names[row]))
-        _mark(axes.axvline, known.get(names[column]))
-    for place, name in enumerate(names):
-        _neat_axes(shown[name], grid[len(names) - 1, place], grid[place, 0], place > 0)
+        _density(axes, pair)
+        _mark(axes.axhline, references[row])
+        _mark(axes.axvline, references[column])
+    last = len(names) - 1
+    for index, name in enumerate(names):
+        label = content.labels[name]
+        _neat_axes(label, panels[last, index], panels[index, 0], index > 0)
     for axes in figure.axes:
         axes.label_outer()
-    _say_in_corner(figure, heading, said)
+    _write_corner(figure, content.heading, content.corner)
     return figure
 
 
-def _of_fit(fit: FitResult) -> tuple[Any, ...]:
-    """What is drawn by name, ridges by row and column, reference values,
-    heading and words."""
+def _of_fit(fit: FitResult) -> _Content:
+    """Coefficients and conditions of a fit."""
     require_fit(fit)
-    names = _names(fit)
-    items = {name: fit.parameters[name] for name in names}
-    return (
-        {
-            name: _Shown(draw.symbol_of(one), one.unit, one.verdict)
-            for name, one in items.items()
-        },
-        _ridges(fit, names),
-        {} if fit.reference is None else fit.reference.values,
-        draw.heading_of(fit),
-        _said(fit),
+    labels = {}
+    for name in _names(fit):
+        parameter = fit.parameters[name]
+        symbol = draw.symbol_of(parameter)
+        labels[name] = _Label(symbol, parameter.unit, parameter.verdict)
+    return _Content(
+        labels=labels,
+        ridges=_ridges(fit, list(labels)),
+        reference={} if fit.reference is None else fit.reference.values,
+        heading=draw.heading_of(fit),
+        corner=_corner_of_fit(fit),
     )
 
 
-def _of_joint(result: JointResult, chain: Chain) -> tuple[Any, ...]:
-    """The same of throws that vary."""
-    items = result.coefficients
-    symbols = {name: draw.symbol_of(one) for name, one in items.items()}
-    symbols |= {
-        one.expression: f"${draw.weighted_sum(one.weights, items)}$"
-        for one in result.combinations
-    }
-    units = {name: one.unit for name, one in items.items()}
-    shown = {}
+def _of_joint(result: JointResult, chain: Chain) -> _Content:
+    """Means of throws that vary, what groups and trends change in them ("sheet 2:
+    mu1_xi"), and the spreads between throws ("spread of mu1_xi")."""
+    symbols = {}
+    units = {}
+    for name, coefficient in result.coefficients.items():
+        symbols[name] = draw.symbol_of(coefficient)
+        units[name] = coefficient.unit
+    for combination in result.combinations:
+        weights = combination.weights
+        text = draw.weighted_sum(weights, result.coefficients)
+        symbols[combination.expression] = f"${text}$"
+    labels = {}
     for name in chain.names:
-        change, _, varies = name.rpartition(": ")
-        spread = name.removeprefix("spread of ")
-        if len(chain.names) > _ROOM and change:
+        change, _, expression = name.rpartition(": ")
+        if change and len(chain.names) > _ROOM:
             continue
-        label = symbols.get(varies, varies)
+        text = symbols.get(expression, expression)
+        # the density of a spread leans to one side
+        verdict = Verdict.DETERMINED
         if change:
-            label = f"{draw.literal(change)}:\n{label}"
-        if spread != name:
-            label, varies = f"spread of\n{symbols.get(spread, spread)}", spread
-        # its density leans to one side
-        verdict = Verdict.WEAK if spread != name else Verdict.DETERMINED
-        shown[name] = _Shown(label, units.get(varies, "1"), verdict)
-    heading = f"{draw.law_and_load(result)}: {result.count} throws together"
-    return shown, {}, {}, heading, [(draw.QUIET, [_LEGEND])]
+            text = f"{draw.literal(change)}:\n{text}"
+        if name.startswith(_SPREAD):
+            expression = name.removeprefix(_SPREAD)
+            text = f"spread of\n{symbols.get(expression, expression)}"
+            verdict = Verdict.WEAK
+        labels[name] = _Label(text, units.get(expression, "1"), verdict)
+    return _Content(
+        labels=labels,
+        ridges={},
+        reference={},
+        heading=f"{draw.law_and_load(result)}: {result.count} throws together",
+        corner=[_Lines(draw.QUIET, [_LEGEND])],
+    )
 
 
 def _panels(number: int) -> tuple[draw.Picture, dict[tuple[int, int], Any]]:
-    """The figure, and its panels by row and column; those of a parameter
-    share its axis."""
-    count = max(number, 2)
+    """The figure, and its panels by row and column, of which those of a parameter share
+    its axis.
+
+    The panels are the lower triangle of a square, for 3 parameters
+
+        0,0
+        1,0   1,1
+        2,0   2,1   2,2
+
+    so that the upper right corner is free for text. Lengths are in inches, positions
+    in the figure in fractions of its width and height.
+    """
+    count = max(number, 2)  # a single panel leaves room for the text
     width = max(draw.WIDTH, _LEFT + _RIGHT + count * (_SMALLEST + _GAP) - _GAP)
-    side = (width - _LEFT - _RIGHT + _GAP) / count
+    side = (width - _LEFT - _RIGHT + _GAP) / count  # of a panel and a gap
     height = _TOP + _BOTTOM + number * side - _GAP
     figure = draw.Picture(figsize=(width, height))
     gap = _GAP / (side - _GAP)
-    places = figure.add_gridspec(
+    cells = figure.add_gridspec(
         number,
         count,
         wspace=gap,
@@ -150,37 +203,45 @@ def _panels(number: int) -> tuple[draw.Picture, dict[tuple[int, int], Any]]:
         bottom=_BOTTOM / height,
         top=1 - _TOP / height,
     )
-    grid: dict[tuple[int, int], Any] = {}
+    panels: dict[tuple[int, int], Any] = {}
     for row in range(number):
         for column in range(row + 1):
-            across, up = (
-                grid.get((column, column)),
-                grid.get((row, 0)) if column < row else None,
+            panels[row, column] = figure.add_subplot(
+                cells[row, column],
+                sharex=panels.get((column, column)),
+                # on the diagonal the vertical axis counts samples
+                sharey=panels.get((row, 0)) if column < row else None,
             )
-            grid[row, column] = figure.add_subplot(
-                places[row, column], sharex=across, sharey=up
-            )
-    return figure, grid
+    return figure, panels
 
 
 def _names(fit: FitResult) -> list[str]:
     """Coefficients and conditions that are not fixed; if fewer than two, the
     initial state too."""
-    start = ("v0", "omega0", "heading")
-    wanted = [*fit.coefficients, *fit.conditions]
-    free = [name for name in (*wanted, *start) if fit.parameters[name].verdict.is_free]
-    found = [name for name in free if name in wanted]
-    return found if len(found) > 1 else free
+    free = [
+        name
+        for name in (*fit.coefficients, *fit.conditions)
+        if fit.parameters[name].verdict.is_free
+    ]
+    if len(free) < 2:
+        free += [
+            name
+            for name in ("v0", "omega0", "heading")
+            if fit.parameters[name].verdict.is_free
+        ]
+    return free
 
 
-def _extent(values: Floats, mark: float | None) -> tuple[float, float]:
+def _limits(values: Floats, reference: float | None) -> tuple[float, float]:
     """Axis limits that enclose the samples, and a reference value if it
     is near them."""
     low, high = map(float, np.quantile(values, [0.001, 0.999]))
-    if mark is not None:
+    if reference is not None:
         reach = 3 * (high - low)
-        low = mark if high - reach < mark < low else low
-        high = mark if high < mark < low + reach else high
+        if high - reach < reference < low:
+            low = reference
+        if high < reference < low + reach:
+            high = reference
     margin = 0.06 * (high - low) or 1e-9
     return low - margin, high + margin
 
@@ -196,9 +257,9 @@ def _histogram(axes: Any, verdict: Verdict, values: Floats) -> None:
         ec=draw.POSTERIOR_COLOR,
         lw=1,
     )
-    quantiles = low, middle, high = np.quantile(values, [0.16, 0.5, 0.84]).tolist()
+    low, median, high = np.quantile(values, [0.16, 0.5, 0.84]).tolist()
     axes.vlines(
-        quantiles,
+        [low, median, high],
         0,
         1,
         transform=axes.get_xaxis_transform(),
@@ -207,80 +268,100 @@ def _histogram(axes: Any, verdict: Verdict, values: Floats) -> None:
         lw=0.7,
     )
     axes.set(ylim=(0, 1.1 * counts.max()), yticks=[])
-    said = f"{low:.3g} .. {high:.3g}"
+    title = f"{low:.3g} .. {high:.3g}"
     if verdict == Verdict.NOT_IDENTIFIABLE:
-        said = verdict
+        title = verdict
     elif verdict.is_known:
-        said = " \N{PLUS-MINUS SIGN} ".join(format_estimate(middle, (high - low) / 2))
+        value, error = format_estimate(median, (high - low) / 2)
+        title = f"{value} \N{PLUS-MINUS SIGN} {error}"
     text = axes.set_title(
-        said.replace("-", "\N{MINUS SIGN}"), fontsize=7, pad=3, loc="center"
+        title.replace("-", "\N{MINUS SIGN}"), fontsize=7, pad=3, loc="center"
     )
     draw.shrink(text, axes.get_window_extent().width)
 
 
 def _density(axes: Any, samples: Floats) -> None:
-    """Smallest regions that contain 68 and 95 % of the samples."""
-    limits = axes.get_xlim(), axes.get_ylim()
+    """Smallest regions that contain 68 and 95 % of the samples, shape (2, samples).
+
+    The samples are counted in bins, and the counts smoothed by a Gaussian. A region is
+    where the density is above a level: that of the bin at which bins, summed from the
+    densest, hold its share.
+    """
+    limits = (axes.get_xlim(), axes.get_ylim())
     counts, *edges = np.histogram2d(samples[0], samples[1], _BINS, limits)
-    kernel = np.exp(
-        -(np.subtract.outer(range(_BINS), range(_BINS)) ** 2) / (2 * _SMOOTH**2)
-    )
+    bins = np.arange(_BINS)
+    kernel = np.exp(-((bins[:, None] - bins) ** 2) / (2 * _SMOOTH**2))
     kernel /= kernel.sum(1, keepdims=True)
-    density = np.pad(kernel @ counts @ kernel.T, 1)  # closes the contours
+    # a rim of zeros, a bin wide, closes the contours
+    density = np.pad(kernel @ counts @ kernel.T, 1)
     falling = np.sort(density, axis=None)[::-1]
     share = np.cumsum(falling) / falling.sum()
-    # rise
-    levels = falling[[*np.searchsorted(share, _LEVELS), 0]] * (1 + 1e-6 * np.arange(3))
-    middles = [
-        np.append(edge, 2 * edge[-1] - edge[-2]) - np.diff(edge[:2]) / 2
-        for edge in edges
-    ]
-    axes.contourf(*middles, density.T, levels=levels, colors=_SHADES)
-    axes.contour(*middles, density.T, levels=levels[:2], colors="0.3", linewidths=0.5)
+    outer, inner = falling[np.searchsorted(share, _LEVELS)]
+    # levels have to rise, even where bins are alike
+    levels = np.array([outer, inner, falling[0]]) * (1 + 1e-6 * np.arange(3))
+    across = _middles_with_rim(edges[0])
+    up = _middles_with_rim(edges[1])
+    axes.contourf(across, up, density.T, levels=levels, colors=_SHADES)
+    axes.contour(across, up, density.T, levels=levels[:2], colors="0.3", linewidths=0.5)
 
 
-def _ridges(
-    fit: FitResult, names: list[str]
-) -> dict[tuple[int, int], tuple[Combination, str]]:
-    """By row and column, the combination of pairs of which only that is determined, and
-    its symbols."""
-    found = {}
-    for item in fit.combinations:
-        if len(item.weights) == 2 and item.weights.keys() <= set(names):
-            column, row = sorted(map(names.index, item.weights))
-            found[row, column] = item, draw.weighted_sum(item.weights, fit.parameters)
-    return found
+def _middles_with_rim(edges: Floats) -> Floats:
+    """Middles of equal bins and of one more at each end."""
+    half = np.diff(edges[:2]) / 2
+    return np.append(edges, 2 * edges[-1] - edges[-2]) - half
 
 
-def _ridge(
-    axes: Any, said: str, weights: list[float], samples: Floats, value: float | None
+def _ridges(fit: FitResult, names: list[str]) -> dict[tuple[int, int], _Ridge]:
+    """Ridges by row and column of the panel of their two parameters."""
+    reference = {} if fit.reference is None else fit.reference.values
+    ridges = {}
+    for combination in fit.combinations:
+        weights = combination.weights
+        if len(weights) == 2 and weights.keys() <= set(names):
+            column, row = sorted(map(names.index, weights))
+            symbols = draw.weighted_sum(weights, fit.parameters)
+            value = reference.get(combination.expression)
+            ridges[row, column] = _Ridge(weights, symbols, value)
+    return ridges
+
+
+def _draw_ridge(
+    axes: Any, ridge: _Ridge, weights: tuple[float, float], samples: Floats
 ) -> None:
-    """Draw a pair of which only a combination is determined, as points along a line."""
-    some = samples[:, :: max(1, samples.shape[1] // _DOTS)]
+    """Draw a pair of which only a combination is determined, as points along a line;
+    weights of the parameters across and up, samples of shape (2, samples)."""
+    across, up = samples[:, :: max(1, samples.shape[1] // _DOTS)]
     axes.plot(
-        *some, ".", color=draw.POSTERIOR_COLOR, markersize=1.5, mew=0, rasterized=True
+        across,
+        up,
+        ".",
+        color=draw.POSTERIOR_COLOR,
+        markersize=1.5,
+        mew=0,
+        rasterized=True,
     )
+    # the corner that the line does not pass: it falls where both weights have one sign
     x = 0.95 if weights[0] * weights[1] > 0 else 0.05
-    said = f"only\n${said}$\nis determined"
-    draw.shrink(
-        draw.note(axes, x, 0.95, said, color="black", fontsize=7),
-        0.52 * axes.get_window_extent().width,
-    )
-    if value is not None:
-        across = np.array(axes.get_xlim())
-        up = (value - weights[0] * across) / weights[1]
-        axes.plot(across, up, color=draw.REFERENCE_COLOR, lw=1)
+    text = f"only\n${ridge.symbols}$\nis determined"
+    note = draw.note(axes, x, 0.95, text, color="black", fontsize=7)
+    draw.shrink(note, 0.52 * axes.get_window_extent().width)
+    if ridge.reference is not None:
+        ends = np.array(axes.get_xlim())
+        line = (ridge.reference - weights[0] * ends) / weights[1]
+        axes.plot(ends, line, color=draw.REFERENCE_COLOR, lw=1)
 
 
-def _neat_axes(shown: _Shown, below: Any, beside: Any, has_row: bool) -> None:
-    """Set the same few ticks in all panels of a parameter, and label the outermost."""
-    label = shown.label, shown.unit
-    neat_axis(below.xaxis, *label, neighbours=True)
+def _neat_axes(label: _Label, below: Any, beside: Any, has_row: bool) -> None:
+    """Set the same few ticks in all panels of a parameter, and label the outermost: the
+    lowest of its column and the leftmost of its row."""
+    neat_axis(below.xaxis, label.text, label.unit, neighbours=True)
     if has_row:
-        neat_axis(beside.yaxis, *label, neighbours=True)
-    box, inch = below.get_window_extent(), below.get_figure().dpi
-    below.xaxis.set_label_coords(0.5, -0.24 * inch / box.height)
-    beside.yaxis.set_label_coords(-0.42 * inch / box.width, 0.5)
+        neat_axis(beside.yaxis, label.text, label.unit, neighbours=True)
+    # labels of all panels in line, at fixed distances in inches
+    size = below.get_window_extent()
+    dpi = below.get_figure().dpi
+    below.xaxis.set_label_coords(0.5, -0.24 * dpi / size.height)
+    beside.yaxis.set_label_coords(-0.42 * dpi / size.width, 0.5)
 
 
 def _mark(line: Callable[..., Any], value: float | None) -> None:
@@ -289,19 +370,18 @@ def _mark(line: Callable[..., Any], value: float | None) -> None:
         line(value, color=draw.REFERENCE_COLOR, lw=1)
 
 
-def _say_in_corner(
-    figure: draw.Picture, heading: str, said: list[tuple[str, list[str]]]
-) -> None:
+def _write_corner(figure: draw.Picture, heading: str, texts: list[_Lines]) -> None:
     """Write what was fitted, combinations and references into the corner
     free of panels."""
     width, height = figure.get_size_inches()
     text = figure.text(_LEFT / width, 1 - 0.06 / height, heading, va="top")
     draw.shrink(text, (width - _LEFT - _RIGHT) * figure.dpi)
-    end, top = 1 - _RIGHT / width, 1 - _TOP / height
-    room = end * figure.bbox.width - figure.axes[0].get_window_extent().x1
-    for color, lines in said:
+    right = 1 - _RIGHT / width
+    top = 1 - _TOP / height
+    room = right * figure.bbox.width - figure.axes[0].get_window_extent().x1
+    for color, lines in texts:
         text = figure.text(
-            end,
+            right,
             top,
             "\n".join(lines),
             color=color,
@@ -313,26 +393,27 @@ def _say_in_corner(
         top -= text.get_window_extent().height / figure.bbox.height + 0.1 / height
 
 
-def _said(fit: FitResult) -> list[tuple[str, list[str]]]:
-    """What stands in the corner: colours and lines."""
-    lines = []
-    for item in fit.combinations:
-        value, stderr = format_estimate(item.value, item.stderr)
-        combination = draw.weighted_sum(item.weights, fit.parameters)
-        lines.append(rf"${combination} = {value} \pm {stderr}$")
+def _corner_of_fit(fit: FitResult) -> list[_Lines]:
+    """Combinations, null directions, the legend and the reference of a fit."""
+    estimates = []
+    for combination in fit.combinations:
+        value, stderr = format_estimate(combination.value, combination.stderr)
+        symbols = draw.weighted_sum(combination.weights, fit.parameters)
+        estimates.append(rf"${symbols} = {value} \pm {stderr}$")
     for direction in fit.null_directions:
-        pair = (draw.symbol_of(fit.parameters[name]) for name in direction)
-        lines.append(f"{', '.join(pair)}: not identifiable individually")
-    said = [(draw.QUIET, [_LEGEND])]
-    if lines:
-        said.insert(0, ("black", lines))
+        symbols = ", ".join(draw.symbol_of(fit.parameters[name]) for name in direction)
+        estimates.append(f"{symbols}: not identifiable individually")
+    texts = []
+    if estimates:
+        texts.append(_Lines("black", estimates))
+    texts.append(_Lines(draw.QUIET, [_LEGEND]))
     if fit.reference is not None:
-        symbols = {name: item.symbol for name, item in fit.parameters.items()}
-        known = fit.reference.values.items()
-        values = [
-            draw.in_symbols(f"{name} = {value:g}", symbols) for name, value in known
-        ]
-        said.append(
-            (draw.REFERENCE_COLOR, [draw.literal(fit.reference.source), *values])
-        )
-    return said
+        symbol_by_name = {
+            name: parameter.symbol for name, parameter in fit.parameters.items()
+        }
+        published = [draw.literal(fit.reference.source)]
+        for expression, number in fit.reference.values.items():
+            text = draw.in_symbols(f"{expression} = {number:g}", symbol_by_name)
+            published.append(text)
+        texts.append(_Lines(draw.REFERENCE_COLOR, published))
+    return texts

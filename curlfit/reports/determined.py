@@ -33,98 +33,129 @@ _NUMBERS = (
 
 
 def identifiability(fit: FitResult) -> str:
-    """What the path determines and what it does not, in sentences."""
+    """Sentences on what the path determines, what it does not, and what would help."""
     free = [name for name, item in fit.parameters.items() if item.verdict.is_free]
-    held = [name for name in free if name not in fit.covariance["names"]]
-    what, number = "The path", len(fit.events)
-    if not fit.rms:
-        values = "value" if number == 1 else "values"
-        what = f"{_NUMBERS[number]} measured {values}"
-    if any(item.prior for item in fit.parameters.values()):
-        what += " and the priors determine"
-    else:
-        what += " determines" if fit.rms or number == 1 else " determine"
+    at_bound = [name for name in free if name not in fit.covariance["names"]]
+    subject = _determining(fit)
     if not fit.rms and fit.rank == len(free) and len(fit.coefficients) == 1:
         return (
-            f"{what} one coefficient of friction and the initial state "
+            f"{subject} one coefficient of friction and the initial state "
             f"({', '.join(free[1:])}): a mean friction, as in the {fit.law} law. "
             "Use `--law` to fit another law."
         )
-    but = f" ({', '.join(held)} at a bound not counted)" if held else ""
-    said = [f"{what} {fit.rank} of {counted(len(free) - len(held), 'parameter')}{but}."]
-    unseen, by_prior, weak = (
-        [name for name in free if fit.parameters[name].verdict == verdict]
-        for verdict in (Verdict.NOT_IDENTIFIABLE, Verdict.PRIOR, Verdict.WEAK)
-    )
-    if unseen:
-        changes = "; or when ".join(map(_change, fit.null_directions))
-        curved = [name for name in unseen if fit.parameters[name].reason]
-        near = "near these values, " if curved else ""
-        said.append(
-            f"{_with_verb(unseen, 'is', 'are')} not identifiable: "
-            f"{near}the path stays the same when {changes}."
+    number = counted(len(free) - len(at_bound), "parameter")
+    apart = f" ({', '.join(at_bound)} at a bound not counted)" if at_bound else ""
+    sentences = [f"{subject} {fit.rank} of {number}{apart}."]
+
+    names_by_verdict: dict[Verdict, list[str]] = {}
+    for name in free:
+        names_by_verdict.setdefault(fit.parameters[name].verdict, []).append(name)
+    hidden = names_by_verdict.get(Verdict.NOT_IDENTIFIABLE, [])
+    from_prior = names_by_verdict.get(Verdict.PRIOR, [])
+    weak = names_by_verdict.get(Verdict.WEAK, [])
+
+    if hidden:
+        sentences += _hidden(fit, hidden)
+    if from_prior:
+        pronoun = "them" if len(from_prior) > 1 else "it"
+        sentences.append(
+            f"{_with_verb(from_prior, 'rests', 'rest')} on the priors: "
+            f"the path alone does not determine {pronoun}."
         )
-        said += [f"Of {name}, {fit.parameters[name].reason}." for name in curved]
-        said += _instead(fit, unseen)
-    if by_prior:
-        it = "them" if len(by_prior) > 1 else "it"
-        said.append(
-            f"{_with_verb(by_prior, 'rests', 'rest')} on the priors: "
-            f"the path alone does not determine {it}."
-        )
-    for reason in dict.fromkeys(fit.parameters[name].reason for name in weak):
-        alike = [name for name in weak if fit.parameters[name].reason == reason]
-        each = "for each, " if len(alike) > 1 else ""
-        why = f": {each}{reason}" if reason else ""
-        said.append(f"{_with_verb(alike, 'is', 'are')} weakly determined{why}.")
-    if not unseen:
-        said += _instead(fit, weak)
-    said += [
-        f"Of {item.expression}, {item.reason}." for item in fit.derived if item.reason
+    weak_by_reason: dict[str, list[str]] = {}
+    for name in weak:
+        weak_by_reason.setdefault(fit.parameters[name].reason, []).append(name)
+    for reason, names in weak_by_reason.items():
+        why = ""
+        if reason:
+            why = f": for each, {reason}" if len(names) > 1 else f": {reason}"
+        sentences.append(f"{_with_verb(names, 'is', 'are')} weakly determined{why}.")
+    if not hidden:
+        sentences += _instead(fit, weak)
+    for quantity in fit.derived:
+        if quantity.reason:
+            sentences.append(f"Of {quantity.expression}, {quantity.reason}.")
+    sentences += [_remedy(fit, remedy) for remedy in fit.remedies]
+    return " ".join(sentences)
+
+
+def _determining(fit: FitResult) -> str:
+    """Subject and verb: "The path determines", "Two measured values and the priors
+    determine"."""
+    subject = "The path"
+    several = False
+    if not fit.rms:
+        several = len(fit.events) != 1
+        values = "values" if several else "value"
+        subject = f"{_NUMBERS[len(fit.events)]} measured {values}"
+    if any(parameter.prior for parameter in fit.parameters.values()):
+        return f"{subject} and the priors determine"
+    return f"{subject} {'determine' if several else 'determines'}"
+
+
+def _hidden(fit: FitResult, names: list[str]) -> list[str]:
+    """Sentences on parameters that are not identifiable: along which changes the path
+    stays the same, and what is determined instead."""
+    changes = "; or when ".join(map(_change, fit.null_directions))
+    on_curves = [name for name in names if fit.parameters[name].reason]
+    near = "near these values, " if on_curves else ""
+    return [
+        f"{_with_verb(names, 'is', 'are')} not identifiable: "
+        f"{near}the path stays the same when {changes}.",
+        *(f"Of {name}, {fit.parameters[name].reason}." for name in on_curves),
+        *_instead(fit, names),
     ]
-    return " ".join(said + [_remedy(fit, one) for one in fit.remedies])
 
 
-def _with_verb(names: list[str], one: str, several: str) -> str:
-    return f"{join_words(names)} {several if len(names) > 1 else one}"
+def _with_verb(names: list[str], singular: str, plural: str) -> str:
+    """Names as the subject of a sentence, with its verb."""
+    return f"{join_words(names)} {plural if len(names) > 1 else singular}"
 
 
 def _instead(fit: FitResult, names: list[str]) -> list[str]:
-    """The combinations of some parameters that are determined, and all products, as a
-    sentence."""
-    what = [
-        item.expression for item in fit.combinations if set(item.weights) & set(names)
+    """A sentence on the determined combinations of some parameters and on all
+    determined products, if there are any."""
+    expressions = [
+        combination.expression
+        for combination in fit.combinations
+        if not set(names).isdisjoint(combination.weights)
     ]
-    what += [item.expression for item in fit.products]
-    if not what:
+    expressions += [product.expression for product in fit.products]
+    if not expressions:
         return []
-    changes = "; ".join(item.meaning for item in fit.products)
-    why = f": {changes}" if changes else ""
-    return [f"Only {_with_verb(what, 'is', 'are')} determined{why}."]
+    meanings = "; ".join(product.meaning for product in fit.products)
+    why = f": {meanings}" if meanings else ""
+    return [f"Only {_with_verb(expressions, 'is', 'are')} determined{why}."]
 
 
 def _remedy(fit: FitResult, remedy: dict[str, Any]) -> str:
-    """Measurements that would determine some parameters, as a sentence."""
-    names, channels = remedy["parameters"], [_WORDS[name] for name in remedy["measure"]]
+    """A sentence on the measurements that would determine some parameters."""
+    names = join_words(remedy["parameters"])
+    channels = [_WORDS[channel] for channel in remedy["measure"]]
     if channels:
         also = join_words(channels, "and" if remedy["all"] else "or")
-        return f"Measuring {also} as well would determine {join_words(names)}."
-    text = f"No further measurement along this path would determine {join_words(names)}"
-    own = [name for name in names if name in fit.coefficients]
-    if fit.data["law_file"] or len(own) != 2:
-        return text + "."
+        return f"Measuring {also} as well would determine {names}."
+    text = f"No further measurement along this path would determine {names}"
+    coefficients = [name for name in remedy["parameters"] if name in fit.coefficients]
+    if fit.data["law_file"] or len(coefficients) != 2:
+        return f"{text}."
     return (
-        text + f"; `curlfit design --separate {own[0]},{own[1]}` searches for "
+        f"{text}; `curlfit design --separate {','.join(coefficients)}` searches for "
         "throws that would."
     )
 
 
 def _change(direction: dict[str, float]) -> str:
-    """A null direction as a change that leaves the path the same."""
-    largest, parts = max(map(abs, direction.values())), []
+    """A null direction as a change that leaves the path the same: "a grows and b
+    falls by the same amount"."""
+    largest = max(map(abs, direction.values()))
+    changes = []
     for name, weight in direction.items():
-        by = "" if abs(weight) == largest else f" {abs(weight):.3g} times as much"
-        parts.append(f"{name} {'grows' if weight > 0 else 'falls'}{by}")
-    if len(parts) == 2 and " times " not in "".join(parts):
-        return f"{parts[0]} and {parts[1]} by the same amount"
-    return join_words(parts)
+        change = f"{name} {'grows' if weight > 0 else 'falls'}"
+        if abs(weight) != largest:
+            change += f" {abs(weight):.3g} times as much"
+        changes.append(change)
+    equal = all(abs(weight) == largest for weight in direction.values())
+    if len(changes) == 2 and equal:
+        return f"{changes[0]} and {changes[1]} by the same amount"
+    return join_words(changes)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from curlfit.findings import Finding
@@ -18,12 +18,14 @@ _NOTABLE = 0.1  # systematic shift that is reported, over the standard error
 
 
 def about(result: Any, warnings: Sequence[Finding], line: str = "") -> tuple[Said, ...]:
-    """Whether a fit, of one throw or several, converged, a line of numbers, and what
-    the warnings of one that may be used are about."""
-    subjects = dict.fromkeys(warning.brief for warning in warnings)
-    caution = f"Caution: {'; '.join(subjects)}." if subjects else "No warnings."
+    """The lines below the first one of a report: the status of a fit, a line of
+    numbers and, where the fit may be used, the subjects of its warnings."""
+    caution = ""
+    if result.converged:
+        subjects = dict.fromkeys(warning.brief for warning in warnings)
+        caution = f"Caution: {'; '.join(subjects)}." if subjects else "No warnings."
     status = Said(capital(result.status), style=style_of(result))
-    return status, Said(line), Said(caution * result.converged)
+    return status, Said(line), Said(caution)
 
 
 def style_of(result: Any) -> str:
@@ -32,40 +34,46 @@ def style_of(result: Any) -> str:
 
 
 def lines_of(result: Any) -> list[str]:
-    """Coefficients, determined combinations and products in a line, and what is
-    not identifiable."""
-    known, unseen = [], []
-    for name, item in result.coefficients.items():
-        if item.verdict == Verdict.NOT_IDENTIFIABLE:
-            unseen.append(name)
+    """Two lines: coefficients, combinations and products with their errors, and the
+    names of the coefficients that are not identifiable."""
+    known = []
+    unidentifiable = []
+    for name, coefficient in result.coefficients.items():
+        if coefficient.verdict == Verdict.NOT_IDENTIFIABLE:
+            unidentifiable.append(name)
             continue
-        known.append(f"{name} = {compact(item.value, item.stderr)}")
-        if item.verdict != Verdict.DETERMINED:
-            known[-1] += f" ({item.verdict})"
-    known += [
-        f"{one.expression} = {compact(one.value, one.stderr)}"
-        for one in (*result.combinations, *getattr(result, "products", ()))
-    ]
-    return [
-        ", ".join(known),
-        f"not identifiable: {', '.join(unseen)}" if unseen else "",
-    ]
+        text = f"{name} = {compact(coefficient.value, coefficient.stderr)}"
+        if coefficient.verdict != Verdict.DETERMINED:
+            text += f" ({coefficient.verdict})"
+        known.append(text)
+    for term in _combinations_and_products(result):
+        known.append(f"{term.expression} = {compact(term.value, term.stderr)}")
+    hidden = ""
+    if unidentifiable:
+        hidden = f"not identifiable: {', '.join(unidentifiable)}"
+    return [", ".join(known), hidden]
+
+
+def _combinations_and_products(result: Any) -> tuple[Any, ...]:
+    """Determined combinations, and products where a result has them."""
+    return (*result.combinations, *getattr(result, "products", ()))
 
 
 def row_of(
     head: str,
     name: str,
-    item: Any,
+    estimate: Any,
     systematic: float | None = None,
     quantiles: Quantiles | None = None,
 ) -> dict[str, Any]:
-    """Cells of a row of a table of estimates."""
-    verdict = getattr(item, "verdict", Verdict.DETERMINED)
-    value, stderr = "-", "-"
+    """Cells of a row of a table of estimates, by heading; `head` is above the names."""
+    verdict = getattr(estimate, "verdict", Verdict.DETERMINED)
+    value = "-"
+    stderr = "-"
     if verdict != Verdict.NOT_IDENTIFIABLE:
-        value, stderr = format_estimate(item.value, item.stderr)
+        value, stderr = format_estimate(estimate.value, estimate.stderr)
     return {
-        head: labelled(name, getattr(item, "unit", "")),
+        head: labelled(name, getattr(estimate, "unit", "")),
         ">estimate": value,
         ">std. error": stderr,
         ">systematic": None if systematic is None else f"{systematic:.2g}",
@@ -73,51 +81,52 @@ def row_of(
     } | of_posterior(quantiles)
 
 
+def derived_row(head: str, name: str, derived: Derived) -> dict[str, Any]:
+    """Cells of the row of a derived quantity."""
+    return row_of(head, name, derived, derived.systematic, derived.quantiles)
+
+
 def of_posterior(quantiles: Quantiles | None) -> dict[str, str]:
-    """The cell of an interval of the posterior."""
-    found = from_to(quantiles["16"], quantiles["84"]) if quantiles else ""
-    return {"68 % of posterior": found}
+    """The cell of an interval of the posterior; empty without quantiles."""
+    interval = from_to(quantiles["16"], quantiles["84"]) if quantiles else ""
+    return {"68 % of posterior": interval}
 
 
 def reported(result: Any) -> dict[str, tuple[float, float | None]]:
-    """Value and standard error of coefficients, determined combinations and
-    products."""
-    found = {
-        name: (item.value, item.stderr) for name, item in result.coefficients.items()
-    }
-    products = getattr(result, "products", ())
-    return found | {
-        item.expression: (item.value, item.stderr)
-        for item in (*result.combinations, *products)
+    """Value and standard error by name of coefficient, determined combination and
+    product."""
+    estimates = dict(result.coefficients)
+    for term in _combinations_and_products(result):
+        estimates[term.expression] = term
+    return {
+        name: (estimate.value, estimate.stderr) for name, estimate in estimates.items()
     }
 
 
 def systematics(result: Any) -> str:
-    """The largest systematic error of each coefficient or combination, and that due to
-    the calibration of a camera, in sentences."""
-    found, named, calibration = result.systematics, dict[str, list[str]](), []
+    """Sentences on the largest systematic error of each coefficient or combination, and
+    on those due to the calibration of a camera; without those that are small beside
+    the standard error."""
+    errors = result.systematics
+    shifts_by_condition: dict[str, list[str]] = {}
+    from_calibration = []
     for name, (_, stderr) in reported(result).items():
-        shifts = {
-            condition: shift
-            for condition, shift in found.shifts.get(name, {}).items()
-            if not is_calibration(condition)
-        }
-        condition = max(shifts, key=lambda one: abs(shifts[one]), default="")
-        shift, of_camera = (
-            shifts.get(condition, 0.0),
-            found.of_calibration.get(name, 0.0),
-        )
-        if stderr is not None and abs(shift) >= _NOTABLE * stderr and shift:
-            off = f"{name} is {abs(shift):.2g} {'higher' if shift > 0 else 'lower'}"
-            named.setdefault(condition, []).append(off)
-        if stderr and of_camera >= _NOTABLE * stderr:
-            calibration.append(f"{of_camera:.2g} to {name}")
+        if stderr is None:
+            continue
+        condition, shift = _largest_shift(errors.shifts.get(name, {}))
+        if shift and abs(shift) >= _NOTABLE * stderr:
+            side = "higher" if shift > 0 else "lower"
+            text = f"{name} is {abs(shift):.2g} {side}"
+            shifts_by_condition.setdefault(condition, []).append(text)
+        calibration = errors.of_calibration.get(name, 0.0)
+        if stderr > 0 and calibration >= _NOTABLE * stderr:
+            from_calibration.append(f"{calibration:.2g} to {name}")
     sentences = []
-    if named:
+    if shifts_by_condition:
         largest = "; ".join(
-            f"{if_off(condition, found.widths[condition])}, "
-            f"the true {join_words(parts)}"
-            for condition, parts in named.items()
+            f"{if_off(condition, errors.widths[condition])}, "
+            f"the true {join_words(shifts)}"
+            for condition, shifts in shifts_by_condition.items()
         )
         sentences.append(
             "Systematic errors come from conditions that the fit holds fixed; "
@@ -125,20 +134,27 @@ def systematics(result: Any) -> str:
             "of the conditions; `--prior` or `--free` estimates them with "
             "the coefficients."
         )
-    if calibration:
+    if from_calibration:
         sentences.append(
-            f"The calibration of the camera contributes {join_words(calibration)}, "
-            "according to the residual of its known points."
+            f"The calibration of the camera contributes {join_words(from_calibration)},"
+            " according to the residual of its known points."
         )
     return " ".join(sentences)
 
 
-def derived_table(items: Sequence[Derived]) -> PlainTable:
+def _largest_shift(shifts: Mapping[str, float]) -> tuple[str, float]:
+    """The condition, calibration apart, with the largest shift, and this; "" and 0
+    where there is none."""
+    largest = ("", 0.0)
+    for condition, shift in shifts.items():
+        if not is_calibration(condition) and abs(shift) > abs(largest[1]):
+            largest = (condition, shift)
+    return largest
+
+
+def derived_table(quantities: Sequence[Derived]) -> PlainTable:
     """Derived quantities with their errors."""
-    return PlainTable(
-        (
-            row_of("derived", one.expression, one, one.systematic, one.quantiles)
-            for one in items
-        ),
-        "Derived quantities",
-    )
+    rows = [
+        derived_row("derived", quantity.expression, quantity) for quantity in quantities
+    ]
+    return PlainTable(rows, "Derived quantities")

@@ -23,6 +23,7 @@ from curlfit.reports import posterior
 from curlfit.reports.determined import identifiability
 from curlfit.reports.estimates import (
     about,
+    derived_row,
     derived_table,
     lines_of,
     reported,
@@ -31,7 +32,7 @@ from curlfit.reports.estimates import (
     systematics,
 )
 from curlfit.sheet import FOOT
-from curlfit.stone import UNITS as UNIT
+from curlfit.stone import UNITS as UNIT, Stone
 from curlfit.throws.throw import UNITS
 from curlfit.wording import (
     capital,
@@ -44,7 +45,9 @@ from curlfit.wording import (
 )
 
 if TYPE_CHECKING:
+    from curlfit.inference.fit.estimates import Estimate
     from curlfit.inference.fit.result import FitResult
+    from curlfit.inference.identifiability import Combination
 
 _MOST_NAMED = 6  # outliers that the report lists
 _UNFINISHED = (
@@ -67,15 +70,13 @@ def print_fit(fit: FitResult, console: Console | None = None) -> None:
 
 def document(fit: FitResult) -> Document:
     """What a fit says."""
-    data = fit.data
-    loss = LOSSES[fit.loss].suffix
-    noise = fit.noise.kind.suffix
     hidden = any(
-        item.verdict.is_open or item.verdict == Verdict.AT_BOUND
-        for item in fit.parameters.values()
+        parameter.verdict.is_open or parameter.verdict == Verdict.AT_BOUND
+        for parameter in fit.parameters.values()
     )
-    unfinished = Text(_UNFINISHED * (fit.sampling == "unfinished"), style="bold yellow")
-    numbers, line = lines_of(fit), quantities_line(fit)
+    unfinished = None
+    if fit.sampling == "unfinished":
+        unfinished = Text(_UNFINISHED, style="bold yellow")
     sections = (
         Section(
             "coefficients",
@@ -83,7 +84,9 @@ def document(fit: FitResult) -> Document:
             (
                 _estimates(fit),
                 _few_values(fit),
-                derived_table([_shown(fit, item) for item in fit.all_derived]),
+                derived_table(
+                    [_with_settled(fit, quantity) for quantity in fit.all_derived]
+                ),
             ),
         ),
         Section("path", "The path", (_quantities(fit), _draw(fit))),
@@ -101,22 +104,27 @@ def document(fit: FitResult) -> Document:
         Section("posterior", "The posterior", (_posterior(fit), unfinished)),
         Section("outliers", "Outliers", (outliers(fit),), brief=False),
     )
+    loss = LOSSES[fit.loss].suffix
+    noise = fit.noise.kind.suffix
+    file = fit.data["file"]
+    numbers = lines_of(fit)
+    quantities = quantities_line(fit)
     return Document(
         finding=lower(fit.status),
         style=style_of(fit),
         subject=Text.assemble(
             (f"{fit.law} law", "bold"),
-            f", {fit.load} load{loss}{noise}, fitted to {data['file']}",
+            f", {fit.load} load{loss}{noise}, fitted to {file}",
         ),
         about=(
             f"{extent(fit)}; stone {stone_text(fit.stone)}",
-            *about(fit, fit.warnings, capital(line) or numbers[0]),
+            *about(fit, fit.warnings, capital(quantities) or numbers[0]),
         ),
-        lines=[*numbers, line],
+        lines=[*numbers, quantities],
         sections=sections,
         warnings=fit.warnings,
-        notes=data["notes"],
-        title=f"{Path(data['file']).name}: {fit.law} law",
+        notes=fit.data["notes"],
+        title=f"{Path(file).name}: {fit.law} law",
         settings=settings_of(fit),
         command=command_of(fit),
         names=fit.parameters,
@@ -132,41 +140,46 @@ def extent(fit: FitResult) -> str:
 
 
 def _estimates(fit: FitResult) -> PlainTable:
-    """The combinations stand between coefficients and initial state."""
-    sampled: Mapping[str, Quantiles] = {}
+    """Coefficients, determined combinations, initial state and conditions, in this
+    order, beside the posterior and a reference."""
+    quantiles: Mapping[str, Quantiles] = {}
     if fit.posterior is not None and fit.posterior.converged:
-        sampled = fit.posterior.quantiles
-    items: dict[str, Any] = {}
-    for name, item in fit.parameters.items():
+        quantiles = fit.posterior.quantiles
+    estimates: dict[str, Estimate | Combination] = {}
+    for name, parameter in fit.parameters.items():
         if name == START[0].name:
-            items |= {one.expression: one for one in fit.combinations}
-        items[name] = item
+            for combination in fit.combinations:
+                estimates[combination.expression] = combination
+        estimates[name] = parameter
+    errors = fit.systematics.errors
     rows = []
-    for name, item in items.items():
-        row = row_of(
-            "parameter", name, item, fit.systematics.errors.get(name), sampled.get(name)
-        )
+    for name, estimate in estimates.items():
+        row = row_of("parameter", name, estimate, errors.get(name), quantiles.get(name))
         if fit.reference is not None:
-            known = fit.reference.of(name, getattr(item, "weights", {name: 1.0}))
-            row[f">{fit.reference.source}"] = "" if known is None else f"{known:g}"
+            weights = getattr(estimate, "weights", {name: 1.0})
+            published = fit.reference.of(name, weights)
+            text = "" if published is None else f"{published:g}"
+            row[f">{fit.reference.source}"] = text
         rows.append(row)
     return PlainTable(rows, "Estimates with standard errors")
 
 
 def _few_values(fit: FitResult) -> str:
     """How far intervals of 95 % extend where sigma was estimated from few values."""
-    items = (*fit.coefficients.values(), *fit.combinations)
-    degrees = min(
-        (one.dof for one in items if one.stderr and one.dof), default=math.inf
-    )
-    if degrees >= _FEW:
+    degrees = [
+        estimate.dof
+        for estimate in (*fit.coefficients.values(), *fit.combinations)
+        if estimate.stderr and estimate.dof
+    ]
+    fewest = min(degrees, default=math.inf)
+    if fewest >= _FEW:
         return ""
     from scipy.special import stdtrit
 
     text = (
         "Sigma is estimated from few values: an interval of 95 % (Student's t) "
-        f"extends up to {stdtrit(degrees, 0.975):.2f} standard errors to each side, "
-        f"with {degrees:.0f} degrees of freedom."
+        f"extends up to {stdtrit(fewest, 0.975):.2f} standard errors to each side, "
+        f"with {fewest:.0f} degrees of freedom."
     )
     if fit.posterior is not None:
         text += (
@@ -176,40 +189,44 @@ def _few_values(fit: FitResult) -> str:
     return text
 
 
-def _shown(fit: FitResult, item: Derived) -> Derived:
-    """A quantity without the quantiles of a sample that has not converged."""
+def _with_settled(fit: FitResult, quantity: Derived) -> Derived:
+    """A quantity, without its quantiles if the sample has not converged."""
     if fit.posterior is None or fit.posterior.converged:
-        return item
-    return replace(item, quantiles={})
+        return quantity
+    return replace(quantity, quantiles={})
 
 
 def _quantities(fit: FitResult) -> PlainTable:
-    """Quantities of the fitted path within the record, or of that of the law without
-    the model discrepancy."""
-    discrepancy, rows = bool(fit.noise.sizes), []
-    along = f"along the {'path of the law' if discrepancy else 'fitted path'}"
-    for name, item in fit.quantities.items():
-        item = to_its_side(_shown(fit, item))
-        units = [item, scaled(replace(item, unit="ft"), 1 / FOOT)][
-            : 1 + (name == "curl")
-        ]
-        rows += [
-            row_of(along, one.meaning, one, one.systematic, one.quantiles)
-            | {"verdict": ""}
-            for one in units
-        ]
-    return PlainTable(rows, capital(along) + ", without the discrepancy" * discrepancy)
+    """Quantities of the fitted path within the record; with a model discrepancy, of the
+    path of the law without it."""
+    heading = "along the fitted path"
+    caption = "Along the fitted path"
+    if fit.noise.sizes:
+        heading = "along the path of the law"
+        caption = "Along the path of the law, without the discrepancy"
+    quantities = []
+    for name, signed in fit.quantities.items():
+        quantity = to_its_side(_with_settled(fit, signed))
+        quantities.append(quantity)
+        if name == "curl":
+            quantities.append(scaled(replace(quantity, unit="ft"), 1 / FOOT))
+    # an empty verdict leaves out the column of verdicts
+    rows = [
+        derived_row(heading, quantity.meaning, quantity) | {"verdict": ""}
+        for quantity in quantities
+    ]
+    return PlainTable(rows, caption)
 
 
 def _draw(fit: FitResult) -> str:
-    """Time and curl of a draw, as curlers state them."""
-    known = fit.quantities
-    if not {"draw_time", "curl"} <= known.keys():
+    """Time and curl of a draw, as curlers state them: "24.5 s / 4.0 ft"."""
+    draw_time = fit.quantities.get("draw_time")
+    curl = fit.quantities.get("curl")
+    if draw_time is None or curl is None:
         return ""
-    time, curl = known["draw_time"].value, abs(known["curl"].value) / FOOT
     return (
-        f"{time:.1f} s / {curl:.1f} ft: time of the draw from the near hog "
-        "line, and its curl."
+        f"{draw_time.value:.1f} s / {abs(curl.value) / FOOT:.1f} ft: time of the draw "
+        "from the near hog line, and its curl."
     )
 
 
@@ -217,94 +234,118 @@ def quantities_line(fit: FitResult) -> str:
     """The main quantities of the path in one line."""
     parts = []
     for name in ("friction", "curl", "turns", "hog_to_hog"):
-        if item := fit.quantities.get(name):
-            one = to_its_side(item)
-            unit = "" if item.unit in ("", "1") else f" {item.unit}"
-            parts.append(
-                f"{one.meaning.partition(',')[0]} "
-                f"{compact(one.value, one.stderr)}{unit}"
-            )
+        if name not in fit.quantities:
+            continue
+        quantity = to_its_side(fit.quantities[name])
+        what = quantity.meaning.partition(",")[0]
+        unit = "" if quantity.unit in ("", "1") else f" {quantity.unit}"
+        parts.append(f"{what} {compact(quantity.value, quantity.stderr)}{unit}")
     return ", ".join(parts)
 
 
 def _beside_reference(fit: FitResult) -> PlainTable | None:
-    """How the estimates vary with the stone's constants if those of a reference
-    are rounded."""
-    reference, fits, now = fit.reference, fit.reference_fits, fit.stone.as_dict()
-    if reference is None or not fits:
+    """The estimates as refitted with the constants of the stone on which a reference
+    is based, where the printed constants are rounded; None where there are no refits.
+
+    The first refit has these constants, each other one the present constants with one
+    of them changed by its rounding error. The reference agrees where the first is as
+    near to it as the rounding of its digits and the shifts of the others allow.
+    """
+    reference = fit.reference
+    refits = fit.reference_fits
+    if reference is None or not refits:
         return None
-    places = max(map(_places, reference.values.values()))
-    first, agree = fits[0], True
+    estimates = reported(fit)
+    names = [
+        name
+        for name in estimates
+        if name in reference.values and all(name in refit["values"] for refit in refits)
+    ]
+    if not names:
+        return None
+    based_on = refits[0]["stone"]
     constants = ", ".join(
-        f"{k} = {value:g} {UNIT[k]}" for k, value in first["stone"].items()
+        f"{constant} = {value:g} {UNIT[constant]}"
+        for constant, value in based_on.items()
     )
-    there, rows = [], []
-    for name, (value, stderr) in reported(fit).items():
-        known = reference.values.get(name)
-        if known is None or any(name not in one["values"] for one in fits):
-            continue
-        again, row = first["values"][name], {"refitted parameter": name}
+    places = max(map(_places, reference.values.values()))
+    agree = True
+    refitted = []
+    rows = []
+    for name in names:
+        value, stderr = estimates[name]
+        row = {"refitted parameter": name}
         row[">std. error"] = format_estimate(value, stderr)[1]
-        shifts = [one["values"][name] - value for one in fits]
-        for one, shift in zip(fits, shifts, strict=True):
-            by = ", ".join(
-                f"{k} {new - now[k]:+g} {UNIT[k]}" for k, new in one["stone"].items()
-            )
-            row[f">shift, {by}"] = f"{round(shift, places + 1) + 0.0:+.{places + 1}f}"
-        there.append(f"{again:.{places}f}")
-        rows.append(
-            row
-            | {f">with {constants}": there[-1], f">{reference.source}": f"{known:g}"}
-        )
-        agree &= abs(again - known) <= 0.5 * 10.0 ** -_places(known) + sum(
-            map(abs, shifts[1:])
-        )
-    if not rows:
-        return None
-    flags = ",".join(f"{name}={value:g}" for name, value in first["stone"].items())
+        shifts = [refit["values"][name] - value for refit in refits]
+        for refit, shift in zip(refits, shifts, strict=True):
+            heading = f">shift, {_changes(refit['stone'], fit.stone)}"
+            rounded = round(shift, places + 1) + 0.0  # no minus before a zero
+            row[heading] = f"{rounded:+.{places + 1}f}"
+        again = refits[0]["values"][name]
+        refitted.append(f"{again:.{places}f}")
+        row[f">with {constants}"] = refitted[-1]
+        published = reference.values[name]
+        row[f">{reference.source}"] = f"{published:g}"
+        rows.append(row)
+        rounding = 0.5 * 10.0 ** -_places(published)
+        tolerance = rounding + sum(abs(shift) for shift in shifts[1:])
+        agree = agree and abs(again - published) <= tolerance
     verdict = f"which do not all agree with {reference.source}"
     if agree:
         verdict = (
             f"which agree with {reference.source} within the rounding of its digits "
             "and of the stone's constants"
         )
+    option = ",".join(f"{constant}={value:g}" for constant, value in based_on.items())
     text = f"{reference.source}: {reference.note}. " if reference.note else ""
-    text += f"`--stone {flags}` gives {join_words(there)}, {verdict}."
+    text += f"`--stone {option}` gives {join_words(refitted)}, {verdict}."
     caption = "Shift of the estimates with the constants of the stone"
     return PlainTable(rows, caption, note=Text(text))
 
 
+def _changes(constants: Mapping[str, float], stone: Stone) -> str:
+    """By how much constants differ from those of a stone, as "rho +0.0025 m"."""
+    present = stone.as_dict()
+    return ", ".join(
+        f"{constant} {value - present[constant]:+g} {UNIT[constant]}"
+        for constant, value in constants.items()
+    )
+
+
 def _places(value: float) -> int:
-    """Decimal places of a printed number."""
+    """Decimal places of a published number."""
     return len(f"{value:g}".partition(".")[2])
 
 
 def _quality(fit: FitResult) -> PlainTable:
+    """Size and correlation of the residuals, and the noise assumed, by channel."""
     rows = []
-    for name, rms in fit.rms.items():
+    for channel, rms in fit.rms.items():
+        lag1 = fit.lag1.get(channel)
         row = {
-            "channel": name,
+            "channel": channel,
             ">rms": f"{rms:.3g}",
-            "unit": UNITS[name],
-            "noise assumed": _sigma(fit, name),
-            "": fit.data["sigma"][name],
-            "lag-1 correlation": f"{fit.lag1[name]:.2f}" if name in fit.lag1 else "",
+            "unit": UNITS[channel],
+            "noise assumed": _sigma(fit, channel),
+            "": fit.data["sigma"][channel],
+            "lag-1 correlation": "" if lag1 is None else f"{lag1:.2f}",
         }
         if not fit.noise.is_white:
-            after = fit.independence.get(name)
-            row["noise model"] = _memory(fit, name)
-            row["lag-1 after whitening"] = f"{after.lag1:.2f}" if after else ""
+            whitened = fit.independence.get(channel)
+            row["noise model"] = _memory(fit, channel)
+            row["lag-1 after whitening"] = f"{whitened.lag1:.2f}" if whitened else ""
         rows.append(row)
     return PlainTable(rows, "Residuals by channel")
 
 
-def _sigma(fit: FitResult, name: str) -> str:
-    """The noise of a channel."""
-    if fit.data["sigma"][name] != "estimated":
+def _sigma(fit: FitResult, channel: str) -> str:
+    """The noise of a channel with its unit, as "0.005 to 0.02 m" if it was given by
+    row."""
+    if fit.data["sigma"][channel] != "estimated":
         return "by row"
-    by_row = fit.observed.get(f"sigma_{name}")
-    most = "" if by_row is None else f" to {by_row.max():.3g}"
-    return f"{fit.sigma[name]:.3g}{most} {UNITS[name]}"
+    by_row = fit.observed.get(f"sigma_{channel}")
+    largest = "" if by_row is None else f" to {by_row.max():.3g}"
+    return f"{fit.sigma[channel]:.3g}{largest} {UNITS[channel]}"
 
 
 def _memory(fit: FitResult, channel: str) -> str:
@@ -321,7 +362,7 @@ def _events(fit: FitResult) -> PlainTable:
     rows = []
     for event, fitted in fit.timed:
         digits = max(decimals(event.sigma), 2)
-        off = (event.value - fitted) / event.sigma
+        residual = (event.value - fitted) / event.sigma + 0.0  # no minus before a zero
         rows.append(
             {
                 "measured": event.name,
@@ -329,7 +370,7 @@ def _events(fit: FitResult) -> PlainTable:
                 ">sigma": f"{event.sigma:.2g}",
                 "unit": event.unit,
                 ">fit": f"{fitted:.{digits}f}",
-                ">measured - fit": f"{off + 0.0:.1f} sigma",
+                ">measured - fit": f"{residual:.1f} sigma",
             }
         )
     return PlainTable(rows, "Timed events")
@@ -339,68 +380,79 @@ def outliers(fit: FitResult) -> str:
     """The values far from the fit, by channel and time, the farthest first."""
     if not fit.outliers:
         return ""
-    named = []
-    for item in fit.outliers[:_MOST_NAMED]:
-        line = "" if item["line"] is None else f" (line {item['line']})"
-        named.append(
-            f"{item['channel']} at {item['t']:g} s{line} by {item['off']:.3g} "
-            f"{UNITS[item['channel']]} ({two_digits(item['sigmas'])} robust sigma)"
+    parts = []
+    for outlier in fit.outliers[:_MOST_NAMED]:
+        channel = outlier["channel"]
+        line = "" if outlier["line"] is None else f" (line {outlier['line']})"
+        parts.append(
+            f"{channel} at {outlier['t']:g} s{line} by {outlier['off']:.3g} "
+            f"{UNITS[channel]} ({two_digits(outlier['sigmas'])} robust sigma)"
         )
-    more = len(fit.outliers) - len(named)
+    more = len(fit.outliers) - len(parts)
     if more:
-        named.append(f"and {more} more (all in fit.json)")
-    return f"Outliers: {'; '.join(named)}."
+        parts.append(f"and {more} more (all in fit.json)")
+    return f"Outliers: {'; '.join(parts)}."
 
 
 def _posterior(fit: FitResult) -> Text | None:
     """How the posterior was sampled, and how well."""
-    if (found := fit.posterior) is None:
+    if fit.posterior is None:
         return None
     return Text.assemble(
         "Posterior: ",
-        (found.status, posterior.style(found)),
-        f"; {posterior.sampled(found)}",
+        (fit.posterior.status, posterior.style(fit.posterior)),
+        f"; {posterior.sampled(fit.posterior)}",
     )
 
 
 def settings_of(fit: FitResult) -> dict[str, str]:
-    """The settings of a fit, by name."""
-    known, sampled = fit.parameters, fit.posterior
-    held = {name: item for name, item in known.items() if item.verdict == Verdict.FIXED}
-    listed = {
-        "Sigma": {
-            name: f"{_sigma(fit, name)} ({fit.data['sigma'][name]})" for name in fit.rms
-        },
-        "Held": {name: f"= {item.value:g}" for name, item in held.items()},
-        "Priors": {name: item.prior for name, item in known.items() if item.prior},
-        "Bounds": {
-            name: f"{item.lower:g} .. {item.upper:g}"
-            for name, item in fit.coefficients.items()
-            if name not in held
-        },
-        "Standard uncertainty of what is held": {
-            name: f"{value:g}"
-            for name, value in fit.systematics.settings.items()
-            if value
-        },
+    """The settings of a fit, by name; empty where it has none of a kind."""
+    held = {
+        name: f"= {parameter.value:g}"
+        for name, parameter in fit.parameters.items()
+        if parameter.verdict == Verdict.FIXED
     }
-    found = {
+    priors = {
+        name: parameter.prior
+        for name, parameter in fit.parameters.items()
+        if parameter.prior
+    }
+    bounds = {
+        name: f"{coefficient.lower:g} .. {coefficient.upper:g}"
+        for name, coefficient in fit.coefficients.items()
+        if name not in held
+    }
+    sigmas = {
+        channel: f"{_sigma(fit, channel)} ({fit.data['sigma'][channel]})"
+        for channel in fit.rms
+    }
+    uncertainties = {
+        condition: f"{width:g}"
+        for condition, width in fit.systematics.settings.items()
+        if width
+    }
+    settings = {
         "Law, load": f"{fit.law}, {fit.load}",
         "Data": f"{fit.data['file']}, {rows_text(fit.data) or 'timed events alone'}",
         "Stone": stone_text(fit.stone),
         "Loss, noise": f"{fit.loss}, {fit.noise.kind}",
-        **{
-            head: ", ".join(f"{name} {said}" for name, said in items.items())
-            for head, items in listed.items()
-        },
+        "Sigma": _listed(sigmas),
+        "Held": _listed(held),
+        "Priors": _listed(priors),
+        "Bounds": _listed(bounds),
+        "Standard uncertainty of what is held": _listed(uncertainties),
     }
-    if sampled is not None:
-        size = (
-            f"{sampled.samples} samples, {sampled.walkers} walkers, "
-            f"{sampled.steps} steps"
+    if fit.posterior is not None:
+        settings["Posterior"] = (
+            f"{fit.posterior.samples} samples, {fit.posterior.walkers} walkers, "
+            f"{fit.posterior.steps} steps, seed {fit.posterior.seed}"
         )
-        found["Posterior"] = f"{size}, seed {sampled.seed}"
-    return found
+    return settings
+
+
+def _listed(texts: Mapping[str, str]) -> str:
+    """Texts by name in one line."""
+    return ", ".join(f"{name} {text}" for name, text in texts.items())
 
 
 def command_of(fit: FitResult) -> str:
@@ -414,12 +466,10 @@ def command_of(fit: FitResult) -> str:
 
 
 def with_derived(flags: Sequence[str], result: Any) -> list[str]:
-    """The flags, with those of quantities that were derived later."""
-    return list(
-        dict.fromkeys(
-            [*flags, *(f"--derive={one.expression}" for one in result.derived)]
-        )
-    )
+    """Flags of a command, each once, with those of quantities that were derived
+    later."""
+    derived = [f"--derive={quantity.expression}" for quantity in result.derived]
+    return list(dict.fromkeys([*flags, *derived]))
 
 
 def file_of(fit: FitResult) -> str:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from rich.console import Console
 from rich.text import Text
@@ -40,11 +40,21 @@ if TYPE_CHECKING:
     from curlfit.inference.joint.effects import Effect
     from curlfit.inference.joint.result import JointResult, Variation
 
-_WORDS = {
-    "curl": ("curl", "more", "less", "m"),
-    "hog_to_hog": ("hog to hog", "longer", "shorter", "s"),
+
+class _Words(NamedTuple):
+    """Words for a quantity of a draw, for a change of it, and the unit of this."""
+
+    noun: str
+    more: str
+    less: str
+    unit: str
+
+
+_OF_A_DRAW = {
+    "friction": _Words("friction", "higher", "lower", "%"),
+    "curl": _Words("curl", "more", "less", "m"),
+    "hog_to_hog": _Words("hog to hog", "longer", "shorter", "s"),
 }
-_DRAWN = {"friction": ("friction",), **_WORDS}
 _CHANCE = 0.05  # probability above which an effect is within the errors
 _R_HAT = 1.05  # of a sample that ended without the 1.01 that it aims at
 _HIDDEN = ("x0", "y0", "phi0", "heading")
@@ -65,168 +75,172 @@ def print_joint(result: JointResult, console: Console | None = None) -> None:
 def document(result: JointResult) -> Document:
     """Shared coefficients, how the throws differ in them, and each throw's
     own parameters."""
-    throws = f"{result.count} throws together"
+    count = f"{result.count} throws together"
     effects = effect_lines(result)
-    odd = " ".join(odd_rows_in_words(result.odd_rows))
+    odd_rows = " ".join(odd_rows_in_words(result.odd_rows))
     differing = ", ".join(
-        variation.expression
-        for variation in result.variation
-        if variation.significant and not result.varies
+        variation.expression for variation in result.variation if variation.significant
     )
-    all_determined = result.rank >= result.parameters
-    determined = (
-        f"The throws determine {result.rank} of {result.parameters} parameters."
-    )
-    unconverged = []
+    differs = ""
+    if differing and not result.varies:
+        differs = f"Differs between throws: {differing}."
+    hidden = result.rank < result.parameters
+    rank = f"The throws determine {result.rank} of {result.parameters} parameters."
+    warnings = list(result.warnings)
     if result.r_hat is not None and result.r_hat >= _R_HAT:
-        unconverged.append(Finding.warning("spreads-not-converged", r_hat=result.r_hat))
+        warnings.append(Finding.warning("spreads-not-converged", r_hat=result.r_hat))
+    sections = (
+        Section(
+            "coefficients",
+            "Coefficients",
+            (
+                *effects,
+                _shared(result),
+                _effects(result),
+                derived_table(result.derived),
+                _throws(result),
+            ),
+        ),
+        Section(
+            "determined",
+            f"What the throws {'do not determine' if hidden else 'determine'}",
+            (rank,),
+        ),
+        Section("quality", "Systematic errors", (systematics(result),), brief=False),
+    )
+    settings = {}
+    names: Collection[str] = result.coefficients
+    if result.throws:
+        settings = settings_of(result.throws[0])
+        names = result.throws[0].parameters
+    settings["Data"] = ", ".join(_files(result))
+    settings["Sigma"] = ""
+    settings["In common"] = ", ".join(result.share)
     return Document(
         finding=lower(result.status),
         style=style_of(result),
-        subject=f"{result.law} law, {result.load} load, {throws}",
+        subject=f"{result.law} law, {result.load} load, {count}",
         headline=Text.assemble(
             (f"{result.law} law", "bold"),
-            f", {result.load} load, {throws}; shared: {', '.join(result.share)}",
+            f", {result.load} load, {count}; shared: {', '.join(result.share)}",
         ),
-        about=about(result, result.warnings, odd),
-        lines=[
-            odd,
-            *effects,
-            *lines_of(result),
-            f"Differs between throws: {differing}." if differing else "",
-        ],
-        sections=(
-            Section(
-                "coefficients",
-                "Coefficients",
-                (
-                    *effects,
-                    _shared(result),
-                    _effects(result),
-                    derived_table(result.derived),
-                    _throws(result),
-                ),
-            ),
-            Section(
-                "determined",
-                "What the throws determine"
-                if all_determined
-                else "What the throws do not determine",
-                (determined,),
-            ),
-            Section(
-                "quality", "Systematic errors", (systematics(result),), brief=False
-            ),
-        ),
-        warnings=(*result.warnings, *unconverged),
+        about=about(result, result.warnings, odd_rows),
+        lines=[odd_rows, *effects, *lines_of(result), differs],
+        sections=sections,
+        warnings=warnings,
         notes=_notes(result),
-        title=f"{throws}: {result.law} law",
-        settings=(settings_of(result.throws[0]) if result.throws else {})
-        | {
-            "Data": ", ".join(_files(result)),
-            "Sigma": "",
-            "In common": ", ".join(result.share),
-        },
+        title=f"{count}: {result.law} law",
+        settings=settings,
         command=_command(result),
-        names=result.throws[0].parameters if result.throws else result.coefficients,
+        names=names,
     )
 
 
 def _shared(result: JointResult) -> PlainTable:
-    """Shared coefficients and combinations, and how they vary between throws."""
+    """What the throws have in common or, where they vary, their means, and how they
+    differ."""
     variations = {variation.expression: variation for variation in result.variation}
-    heading = "~spread between throws" if result.varies else "~differs between throws"
-    combinations: dict[str, Any] = {
-        combination.expression: combination for combination in result.combinations
-    }
+    heading = "~differs between throws"
+    caption = "What the throws have in common, with standard errors"
+    if result.varies:
+        heading = "~spread between throws"
+        caption = "Means of the throws, with standard errors"
+    estimates: dict[str, Any] = dict(result.coefficients)
+    for combination in result.combinations:
+        estimates[combination.expression] = combination
     errors = result.systematics.errors
     rows = []
-    for name, estimate in (result.coefficients | combinations).items():
+    for name, estimate in estimates.items():
         row = row_of("shared", name, estimate, errors.get(name))
         row[heading] = ""
         if name in variations:
-            row[heading] = _variation_in_words(variations[name], result.varies)
+            row[heading] = _differs(variations[name], result.varies)
         rows.append(row)
-    what = "Means of the throws" if result.varies else "What the throws have in common"
-    return PlainTable(rows, f"{what}, with standard errors")
+    return PlainTable(rows, caption)
 
 
-def _variation_in_words(variation: Variation, varies: bool) -> Text | str:
-    """How a coefficient varies between throws; `varies`, whether the fit lets it."""
-    p = variation.p_text
+def _differs(variation: Variation, varies: bool) -> Text | str:
+    """How a coefficient varies between throws, in the cell of a table."""
     spread = f"{variation.spread:.2g}"
     if varies:
         if variation.mean and variation.spread:
             percent = abs(100 * variation.spread / variation.mean)
             spread += f", {percent:.2g} %"
-        return f"{spread} ({p})"
+        return f"{spread} ({variation.p_text})"
     if not variation.significant:
-        return Text(f"no ({p})", style="green")
+        return Text(f"no ({variation.p_text})", style="green")
     mean = compact(variation.mean, variation.stderr)
-    return Text(f"yes ({p}): spread {spread}, mean {mean}", style="yellow")
+    text = f"yes ({variation.p_text}): spread {spread}, mean {mean}"
+    return Text(text, style="yellow")
 
 
 def effect_lines(result: JointResult) -> list[str]:
-    """A draw to the tee, and what groups and trends do to it, in sentences."""
-    means = {effect.parameter: effect for effect in result.groups if not effect.by}
-    if not means:
+    """Sentences on a draw to the tee: its friction, curl and time, what groups and
+    trends change in them, and which labels have groups that change alike; none of
+    throws without a draw."""
+    draw = {effect.parameter: effect for effect in result.groups if not effect.by}
+    if not draw:
         return []
-    friction = means["friction"]
+    friction = draw["friction"]
     parts = [f"mean friction {compact(friction.value, friction.stderr)}"]
-    for name, (words, *_, unit) in _WORDS.items():
-        if name in means:
-            size = compact(means[name].value, means[name].stderr)
-            parts.append(f"{words} {size} {unit}")
+    for name in ("curl", "hog_to_hog"):
+        if name in draw:
+            words = _OF_A_DRAW[name]
+            size = compact(draw[name].value, draw[name].stderr)
+            parts.append(f"{words.noun} {size} {words.unit}")
     sentences = [f"A draw to the tee: {', '.join(parts)}."]
-    effects_by_subject: dict[tuple[str, str, str], dict[str, Effect]] = {}
+
+    # effects of one group or trend: on friction, and on curl and time if measured
     trends = () if result.slopes else result.trend
+    effects_by_cause: dict[tuple[str, str, str], dict[str, Effect]] = {}
     for effect in (*result.differences, *trends, *result.slopes):
-        subject = (effect.along, effect.by, effect.group)
-        effects_by_subject.setdefault(subject, {})[effect.parameter] = effect
-    for effects in effects_by_subject.values():
-        sentences.append(_effects_in_words(effects, friction.value))
+        cause = (effect.along, effect.by, effect.group)
+        effects_by_cause.setdefault(cause, {})[effect.parameter] = effect
+    for effects in effects_by_cause.values():
+        sentences.append(_effect_sentence(effects, friction.value))
     return [*sentences, *_alike_slopes(result)]
 
 
-def _effects_in_words(effects: Mapping[str, Effect], mean_friction: float) -> str:
-    """A sentence on what a group or a trend does to a draw to the tee.
-
-    Parameters
-    ----------
-    effects : by name of what is drawn.
-    """
-    of_friction = effects["friction"]
-    by = of_friction.by
-    group = of_friction.group
-    if of_friction.along or not group:
-        trend = of_friction.along or by
-        per = of_friction.unit.partition("/")[2] or "unit"
-        subject = f"Per {per}"
-        if trend != per:
-            subject += f" of {trend}"
-        if group:
-            subject += f" on {by} {group}"
-    else:
-        subject = f"{capital(by)} {group} against {of_friction.against}"
-    change = 100 * abs(of_friction.value) / mean_friction
-    percent = compact(change, 100 * abs(of_friction.stderr) / mean_friction)
-    parts = [f"friction {percent} % {'higher' if of_friction.value > 0 else 'lower'}"]
-    for name, (words, more, less, unit) in _WORDS.items():
-        if effect := effects.get(name):
-            size = compact(abs(effect.value), effect.stderr)
-            parts.append(f"{words} {size} {unit} {more if effect.value > 0 else less}")
-    by_chance = [
-        words
-        for name, (words, *_) in _DRAWN.items()
-        if name in effects and (effects[name].p or 0) > _CHANCE
-    ]
+def _effect_sentence(effects: Mapping[str, Effect], mean_friction: float) -> str:
+    """What a group or a trend changes of a draw, as "Sheet 2 against 1: friction 2.1(3)
+    % higher, curl 0.12(5) m less.", from its effects by quantity."""
+    parts = []
+    by_chance = []
+    for name, words in _OF_A_DRAW.items():
+        if name not in effects:
+            continue
+        effect = effects[name]
+        size = abs(effect.value)
+        stderr = effect.stderr
+        if name == "friction":  # in percent of the mean
+            size = 100 * size / mean_friction
+            stderr = 100 * stderr / mean_friction
+        side = words.more if effect.value > 0 else words.less
+        parts.append(f"{words.noun} {compact(size, stderr)} {words.unit} {side}")
+        if (effect.p or 0) > _CHANCE:
+            by_chance.append(words.noun)
     within = f" ({join_words(by_chance)} within the errors)" if by_chance else ""
-    return f"{subject}: {', '.join(parts)}{within}."
+    return f"{_cause(effects['friction'])}: {', '.join(parts)}{within}."
+
+
+def _cause(effect: Effect) -> str:
+    """The group or trend that has an effect: "Sheet 2 against 1", "Per h of start on
+    sheet 2"."""
+    if effect.group and not effect.along:
+        return f"{capital(effect.by)} {effect.group} against {effect.against}"
+    label = effect.along or effect.by
+    unit = effect.unit.partition("/")[2] or "unit"
+    text = f"Per {unit}"
+    if label != unit:
+        text += f" of {label}"
+    if effect.group:
+        text += f" on {effect.by} {effect.group}"
+    return text
 
 
 def _alike_slopes(result: JointResult) -> list[str]:
-    """Sentences on labels whose groups change alike along the trends, as far as
-    is known."""
+    """Sentences on labels whose groups change along the trends by slopes that differ no
+    more than by chance."""
     chances = chances_of_alike_slopes(result.slope_differences)
     return [
         f"The slopes by {label} differ no more than by chance ({p_text(chance)})."
@@ -236,25 +250,30 @@ def _alike_slopes(result: JointResult) -> list[str]:
 
 
 def _effects(result: JointResult) -> PlainTable:
-    """Groups and trends in what varies, and the spreads if they were sampled."""
-    rows = []
-    trend_by = () if result.means is None else result.means.trend_by
+    """What groups and trends change in each coefficient, with the posterior of the
+    spreads between throws below."""
     effects = [*result.groups, *result.differences, *result.trend, *result.slopes]
-    effects += [effect for effect in result.slope_differences if effect.by in trend_by]
+    if result.means is not None:
+        effects += [
+            effect
+            for effect in result.slope_differences
+            if effect.by in result.means.trend_by
+        ]
+    rows = []
     for effect in effects:
-        if effect.parameter in _DRAWN or not effect.by:
+        if effect.parameter in _OF_A_DRAW or not effect.by:
             continue
-        subject = f"{effect.by} {effect.group}".strip()
+        cause = f"{effect.by} {effect.group}".strip()
         if effect.against:
-            subject += f" - {effect.against}"
+            cause += f" - {effect.against}"
         if effect.along:
-            subject += f", {effect.along}"
-        value, error = format_estimate(effect.value, effect.stderr)
+            cause += f", {effect.along}"
+        value, stderr = format_estimate(effect.value, effect.stderr)
         row = {
-            "": subject,
+            "": cause,
             "quantity": labelled(effect.parameter, effect.unit),
             ">estimate": value,
-            ">std. error": error,
+            ">std. error": stderr,
             "p": "" if effect.p is None else p_text(effect.p),
         }
         rows.append(row | of_posterior(effect.quantiles))
@@ -270,19 +289,21 @@ def _effects(result: JointResult) -> PlainTable:
 
 
 def _throws(result: JointResult) -> PlainTable:
-    """Each throw's own parameters, what it says alone, and its residuals."""
+    """Each throw: its own parameters, what it alone says of those in common, and the
+    size of its residuals."""
     rows = []
-    for number, throw in enumerate(result.throws):
+    for index, throw in enumerate(result.throws):
         row = {"throw": Path(throw.data["file"]).name}
-        for name, estimate in throw.parameters.items():
-            if name not in (*result.share, *_HIDDEN) and estimate.verdict.is_free:
-                row[f">{name}"] = format_estimate(estimate.value, estimate.stderr)[0]
+        for name, parameter in throw.parameters.items():
+            if name not in (*result.share, *_HIDDEN) and parameter.verdict.is_free:
+                value, _ = format_estimate(parameter.value, parameter.stderr)
+                row[f">{name}"] = value
         for variation in result.variation:
-            alone = variation.each[number]
-            heading = f">{variation.expression} alone"
-            row[heading] = "" if alone is None else compact(*alone)
-        for name, rms in throw.rms.items():
-            row[f">{name}\n(m{UNITS[name]})"] = f"{1000 * rms:.3g}"
+            alone = variation.each[index]
+            text = "" if alone is None else compact(*alone)
+            row[f">{variation.expression} alone"] = text
+        for channel, rms in throw.rms.items():
+            row[f">{channel}\n(m{UNITS[channel]})"] = f"{1000 * rms:.3g}"
         rows.append(row)
     return PlainTable(rows, "Each throw, with what it says alone")
 
@@ -298,25 +319,26 @@ def _of_all(lists: Sequence[Sequence[_Item]]) -> list[_Item]:
     """The items that are in all of some lists."""
     if not lists:
         return []
-    return [item for item in lists[0] if all(item in other for other in lists)]
+    first, *others = lists
+    return [entry for entry in first if all(entry in other for other in others)]
 
 
 def _files(result: JointResult) -> list[str]:
     """The files of the throws, each once."""
     if result.table is not None:
         return [result.table.file]
-    return list(dict.fromkeys(map(file_of, result.throws)))
+    return list(dict.fromkeys(file_of(throw) for throw in result.throws))
 
 
 def _command(result: JointResult) -> str:
-    """The command of a joint fit: with the flags that all throws have in common."""
+    """The command of a joint fit, with the flags that all throws have in common."""
     flags = _of_all([throw.data.get("flags", ()) for throw in result.throws])
     if result.throws and tuple(result.share) != tuple(result.throws[0].coefficients):
         flags.append("--share=" + ",".join(result.share))
     elif result.means is None:
         flags.append("--share=all")
     else:
-        flags += [f"--by={name}" for name in result.means.groups]
-        flags += [f"--trend={name}" for name in result.means.trends]
-        flags += [f"--trend-by={name}" for name in result.means.trend_by]
+        flags += [f"--by={label}" for label in result.means.groups]
+        flags += [f"--trend={label}" for label in result.means.trends]
+        flags += [f"--trend-by={label}" for label in result.means.trend_by]
     return command_line("fit", *_files(result), *with_derived(flags, result))

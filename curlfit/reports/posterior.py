@@ -22,27 +22,29 @@ _SHOWN = 4  # parameters in a line
 
 def of_posterior(posterior: Posterior) -> Document:
     """What the posterior of a fit says."""
-    said = sampled(posterior)
+    sampling = sampled(posterior)
+    table = _table(posterior.quantiles)
     return Document(
         finding=posterior.status,
         style=style(posterior),
         subject=counted(len(posterior.ess), "parameter"),
-        lines=[said],
-        sections=[
-            Section("quantiles", "Quantiles", (_table(posterior.quantiles), said))
-        ],
+        lines=[sampling],
+        sections=[Section("quantiles", "Quantiles", (table, sampling))],
     )
 
 
 def of_chain(chain: Chain) -> Document:
     """What a chain says."""
     steps, walkers, _ = chain.values.shape
-    known = {
+    quantiles = {
         name: quantiles_of(samples)
         for name, samples in zip(chain.names, chain.flat.T, strict=True)
         if len(samples) and np.ptp(samples) > 0
     }
-    shown = ", ".join(f"{name} {_middle(known[name])}" for name in list(known)[:_SHOWN])
+    first = list(quantiles)[:_SHOWN]
+    line = "68 %: " + ", ".join(f"{name} {_middle(quantiles[name])}" for name in first)
+    if len(quantiles) > _SHOWN:
+        line += " ..."
     return Document(
         finding=f"{len(chain.flat)} samples",
         subject=(
@@ -50,39 +52,44 @@ def of_chain(chain: Chain) -> Document:
             f"{counted(steps, 'step')}, of which the first "
             f"{chain.discarded} are left out"
         ),
-        lines=[f"68 %: {shown} ..." if len(known) > _SHOWN else f"68 %: {shown}"],
-        sections=[Section("quantiles", "Quantiles", [_table(known)])],
+        lines=[line],
+        sections=[Section("quantiles", "Quantiles", [_table(quantiles)])],
     )
 
 
-def _table(quantiles: Mapping[str, Quantiles]) -> PlainTable:
-    return PlainTable(
-        {
-            "parameter": name,
-            ">68 %": _middle(one),
-            ">95 %": from_to(one["2.5"], one["97.5"], (one["84"] - one["16"]) / 3),
-        }
-        for name, one in quantiles.items()
-    )
+def _table(quantiles_by_name: Mapping[str, Quantiles]) -> PlainTable:
+    """Intervals of 68 and 95 % of each parameter, to the same digit."""
+    rows = []
+    for name, quantiles in quantiles_by_name.items():
+        scale = (quantiles["84"] - quantiles["16"]) / 3
+        rows.append(
+            {
+                "parameter": name,
+                ">68 %": _middle(quantiles),
+                ">95 %": from_to(quantiles["2.5"], quantiles["97.5"], scale),
+            }
+        )
+    return PlainTable(rows)
 
 
 def _middle(quantiles: Quantiles) -> str:
+    """The interval that holds 68 % of the samples."""
     return from_to(quantiles["16"], quantiles["84"])
 
 
 def style(posterior: Posterior) -> str:
-    """The style of its status."""
+    """The style of the status of a posterior."""
     return "green" if posterior.converged else "bold yellow"
 
 
 def sampled(posterior: Posterior) -> str:
-    """How it was sampled, and how well."""
+    """A sentence on how a posterior was sampled, and how well."""
     worst = max(posterior.r_hat, key=posterior.r_hat.__getitem__)
     sizes = []
-    for part, ess in (("bulk", posterior.ess), ("tail", posterior.ess_tail)):
-        if ess:
-            least = min(ess, key=ess.__getitem__)
-            sizes.append(f"{ess[least]:.0f} in the {part} ({least})")
+    for part, size_by_name in (("bulk", posterior.ess), ("tail", posterior.ess_tail)):
+        if size_by_name:
+            least = min(size_by_name, key=size_by_name.__getitem__)
+            sizes.append(f"{size_by_name[least]:.0f} in the {part} ({least})")
     return (
         f"{posterior.samples} samples ({posterior.ensembles} ensembles, "
         f"{posterior.walkers} walkers, {posterior.steps} steps), "
