@@ -527,8 +527,8 @@ def marginalize_stone(
 
     middle = StonePosteriors.from_rows(terms_at(np.zeros((1, 2))) @ series)
     noise = np.sqrt((middle.factor[0] ** 2).sum(-1))  # standard errors
-    corners = np.array([[0.9, -0.9], [-1.0, 1.0]])
-    error = np.abs(terms_at(corners) @ series - fitted_at(corners))
+    off_nodes = np.array([[0.9, -0.9], [-1.0, 1.0]])
+    error = np.abs(terms_at(off_nodes) @ series - fitted_at(off_nodes))
     mean_error = error[:, :3] / noise
     evidence_error = error[:, -2:]
 
