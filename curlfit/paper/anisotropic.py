@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from itertools import product
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jax import Array
@@ -13,7 +13,7 @@ from jax import Array
 from curlfit.dynamics.contact import contact_of
 from curlfit.dynamics.quadrature import panels
 from curlfit.errors import UnusableFitError
-from curlfit.friction import Load, LocalLaw
+from curlfit.friction import Law, Load, LocalLaw
 from curlfit.friction.anisotropic import Radial
 from curlfit.friction.front_back import FrontBack, FrontBackFirstOrder
 from curlfit.inference.conditions import ALL
@@ -60,34 +60,39 @@ compatible with the printed 0.1 m, m."""
 _NODES = 5  # Chebyshev nodes in R and in rho, at which the path is fitted
 _DRAWS = 20_000
 
-_ORIGIN = {"x0": 0.0, "y0": 0.0, "phi0": 0.0}
+
+class PathFit(NamedTuple):
+    """A fit of the front-back law to eq. 12: the stone (m), the rows (s), and what is
+    fixed of the start."""
+
+    method: str
+    radius: float
+    rho: float
+    until: float = EQ_28_UNTIL
+    start: dict[str, float] | None = None
+
+
+_TRAJECTORY = "trajectory fit"
 _EVEN = "trajectory fit, even weights"  # 1 m weighted like 1 rad
-_FITS: list[tuple[str, float, float, float, dict[str, float]]] = [
-    *(
-        ("trajectory fit", *stone, 20.0, {})
-        for stone in ((0.054, RHO), (0.054, SOLID_RHO))
-    ),
-    ("trajectory fit", 0.0535, SOLID_RHO, 20.0, {}),
-    *(
-        ("trajectory fit", 0.054, SOLID_RHO, until, {})
-        for until in (10.0, 15.0, 18.0, 22.0)
-    ),
-    (_EVEN, 0.054, RHO, 20.0, {}),
-    *(
-        (_EVEN + ", from the origin", 0.054, rho, 20.0, _ORIGIN)
-        for rho in (RHO, SOLID_RHO)
-    ),
-    (_EVEN + ", from the origin at 2 m/s", 0.054, RHO, 20.0, {**_ORIGIN, "v0": 2.0}),
-    (
-        _EVEN + ", start of eq. 13",
-        0.054,
-        RHO,
-        20.0,
-        {**_ORIGIN, "v0": 2.0, "heading": 0.0, "omega0": 1.0},
-    ),
-    *(("trajectory fit", RADIUS, rho, 20.0, {}) for rho in (RHO, SOLID_RHO)),
+_ORIGIN = {"x0": 0.0, "y0": 0.0, "phi0": 0.0}
+_ORIGIN_AT_2 = {**_ORIGIN, "v0": 2.0}
+_EQ_13 = {**_ORIGIN_AT_2, "heading": 0.0, "omega0": 1.0}
+_FITS = [
+    PathFit(_TRAJECTORY, 0.054, RHO),
+    PathFit(_TRAJECTORY, 0.054, SOLID_RHO),
+    PathFit(_TRAJECTORY, 0.0535, SOLID_RHO),
+    PathFit(_TRAJECTORY, 0.054, SOLID_RHO, 10.0),
+    PathFit(_TRAJECTORY, 0.054, SOLID_RHO, 15.0),
+    PathFit(_TRAJECTORY, 0.054, SOLID_RHO, 18.0),
+    PathFit(_TRAJECTORY, 0.054, SOLID_RHO, 22.0),
+    PathFit(_EVEN, 0.054, RHO),
+    PathFit(_EVEN + ", from the origin", 0.054, RHO, start=_ORIGIN),
+    PathFit(_EVEN + ", from the origin", 0.054, SOLID_RHO, start=_ORIGIN),
+    PathFit(_EVEN + ", from the origin at 2 m/s", 0.054, RHO, start=_ORIGIN_AT_2),
+    PathFit(_EVEN + ", start of eq. 13", 0.054, RHO, start=_EQ_13),
+    PathFit(_TRAJECTORY, RADIUS, RHO),
+    PathFit(_TRAJECTORY, RADIUS, SOLID_RHO),
 ]
-"""Method, R, rho, end of the window, and fixed start of the fits of the trajectory."""
 
 
 def net_forces(
@@ -103,29 +108,37 @@ def net_forces(
     (n,); v = 2 m/s.
     """
     states = np.zeros((1, 4, len(values)))
-    states[:, 0], states[:, 1] = _SPEED, _SPEED * epsilon / stone.R
-    found = accelerations_along(
+    states[:, 0] = _SPEED
+    states[:, 1] = _SPEED * epsilon / stone.R
+    accelerations = accelerations_along(
         Model(law, load), values[None], stacked([stone]), states, batch=1
     )
-    return found[0].T * [1.0, 1.0, stone.rho**2 / stone.R] / GRAVITY
+    # by the moment of inertia m rho^2, over m g R
+    units = [1.0, 1.0, stone.rho**2 / stone.R]
+    return accelerations[0].T * units / GRAVITY
 
 
-def uniform_load(_found: Any) -> Judged:
+def uniform_load(_studies: Any) -> Judged:
     """The error of a uniform load."""
-    mu, errors = np.array([[*PRINTED[:2], *[PRINTED[2] / 2] * 2]]), []
+    mu1_xi, mu2_xi, mu_eta = PRINTED
+    mu = np.array([[mu1_xi, mu2_xi, mu_eta / 2, mu_eta / 2]])
+    epsilon = EPSILONS[1:2]
+    ratios = []
     for radius in (RADIUS, EQ_28_STONE.R):
         stone = Stone(R=radius, h=0.057)
-        uniform, consistent = (
-            net_forces(FrontBack, mu, EPSILONS[1:2], stone, load)
-            for load in (Load.UNIFORM, Load.CONSISTENT)
-        )
-        errors.append(100 * np.abs(uniform / consistent - 1)[0])
-    off = np.array(errors)
-    ranges = [
-        " to ".join(dict.fromkeys(f"{end:.1f}" for end in (values.min(), values.max())))
-        for values in off.T
-    ]
-    return judged((off.max(1) >= 0.5).all() and (off < 2).all(), ranges=ranges)
+        uniform = net_forces(FrontBack, mu, epsilon, stone, Load.UNIFORM)
+        consistent = net_forces(FrontBack, mu, epsilon, stone, Load.CONSISTENT)
+        ratios.append((uniform / consistent)[0])
+    percent = 100 * np.abs(np.array(ratios) - 1)  # shape (stones, 3)
+    ranges = [_rounded_range(errors) for errors in percent.T]
+    holds = (percent.max(1) >= 0.5).all() and (percent < 2).all()
+    return judged(holds, ranges=ranges)
+
+
+def _rounded_range(values: Floats) -> str:
+    low = f"{values.min():.1f}"
+    high = f"{values.max():.1f}"
+    return low if low == high else f"{low} to {high}"
 
 
 def radial_at(mu: Floats, epsilon: float, angle: Floats) -> Floats:
@@ -134,8 +147,10 @@ def radial_at(mu: Floats, epsilon: float, angle: Floats) -> Floats:
 
     `mu` are mu1..mu4, `angle` the polar angles of the points in rad, shape (n,).
     """
+    # mu1 and mu3 act in front, where the angle is positive, mu2 and mu4 behind
     normal, tangent = np.where(angle > 0, mu[0::2, None], mu[1::2, None])
-    sin, cos = np.sin(angle), np.cos(angle)
+    sin = np.sin(angle)
+    cos = np.cos(angle)
     right = (normal - tangent) * sin * cos - epsilon * tangent * sin
     forward = normal * sin**2 + tangent * cos**2 + epsilon * tangent * cos
     return -np.stack([right, forward]) / np.sqrt(1 + 2 * epsilon * cos + epsilon**2)
@@ -151,9 +166,10 @@ def _at_nodes(mu: Array, epsilon: Array) -> list[tuple[Array, tuple[Array, Array
     return [(points.angle, law.traction(points)) for points, _ in rows]
 
 
-def eq_22(_found: Any) -> Judged:
+def eq_22(_studies: Any) -> Judged:
     """The radial law at the nodes of the ring's quadrature."""
-    mu, gaps = np.array([0.006, 0.008, 0.009, 0.018]), []
+    mu = np.array([0.006, 0.008, 0.009, 0.018])
+    gaps = []
     for epsilon in (0.1, 0.9, 3.0):
         for angle, friction in _at_nodes(mu, epsilon):
             by_hand = radial_at(mu, epsilon, np.asarray(angle))
@@ -169,37 +185,44 @@ def first_order_radial(mu: Floats, epsilon: Floats) -> Floats:
 
 
 def first_order_front_back(mu: Floats, epsilon: Floats) -> Floats:
-    """The right sides of eq. 27 in the same form."""
+    """Eq. 27 over m g, m g and m g R; arguments and shape as in `net_forces`."""
     m1_xi, m2_xi, m1_eta, m2_eta = mu.T
     across = epsilon * (m1_xi - m2_xi) / np.pi
     return np.stack([across, -(m1_eta + m2_eta) / 2, -epsilon * (m1_xi + m2_xi) / 4], 1)
 
 
 def _gaps(law: type[LocalLaw], first_order: Any) -> Floats:
-    """Largest difference between first order and the ring, for each of EPSILONS in
-    T_xi, T_eta, M: coefficients in turn, relative to the largest contribution, since
-    some contribute nothing."""
+    """Largest difference between first order and the ring in T_xi, T_eta and M, shape
+    (EPSILONS, 3).
+
+    Each of the four coefficients acts alone in turn; the difference is relative to the
+    largest contribution, since some contribute nothing.
+    """
+    # rows: the four coefficients at the first epsilon, then at the second ...
     mu = np.tile(_TEST_VALUE * np.eye(4), (len(EPSILONS), 1))
     epsilon = np.repeat(EPSILONS, 4)
     approximate = first_order(mu, epsilon)
     difference = net_forces(law, mu, epsilon) - approximate
-    gap, size = (
-        np.abs(one).reshape(-1, 4, 3).max(1) for one in (difference, approximate)
-    )
-    return gap / size
+    largest_difference = np.abs(difference).reshape(-1, 4, 3).max(1)
+    largest_contribution = np.abs(approximate).reshape(-1, 4, 3).max(1)
+    return largest_difference / largest_contribution
 
 
-def _sides(motion: Motion, radius: float, rho: float) -> tuple[Floats, Floats, Floats]:
-    """What eq. 24 and 27 equate to sums of coefficients: across, along, and
-    of the moment."""
+def _sums_of_coefficients(
+    motion: Motion, radius: float, rho: float
+) -> tuple[Floats, Floats, Floats]:
+    """What eq. 24 and 27 equate to sums of coefficients, at each time: from the force
+    across, the force along, and the moment."""
     slope = radius * motion.curvature * GRAVITY
+    across = np.pi * motion.xi / slope
+    along = -motion.eta / GRAVITY
     moment = -4 * rho**2 * motion.angular / (slope * radius)
-    return np.pi * motion.xi / slope, -motion.eta / GRAVITY, moment
+    return across, along, moment
 
 
 def solve_eq_24(radius: float = RADIUS, rho: float = RHO) -> Floats:
     """l1 = mu1 + mu2, l2 = mu3 + mu4, l3 = mu1 + 2 mu3 at each time, shape (3, n)."""
-    across, along, l2 = _sides(motion(), radius, rho)
+    across, along, l2 = _sums_of_coefficients(motion(), radius, rho)
     l1 = 4 * along - l2
     return np.stack([l1, l2, (3 * across + l1 + 2 * l2) / 2])
 
@@ -208,9 +231,6 @@ def study_ring() -> SimpleNamespace:
     """Compare first order with the ring, solve eq. 24 along the path, exchange
     mu1_eta, mu2_eta."""
     combinations = solve_eq_24()
-    l1 = combinations[0]
-    k = np.flatnonzero(l1[:-1] * l1[1:] < 0)[:1]
-    zero = TIMES[k] - l1[k] * (TIMES[k + 1] - TIMES[k]) / (l1[k + 1] - l1[k])
     radial = fit(
         jensen_shegelski_throw(),
         Radial,
@@ -218,50 +238,68 @@ def study_ring() -> SimpleNamespace:
         unbounded=True,
         details=False,
     )
-    mu = [radial.parameters[f"mu{index}"].value for index in (1, 2, 3, 4)]
-    one, other = (
-        np.tile([0.0018, 0.058, *split], (len(_SPLIT_EPSILONS), 1))
-        for split in (SPLIT, SPLIT[::-1])
-    )
-    uniform, consistent = (
-        net_forces(FrontBack, other, _SPLIT_EPSILONS, _STONE, load)
-        / net_forces(FrontBack, one, _SPLIT_EPSILONS, _STONE, load)
-        - 1
-        for load in (Load.UNIFORM, Load.CONSISTENT)
-    )
+    mu = {name: estimate.value for name, estimate in radial.parameters.items()}
+    split = np.tile([0.0018, 0.058, *SPLIT], (len(_SPLIT_EPSILONS), 1))
+    exchanged = split[:, [0, 1, 3, 2]]
+
+    def change(load: Load) -> Floats:
+        forces = net_forces(FrontBack, split, _SPLIT_EPSILONS, _STONE, load)
+        changed = net_forces(FrontBack, exchanged, _SPLIT_EPSILONS, _STONE, load)
+        return changed / forces - 1
+
     return SimpleNamespace(
         t=TIMES,
         l=combinations,
-        l1_zero=float(zero[0]) if len(zero) else None,
+        l1_zero=_first_zero(TIMES, combinations[0]),
         epsilon=EPSILONS,
-        fitted_l=(mu[0] + mu[1], mu[2] + mu[3], mu[0] + 2 * mu[2]),
+        fitted_l=(
+            mu["mu1"] + mu["mu2"],
+            mu["mu3"] + mu["mu4"],
+            mu["mu1"] + 2 * mu["mu3"],
+        ),
         converged=radial.converged,
         radial_gap=_gaps(Radial, first_order_radial),
         split_epsilon=_SPLIT_EPSILONS,
         front_back_gap=_gaps(FrontBack, first_order_front_back),
-        split_uniform=np.abs(uniform).max(1),
-        split_consistent=consistent[:, 1],
+        split_uniform=np.abs(change(Load.UNIFORM)).max(1),
+        split_consistent=change(Load.CONSISTENT)[:, 1],
     )
 
 
-def _agree(gap: Floats) -> dict[str, float]:
-    """The gaps at eps = 0.1: of T_xi, and the largest in %."""
+def _first_zero(t: Floats, values: Floats) -> float | None:
+    """Time of the first change of sign, by linear interpolation; None without one."""
+    rows_before_zero = np.flatnonzero(values[:-1] * values[1:] < 0)
+    if not len(rows_before_zero):
+        return None
+    k = rows_before_zero[0]
+    return float(t[k] - values[k] * (t[k + 1] - t[k]) / (values[k + 1] - values[k]))
+
+
+def _is_first_order(gap: Floats) -> bool:
+    """Whether a law agrees with its first order at eps = 0.1: T_xi exactly, the others
+    to second order."""
+    return bool(gap[0].max() < _SMALL and gap[0, 0] < 1e-6)
+
+
+def _gap_numbers(gap: Floats) -> dict[str, float]:
+    """Gaps at eps = 0.1 for the words of a claim: of T_xi, and the largest in %."""
     return {"exact": gap[0, 0], "others": 100 * gap[0].max()}
 
 
-def eq_23(found: Any) -> Judged:
+def eq_23(studies: Any) -> Judged:
     """The radial law to first order."""
-    gap, most = found.ring.radial_gap, (RADIUS * motion().curvature).max()
-    order = np.round(
-        np.log(gap[0, 1:] / gap[-1, 1:]).min() / np.log(EPSILONS[0] / EPSILONS[-1]), 1
-    )
-    holds = gap[0].max() < _SMALL and gap[0, 0] < 1e-6 and order == 2 and most < 0.1
-    return judged(holds, order=order, most=most, **_agree(gap))
+    gap = studies.ring.radial_gap
+    largest_epsilon = (RADIUS * motion().curvature).max()
+    decrease = np.log(gap[0, 1:] / gap[-1, 1:]).min()
+    order = np.round(decrease / np.log(EPSILONS[0] / EPSILONS[-1]), 1)
+    holds = _is_first_order(gap) and order == 2 and largest_epsilon < 0.1
+    return judged(holds, order=order, most=largest_epsilon, **_gap_numbers(gap))
 
 
-def eq_24_l1(found: Any) -> Judged:
+def eq_24_l1(studies: Any) -> Judged:
     """The first combination of eq. 24, which depends on rho/R."""
-    (l1, l2, _), zero = found.ring.l, found.ring.l1_zero
+    l1, l2, _ = studies.ring.l
+    zero = studies.ring.l1_zero
     return judged(
         zero is None,
         # l1 is a constant less l2, and l2 goes as (rho/R)^2.
@@ -275,55 +313,58 @@ def eq_24_l1(found: Any) -> Judged:
     )
 
 
-def eq_24_l2(found: Any) -> Judged:
+def eq_24_l2(studies: Any) -> Judged:
     """The second combination."""
-    l2 = found.ring.l[1]
-    rows = np.array([[1, -1, 2, -2], [1, 1, 1, 1], [0, 0, 1, 1]])
+    l2 = studies.ring.l[1]
+    # columns: mu1 to mu4; rows: left sides of eq. 24, and l1, l2, l3
+    equations = np.array([[1, -1, 2, -2], [1, 1, 1, 1], [0, 0, 1, 1]])
     combinations = np.array([[1, 1, 0, 0], [0, 0, 1, 1], [1, 0, 2, 0]])
-    rank, joint = (
-        np.linalg.matrix_rank(of) for of in (rows, np.concatenate([rows, combinations]))
-    )
-    holds = rank == joint == 3 and np.isfinite(l2).all()
+    rank = np.linalg.matrix_rank(equations)
+    joint_rank = np.linalg.matrix_rank(np.concatenate([equations, combinations]))
+    holds = rank == joint_rank == 3 and np.isfinite(l2).all()
     return judged(holds, least=l2.min(), most=l2.max(), rank=rank)
 
 
-def eq_24_l3(found: Any) -> Judged:
+def eq_24_l3(studies: Any) -> Judged:
     """The third combination, on which the conclusion rests."""
-    l3, holds = found.ring.l[2], found.ring.converged and found.ring.fitted_l[2] < 0
-    return judged((l3 < 0).all() and holds, least=l3.min(), most=l3.max())
+    l3 = studies.ring.l[2]
+    fit_agrees = studies.ring.converged and studies.ring.fitted_l[2] < 0
+    return judged((l3 < 0).all() and fit_agrees, least=l3.min(), most=l3.max())
 
 
-def eq_27(found: Any) -> Judged:
+def eq_27(studies: Any) -> Judged:
     """The front-back law to first order: forces, and paths with the
     coefficients of eq. 28."""
-    gap = found.ring.front_back_gap
-    stone, mu = Stone(R=0.054, rho=RHO), (0.0018, 0.058, 0.009, 0.009)
+    gap = studies.ring.front_back_gap
+    stone = Stone(R=0.054, rho=RHO)
+    mu = (0.0018, 0.058, 0.009, 0.009)
     padded = np.pad(TIMES, (0, 55), mode="edge")  # the shape of a fit's times
     problem = Problem(
         padded, np.zeros((3, 256)), np.zeros((3, 256)), stone, LEVEL_AND_STILL
     )
     start = np.array([*mu, 0.0, 0.0, 0.0, _SPEED, 0.0, 1.0])
-    integrated, ring = (
-        np.asarray(predict_channels(Model(law, Load.UNIFORM), start, problem))[
-            :, : len(TIMES)
-        ]
-        for law in (FrontBackFirstOrder, FrontBack)
-    )
+
+    def path_under(law: type[Law]) -> Floats:
+        """x, y, phi and further channels, shape (channels, TIMES)."""
+        channels = predict_channels(Model(law, Load.UNIFORM), start, problem)
+        return np.asarray(channels)[:, : len(TIMES)]
+
+    stepwise = path_under(FrontBackFirstOrder)
     closed = first_order_motion(FrontBackFirstOrder(*mu), stone, _SPEED, 1.0, TIMES)
-    error = np.hypot(closed.x - integrated[0], closed.y - integrated[1]).max()
-    x, y, phi = (integrated - ring)[:3]
+    error = np.hypot(closed.x - stepwise[0], closed.y - stepwise[1]).max()
+    x, y, phi = (stepwise - path_under(FrontBack))[:3]
     return judged(
-        gap[0].max() < _SMALL and gap[0, 0] < 1e-6 and error < 1e-5,
+        _is_first_order(gap) and error < 1e-5,
         error=error,
         millimetres=1000 * np.hypot(x, y).max(),
         milliradians=1000 * np.abs(phi).max(),
-        **_agree(gap),
+        **_gap_numbers(gap),
     )
 
 
 def pointwise(motion: Motion, radius: float, rho: float) -> Floats:
     """Eq. 27 solved at each time: mu1_xi, mu2_xi, mu1_eta + mu2_eta, shape (3, n)."""
-    difference, along, total = _sides(motion, radius, rho)
+    difference, along, total = _sums_of_coefficients(motion, radius, rho)
     return np.stack([(total + difference) / 2, (total - difference) / 2, 2 * along])
 
 
@@ -334,7 +375,7 @@ def least_squares(motion: Motion, radius: float, rho: float) -> Floats:
     return np.array([(across * weight).sum(), (back * weight).sum(), along.mean()])
 
 
-_SUMS = {"mu1_xi": 1.0}, {"mu2_xi": 1.0}, {"mu1_eta": 1.0, "mu2_eta": 1.0}
+_SUMS = ({"mu1_xi": 1.0}, {"mu2_xi": 1.0}, {"mu1_eta": 1.0, "mu2_eta": 1.0})
 """The coefficients of eq. 28, as sums of parameters."""
 
 
@@ -351,9 +392,13 @@ def rounds_to_print(mu: Floats) -> Any:
 
 
 def _fitted(
-    throw: Throw, radius: float, rho: float, until: float = EQ_28_UNTIL, fix: Any = None
+    throw: Throw,
+    radius: float,
+    rho: float,
+    until: float = EQ_28_UNTIL,
+    start: dict[str, float] | None = None,
 ) -> FitResult:
-    """A fit with coefficients of either sign."""
+    """A fit of the front-back law with coefficients of either sign."""
     result = fit(
         throw,
         "front-back",
@@ -362,7 +407,7 @@ def _fitted(
         unbounded=True,
         details=False,
         systematics={ALL: 0.0},
-        fix=fix or None,
+        fix=start,
     )
     if not result.converged:
         raise UnusableFitError(f"R = {radius:g} m, rho = {rho:g} m: {result.status}")
@@ -371,8 +416,9 @@ def _fitted(
 
 def study_eq_28() -> SimpleNamespace:
     """Compute eq. 28 by every method that is compatible with the paper."""
-    throw, R = jensen_shegelski_throw(), EQ_28_STONE.R
-    even = throw.with_sigma({"x": 1.0, "y": 1.0, "phi": 1.0})
+    throw = jensen_shegelski_throw()
+    evenly_weighted = throw.with_sigma({"x": 1.0, "y": 1.0, "phi": 1.0})
+    R = EQ_28_STONE.R
     mean = "eq. 27 at each t, mean"
     rows = []
     for radius, rho, until in (
@@ -385,9 +431,8 @@ def study_eq_28() -> SimpleNamespace:
         rows.append(Row(mean, radius, rho, until, mu))
     for radius, until in ((R, 20.0), (R, 18.0), (0.0535, 18.0)):
         mu = least_squares(motion(until), radius, SOLID_RHO)
-        rows.append(
-            Row(mean.replace("mean", "least squares"), radius, SOLID_RHO, until, mu)
-        )
+        method = "eq. 27 at each t, least squares"
+        rows.append(Row(method, radius, SOLID_RHO, until, mu))
     for ending, printed in (
         (", wrong sign of eq. 14", "x"),
         (", eq. 14 as printed", "xy"),
@@ -395,13 +440,11 @@ def study_eq_28() -> SimpleNamespace:
         mu = pointwise(motion(printed=printed), R, RHO).mean(1)
         rows.append(Row(mean + ending, R, RHO, 20.0, mu))
     fits = []
-    for method, radius, rho, until, fix in _FITS:
-        fits.append(
-            _fitted(
-                even if method.startswith(_EVEN) else throw, radius, rho, until, fix
-            )
-        )
-        rows.append(Row(method, radius, rho, until, coefficients_of(fits[-1])))
+    for method, radius, rho, until, start in _FITS:
+        weighted = evenly_weighted if method.startswith(_EVEN) else throw
+        result = _fitted(weighted, radius, rho, until, start)
+        fits.append(result)
+        rows.append(Row(method, radius, rho, until, coefficients_of(result)))
     return SimpleNamespace(
         rows=rows,
         fit=fits[0],
@@ -410,23 +453,42 @@ def study_eq_28() -> SimpleNamespace:
     )
 
 
+class StonePosteriors(NamedTuple):
+    """Gaussian posteriors of the three coefficients of eq. 28, one for each stone."""
+
+    mean: Floats
+    """shape (stones, 3)"""
+    factor: Floats
+    """Cholesky factors of the covariances, shape (stones, 3, 3)"""
+    chi_squared: Floats
+    """shape (stones,)"""
+    log_volume: Floats
+    """logarithm of the volume that the data determine, shape (stones,)"""
+
+    @classmethod
+    def from_rows(cls, rows: Floats) -> StonePosteriors:
+        """From rows of `_stone_posterior`, or between them, shape (stones, 11)."""
+        factor = np.zeros((len(rows), 3, 3))
+        factor[:, *np.tril_indices(3)] = rows[:, 3:9]
+        return cls(rows[:, :3], factor, rows[:, 9], rows[:, 10])
+
+    @property
+    def log_evidence(self) -> Floats:
+        """Logarithm of the marginal likelihood of each stone, up to a constant."""
+        return self.log_volume - self.chi_squared / 2
+
+
 def _stone_posterior(throw: Throw, radius: float, rho: float) -> Floats:
-    """The Gaussian posterior of a fit with a given stone: the mean of the three
-    coefficients, the lower triangle of the Cholesky factor of their covariance,
-    chi-squared, and the logarithm of the volume that the data determine."""
+    """Row of `StonePosteriors` from a fit with a given stone: mean, lower triangle of
+    the factor, chi squared, volume."""
     result = _fitted(throw, radius, rho)
     rows = np.array([result.first_order.vector(weights) for weights in _SUMS])
     factor = np.linalg.cholesky(rows @ np.array(result.covariance["matrix"]) @ rows.T)
-    volume = -np.log(result.singular_values[: result.rank]).sum()
-    mean = coefficients_of(result)
-    return np.array([*mean, *factor[np.tril_indices(3)], result.chi_squared, volume])
-
-
-def _lower(flat: Floats) -> Floats:
-    """Cholesky factors from vectors of `_stone_posterior`, shape (n, 3, 3)."""
-    factor = np.zeros((len(flat), 3, 3))
-    factor[:, *np.tril_indices(3)] = flat[:, 3:9]
-    return factor
+    log_volume = -np.log(result.singular_values[: result.rank]).sum()
+    triangle = factor[np.tril_indices(3)]
+    return np.array(
+        [*coefficients_of(result), *triangle, result.chi_squared, log_volume]
+    )
 
 
 def marginalize_stone(
@@ -442,106 +504,123 @@ def marginalize_stone(
     likelihood (volume times exp(-chi-squared/2)), and coefficients drawn for each;
     draws with a negative coefficient are rejected, by the flat prior on mu >= 0.
     """
-    known = throw.with_sigma(dict(central.sigma))
+    with_noise = throw.with_sigma(dict(central.sigma))
     low, high = np.array(RANGES).T
 
-    def stones(unit: Floats) -> Floats:
-        return (low + high) / 2 + (high - low) / 2 * unit
+    # A stone is a point of the square [-1, 1] x [-1, 1], for Chebyshev's sake.
+    def stones_at(square: Floats) -> Floats:
+        """R and rho in m, shape (n, 2)."""
+        return (low + high) / 2 + (high - low) / 2 * square
 
-    def at(places: Any) -> Floats:
-        return np.stack([_stone_posterior(known, *one) for one in stones(places)])
+    def fitted_at(square: Floats) -> Floats:
+        """Rows of posteriors by a fit for each stone."""
+        stones = stones_at(square)
+        return np.stack([_stone_posterior(with_noise, R, rho) for R, rho in stones])
 
-    def terms(places: Any) -> Floats:
-        a, b = np.transpose(places)
-        return np.polynomial.chebyshev.chebvander2d(a, b, [_NODES - 1] * 2)
+    def terms_at(square: Floats) -> Floats:
+        """Products of Chebyshev polynomials, shape (n, terms)."""
+        x, y = square.T
+        return np.polynomial.chebyshev.chebvander2d(x, y, [_NODES - 1, _NODES - 1])
 
     nodes = np.array([*product(np.polynomial.chebyshev.chebpts1(_NODES), repeat=2)])
-    series = np.linalg.solve(terms(nodes), at(nodes))
-    between = np.array([[0.9, -0.9], [-1.0, 1.0]])
-    noise = np.sqrt((_lower(terms(np.zeros((1, 2))) @ series)[0] ** 2).sum(-1))
-    error = np.abs(terms(between) @ series - at(between))
+    series = np.linalg.solve(terms_at(nodes), fitted_at(nodes))
+
+    middle = StonePosteriors.from_rows(terms_at(np.zeros((1, 2))) @ series)
+    noise = np.sqrt((middle.factor[0] ** 2).sum(-1))  # standard errors
+    off_nodes = np.array([[0.9, -0.9], [-1.0, 1.0]])
+    error = np.abs(terms_at(off_nodes) @ series - fitted_at(off_nodes))
+    mean_error = error[:, :3] / noise
+    evidence_error = error[:, -2:]
 
     random = np.random.default_rng(seed)
-    places = random.uniform(-1, 1, (2, _DRAWS)).T
-    found = terms(places) @ series
-    evidence = found[:, -1] - found[:, -2] / 2
+    square = random.uniform(-1, 1, (2, _DRAWS)).T
+    stones = stones_at(square)
+    posteriors = StonePosteriors.from_rows(terms_at(square) @ series)
+    evidence = posteriors.log_evidence
     weight = np.exp(evidence - evidence.max())
-    mu = found[:, :3] + np.einsum(
-        "nij,nj->ni", _lower(found), random.standard_normal((_DRAWS, 3))
-    )
+    normal = random.standard_normal((_DRAWS, 3))
+    mu = posteriors.mean + np.einsum("nij,nj->ni", posteriors.factor, normal)
+    # draws of either sign, and those that the prior on mu >= 0 allows
     free = random.choice(_DRAWS, _DRAWS, p=weight / weight.sum())
     positive = (mu > 0).all(1)
     allowed = weight * positive
     selected = random.choice(_DRAWS, _DRAWS, p=allowed / allowed.sum())
-    interval, free_interval = (
-        np.quantile(mu[rows], [0.025, 0.975], axis=0).T for rows in (selected, free)
-    )
-    nearest = np.argmin((np.abs(found[:, :3] - PRINTED) / HALF_DIGIT).max(1))
+    off_print = (np.abs(posteriors.mean - PRINTED) / HALF_DIGIT).max(1)
     return SimpleNamespace(
         limits=RANGES,
-        stones=stones(places)[selected],
+        stones=stones[selected],
         mu=mu[selected],
-        interval=interval,
-        free_interval=free_interval,
+        interval=np.quantile(mu[selected], [0.025, 0.975], axis=0).T,
+        free_interval=np.quantile(mu[free], [0.025, 0.975], axis=0).T,
         noise=noise,
-        preference=np.ptp(found[:, -2]),
+        preference=np.ptp(posteriors.chi_squared),
         positive=positive[free].mean(),
         effective=allowed.sum() ** 2 / (allowed**2).sum(),
-        check=max((error[:, :3] / noise).max(), error[:, -2:].max()),
+        check=max(mean_error.max(), evidence_error.max()),
         share=rounds_to_print(mu[selected]).mean(),
-        nearest=stones(places)[nearest],
+        nearest=stones[np.argmin(off_print)],
     )
 
 
-def eq_28(found: Any) -> Judged:
+def eq_28(studies: Any) -> Judged:
     """The coefficients of the front-back law."""
-    eq28, (low, high) = found.eq28, found.eq28.posterior.interval.T
-    mu, solid = coefficients_of(eq28.fit), coefficients_of(eq28.solid)
+    eq28 = studies.eq28
+    low, high = eq28.posterior.interval.T
+    mu = coefficients_of(eq28.fit)
     inside = (low <= PRINTED) & (high >= PRINTED)
     covered = (low <= PRINTED + HALF_DIGIT) & (high >= PRINTED - HALF_DIGIT)
-    contained, touched = (
-        " and ".join(f"{value:g}" for value in PRINTED[rows])
-        for rows in (inside, covered & ~inside)
-    )
-    contained = contained or "none of the printed values"
-    same = next((row for row in eq28.rows if rounds_to_print(row.mu)), None)
+    contained = _values_joined(PRINTED[inside]) or "none of the printed values"
+    touched = _values_joined(PRINTED[covered & ~inside])
+    if touched:
+        contained += f" and overlap {touched} within its rounding"
+    how = "by none of the methods"
+    agreeing = next((row for row in eq28.rows if rounds_to_print(row.mu)), None)
+    if agreeing is not None:
+        how = (
+            f'by the method "{agreeing.method}" with '
+            f"R = {agreeing.radius:g} m, rho = {agreeing.rho:g} m"
+        )
     return judged(
         covered.all() and eq28.posterior.share > 0,
         corrected=not rounds_to_print(mu),
         mu=mu,
-        solid=solid,
+        solid=coefficients_of(eq28.solid),
         low=low,
         high=high,
-        contained=contained
-        + (f" and overlap {touched} within its rounding" if touched else ""),
-        how="by none of the methods"
-        if same is None
-        else f'by the method "{same.method}" with '
-        f"R = {same.radius:g} m, rho = {same.rho:g} m",
+        contained=contained,
+        how=how,
     )
 
 
-def ratio(found: Any) -> Judged:
+def _values_joined(values: Floats) -> str:
+    return " and ".join(f"{value:g}" for value in values)
+
+
+def _transversal_over_tangential(result: FitResult) -> float:
+    mu1_xi, mu2_xi, mu_eta = coefficients_of(result)
+    return (mu1_xi + mu2_xi) / mu_eta
+
+
+def ratio(studies: Any) -> Judged:
     """Transversal over tangential friction."""
-    one, other = (
-        mu[:2].sum() / mu[2]
-        for mu in map(coefficients_of, (found.eq28.fit, found.eq28.solid))
-    )
-    return judged(2.5 <= one < 3.5 and 2.5 <= other < 3.5, one=one, other=other)
+    printed_rho = _transversal_over_tangential(studies.eq28.fit)
+    solid = _transversal_over_tangential(studies.eq28.solid)
+    holds = 2.5 <= printed_rho < 3.5 and 2.5 <= solid < 3.5
+    return judged(holds, one=printed_rho, other=solid)
 
 
-def split(found: Any) -> Judged:
+def split(studies: Any) -> Judged:
     """What of the sum mu1_eta + mu2_eta is not determined."""
-    ring, singular = found.ring, found.eq28.fit.singular_values
-    exchanged = [*found.eq28.fit.null_directions] == [{"mu1_eta": 1.0, "mu2_eta": -1.0}]
-    greatest, slow = (
-        ring.split_uniform.max(),
-        ring.split_consistent[ring.split_epsilon == 0.1][0],
-    )
+    ring = studies.ring
+    fit_of_eq_28 = studies.eq28.fit
+    difference = {"mu1_eta": 1.0, "mu2_eta": -1.0}
+    exchanged = [*fit_of_eq_28.null_directions] == [difference]
+    greatest = ring.split_uniform.max()
+    slow = ring.split_consistent[ring.split_epsilon == 0.1][0]
     return judged(
         exchanged and greatest < 1e-12,
-        last=singular[-1],
-        next=singular[-2],
+        last=fit_of_eq_28.singular_values[-1],
+        next=fit_of_eq_28.singular_values[-2],
         greatest=greatest,
         slow=100 * abs(slow),
     )

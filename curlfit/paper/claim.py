@@ -63,30 +63,24 @@ class Judged(NamedTuple):
 
 
 def judged(holds: Any, *, corrected: Any = False, **numbers: Any) -> Judged:
-    """That a claim holds or not, as printed or with a correction."""
+    """The verdict on a claim that holds or not, as printed or with a correction."""
     if not holds:
         return Judged("does not hold", numbers)
     return Judged("holds with a correction" if corrected else "holds", numbers)
 
 
 def claims_of(
-    studies: Mapping[str, Any], found: Mapping[str, Judged]
+    studies: Mapping[str, Any], judged_by_id: Mapping[str, Judged]
 ) -> tuple[Claim, ...]:
-    """The claims in the words of `claims.toml`, with the numbers found."""
-    words = tomllib.loads(
-        files("curlfit.paper").joinpath("claims.toml").read_text("utf-8")
-    )
-    return tuple(
-        Claim(
-            id=name,
-            verdict=found[name].verdict,
-            **{
-                key: text.format(**studies, **found[name].numbers)
-                for key, text in said.items()
-            },
-        )
-        for name, said in words.items()
-    )
+    """The claims in the words of `claims.toml`, with the numbers of the studies and of
+    each judgement."""
+    file = files("curlfit.paper").joinpath("claims.toml")
+    claims = []
+    for id, texts in tomllib.loads(file.read_text("utf-8")).items():
+        verdict, numbers = judged_by_id[id]
+        words = {key: text.format(**studies, **numbers) for key, text in texts.items()}
+        claims.append(Claim(id=id, verdict=verdict, **words))
+    return tuple(claims)
 
 
 def claims_table(claims: tuple[Claim, ...]) -> Any:
@@ -106,12 +100,16 @@ def claims_table(claims: tuple[Claim, ...]) -> Any:
     for name, ratio in (("claim, and why", 33), ("printed", 27), ("computed", 30)):
         table.add_column(name, ratio=ratio, overflow="fold")
     table.add_column("verdict", width=12)
-    for one in claims:
-        what = Text(one.claim + "\n", style="bold").append(
-            one.why, style="not bold dim"
+    for claim in claims:
+        statement = Text(claim.claim + "\n", style="bold")
+        statement.append(claim.why, style="not bold dim")
+        table.add_row(
+            claim.id,
+            statement,
+            Text(claim.printed),
+            Text(claim.computed),
+            Text(claim.verdict, style=_STYLE[claim.verdict]),
         )
-        judged = Text(one.verdict, style=_STYLE[one.verdict])
-        table.add_row(one.id, what, Text(one.printed), Text(one.computed), judged)
     return table
 
 
@@ -126,20 +124,23 @@ def verdicts(claims: tuple[Claim, ...]) -> str:
     )
 
 
-def document(found: Any) -> Document:
+def document(reproduction: Any) -> Document:
     """The verdicts and the table of claims of a `Reproduction`."""
-    by_verdict: dict[str, list[str]] = {}
-    for one in found.claims:
-        by_verdict.setdefault(one.verdict, []).append(one.id)
+    claims = reproduction.claims
+    ids_by_verdict: dict[str, list[str]] = {}
+    for claim in claims:
+        ids_by_verdict.setdefault(claim.verdict, []).append(claim.id)
     return Document(
-        finding=lower(verdicts(found.claims)).rstrip("."),
+        finding=lower(verdicts(claims)).rstrip("."),
         subject="claims of Ivanov and Shuvalov (2012), recomputed",
-        lines=[f"{name}: {', '.join(ids)}" for name, ids in by_verdict.items()],
-        sections=[Section("claims", "Claims", [claims_table(found.claims)])],
+        lines=[
+            f"{verdict}: {', '.join(ids)}" for verdict, ids in ids_by_verdict.items()
+        ],
+        sections=[Section("claims", "Claims", [claims_table(claims)])],
     )
 
 
-def page(found: Any, format: str = "png") -> str:
+def page(reproduction: Any, format: str = "png") -> str:
     """`claims.md`: the claims of a `Reproduction`, and what is behind them, with
     figures of a format."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -156,5 +157,5 @@ def page(found: Any, format: str = "png") -> str:
     )
     pages.filters["cell"] = lambda text: text.replace("|", r"\|")
     return pages.get_template("claims.md.j2").render(
-        vars(found), verdicts=verdicts(found.claims), format=format
+        vars(reproduction), verdicts=verdicts(reproduction.claims), format=format
     )

@@ -63,9 +63,9 @@ def reproduce(
     console = terminal(quiet=quiet or as_json)
     drawn.draw_beside()
 
-    def draw(study: str, found: Any) -> None:
+    def draw(study: str, studies: Any) -> None:
         for name in _FIGURES[study]:
-            drawn.replace(folder, [name], partial(_figure, name, found))
+            drawn.replace(folder, [name], partial(_figure, name, studies))
 
     from rich.progress import BarColumn, TimeElapsedColumn
 
@@ -93,7 +93,7 @@ def reproduce(
     console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)
 
 
-def _figure(name: str, found: Any) -> dict[str, Figure]:
+def _figure(name: str, studies: Any) -> dict[str, Figure]:
     from curlfit.paper.figures import FIGURES
 
-    return {name: FIGURES[name](found)}
+    return {name: FIGURES[name](studies)}

@@ -10,9 +10,12 @@ from matplotlib.patches import Patch
 
 from curlfit.output import figures as draw
 from curlfit.output.ticks import neat_axis
-from curlfit.paper.printed import HALF_DIGIT, PRINTED
+from curlfit.paper.printed import HALF_DIGIT, PRINTED, Row
 
-_BLUE, _RED, _, _PINK, _, _, _CORRECT = draw.PALETTE
+_BLUE = draw.PALETTE[0]
+_RED = draw.PALETTE[1]
+_PINK = draw.PALETTE[3]
+_CORRECT = draw.PALETTE[6]
 _PLAIN: dict[str, Any] = {"color": _CORRECT, "lw": 1.4}
 _AS_PRINTED: dict[str, Any] = {
     "color": draw.REFERENCE_COLOR,
@@ -27,10 +30,10 @@ _SPLIT_NAME = r"$(\mu_{1\eta}, \mu_{2\eta})$"
 
 
 def _note(
-    axes: Any, text: str, place: Any, offset: Any = (-8, 9), **style: Any
+    axes: Any, text: str, point: Any, offset: Any = (-8, 9), **style: Any
 ) -> None:
-    """Text to the left of a point, at an offset in points."""
-    axes.annotate(text, place, offset, textcoords="offset points", ha="right", **style)
+    """Text to the left of a point of the data, at an offset in points of print."""
+    axes.annotate(text, point, offset, textcoords="offset points", ha="right", **style)
 
 
 def _sign_change(axes: Any, zero: float, name: str = "") -> None:
@@ -39,14 +42,15 @@ def _sign_change(axes: Any, zero: float, name: str = "") -> None:
 
 
 @draw.style()
-def eq_14_figure(found: Any) -> draw.Picture:
+def eq_14_figure(studies: Any) -> draw.Picture:
     """Second derivatives of eq. 12 and eq. 14 as printed."""
-    path, (figure, (across, along)) = found.path, draw.panels(2.7, 1, 2)
-    for axes, right, printed, name in (
+    path = studies.path
+    figure, (across, along) = draw.panels(2.7, 1, 2)
+    for axes, derivative, printed, name in (
         (across, path.ax, path.ax_printed, "x"),
         (along, path.ay, path.ay_printed, "y"),
     ):
-        axes.plot(path.t, 1000 * right, **_PLAIN, label="derivative of eq. 12")
+        axes.plot(path.t, 1000 * derivative, **_PLAIN, label="derivative of eq. 12")
         axes.plot(path.t, 1000 * printed, **_AS_PRINTED)
         axes.set(xlabel="t (s)", ylabel=rf"$d^2{name}/dt^2$ (mm/s$^2$)", xlim=(0, 20))
     across.axhline(0, **_FAINT)
@@ -59,24 +63,20 @@ def eq_14_figure(found: Any) -> draw.Picture:
 
 
 @draw.style()
-def isotropic_figure(found: Any) -> draw.Picture:
+def isotropic_figure(studies: Any) -> draw.Picture:
     """Force across and along the motion against spin, under consistent load."""
     figure, (across, along) = draw.panels(
         5.5, 2, 1, sharex=True, height_ratios=(1.35, 1.0)
     )
-    small, large = 1e-8, 3e-4
-    for (label, omega, t_xi, t_eta, least), color in zip(
-        found.isotropic.curves, (_CORRECT, *draw.PALETTE[:5]), strict=True
-    ):
-        for axes, series in ((across, t_xi), (along, t_eta)):
-            axes.plot(omega, series, color=color, lw=1, ls=":")
-            axes.plot(
-                omega,
-                np.where(least > 0, series, np.nan),
-                color=color,
-                lw=1.4,
-                label=label,
-            )
+    small = 1e-8  # below which the scale of the force is linear
+    large = 3e-4
+    colors = (_CORRECT, *draw.PALETTE[:5])
+    for curve, color in zip(studies.isotropic.curves, colors, strict=True):
+        label, omega, t_xi, t_eta, least = curve
+        for axes, force in ((across, t_xi), (along, t_eta)):
+            axes.plot(omega, force, color=color, lw=1, ls=":")
+            braking = np.where(least > 0, force, np.nan)
+            axes.plot(omega, braking, color=color, lw=1.4, label=label)
     across.plot(
         [],
         [],
@@ -116,10 +116,11 @@ def isotropic_figure(found: Any) -> draw.Picture:
 
 
 @draw.style()
-def prop_5_figure(found: Any) -> draw.Picture:
+def prop_5_figure(studies: Any) -> draw.Picture:
     """Direction of the force of eq. 12, and the bound of isotropic friction."""
-    path, (figure, (moving, ice)) = found.path, draw.panels(2.8, 1, 2)
+    path = studies.path
     t = path.t
+    figure, (moving, ice) = draw.panels(2.8, 1, 2)
     moving.fill_between(t, 0, path.limit, color=_BLUE, alpha=0.15, lw=0)
     moving.plot(t, path.limit, color=_BLUE, lw=1.5)
     moving.plot(t, path.ratio, **_PLAIN)
@@ -149,9 +150,10 @@ def prop_5_figure(found: Any) -> draw.Picture:
 
 
 @draw.style()
-def eq_24_figure(found: Any) -> draw.Picture:
+def eq_24_figure(studies: Any) -> draw.Picture:
     """The combinations of the radial law's coefficients in eq. 24."""
-    ring, (figure, axes) = found.ring, draw.panels(3.2, 1, 1, width=0.8 * draw.WIDTH)
+    ring = studies.ring
+    figure, axes = draw.panels(3.2, 1, 1, width=0.8 * draw.WIDTH)
     axes.axhspan(-0.05, 0, color=_RED, alpha=0.07, lw=0)
     axes.axhline(0, **_AXIS)
     names = (
@@ -183,24 +185,27 @@ def eq_24_figure(found: Any) -> draw.Picture:
 
 
 @draw.style()
-def eq_28_figure(found: Any) -> draw.Picture:
+def eq_28_figure(studies: Any) -> draw.Picture:
     """Eq. 28 by every method, and its posterior over R and rho."""
-    rows = [row for row in found.eq28.rows if "eq. 14" not in row.method]
-    posterior, heights = found.eq28.posterior, np.arange(len(rows))[::-1]
+    rows = [row for row in studies.eq28.rows if "eq. 14" not in row.method]
+    heights = np.arange(len(rows))[::-1]
+    posterior = studies.eq28.posterior
     figure, panels = draw.panels(6.2, 2, 3, height_ratios=(3.2, 1.0), sharex="col")
     limits = ((-0.0042, 0.0042), (0.0405, 0.0605), (0.0148, 0.0186))
-    # whether the trajectory is fitted
-    marks = {True: ("o", _CORRECT), False: ("s", _BLUE)}
     for column, (dots, below) in enumerate(panels.T):
-        low, high = PRINTED[column] + HALF_DIGIT[column] * np.array([-1, 1])
+        printed = PRINTED[column]
+        low = printed - HALF_DIGIT[column]
+        high = printed + HALF_DIGIT[column]
         for axes in (dots, below):
             axes.axvspan(low, high, color=draw.REFERENCE_COLOR, alpha=0.35, lw=0)
-            axes.axvline(PRINTED[column], color=draw.REFERENCE_COLOR, lw=1)
+            axes.axvline(printed, color=draw.REFERENCE_COLOR, lw=1)
         for row, height in zip(rows, heights, strict=True):
-            marker, color = marks[row.method.startswith("trajectory")]
+            is_path_fit = "trajectory" in row.method
+            marker = "o" if is_path_fit else "s"
+            color = _CORRECT if is_path_fit else _BLUE
             dots.axhline(height, color="0.92", lw=0.8, zorder=0)
             dots.plot(row.mu[column], height, marker, ms=4, zorder=3, color=color)
-        dots.set_title(f"printed: {PRINTED[column]:g}", loc="center")
+        dots.set_title(f"printed: {printed:g}", loc="center")
         dots.set(ylim=(-0.7, len(rows) - 0.3), yticks=[])
         below.hist(
             posterior.mu[:, column], bins=40, color=draw.POSTERIOR_COLOR, density=True
@@ -234,26 +239,33 @@ def eq_28_figure(found: Any) -> draw.Picture:
     return figure
 
 
-def _method_label(row: Any) -> str:
+def _method_label(row: Row) -> str:
+    """What a row is, without the words that its marker says."""
     method = row.method.replace("eq. 27 at each t, ", "").replace("trajectory fit", "")
+    method = method.removeprefix(", ")
     stone = rf"R {row.radius:g}, $\rho$ {row.rho:g}, $t \leq$ {row.window:g} s"
-    return "; ".join(filter(None, [method.removeprefix(", "), stone]))
+    return f"{method}; {stone}" if method else stone
 
 
 @draw.style()
-def split_figure(found: Any) -> draw.Picture:
+def split_figure(studies: Any) -> draw.Picture:
     """Effect of exchanging mu1_eta and mu2_eta, and singular values of the fit."""
-    ring, (figure, (change, spectrum)) = found.ring, draw.panels(2.8, 1, 2)
-    for series, marker, color, label in (
-        (
-            np.maximum(ring.split_uniform, 5e-17),
-            "o-",
-            _CORRECT,
-            "uniform load: rounding or less",
-        ),
-        (np.abs(ring.split_consistent), "s-", _RED, r"consistent load ($T_\eta$)"),
-    ):
-        change.loglog(ring.split_epsilon, series, marker, color=color, label=label)
+    ring = studies.ring
+    figure, (change, spectrum) = draw.panels(2.8, 1, 2)
+    change.loglog(
+        ring.split_epsilon,
+        np.maximum(ring.split_uniform, 5e-17),
+        "o-",
+        color=_CORRECT,
+        label="uniform load: rounding or less",
+    )
+    change.loglog(
+        ring.split_epsilon,
+        np.abs(ring.split_consistent),
+        "s-",
+        color=_RED,
+        label=r"consistent load ($T_\eta$)",
+    )
     change.axvline(1, **_UNIT)
     change.set(
         xlabel=r"$\varepsilon = R\omega/v$", ylabel="relative change of the force"
@@ -261,7 +273,7 @@ def split_figure(found: Any) -> draw.Picture:
     change.set_ylim(1e-17, 1)
     change.set_title(_SPLIT_NAME + " = (0.012, 0.006) exchanged")
     change.legend(loc="center left")
-    values = np.array(found.eq28.fit.singular_values)
+    values = np.array(studies.eq28.fit.singular_values)
     order = np.arange(1, len(values) + 1)
     spectrum.semilogy(order[:-1], values[:-1], "o", color=_CORRECT)
     spectrum.semilogy(order[-1:], values[-1:], "o", color=_RED)
@@ -269,8 +281,14 @@ def split_figure(found: Any) -> draw.Picture:
     spectrum.text(
         1, 0.3, "below 1 a direction is not determined", color=draw.QUIET, va="top"
     )
-    named, last = _SPLIT_NAME + " along $(1, -1)$", (order[-1], values[-1])
-    _note(spectrum, named, last, (-10, 0), va="center", color=_RED)
+    _note(
+        spectrum,
+        _SPLIT_NAME + " along $(1, -1)$",
+        (order[-1], values[-1]),
+        (-10, 0),
+        va="center",
+        color=_RED,
+    )
     spectrum.set(
         xlabel="direction in parameter space", ylabel="singular value", xticks=order
     )

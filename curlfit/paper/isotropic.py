@@ -31,7 +31,7 @@ from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import in_batches
 from curlfit.numerics.compiled import compiled
 from curlfit.paper.claim import Judged, judged
-from curlfit.paper.printed import RADIUS, Configuration, eq_12
+from curlfit.paper.printed import RADIUS, Configuration, Counts, eq_12
 from curlfit.stone import GRAVITY, Stone
 
 TIMES = np.arange(201) / 10
@@ -81,18 +81,19 @@ class Motion(NamedTuple):
 @compiled()
 def _derivatives(t: Array) -> list[Configuration]:
     def derivative(
-        of: Callable[[Array], Configuration],
+        function: Callable[[Array], Configuration],
     ) -> Callable[[Array], Configuration]:
-        return lambda t: jax.jvp(of, (t,), (jnp.ones_like(t),))[1]
+        return lambda t: jax.jvp(function, (t,), (jnp.ones_like(t),))[1]
 
     first = derivative(eq_12)
     second = derivative(first)
-    return [first(t), second(t), derivative(second)(t)]
+    third = derivative(second)
+    return [first(t), second(t), third(t)]
 
 
 @cache
 def derivatives() -> list[Configuration]:
-    """Of eq. 12 with respect to time, of order 1 to 3, every 0.1 s on
+    """First to third derivative of eq. 12 with respect to time, every 0.1 s on
     0..20 s, by JAX."""
     return jax.tree.map(np.asarray, _derivatives(TIMES))
 
@@ -109,70 +110,81 @@ def motion(until: float = 20.0, *, printed: str = "") -> Motion:
     `printed` is "", "x" (the wrong sign) or "xy" (also the wrong exponent).
     """
     first, second, _ = derivatives()
-    ax, ay = (
-        of_print if name in printed else right
-        for name, of_print, right in zip("xy", as_printed(TIMES), second, strict=False)
+    ax_printed, ay_printed = as_printed(TIMES)
+    ax = ax_printed if "x" in printed else second.x
+    ay = ay_printed if "y" in printed else second.y
+    heading = np.arctan2(first.x, first.y)
+    throughout = Motion(
+        t=TIMES,
+        curvature=first.phi / np.hypot(first.x, first.y),
+        xi=ax * np.cos(heading) - ay * np.sin(heading),
+        eta=ax * np.sin(heading) + ay * np.cos(heading),
+        angular=second.phi,
     )
-    beta = np.arctan2(first.x, first.y)
-    xi, eta = (
-        ax * np.cos(beta) - ay * np.sin(beta),
-        ax * np.sin(beta) + ay * np.cos(beta),
-    )
-    rows = slice(round(10 * until) + 1)
-    found = TIMES, first.phi / np.hypot(first.x, first.y), xi, eta, second.phi
-    return Motion(*(values[rows] for values in found))
+    rows = round(10 * until) + 1
+    return Motion(*(series[:rows] for series in throughout))
 
 
 def _exponent(values: Floats, scale: float) -> float:
     """Exponent p of values that go as (1 - t/scale)^p."""
-    rest, some = 1 - TIMES[[*_SAMPLES]] / scale, values[[*_SAMPLES]]
-    return float(np.log(some[1] / some[0]) / np.log(rest[1] / rest[0]))
+    first, second = _SAMPLES
+    rest = 1 - TIMES / scale
+    return float(
+        np.log(values[second] / values[first]) / np.log(rest[second] / rest[first])
+    )
 
 
 def study_path() -> SimpleNamespace:
     """Derivatives of eq. 12, beside those printed and by hand, and the direction
     of the force."""
-    t, now, (_, second, third) = TIMES, motion(), derivatives()
-    rest, left, k = 1 - t / 23, 1 - t / 24, _SAMPLES[0]
-    by_hand = (
-        -(0.008 - 2.98 * 1.43 * 0.43 / 23**2 * rest**-0.57),
-        -25 * 1.897 * 0.897 / 23**2 * rest**-0.103,
-        -16.58 * 1.455 * 0.455 / 24**2 * left**-0.545,
+    t = TIMES
+    _, second, third = derivatives()
+    rest = 1 - t / 23
+    by_hand = Configuration(
+        x=-(0.008 - 2.98 * 1.43 * 0.43 / 23**2 * rest**-0.57),
+        y=-25 * 1.897 * 0.897 / 23**2 * rest**-0.103,
+        phi=-16.58 * 1.455 * 0.455 / 24**2 * (1 - t / 24) ** -0.545,
     )
-    errors = (
-        np.abs(one - by_jax).max() / np.abs(one).max()
-        for one, by_jax in zip(by_hand, second, strict=True)
-    )
-    # d2x/dt2 = -(c + k (1 - t/23)^p), whose derivative is a pure power; d2y/dt2
-    # is one itself.
-    px, py = _exponent(third.x, 23) + 1, _exponent(second.y, 23)
+    relative_errors = [
+        np.abs(series - by_jax).max() / np.abs(series).max()
+        for series, by_jax in zip(by_hand, second, strict=True)
+    ]
+    # d2x/dt2 = -(c + kx rest^px): its derivative kx px/23 rest^(px - 1) is a pure
+    # power; d2y/dt2 = -ky rest^py is one itself.
+    k = _SAMPLES[0]
+    px = _exponent(third.x, 23) + 1
     kx = 23 * third.x[k] / (px * rest[k] ** (px - 1))
     c = -second.x[k] - kx * rest[k] ** px
+    py = _exponent(second.y, 23)
+    ky = -second.y[k] / rest[k] ** py
     ax_printed, ay_printed = as_printed(t)
-    epsilon = RADIUS * now.curvature
+    moving_frame = motion()
+    epsilon = RADIUS * moving_frame.curvature
     return SimpleNamespace(
         t=t,
         ax=second.x,
         ay=second.y,
         ax_printed=ax_printed,
         ay_printed=ay_printed,
-        by_hand=max(errors),
+        by_hand=max(relative_errors),
         x_form=(c, kx, px),
-        y_form=(-second.y[k] / rest[k] ** py, py),
+        y_form=(ky, py),
         sign_change=23 * (1 - (-c / kx) ** (1 / px)),
-        ratio=now.xi / now.eta,
+        ratio=moving_frame.xi / moving_frame.eta,
         limit=epsilon / np.sqrt(1 - epsilon**2),
     )
 
 
-def eq_13(_found: Any) -> Judged:
+def eq_13(_studies: Any) -> Judged:
     """Start and end of eq. 12."""
-    dx, dy, omega = (float(part[0]) for part in derivatives()[0])
+    dx, dy, omega = (float(rate[0]) for rate in derivatives()[0])
     x, y, phi = eq_12(23.0)
-    turns, surplus = phi / (2 * np.pi), dy / 2 - 1
-    start = (round(dx, 1), round(dy), round(omega)) == (0, 2, 1)
+    turns = phi / (2 * np.pi)
+    surplus = dy / 2 - 1  # of the printed speed, 2 m/s
+    start_holds = (round(dx, 1), round(dy), round(omega)) == (0, 2, 1)
+    end_holds = (round(-x, 2), round(turns, 1)) == (0.84, 2.6)
     return judged(
-        start and (round(-x, 2), round(turns, 1)) == (0.84, 2.6),
+        start_holds and end_holds,
         corrected=surplus > 0.01,
         dx=dx,
         dy=dy,
@@ -184,45 +196,48 @@ def eq_13(_found: Any) -> Judged:
     )
 
 
-def eq_14_x(found: Any) -> Judged:
+def eq_14_x(studies: Any) -> Judged:
     """The acceleration across the sheet."""
-    c, k, _ = found.path.x_form
+    c, k, _ = studies.path.x_form
     holds = abs(k + 0.0035) < 1e-4 and abs(c - 0.008) < 1e-6
     return judged(holds, corrected=True, sign="-" if k < 0 else "+", size=abs(k))
 
 
-def eq_14_y(found: Any) -> Judged:
+def eq_14_y(studies: Any) -> Judged:
     """The acceleration along the sheet."""
-    path, (k, p) = found.path, found.path.y_form
-    apart = 100 * abs(path.ay[-1] / path.ay_printed[-1] - 1)
-    return judged(
-        round(k, 2) == 0.08 and round(p, 3) == -0.103, corrected=True, apart=apart
-    )
+    path = studies.path
+    k, p = path.y_form
+    difference = 100 * abs(path.ay[-1] / path.ay_printed[-1] - 1)  # %, at the end
+    holds = round(k, 2) == 0.08 and round(p, 3) == -0.103
+    return judged(holds, corrected=True, apart=difference)
 
 
-def prop_5(found: Any) -> Judged:
+def prop_5(studies: Any) -> Judged:
     """No isotropic law causes eq. 12."""
-    path = found.path
-    least = (path.ax_printed / path.ay_printed).min()
+    path = studies.path
     return judged(
         (path.ratio > path.limit).all(),
         corrected=True,
         ice=path.ax / path.ay,
-        least=least,
+        least=(path.ax_printed / path.ay_printed).min(),
     )
 
 
-def eq_15_to_17(_found: Any) -> Judged:
+def eq_15_to_17(_studies: Any) -> Judged:
     """Sliding directions on the ring, in the ice frame (dx(A)/dy(A)) and in the
     moving frame."""
-    first, angle = derivatives()[0], np.linspace(-np.pi, np.pi, 721)
-    spin, epsilon = RADIUS * first.phi[:, None], RADIUS * motion().curvature[:, None]
-    ice = (first.x[:, None] - spin * np.sin(angle)) / (
-        first.y[:, None] + spin * np.cos(angle)
-    )
+    # rows are times, columns points of the ring
+    rates = derivatives()[0]
+    vx = rates.x[:, None]
+    vy = rates.y[:, None]
+    spin = RADIUS * rates.phi[:, None]  # speed of rotation, m/s
+    epsilon = RADIUS * motion().curvature[:, None]
+    angle = np.linspace(-np.pi, np.pi, 721)
+    ice = (vx - spin * np.sin(angle)) / (vy + spin * np.cos(angle))
     moving = (-epsilon * np.sin(angle) / (1 + epsilon * np.cos(angle))).max(1)
-    size = spin[0, 0] / first.y[0]
-    by_spin, by_speed = _exponent(first.phi, 24), -_exponent(first.y, 23)
+    size = spin[0, 0] / rates.y[0]
+    by_spin = _exponent(rates.phi, 24)
+    by_speed = -_exponent(rates.y, 23)
     bound = size * (1 - TIMES / 24) ** by_spin * (1 - TIMES / 23) ** by_speed
     holds = (ice.max(1) <= bound).all() and bound.max() <= 0.09 and moving.min() > 0.01
     return judged(
@@ -255,11 +270,8 @@ class SpeedMixture(LocalLaw):
         of the speed."""
         s = point.speed / self.scale
         decay = jnp.exp(-s)
-        mu = (
-            self.level
-            + self.rise * point.speed
-            + (self.drop + self.hump * s**2) * decay
-        )
+        decaying = (self.drop + self.hump * s**2) * decay
+        mu = self.level + self.rise * point.speed + decaying
         return -mu * point.e_xi, -mu * point.e_eta
 
 
@@ -313,18 +325,25 @@ def _ring(law: type[Law], values: Array, v: Array, omega: Array) -> RingStates:
         motion = accelerations_under(forces, STONE)
         n1, n2 = balanced_tilt(forces, contact.lever)
 
-        def least_friction(law: type[LocalLaw], own: tuple[Array, ...]) -> Array:
-            one, least = law.from_vector(own), jnp.asarray(jnp.inf)
-            for points, _ in panels(one, *contact.motion, contact.clustering):
+        def least_friction(kind: type[LocalLaw], own: tuple[Array, ...]) -> Array:
+            friction = kind.from_vector(own)
+            least = jnp.asarray(jnp.inf)
+            for points, _ in panels(friction, *contact.motion, contact.clustering):
                 load = 1 + n1 * points.xi + n2 * points.eta
-                along_xi, along_eta = one.traction(points._replace(load=load))
-                mu = -(along_xi * points.e_xi + along_eta * points.e_eta)
+                right, forward = friction.traction(points._replace(load=load))
+                mu = -(right * points.e_xi + forward * points.e_eta)
                 least = jnp.minimum(least, mu.min())
             return least
 
-        force = motion.xi / GRAVITY, motion.eta / GRAVITY
         return RingStates(
-            v, omega, *force, motion.angular, n1, n2, contact.of_law(least_friction)
+            v=v,
+            omega=omega,
+            t_xi=motion.xi / GRAVITY,
+            t_eta=motion.eta / GRAVITY,
+            spin_up=motion.angular,
+            n1=n1,
+            n2=n2,
+            least=contact.of_law(least_friction),
         )
 
     return jax.vmap(state)(values, v, omega)
@@ -348,52 +367,50 @@ def grid_states(
 ) -> tuple[RingStates, Floats]:
     """RingStates for every set of coefficients, speed and spin, and the
     coefficients of each."""
-    sets, speeds, spins = (
-        grid.ravel()
-        for grid in np.meshgrid(range(len(coefficients)), v, omega, indexing="ij")
-    )
-    values = np.array(coefficients, float)[sets]
-    return ring_states(law, values, speeds, spins), values
+    rows = np.arange(len(coefficients))
+    sets, speeds, spins = np.meshgrid(rows, v, omega, indexing="ij")
+    values = np.array(coefficients, float)[sets.ravel()]
+    return ring_states(law, values, speeds.ravel(), spins.ravel()), values
 
 
 def _random_mixtures(n: int) -> tuple[RingStates, Floats]:
     """Random functions of the speed at random speeds and spins of both senses."""
     random = np.random.default_rng(1)
     level = 10 ** random.uniform(-4, -2, n)
-    others = 10 ** random.uniform(-4, -1.5, (3, n)) * (random.random((3, n)) < 0.6)
-    values = np.stack([level, *others, 10 ** random.uniform(-1, 0.5, n)], 1)
+    # rise, drop and hump: each absent from two mixtures of five
+    parts = 10 ** random.uniform(-4, -1.5, (3, n)) * (random.random((3, n)) < 0.6)
+    scale = 10 ** random.uniform(-1, 0.5, n)
+    values = np.stack([level, *parts, scale], 1)
     v = 10 ** random.uniform(-1, 0.6, n)
     omega = 10 ** random.uniform(-1, 2.3, n) * random.choice([-1.0, 1.0], n)
     return ring_states(SpeedMixture, values, v, omega), values
 
 
-def _counts(states: RingStates, where: Any = True) -> SimpleNamespace:
-    """Numbers of existing states: all, deviating to the left (for counter-clockwise
-    spin), slow (|eps| < 1, the instant centre of velocities outside the base), speeding
-    up, and as the remark on Prop. 3 says."""
+def _counts(states: RingStates, where: Any = True) -> Counts:
+    """Numbers of states, of those that `where` selects."""
     sense = np.sign(states.omega)
-    every = states.exists & where
-    left, speeds_up = every & (states.right < 0), every & (states.t_eta > 0)
-    slow = every & (STONE.R * np.abs(states.omega) / states.v < 1)
+    counted = states.exists & where
+    left = counted & (states.right < 0)
+    slow = counted & (STONE.R * np.abs(states.omega) / states.v < 1)
+    speeds_up = counted & (states.t_eta > 0)
     tilted = (states.n1 * sense > 0) & (states.n2 < 0) & (states.spin_up * sense < 0)
-    rows = {
-        "states": every,
-        "left": left,
-        "slow": slow,
-        "slow_left": slow & left,
-        "speeds_up": speeds_up,
-        "remark": left & speeds_up & tilted,
-    }
-    return SimpleNamespace(**{name: int(chosen.sum()) for name, chosen in rows.items()})
+    return Counts(
+        states=int(counted.sum()),
+        left=int(left.sum()),
+        slow=int(slow.sum()),
+        slow_left=int((slow & left).sum()),
+        speeds_up=int(speeds_up.sum()),
+        remark=int((left & speeds_up & tilted).sum()),
+    )
 
 
 def _leftmost(
     law: type[LocalLaw], states: RingStates, values: Floats, where: Any = True
 ) -> SimpleNamespace:
     """The state of a counter-clockwise stone with the largest force to the left."""
-    use = states.exists & where & (states.omega > 0)
-    row = int(np.argmin(np.where(use, states.t_xi, np.inf)))
-    names = [item.name for item in law.coefficients()]
+    candidates = states.exists & where & (states.omega > 0)
+    row = int(np.argmin(np.where(candidates, states.t_xi, np.inf)))
+    names = [coefficient.name for coefficient in law.coefficients()]
     return SimpleNamespace(
         coefficients=dict(zip(names, map(float, values[row]), strict=True)),
         **{name: float(series[row]) for name, series in states._asdict().items()},
@@ -412,6 +429,7 @@ def study_isotropic() -> SimpleNamespace:
     left = [k for k, counts in power.items() if counts.left]
     mixture, mixture_values = _random_mixtures(2 * BATCH)
     cases = {name: grid_states(Stribeck, sets) for name, sets in CASES.items()}
+    # rad/s; dense where the force changes its sign, near eps = 1
     omega = np.union1d(
         np.geomspace(0.3, 200, 120), [1.0, 10.0, *np.linspace(29, 50, 211), 100.0]
     )
@@ -447,83 +465,94 @@ def study_isotropic() -> SimpleNamespace:
     )
 
 
-def prop_1(_found: Any) -> Judged:
+def prop_1(_studies: Any) -> Judged:
     """The force T and the moment M_N of the load, for every law that acts
     on the ring."""
-    triples = []
+    grids = []
     for law in _LOCAL:
-        states, _ = grid_states(law, [[item.default for item in law.coefficients()]])
-        triples.append(np.stack(states)[:, states.exists])
-    n0_xi, n0_eta, n1, n2 = np.concatenate(triples, axis=1)[[2, 3, 5, 6]]
+        defaults = [coefficient.default for coefficient in law.coefficients()]
+        states, _ = grid_states(law, [defaults])
+        grids.append(np.stack(states)[:, states.exists])
+    states = RingStates(*np.concatenate(grids, axis=1))
     # rad; the sum of a linear load is exact
     angle = 2 * np.pi * np.arange(16)[:, None] / 16
-    load = 1 + n1 * np.cos(angle) + n2 * np.sin(angle)
+    load = 1 + states.n1 * np.cos(angle) + states.n2 * np.sin(angle)
     # eq. 2: r x k n, over the weight
     moment = STONE.R * np.stack([load * np.sin(angle), -load * np.cos(angle)]).mean(1)
-    force = np.stack([n0_xi, n0_eta])
-    size, arm = np.hypot(*force), np.hypot(*moment)
-    cosine = (np.abs((force * moment).sum(0)) / (size * arm)).max()
-    turn = ((force[0] * moment[1] - force[1] * moment[0]) / (size * arm)).min()
-    error = np.abs(arm / (STONE.h * size) - 1).max()
+    force = np.stack([states.t_xi, states.t_eta])
+    force_size = np.hypot(*force)
+    moment_size = np.hypot(*moment)
+    product = force_size * moment_size
+    cosine = (np.abs((force * moment).sum(0)) / product).max()
+    sine = ((force[0] * moment[1] - force[1] * moment[0]) / product).min()
+    error = np.abs(moment_size / (STONE.h * force_size) - 1).max()
     return judged(
-        cosine < 1e-8 and turn > 1 - 1e-8 and error < 1e-8,
+        cosine < 1e-8 and sine > 1 - 1e-8 and error < 1e-8,
         cosine=cosine,
-        states=len(n1),
+        states=len(states.n1),
         laws=len(_LOCAL),
         error=error,
     )
 
 
-def prop_2(found: Any) -> Judged:
+def prop_2(studies: Any) -> Judged:
     """Constant mu."""
-    c, (least, _) = found.isotropic.coulomb, found.isotropic.coulomb_range
-    return judged(c.left == 0 and least > 0, right=c.states - c.left)
+    counts = studies.isotropic.coulomb
+    least, _ = studies.isotropic.coulomb_range
+    return judged(counts.left == 0 and least > 0, right=counts.states - counts.left)
 
 
-def prop_3(found: Any) -> Judged:
+def prop_3(studies: Any) -> Judged:
     """Any function of the sliding speed: powers, and random mixtures."""
-    all_counts = [*found.isotropic.power.values(), found.isotropic.mixture]
-    states, slow, left, slow_left, remark = (
-        sum(getattr(counts, name) for counts in all_counts)
-        for name in ("states", "slow", "left", "slow_left", "remark")
-    )
-    to_left, to_right = (
-        ", ".join(f"{k:g}" for k in exponents)
-        for exponents in (found.isotropic.left_powers, found.isotropic.right_powers)
-    )
+    isotropic = studies.isotropic
+    counts_by_law = [*isotropic.power.values(), isotropic.mixture]
+    counts = Counts(*(sum(numbers) for numbers in zip(*counts_by_law, strict=True)))
     return judged(
-        slow_left == 0 and 0 < left == remark,
-        slow=slow,
-        faster=states - slow,
-        left=left,
-        to_left=to_left,
-        to_right=to_right,
+        counts.slow_left == 0 and 0 < counts.left == counts.remark,
+        slow=counts.slow,
+        faster=counts.states - counts.slow,
+        left=counts.left,
+        to_left=", ".join(f"{k:g}" for k in isotropic.left_powers),
+        to_right=", ".join(f"{k:g}" for k in isotropic.right_powers),
     )
 
 
-def _prop_4_holds(one: Any, two: Any, three: Any) -> bool:
-    left = one.left == two.slow_left == 0 < two.left == two.remark == two.speeds_up
-    return bool(left and three.left == three.states and three.speeds_up == 0)
+def _prop_4_holds(cases: dict[str, Counts]) -> bool:
+    """Whether case (i) deviates to the right, (ii) to the left only where fast, then
+    speeding up, and (iii) to the left, slowing down."""
+    first = cases["i"]
+    second = cases["ii"]
+    third = cases["iii"]
+    return (
+        first.left == 0
+        and second.slow_left == 0
+        and 0 < second.left == second.remark == second.speeds_up
+        and third.left == third.states
+        and third.speeds_up == 0
+    )
 
 
-def prop_4(found: Any) -> Judged:
+def prop_4(studies: Any) -> Judged:
     """The cases of eq. 11."""
-    one, two, three = found.isotropic.stribeck.values()
-    below = found.isotropic.negative["iii"]
+    cases = studies.isotropic.stribeck
+    negative = studies.isotropic.negative["iii"]
     return judged(
-        _prop_4_holds(one, two, three),
-        one=one.states - one.left,
-        two=two.slow - two.slow_left,
-        below=below.states - below.left,
+        _prop_4_holds(cases),
+        one=cases["i"].states - cases["i"].left,
+        two=cases["ii"].slow - cases["ii"].slow_left,
+        below=negative.states - negative.left,
     )
 
 
-def stribeck(found: Any) -> Judged:
+def stribeck(studies: Any) -> Judged:
     """The remark on Prop. 4."""
-    one, two, three = found.isotropic.stribeck.values()
+    cases = studies.isotropic.stribeck
     # the line of eq. 11 meets mu = 0 at v/n = -mu0/mu1
     crossing = {
-        name for name, sets in CASES.items() if all(-a / b > 0 for a, b in sets)
+        name
+        for name, lines in CASES.items()
+        if all(-mu0 / mu1 > 0 for mu0, mu1 in lines)
     }
-    holds = _prop_4_holds(one, two, three) and crossing == {"ii", "iii"}
-    return judged(holds, corrected=True, two=two.slow - two.slow_left)
+    holds = _prop_4_holds(cases) and crossing == {"ii", "iii"}
+    slow_to_right = cases["ii"].slow - cases["ii"].slow_left
+    return judged(holds, corrected=True, two=slow_to_right)

@@ -1,5 +1,5 @@
 """Printed results of Ivanov and Shuvalov (2012): trajectory, coefficients,
-first-order model.
+first-order model; and the records of what is computed beside them.
 
 A. P. Ivanov, N. D. Shuvalov, "Friction in curling game"; equation numbers are theirs.
 """
@@ -41,7 +41,7 @@ PRINTED: Floats = np.array([*EQ_28.values()])
 """The coefficients of eq. 28, as those of a `Row`."""
 
 HALF_DIGIT: Floats = np.array([0.00005, 0.0005, 0.0005])
-"""Half a unit of the last printed digit of each."""
+"""Half a unit of the last printed digit of each coefficient."""
 
 
 class Row(NamedTuple):
@@ -53,6 +53,20 @@ class Row(NamedTuple):
     window: float
     mu: Floats
     """mu1_xi, mu2_xi, mu1_eta + mu2_eta"""
+
+
+class Counts(NamedTuple):
+    """Numbers of states of motion that exist."""
+
+    states: int
+    left: int
+    """deviating to the left, for counter-clockwise spin"""
+    slow: int
+    """|eps| < 1: the instant centre of velocities is outside the base"""
+    slow_left: int
+    speeds_up: int
+    remark: int
+    """as the remark on Prop. 3 says: to the left, n1 > 0, n2 < 0, speeding up"""
 
 
 class Configuration(NamedTuple):
@@ -146,6 +160,7 @@ def first_order_motion(
     """
     t = np.asarray(t, float)
     a = GRAVITY * (law.mu1_eta + law.mu2_eta) / 2
+    # k/a, the power of v with which the spin decays
     p = GRAVITY * stone.R**2 * (law.mu1_xi + law.mu2_xi) / (4 * stone.rho**2) / a
     # d(heading)/dt v^2/omega
     turning = GRAVITY * stone.R * (law.mu1_xi - law.mu2_xi) / np.pi
@@ -157,12 +172,14 @@ def first_order_motion(
         return turning * omega0 / (a * v0) * power
 
     s = 1 - a * t / v0
+    # Gauss points between the start and each time, along a last axis of 64
     nodes, weights = np.polynomial.legendre.leggauss(64)
-    within = 1 - a * (t[..., None] * (nodes + 1) / 2) / v0
-    beta, dt = heading(within), t[..., None] * weights / 2
+    s_between = 1 - a * (t[..., None] * (nodes + 1) / 2) / v0
+    beta = heading(s_between)
+    dt = t[..., None] * weights / 2
     return FirstOrderMotion(
-        x=np.sum(dt * v0 * within * np.sin(beta), -1),
-        y=np.sum(dt * v0 * within * np.cos(beta), -1),
+        x=np.sum(dt * v0 * s_between * np.sin(beta), -1),
+        y=np.sum(dt * v0 * s_between * np.cos(beta), -1),
         phi=omega0 * v0 / (a * (1 + p)) * (1 - s ** (1 + p)),
         heading=heading(s),
         v=v0 * s,

@@ -90,18 +90,18 @@ def reproduce(
     20
     """
     progress = progress or (lambda part, done, total: None)
-    found = SimpleNamespace()
+    studies = SimpleNamespace()
     with in_threads(
         lambda study: study(), [(study,) for _, study in STUDIES.values()]
     ) as results:
         for done, (name, (part, _)) in enumerate(STUDIES.items()):
             progress(part, done, len(STUDIES))
-            setattr(found, name, next(results))
+            setattr(studies, name, next(results))
             if arrived is not None:
-                arrived(name, found)
+                arrived(name, studies)
     progress("done", len(STUDIES), len(STUDIES))
     with in_threads(
-        lambda claim: claim(found), [(claim,) for claim in CLAIMS.values()]
-    ) as claims:
-        judged = dict(zip(CLAIMS, claims, strict=True))
-    return Reproduction(claims_of(vars(found), judged), **vars(found))
+        lambda judge: judge(studies), [(judge,) for judge in CLAIMS.values()]
+    ) as judgements:
+        judged_by_id = dict(zip(CLAIMS, judgements, strict=True))
+    return Reproduction(claims_of(vars(studies), judged_by_id), **vars(studies))

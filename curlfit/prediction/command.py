@@ -19,7 +19,6 @@ from curlfit.settings.forms import LABELS, NUMBER, PATH, SWITCH, TEXT, numbers, 
 if TYPE_CHECKING:
     from curlfit.prediction.result import Call
 
-_SIDES = {"left", "right"}
 _CHECK = Group("Comparison with measured rows", sort_key=1)
 
 
@@ -80,34 +79,36 @@ class Called(Choices):
     def call(self) -> Call:
         """The throw. Raises `InputError` for an offset without a side."""
         from curlfit.prediction.result import Call
-        from curlfit.throws.readers.notation import parse_quantity
 
-        labels = dict(self.group) | (
-            {} if self.sheet is None else {"sheet": self.sheet}
-        )
-        broom = None
-        if self.broom is not None:
-            found = parse_quantity(self.broom, "x")
-            if math.isnan(found.value) or not (
-                found.words <= _SIDES and len(found.words) < 2
-            ):
-                raise InputError(
-                    f"--broom {self.broom}: expected a length, left or right"
-                )
-            if found.value and not (found.words or found.signed):
-                raise InputError(
-                    f"--broom {self.broom}: to which side? Expected 4 ft left"
-                )
-            broom = -found.value if "left" in found.words else found.value
-        thrower = None
-        if self.thrower_sd is not None:
-            time, comma, length = self.thrower_sd.partition(",")
-            if not comma:
-                raise InputError(
-                    f"--thrower-sd {self.thrower_sd}: expected TIME, LENGTH"
-                )
-            thrower = parse_quantity(time, "t").value, parse_quantity(length, "x").value
+        labels = dict(self.group)
+        if self.sheet is not None:
+            labels["sheet"] = self.sheet
+        broom = None if self.broom is None else _broom(self.broom)
+        thrower = None if self.thrower_sd is None else _scatter(self.thrower_sd)
         return Call(labels, self.hog_to_hog, broom, thrower, self.turn)
+
+
+def _broom(text: str) -> float:
+    """A broom in m to the right of the centre line."""
+    from curlfit.throws.readers.notation import parse_quantity
+
+    length = parse_quantity(text, "x")
+    one_side = length.words <= {"left", "right"} and len(length.words) < 2
+    if math.isnan(length.value) or not one_side:
+        raise InputError(f"--broom {text}: expected a length, left or right")
+    if length.value and not (length.words or length.signed):
+        raise InputError(f"--broom {text}: to which side? Expected 4 ft left")
+    return -length.value if "left" in length.words else length.value
+
+
+def _scatter(text: str) -> tuple[float, float]:
+    """Standard deviations of weight in s and of broom in m."""
+    from curlfit.throws.readers.notation import parse_quantity
+
+    time, comma, length = text.partition(",")
+    if not comma:
+        raise InputError(f"--thrower-sd {text}: expected TIME, LENGTH")
+    return parse_quantity(time, "t").value, parse_quantity(length, "x").value
 
 
 def predict(
@@ -171,10 +172,11 @@ def predict(
     if goal.to_tee + (goal.weight is not None) + (goal.target is not None) > 1:
         raise InputError("--to-tee, --weight and --target: expected one of them")
     result: Any
+    chain = None
     if s.kind_of(fit) == "joint":
         from curlfit.inference.joint.result import load_joint
 
-        result, chain = load_joint(fit).with_law(law), None
+        result = load_joint(fit).with_law(law)
     else:
         result, chain = s.load_fit_and_chain(fit, law)
     throw = None
@@ -186,7 +188,7 @@ def predict(
     with output.status(f"Simulating the draws {COMPILES}"):
         from curlfit.prediction.predict import predict as prediction_of
 
-        found = prediction_of(
+        prediction = prediction_of(
             result,
             chain,
             start=start.given(),
@@ -205,11 +207,11 @@ def predict(
     if check:
         words.append(f"--check={check}")
     words += [f"--draws={draws}", f"--seed={seed}"]
-    found = replace(found, command=command_line("predict", str(fit), *words))
-    name = "-".join(
-        [s.name_of(fit), *map(safe_name, found.call.labels.values()), "predict"]
-    )
-    folder = claim_folder(output.out or Path(name))
+    command = command_line("predict", str(fit), *words)
+    prediction = replace(prediction, command=command)
+    group = [safe_name(name) for name in prediction.call.labels.values()]
+    usual = Path("-".join([s.name_of(fit), *group, "predict"]))
+    folder = claim_folder(output.out or usual)
     table = folder / "predict.csv"
-    atomic_write(table, found.table())
-    return output.finish(found, folder, drawn, files=[table])
+    atomic_write(table, prediction.table())
+    return output.finish(prediction, folder, drawn, files=[table])

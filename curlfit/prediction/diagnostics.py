@@ -54,8 +54,8 @@ def remarks(throw: PlannedThrow, simulation: Simulation, anywhere: bool) -> Rema
     if throw.new and simulation.discrepancy is not None:
         findings.append(Finding.note("ice-of-one-throw"))
     return Remarks(
-        warnings=[one for one in findings if one.level is Level.WARNING],
-        notes=[one for one in findings if one.level is Level.NOTE],
+        warnings=[finding for finding in findings if finding.level is Level.WARNING],
+        notes=[finding for finding in findings if finding.level is Level.NOTE],
     )
 
 
@@ -195,31 +195,36 @@ def compare_held_out(
             "fit with a smaller --until"
         )
     later = later[:: len(later) // MOST_ROWS + 1]
-    observed = {"t": throw.t[later] - fit.data["from"]}
-    predicted = simulation.full.positions_at(observed["t"]).swapaxes(0, 1)
-    best = simulation.best.positions_at(observed["t"])[0]
+    t = throw.t[later] - fit.data["from"]
+    best = simulation.best.positions_at(t)[0]
+    draws = simulation.full.positions_at(t)
+    # from the coordinates of the data to those of the sheet
+    shifts = (*planned.shift, 0.0)
+    observed = {"t": t}
     channels = {}
-    for row, (name, shift) in enumerate(
-        zip(PREDICTED, (*planned.shift, 0.0), strict=True)
-    ):
-        values = getattr(throw, name)[later] + shift
+    for row, name in enumerate(PREDICTED):
+        values = getattr(throw, name)[later] + shifts[row]
         observed[name] = values
-        seen = np.isfinite(values)
-        if not seen.any():
+        measured = np.isfinite(values)
+        if not measured.any():
             continue
         noise = _noise(throw, fit, simulation.discrepancy, name)[later]
-        noisy = predicted[row] + noise * random.standard_normal(predicted[row].shape)
+        predicted = draws[:, row]
+        noisy = predicted + noise * random.standard_normal(predicted.shape)
         low95, low68, high68, high95 = np.quantile(
             noisy, [0.025, 0.16, 0.84, 0.975], axis=0
         )
-        off = (values - best[row])[seen]
+        error = (values - best[row])[measured]
+        inside_68 = (values >= low68) & (values <= high68)
+        inside_95 = (values >= low95) & (values <= high95)
+        last_row = np.flatnonzero(measured)[-1]
         numbers = {
-            "rows": seen.sum(),
-            "rms": np.sqrt(np.mean(off**2)),
-            "inside_68": ((values >= low68) & (values <= high68))[seen].mean(),
-            "inside_95": ((values >= low95) & (values <= high95))[seen].mean(),
-            "end": off[-1],
-            "end_sd": noisy[:, np.flatnonzero(seen)[-1]].std(),
+            "rows": measured.sum(),
+            "rms": np.sqrt(np.mean(error**2)),
+            "inside_68": inside_68[measured].mean(),
+            "inside_95": inside_95[measured].mean(),
+            "end": error[-1],
+            "end_sd": noisy[:, last_row].std(),
         }
         channels[name] = {key: float(value) for key, value in numbers.items()}
     if not channels:
@@ -233,15 +238,16 @@ def _noise(
     throw: Throw, fit: FitResult, discrepancy: Discrepancy | None, name: str
 ) -> Floats:
     """Standard deviation of the noise of a channel in each row."""
-    given = throw.sigma.get(name)
-    if given is not None:
-        return given
+    if name in throw.sigma:
+        return throw.sigma[name]
     course = throw.relative_sigma.get(name)
     if course is not None and f"sigma_{name}" in fit.observed:
         fitted = np.interp(fit.observed["t"], throw.t, course)
         return course * np.nanmedian(fit.observed[f"sigma_{name}"] / fitted)
-    known = fit.sigma | ({} if discrepancy is None else discrepancy.noise)
-    return np.full(len(throw.t), known.get(name, 0.0))
+    sigma = fit.sigma.get(name, 0.0)
+    if discrepancy is not None:
+        sigma = discrepancy.noise.get(name, sigma)
+    return np.full(len(throw.t), sigma)
 
 
 def _require_same_throw(throw: Throw, fit: FitResult) -> None:

@@ -68,11 +68,15 @@ class MissingAccelerations(NamedTuple):
         """Each trajectory under one draw; `spin` is relative to that of the
         fitted throw."""
         log_speed = np.log(np.maximum(ensemble.mean_speed, SPEEDS[0]))
-        draws, grid = zip(log_speed, self.acceleration, strict=True), np.log(SPEEDS)
-        found = np.array(
-            [[np.interp(at, grid, one) for one in draw] for at, draw in draws]
-        )
-        return ensemble.with_accelerations(found * np.array([spin, 1.0, spin])[:, None])
+        log_grid = np.log(SPEEDS)
+        across = []
+        along = []
+        angular = []
+        for speed, draw in zip(log_speed, self.acceleration, strict=True):
+            across.append(spin * np.interp(speed, log_grid, draw[0]))
+            along.append(np.interp(speed, log_grid, draw[1]))
+            angular.append(spin * np.interp(speed, log_grid, draw[2]))
+        return ensemble.with_accelerations(np.stack([across, along, angular], 1))
 
 
 @dataclass(frozen=True)
@@ -88,47 +92,56 @@ class DiscrepancyPosterior:
     functions, speeds)"""
 
     def draw(self, draws: int, random: np.random.Generator) -> MissingAccelerations:
-        """Draws of missing accelerations."""
+        """Draws of missing accelerations: at the fitted speeds from their posterior,
+        beyond them from the prior."""
         regression = self._estimate.regression
         assert regression is not None
+        # A size of each component, by its posterior weight; then amplitudes of the
+        # functions of speed, Gaussian for given sizes: the mean times a factor between
+        # 0 and 2, and the scatter, both through the factor of their precision.
         lower, white, root = map(np.asarray, _posteriors(regression, GRID))
-        which = random.choice(len(GRID), draws, p=self._estimate.weights)
+        sizes_drawn = random.choice(len(GRID), draws, p=self._estimate.weights)
         factor = random.uniform(0.0, 2.0, (draws, 1))
-        right = factor * white[which] + random.standard_normal((draws, lower.shape[-1]))
-        inner = np.linalg.solve(lower.mT[which], right[..., None])
-        amplitudes = (root[which] @ inner)[..., 0]
-        change = (
-            -amplitudes @ (self._data.from_standard @ np.asarray(self._data.coupling)).T
-        )
+        mean = factor * white[sizes_drawn]
+        right = mean + random.standard_normal((draws, lower.shape[-1]))
+        inner = np.linalg.solve(lower.mT[sizes_drawn], right[..., None])
+        amplitudes = (root[sizes_drawn] @ inner)[..., 0]
+        by_amplitude = self._data.from_standard @ np.asarray(self._data.coupling)
+        change = -amplitudes @ by_amplitude.T
         ceilings = np.array([*self.summary.ceilings.values()])
         fitted = amplitudes.reshape(draws, len(COMPONENTS), -1) * ceilings[:, None]
+
         prior = np.exp(log_prior(SIZES[:, None]))
-        sizes = (
-            random.choice(SIZES, (draws, len(COMPONENTS)), p=prior / prior.sum())
-            * ceilings
-        )
+        shares = random.choice(SIZES, (draws, len(COMPONENTS)), p=prior / prior.sum())
+        sizes = shares * ceilings
         normal = random.standard_normal((draws, *self._unseen_shapes.shape[:2]))
-        unseen = sizes[..., None] * np.einsum(
-            "dcf,cfs->dcs", normal, self._unseen_shapes
+        # draws, components, functions, speeds
+        unseen = np.einsum("dcf,cfs->dcs", normal, self._unseen_shapes)
+        return MissingAccelerations(
+            fitted @ shapes() + sizes[..., None] * unseen, change
         )
-        return MissingAccelerations(fitted @ shapes() + unseen, change)
 
     def shift_parameters(self, values: Floats, missing: MissingAccelerations) -> Floats:
         """Draws of the parameters corrected for the missing accelerations, with errors
         enlarged where a fit with independent noise has correlated residuals."""
-        found, data = values + missing.change, self._data
+        data = self._data
+        shifted = values + missing.change
         if self._fit.noise.is_white:
             t = self._fit.observed["t"]
-            noise, scale = self._estimate.noise, self._estimate.scale
-            times = np.append(t - t[0], np.full(len(data.gaps) - len(t), t[-1] - t[0]))
-            squares, axes = np.linalg.eigh(data.covariance(noise, times, scale))
-            stretch = (axes * np.sqrt(np.maximum(squares, 1.0))) @ axes.T - np.eye(
-                len(axes)
-            )
+            # rows that pad the data are at the last time
+            padding = np.full(len(data.gaps) - len(t), t[-1] - t[0])
+            times = np.append(t - t[0], padding)
+            estimate = self._estimate
+            covariance = data.covariance(estimate.noise, times, estimate.scale)
+            # The covariance is relative to that of the fit, in which it would be 1:
+            # offsets are stretched along its axes where it is larger.
+            squares, axes = np.linalg.eigh(covariance)
+            larger = (axes * np.sqrt(np.maximum(squares, 1.0))) @ axes.T
+            stretch = larger - np.eye(len(axes))
             offset = (values - self._fit.values) @ data.to_standard.T
-            found += offset @ stretch @ data.from_standard.T
+            shifted += offset @ stretch @ data.from_standard.T
         bounds = self._fit.parameter_set
-        return cast(Floats, np.clip(found, bounds.lower, bounds.upper))
+        return cast(Floats, np.clip(shifted, bounds.lower, bounds.upper))
 
 
 @compiled()
@@ -145,23 +158,23 @@ def discrepancy_posterior(fit: FitResult) -> DiscrepancyPosterior:
     if fit.events:
         data.responses[-1, : len(fit.events)] = _response_of_events(fit, responses)
     channels = [*CHANNELS, "events"][: len(data.weight)]
-    found = estimate(
-        NoiseKind.DISCREPANCY, data, [name not in fit.sigma for name in channels]
-    )
-    best = found.log_likelihood.max()
-    without = [found.log_likelihood[column == SIZES[0]].max() for column in GRID.T]
-    excess = np.sqrt(2 * (best - without))
+    sigma_given = [name not in fit.sigma for name in channels]
+    estimated = estimate(NoiseKind.DISCREPANCY, data, sigma_given)
+    # rows of GRID are sizes of the components; the first size is none
+    log_likelihood = estimated.log_likelihood
+    without = [log_likelihood[column == SIZES[0]].max() for column in GRID.T]
+    excess = np.sqrt(2 * (log_likelihood.max() - without))
 
     def by_component(values: Floats) -> dict[str, float]:
         return dict(zip(COMPONENTS, map(float, values), strict=True))
 
     summary = Discrepancy(
-        sizes=by_component(np.sqrt(found.weights @ GRID**2) * responses.size),
+        sizes=by_component(np.sqrt(estimated.weights @ GRID**2) * responses.size),
         span=float(data.span),
         noise={
             name: float(fit.sigma[name] * scale)
             for name, scale, enough in zip(
-                channels, found.scale, data.enough, strict=True
+                channels, estimated.scale, data.enough, strict=True
             )
             if enough and name in fit.sigma
         },
@@ -170,7 +183,7 @@ def discrepancy_posterior(fit: FitResult) -> DiscrepancyPosterior:
         friction=responses.friction,
     )
     unseen = _unseen_shapes(fit.fitted["speed"], responses.size / responses.largest)
-    return DiscrepancyPosterior(summary, fit, data, found, unseen)
+    return DiscrepancyPosterior(summary, fit, data, estimated, unseen)
 
 
 def _unseen_shapes(speed: Floats, share: Floats) -> Floats:
@@ -179,11 +192,13 @@ def _unseen_shapes(speed: Floats, share: Floats) -> Floats:
     `share` is the size of the components over that by all of the friction.
     """
     fitted = np.clip(SPEEDS, speed.min(), speed.max()) == SPEEDS
-    whole = covariance(SPEEDS[:, None], SPEEDS)
+    prior = covariance(SPEEDS[:, None], SPEEDS)
     # a small diagonal term, since the covariance is numerically singular
-    known = whole[fitted][:, fitted] + 1e-6 * np.eye(int(fitted.sum()))
-    conditional = whole - whole[:, fitted] @ np.linalg.solve(known, whole[fitted])
-    conditional[fitted] = conditional[:, fitted] = 0.0
+    at_fitted = prior[fitted][:, fitted] + 1e-6 * np.eye(int(fitted.sum()))
+    conditional = prior - prior[:, fitted] @ np.linalg.solve(at_fitted, prior[fitted])
+    conditional[fitted] = 0.0
+    conditional[:, fitted] = 0.0
+    # as 1/v^2 from the harmonic mean of the speeds, to all of the friction at most
     growth = (speed[speed > 0] ** -1.0).mean() ** -2 / SPEEDS**2
     growth = np.clip(growth, 1.0, 1.0 / share[:, None])
     return leading_functions(conditional) * growth[:, None]
@@ -192,13 +207,13 @@ def _unseen_shapes(speed: Floats, share: Floats) -> Floats:
 def _response_of_events(fit: FitResult, responses: Responses) -> Floats:
     """Derivatives of the events with respect to accelerations, shape (events,
     3 * SHAPES)."""
-    since = fit.observed["t"] - fit.observed["t"][0]
+    since_start = fit.observed["t"] - fit.observed["t"][0]
     path = np.array(
-        [np.interp(responses.t, since, fit.fitted[name]) for name in CHANNELS]
+        [np.interp(responses.t, since_start, fit.fitted[name]) for name in CHANNELS]
     )
-    events, by_amplitude = fit.throw.events, responses.by_channel
-    return slopes(
-        lambda a: along_path(events, responses.t, *(path + by_amplitude @ a)),
-        np.zeros(by_amplitude.shape[-1]),
-        _SMALL,
-    )
+
+    def events_under(amplitudes: Floats) -> Floats:
+        channels = path + responses.by_channel @ amplitudes
+        return along_path(fit.throw.events, responses.t, *channels)
+
+    return slopes(events_under, np.zeros(responses.by_channel.shape[-1]), _SMALL)

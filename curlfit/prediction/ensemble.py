@@ -41,6 +41,15 @@ _ON_LINE = 1e-3  # m; a stone that rests on a line has not passed it
 _AT_START = 0.5  # m; a throw that starts less than this past a line starts on it
 
 
+class Crossing(NamedTuple):
+    """When and how fast each throw crosses a line; NaN where it does not."""
+
+    time: Floats
+    """s since the start, shape (paths,)"""
+    speed: Floats
+    """m/s, shape (paths,)"""
+
+
 class TrajectoryEnsemble(NamedTuple):
     """Trajectories to rest, each at times of its own."""
 
@@ -84,7 +93,7 @@ class TrajectoryEnsemble(NamedTuple):
         return TrajectoryEnsemble(self.t[which], self.state[which])
 
     def with_accelerations(self, missing: Floats) -> TrajectoryEnsemble:
-        """The same throws under additional accelerations, to rest.
+        """Trajectories of these throws under additional accelerations, to rest.
 
         The friction is taken as a function of speed: a stone passes through the same
         speeds at different times. A deceleration D becomes D - a down to D/2, and D/(2
@@ -97,15 +106,17 @@ class TrajectoryEnsemble(NamedTuple):
         """
         across, along, angular = missing.swapaxes(0, 1)
         x, y, phi, vx, vy, omega = self.state.swapaxes(0, 1)
-        speed, mean_speed = self.speed, self.mean_speed
-        step, loss = np.diff(self.t), -np.diff(speed)
+        speed = self.speed
+        mean_speed = self.mean_speed
+        step = np.diff(self.t)
+        loss = -np.diff(speed)
         with np.errstate(all="ignore"):
-            ratio = np.where(loss > 0, along * step / loss, 0.0)
+            ratio = np.where(loss > 0, along * step / loss, 0.0)  # a/D
             turn_rate = np.where(mean_speed > 0, across / mean_speed, 0.0)
-        low, high = np.minimum(ratio, 0.5), np.maximum(ratio, 0.5)
-        new_step = step * np.where(
-            ratio < 0.5, 1 / (1 - low), 2 * np.sqrt(4 * high - 1)
-        )
+        # The speeds of an interval stay; the time that it takes becomes longer.
+        weak = 1 / (1 - np.minimum(ratio, 0.5))
+        strong = 2 * np.sqrt(4 * np.maximum(ratio, 0.5) - 1)
+        new_step = step * np.where(ratio < 0.5, weak, strong)
         heading = np.unwrap(_forward_filled(np.arctan2(vx, vy), speed > 0))
         extension = new_step / np.where(step > 0, step, 1.0) - 1
         new_heading = heading + _running_sum(
@@ -118,11 +129,12 @@ class TrajectoryEnsemble(NamedTuple):
             the intervals."""
             return position + _running_sum(new_rate * new_step - rate * step)
 
-        old, new = _means(heading), _means(new_heading)
+        beta = _means(heading)
+        new_beta = _means(new_heading)
         state = np.stack(
             [
-                displaced(x, mean_speed * np.sin(old), mean_speed * np.sin(new)),
-                displaced(y, mean_speed * np.cos(old), mean_speed * np.cos(new)),
+                displaced(x, mean_speed * np.sin(beta), mean_speed * np.sin(new_beta)),
+                displaced(y, mean_speed * np.cos(beta), mean_speed * np.cos(new_beta)),
                 displaced(phi, _means(omega), _means(spin)),
                 speed * np.sin(new_heading),
                 speed * np.cos(new_heading),
@@ -136,44 +148,58 @@ class TrajectoryEnsemble(NamedTuple):
         """x, y, phi at times since the start, shape (paths, 3, times)."""
         from scipy.interpolate import CubicHermiteSpline  # slow to load
 
-        found = np.full((len(self.t), 3, len(times)), np.nan)
+        positions = np.full((len(self.t), 3, len(times)), np.nan)
         for index in np.flatnonzero(self.finite):
             distinct = np.diff(self.t[index], prepend=-1.0) > 0
-            t, state = self.t[index, distinct], self.state[index][:, distinct]
+            t = self.t[index, distinct]
+            state = self.state[index][:, distinct]
             path = CubicHermiteSpline(t, state[:3], state[3:], axis=1)
-            found[index] = path(np.minimum(times, t[-1]))
-        return found
+            positions[index] = path(np.minimum(times, t[-1]))
+        return positions
 
-    def crossing(self, level: float) -> tuple[Floats, Floats]:
-        """Time and speed at which each throw first crosses a given y; NaN where
-        it does not.
+    def crossing(self, level: float) -> Crossing:
+        """The first crossing of a line across the sheet, at a given y in m.
 
         A throw that starts within `_AT_START` beyond it is taken to start on it.
         """
         from scipy.interpolate import CubicHermiteSpline  # slow to load
         from scipy.optimize.elementwise import find_root
 
-        y, rows = self.state[:, 1], np.arange(len(self.t))
+        # y   after ->  o
+        #             /     the line is between two times; a cubic joins them,
+        # --level--- x ---  as a function of the part of the interval, 0 to 1
+        #          /
+        #        o  <- before
+        y = self.state[:, 1]
         beyond = (y >= level) & (y[:, -1:] > level + _ON_LINE)
-        k = np.maximum(np.argmax(beyond, 1), 1)
-        ends = self.state[rows, :, [k - 1, k]]
-        step = self.t[rows, k] - self.t[rows, k - 1]
-        path = CubicHermiteSpline(
-            [0.0, 1.0], ends[..., :2], ends[..., 3:5] * step[:, None]
-        )
-        height, rates = path.c[:, 0, :, 1], path.derivative().c[:, 0]
+        throws = np.arange(len(self.t))
+        after = np.maximum(np.argmax(beyond, 1), 1)
+        before = after - 1
+        ends = self.state[throws, :, [before, after]]  # shape (2, paths, 6)
+        begin = self.t[throws, before]
+        step = self.t[throws, after] - begin
+        positions = ends[..., :2]
+        rates = ends[..., 3:5] * step[:, None]  # by the part of the interval
+        path = CubicHermiteSpline([0.0, 1.0], positions, rates)
+        height = path.c[:, 0, :, 1].copy()  # coefficients of y, shape (4, paths)
         height[-1] -= level
         part = find_root(
             lambda s, *cubic: np.polyval(cubic, s), (0.0, 1.0), args=(*height,)
         ).x
-        velocity = np.polyval(rates, part[:, None]) / step[:, None]
+        slopes = path.derivative().c[:, 0]  # coefficients, shape (3, paths, 2)
+        velocity = np.polyval(slopes, part[:, None]) / step[:, None]
         crosses = beyond.any(1) & ~beyond[:, 0]
-        time = np.where(crosses, self.t[rows, k - 1] + step * part, np.nan)
+        time = np.where(crosses, begin + step * part, np.nan)
         speed = np.where(crosses, np.hypot(*velocity.T), np.nan)
-        since, ahead = y[:, 0] - level, self.state[:, 4, 0]
-        on_it = (since >= 0) & (since < _AT_START)
-        before = -since / np.where(ahead > 0, ahead, np.nan)
-        return np.where(on_it, before, time), np.where(on_it, self.speed[:, 0], speed)
+
+        past = y[:, 0] - level
+        forward = self.state[:, 4, 0]
+        on_line = (past >= 0) & (past < _AT_START)
+        time_at_start = -past / np.where(forward > 0, forward, np.nan)
+        return Crossing(
+            time=np.where(on_line, time_at_start, time),
+            speed=np.where(on_line, self.speed[:, 0], speed),
+        )
 
 
 class ThrowFamily:
@@ -188,11 +214,19 @@ class ThrowFamily:
     t: Floats = np.zeros(0)
 
     def __init__(self, throw: PlannedThrow) -> None:
-        self.throw, self.fit, fit = throw, throw.fit, throw.fit
-        self._first = len(fit.parameters) - len(START)
+        fit = throw.fit
+        self.throw = throw
+        self.fit = fit
+        # A vector is the parameters of law and conditions, then the initial state.
+        self._of_law = len(fit.parameters) - len(START)
+        self._column = {
+            component.name: self._of_law + index
+            for index, component in enumerate(START)
+        }
+        self.spin_ratio = 1.0
         fitted_spin = fit.parameters["omega0"].value
-        known = throw.new and abs(fitted_spin) > _MIN_SPIN
-        self.spin_ratio = throw.values["omega0"] / fitted_spin if known else 1.0
+        if throw.new and abs(fitted_spin) > _MIN_SPIN:
+            self.spin_ratio = throw.values["omega0"] / fitted_spin
         self.environment = LEVEL_AND_STILL  # a new throw is not swept
         if not throw.new:
             self.environment = environment_of(
@@ -202,56 +236,68 @@ class ThrowFamily:
     def with_start(
         self, values: Floats, call: Call = CENTRED, random: Any = None
     ) -> Floats:
-        """Parameter vectors with the initial state of this throw.
+        """Parameter vectors, shape (n, parameters), with the initial state of this
+        throw.
 
         A spin that was not given has the error of the fitted one. Where the call gives
         the time between hog lines, each has the speed at which it takes that time; with
         `random`, time and broom have the thrower's scatter.
         """
-        own, throw = values.copy(), self.throw
-        if throw.new:
-            own[:, self._first :] = [throw.values[item.name] for item in START]
-            if throw.origins["omega0"] != "given":
-                own[:, -1] = self.spin_ratio * values[:, -1]
-            time, draw = call.hog_to_hog, Draw(self.fit.model, self.fit.stone)
-            scatter = call.thrower if random is not None else None
-            if scatter is not None:
-                if time is None:
-                    speed = own[:1, self._first + 3]
-                    best = self.fit.values[None, : self._first]
-                    time = draw.hog_to_hog(best, throw.values["omega0"], speed)[0]
-                normal = random.standard_normal((2, len(own)))
-                time = time + scatter[0] * normal[0]
-                off = scatter[1] * normal[1] / TEE
-                own[:, self._first] += off * own[0, self._first + 1]
-                own[:, self._first + 2] += off
-            if time is not None:
-                own[:, self._first + 3] = draw.speeds(
-                    own[:, : self._first], own[:, -1], time
-                )
-        else:
-            own[:, self._first : self._first + 2] += throw.shift
-        return own
+        throw = self.throw
+        column = self._column
+        vectors = values.copy()
+        if not throw.new:
+            vectors[:, column["x0"]] += throw.shift[0]
+            vectors[:, column["y0"]] += throw.shift[1]
+            return vectors
+        for name, index in column.items():
+            vectors[:, index] = throw.values[name]
+        if throw.origins["omega0"] != "given":
+            fitted_spin = values[:, column["omega0"]]
+            vectors[:, column["omega0"]] = self.spin_ratio * fitted_spin
+        draw = Draw(self.fit.model, self.fit.stone)
+        hog_to_hog: Any = call.hog_to_hog
+        if random is not None and call.thrower is not None:
+            time_sd, broom_sd = call.thrower
+            if hog_to_hog is None:
+                best = self.fit.values[None, : self._of_law]
+                speed = vectors[:1, column["v0"]]
+                spin = throw.values["omega0"]
+                hog_to_hog = draw.hog_to_hog(best, spin, speed)[0]
+            normal = random.standard_normal((2, len(vectors)))
+            hog_to_hog = hog_to_hog + time_sd * normal[0]
+            # aimed from the hack, where y is 0, at a broom at the far tee
+            angle = broom_sd * normal[1] / TEE
+            vectors[:, column["x0"]] += angle * vectors[0, column["y0"]]
+            vectors[:, column["heading"]] += angle
+        if hog_to_hog is not None:
+            vectors[:, column["v0"]] = draw.speeds(
+                vectors[:, : self._of_law], vectors[:, column["omega0"]], hog_to_hog
+            )
+        return vectors
 
     def probes(self) -> dict[str, Floats]:
         """The best estimate varied in speed, in spin, and to both ends of each
         null direction."""
-        best, names = self.fit.values, list(self.fit.parameters)
-        found = {}
-        for name, by in VARIED.items():
-            found[name] = self.with_start(best[None])
-            found[name][0, names.index(name)] += by
+        best = self.fit.values
+        names = list(self.fit.parameters)
+        vectors = {}
+        for name, change in VARIED.items():
+            vectors[name] = self.with_start(best[None])
+            vectors[name][0, names.index(name)] += change
         parameters = self.fit.parameter_set
         for index, direction in enumerate(self.fit.null_directions):
             along = np.array([direction.get(name, 0.0) for name in names])
+            # how far along the direction each parameter is at its bounds
             with np.errstate(all="ignore"):
-                ends = (
-                    np.stack([parameters.lower - best, parameters.upper - best]) / along
-                )
-            ends = np.sort(ends[:, (along != 0) & np.isfinite(ends).all(0)], axis=0)
-            limits = [max(ends[0], default=0.0), min(ends[1], default=0.0)]
-            found[f"null {index}"] = self.with_start(best + np.outer(limits, along))
-        return found
+                to_lower = (parameters.lower - best) / along
+                to_upper = (parameters.upper - best) / along
+            bounded = (along != 0) & np.isfinite(to_lower) & np.isfinite(to_upper)
+            backward = np.minimum(to_lower, to_upper)[bounded]
+            forward = np.maximum(to_lower, to_upper)[bounded]
+            limits = [max(backward, default=0.0), min(forward, default=0.0)]
+            vectors[f"null {index}"] = self.with_start(best + np.outer(limits, along))
+        return vectors
 
     def simulate(self, values: Floats) -> TrajectoryEnsemble:
         """Trajectories of parameter vectors from `with_start`, at the same times
@@ -263,10 +309,11 @@ class ThrowFamily:
             )
 
         if not len(self.t):
+            # the finest grid within which nearly all throws come to rest
             rest = at(_GRID * _GRID_STEPS[-1], values[:BATCH]).rest
             ends = _MAX_FILLED * _GRID[-1] * np.array(_GRID_STEPS[:-1])
-            late = (rest > ends[:, None]).mean(1) > _MAX_LATE
-            self.t = _GRID * _GRID_STEPS[int(late.sum())]
+            too_short = (rest > ends[:, None]).mean(1) > _MAX_LATE
+            self.t = _GRID * _GRID_STEPS[int(too_short.sum())]
         return at(self.t, values)
 
 
@@ -288,26 +335,38 @@ def simulate_ensemble(
 def weights_of(fit: FitResult, spin: float) -> tuple[Weight, ...]:
     """What to throw for places from guard to hack, with a spin in rad/s of either
     sense, on the ice of a fit. A place that no throw reaches is left out."""
-    spin, start, found = abs(spin), LINES["hog"], []
+    spin = abs(spin)
+    hog = LINES["hog"]
+    weights = []
     for name, y in _PLACES.items():
+        rest = (0.0, TEE + y)
         try:
-            throws = [
-                aimed(fit, (0.0, TEE + y), omega, start=(0.0, start))
-                for omega in (-spin, spin)
-            ]
+            clockwise = aimed(fit, rest, -spin, start=(0.0, hog))
+            counter_clockwise = aimed(fit, rest, spin, start=(0.0, hog))
         except InputError:
             continue
-        right, left = (math.tan(one.heading) * (TEE - start) for one in throws)
-        state = 0.0, start, throws[1].heading, throws[1].v0, 0.0, spin
+        heading = counter_clockwise.heading
+        state = (0.0, hog, heading, counter_clockwise.v0, 0.0, spin)
         values = np.array([[*fit.values[: -len(START)], *state]])
         path = simulate_ensemble(
             fit.model, values, fit.stone, LEVEL_AND_STILL, 0.2 * _GRID
         )
-        hog, tee = (
-            float(path.crossing(LINES[line])[0][0]) for line in ("far-hog", "far-tee")
+        hog_to_tee = None
+        if y > 0:
+            hog_to_tee = float(path.crossing(LINES["far-tee"]).time[0])
+        weights.append(
+            Weight(
+                rests=name,
+                y=y,
+                hog_to_hog=float(path.crossing(LINES["far-hog"]).time[0]),
+                hog_to_tee=hog_to_tee,
+                brooms=(
+                    math.tan(clockwise.heading) * (TEE - hog),
+                    math.tan(heading) * (TEE - hog),
+                ),
+            )
         )
-        found.append(Weight(name, y, hog, tee if y > 0 else None, (right, left)))
-    return tuple(found)
+    return tuple(weights)
 
 
 def _means(values: Floats) -> Floats:

@@ -50,15 +50,12 @@ def prediction_figure(prediction: Prediction) -> draw.Picture:
         below = draw.row(figure, 5.5, 0.85, len(check.channels), left=0.6, gap=0.65)
         for axes, name in zip(below, check.channels, strict=True):
             _residuals(prediction, axes, name)
+    law = draw.literal(prediction.law)
     file = draw.file_name(prediction.fit["file"])
-    of = (
-        "extrapolated to rest"
-        if prediction.of == "fitted"
-        else "another throw on this ice"
-    )
-    draw.title(
-        top, f"{draw.literal(prediction.law)} law fitted to {file}, {of}", margin=0.6
-    )
+    throw = "another throw on this ice"
+    if prediction.of == "fitted":
+        throw = "extrapolated to rest"
+    draw.title(top, f"{law} law fitted to {file}, {throw}", margin=0.6)
     draw.letters([top], 0.38, 5)
     draw.letters((house, across, rates[0], *figure.axes[5:6]), names="bcde")
     return figure
@@ -67,7 +64,8 @@ def prediction_figure(prediction: Prediction) -> draw.Picture:
 def _sheet_view(prediction: Prediction, axes: Any) -> None:
     """The sheet from above, thrown toward the right: right of the centre
     line is below."""
-    length, half = sheet.TEE + sheet.LINES["tee"], sheet.WIDTH / 2
+    length = sheet.TEE + sheet.LINES["tee"]
+    half = sheet.WIDTH / 2
     axes.add_patch(
         Rectangle(
             (0, -half), length, 2 * half, fc="#f6fafc", ec="0.55", lw=0.8, zorder=0
@@ -76,7 +74,8 @@ def _sheet_view(prediction: Prediction, axes: Any) -> None:
     for tee in (sheet.LINES["tee"], sheet.TEE):
         draw.plot_house(axes, (tee, 0.0))
     axes.hlines(0, 0, length, **draw.LINE)
-    band, series = prediction.band, prediction.series
+    band = prediction.band
+    series = prediction.series
     _plot_bands(axes, band["y"], lambda level: band[f"x_{level}"], zorder=3)
     for rows, style, _ in _measured_rows(prediction):
         axes.plot(rows["y"], rows["x"], **style | {"zorder": 3.5, "markersize": 1.4})
@@ -96,16 +95,20 @@ def _sheet_view(prediction: Prediction, axes: Any) -> None:
 
 
 def _plot_bands(
-    axes: Any, across: Floats, edge: Callable[[str], Floats], **style: Any
+    axes: Any, abscissa: Floats, edge: Callable[[str], Floats], **style: Any
 ) -> None:
+    """Bands between edges, which `edge` gives by percentile."""
     for low, high, alpha, label in _LEVELS:
-        style |= {
-            "alpha": alpha,
-            "color": draw.PREDICTION_COLOR,
-            "lw": 0,
-            "label": label,
-        }
-        axes.fill_between(across, edge(low), edge(high), **style)
+        axes.fill_between(
+            abscissa,
+            edge(low),
+            edge(high),
+            alpha=alpha,
+            color=draw.PREDICTION_COLOR,
+            lw=0,
+            label=label,
+            **style,
+        )
 
 
 def _stone(axes: Any, position: tuple[float, float], hollow: bool = False) -> None:
@@ -118,8 +121,10 @@ def _stone(axes: Any, position: tuple[float, float], hollow: bool = False) -> No
 
 def _resting_place(prediction: Prediction, axes: Any) -> None:
     """The resting position, seen along the throw, in m from the tee."""
-    series, half = prediction.series, sheet.WIDTH / 2
-    x, y = series["x"][-1], series["y"][-1] - sheet.TEE
+    half = sheet.WIDTH / 2
+    series = prediction.series
+    x = series["x"][-1]
+    y = series["y"][-1] - sheet.TEE
     centre, size = _interval(prediction, "2.5", "97.5")
     reach = np.abs(centre - (x, y)) + 1.1 * size + 0.3
     draw.plot_house(axes, (0.0, 0.0))
@@ -142,16 +147,22 @@ def _resting_place(prediction: Prediction, axes: Any) -> None:
         _ellipse(axes, *_interval(prediction, first, last), rest["both"], **style)
     if prediction.other is not None:
         other = prediction.other
-        path, place = other.series, _interval(other, "2.5", "97.5")
-        label = f"{other.call.turn}-turn"
-        axes.plot(path["x"], path["y"] - sheet.TEE, **_OTHER)
-        style = {"fc": "none", "ec": _OTHER["color"], "lw": 0.8, "zorder": 5}
-        _ellipse(axes, *place, other.rest["both"], **style, label=label)
-    own = 1.96 * np.array([prediction.quantities[name].parameter_sd for name in _REST])
+        axes.plot(other.series["x"], other.series["y"] - sheet.TEE, **_OTHER)
+        _ellipse(
+            axes,
+            *_interval(other, "2.5", "97.5"),
+            other.rest["both"],
+            fc="none",
+            ec=_OTHER["color"],
+            lw=0.8,
+            zorder=5,
+            label=f"{other.call.turn}-turn",
+        )
+    parameter_sd = [prediction.quantities[name].parameter_sd for name in _REST]
     _ellipse(
         axes,
         np.array([x, y]),
-        own,
+        1.96 * np.array(parameter_sd),
         rest["parameter"],
         fc="none",
         ec=draw.FIT_COLOR,
@@ -162,15 +173,23 @@ def _resting_place(prediction: Prediction, axes: Any) -> None:
     )
     _stone(axes, (x, y), hollow=True)
     if prediction.goal is not None:
-        target = prediction.goal["x"] or 0.0, prediction.goal["y"]
         axes.plot(
-            *target, "+", color=draw.REFERENCE_COLOR, markersize=9, mew=1.5, zorder=7
+            prediction.goal["x"] or 0.0,
+            prediction.goal["y"],
+            "+",
+            color=draw.REFERENCE_COLOR,
+            markersize=9,
+            mew=1.5,
+            zorder=7,
         )
     for rows, style, _ in _measured_rows(prediction):
         axes.plot(rows["x"], rows["y"] - sheet.TEE, **style | {"zorder": 3.5})
-    edge, sides = sheet.HOUSE + 0.5, max(half, abs(x) + reach[0])
+    # the width of the sheet, and of its length the house and the ellipse
+    side = max(half, abs(x) + reach[0])
+    edge = sheet.HOUSE + 0.5
+    bottom = min(-edge, y - reach[1])
     top = min(max(edge, y + reach[1]), sheet.TEE_TO_HACK + 0.3)
-    _equal_scales(axes, (-sides, sides), (min(-edge, y - reach[1]), top))
+    _equal_scales(axes, (-side, side), (bottom, top))
     axes.set(xlabel="right of the centre line (m)", ylabel="beyond the tee line (m)")
     axes.grid(visible=False)
     draw.feet(axes)
@@ -180,19 +199,16 @@ def _resting_place(prediction: Prediction, axes: Any) -> None:
 def _equal_scales(axes: Any, x: tuple[float, float], y: tuple[float, float]) -> None:
     """Set limits that contain both intervals, at equal scales."""
     box = axes.get_window_extent()
-    metre = 2 * min(box.width / np.ptp(x), box.height / np.ptp(y))
-    axes.set_xlim(np.mean(x) + np.array([-1, 1]) * box.width / metre)
-    axes.set_ylim(np.mean(y) + np.array([-1, 1]) * box.height / metre)
+    # twice the pixels of a metre
+    scale = 2 * min(box.width / np.ptp(x), box.height / np.ptp(y))
+    axes.set_xlim(np.mean(x) + np.array([-1, 1]) * box.width / scale)
+    axes.set_ylim(np.mean(y) + np.array([-1, 1]) * box.height / scale)
 
 
 def _interval(prediction: Prediction, low: str, high: str) -> tuple[Any, Any]:
     """Centre and half width of an interval of the resting position, from the tee, m."""
-    ends = np.array(
-        [
-            [prediction.quantities[name].quantiles[level] for level in (low, high)]
-            for name in _REST
-        ]
-    )
+    quantiles = [prediction.quantities[name].quantiles for name in _REST]
+    ends = np.array([[levels[low], levels[high]] for levels in quantiles])
     return ends.mean(1), np.diff(ends)[:, 0] / 2
 
 
@@ -209,10 +225,11 @@ def _ellipse(axes: Any, centre: Any, size: Any, covariance: Any, **style: Any) -
 def _measured_rows(prediction: Prediction) -> list[tuple[Any, dict[str, Any], str]]:
     """Measured rows on the sheet, fitted and not fitted: rows, style and label."""
     label = "data, fitted" if prediction.of == "fitted" else "data of the fitted throw"
-    found: list[Any] = [(prediction.measured, draw.DATA_STYLE, label)]
+    sources: list[Any] = [(prediction.measured, draw.DATA_STYLE, label)]
     if prediction.check is not None:
-        found.append((prediction.check.observed, draw.LATER_STYLE, "data, not fitted"))
-    return [item for item in found if "x" in item[0] and "y" in item[0]]
+        later = prediction.check.observed
+        sources.append((later, draw.LATER_STYLE, "data, not fitted"))
+    return [source for source in sources if {"x", "y"} <= source[0].keys()]
 
 
 def _cross_track(prediction: Prediction, axes: Any) -> None:
@@ -245,21 +262,20 @@ def _residuals(prediction: Prediction, axes: Any, name: str) -> None:
     measurement noise)."""
     assert prediction.check is not None
     factor, unit = _UNITS[name]
-    series, measured = prediction.series, prediction.check.observed
-    step = series["t"][1] - series["t"][0]
-    shown = (series["t"] >= measured["t"][0] - 1) & (
-        series["t"] <= measured["t"][-1] + step
-    )
+    series = prediction.series
+    t = series["t"]
+    measured = prediction.check.observed
+    measured_t = measured["t"]
+    step = t[1] - t[0]
+    shown = (t >= measured_t[0] - 1) & (t <= measured_t[-1] + step)
     _plot_bands(
         axes,
-        series["t"][shown],
+        t[shown],
         lambda level: factor * (series[f"{name}_{level}"] - series[name])[shown],
     )
     axes.axhline(0, **draw.ZERO_LINE)
-    off = factor * (
-        measured[name] - np.interp(measured["t"], series["t"], series[name])
-    )
-    axes.plot(measured["t"], off, **draw.LATER_STYLE)
+    predicted = np.interp(measured_t, t, series[name])
+    axes.plot(measured_t, factor * (measured[name] - predicted), **draw.LATER_STYLE)
     axes.set(xlabel="t (s)", ylabel=unit)
     axes.set_title(
         f"${draw.CHANNEL_LABEL[name]}$, measured \N{MINUS SIGN} predicted", loc="center"

@@ -120,16 +120,17 @@ def predict(
             "seed": seed,
             "check": check,
         }
-        first, other = (
-            predict(fit, chain, start=own, call=one, **common)
-            for one, own in both_turns(call, start or {})
-        )
-        return replace(first, other=other)
+        in_turn, out_turn = [
+            predict(fit, chain, start=start_of_turn, call=turn, **common)
+            for turn, start_of_turn in both_turns(call, start or {})
+        ]
+        return replace(in_turn, other=out_turn)
     random = np.random.default_rng(seed)
     warnings: list[Finding] = []
     notes: list[Finding] = []
     odd_rows: tuple[OddRow, ...] = ()
-    if together := isinstance(fit, JointResult):
+    together = isinstance(fit, JointResult)
+    if isinstance(fit, JointResult):
         odd_rows = fit.odd_rows
         fit, values = another(fit, call.labels, draws, random)
         source = "throws"
@@ -159,9 +160,12 @@ def predict(
         stone=fit.stone,
         fit={key: fit.data[key] for key in ("file", "rows", "from", "to")},
         start={
-            item.name: {"value": float(throw.values[item.name]), "unit": item.unit}
-            | {"origin": throw.origins[item.name]}
-            for item in START
+            component.name: {
+                "value": float(throw.values[component.name]),
+                "unit": component.unit,
+                "origin": throw.origins[component.name],
+            }
+            for component in START
         },
         of="new" if throw.new else "fitted",
         line="" if throw.origins["y0"] == "given" else throw.line,
@@ -300,16 +304,22 @@ def _drawn_values(
 def _measured_rows(throw: PlannedThrow) -> dict[str, Floats]:
     """The fitted rows on the sheet, if x and y were measured, translated and rotated to
     the initial position and heading of the throw."""
-    fit, begun, measured = throw.fit, throw.values, throw.fit.observed
+    fit = throw.fit
+    start = throw.values
+    measured = fit.observed
     if not all(np.isfinite(measured.get(name, np.nan)).any() for name in ("x", "y")):
         return {}
-    rows = slice(None, None, len(measured["t"]) // diagnostics.MOST_ROWS + 1)
-    fitted = {item.name: fit.parameters[item.name].value for item in START}
-    right, along = (measured[name][rows] - fitted[f"{name}0"] for name in ("x", "y"))
-    turn = begun["heading"] - fitted["heading"]  # from +y toward +x
-    return {
-        "t": measured["t"][rows] - measured["t"][0],
-        "x": begun["x0"] + right * math.cos(turn) + along * math.sin(turn),
-        "y": begun["y0"] + along * math.cos(turn) - right * math.sin(turn),
-        **{name: measured[name][rows] for name in CHANNELS[2:] if name in measured},
+    step = len(measured["t"]) // diagnostics.MOST_ROWS + 1
+    right = measured["x"][::step] - fit.parameters["x0"].value
+    along = measured["y"][::step] - fit.parameters["y0"].value
+    # from +y toward +x
+    turn = start["heading"] - fit.parameters["heading"].value
+    rows = {
+        "t": measured["t"][::step] - measured["t"][0],
+        "x": start["x0"] + right * math.cos(turn) + along * math.sin(turn),
+        "y": start["y0"] + along * math.cos(turn) - right * math.sin(turn),
     }
+    for name in CHANNELS[2:]:
+        if name in measured:
+            rows[name] = measured[name][::step]
+    return rows

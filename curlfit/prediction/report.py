@@ -77,64 +77,63 @@ def print_prediction(prediction: Prediction, console: Console | None = None) -> 
 
 def document(prediction: Prediction) -> Document:
     """Where the stone comes to rest, the quantities and their errors."""
-    fit, draws, check = prediction.fit, prediction.draws, prediction.check
+    fit = prediction.fit
+    draws = prediction.draws
     rest, curl = describe_rest(prediction)
-    fitted = prediction.of == "fitted"
-    what = (
-        "the fitted throw, extrapolated to rest"
-        if fitted
-        else "another throw on this ice"
-    )
     odd = odd_rows_in_words(prediction.odd_rows)
-    aim = [] if prediction.goal is None else [_aim(prediction)]
-    aim += [] if fitted else [_called(prediction)]
-    source = _SOURCES[draws["source"]]
+    aim = []
+    if prediction.goal is not None:
+        aim.append(_aim(prediction))
+    if prediction.of == "fitted":
+        throw = "the fitted throw, extrapolated to rest"
+        title = "the throw to rest"
+    else:
+        throw = "another throw on this ice"
+        title = "another throw"
+        aim.append(_called(prediction))
+    predicted = Section(
+        "predicted",
+        "What is predicted",
+        (
+            _quantities(prediction),
+            Said(f"{rest} {curl}"),
+            _outcomes(prediction),
+            _sensitivity(prediction),
+        ),
+    )
+    sections = [predicted]
+    if prediction.other is not None:
+        sections.append(_other(prediction.other))
+    sections.append(Section("weights", "Weights and brooms", (_weights(prediction),)))
+    held_out = () if prediction.check is None else _check(prediction.check)
+    sections.append(
+        Section("held-out", "Rows that were not fitted", held_out, brief=False)
+    )
     return Document(
         finding=lower(rest).rstrip("."),
         subject=Text.assemble(
             (f"{prediction.law} law", "bold"),
-            f", {prediction.load} load, fitted to {fit['file']}: {what}",
+            f", {prediction.load} load, fitted to {fit['file']}: {throw}",
         ),
         about=(
             *map(Said, odd),
             _start(prediction),
             *(Said(line, style="bold") for line in aim),
-            f"Bands from {draws['used']} draws of {source}",
+            f"Bands from {draws['used']} draws of {_SOURCES[draws['source']]}",
         ),
         lines=[*odd, *aim, curl],
-        sections=(
-            Section(
-                "predicted",
-                "What is predicted",
-                (
-                    _quantities(prediction),
-                    Said(f"{rest} {curl}"),
-                    _outcomes(prediction),
-                    _sensitivity(prediction),
-                ),
-            ),
-            *([] if prediction.other is None else [_other(prediction.other)]),
-            Section("weights", "Weights and brooms", (_weights(prediction),)),
-            Section(
-                "held-out",
-                "Rows that were not fitted",
-                _check(check) if check else (),
-                brief=False,
-            ),
-        ),
+        sections=sections,
         warnings=prediction.warnings,
         notes=prediction.notes,
-        title=(
-            f"{Path(fit['file']).name}: "
-            f"{'the throw to rest' if fitted else 'another throw'}"
-        ),
+        title=f"{Path(fit['file']).name}: {title}",
         settings={
             "Law, load": f"{prediction.law}, {prediction.load}",
             "Fit": f"{fit['file']}, {rows_text(fit)}",
             "Stone": stone_text(prediction.stone),
             "Start": ", ".join(
-                f"{name} = {item['value']:.6g} {item['unit']} ({item['origin']})"
-                for name, item in prediction.start.items()
+                f"{name} = {component['value']:.6g} {component['unit']} "
+                f"({component['origin']})"
+                for name, component in prediction.start.items()
             ),
             "Draws": f"{draws['used']} of {draws['number']}, seed {draws['seed']}",
         },
@@ -144,13 +143,12 @@ def document(prediction: Prediction) -> Document:
 
 
 def _other(prediction: Prediction) -> Section:
-    """The same throw with the other turn."""
+    """The prediction of the throw with the other turn."""
     rest, curl = describe_rest(prediction)
     turn = capital(f"{prediction.call.turn}-turn")
-    said = f"{turn}: {lower(_called(prediction))} {rest} {curl} {_outcomes(prediction)}"
-    return Section(
-        "other", f"The {turn.lower()}", (_quantities(prediction), Said(said))
-    )
+    called = lower(_called(prediction))
+    text = Said(f"{turn}: {called} {rest} {curl} {_outcomes(prediction)}")
+    return Section("other", f"The {turn.lower()}", (_quantities(prediction), text))
 
 
 def _knows_no_curl(prediction: Prediction) -> bool:
@@ -162,151 +160,165 @@ def _knows_no_curl(prediction: Prediction) -> bool:
 
 def describe_rest(prediction: Prediction) -> tuple[str, str]:
     """Position and time of rest, and the curl, as a sentence each."""
-    found = prediction.quantities
-    curl, turns = found["curl"].value, found["turns"].value
-    far = found["rest_y"].value > TEE_TO_BACK + STONE_RADIUS
-    text = "On longer ice it would come to rest" if far else "It comes to rest"
-    text += f" after {found['time'].value:.1f} s and {abs(turns):.2f} turns"
-    text += " counter-clockwise" if turns > 0 else " clockwise" if turns < 0 else ""
-    text += f", {_off(found['rest_y'].value, _ALONG)} the tee line"
+    quantities = prediction.quantities
+    x = quantities["rest_x"].value
+    y = quantities["rest_y"].value
+    curl = quantities["curl"].value
+    turns = quantities["turns"].value
+    off_ice = y > TEE_TO_BACK + STONE_RADIUS
+    rest = "On longer ice it would come to rest" if off_ice else "It comes to rest"
+    rest += f" after {quantities['time'].value:.1f} s and {abs(turns):.2f} turns"
+    if turns > 0:
+        rest += " counter-clockwise"
+    elif turns < 0:
+        rest += " clockwise"
+    rest += f", {_off(y, _ALONG)} the tee line"
     if _knows_no_curl(prediction):
-        return f"{text}.", f"The {prediction.law} law says nothing of its curl."
-    text += f" and {_off(found['rest_x'].value, _SIDES)} the centre line."
-    side = "right" if curl > 0 else "left"
+        return f"{rest}.", f"The {prediction.law} law says nothing of its curl."
+    rest += f" and {_off(x, _SIDES)} the centre line."
     if abs(curl) < _STRAIGHT:
-        return text, "It does not curl."
-    return (
-        text,
-        f"It curls {abs(curl):.2f} m ({abs(curl) / FOOT:.2f} ft) to the {side}.",
-    )
+        return rest, "It does not curl."
+    side = "right" if curl > 0 else "left"
+    size = f"{abs(curl):.2f} m ({abs(curl) / FOOT:.2f} ft)"
+    return rest, f"It curls {size} to the {side}."
 
 
-def _off(value: float, sides: tuple[str, str]) -> str:
-    """A distance in words, such as "0.25 m left of", or "on"."""
-    return "on" if abs(value) < 0.005 else f"{abs(value):.2f} m {sides[value < 0]}"
+def _off(distance: float, sides: tuple[str, str]) -> str:
+    """A distance in words, such as "0.25 m left of", or "on"; in m, positive and
+    negative to either side."""
+    if abs(distance) < 0.005:
+        return "on"
+    positive, negative = sides
+    return f"{abs(distance):.2f} m {negative if distance < 0 else positive}"
 
 
 def _start(prediction: Prediction) -> str:
     """Where and how the throw starts."""
-    shown = [
-        f"{label} {item['value']:.5g} {item['unit']} ({item['origin']})"
-        for name, label in _START.items()
-        if (item := prediction.start[name])["origin"] == "given" or name not in _PLACE
-    ]
-    return f"It starts {_LINES[prediction.line]}: {', '.join(shown)}"
+    components = []
+    for name, label in _START.items():
+        component = prediction.start[name]
+        origin = component["origin"]
+        if origin == "given" or name not in _PLACE:
+            value = f"{component['value']:.5g} {component['unit']}"
+            components.append(f"{label} {value} ({origin})")
+    return f"It starts {_LINES[prediction.line]}: {', '.join(components)}"
 
 
 def _aim(prediction: Prediction) -> str:
-    """Speed and heading found for the goal."""
-    goal, start = prediction.goal or {}, prediction.start
-    found = f"{start['v0']['value']:.4f} m/s"
+    """Speed and heading that were solved for, and the goal that they reach."""
+    goal = prediction.goal or {}
+    start = prediction.start
+    aim = f"With {start['v0']['value']:.4f} m/s"
     if start["heading"]["origin"] == "found":
         heading = start["heading"]["value"]
-        found += (
+        aim += (
             f" and a heading of {1000 * heading:.2f} mrad "
             f"({abs(math.degrees(heading)):.2f} degrees to the "
             f"{'right' if heading > 0 else 'left'})"
         )
-    x, y = goal["x"], goal["y"]
-    place = "the tee line" if x is None else "the tee"
+    x = goal["x"]
+    y = goal["y"]
+    tee = "the tee line" if x is None else "the tee"
     if goal["speed"]:
-        return f"With {found} it passes {place} at {goal['speed']:g} m/s"
+        return f"{aim} it passes {tee} at {goal['speed']:g} m/s"
     if x or y:
         across = "" if x is None else f" and {_off(x, _SIDES)} the centre line"
-        return f"With {found} it comes to rest {_off(y, _ALONG)} the tee line{across}"
-    return f"With {found} it comes to rest on {place}"
+        return f"{aim} it comes to rest {_off(y, _ALONG)} the tee line{across}"
+    return f"{aim} it comes to rest on {tee}"
 
 
 def _called(prediction: Prediction) -> str:
     """The throw in curlers' terms."""
-    start = {name: item["value"] for name, item in prediction.start.items()}
+    start = {name: component["value"] for name, component in prediction.start.items()}
     broom = start["x0"] + math.tan(start["heading"]) * (TEE - start["y0"])
-    found = [f"{name} {label}" for name, label in prediction.call.labels.items()]
+    words = [f"{label} {name}" for label, name in prediction.call.labels.items()]
     if "hog_to_hog" in prediction.quantities:
-        found.append(f"{prediction.quantities['hog_to_hog'].value:.2f} s hog to hog")
+        words.append(f"{prediction.quantities['hog_to_hog'].value:.2f} s hog to hog")
     if not _knows_no_curl(prediction):
-        aimed = _broom(broom).replace(" in ", " in to the ")
-        place = f"{aimed} of" if aimed else "on"
-        found.append(f"broom {place} the centre line at the tee")
-    text = ", ".join(found)
-    return f"{capital(text)}."
+        aside = _broom(broom).replace(" in ", " in to the ")
+        position = f"{aside} of" if aside else "on"
+        words.append(f"broom {position} the centre line at the tee")
+    return f"{capital(', '.join(words))}."
 
 
 def _weights(prediction: Prediction) -> PlainTable:
-    return PlainTable(
-        [
+    """What to throw for places from guard to hack."""
+    rows = []
+    for weight in prediction.weights:
+        rests = f"{weight.rests}, {_off(weight.y, _ALONG)} the tee"
+        hog_to_tee = "" if weight.hog_to_tee is None else f"{weight.hog_to_tee:.2f}"
+        in_turn, out_turn = weight.brooms
+        rows.append(
             {
-                "rests": f"{one.rests}, {_off(one.y, _ALONG)} the tee"
-                if one.y
-                else "tee",
-                ">hog to hog (s)": f"{one.hog_to_hog:.2f}",
-                ">hog to tee (s)": ""
-                if one.hog_to_tee is None
-                else f"{one.hog_to_tee:.2f}",
-                "broom, in-turn": _broom(one.brooms[0]),
-                "broom, out-turn": _broom(one.brooms[1]),
+                "rests": rests if weight.y else "tee",
+                ">hog to hog (s)": f"{weight.hog_to_hog:.2f}",
+                ">hog to tee (s)": hog_to_tee,
+                "broom, in-turn": _broom(in_turn),
+                "broom, out-turn": _broom(out_turn),
             }
-            for one in prediction.weights
-        ],
-        "Weights and brooms, at the far tee; turns of a right-hander",
+        )
+    return PlainTable(
+        rows, "Weights and brooms, at the far tee; turns of a right-hander"
     )
 
 
-def _broom(place: float) -> str:
-    """A place across the sheet in feet and inches, such as "3 ft 1 in left"."""
-    inches = round(abs(place) / FOOT * 12)
-    side = "right" if place > 0 else "left"
+def _broom(x: float) -> str:
+    """A position across the sheet in feet and inches, such as "3 ft 1 in left"; empty
+    on the centre line."""
+    inches = round(abs(x) / FOOT * 12)
+    side = "right" if x > 0 else "left"
     return f"{inches // 12} ft {inches % 12} in {side}" if inches else ""
 
 
 def _quantities(prediction: Prediction) -> PlainTable:
-    rows, both = [], prediction.misfit is not None
+    """The predicted quantities with their errors; a joint fit has one error."""
+    both = prediction.misfit is not None
     unknown = _ACROSS if _knows_no_curl(prediction) else ()
-    for name, item in prediction.quantities.items():
+    rows = []
+    for name, quantity in prediction.quantities.items():
         if name in unknown:
             continue
         meaning, unit = QUANTITIES[name]
-        meaning, sign = sided(meaning, item.value)
-        share = "" if item.share == 1 else f"{100 * item.share:.3g} %"
-        rows.append(
-            {"": labelled(meaning, unit), **_row(item, sign, both), "of draws": share}
+        meaning, sign = sided(meaning, quantity.value)
+        row = {"": labelled(meaning, unit), **_row(quantity, sign, both)}
+        share = quantity.share
+        row["of draws"] = "" if share == 1 else f"{100 * share:.3g} %"
+        rows.append(row)
+    errors = "standard deviation and intervals"
+    if both:
+        errors = (
+            "standard deviations by the errors of the parameters and by the "
+            "model discrepancy, intervals by both"
         )
-    errors = (
-        "standard deviations by the errors of the parameters and by the "
-        "model discrepancy"
-    )
-    return PlainTable(
-        rows,
-        "Predicted quantities: best estimate, "
-        + (
-            f"{errors}, intervals by both"
-            if both
-            else "standard deviation and intervals"
-        ),
-    )
+    return PlainTable(rows, f"Predicted quantities: best estimate, {errors}")
 
 
-def _row(item: Quantity, sign: float, both: bool) -> dict[str, str]:
+def _row(quantity: Quantity, sign: float, both: bool) -> dict[str, str]:
     """Best value, both errors or the one of a joint fit, and the intervals, to two
-    digits of the larger error."""
-    size = max(item.parameter_sd, item.model_sd)
-    known = size >= 1e-9
+    digits of the larger error; `sign` is -1 where the words are of the other side."""
+    size = max(quantity.parameter_sd, quantity.model_sd)
     digits = min(decimals(size), 4)
-    own, model = (
-        f"{part:.{digits + 1}f}" if part > 1e-9 else "-"
-        for part in (item.parameter_sd, item.model_sd)
-    )
-    ends = sorted(sign * value for value in item.quantiles.values())
-    q = {
+
+    def error(sd: float) -> str:
+        return f"{sd:.{digits + 1}f}" if sd > 1e-9 else "-"
+
+    # increasing, as the quantiles of the other side are in reverse
+    ends = sorted(sign * value for value in quantity.quantiles.values())
+    end = {
         level: f"{value:.{digits}f}"
-        for level, value in zip(item.quantiles, ends, strict=True)
+        for level, value in zip(quantity.quantiles, ends, strict=True)
     }
-    return {
-        ">best": "-" if math.isnan(item.value) else f"{sign * item.value:.{digits}f}",
-        **({">parameters": own, ">model": model} if both else {">std. dev.": own}),
-        "68 %": f"{q['16']} .. {q['84']}" * known,
-        "95 %": f"{q['2.5']} .. {q['97.5']}" * known,
-    }
+    best = sign * quantity.value
+    row = {">best": "-" if math.isnan(best) else f"{best:.{digits}f}"}
+    if both:
+        row[">parameters"] = error(quantity.parameter_sd)
+        row[">model"] = error(quantity.model_sd)
+    else:
+        row[">std. dev."] = error(quantity.parameter_sd)
+    uncertain = size >= 1e-9
+    row["68 %"] = f"{end['16']} .. {end['84']}" if uncertain else ""
+    row["95 %"] = f"{end['2.5']} .. {end['97.5']}" if uncertain else ""
+    return row
 
 
 def _outcomes(prediction: Prediction) -> str:
@@ -324,34 +336,37 @@ def _outcomes(prediction: Prediction) -> str:
 def _sensitivity(prediction: Prediction) -> str:
     changes = []
     for name, words in _CHANGES.items():
-        if (item := prediction.sensitivity.get(name)) is None:
+        effect = prediction.sensitivity.get(name)
+        if effect is None:
             continue
-        moves = [
-            f"{abs(size):.2g} m {sides[size < 0]}"
-            for size, sides in (
-                (item["along"], ("farther", "shorter")),
-                (item["right"], ("right", "left")),
-            )
-            if abs(size) >= 0.001
-        ]
-        changes.append(f"{item['by']:.3g} {words}: {', '.join(moves) or 'no change'}")
-    return (
-        f"Sensitivity of the resting position: {'; '.join(changes)}." if changes else ""
-    )
+        along = effect["along"]
+        right = effect["right"]
+        moves = []
+        if abs(along) >= 0.001:
+            way = "shorter" if along < 0 else "farther"
+            moves.append(f"{abs(along):.2g} m {way}")
+        if abs(right) >= 0.001:
+            side = "left" if right < 0 else "right"
+            moves.append(f"{abs(right):.2g} m {side}")
+        changes.append(f"{effect['by']:.3g} {words}: {', '.join(moves) or 'no change'}")
+    if not changes:
+        return ""
+    return f"Sensitivity of the resting position: {'; '.join(changes)}."
 
 
 def _check(check: HeldOut) -> tuple[PlainTable, str]:
+    """The comparison with rows that were not fitted, and what it is worth."""
     rows: list[dict[str, Any]] = []
-    for name, item in check.channels.items():
-        off, expected = format_estimate(item["end"], item["end_sd"])
+    for name, channel in check.channels.items():
+        error, expected = format_estimate(channel["end"], channel["end_sd"])
         rows.append(
             {
                 "held out": f"{name} ({'rad' if name == 'phi' else 'm'})",
-                ">rows": f"{item['rows']:.0f}",
-                ">rms": f"{item['rms']:.3g}",
-                ">within 68 %": f"{item['inside_68']:.0%}",
-                ">within 95 %": f"{item['inside_95']:.0%}",
-                ">error at end": off,
+                ">rows": f"{channel['rows']:.0f}",
+                ">rms": f"{channel['rms']:.3g}",
+                ">within 68 %": f"{channel['inside_68']:.0%}",
+                ">within 95 %": f"{channel['inside_95']:.0%}",
+                ">error at end": error,
                 ">std. dev.": expected,
             }
         )

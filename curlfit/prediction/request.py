@@ -48,16 +48,17 @@ def both_turns(
     """The in-turn and the out-turn of a call, and what is given of the start of each;
     broom, place, heading and spin are those of the in-turn, and of the out-turn their
     mirror images."""
-    found = []
+    throws = []
     for turn, side in (("in", 1), ("out", -1)):
-        start = dict(given) | {
-            name: side * given[name] for name in ("x0", "heading") if name in given
-        }
+        start = dict(given)
+        for name in ("x0", "heading"):
+            if name in given:
+                start[name] = side * given[name]
         if "omega0" in given:
             start["omega0"] = _TURNS[turn] * abs(given["omega0"])
         broom = None if call.broom is None else side * call.broom
-        found.append((replace(call, turn=turn, broom=broom), start))
-    return found
+        throws.append((replace(call, turn=turn, broom=broom), start))
+    return throws
 
 
 class PlannedThrow(NamedTuple):
@@ -87,8 +88,8 @@ def planned(
     weight: str | None,
     tee_speed: float | None,
 ) -> PlannedThrow:
-    """From what is given; by default on the near hog line, or where its data begin.
-    Speed and heading are found if it has a target or weight.
+    """The throw that is asked for; by default from the near hog line, or from where its
+    data begin. Speed and heading are found if it has a target or weight.
 
     Raises
     ------
@@ -96,73 +97,106 @@ def planned(
         does not reach.
     """
     called = _called(fit, call, given, line or "hog")
-    start, aims = {**called, **given}, target is not None or weight is not None
-    new = bool(start) or aims
-    line = line or ("data" if fit.counts_from_hack and not new else "hog")
+    start = {**called, **given}
+    new = bool(start) or target is not None or weight is not None
+    if not line:
+        line = "data" if fit.counts_from_hack and not new else "hog"
     _require(fit, start, line, target, weight, tee_speed)
-    fitted = {item.name: fit.parameters[item.name].value for item in START}
-    here = {name: fitted[name] for name in ("x0", "y0")}
-    usual = {} if line == "data" else {"x0": 0.0, "y0": LINES[line]}
+    fitted = {
+        component.name: fit.parameters[component.name].value for component in START
+    }
+    default: dict[str, float] = {}
     if new:
-        usual = here | {"heading": 0.0, "phi0": 0.0} | usual
-    goal: dict[str, Any] | None = None
-    found: dict[str, float] = {}
-    if aims:
-        words, x = weight, None if "heading" in start else 0.0
-        y, speed = WEIGHTS.get(weight or "", (0.0, 0.0))
-        if target is not None:
-            words, (x, y) = "target" if any(target) else "to the tee", target
-        goal = {
-            "words": words,
-            "x": x,
-            "y": y,
-            "speed": speed if tee_speed is None else tee_speed,
-        }
-        known = fitted | usual | start
-        found = aimed(
-            fit,
-            (x or 0.0, TEE + y),
-            known["omega0"],
-            speed=goal["speed"],
-            start=(known["x0"], known["y0"]),
-            heading=known["heading"] if x is None else None,
-        )._asdict()
-    layers = {
+        default = {"x0": fitted["x0"], "y0": fitted["y0"], "heading": 0.0, "phi0": 0.0}
+    if line != "data":
+        default |= {"x0": 0.0, "y0": LINES[line]}
+    goal = _goal(target, weight, tee_speed, free_heading="heading" not in start)
+    solved = {} if goal is None else _solved(fit, goal, fitted | default | start)
+    # each source has the last word over those above it
+    sources: dict[str, Mapping[str, float]] = {
         "fitted": fitted,
-        "default": usual,
-        "found": found,
+        "default": default,
+        "found": solved,
         "call": called,
         "given": given,
     }
-    values = {name: value for layer in layers.values() for name, value in layer.items()}
-    origins = {name: origin for origin, layer in layers.items() for name in layer}
-    shift = (
-        (0.0, 0.0) if new else (values["x0"] - here["x0"], values["y0"] - here["y0"])
-    )
+    values: dict[str, float] = {}
+    origins: dict[str, str] = {}
+    for origin, components in sources.items():
+        values |= components
+        origins |= dict.fromkeys(components, origin)
+    shift = (0.0, 0.0)
+    if not new:
+        shift = (values["x0"] - fitted["x0"], values["y0"] - fitted["y0"])
     return PlannedThrow(fit, new, line, goal, values, origins, shift)
+
+
+def _goal(
+    target: tuple[float, float] | None,
+    weight: str | None,
+    tee_speed: float | None,
+    *,
+    free_heading: bool,
+) -> dict[str, Any] | None:
+    """See `PlannedThrow.goal`; None without a target or weight. A weight is on the
+    centre line, or at any x where the heading is given."""
+    if target is not None:
+        x: float | None = target[0]
+        y = target[1]
+        speed = 0.0
+        words = "target" if any(target) else "to the tee"
+    elif weight is not None:
+        x = 0.0 if free_heading else None
+        y, speed = WEIGHTS[weight]
+        words = weight
+    else:
+        return None
+    if tee_speed is not None:
+        speed = tee_speed
+    return {"words": words, "x": x, "y": y, "speed": speed}
+
+
+def _solved(
+    fit: FitResult, goal: Mapping[str, Any], start: Mapping[str, float]
+) -> dict[str, float]:
+    """Speed and heading for a goal; the heading of the start where x is free."""
+    x = goal["x"]
+    return aimed(
+        fit,
+        (x or 0.0, TEE + goal["y"]),
+        start["omega0"],
+        speed=goal["speed"],
+        start=(start["x0"], start["y0"]),
+        heading=start["heading"] if x is None else None,
+    )._asdict()
 
 
 def _called(
     fit: FitResult, call: Call, given: Mapping[str, float], line: str
 ) -> dict[str, float]:
     """Components of the initial state by the call."""
-    called, spin = {}, fit.parameters["omega0"].value
+    called = {}
+    fitted_spin = fit.parameters["omega0"].value
     if call.turn is not None:
         if call.turn not in _TURNS:
             raise InputError(
                 f"turn {quoted(call.turn)}: expected one of {', '.join(_TURNS)}, both"
             )
-        called["omega0"] = _TURNS[call.turn] * abs(spin)
+        called["omega0"] = _TURNS[call.turn] * abs(fitted_spin)
     if call.broom is not None:
-        slope, y0 = call.broom / TEE, LINES.get(line, fit.parameters["y0"].value)
-        called |= {"heading": math.atan(slope), "x0": slope * y0}
+        # aimed from the hack, where x and y are 0, at the broom at the far tee
+        slope = call.broom / TEE
+        y0 = LINES.get(line, fit.parameters["y0"].value)
+        called["heading"] = math.atan(slope)
+        called["x0"] = slope * y0
     if call.hog_to_hog is not None:
         if line != "hog":
             raise InputError(
                 "hog to hog: the throw starts on the near hog line; leave out line"
             )
-        spin = {"omega0": spin, **called, **given}["omega0"]
-        coefficients, draw = fit.values[None, : -len(START)], Draw(fit.model, fit.stone)
+        spin = given.get("omega0", called.get("omega0", fitted_spin))
+        draw = Draw(fit.model, fit.stone)
+        coefficients = fit.values[None, : -len(START)]
         called["v0"] = float(draw.speeds(coefficients, spin, call.hog_to_hog)[0])
     return called
 
@@ -176,7 +210,7 @@ def _require(
     tee_speed: float | None,
 ) -> None:
     """Raise `InputError` for contradictory or impossible requests."""
-    names = [item.name for item in START]
+    names = [component.name for component in START]
     for name in start:
         if name not in names:
             raise InputError(
@@ -184,56 +218,45 @@ def _require(
             )
     VALUES.checked("start", start)
     aside, _ = (0.0, 0.0) if target is None else TARGET.checked("target", target)
-    aims = target is not None or weight is not None
-    v0, omega0 = start.get("v0", 1.0), start.get("omega0", 0.0)
+    has_goal = target is not None or weight is not None
+    v0 = start.get("v0", 1.0)
+    omega0 = start.get("omega0", 0.0)
     unknown_spin = fit.parameters["omega0"].verdict == Verdict.NOT_IDENTIFIABLE
-    for refused, why in (
-        (
-            not 0 < v0 <= SPEED,
+    if not 0 < v0 <= SPEED:
+        raise InputError(
             f"v0 = {v0:g} m/s: expected a speed up to {SPEED:g} m/s; none "
-            "is thrown at more than about 4 m/s",
-        ),
-        (
-            abs(omega0) > _FASTEST_SPIN,
-            f"omega0 = {omega0:g} rad/s: expected at most {_FASTEST_SPIN:g} rad/s",
-        ),
-        (
-            line not in (*_STARTING_LINES, "data"),
+            "is thrown at more than about 4 m/s"
+        )
+    if abs(omega0) > _FASTEST_SPIN:
+        raise InputError(
+            f"omega0 = {omega0:g} rad/s: expected at most {_FASTEST_SPIN:g} rad/s"
+        )
+    if line not in (*_STARTING_LINES, "data"):
+        raise InputError(
             f"start on {quoted(line)}: expected "
-            f"one of {', '.join(_STARTING_LINES)}, data",
-        ),
-        (
-            abs(aside) > WIDTH / 2,
+            f"one of {', '.join(_STARTING_LINES)}, data"
+        )
+    if abs(aside) > WIDTH / 2:
+        raise InputError(
             f"target {aside:g} m to the side: expected at most "
-            f"{WIDTH / 2:g} m, half the width of the sheet",
-        ),
-        (
-            target is not None and weight is not None,
-            "a target and a weight are given; expected one of them",
-        ),
-        (
-            weight not in (None, *WEIGHTS),
-            f"weight {quoted(weight)}: expected {', '.join(WEIGHTS)}",
-        ),
-        (
-            tee_speed is not None and weight != "takeout",
-            "a speed at the tee needs the weight takeout",
-        ),
-        (
-            aims and "v0" in start,
-            "v0 is given, but the target or weight determines it; leave one out",
-        ),
-        (
-            target is not None and "heading" in start,
-            "heading is given, but the target determines it; leave one out",
-        ),
-        (
-            (start or aims) and "omega0" not in start and unknown_spin,
-            "the fit does not determine the spin (omega0); give one",
-        ),
-    ):
-        if refused:
-            raise InputError(why)
+            f"{WIDTH / 2:g} m, half the width of the sheet"
+        )
+    if target is not None and weight is not None:
+        raise InputError("a target and a weight are given; expected one of them")
+    if weight not in (None, *WEIGHTS):
+        raise InputError(f"weight {quoted(weight)}: expected {', '.join(WEIGHTS)}")
+    if tee_speed is not None and weight != "takeout":
+        raise InputError("a speed at the tee needs the weight takeout")
+    if has_goal and "v0" in start:
+        raise InputError(
+            "v0 is given, but the target or weight determines it; leave one out"
+        )
+    if target is not None and "heading" in start:
+        raise InputError(
+            "heading is given, but the target determines it; leave one out"
+        )
+    if (start or has_goal) and "omega0" not in start and unknown_spin:
+        raise InputError("the fit does not determine the spin (omega0); give one")
 
 
 def aimed(

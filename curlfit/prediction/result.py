@@ -249,7 +249,7 @@ class Prediction(Record):
     load: LoadName
     stone: Stone
     fit: Extent
-    start: Annotated[dict[str, _Start], Names(item.name for item in START)]
+    start: Annotated[dict[str, _Start], Names(component.name for component in START)]
     of: Annotated[str, Choice(("fitted", "new"))]
     line: str
     goal: _Goal | None
@@ -278,8 +278,8 @@ class Prediction(Record):
 
     def require_consistent(self) -> None:
         """Raise `ValueError` where what was read contradicts itself."""
-        for place in ("series", "band", "start", "quantities"):
-            require(place, bool(getattr(self, place)), "no empty object")
+        for name in ("series", "band", "start", "quantities"):
+            require(name, bool(getattr(self, name)), "no empty object")
         require_rows("series", self.series, len(self.series["t"]))
         require_rows("band", self.band, len(self.band["y"]))
         if self.measured:

@@ -25,10 +25,12 @@ from curlfit.prediction.result import (
 from curlfit.sheet import CIRCLES, END, FOOT, HOUSE, LINES, STONE_RADIUS, TEE
 
 _BAND_POINTS = 121
-_SAMPLED, _SAMPLE_TIMES = 60, 30  # draws kept, and times of each
-_DIGITS = 4  # decimals of these: 0.1 mm
-# for sensitivities of the resting position, rad and s
-_HEADING_CHANGE, _WEIGHT_CHANGE = 0.001, 0.1
+_SAMPLED = 60  # draws kept
+_SAMPLE_TIMES = 30  # of each draw kept
+_DIGITS = 4  # decimals of the draws kept: 0.1 mm
+# for sensitivities of the resting position
+_HEADING_CHANGE = 0.001  # rad
+_WEIGHT_CHANGE = 0.1  # s
 
 
 class Simulation(NamedTuple):
@@ -61,33 +63,39 @@ class Simulation(NamedTuple):
         ------
         UnusableFitError : it, or most of the draws, do not come to rest.
         """
-        fit, plain = (
-            throws.fit,
-            throws.simulate(throws.with_start(values, call or CENTRED, random)),
-        )
+        fit = throws.fit
+        plain = throws.simulate(throws.with_start(values, call or CENTRED, random))
         best = throws.simulate(throws.with_start(fit.values[None]))
-        probed = {name: throws.simulate(some) for name, some in throws.probes().items()}
+        probed = {
+            name: throws.simulate(vectors) for name, vectors in throws.probes().items()
+        }
         if not best.good[0]:
             raise UnusableFitError(
                 f"the {fit.law} law as fitted does not bring this stone to rest"
                 + no_motion_because(fit.load)
             )
-        full, summary = plain, None
+        full = plain
+        discrepancy = None
         if call is None:
-            discrepancy = discrepancy_posterior(fit)
-            missing, summary = (
-                discrepancy.draw(len(values), random),
-                discrepancy.summary,
-            )
-            shifted = throws.with_start(discrepancy.shift_parameters(values, missing))
+            posterior = discrepancy_posterior(fit)
+            discrepancy = posterior.summary
+            missing = posterior.draw(len(values), random)
+            shifted = throws.with_start(posterior.shift_parameters(values, missing))
             full = missing.applied_to(throws.simulate(shifted), throws.spin_ratio)
-        use = plain.good & full.good
-        if use.mean() < 0.5:
+        rests = plain.good & full.good
+        if rests.mean() < 0.5:
             raise UnusableFitError(
-                f"only {use.mean():.0%} of the draws come to rest; "
+                f"only {rests.mean():.0%} of the draws come to rest; "
                 "the fit is too uncertain for this throw"
             )
-        return cls(throws.t, best, plain.select(use), full.select(use), probed, summary)
+        return cls(
+            t=throws.t,
+            best=best,
+            plain=plain.select(rests),
+            full=full.select(rests),
+            probed=probed,
+            discrepancy=discrepancy,
+        )
 
     def summary(self) -> dict[str, Any]:
         """The fields of a `Prediction` that follow from the trajectories."""
@@ -104,61 +112,73 @@ class Simulation(NamedTuple):
         }
 
     def _quantities(self) -> dict[str, Quantity]:
-        found = {}
-        each = [_throw_quantities(ensemble) for ensemble in self[1:4]]
+        quantities = {}
+        best = _throw_quantities(self.best)
+        by_parameters = _throw_quantities(self.plain)
+        by_both = _throw_quantities(self.full)
         for name, (_, unit) in QUANTITIES.items():
-            value, plain, full = (values[name] for values in each)
-            there = np.isfinite(plain) & np.isfinite(full)
-            if there.any():
-                errors = _errors(plain[there], full[there])
-                found[name] = Quantity(
-                    value=float(value[0]),
+            plain = by_parameters[name]
+            full = by_both[name]
+            has_both = np.isfinite(plain) & np.isfinite(full)
+            if has_both.any():
+                errors = _errors(plain[has_both], full[has_both])
+                quantities[name] = Quantity(
+                    value=float(best[name][0]),
                     unit=unit,
                     **{error: float(size) for error, size in errors.items()},
-                    quantiles=quantiles_of(full[there]),
+                    quantiles=quantiles_of(full[has_both]),
                     share=float(np.isfinite(full).mean()),
                 )
-        return found
+        return quantities
 
     def _series(self, path: Floats) -> dict[str, Floats]:
-        duration = max(
-            float(self.best.rest[0]), float(np.quantile(self.full.rest, 0.975))
-        )
+        """The best path with its bands over time, until nearly all draws rest; `path`
+        is x, y, phi of the draws at `t`, shape (draws, 3, times)."""
+        rest_of_best = float(self.best.rest[0])
+        duration = max(rest_of_best, float(np.quantile(self.full.rest, 0.975)))
         n = min(int(np.searchsorted(self.t, duration)) + 1, len(self.t))
-        best = self.best.state[0, :, :n]
-        found = {"t": self.t[:n], **dict(zip(PREDICTED, best, strict=False))}
-        found |= {"speed": self.best.speed[0, :n], "omega": best[5]}
+        x, y, phi, _, _, omega = self.best.state[0, :, :n]
+        series = {"t": self.t[:n], "x": x, "y": y, "phi": phi}
+        series["speed"] = self.best.speed[0, :n]
+        series["omega"] = omega
         for row, name in enumerate(PREDICTED):
             full = path[:, row, :n]
             errors = _errors(self.plain.state[:, row, :n], full)
-            found |= {f"{name}_{error}": values for error, values in errors.items()}
-            found |= _around(name, full)
-        return found
+            series |= {f"{name}_{error}": sizes for error, sizes in errors.items()}
+            series |= _around(name, full)
+        return series
 
     def _sample(self, path: Floats) -> dict[str, Floats]:
         """The first draws: a random sample, since the draws are in random order."""
         rest = self.full.rest[:_SAMPLED]
         last = int(np.searchsorted(self.t[:-1], rest.max()))
-        times = np.unique(np.linspace(0, last, _SAMPLE_TIMES).astype(int))
-        places = path[:_SAMPLED, :, times].round(_DIGITS).swapaxes(0, 1)
-        named = dict(zip(PREDICTED, places, strict=True))
-        return {"t": self.t[times], **named, "rest": rest.round(_DIGITS)}
+        rows = np.unique(np.linspace(0, last, _SAMPLE_TIMES).astype(int))
+        x, y, phi = path[:_SAMPLED, :, rows].round(_DIGITS).swapaxes(0, 1)
+        return {
+            "t": self.t[rows],
+            "x": x,
+            "y": y,
+            "phi": phi,
+            "rest": rest.round(_DIGITS),
+        }
 
     def _band(self, path: Floats) -> dict[str, Floats]:
         """x as a function of y, up to the y that half of the draws reach."""
         best = self.best.state[0]
-        y = np.linspace(
-            float(best[1, 0]), float(np.median(path[:, 1].max(1))), _BAND_POINTS
-        )
-        at = np.array([_across(one, y) for one in path])
-        return {"y": y, "x": _across(best, y)} | _around("x", at)
+        farthest = float(np.median(path[:, 1].max(1)))
+        y = np.linspace(float(best[1, 0]), farthest, _BAND_POINTS)
+        x_of_draws = np.array([_x_at(draw, y) for draw in path])
+        return {"y": y, "x": _x_at(best, y)} | _around("x", x_of_draws)
 
     def _rest(self) -> dict[str, Any]:
-        plain, full = self.plain.end[:, :2], self.full.end[:, :2]
+        """Mean and covariances of x and y at rest."""
+        plain = self.plain.end[:, :2]
+        full = self.full.end[:, :2]
+        moved = full - plain  # by the model discrepancy
         return {
             "mean": full.mean(0).tolist(),
             "parameter": np.cov(plain.T).tolist(),
-            "model": ((full - plain).T @ (full - plain) / len(full)).tolist(),
+            "model": (moved.T @ moved / len(full)).tolist(),
             "both": np.cov(full.T).tolist(),
         }
 
@@ -174,30 +194,29 @@ class Simulation(NamedTuple):
         return {name: float(happens.mean()) for name, happens in events.items()}
 
     def _sensitivity(self) -> dict[str, dict[str, Any]]:
-        """Change of the resting position with the initial state."""
+        """Change of the resting position with the initial state: by how much this is
+        changed, and m that the stone rests farther right and along."""
         end = self.best.end[0]
-        along, right, _ = _HEADING_CHANGE * (end - self.best.state[0, :3, 0])
-        changes = {
-            name: (by, *(self.probed[name].end[0] - end))
-            for name, by in VARIED.items()
-            if self.probed[name].good[0]
-        } | {"heading": (_HEADING_CHANGE, right, -along, 0.0)}
-        if self.discrepancy is None and "v0" in changes:  # another throw of a joint fit
-            hog = [
-                _throw_quantities(one)["hog_to_hog"][0]
-                for one in (self.best, self.probed["v0"])
-            ]
-            slower = _WEIGHT_CHANGE / (hog[1] - hog[0])
-            if np.isfinite(slower):
-                changes["hog_to_hog"] = (
-                    _WEIGHT_CHANGE,
-                    *(slower * np.array(changes["v0"][1:])),
-                )
+        effects = {}
+        for name, change in VARIED.items():
+            if self.probed[name].good[0]:
+                right, along, _ = self.probed[name].end[0] - end
+                effects[name] = (change, right, along)
+        # a heading turns the path clockwise about its start
+        x, y, _ = _HEADING_CHANGE * (end - self.best.state[0, :3, 0])
+        effects["heading"] = (_HEADING_CHANGE, y, -x)
+        if self.discrepancy is None and "v0" in effects:  # another throw of a joint fit
+            hog_to_hog = _throw_quantities(self.best)["hog_to_hog"][0]
+            when_faster = _throw_quantities(self.probed["v0"])["hog_to_hog"][0]
+            steps = _WEIGHT_CHANGE / (when_faster - hog_to_hog)  # of v0, negative
+            if np.isfinite(steps):
+                _, right, along = effects["v0"]
+                effects["hog_to_hog"] = (_WEIGHT_CHANGE, steps * right, steps * along)
             across = FOOT * end[1] / TEE  # about the hack, from which it is aimed
-            changes["broom"] = (FOOT, across, 0.0, 0.0)
+            effects["broom"] = (FOOT, across, 0.0)
         return {
-            name: {"by": by, "right": float(right), "along": float(along)}
-            for name, (by, right, along, _) in changes.items()
+            name: {"by": change, "right": float(right), "along": float(along)}
+            for name, (change, right, along) in effects.items()
         }
 
 
@@ -205,9 +224,9 @@ def _throw_quantities(ensemble: TrajectoryEnsemble) -> dict[str, Floats]:
     """The quantities of each throw; NaN where it has none."""
     x, y, phi = ensemble.end.T
     x0, y0, phi0, vx, vy, _ = ensemble.state[..., 0].T
-    hog, far_hog, tee = (
-        ensemble.crossing(LINES[name]) for name in ("hog", "far-hog", "far-tee")
-    )
+    hog = ensemble.crossing(LINES["hog"])
+    far_hog = ensemble.crossing(LINES["far-hog"])
+    tee = ensemble.crossing(LINES["far-tee"])
     return {
         "rest_x": x,
         "rest_y": y - TEE,
@@ -215,12 +234,12 @@ def _throw_quantities(ensemble: TrajectoryEnsemble) -> dict[str, Floats]:
         "curl": ((x - x0) * vy - (y - y0) * vx) / np.hypot(vx, vy),
         "turns": (phi - phi0) / (2 * math.pi),
         "time": ensemble.rest,
-        "hog_to_hog": far_hog[0] - hog[0],
-        "hog_to_tee": tee[0] - hog[0],
-        "hog_to_rest": ensemble.rest - far_hog[0],
-        "speed_at_hog": hog[1],
-        "speed_at_far_hog": far_hog[1],
-        "speed_at_tee": tee[1],
+        "hog_to_hog": far_hog.time - hog.time,
+        "hog_to_tee": tee.time - hog.time,
+        "hog_to_rest": ensemble.rest - far_hog.time,
+        "speed_at_hog": hog.speed,
+        "speed_at_far_hog": far_hog.speed,
+        "speed_at_tee": tee.speed,
     }
 
 
@@ -239,11 +258,11 @@ def _around(name: str, values: Floats) -> dict[str, Floats]:
     return {f"{name}_{level}": row for level, row in rows if level != "50"}
 
 
-def _across(state: Floats, y: Floats) -> Floats:
-    """x of a trajectory at given y; NaN beyond its end."""
-    rising = np.maximum.accumulate(state[1])
-    new = np.diff(rising, prepend=-np.inf) > 0
-    found: Floats = np.interp(
-        y, rising[new], state[0, new], left=state[0, 0], right=np.nan
+def _x_at(path: Floats, y: Floats) -> Floats:
+    """x of a path (rows x, y and more) at given y; NaN beyond its end."""
+    farthest = np.maximum.accumulate(path[1])
+    forward = np.diff(farthest, prepend=-np.inf) > 0  # rows that go on
+    x: Floats = np.interp(
+        y, farthest[forward], path[0, forward], left=path[0, 0], right=np.nan
     )
-    return found
+    return x

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 from curlfit.errors import InputError
 from curlfit.options import settings as s
@@ -65,50 +65,60 @@ def profile(
         raise InputError(
             f"--range is given {len(ranges)} times; expected one of each --param"
         )
-    limits, kind = dict(zip(param, ranges, strict=False)), f"profile-{'-'.join(param)}"
-    fitted, parameters, chosen, usual = _known(data, kind, flags, reading, config)
-    require_usable(parameters, param, points, limits)
+    range_by_name = dict(zip(param, ranges, strict=False))
+    kind = f"profile-{'-'.join(param)}"
+    source = _source(data, kind, flags, reading, config)
+    parameters = source.parameters
+    require_usable(parameters, param, points, range_by_name)
     drawn.draw_beside()
     with output.status(f"Fitting {COMPILES}"):
-        fit, chain = fitted()
-        require_usable(
-            parameters, param, points, limits, parameters.values_of(fit.values)
-        )
-        folder = claim_folder(output.out or usual)
+        fit, chain = source.fit()
+        best = parameters.values_of(fit.values)
+        require_usable(parameters, param, points, range_by_name, best)
+        folder = claim_folder(output.out or source.folder)
         from curlfit.profile_likelihood.profile import profile as compute_profile
 
-        found = compute_profile(fit, param, chain=chain, points=points, ranges=limits)
+        result = compute_profile(
+            fit, param, chain=chain, points=points, ranges=range_by_name
+        )
     words = [f"--param={name}" for name in param]
     words += [f"--range={low:.10g},{high:.10g}" for low, high in ranges]
     if points:
         words.append(f"--points={points}")
-    words += [*reading.words(), *chosen.words()]
-    found = replace(found, command=command_line("profile", str(data), *words))
-    return output.finish(found, folder, drawn)
+    words += [*reading.words(), *source.choices.words()]
+    result = replace(result, command=command_line("profile", str(data), *words))
+    return output.finish(result, folder, drawn)
 
 
-def _known(
+class _Source(NamedTuple):
+    """What is profiled: a saved fit, or one still to be made."""
+
+    fit: Callable[[], Any]
+    """gives the fit and its chain, or None in place of that"""
+    parameters: Any
+    choices: Modelling
+    folder: Path
+    """where the profile is written by default"""
+
+
+def _source(
     data: Path, kind: str, flags: Modelling, reading: Reading, config: Path | None
-) -> tuple[Callable[[], Any], Any, Modelling, Path]:
-    """What gives the fit and its chain, if it is saved or when it is made; its
-    parameters and choices, and the usual folder."""
+) -> _Source:
     if data.is_dir() or data.name == "fit.json":
-        own = (
-            *replace(flags, law=None).words(),
-            *reading.words(),
-            *(["--config"] if config else []),
-        )
-        if own:
-            option_of = own[0].partition("=")[0]
+        refused = [*replace(flags, law=None).words(), *reading.words()]
+        if config:
+            refused.append("--config")
+        if refused:
+            flag = refused[0].partition("=")[0]
             raise InputError(
-                f"{option_of}: a saved fit has its own; give the data to fit again"
+                f"{flag}: a saved fit has its own; give the data to fit again"
             )
-        saved = s.load_fit_and_chain(data, flags.law)
+        fit, chain = s.load_fit_and_chain(data, flags.law)
         folder = Path(f"{s.name_of(data)}-{kind}")
-        return lambda: saved, saved[0].parameter_set, flags, folder
+        return _Source(lambda: (fit, chain), fit.parameter_set, flags, folder)
     request = s.checked(s.prepare(data, config, reading, flags))
 
-    def fitted() -> Any:
+    def make() -> Any:
         from curlfit.inference.least_squares import prepare_minimize
         from curlfit.numerics.batches import FEW
 
@@ -116,4 +126,4 @@ def _known(
         return request.fit(), None
 
     folder = s.result_folder(data, kind, reading)
-    return fitted, request.parameters, request.chosen, folder
+    return _Source(make, request.parameters, request.chosen, folder)

@@ -13,7 +13,8 @@ from curlfit.output.ticks import neat_axis
 from curlfit.profile_likelihood.result import PairProfile, Profile, ProfileVerdict
 
 _REGIONS = ("#a6cfe5", "#deedf6")  # of the profile, 68 and 95 %
-_HIGH, _LOW = 10.0, 5.5  # upper ends of the axis, of limited profiles and of others
+_HIGH = 10.0  # upper end of the axis, of a limited profile
+_LOW = 5.5  # upper end of the axis, of any other
 _MOVES = 0.05  # smallest change of another parameter that is shown, standard errors
 
 
@@ -50,7 +51,9 @@ def _single_figure(profile: Profile) -> draw.Picture:
 def _chi_squared(profile: Profile, axes: Any) -> None:
     limited = profile.verdict == ProfileVerdict.LIMITED
     top = _HIGH if limited else _LOW
-    at, item, found = profile.at, profile.estimate, profile.posterior
+    at = profile.at
+    estimate = profile.estimate
+    posterior = profile.posterior
     for level in profile.levels:
         axes.axhline(level.delta_chi2, color="0.6", lw=0.8, ls=":")
         axes.annotate(
@@ -67,18 +70,18 @@ def _chi_squared(profile: Profile, axes: Any) -> None:
             axes.axvspan(
                 interval.low, interval.high, color=draw.FIT_COLOR, alpha=alpha, lw=0
             )
-    if item.stderr is not None:
+    if estimate.stderr is not None:
         fine = np.linspace(at[0], at[-1], 400)
-        parabola = ((fine - item.value) / item.stderr) ** 2
+        parabola = ((fine - estimate.value) / estimate.stderr) ** 2
         style = {"color": draw.COVARIANCE_COLOR, "lw": 1.4, "zorder": 4}
         axes.plot(fine, parabola, "--", label="covariance", **style)
     style = {"color": draw.FIT_COLOR, "zorder": 3}
     axes.plot(at, profile.delta, ".-", ms=4, lw=1.5, label="profile", **style)
-    if found is not None:
+    if posterior is not None:
         axes.errorbar(
-            found["at"],
-            found["height"],
-            found["error"],
+            posterior["at"],
+            posterior["height"],
+            posterior["error"],
             fmt="o",
             color=draw.POSTERIOR_COLOR,
             markersize=3,
@@ -93,8 +96,8 @@ def _chi_squared(profile: Profile, axes: Any) -> None:
     axes.legend(loc="upper center", bbox_to_anchor=(0.62, 1.0))
     if not limited:
         low, high = profile.free
-        said = f"{_rise(profile)} over {low:.5g} .. {high:.5g}"
-        draw.note(axes, 0.04, 0.93, said, color=draw.FIT_COLOR)
+        note = f"{_rise(profile)} over {low:.5g} .. {high:.5g}"
+        draw.note(axes, 0.04, 0.93, note, color=draw.FIT_COLOR)
 
 
 def _widened(low: float, high: float, share: float) -> tuple[float, float]:
@@ -104,51 +107,54 @@ def _widened(low: float, high: float, share: float) -> tuple[float, float]:
 
 
 def _rise(profile: Profile) -> str:
-    rise = profile.rise
-    return rf"$\Delta\chi^2 \leq$ {f'{rise:.1g}' if rise < 1e-3 else f'{rise:.2g}'}"
+    digits = 1 if profile.rise < 1e-3 else 2
+    return rf"$\Delta\chi^2 \leq$ {profile.rise:.{digits}g}"
 
 
 def _others(profile: Profile, axes: Any) -> None:
-    """Changes of the others in standard errors; those without one, by their values."""
+    """Changes of the other parameters in standard errors; where one has none, its
+    values, on an axis at the right."""
     shown = np.isfinite(profile.delta) & (profile.delta < _HIGH + 2)
     if profile.verdict != ProfileVerdict.LIMITED:  # beyond, a bound causes the changes
         shown &= (profile.at >= profile.free[0]) & (profile.at <= profile.free[1])
-    at, others = (
-        profile.at[shown],
-        {name: profile.parameters[name] for name in profile.others},
-    )
-    symbols = {name: draw.symbol_of(item) for name, item in others.items()}
-    moves = {
-        name: (profile.others[name][shown] - item.value) / item.stderr
-        for name, item in others.items()
-        if item.stderr
+    at = profile.at[shown]
+    combined = {
+        name for combination in profile.combinations for name in combination.weights
     }
-    partners = {name for item in profile.combinations for name in item.weights}
-    values = [
-        name for name, item in others.items() if not item.stderr and name in partners
-    ]
-    kept = [name for name, move in moves.items() if np.abs(move).max() > _MOVES]
+    changes = {}
+    values = {}
+    for name, series in profile.others.items():
+        estimate = profile.parameters[name]
+        if estimate.stderr:
+            change = (series[shown] - estimate.value) / estimate.stderr
+            if np.abs(change).max() > _MOVES:
+                changes[name] = change
+        elif name in combined:
+            values[name] = series[shown]
+    symbols = {
+        name: draw.symbol_of(profile.parameters[name]) for name in profile.others
+    }
     axes.axhline(0, **draw.ZERO_LINE)
     lines: list[Any] = []
-    for name, style in zip(kept, draw.line_styles(len(kept)), strict=True):
-        lines += axes.plot(at, moves[name], label=symbols[name], **style)
+    for name, style in zip(changes, draw.line_styles(len(changes)), strict=True):
+        lines += axes.plot(at, changes[name], label=symbols[name], **style)
     axes.set_ylabel("change of other parameters\n(standard errors of each)")
     if values:
         right = axes.twinx()
         right.grid(visible=False)
         right.spines["right"].set_visible(True)
-        for style, name in zip(draw.line_styles(len(values)), values, strict=True):
+        for name, style in zip(values, draw.line_styles(len(values)), strict=True):
             style |= {"color": "0.15", "lw": 1.8, "label": f"{symbols[name]} (right)"}
-            lines += right.plot(at, profile.others[name][shown], **style)
-        units = {others[name].unit for name in values} - {"", "1"}
+            lines += right.plot(at, values[name], **style)
+        units = {profile.parameters[name].unit for name in values} - {"", "1"}
         unit = f" ({', '.join(sorted(units))})" if units else ""
         right.set_ylabel(", ".join(symbols[name] for name in values) + unit)
         right.margins(y=0.1)
-    if not kept:
+    if not changes:
         axes.set_ylim(-1, 1)
         which = "others" if values else "parameters"
-        said = f"none of the {which} changes by more than {_MOVES:g} standard errors"
-        draw.note(axes, 0.02, 0.05, said)
+        note = f"none of the {which} changes by more than {_MOVES:g} standard errors"
+        draw.note(axes, 0.02, 0.05, note)
     if lines:
         axes.get_figure().legend(
             handles=lines,
@@ -158,20 +164,20 @@ def _others(profile: Profile, axes: Any) -> None:
         )
 
 
-def _label(item: Estimate, name: str) -> tuple[str, str]:
+def _label(estimate: Estimate, name: str) -> tuple[str, str]:
     """Label and unit of an axis."""
-    # the latter has no symbol of its own
-    named = item.symbol in (name, rf"\mathrm{{{name}}}")
-    return (name if named else f"{draw.symbol_of(item)}, {name}"), item.unit
+    # a parameter without a symbol of its own is set in upright letters
+    if estimate.symbol in (name, rf"\mathrm{{{name}}}"):
+        return name, estimate.unit
+    return f"{draw.symbol_of(estimate)}, {name}", estimate.unit
 
 
 def _pair_figure(profile: PairProfile) -> draw.Picture:
     figure, axes = draw.panels(4.2, 1, 1, 0.72 * draw.WIDTH)
-    along, valley = profile.each[0], profile.valley
-    near = np.isfinite(profile.delta)
-    near &= profile.delta < max(
-        _HIGH, 2 * float(profile.delta[near].min(initial=np.inf))
-    )
+    along = profile.each[0]
+    finite = np.isfinite(profile.delta)
+    lowest = float(profile.delta[finite].min(initial=np.inf))
+    near = finite & (profile.delta < max(_HIGH, 2 * lowest))
     _regions(profile, axes)
     for values, set_limits in (
         (profile.first, axes.set_xlim),
@@ -185,14 +191,13 @@ def _pair_figure(profile: PairProfile) -> draw.Picture:
     ] + axes.get_legend_handles_labels()[0]
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
     if along.verdict.is_valley:
-        sums = [
-            draw.weighted_sum(item.weights, profile.parameters)
-            for item in along.combinations
-        ]
-        said = [f"along the valley {_rise(along)}"]
-        said += [f"only ${sum_}$ is determined" for sum_ in sums]
-        x = 0.95 if valley[-1] < valley[0] else 0.05
-        draw.note(axes, x, 0.95, "\n".join(said), color="black")
+        notes = [f"along the valley {_rise(along)}"]
+        for combination in along.combinations:
+            sum_ = draw.weighted_sum(combination.weights, profile.parameters)
+            notes.append(f"only ${sum_}$ is determined")
+        # in the corner that the valley leaves free
+        falls = profile.valley[-1] < profile.valley[0]
+        draw.note(axes, 0.95 if falls else 0.05, 0.95, "\n".join(notes), color="black")
     figure.draw_without_rendering()  # the layout, which the ticks depend on
     for axis, name in zip((axes.xaxis, axes.yaxis), profile.names, strict=True):
         neat_axis(axis, *_label(profile.parameters[name], name))
@@ -201,7 +206,7 @@ def _pair_figure(profile: PairProfile) -> draw.Picture:
 
 def _regions(profile: PairProfile, axes: Any) -> None:
     """Regions, ellipse, samples and valley."""
-    surface = profile.first, profile.second, np.ma.masked_invalid(profile.delta)
+    surface = (profile.first, profile.second, np.ma.masked_invalid(profile.delta))
     edges = [level.delta_chi2_pair for level in profile.levels]
     axes.contourf(*surface, levels=[-1, *edges], colors=_REGIONS, zorder=1)
     if (profile.delta < edges[-1]).any():

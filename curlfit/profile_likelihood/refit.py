@@ -38,17 +38,20 @@ class Optimum(NamedTuple):
 
     chi_squared: float
     values: Floats
-    """of all parameters, as the next"""
+    """of all parameters"""
     gradient: Floats
-    """of chi squared, by fixed parameters too"""
+    """derivatives of chi squared by all parameters, fixed ones too"""
     finished: bool
+    """whether the search converged"""
 
 
 class Refit:
     """A fit to be repeated with parameters fixed, and the best one so far."""
 
     def __init__(self, fit: FitResult) -> None:
-        self.fit, self.parameters, self.model = fit, fit.parameter_set, fit.model
+        self.fit = fit
+        self.parameters = fit.parameter_set
+        self.model = fit.model
         self._problem, origin = problem_of(fit)
         self._offset = origin.offset(len(self.parameters))
         self._penalty = self.parameters.shifted(-self._offset).penalty
@@ -60,45 +63,54 @@ class Refit:
         self.first = self.best.chi_squared  # of the fit as it was given
 
     def _take(self, solution: Solution) -> None:
-        self.best, self.jacobian = (
-            self._optimum(solution),
-            np.asarray(solution.jacobian),
-        )
+        self.best = self._optimum(solution)
+        self.jacobian = np.asarray(solution.jacobian)
 
     def _solved(
         self, held: list[int], points: Floats, starts: Sequence[Floats]
     ) -> list[Solution | None]:
-        count, offset = len(starts), self._offset
-        ends = self.parameters.lower, self.parameters.upper
-        lower, upper = (np.tile(end - offset, (count, 1)) for end in ends)
-        lower[:, held] = upper[:, held] = points - offset[held]
+        """The fits with the parameters of the indices `held` at each of the points,
+        shape (starts, held); None where there is no path."""
+        count = len(starts)
+        offset = self._offset
+        lower = np.tile(self.parameters.lower - offset, (count, 1))
+        upper = np.tile(self.parameters.upper - offset, (count, 1))
+        lower[:, held] = points - offset[held]
+        upper[:, held] = lower[:, held]
         problems, penalty = stacked([(self._problem, self._penalty)] * count)
-        start, typical = np.array(starts) - offset, self.parameters.typical
-
-        tasks = Tasks(problems, start, lower, upper, typical, penalty)
-        found = unstacked(minimize_many(self.model, tasks, FEW))
-        return [one if np.isfinite(one.residual).all() else None for one in found]
+        start = np.array(starts) - offset
+        tasks = Tasks(problems, start, lower, upper, self.parameters.typical, penalty)
+        solutions = unstacked(minimize_many(self.model, tasks, FEW))
+        return [
+            solution if np.isfinite(solution.residual).all() else None
+            for solution in solutions
+        ]
 
     def optima(
         self, held: list[int], points: Floats, starts: Sequence[Floats]
     ) -> list[Optimum | None]:
         """The optima with the parameters `held` at each of the points; None where
         there is no path."""
-        found = [
+        optima = [
             None if solution is None else self._optimum(solution)
             for solution in self._solved(held, points, starts)
         ]
-        known = [one for one in (self.lowest, *found) if one is not None]
-        self.lowest = min(known, key=lambda one: one.chi_squared, default=None)
-        return found
+        for optimum in optima:
+            if optimum is not None and (
+                self.lowest is None or optimum.chi_squared < self.lowest.chi_squared
+            ):
+                self.lowest = optimum
+        return optima
 
     def _optimum(self, solution: Solution) -> Optimum:
         values = np.asarray(solution.values)
-        half = np.einsum("cn,cni->i", solution.residual, solution.jacobian)
-        half = half + self._penalty.quadratic(values)[1]
-        chi_squared = float(solution.objective)
+        half_gradient = np.einsum("cn,cni->i", solution.residual, solution.jacobian)
+        half_gradient = half_gradient + self._penalty.quadratic(values)[1]
         return Optimum(
-            chi_squared, values + self._offset, 2 * half, bool(solution.success)
+            chi_squared=float(solution.objective),
+            values=values + self._offset,
+            gradient=2 * half_gradient,
+            finished=bool(solution.success),
         )
 
     def improved(self) -> bool:
@@ -116,144 +128,171 @@ class Refit:
     def at_bound(self, values: Floats) -> Booleans:
         """Which free parameters are at a bound."""
         near = _NEAR * self.parameters.typical
-        low, high = self.parameters.lower, self.parameters.upper
-        return self.parameters.free & ((values <= low + near) | (values >= high - near))
+        at_lower = values <= self.parameters.lower + near
+        at_upper = values >= self.parameters.upper - near
+        return self.parameters.free & (at_lower | at_upper)
 
     def response(self, held: list[int]) -> tuple[Floats, Floats]:
-        """Response of other parameters to fixed ones, shape (parameters, fixed), and
-        of residuals.
+        """Response of all parameters to fixed ones, shape (parameters, fixed), and
+        stiffness, shape (fixed,).
 
-        The second is the norm of the derivative of the residuals by each fixed one,
-        the others responding; its inverse is the standard error with the other
-        fixed ones held.
+        The stiffness is the norm of the derivative of the residuals by each fixed
+        parameter, the others responding; its inverse is the standard error with the
+        other fixed ones held.
         """
         moving = self.parameters.free & ~self.at_bound(self.best.values)
         moving[held] = False
         jacobian = self.jacobian.reshape(-1, len(self.parameters))
-        others, own = jacobian[:, moving], jacobian[:, held]
-        size = np.linalg.norm(others, axis=0)
+        by_moving = jacobian[:, moving]
+        by_held = jacobian[:, held]
+        # columns of one size, so that the tolerance of the rank means the same for all
+        size = np.linalg.norm(by_moving, axis=0)
         size[size == 0] = 1.0
-        follow = (
-            -np.linalg.lstsq(others / size, own, rcond=_ROUNDING)[0] / size[:, None]
-        )
-        rows = np.zeros((len(self.parameters), len(held)))
-        rows[moving], rows[held] = follow, np.eye(len(held))
-        return rows, np.linalg.norm(own + others @ follow, axis=0)
+        scaled = np.linalg.lstsq(by_moving / size, by_held, rcond=_ROUNDING)[0]
+        moved = -scaled / size[:, None]
+        response = np.zeros((len(self.parameters), len(held)))
+        response[moving] = moved
+        response[held] = np.eye(len(held))
+        stiffness = np.linalg.norm(by_held + by_moving @ moved, axis=0)
+        return response, stiffness
 
 
 class ConstrainedFits:
-    """Known optima with some parameters fixed, by the fixed values."""
+    """Fits with some parameters fixed, each made once: a cache by the fixed values.
+
+    Attributes
+    ----------
+    best : values of the fixed parameters in the best fit.
+    levels : levels of confidence for these parameters.
+    stiffness : see `Refit.response`.
+    """
 
     def __init__(self, refit: Refit, names: Sequence[str]) -> None:
-        self.refit, self.names = refit, tuple(names)
+        self.refit = refit
+        self.names = tuple(names)
         self.index = [refit.parameters.index(name) for name in names]
         self.levels = levels_for(names, refit.fit.parameters)
         self.best = refit.best.values[self.index]
-        self.known: dict[Point, Optimum | None] = {
-            tuple(self.best.tolist()): refit.best
-        }
-        self._response, stiffness = refit.response(self.index)
-        self.stiffness = stiffness
+        best_point = tuple(self.best.tolist())
+        self._optima: dict[Point, Optimum | None] = {best_point: refit.best}
+        self._response, self.stiffness = refit.response(self.index)
         self._typical = refit.parameters.typical[self.index]
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Of the last of the fixed parameters."""
-        parameters, last = self.refit.parameters, self.index[-1]
+        """Bounds of the last of the fixed parameters."""
+        parameters = self.refit.parameters
+        last = self.index[-1]
         return parameters.lower[last], parameters.upper[last]
 
     def at(self, points: Floats) -> list[Optimum | None]:
-        """The fits at points, shape (..., held), each made from the nearest
-        that was known."""
+        """The fits at points, shape (..., held), each started from the nearest of
+        those made before."""
         keys = list(map(tuple, points.reshape(-1, len(self.names)).tolist()))
-        if new := [key for key in dict.fromkeys(keys) if key not in self.known]:
-            good = [
-                fit for fit in self.known.values() if fit is not None and fit.finished
+        new = [key for key in dict.fromkeys(keys) if key not in self._optima]
+        if new:
+            finished = [
+                optimum
+                for optimum in self._optima.values()
+                if optimum is not None and optimum.finished
             ]
-            good = good or [self.refit.best]
-            held = np.stack([fit.values[self.index] for fit in good])
-            nearest = [
-                good[int(np.argmin((((held - point) / self._typical) ** 2).sum(1)))]
-                for point in np.array(new)
-            ]
-            self.known |= dict(zip(new, self._fitted(new, nearest), strict=True))
-        return [self.known[key] for key in keys]
+            nearest = self._nearest(new, finished or [self.refit.best])
+            self._optima |= dict(zip(new, self._fitted(new, nearest), strict=True))
+        return [self._optima[key] for key in keys]
+
+    def _nearest(
+        self, points: Sequence[Point], optima: Sequence[Optimum]
+    ) -> list[Optimum]:
+        """The optimum nearest to each point, in typical sizes of the fixed values."""
+        held = np.stack([optimum.values[self.index] for optimum in optima])
+        nearest = []
+        for point in np.array(points):
+            distance = (((held - point) / self._typical) ** 2).sum(1)
+            nearest.append(optima[int(np.argmin(distance))])
+        return nearest
 
     def _fitted(
-        self, points: Sequence[Point], near: Sequence[Optimum]
+        self, points: Sequence[Point], neighbours: Sequence[Optimum]
     ) -> list[Optimum | None]:
-        """The fits at points, each started from another."""
-        low, high = self.refit.parameters.lower, self.refit.parameters.upper
-        wanted = np.array(points)
-        starts = [
-            np.clip(
-                fit.values + self._response @ (point - fit.values[self.index]),
-                low,
-                high,
-            )
-            for point, fit in zip(wanted, near, strict=True)
-        ]
-        return self.refit.optima(self.index, wanted, starts)
+        """The fits at points, each started from an optimum along the response of the
+        other parameters."""
+        parameters = self.refit.parameters
+        held = np.array(points)
+        starts = []
+        for point, near in zip(held, neighbours, strict=True):
+            start = near.values + self._response @ (point - near.values[self.index])
+            starts.append(np.clip(start, parameters.lower, parameters.upper))
+        return self.refit.optima(self.index, held, starts)
 
     def delta(self, points: Floats) -> Floats:
         """Delta chi squared at points, shape (..., held); NaN without a path."""
-        found = [
-            math.nan if fit is None else fit.chi_squared for fit in self.at(points)
+        chi_squared = [
+            math.nan if optimum is None else optimum.chi_squared
+            for optimum in self.at(points)
         ]
-        return np.reshape(found, points.shape[:-1]) - self.refit.best.chi_squared
+        return np.reshape(chi_squared, points.shape[:-1]) - self.refit.best.chi_squared
 
     def settle(self, grid: Floats) -> None:
         """Fit on a grid, shape (n, m, held), and again where neighbours are not in one
         valley, each started from the other."""
         self.at(grid)
-        neighbours = _neighbours(grid)
+        pairs = _neighbours(grid)
         for _ in range(_ROUNDS):
-            tries = [
-                (point, near)
-                for pair in neighbours
-                for point, near in (
-                    (pair[1], self.known[pair[0]]),
-                    (pair[0], self.known[pair[1]]),
-                )
-                if near is not None and not self._agree(self.known[point], near)
-            ]
-            if not tries:
+            points, neighbours = self._doubtful(pairs)
+            if not points:
                 return
-            better = False
-            for (point, _), fit in zip(
-                tries, self._fitted(*zip(*tries, strict=True)), strict=True
-            ):
-                known = self.known[point]
-                if fit and (
-                    known is None or fit.chi_squared < known.chi_squared - BETTER
-                ):
-                    self.known[point], better = fit, True
-            if not better:
+            improved = False
+            refits = self._fitted(points, neighbours)
+            for point, optimum in zip(points, refits, strict=True):
+                if optimum is not None and self._is_better(optimum, point):
+                    self._optima[point] = optimum
+                    improved = True
+            if not improved:
                 return
 
-    def _agree(self, one: Optimum | None, other: Optimum) -> bool:
+    def _doubtful(
+        self, pairs: Sequence[tuple[Point, Point]]
+    ) -> tuple[list[Point], list[Optimum]]:
+        """Points that are not in one valley with a neighbour, and its optimum."""
+        points = []
+        optima = []
+        for first, second in pairs:
+            for point, neighbour in ((second, first), (first, second)):
+                optimum = self._optima[neighbour]
+                if optimum is not None and not self._agree(
+                    self._optima[point], optimum
+                ):
+                    points.append(point)
+                    optima.append(optimum)
+        return points, optima
+
+    def _is_better(self, optimum: Optimum, point: Point) -> bool:
+        """Whether it is better than the one known at a point."""
+        previous = self._optima[point]
+        if previous is None:
+            return True
+        return optimum.chi_squared < previous.chi_squared - BETTER
+
+    def _agree(self, first: Optimum | None, second: Optimum) -> bool:
         """Whether the slopes of chi squared integrate to its difference
         (trapezoidal rule)."""
-        if one is None:
+        if first is None or not (first.finished and second.finished):
             return False
-        slope, step = one.gradient + other.gradient, other.values - one.values
-        difference = (
-            other.chi_squared
-            - one.chi_squared
-            - slope[self.index] @ step[self.index] / 2
-        )
-        large = max(one.chi_squared, other.chi_squared) - self.refit.best.chi_squared
-        return (
-            one.finished
-            and other.finished
-            and bool(abs(difference) <= 0.1 + 0.1 * large)
-        )
+        slopes = (first.gradient + second.gradient)[self.index]
+        step = (second.values - first.values)[self.index]
+        error = second.chi_squared - first.chi_squared - slopes @ step / 2
+        higher = max(first.chi_squared, second.chi_squared)
+        delta = higher - self.refit.best.chi_squared
+        return bool(abs(error) <= 0.1 + 0.1 * delta)
 
 
 def _neighbours(grid: Floats) -> list[tuple[Point, Point]]:
-    """Pairs of neighbouring points of a grid, along rows and columns."""
-    points = [list(map(tuple, row)) for row in grid.tolist()]
-    lines = [*points, *zip(*points, strict=True)]
+    """Pairs of different neighbouring points of a grid, along rows and columns."""
+    rows = [list(map(tuple, row)) for row in grid.tolist()]
+    columns = zip(*rows, strict=True)
     return [
-        (one, other) for line in lines for one, other in pairwise(line) if one != other
+        (first, second)
+        for line in (*rows, *columns)
+        for first, second in pairwise(line)
+        if first != second
     ]

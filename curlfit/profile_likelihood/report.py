@@ -51,23 +51,28 @@ def print_profile(
 
 def document(profile: Profile | PairProfile) -> Document:
     """The intervals of a profile, or why there are none."""
-    one, names = profile.each[0], profile.names
-    lines, remarks = [], list[str | Text]()
+    first = profile.each[0]
+    names = profile.names
+    lines: list[str] = []
+    remarks: list[str | Text] = []
     if isinstance(profile, PairProfile):
         lines.append(describe_pair(profile))
         remarks.append(Said(lines[0]))
-    for item in profile.each:
-        if item.verdict == ProfileVerdict.LIMITED:
-            lines.append(_limited(item))
-            remarks += _limits(item) if item is profile else []
+    for single in profile.each:
+        if single.verdict == ProfileVerdict.LIMITED:
+            lines.append(_limited(single))
+            if single is profile:
+                remarks += _limits(single)
         else:
-            lines.append(describe_undetermined(item))
-            remarks.append(Said(lines[-1], style=_VERDICTS[item.verdict][1]))
-    loss = LOSSES[one.loss].suffix
-    fitted = f"{one.law} law, {one.load} load{loss}, fitted to {one.data['file']}"
+            lines.append(describe_undetermined(single))
+            remarks.append(Said(lines[-1], style=_VERDICTS[single.verdict][1]))
+    file = first.data["file"]
+    loss = LOSSES[first.loss].suffix
+    fitted = f"{first.law} law, {first.load} load{loss}, fitted to {file}"
+    warnings = [warning for single in profile.each for warning in single.warnings]
     return Document(
         finding=", ".join(
-            f"{item.name} {_VERDICTS[item.verdict][0]}" for item in profile.each
+            f"{single.name} {_VERDICTS[single.verdict][0]}" for single in profile.each
         ),
         subject=fitted,
         headline=Text.assemble(
@@ -76,17 +81,13 @@ def document(profile: Profile | PairProfile) -> Document:
         about=_about(profile),
         lines=lines,
         sections=(Section("intervals", "Intervals", (_table(profile), *remarks)),),
-        warnings=list(
-            dict.fromkeys(warning for item in profile.each for warning in item.warnings)
-        ),
+        warnings=list(dict.fromkeys(warnings)),
         notes=_notes(profile.each),
-        title=f"{Path(one.data['file']).name}: profile of {join_words(names)}",
+        title=f"{Path(file).name}: profile of {join_words(names)}",
         settings={
-            "Law, load": f"{one.law}, {one.load}",
-            "Data": (
-                f"{one.data['file']}, {rows_text(one.data) or 'timed events alone'}"
-            ),
-            "Loss": one.loss,
+            "Law, load": f"{first.law}, {first.load}",
+            "Data": f"{file}, {rows_text(first.data) or 'timed events alone'}",
+            "Loss": first.loss,
         },
         command=profile.command,
         names=names,
@@ -95,7 +96,9 @@ def document(profile: Profile | PairProfile) -> Document:
 
 def describe_undetermined(profile: Profile) -> str:
     """Why a parameter is not identifiable, in words, and what would determine it."""
-    span, name, rise = _span(profile, *profile.free), profile.name, profile.rise
+    name = profile.name
+    rise = profile.rise
+    span = _span(profile, *profile.free)
     if profile.verdict == ProfileVerdict.NARROW:
         return (
             f"The range is too narrow: within {span} chi squared rises by no more "
@@ -107,21 +110,22 @@ def describe_undetermined(profile: Profile) -> str:
             f"same to {max(rise, _EXACT):.0e} over the whole range {span}."
         )
     else:
-        less, least = map(profile.quieter, (1.0, profile.levels[-1].delta_chi2))
+        at_68 = profile.quieter(1.0)
+        at_95 = profile.quieter(profile.levels[-1].delta_chi2)
         text = (
             f"{name} is weakly determined: chi squared changes by no "
             f"more than {rise:.2g} over {span}. For a limit at 68 % the "
-            f"noise would have to be {two_digits(less)} times smaller, "
-            f"or the rows {two_digits(less**2)} times as many; at 95 %, "
-            f"{two_digits(least)} times and {two_digits(least**2)} times."
+            f"noise would have to be {two_digits(at_68)} times smaller, "
+            f"or the rows {two_digits(at_68**2)} times as many; at 95 %, "
+            f"{two_digits(at_95)} times and {two_digits(at_95**2)} times."
         )
-    if known := [
-        f"{item.expression} = {compact(item.value, item.stderr)}"
-        for item in profile.combinations
-    ]:
-        text += (
-            f" Only {join_words(known)} {'are' if len(known) > 1 else 'is'} determined."
-        )
+    determined = [
+        f"{combination.expression} = {compact(combination.value, combination.stderr)}"
+        for combination in profile.combinations
+    ]
+    if determined:
+        verb = "are" if len(determined) > 1 else "is"
+        text += f" Only {join_words(determined)} {verb} determined."
     for end, names in zip(profile.free, profile.stops, strict=True):
         if names:
             come = "reaches its bound" if len(names) == 1 else "reach their bounds"
@@ -131,7 +135,7 @@ def describe_undetermined(profile: Profile) -> str:
 
 def describe_pair(profile: PairProfile) -> str:
     """Comparison of the region of two parameters with the ellipse, in words."""
-    one, other = profile.names
+    first, second = profile.names
     if profile.ellipse is None:
         text = "The covariance gives no ellipse to compare with."
     else:
@@ -143,78 +147,83 @@ def describe_pair(profile: PairProfile) -> str:
             f"{profile.ellipse:.2g}.{'' if agrees else ' Use the contours.'}"
         )
     if profile.across is None:
-        text += f" {other} is not identifiable even with {one} fixed."
+        text += f" {second} is not identifiable even with {first} fixed."
     elif profile.each[0].verdict.is_valley:
         text += (
-            f" Both lie in a valley, drawn as a line: with {one} fixed, "
-            f"the standard error of {other} is {profile.across:.2g}."
+            f" Both lie in a valley, drawn as a line: with {first} fixed, "
+            f"the standard error of {second} is {profile.across:.2g}."
         )
     return text
 
 
 def _about(profile: Profile | PairProfile) -> tuple[str, str]:
     """The data, and the values at which the others were fitted again."""
-    one, values = profile.each[0], f"{profile.delta.size} values"
-    if one is profile:
-        values += f", {_span(one, one.at[0], one.at[-1])}"
+    first = profile.each[0]
     fitted = (
-        f"chi squared of the best fit {one.chi_squared:.4g}, "
-        f"of {one.n_observations} values"
+        f"chi squared of the best fit {first.chi_squared:.4g}, "
+        f"of {first.n_observations} values"
     )
+    rows = rows_text(first.data)
+    values = f"{profile.delta.size} values"
+    if first is profile:
+        values += f", {_span(first, first.at[0], first.at[-1])}"
     return (
-        "; ".join(filter(None, (rows_text(one.data), fitted))),
+        f"{rows}; {fitted}" if rows else fitted,
         f"All other parameters fitted again at {values}",
     )
 
 
 def _limited(profile: Profile) -> str:
     """The intervals of a parameter that the data limit."""
-    ends = zip(profile.intervals, profile.levels, strict=True)
     scale = _scale(profile)
-    said = ", ".join(f"{_ends(item, scale)} ({level.name})" for item, level in ends)
-    return f"{profile.name}: {said}"
+    intervals = [
+        f"{_ends(interval, scale)} ({interval.level})" for interval in profile.intervals
+    ]
+    return f"{profile.name}: {', '.join(intervals)}"
 
 
 def _table(profile: Profile | PairProfile) -> PlainTable | None:
     """The intervals of a parameter, or the extents of the region of two."""
-    levels = profile.levels
     if isinstance(profile, PairProfile):
-        rows = [
-            {"region spans": labelled(one.name, one.estimate.unit)}
-            | {
-                name: _ends(extent[index], _scale(one))
-                if one.verdict == ProfileVerdict.LIMITED
-                else "-"
-                for name, extent in profile.extent.items()
-            }
-            for index, one in enumerate(profile.each)
-        ]
-        return PlainTable(rows, "Extent of the regions of both parameters")
+        return _extents(profile)
     if profile.verdict != ProfileVerdict.LIMITED:
         return None
-    scale, found, item = _scale(profile), profile.quantiles, profile.estimate
-    sources = {
-        "profile": [_ends(interval, scale) for interval in profile.intervals],
-        "covariance": [_gaussian(item, level, scale) for level in levels],
-    }
-    if found:
-        ends = (level.quantiles for level in levels)
-        sources["posterior"] = [
-            from_to(found[low], found[high], scale) for low, high in ends
-        ]
-    heads = labelled(profile.name, item.unit), *(level.name for level in levels)
+    estimate = profile.estimate
+    quantiles = profile.quantiles
+    scale = _scale(profile)
+    name = labelled(profile.name, estimate.unit)
+    by_profile = {name: "profile"}
+    by_covariance = {name: "covariance"}
+    by_posterior = {name: "posterior"}
+    for interval, level in zip(profile.intervals, profile.levels, strict=True):
+        by_profile[level.name] = _ends(interval, scale)
+        by_covariance[level.name] = _gaussian(estimate, level, scale)
+        if quantiles:
+            low, high = level.quantiles
+            by_posterior[level.name] = from_to(quantiles[low], quantiles[high], scale)
+    rows = [by_profile, by_covariance]
+    if quantiles:
+        rows.append(by_posterior)
     return PlainTable(
-        (
-            dict(zip(heads, (source, *cells), strict=True))
-            for source, cells in sources.items()
-        ),
-        "Intervals of the profile, the covariance and the posterior",
+        rows, "Intervals of the profile, the covariance and the posterior"
     )
+
+
+def _extents(profile: PairProfile) -> PlainTable:
+    """What the regions of two parameters span of each."""
+    rows = []
+    for index, single in enumerate(profile.each):
+        row = {"region spans": labelled(single.name, single.estimate.unit)}
+        for level, extent in profile.extent.items():
+            limited = single.verdict == ProfileVerdict.LIMITED
+            row[level] = _ends(extent[index], _scale(single)) if limited else "-"
+        rows.append(row)
+    return PlainTable(rows, "Extent of the regions of both parameters")
 
 
 def _limits(profile: Profile) -> list[str]:
     """Remarks on the intervals of a parameter that the data limit."""
-    far, widest = max(profile.departure.values(), default=None), profile.intervals[-1]
+    far = max(profile.departure.values(), default=None)
     if far is None:
         remark = (
             "The covariance has no standard error for it "
@@ -237,8 +246,11 @@ def _limits(profile: Profile) -> list[str]:
             "squared is not quadratic, as the covariance assumes. Use the profile."
         )
     remarks = [remark]
-    ends = ("lower", widest.low, widest.low_by), ("upper", widest.high, widest.high_by)
-    for side, end, by in ends:
+    widest = profile.intervals[-1]
+    for side, end, by in (
+        ("lower", widest.low, widest.low_by),
+        ("upper", widest.high, widest.high_by),
+    ):
         if by == "bound":
             remarks.append(
                 f"No {side} limit from these data: its {side} bound, "
@@ -270,19 +282,23 @@ def _scale(profile: Profile) -> float:
 
 
 def _ends(interval: Interval, scale: float) -> str:
-    low, high = (
-        "" if end is None else format_estimate(end, scale)[0] for end in interval.limits
-    )
-    if low and high:
-        return f"{low} .. {high}"
-    return f"below {high}" if high else f"above {low}" if low else "no limit"
+    """An interval in words, rounded to a scale; what does not limit it is left out."""
+    low, high = interval.limits
+    lowest = "" if low is None else format_estimate(low, scale)[0]
+    highest = "" if high is None else format_estimate(high, scale)[0]
+    if lowest and highest:
+        return f"{lowest} .. {highest}"
+    if highest:
+        return f"below {highest}"
+    return f"above {lowest}" if lowest else "no limit"
 
 
-def _gaussian(item: Estimate, level: Level, scale: float) -> str:
-    if item.stderr is None:
+def _gaussian(estimate: Estimate, level: Level, scale: float) -> str:
+    """Interval of the covariance."""
+    if estimate.stderr is None:
         return "-"
-    reach = level.sigmas * item.stderr
-    return from_to(item.value - reach, item.value + reach, scale)
+    reach = level.sigmas * estimate.stderr
+    return from_to(estimate.value - reach, estimate.value + reach, scale)
 
 
 def _span(profile: Profile, low: float, high: float) -> str:

@@ -21,7 +21,8 @@ from curlfit.numerics.arrays import Floats
 from curlfit.output.frames import frame
 from curlfit.records import SERIES, Choice, Matrix, Record, keys, require, require_rows
 
-_MIN_POINTS, _MAX_POINTS = 5, 2001  # of a parameter
+_MIN_POINTS = 5  # of a parameter
+_MAX_POINTS = 2001
 
 
 class Level(NamedTuple):
@@ -45,18 +46,19 @@ class Level(NamedTuple):
 def levels_of(dof: float | None) -> tuple[Level, ...]:
     """68 % and 95 % for standard errors of `dof` degrees of freedom; None where
     sigma was given."""
-    found = []
-    for name, level, quantiles in (
+    levels = []
+    for name, probability, quantiles in (
         ("68 %", math.erf(math.sqrt(0.5)), ("16", "84")),
         ("95 %", 0.95, ("2.5", "97.5")),
     ):
-        sigmas = student_quantile(level, dof)
-        beyond = math.log(1 - level)
-        # twice the quantile of F with 2 and dof degrees of freedom; of chi
-        # squared with 2
-        two = -2 * beyond if dof is None else dof * math.expm1(-2 * beyond / dof)
-        found.append(Level(name, sigmas**2, two, sigmas, quantiles))
-    return tuple(found)
+        sigmas = student_quantile(probability, dof)
+        log_beyond = math.log(1 - probability)
+        if dof is None:  # the quantile of chi squared with 2 degrees of freedom
+            pair = -2 * log_beyond
+        else:  # twice the quantile of F with 2 and dof degrees of freedom
+            pair = dof * math.expm1(-2 * log_beyond / dof)
+        levels.append(Level(name, sigmas**2, pair, sigmas, quantiles))
+    return tuple(levels)
 
 
 def levels_for(
@@ -64,11 +66,11 @@ def levels_for(
 ) -> tuple[Level, ...]:
     """The levels for some parameters of a fit, by the fewest degrees of freedom of
     their standard errors, or of all parameters where these have none."""
-    known = [
-        item.dof for name, item in parameters.items() if name in names and item.dof
-    ]
-    known = known or [item.dof for item in parameters.values() if item.dof]
-    return levels_of(min(known, default=None))
+    dof_by_name = {
+        name: estimate.dof for name, estimate in parameters.items() if estimate.dof
+    }
+    dofs = [dof_by_name[name] for name in names if name in dof_by_name]
+    return levels_of(min(dofs or dof_by_name.values(), default=None))
 
 
 Limit = Annotated[str, Choice(("data", "others", "bound", "range"))]
@@ -83,7 +85,7 @@ class ProfileVerdict(StrEnum):
     """delta chi squared is below 1 within the free part, which is most of the
     interval: weakly determined"""
     FLAT = "flat"
-    """the same, and zero to rounding: not identifiable"""
+    """delta chi squared is zero there, to rounding: not identifiable"""
     NARROW = "narrow"
     """the given range is too narrow for a verdict"""
 
@@ -118,8 +120,9 @@ class Interval:
     @property
     def limits(self) -> tuple[float | None, float | None]:
         """Its ends, None where chi squared does not limit it."""
-        ends = (self.low, self.low_by), (self.high, self.high_by)
-        low, high = (None if by in ("bound", "range") else end for end, by in ends)
+        by_data = ("data", "others")
+        low = self.low if self.low_by in by_data else None
+        high = self.high if self.high_by in by_data else None
         return low, high
 
 
@@ -219,14 +222,15 @@ class Profile(Record):
 
         In standard errors, for limits set by chi squared; empty where the fit has none.
         """
-        value, stderr = self.estimate.value, self.estimate.stderr
-        found: dict[str, float] = {}
+        value = self.estimate.value
+        stderr = self.estimate.stderr
+        departures: dict[str, float] = {}
         for interval, level in zip(self.intervals, self.levels, strict=True):
             for end, sign in zip(interval.limits, (-1, 1), strict=True):
                 if stderr and end is not None:
                     apart = abs((end - value) / stderr - sign * level.sigmas)
-                    found[level.name] = max(apart, found.get(level.name, 0.0))
-        return found
+                    departures[level.name] = max(apart, departures.get(level.name, 0.0))
+        return departures
 
     def to_frame(self) -> Any:
         """The profile as a pandas DataFrame: the parameter, `delta_chi2`
@@ -330,10 +334,13 @@ class PairProfile(Record):
         ------
         InputError : pandas is not installed.
         """
-        columns = (*self.names, "delta_chi2")
-        series = (self.first, self.second, self.delta)
+        first, second = self.names
         return frame(
-            {name: one.ravel() for name, one in zip(columns, series, strict=True)}
+            {
+                first: self.first.ravel(),
+                second: self.second.ravel(),
+                "delta_chi2": self.delta.ravel(),
+            }
         )
 
     @property
@@ -343,7 +350,7 @@ class PairProfile(Record):
 
     def require_consistent(self) -> None:
         """Raise `ValueError` where what was read contradicts itself."""
-        names = [one.name for one in self.each]
+        names = [profile.name for profile in self.each]
         require(
             "names",
             [*self.names] == names and names[0] != names[1],
@@ -371,9 +378,8 @@ def load_profile(file: str | PathLike[str]) -> Profile | PairProfile:
     >>> curlfit.load_profile("profile.json").verdict
     'limited'
     """
-
-    found: Profile | PairProfile = Profile.read(file)
-    return found
+    profile: Profile | PairProfile = Profile.read(file)
+    return profile
 
 
 def require_usable(
@@ -406,15 +412,15 @@ def require_usable(
     for name, (low, high) in ranges.items():
         if name not in names:
             raise InputError(f"--range of {name}: expected one of {', '.join(names)}")
-        item = parameters.parameters[parameters.index(name)]
+        parameter = parameters.parameters[parameters.index(name)]
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
             raise InputError(
                 f"--range {low:g},{high:g} of {name} is empty; expected LOW,HIGH"
             )
-        if low < item.lower or high > item.upper:
+        if low < parameter.lower or high > parameter.upper:
             raise InputError(
                 f"--range {low:g},{high:g} of {name} exceeds its bounds "
-                f"{item.lower:g}:{item.upper:g}; --bound changes them"
+                f"{parameter.lower:g}:{parameter.upper:g}; --bound changes them"
             )
         if best is not None and not low <= best[name] <= high:
             raise InputError(
