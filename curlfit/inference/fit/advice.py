@@ -15,7 +15,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
-from typing import Any
+from itertools import compress
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -45,12 +46,13 @@ def curl_warnings(fits: Sequence[FitResult]) -> list[Finding]:
     A slope of the ice among the parameters may cause the curl instead.
     """
     first = fits[0]
-    law, load = first.law_class, check_load(first.load)
+    load = check_load(first.load)
     # mypy takes a class for one of its instances, which compare by value and
     # have no hash.
-    if can_curl(law, load, first.stone) or first.model.has_slope:  # type: ignore[arg-type]
+    law_curls = can_curl(first.law_class, load, first.stone)  # type: ignore[arg-type]
+    if law_curls or first.model.has_slope:
         return []
-    curls = [curl for fit in fits if (curl := measured_curl(fit)) is not None]
+    curls = [curl for curl in map(measured_curl, fits) if curl is not None]
     if not curls:
         return []
     in_heading = first.parameters["heading"].verdict.is_free
@@ -71,7 +73,7 @@ def curl_warnings(fits: Sequence[FitResult]) -> list[Finding]:
 
 
 def with_curl_warning(fit: FitResult) -> FitResult:
-    """The fit of a single throw with that warning, if any."""
+    """The fit of a single throw, with the warning of `curl_warnings`, if any."""
     warnings = curl_warnings([fit])
     return replace(fit, warnings=(*fit.warnings, *warnings)) if warnings else fit
 
@@ -79,11 +81,14 @@ def with_curl_warning(fit: FitResult) -> FitResult:
 def measured_curl(fit: FitResult) -> float | None:
     """Curl in m to the right as measured, by an event or by the path; None if it
     is not clear."""
-    across = [item for item in fit.events if item["quantity"] == "x"]
+    across = [event for event in fit.events if event["quantity"] == "x"]
     if across:
-        far = max(across, key=lambda item: abs(item["value"]))
-        return far["value"] if abs(far["value"]) > SURE * far["sigma"] else None
-    motion = motion_of(fit.throw) if {"x", "y"} <= fit.rms.keys() else None
+        farthest = max(across, key=lambda event: abs(event["value"]))
+        is_clear = abs(farthest["value"]) > SURE * farthest["sigma"]
+        return farthest["value"] if is_clear else None
+    if not {"x", "y"} <= fit.rms.keys():
+        return None
+    motion = motion_of(fit.throw)
     if motion is None or abs(motion.curl) - SURE * motion.curl_error < _CLEAR:
         return None
     return -motion.curl
@@ -100,7 +105,7 @@ def with_noise_advice(
     says what helps."""
     if not any(warning.code == "correlated" for warning in result.warnings):
         return result
-    advice = _advice(result, refit)
+    advice = _noise_remedy(result, refit)
     warnings = tuple(
         warning.with_remedies(advice) if warning.code == "correlated" else warning
         for warning in result.warnings
@@ -108,44 +113,49 @@ def with_noise_advice(
     return replace(result, warnings=warnings)
 
 
-def _advice(
+def _noise_remedy(
     result: FitResult, refit: Callable[[FitResult, NoiseKind], FitResult]
 ) -> Remedy:
     """Which noise model describes correlated residuals, if any."""
-    doubtful = [name for name, item in result.independence.items() if item.doubtful]
-    left = {name: result.observed[name] - result.fitted[name] for name in doubtful}
-    if not any(is_rough(series[np.isfinite(series)]) for series in left.values()):
+    residuals = [
+        result.observed[channel] - result.fitted[channel]
+        for channel, independence in result.independence.items()
+        if independence.doubtful
+    ]
+    if not any(is_rough(residual[np.isfinite(residual)]) for residual in residuals):
         return Remedy("no-noise-so-smooth")
     for noise in (NoiseKind.AR1, NoiseKind.DISCREPANCY):
-        other = refit(result, noise)
-        if _describes(other, result):
+        correlated = refit(result, noise)
+        if _describes(correlated, result):
             option = Option("noise", noise.value)
-            factors = _larger_errors(other, result)
+            factors = _error_factors(correlated, result)
             code = "noise-with-errors" if factors else "noise"
             return Remedy(code, option, {"factors": factors})
     return Remedy("no-noise")
 
 
-def _describes(other: FitResult, white: FitResult) -> bool:
+def _describes(correlated: FitResult, white: FitResult) -> bool:
     """Whether a noise model makes residuals independent and leaves the law as near
     to the data."""
-    near = all(other.rms[name] <= _FARTHER * size for name, size in white.rms.items())
-    return (
-        other.converged
-        and near
-        and not any(one.doubtful for one in other.independence.values())
+    is_near = all(
+        correlated.rms[channel] <= _FARTHER * rms for channel, rms in white.rms.items()
     )
+    is_doubtful = any(
+        independence.doubtful for independence in correlated.independence.values()
+    )
+    return correlated.converged and is_near and not is_doubtful
 
 
-def _larger_errors(other: FitResult, white: FitResult) -> list[dict[str, Any]]:
-    """How many times as large the standard errors of the coefficients are."""
-    names = [*white.coefficients, *(item.expression for item in white.combinations)]
+def _error_factors(correlated: FitResult, white: FitResult) -> list[dict[str, Any]]:
+    """How many times as large the standard errors of coefficients and combinations are
+    with correlated noise."""
+    combinations = [combination.expression for combination in white.combinations]
     factors = []
-    for name in names:
-        if name not in other:
+    for name in (*white.coefficients, *combinations):
+        if name not in correlated:
             continue
         before = white[name].stderr
-        after = other[name].stderr
+        after = correlated[name].stderr
         if before and after:
             factors.append({"name": name, "factor": after / before})
     return factors
@@ -173,66 +183,110 @@ def remedies(
     one suffices, unless "all" is true: then all are needed. It is empty where no
     channel would help.
     """
-    parameters = fit.prepared.local_parameters
-    free = np.array(
-        [place for place, name in enumerate(parameters.names) if name not in held]
-    )
-    names, values = (
-        [parameters.names[place] for place in free],
-        fit.solution.values[free],
-    )
-    jacobian, typical = _slopes_of_all_channels(fit, free), parameters.typical[free]
-    weight = np.zeros_like(jacobian[..., 0])
-    weight[: len(fit.problem.weight)] = fit.problem.weight[:, : weight.shape[1]]
-    missing = [name for row, name in enumerate(CHANNELS) if not weight[row].any()]
-
-    def analysed(channels: Sequence[str]) -> Identifiability:
-        full = weight.copy()
-        for name in channels:
-            full[CHANNELS.index(name)] = 1 / NOISE[name]
-        matrix = (full[..., None] * jacobian).reshape(-1, len(free))
-        return analyse(matrix, names, values, typical)
-
-    def determined(channels: Sequence[str]) -> set[str]:
-        known = analysed(channels)
-        spread = np.sqrt(np.diag(known.covariance))
-        sharp = (spread < WEAK_ERROR * typical) & ~known.unseen
-        return {name for name, take in zip(names, sharp, strict=True) if take}
-
+    measurements = _Measurements.of(fit, held)
+    missing = measurements.missing
     if not fit.noise.is_white:
-        unseen = dict(zip(names, analysed(missing).unseen, strict=True))
-        never = [name for name in open_ if unseen[name]]
+        unseen = measurements.never_seen()
+        never = [name for name in open_ if name in unseen]
         return ({"parameters": never, "measure": [], "all": False},) if never else ()
-    alone = {name: determined([name]) for name in missing}
-    together = determined(missing) if len(missing) > 1 else set()
-    found: dict[tuple[tuple[str, ...], bool], list[str]] = {}
+    by_channel = {channel: measurements.determined([channel]) for channel in missing}
+    by_all = measurements.determined(missing) if len(missing) > 1 else set()
+    groups: dict[tuple[tuple[str, ...], bool], list[str]] = {}
     for name in open_:
-        enough = [channel for channel, sees in alone.items() if name in sees]
-        all_ = not enough and name in together
-        if all_:
-            enough = list(missing)
-            # speed and spin are the least commonly measured
-            for channel in reversed(missing):
-                fewer = [other for other in enough if other != channel]
-                if name in determined(fewer):
-                    enough = fewer
-        found.setdefault((tuple(enough), all_), []).append(name)
+        channels = [channel for channel, names in by_channel.items() if name in names]
+        all_needed = not channels and name in by_all
+        if all_needed:
+            channels = measurements.needed_for(name)
+        groups.setdefault((tuple(channels), all_needed), []).append(name)
     return tuple(
-        {"parameters": named, "measure": list(channels), "all": all_}
-        for (channels, all_), named in found.items()
+        {"parameters": names, "measure": list(channels), "all": all_needed}
+        for (channels, all_needed), names in groups.items()
     )
+
+
+class _Measurements(NamedTuple):
+    """The channels of a fitted throw to first order, those that were measured and
+    those that might be."""
+
+    names: list[str]
+    """of the parameters that are not held, whose values and typical sizes follow"""
+    values: Floats
+    typical: Floats
+    jacobian: Floats
+    """derivatives of the path, shape (channels, rows, parameters)"""
+    weight: Floats
+    """1/sigma, 0 where nothing was measured, shape (channels, rows)"""
+
+    @classmethod
+    def of(cls, fit: LeastSquaresFit, held: Collection[str]) -> Self:
+        parameters = fit.prepared.local_parameters
+        free = np.flatnonzero([name not in held for name in parameters.names])
+        jacobian = _slopes_of_all_channels(fit, free)
+        channels, rows, _ = jacobian.shape
+        weight = np.zeros((channels, rows))
+        weight[: len(fit.problem.weight)] = fit.problem.weight[:, :rows]
+        return cls(
+            [parameters.names[index] for index in free],
+            fit.solution.values[free],
+            parameters.typical[free],
+            jacobian,
+            weight,
+        )
+
+    @property
+    def missing(self) -> list[str]:
+        """Channels that were not measured."""
+        return [
+            channel
+            for channel, weight in zip(CHANNELS, self.weight, strict=False)
+            if not weight.any()
+        ]
+
+    def with_channels(self, channels: Sequence[str]) -> Identifiability:
+        """What the throw would determine with these channels besides."""
+        weight = self.weight.copy()
+        for channel in channels:
+            weight[CHANNELS.index(channel)] = 1 / NOISE[channel]
+        slopes_of_residuals = weight[..., None] * self.jacobian
+        matrix = slopes_of_residuals.reshape(-1, len(self.names))
+        return analyse(matrix, self.names, self.values, self.typical)
+
+    def determined(self, channels: Sequence[str]) -> set[str]:
+        """Parameters that would be determined with these channels besides."""
+        identifiability = self.with_channels(channels)
+        stderr = np.sqrt(np.diag(identifiability.covariance))
+        sharp = (stderr < WEAK_ERROR * self.typical) & ~identifiability.unseen
+        return set(compress(self.names, sharp))
+
+    def never_seen(self) -> set[str]:
+        """Parameters of which not even all channels would tell anything."""
+        return set(compress(self.names, self.with_channels(self.missing).unseen))
+
+    def needed_for(self, name: str) -> list[str]:
+        """Channels that determine a parameter together, of all that were not measured;
+        speed and spin, the least commonly measured, are left out first."""
+        needed = self.missing
+        for channel in reversed(self.missing):
+            fewer = [other for other in needed if other != channel]
+            if name in self.determined(fewer):
+                needed = fewer
+        return needed
 
 
 def _slopes_of_all_channels(fit: LeastSquaresFit, free: Indices) -> Floats:
     """Derivatives of the path by some parameters, shape (channels, rows,
     parameters)."""
-    parameters, rows = fit.prepared.local_parameters, len(fit.prepared.throw)
-    # for lack of a channel that depends on them
+    parameters = fit.prepared.local_parameters
+    rows = len(fit.prepared.throw)
+
+    def path(values: Floats) -> Floats:
+        channels = predict_channels(fit.model, values, fit.problem)
+        return np.asarray(channels)[:, :rows]
+
+    # A parameter may be fixed for lack of a channel that depends on it.
     fixed = parameters.lower >= parameters.upper
     return slopes(
-        lambda moved: np.asarray(predict_channels(fit.model, moved, fit.problem))[
-            :, :rows
-        ],
+        path,
         fit.solution.values,
         _STEP * parameters.typical,
         free,

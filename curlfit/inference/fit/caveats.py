@@ -48,7 +48,8 @@ def warnings_of(
     rival : parameters that differ in another solution, with their values there.
     departures : how chi squared departs from its quadratic.
     """
-    throw, outliers = fit.prepared.throw, result.outliers
+    throw = fit.prepared.throw
+    outliers = result.outliers
     warnings = [*unusual, *_of_rival(rival, throw)]
     fault = fit.model.law.from_vector(fit.solution.values).fault()
     if fault is not None:
@@ -70,11 +71,11 @@ def _of_rival(rival: Mapping[str, float], throw: Throw) -> list[Finding]:
     """Another solution, and what would distinguish the two."""
     if not rival:
         return []
-    unmeasured = [
-        name
-        for name, channels in (("x", {"x"}), ("the angle", {"phi", "omega"}))
-        if not channels & set(throw.seen)
-    ]
+    unmeasured = []
+    if "x" not in throw.seen:
+        unmeasured.append("x")
+    if "phi" not in throw.seen and "omega" not in throw.seen:
+        unmeasured.append("the angle")
     values = [{"name": name, "value": value} for name, value in rival.items()]
     remedies = []
     if unmeasured:
@@ -103,8 +104,8 @@ def _of_correlation(result: FitResult) -> list[Finding]:
     channels = []
     for name, independence in result.independence.items():
         count = int(np.isfinite(result.observed[name]).sum())
-        counts = count > _FEWEST and result.rms[name] > 10 * SIGMA_FLOOR
-        if independence.doubtful and counts:
+        is_exact = result.rms[name] <= 10 * SIGMA_FLOOR
+        if independence.doubtful and count > _FEWEST and not is_exact:
             channels.append(
                 {
                     "channel": name,
@@ -124,14 +125,14 @@ def _of_correlation(result: FitResult) -> list[Finding]:
 def _of_errors(result: FitResult) -> list[Finding]:
     """Systematic errors that first order does not describe."""
     errors = result.systematics.errors
-    beyond = [
+    names = [
         name
         for name, estimate in result.parameters.items()
         if errors.get(name, 0.0) > _NOT_LINEAR * estimate.typical
     ]
-    if not beyond:
+    if not names:
         return []
-    return [Finding.warning("systematic-too-large", names=beyond, count=len(beyond))]
+    return [Finding.warning("systematic-too-large", names=names, count=len(names))]
 
 
 def of_ridges(
@@ -148,7 +149,7 @@ def of_ridges(
     ]
     if not open_:
         return []
-    known = [
+    determined = [
         {
             "expression": product.expression,
             "value": [product.value, product.stderr],
@@ -159,21 +160,22 @@ def of_ridges(
     remedies = []
     if departures.remedy is not None:
         remedies.append(_known_condition(departures.remedy))
-    return [Finding.warning("curve", *remedies, open=open_, products=known)]
+    return [Finding.warning("curve", *remedies, open=open_, products=determined)]
 
 
-def _known_condition(known: KnownCondition) -> Remedy:
+def _known_condition(condition: KnownCondition) -> Remedy:
     """What would be determined if a parameter were known."""
+    determined = [
+        {"name": name, "stderr": stderr} for name, stderr in condition.stderr.items()
+    ]
     return Remedy(
         "known-condition",
         numbers={
-            "parameter": known.parameter,
-            "near": known.near,
-            "known_to": known.known_to,
-            "unit": "" if known.unit == "1" else f" {known.unit}",
-            "determined": [
-                {"name": name, "stderr": size} for name, size in known.stderr.items()
-            ],
+            "parameter": condition.parameter,
+            "near": condition.near,
+            "known_to": condition.known_to,
+            "unit": "" if condition.unit == "1" else f" {condition.unit}",
+            "determined": determined,
         },
     )
 
@@ -183,10 +185,10 @@ def of_outliers(outliers: Sequence[Mapping[str, Any]], t: Floats) -> Finding:
     rows at `t`."""
     farthest = outliers[0]
     times = sorted({outlier["t"] for outlier in outliers})
-    early = len(times) <= _EARLY < len(t) and times == t[: len(times)].tolist()
+    count = len(times)
     remedies = []
-    if early:
-        since = Option("since", f"{t[len(times)]:g}")
+    if count <= _EARLY < len(t) and times == t[:count].tolist():
+        since = Option("since", f"{t[count]:g}")
         remedies.append(Remedy("without-first-rows", since))
     remedies.append(Remedy("robust-loss", Option("loss", "student")))
     return Finding.warning(
@@ -205,22 +207,24 @@ def _of_given_sigma(
 ) -> list[Finding]:
     """Channels whose residuals, apart from outliers, are far larger than their
     given sigma."""
-    excluded = {(outlier["channel"], outlier["t"]) for outlier in outliers}
     too_large = []
-    for row, name in enumerate(CHANNELS[: len(residual)]):
-        if name not in throw.sigma:
+    for row, channel in enumerate(CHANNELS[: len(residual)]):
+        if channel not in throw.sigma:
             continue
-        kept = throw.finite[row] & [
-            (name, time) not in excluded for time in throw.t.tolist()
+        excluded = [
+            outlier["t"] for outlier in outliers if outlier["channel"] == channel
         ]
+        kept = throw.finite[row] & ~np.isin(throw.t, excluded)
         if not kept.any():
             continue
-        square = float(np.mean((residual[row, kept] / throw.sigma[name][kept]) ** 2))
-        # chi squared per value
+        over_sigma = residual[row, kept] / throw.sigma[channel][kept]
+        per_value = float(np.mean(over_sigma**2))  # chi squared, about 1
         by_chance = 1 + _NOT_BY_CHANCE * np.sqrt(2 / kept.sum())
-        if square > max(by_chance, _MUCH**2):
-            too_large.append({"channel": name, "times": float(np.sqrt(square))})
-    return [Finding.warning("sigma-too-small", channels=too_large)] if too_large else []
+        if per_value > max(by_chance, _MUCH**2):
+            too_large.append({"channel": channel, "times": float(np.sqrt(per_value))})
+    if not too_large:
+        return []
+    return [Finding.warning("sigma-too-small", channels=too_large)]
 
 
 def _of_memory(result: FitResult) -> list[Finding]:
@@ -243,10 +247,12 @@ def _of_events(result: FitResult) -> list[Finding]:
             missed.append({"name": event["name"], "sigmas": sigmas})
     if not missed:
         return []
-    # Two such values determine the speed and one coefficient, and cannot
+    # Two values along the sheet determine the speed and one coefficient, and cannot
     # distinguish laws.
-    along = sum(event["quantity"] in ("time", "y", "speed") for event in result.events)
+    along = [
+        event for event in result.events if event["quantity"] in ("time", "y", "speed")
+    ]
     remedies = []
-    if result.law == "coulomb" and along > 2:
+    if result.law == "coulomb" and len(along) > 2:
         remedies.append(Remedy("power-law", Option("law", "power")))
     return [Finding.warning("events-missed", *remedies, events=missed, law=result.law)]

@@ -135,7 +135,9 @@ class _Candidates(NamedTuple):
 def may_have_changed(fit: LeastSquaresFit, result: FitResult) -> bool:
     """Whether a change is to be sought: the residuals are not independent, and the fit,
     by least squares with independent noise, does not account for sweeping."""
-    doubtful = any(item.doubtful for item in result.independence.values())
+    doubtful = any(
+        independence.doubtful for independence in result.independence.values()
+    )
     plain = not fit.loss.is_robust and fit.noise.is_white
     return doubtful and plain and fit.prepared.swept is None
 
@@ -159,7 +161,7 @@ def change_of(fit: LeastSquaresFit) -> Change | None:
     if surest is None:
         return None
     # What varies smoothly takes up part of a change, and would move it.
-    place, before, after = _best(residuals.values, surest.responses, residuals.jacobian)
+    index, before, after = _best(residuals.values, surest.responses, residuals.jacobian)
     middles = (times[1:] + times[:-1]) / 2
     speed = np.maximum(np.interp(middles, residuals.t, residuals.speed), _SLOWEST)
     by_speed = np.log(speed) @ (since[:-1] - since[1:])
@@ -172,8 +174,8 @@ def change_of(fit: LeastSquaresFit) -> Change | None:
     explained = (before**2 - after**2).reshape(residuals.weight.shape).sum(axis=1)
     first = fit.prepared.origin.t
     return Change(
-        begin=first + float(surest.begins[place]),
-        end=first + float(surest.ends[place]),
+        begin=first + float(surest.begins[index]),
+        end=first + float(surest.ends[index]),
         channel=CHANNELS[int(explained[: len(CHANNELS)].argmax())],
         first=first,
         last=first + residuals.duration,
@@ -194,7 +196,8 @@ def _of_friction(times: Floats, since: Floats) -> _Candidates:
     """Friction that is another one between two times."""
     begins, ends = np.triu_indices(len(times), 1)
     inner = (begins > 0) | (ends < _TIMES)  # the whole motion is no change
-    begins, ends = begins[inner], ends[inner]
+    begins = begins[inner]
+    ends = ends[inner]
     polynomials = chebvander(np.linspace(-1, 1, _TIMES), _SMOOTH).T
     return _Candidates(
         begins=times[begins],
@@ -253,8 +256,8 @@ def _best(
     for response in _beyond(columns, responses):
         factors = np.linalg.lstsq(response.T, before, rcond=1e-9)[0]
         remainders.append(before - factors @ response)
-    place = int(np.argmin([remainder @ remainder for remainder in remainders]))
-    return place, before, remainders[place]
+    best = int(np.argmin([remainder @ remainder for remainder in remainders]))
+    return best, before, remainders[best]
 
 
 def _beyond(columns: Floats, changes: Floats) -> Floats:

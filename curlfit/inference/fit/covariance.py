@@ -64,9 +64,13 @@ class Covariance:
     leverage: Floats
     """of each value on its own fitted value, 0 to 1, shape (channels, n)"""
     has_priors: bool
-    linearized: tuple[LinearizedProblem, LinearizedProblem, int]
-    """the problem at the optimum, that with the directions that only the bounds
-    determine, and its number of values"""
+    confined: LinearizedProblem
+    """the problem at the optimum without the directions that only the bounds
+    determine"""
+    whole: LinearizedProblem
+    """the problem at the optimum with these directions"""
+    count: int
+    """number of values in the problem"""
     others: OtherThrows | None = None
     """of a throw that is fitted together with others"""
 
@@ -93,104 +97,121 @@ class Covariance:
         """
         searched, estimator = factors
         free = bounded.upper > bounded.lower
-        problem = LinearizedProblem(
+        confined = LinearizedProblem(
             searched.confined[:, -1], searched.confined[:, :-1], *bounded, typical, free
         )
-        at_bound = problem.at_bound()
-        open_, slack = problem.open(at_bound)
-        ends = Bounded(*(part[open_] for part in bounded))
-        about = (
-            list(itertools.compress(names, open_)),
-            ends.values,
-            typical[open_],
-            slack,
-            ends,
-        )
-        known = of_data = analyse(estimator.whole[:, :-1][:, open_], *about)
-        if has_priors:
-            of_data = analyse(estimator.of_data[:, :-1][:, open_], *about)
-        matrix, by_open = known.covariance - slack @ slack.T, jacobian[..., open_]
+        whole = confined._replace(jacobian=searched.whole[:, :-1])
+        at_bound = confined.at_bound()
+        open_, slack = confined.open(at_bound)
+
+        def of_open(factor: Floats) -> Identifiability:
+            ends = Bounded(*(part[open_] for part in bounded))
+            return analyse(
+                factor[:, :-1][:, open_],
+                list(itertools.compress(names, open_)),
+                ends.values,
+                typical[open_],
+                slack,
+                ends,
+            )
+
+        identifiability = of_open(estimator.whole)
+        of_data = of_open(estimator.of_data) if has_priors else identifiability
+        matrix = identifiability.covariance - slack @ slack.T
+        by_open = jacobian[..., open_]
         effect = by_open @ matrix
         leverage = (effect * by_open).sum(-1)
-        whole = problem._replace(jacobian=searched.whole[:, :-1])
         return cls(
-            names,
-            bounded.values,
-            typical,
-            searched.confined,
-            known,
-            of_data,
-            free,
-            at_bound,
-            open_,
-            matrix,
-            float(problem.distance(sigmas.total, whole)),
-            effect,
-            sigmas.dof(leverage),
-            leverage,
-            has_priors,
-            (problem, whole, sigmas.total),
+            names=names,
+            values=bounded.values,
+            typical=typical,
+            factor=searched.confined,
+            identifiability=identifiability,
+            of_data=of_data,
+            free=free,
+            at_bound=at_bound,
+            open=open_,
+            matrix=matrix,
+            distance=float(confined.distance(sigmas.total, whole)),
+            effect=effect,
+            dof=sigmas.dof(leverage),
+            leverage=leverage,
+            has_priors=has_priors,
+            confined=confined,
+            whole=whole,
+            count=sigmas.total,
         )
 
     def distance_beside(self, indices: Iterable[int]) -> float:
         """Distance to the optimum along all parameters but these, standard errors."""
         others = self.free.copy()
         others[list(indices)] = False
-        problem, whole, count = self.linearized
-        whole = whole._replace(free=others)
-        return float(problem._replace(free=others).distance(count, whole))
+        whole = self.whole._replace(free=others)
+        return float(self.confined._replace(free=others).distance(self.count, whole))
 
     def degrees_of_freedom(self, weights: Floats) -> list[float | None]:
         """For the variances of weighted sums of the open parameters, one per row of
         weights; None where all sigmas were given."""
+        # Parts of each variance, one column for each channel's noise.
         parts = ((self.effect @ weights.T) ** 2).sum(1).T
         dof = self.dof
         if self.others is not None:
             parts = np.hstack([parts, self.others.parts(weights)])
             dof = np.append(dof, self.others.dof)
-        if self.has_priors:  # which are known exactly
-            rest = ((weights @ self.matrix) * weights).sum(-1) - parts.sum(-1)
-            parts, dof = np.column_stack([parts, rest]), np.append(dof, np.inf)
+        if self.has_priors:
+            # The rest is the part of the priors, which are known exactly.
+            variances = ((weights @ self.matrix) * weights).sum(-1)
+            parts = np.column_stack([parts, variances - parts.sum(-1)])
+            dof = np.append(dof, np.inf)
         return satterthwaite(parts, dof)
 
     @property
     def combinations(self) -> tuple[Combination, ...]:
         """What is determined in place of single parameters."""
-        known = self.identifiability
-        weights = list(known.determined().values())[-len(known.combinations) :]
-        dof = self.degrees_of_freedom(np.array(weights)) if known.combinations else []
+        combinations = self.identifiability.combinations
+        if not combinations:
+            return ()
+        statements = self.identifiability.determined()
+        weights = [statements[combination.expression] for combination in combinations]
+        degrees = self.degrees_of_freedom(np.array(weights))
         return tuple(
-            replace(item, dof=n)
-            for item, n in zip(known.combinations, dof, strict=True)
+            replace(combination, dof=dof)
+            for combination, dof in zip(combinations, degrees, strict=True)
         )
 
     @cached_property
-    def _dof_of_each(self) -> list[float | None]:
+    def _dof_of_parameters(self) -> list[float | None]:
+        """Degrees of freedom of the standard errors of the open parameters."""
         return self.degrees_of_freedom(np.eye(len(self.matrix)))
 
-    def classified(self, place: int) -> tuple[float | None, Verdict, float | None]:
+    def _among_open(self, index: int) -> int:
+        """Place of an open parameter among the open ones."""
+        return int(self.open[:index].sum())
+
+    def classified(self, index: int) -> tuple[float | None, Verdict, float | None]:
         """Standard error of a free parameter, where there is one, its verdict, and the
         degrees of freedom of the error."""
-        index, about = (
-            int(self.open[:place].sum()),
-            (self.typical[place], self.at_bound[place]),
-        )
-        stderr, verdict = classify(*about, self.identifiability, index)
+        among_open = self._among_open(index)
+        typical = self.typical[index]
+        at_bound = self.at_bound[index]
+        stderr, verdict = classify(typical, at_bound, self.identifiability, among_open)
         if stderr is None:
             return None, verdict, None
         if verdict == Verdict.DETERMINED and self.has_priors:
-            alone = classify(*about, self.of_data, index)[1]
-            if alone != verdict:
+            _, verdict_of_data = classify(typical, at_bound, self.of_data, among_open)
+            if verdict_of_data != verdict:
                 verdict = Verdict.PRIOR
-        return stderr, verdict, self._dof_of_each[index]
+        return stderr, verdict, self._dof_of_parameters[among_open]
 
     def shifts(self, gradients: Mapping[str, Floats]) -> dict[str, Floats]:
         """Shifts of the open parameters from the estimates to the true values, by
         condition; `gradients` are J^T times the change of the residuals by each
         condition."""
-        typical = self.typical[self.open]
-        mine = {name: gradient[self.open] for name, gradient in gradients.items()}
-        return shifts(self.factor[:, :-1][:, self.open], mine, typical)
+        factor = self.factor[:, :-1][:, self.open]
+        of_open = {
+            condition: gradient[self.open] for condition, gradient in gradients.items()
+        }
+        return shifts(factor, of_open, self.typical[self.open])
 
     def shifts_of_determined(
         self, by_condition: Mapping[str, Floats]
@@ -222,35 +243,39 @@ class Covariance:
 
     def in_all(self, weights: Floats) -> Floats:
         """Weights of the open parameters as those of all."""
-        every = np.zeros(len(self.typical))
-        every[self.open] = weights
-        return every
+        in_all = np.zeros(len(self.typical))
+        in_all[self.open] = weights
+        return in_all
 
     def rooms(self) -> dict[str, float]:
         """Widths of the intervals between the bounds of the parameters, over their
         typical sizes, by name."""
-        problem, _, _ = self.linearized
-        widths = (problem.upper - problem.lower) / self.typical
+        widths = (self.confined.upper - self.confined.lower) / self.typical
         return dict(zip(self.names, widths.tolist(), strict=True))
 
     def error_of(self, index: int) -> float:
         """Standard error of a parameter; infinite where nothing is known of it."""
         if not self.open[index]:
             return math.inf
-        place = int(self.open[:index].sum())
-        if self.identifiability.unseen[place]:
+        among_open = self._among_open(index)
+        if self.identifiability.unseen[among_open]:
             return math.inf
-        return math.sqrt(self.identifiability.covariance[place, place])
+        return math.sqrt(self.identifiability.covariance[among_open, among_open])
 
 
 def first_order(
     names: Sequence[str], factors: Factors, bounded: Bounded, typical: Floats
 ) -> Covariance:
     """What R factors say of parameters, without the data that they are of."""
-    nothing = np.zeros((1, 1, len(typical)))
-    sigmas = Sigmas(np.ones(1, int), np.zeros(1, bool), LINEAR, len(typical))
+    no_residuals = np.zeros((1, 1, len(typical)))
+    sigmas = Sigmas(
+        number=np.ones(1, int),
+        estimated=np.zeros(1, bool),
+        loss=LINEAR,
+        total=len(typical),
+    )
     return Covariance.of(
-        names, bounded, typical, (factors, factors), nothing, sigmas, True
+        names, bounded, typical, (factors, factors), no_residuals, sigmas, True
     )
 
 
@@ -260,10 +285,13 @@ def satterthwaite(parts: Floats, dof: Floats) -> list[float | None]:
     contribute less than a thousandth, so that Student's distribution is normal to
     rounding of what is printed."""
     size = np.abs(parts)
-    known = ~(np.where(np.isfinite(dof), size, 0.0).sum(-1) > _KNOWN * size.sum(-1))
-    found = parts.sum(-1) ** 2 / np.where(known, 1.0, (parts**2 / dof).sum(-1))
+    estimated = np.where(np.isfinite(dof), size, 0.0).sum(-1)
+    is_known = ~(estimated > _KNOWN * size.sum(-1))
+    spread = np.where(is_known, 1.0, (parts**2 / dof).sum(-1))
+    degrees = parts.sum(-1) ** 2 / spread
     return [
-        None if exact else n for n, exact in zip(found.tolist(), known, strict=True)
+        None if exact else number
+        for number, exact in zip(degrees.tolist(), is_known, strict=True)
     ]
 
 
@@ -282,28 +310,33 @@ class OtherThrows(NamedTuple):
     """index of the throw itself"""
 
     def parts(self, weights: Floats) -> Floats:
-        """Of the variances of weighted sums of the open parameters, one per
-        row of weights."""
+        """Parts of the variances of weighted sums of the open parameters, one per row
+        of weights, shape (sums, throws times channels); 0 of the throw itself."""
         along = weights @ self.follow
-        found = np.einsum("wi,tcij,wj->wtc", along, self.matrices, along)
-        found[:, self.own] = 0.0
-        return found.reshape(len(along), -1)
+        parts = np.einsum("wi,tcij,wj->wtc", along, self.matrices, along)
+        parts[:, self.own] = 0.0
+        return parts.reshape(len(along), -1)
 
 
-def with_others(found: Sequence[Covariance], reduction: Reduction) -> list[Covariance]:
-    """Those of throws that are fitted together, each with the noise of the others."""
+def with_others(
+    covariances: Sequence[Covariance], reduction: Reduction
+) -> list[Covariance]:
+    """Covariances of throws that are fitted together, each with the noise of the
+    others."""
     common = reduction.common
-    effects = np.zeros((len(found), *found[0].effect.shape[:-1], len(common)))
-    for effect, one in zip(effects, found, strict=True):
-        effect[..., one.open] = one.effect
-    effects = effects[..., common]
-    matrices, dof = effects.mT @ effects, np.stack([one.dof for one in found])
-    return [
-        replace(
-            one, others=OtherThrows(follow[one.open][:, common], matrices, dof, row)
-        )
-        for row, (one, follow) in enumerate(zip(found, reduction.follow, strict=True))
-    ]
+    first = covariances[0].effect
+    effects = np.zeros((len(covariances), *first.shape[:-1], len(common)))
+    for effect, covariance in zip(effects, covariances, strict=True):
+        effect[..., covariance.open] = covariance.effect
+    in_common = effects[..., common]
+    matrices = in_common.mT @ in_common
+    dof = np.stack([covariance.dof for covariance in covariances])
+    completed = []
+    for index, covariance in enumerate(covariances):
+        follow = reduction.follow[index][covariance.open][:, common]
+        others = OtherThrows(follow, matrices, dof, own=index)
+        completed.append(replace(covariance, others=others))
+    return completed
 
 
 class Sigmas(NamedTuple):
@@ -334,9 +367,11 @@ def robust_jacobians(
     `Loss.precision` (Huber 1981). `residual` is measured - fitted.
     """
     jacobians: Floats = solutions.jacobian.copy()
-    for place in np.ndindex(jacobians.shape[:2]):
-        weight = problems.weight[place]
-        r = -residual[place] * weight
-        precision = loss.precision(r[weight > 0])
-        jacobians[place] *= np.sqrt(precision) / loss.root_slope(r)[:, None]
+    throws, channels = jacobians.shape[:2]
+    for channel in np.ndindex(throws, channels):
+        weight = problems.weight[channel]
+        over_sigma = -residual[channel] * weight
+        precision = loss.precision(over_sigma[weight > 0])
+        # In the search each residual was scaled by the root of the loss's slope.
+        jacobians[channel] *= np.sqrt(precision) / loss.root_slope(over_sigma)[:, None]
     return jacobians

@@ -148,9 +148,12 @@ class Departures(NamedTuple):
     def kept(self, combinations: Iterable[Combination]) -> list[Combination]:
         """Combinations that are determined along the ridge, with their errors there."""
         return [
-            replace(sum_, stderr=self.widened(sum_.stderr, sum_.expression))
-            for sum_ in combinations
-            if sum_.expression not in self.lost
+            replace(
+                combination,
+                stderr=self.widened(combination.stderr, combination.expression),
+            )
+            for combination in combinations
+            if combination.expression not in self.lost
         ]
 
     def widened(self, stderr: float | None, name: str) -> float | None:
@@ -199,10 +202,11 @@ def probes_about(covariance: Covariance, bounded: Bounded) -> list[Probe]:
                 probes.append(Probe(point, _PROBED**2, names, name))
     for direction, singular in _loose_directions(covariance):
         length = UNKNOWN if singular == 0 else min(1 / singular, UNKNOWN)
+        expected = (length * singular) ** 2
         names = _taking_part(covariance, direction)
         step = length * direction * covariance.typical
         for point in (bounded.values + step, bounded.values - step):
-            probes.append(Probe(point, (length * singular) ** 2, names))
+            probes.append(Probe(point, expected, names))
     return probes
 
 
@@ -270,29 +274,26 @@ def to_be_held(
     names = {name for probe in departing for name in probe.parameters}
     if covariance.distance >= CONVERGED:
         for direction, _ in _loose_directions(covariance):
-            names |= set(_taking_part(covariance, direction))
-    indices = {index for index, name in enumerate(covariance.names) if name in names}
-    indices |= set(np.flatnonzero(covariance.at_bound & covariance.open).tolist())
-    spins = [index for index, name in enumerate(covariance.names) if name == "omega0"]
-    for spin in spins:  # none among the coefficients of several throws
+            names.update(_taking_part(covariance, direction))
+    open_ = np.flatnonzero(covariance.open).tolist()
+    held = {index for index, name in enumerate(covariance.names) if name in names}
+    held.update(np.flatnonzero(covariance.at_bound & covariance.open).tolist())
+    spin = _spin_of(covariance)
+    if spin is not None:
+        error = covariance.error_of(spin)  # infinite unless the spin is open
         if covariance.at_bound[spin]:
-            indices.add(spin)
-        if not covariance.open[spin]:
-            continue
-        error = covariance.error_of(spin)
+            held.add(spin)
+        if covariance.open[spin] and error >= WEAK_ERROR * covariance.typical[spin]:
+            held.add(spin)
         if abs(covariance.values[spin]) < _NO_SPIN * error < math.inf:
-            indices |= {spin, *np.flatnonzero(covariance.open[:coefficients]).tolist()}
-        if error >= WEAK_ERROR * covariance.typical[spin]:
-            indices.add(spin)
-    if indices:
-        indices |= {
-            index
-            for index in np.flatnonzero(covariance.open).tolist()
-            if WEAK_ERROR * covariance.typical[index]
-            <= covariance.error_of(index)
-            < math.inf
-        }
-    return sorted(indices)
+            held.add(spin)
+            held.update(index for index in open_ if index < coefficients)
+    if held:
+        for index in open_:
+            error = covariance.error_of(index)
+            if WEAK_ERROR * covariance.typical[index] <= error < math.inf:
+                held.add(index)
+    return sorted(held)
 
 
 def departures_along(covariance: Covariance, ridge: Ridge, usual: Floats) -> Departures:
@@ -304,53 +305,76 @@ def departures_along(covariance: Covariance, ridge: Ridge, usual: Floats) -> Dep
     usual : coefficients of the law, the first parameters.
     """
     knows_spin = _knows_spin(covariance)
-    statements = covariance.identifiability.determined()
-    weights = np.array([covariance.in_all(row) for row in statements.values()])
-    errors = np.array([covariance.stderr(row) for row in statements.values()])
-    sizes = covariance.in_all(covariance.typical[covariance.open])
-    stretched = {}
-    lost = set()
-    if ridge.points and statements:
-        stretches = ridge.stretches(weights, errors, sizes)
-        typical = np.abs(weights * covariance.typical).max(1)
-        relative = np.maximum(stretches, 1.0) * errors / typical
-        rooms = covariance.rooms()
-        about = zip(statements, stretches.tolist(), relative.tolist(), strict=True)
-        for name, stretch, error in about:
-            if stretch > LITTLE:
-                stretched[name] = stretch
-            if name in covariance.names:
-                is_lost = error >= WEAK_ERROR
-                # Where the spin is not known, that is no error: the bounds limit it.
-                if error > rooms[name] and not knows_spin:
-                    stretched[name] = math.inf
-            else:
-                is_lost = error > (WIDE if stretch > STRETCHED else WEAK_ERROR)
-            if is_lost:
-                lost.add(name)
+    stretched, lost = _stretched_and_lost(covariance, ridge, knows_spin=knows_spin)
     offset = covariance.values - ridge.optimum.values
     intervals = {
         covariance.names[index]: (low + offset[index], high + offset[index])
         for index, (low, high) in ridge.intervals.items()
     }
-    distance = covariance.distance
-    if intervals and ridge.rises.min(initial=0.0) > -_LOWER:
-        distance = min(distance, covariance.distance_beside(ridge.intervals))
-    released = frozenset() if knows_spin else _released(covariance, intervals)
-    remedy = _remedy(covariance, lost, ridge, usual)
     fall = -float(ridge.rises.min(initial=0.0))
+    distance = covariance.distance
+    if intervals and fall < _LOWER:
+        distance = min(distance, covariance.distance_beside(ridge.intervals))
+    # A search that has not ended goes on from any lower point.
     has_lower = fall > (0.0 if covariance.distance >= CONVERGED else _LOWER)
-    lower = ridge.lowest() if has_lower else None
     return Departures(
-        stretched, lost, intervals, released, remedy, distance, lower, ridge
+        stretched,
+        lost,
+        intervals,
+        released=frozenset() if knows_spin else _released(covariance, intervals),
+        remedy=_remedy(covariance, lost, ridge, usual),
+        distance=distance,
+        lower=ridge.lowest() if has_lower else None,
+        ridge=ridge,
     )
+
+
+def _stretched_and_lost(
+    covariance: Covariance, ridge: Ridge, *, knows_spin: bool
+) -> tuple[dict[str, float], set[str]]:
+    """What is determined to first order and less so along the ridge: how many times as
+    far it moves there, and of what nothing is known."""
+    statements = covariance.identifiability.determined()
+    stretched: dict[str, float] = {}
+    lost: set[str] = set()
+    if not (ridge.points and statements):
+        return stretched, lost
+    weights = np.array([covariance.in_all(row) for row in statements.values()])
+    errors = np.array([covariance.stderr(row) for row in statements.values()])
+    sizes = covariance.in_all(covariance.typical[covariance.open])
+    stretches = ridge.stretches(weights, errors, sizes)
+    typical = np.abs(weights * covariance.typical).max(axis=1)
+    relative_errors = np.maximum(stretches, 1.0) * errors / typical
+    rooms = covariance.rooms()
+    for name, stretch, relative_error in zip(
+        statements, stretches.tolist(), relative_errors.tolist(), strict=True
+    ):
+        if stretch > LITTLE:
+            stretched[name] = stretch
+        if name in covariance.names:
+            # Where the spin is not known, that is no error: the bounds limit it.
+            if relative_error > rooms[name] and not knows_spin:
+                stretched[name] = math.inf
+            is_lost = relative_error >= WEAK_ERROR
+        else:
+            most = WIDE if stretch > STRETCHED else WEAK_ERROR
+            is_lost = relative_error > most
+        if is_lost:
+            lost.add(name)
+    return stretched, lost
+
+
+def _spin_of(covariance: Covariance) -> int | None:
+    """Index of the spin; None among the coefficients of several throws."""
+    names = list(covariance.names)
+    return names.index("omega0") if "omega0" in names else None
 
 
 def _knows_spin(covariance: Covariance) -> bool:
     """Whether the spin is a parameter that is fixed or known."""
-    if "omega0" not in covariance.names:
+    spin = _spin_of(covariance)
+    if spin is None:
         return False
-    spin = list(covariance.names).index("omega0")
     known_to = WEAK_ERROR * covariance.typical[spin]
     return not covariance.free[spin] or covariance.error_of(spin) < known_to
 
@@ -373,9 +397,9 @@ def _released(
 def departures_together(
     covariance: Covariance, ridge: Ridge, usual: Floats
 ) -> Departures:
-    """The same of a throw that is fitted together with others, along the ridge of all,
-    in whose record no points are kept: to know a parameter of one throw determines
-    little of what all have in common."""
+    """What the ridge of all throws that are fitted together says of one of them, in
+    whose record no points are kept: to know a parameter of one throw determines little
+    of what all have in common."""
     departures = departures_along(covariance, ridge, usual)
     return departures._replace(remedy=None, lower=None, ridge=None)
 
@@ -383,11 +407,15 @@ def departures_together(
 def departures_nearby(
     covariance: Covariance, departing: Sequence[tuple[Probe, float]]
 ) -> Departures:
-    """The same from the probes alone at which chi squared departs from its
-    quadratic, and its rise there, where the ridge is not followed.
+    """What is said of parameters and combinations where the ridge is not followed.
 
     A sum of parameters along a direction that is hardly determined is lost where
     the values that fit leave the tangent by much.
+
+    Parameters
+    ----------
+    departing : the probes at which chi squared departs from its quadratic, and by how
+        much it rises there.
     """
     lost = {
         probe.statement
@@ -414,34 +442,60 @@ def _remedy(
     place along the ridge: it is told of the most usual coefficients."""
     if not ridge.points:
         return None
-    typical = covariance.typical[covariance.open]
-    names = covariance.identifiability.names
-    unseen = itertools.compress(names, covariance.identifiability.unseen)
-    unknown = lost | set(unseen)
-    wanted = [name for name in covariance.names[: len(usual)] if name in unknown]
+    identifiability = covariance.identifiability
+    open_names = list(identifiability.names)
+    unseen = set(itertools.compress(open_names, identifiability.unseen))
+    coefficients = covariance.names[: len(usual)]
+    wanted = [name for name in coefficients if name in lost or name in unseen]
     point = ridge.nearest(usual, covariance.typical[: len(usual)])
-    rows = point.slopes[:, covariance.open] * typical
     for index in sorted(ridge.intervals, reverse=True):
         name = covariance.names[index]
-        if name not in names:
+        if name not in open_names:
             continue
-        place = names.index(name)
-        known_to = KNOWN_TO.get(name, 0.1 * float(typical[place]))
-        known = np.zeros(len(names))
-        known[place] = typical[place] / known_to
-        _, singular, right = np.linalg.svd(r_factor(np.vstack([rows, known])))
-        seen = visible(singular)
-        errors = {}
-        for other in wanted:
-            unit = np.eye(len(names))[names.index(other)]
-            error = stderr_of(unit, right[seen], singular[seen])
-            if other != name and error is not None and error < WEAK_ERROR:
-                errors[other] = error * float(typical[names.index(other)])
+        typical = float(covariance.typical[index])
+        known_to = KNOWN_TO.get(name, 0.1 * typical)
+        errors = _errors_where_known(
+            covariance,
+            point,
+            index,
+            known_to,
+            [other for other in wanted if other != name],
+        )
         if errors:
             offset = float(covariance.values[index] - ridge.optimum.values[index])
             near = float(point.values[index]) + offset
             return KnownCondition(name, UNITS.get(name, "1"), near, known_to, errors)
     return None
+
+
+def _errors_where_known(
+    covariance: Covariance,
+    point: Point,
+    index: int,
+    known_to: float,
+    wanted: Sequence[str],
+) -> dict[str, float]:
+    """Standard errors of the wanted parameters that are determined at a point of the
+    ridge, if the parameter with this index is known with the error `known_to`."""
+    sizes = covariance.typical[covariance.open]
+    names = list(covariance.identifiability.names)
+    # Rows, in typical sizes, of what the data say and of what is known besides.
+    rows = point.slopes[:, covariance.open] * sizes
+    measured = np.zeros(len(names))
+    measured[names.index(covariance.names[index])] = (
+        covariance.typical[index] / known_to
+    )
+    _, singular, directions = np.linalg.svd(r_factor(np.vstack([rows, measured])))
+    seen = visible(singular)
+    errors = {}
+    for name in wanted:
+        column = names.index(name)
+        unit = np.zeros(len(names))
+        unit[column] = 1.0
+        error = stderr_of(unit, directions[seen], singular[seen])
+        if error is not None and error < WEAK_ERROR:
+            errors[name] = error * float(sizes[column])
+    return errors
 
 
 def _loose_directions(covariance: Covariance) -> list[tuple[Floats, float]]:
@@ -451,9 +505,12 @@ def _loose_directions(covariance: Covariance) -> list[tuple[Floats, float]]:
     factor = covariance.factor[:, :-1][:, covariance.open] * sizes
     _, singular, rows = np.linalg.svd(factor, full_matrices=False)
     weak = visible(singular) & (singular < 1 / _FAINT)
-    directions = list(zip(rows[weak], singular[weak].tolist(), strict=True))
+    loose = [
+        (covariance.in_all(row), value)
+        for row, value in zip(rows[weak], singular[weak].tolist(), strict=True)
+    ]
     names = covariance.identifiability.names
     for null in covariance.identifiability.null_directions:
         row = np.array([null.get(name, 0.0) for name in names]) / sizes
-        directions.append((row / np.linalg.norm(row), 0.0))
-    return [(covariance.in_all(row), size) for row, size in directions]
+        loose.append((covariance.in_all(row / np.linalg.norm(row)), 0.0))
+    return loose

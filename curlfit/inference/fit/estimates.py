@@ -54,16 +54,21 @@ class Estimate(WithInterval):
     def of(cls, item: Parameter, value: float, verdict: Verdict, **known: Any) -> Self:
         """The estimate of a parameter; without a standard error unless it is among what
         is `known` besides."""
-        told = {one.name: getattr(item, one.name) for one in fields(Parameter)[1:]}
-        return cls(
-            **{"value": value, "stderr": None, "verdict": verdict} | known | told
-        )
+        of_parameter = {
+            attribute.name: getattr(item, attribute.name)
+            for attribute in fields(Parameter)[1:]
+        }
+        stated = {"value": value, "stderr": None, "verdict": verdict}
+        return cls(**stated | known | of_parameter)
 
     def interval(self, level: float = 0.95) -> tuple[float, float] | None:
         """Confidence interval by Student's t, within the bounds; None where there is no
         standard error."""
-        found = super().interval(level)
-        return found and (max(found[0], self.lower), min(found[1], self.upper))
+        interval = super().interval(level)
+        if interval is None:
+            return None
+        low, high = interval
+        return max(low, self.lower), min(high, self.upper)
 
 
 @dataclass(frozen=True)
@@ -132,8 +137,9 @@ class Posterior(Displayed):
     status: str
 
     def _document(self) -> Document:
-        found: Document = import_module("curlfit.reports.posterior").of_posterior(self)
-        return found
+        report = import_module("curlfit.reports.posterior")
+        document: Document = report.of_posterior(self)
+        return document
 
 
 @dataclass(frozen=True)
@@ -198,23 +204,27 @@ class NamedEstimates(Record):
         raise NotImplementedError
 
     def _items(self) -> dict[str, Estimate | Combination | Derived]:
-        sums = {item.expression: item for item in self.combinations}
-        # A combination that was requested as a derived quantity is not repeated.
-        named = self._estimates.keys() | sums.keys()
-        others = {
-            one.expression: one
-            for one in self.all_derived
-            if one.expression not in named
+        combinations = {
+            combination.expression: combination for combination in self.combinations
         }
-        return {**self._estimates, **sums, **others}
+        items: dict[str, Estimate | Combination | Derived] = {
+            **self._estimates,
+            **combinations,
+        }
+        named = set(items)
+        for derived in self.all_derived:
+            # A combination that was requested as a derived quantity is not repeated.
+            if derived.expression not in named:
+                items[derived.expression] = derived
+        return items
 
     def __getitem__(self, name: str) -> Estimate | Combination | Derived:
         """A parameter, a determined combination or a derived quantity. Raises KeyError
         for any other name."""
-        found = self._items().get(name)
-        if found is None:
-            raise KeyError(f"no {name!r}; the names are {', '.join(self._items())}")
-        return found
+        items = self._items()
+        if name not in items:
+            raise KeyError(f"no {name!r}; the names are {', '.join(items)}")
+        return items[name]
 
     def __contains__(self, name: object) -> bool:
         return name in self._items()
@@ -236,16 +246,23 @@ class NamedEstimates(Record):
         ------
         InputError : pandas is not installed.
         """
-        rows, errors = [], self.systematics.errors
-        for name, item in self._items().items():
-            verdict = item.verdict
+        items = self._items()
+        errors = self.systematics.errors
+        rows = []
+        for name, item in items.items():
+            value = item.value
+            if item.verdict == Verdict.NOT_IDENTIFIABLE:
+                value = math.nan
+            systematic = errors.get(name)
+            if isinstance(item, Derived):
+                systematic = item.systematic
+            low, high = item.interval() or (None, None)
+            numbers = [
+                math.nan if number is None else number
+                for number in (item.stderr, systematic, low, high)
+            ]
             unit = "" if isinstance(item, Combination) else item.unit
-            error = item.systematic if isinstance(item, Derived) else errors.get(name)
-            value = math.nan if verdict == Verdict.NOT_IDENTIFIABLE else item.value
-            numbers = (item.stderr, error, *(item.interval() or (None, None)))
-            known = (math.nan if number is None else number for number in numbers)
-            rows.append((value, *known, verdict, unit))
+            rows.append((value, *numbers, item.verdict, unit))
         heads = ("value", "stderr", "systematic", "low", "high", "verdict", "unit")
-        return frame(
-            dict(zip(heads, zip(*rows, strict=True), strict=True)), list(self._items())
-        )
+        columns = dict(zip(heads, zip(*rows, strict=True), strict=True))
+        return frame(columns, list(items))

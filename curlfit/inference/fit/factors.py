@@ -21,11 +21,12 @@ from curlfit.numerics.arrays import Booleans, Floats
 
 _LOOSE = 0.1  # typical sizes inside its bound from which a parameter is not held by it
 _NEAR = 1e-6  # typical sizes from a bound within which a parameter is at the bound
+_WIDEST = 1e3  # typical sizes, beyond which nothing is known
 # least push against a bound over the slopes by the parameters inside theirs ...
 _PUSHED = 10.0
-_WIDEST = 1e3  # typical sizes, beyond which nothing is known
 # ... within these limits, half chi squared per typical size
-_LEAST_PUSH, _CLEAR_PUSH = 1e-6, 1e-3
+_LEAST_PUSH = 1e-6
+_CLEAR_PUSH = 1e-3
 
 
 class LinearizedProblem(NamedTuple):
@@ -51,26 +52,26 @@ class LinearizedProblem(NamedTuple):
         distinguished from the end of an exact ridge, where there is none, by the
         remaining slope along the other parameters.
         """
-        push, low, high = self._pushes()
-        rest = np.abs(push * (self.free & ~low & ~high)).max(-1, keepdims=True)
-        least = np.clip(_PUSHED * rest, _LEAST_PUSH, _CLEAR_PUSH)
-        return low & (push > least) | high & (push < -least)
+        push, at_lower, at_upper = self._pushes()
+        inside = self.free & ~at_lower & ~at_upper
+        remaining = np.abs(push * inside).max(-1, keepdims=True)
+        least = np.clip(_PUSHED * remaining, _LEAST_PUSH, _CLEAR_PUSH)
+        return at_lower & (push > least) | at_upper & (push < -least)
 
     def movable(self) -> Booleans:
         """Free parameters except those that only a bound keeps from moving,
         however weakly."""
-        push, low, high = self._pushes()
-        return self.free & ~(low & (push > 0)) & ~(high & (push < 0))
+        push, at_lower, at_upper = self._pushes()
+        return self.free & ~(at_lower & (push > 0)) & ~(at_upper & (push < 0))
 
     def _pushes(self) -> tuple[Floats, Booleans, Booleans]:
         """The push toward lower bounds, and which parameters are at a lower, at an
         upper bound."""
+        gradient = (self.residual[..., None, :] @ self.jacobian)[..., 0, :]
         near = _NEAR * self.typical
-        return (
-            (self.residual[..., None, :] @ self.jacobian)[..., 0, :] * self.typical,
-            self.free & (self.values <= self.lower + near),
-            self.free & (self.values >= self.upper - near),
-        )
+        at_lower = self.free & (self.values <= self.lower + near)
+        at_upper = self.free & (self.values >= self.upper - near)
+        return gradient * self.typical, at_lower, at_upper
 
     def open(self, at_bound: Booleans) -> tuple[Booleans, Floats]:
         """The parameters of one optimum that can move, and the contribution of those
@@ -200,50 +201,55 @@ class Reduction:
             factors[..., -1], factors[..., :-1], *bounded, typical, free
         )
         scaled = factors[..., :-1] * typical
-        own = scaled * (free & ~problem.at_bound())[:, None]
-        left, singular, right = np.linalg.svd(own, full_matrices=False)
+        by_own = scaled * (free & ~problem.at_bound())[:, None]
+        left, singular, right = np.linalg.svd(by_own, full_matrices=False)
         seen = visible(singular)
         left = left * seen[:, None]
-        rest = factors - left @ (left.mT @ factors)
-        rest[..., :-1] *= common
+        # What the own parameters of a throw take up is projected out of its rows.
+        rows = factors - left @ (left.mT @ factors)
+        rows[..., :-1] *= common
         inverse = right.mT * inverted(singular, seen)[:, None] @ left.mT
         follow = np.diag(1.0 * common) - (inverse @ scaled) * common
         follow = follow * typical[:, None] / typical
-        return cls(rest, follow, seen.sum(-1), common)
+        return cls(rows, follow, seen.sum(-1), common)
 
     def in_common(self, typical: Floats | float = 1.0) -> Floats:
         """The rows, on the parameters in common alone, in units of `typical` sizes."""
-        found = self.rows[..., np.append(self.common, True)]
-        found[..., :-1] *= typical
-        return found
+        rows = self.rows[..., np.append(self.common, True)]
+        rows[..., :-1] *= typical
+        return rows
 
     @cached_property
     def others(self) -> Floats:
         """R factor of the rows of all throws but each, to be added to those of that
         throw; from those before it and those after it."""
-
-        def before(rows: Floats) -> list[Floats]:
-            found = [np.zeros((rows.shape[-1],) * 2)]
-            for one in rows[:-1]:
-                found.append(combined(found[-1], one))
-            return found
-
-        after = before(self.rows[::-1])[::-1]
-        return combined(np.stack(before(self.rows)), np.stack(after))
+        before = _factors_before(self.rows)
+        after = _factors_before(self.rows[::-1])[::-1]
+        return combined(before, after)
 
     def gradient(self, gradients: Floats) -> Floats:
-        """That of all throws by the parameters of each, from the gradients
-        of each throw."""
+        """Gradient of all throws by the parameters of each, from the gradients of each
+        throw."""
         reduced = (self.follow.mT @ gradients[..., None])[..., 0]
         return gradients + self.common * (reduced.sum(0) - reduced)
+
+
+def _factors_before(rows: Floats) -> Floats:
+    """R factors of the rows of all throws before each, none before the first."""
+    size = rows.shape[-1]
+    factors = [np.zeros((size, size))]
+    for of_throw in rows[:-1]:
+        factors.append(combined(factors[-1], of_throw))
+    return np.stack(factors)
 
 
 def chi_squared_change(rows: Floats, steps: Floats) -> Floats:
     """Change of the sum of squares of rows, with the residual as the last column, by a
     step of the parameters; of many along the first axis."""
+    before = rows[..., -1]
     change = (rows[..., :-1] @ steps[..., None])[..., 0]
-    found: Floats = (change * (change + 2 * rows[..., -1])).sum(-1)
-    return found
+    of_squares: Floats = (change * (change + 2 * before)).sum(-1)
+    return of_squares
 
 
 def combined(*factors: Floats) -> Floats:
@@ -279,23 +285,25 @@ class Factors(NamedTuple):
         rows of what others say of the parameters of each."""
         if others is not None:
             of_data = combined(of_data, others)
-        penalty = Penalty.none(*bounded.values.shape) if penalty is None else penalty
-        whole, reduction, priors = of_data, None, penalty.rows(bounded.values)
+        if penalty is None:
+            penalty = Penalty.none(*bounded.values.shape)
+        priors = penalty.rows(bounded.values)
+        whole = of_data
+        reduction = None
         if common is not None:
-            about = bounded, typical, common
             # Priors of what is in common count once.
-            reduction = Reduction.of(
-                combined(of_data, priors * ~common[:, None]), *about
-            )
+            with_own_priors = combined(of_data, priors * ~common[:, None])
+            reduction = Reduction.of(with_own_priors, bounded, typical, common)
+            without_priors = reduction
+            if penalty.informative:
+                without_priors = Reduction.of(of_data, bounded, typical, common)
             whole = combined(of_data, reduction.others)
-            plain = Reduction.of(of_data, *about) if penalty.informative else reduction
-            of_data = combined(of_data, plain.others)
+            of_data = combined(of_data, without_priors.others)
         whole = combined(whole, priors)
-        inside = confined(whole[..., :-1], bounded, typical)
-        return cls(
-            of_data, whole, np.concatenate([inside, whole[..., -1:]], -1), reduction
-        )
+        jacobian = confined(whole[..., :-1], bounded, typical)
+        confined_rows = np.concatenate([jacobian, whole[..., -1:]], -1)
+        return cls(of_data, whole, confined_rows, reduction)
 
     def at(self, row: int) -> Factors:
-        """Those of one problem."""
+        """The R factors of one problem of many."""
         return Factors(self.of_data[row], self.whole[row], self.confined[row])

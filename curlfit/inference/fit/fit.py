@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -27,8 +26,9 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.fit.summary import summarize, summarize_many
 from curlfit.inference.fit.systematics import widths_of
-from curlfit.inference.initial_values import usual_where_astray
+from curlfit.inference.initial_values import SmoothPath, usual_where_astray
 from curlfit.inference.least_squares import (
+    Indices,
     Solution,
     Tasks,
     best_first,
@@ -109,42 +109,41 @@ def _fit(
     details: bool,
     family: type[LawFamily] | None,
 ) -> FitResult:
-    model = Model(
-        find_law(chosen.law), Load(chosen.load), prepared.parameters.conditions
-    ).within(family)
-    loss = LOSSES[chosen.loss]
-    noise = NoiseKind(chosen.noise)
-    start = chosen.start
-    rounds = Rounds(model, [prepared], loss=loss, noise=noise)
-    found = _fitted_alone(rounds, start)
-    result = summarize(found, widths_of(model, chosen.systematics, [prepared]))
+    conditions = prepared.parameters.conditions
+    model = Model(find_law(chosen.law), Load(chosen.load), conditions).within(family)
+    rounds = Rounds(
+        model, [prepared], loss=LOSSES[chosen.loss], noise=NoiseKind(chosen.noise)
+    )
+    outcome = _fitted_alone(rounds, chosen.start)
+    result = summarize(outcome, widths_of(model, chosen.systematics, [prepared]))
     if not result.converged:
         return result
-    if may_have_changed(found, result):
-        changed = with_change(found, result)
-        if changed is result and details and not result.events:
-            changed = with_noise_advice(result, refit)
-        result = changed
+    if may_have_changed(outcome, result):
+        explained = with_change(outcome, result)
+        if explained is result and details and not result.events:
+            explained = with_noise_advice(result, refit)
+        result = explained
     if not details:
         return result
     result = replace(with_curl_warning(result), quantities=quantities_of(result))
     if result.reference is not None:
-        fits = _reference_fits(found, result, result.reference)
-        result = replace(result, reference_fits=fits)
-    open_ = [name for name, item in result.parameters.items() if item.verdict.is_open]
-    return (
-        replace(result, remedies=remedies(found, open_, chosen.fix))
-        if open_
-        else result
-    )
+        reference_fits = _reference_fits(outcome, result, result.reference)
+        result = replace(result, reference_fits=reference_fits)
+    not_determined = [
+        name for name, estimate in result.parameters.items() if estimate.verdict.is_open
+    ]
+    if not_determined:
+        measurements = remedies(outcome, not_determined, chosen.fix)
+        result = replace(result, remedies=measurements)
+    return result
 
 
 def refit(fit: FitResult, noise: NoiseKind) -> FitResult:
     """Repeat a fit under another noise model, starting from its optimum."""
-    throw, origin = fit.throw, Origin.of(fit.throw)
+    throw = fit.throw
     rows = {name: fit.data[name] for name in ("since", "until", "exclude")}
     prepared = PreparedThrow(
-        throw, fit.stone, rows, fit.data["swept"], fit.parameter_set, origin
+        throw, fit.stone, rows, fit.data["swept"], fit.parameter_set, Origin.of(throw)
     )
     rounds = Rounds(fit.model, [prepared], loss=LOSSES[fit.loss], noise=noise)
     return summarize(_fitted_alone(rounds, fit.parameter_set.values_of(fit.values)))
@@ -152,23 +151,32 @@ def refit(fit: FitResult, noise: NoiseKind) -> FitResult:
 
 def _fitted_alone(rounds: Rounds, start: Mapping[str, float] | None) -> LeastSquaresFit:
     """Fit the only throw of some rounds."""
-    (found,) = fitted(rounds, start)
-    if isinstance(found, CurlfitError):
-        raise found
-    return found
+    (outcome,) = fitted(rounds, start)
+    if isinstance(outcome, CurlfitError):
+        raise outcome
+    return outcome
 
 
 def fitted(
     rounds: Rounds, start: Mapping[str, float] | None
 ) -> list[LeastSquaresFit | CurlfitError]:
-    """Fits of throws side by side; an error takes the place of one that fails."""
-    model, throws, batch = rounds.model, rounds.throws, rounds.batch
-    if batch == 1:
+    """Fits of throws side by side; an error takes the place of one that fails.
+
+    Parameters
+    ----------
+    start : initial values by name, in the data's coordinates, to try first; the others
+        are those that the data give.
+    """
+    model = rounds.model
+    throws = rounds.throws
+    if rounds.batch == 1:
+        # Programs are compiled while the initial values are computed.
         (problem,) = unstacked(rounds.problems)
         prepare_minimize(model, throws[0].local_parameters, problem)
         prepare_channels(model, len(throws[0].parameters), problem)
     _, lower, upper = local_bounds(throws)
     paths, sides = rounds.starts()
+    # Rounds revise these problems in place.
     tasks = Tasks(
         rounds.problems,
         sides[0],
@@ -177,57 +185,99 @@ def fitted(
         throws[0].parameters.typical,
         penalties(throws, first=True),
     )
-    plans = []
-    for row, one in enumerate(throws):
-        ends = lower[row], upper[row]
-        first, others = starts_to_try(model.law, sides[:, row], ends, tasks.typical)
-        if start:  # takes the place of the only initial values that the data give
-            given = one.with_start(first[0], start)
-            first, others = (
-                ([given], first + others)
-                if len(first) == 1
-                else ([given, *first], others)
-            )
-        plans.append((first, others))
-    tried = optima(model, tasks, [first for first, _ in plans], batch)
-    best = stacked([(best_first(found) or found)[0] for found in tried])
-    poor = needs_restart(best, paths, rounds.problems)
+    tried = _tried(rounds, tasks, paths, sides, start)
+    optima_by_throw = [_best_and_rival(solutions) for solutions in tried]
+    _search_other_rests(rounds, tasks, optima_by_throw)
+    tasks = tasks._replace(penalty=penalties(throws))
+    due = np.flatnonzero([len(optima_of_throw) for optima_of_throw in optima_by_throw])
+    while len(due):
+        best = stacked([optima_by_throw[row][0] for row in due])
+        due = rounds.revise(due, best)
+        if not len(due):
+            break
+        _solve_again(rounds, tasks, optima_by_throw, due)
+        _search_other_rests(rounds, tasks, optima_by_throw)
+    _settle(rounds, tasks, optima_by_throw)
+    _add_usual(rounds, tasks, optima_by_throw)
+    return [
+        rounds.failures.get(row) or _outcome(rounds, row, optima_of_throw, tried[row])
+        for row, optima_of_throw in enumerate(optima_by_throw)
+    ]
+
+
+def _tried(
+    rounds: Rounds,
+    tasks: Tasks,
+    paths: SmoothPath,
+    sides: Floats,
+    start: Mapping[str, float] | None,
+) -> list[list[Solution]]:
+    """What is reached from the initial values of each throw: from those that may fit
+    equally, and from all others where the best of these is poor.
+
+    Parameters
+    ----------
+    paths, sides : from `Rounds.starts`.
+    """
+    model = rounds.model
+    first_starts = []
+    other_starts = []
+    for row, throw in enumerate(rounds.throws):
+        bounds = tasks.lower[row], tasks.upper[row]
+        first, others = starts_to_try(model.law, sides[:, row], bounds, tasks.typical)
+        if start:
+            given = throw.with_start(first[0], start)
+            if len(first) == 1:
+                others = first + others
+                first = [given]
+            else:
+                first = [given, *first]
+        first_starts.append(first)
+        other_starts.append(others)
+    tried = optima(model, tasks, first_starts, rounds.batch)
+    best = stacked([(best_first(solutions) or solutions)[0] for solutions in tried])
     # If the first optimum is poor, all are tried: a later one may be local
     # and look good.
-    again = [
-        others if bad else [] for (_, others), bad in zip(plans, poor, strict=True)
+    poor = needs_restart(best, paths, rounds.problems)
+    starts = [
+        others if is_poor else []
+        for others, is_poor in zip(other_starts, poor, strict=True)
     ]
-    for found, more in zip(tried, optima(model, tasks, again, batch), strict=True):
-        found += more
-    followed = [best_first(found) for found in tried]
-    for found in followed:
-        found[1:] = [one for one in found[1:] if fits_equally(found[0], one)][:1]
-    _search_other_rests(rounds, tasks, followed)
-    due = np.flatnonzero([len(found) for found in followed])
-    tasks = tasks._replace(penalty=penalties(throws))
-    while len(due) and len(
-        due := rounds.revise(due, stacked([followed[row][0] for row in due]))
-    ):
-        last = [
-            [one.values for one in found] if row in due else []
-            for row, found in enumerate(followed)
-        ]
-        for found, new in zip(followed, optima(model, tasks, last, batch), strict=True):
-            found[: len(new)] = [
-                one if np.isfinite(one.chi_squared) else old
-                for one, old in zip(new, found, strict=False)
-            ]
-        _search_other_rests(rounds, tasks, followed)
-    _settle(model, tasks, followed, batch)
-    _add_usual(model, tasks, followed, batch)
-    return [
-        rounds.failures.get(row) or _outcome(rounds, row, found, len(tried[row]))
-        for row, found in enumerate(followed)
-    ]
+    reached = optima(model, tasks, starts, rounds.batch)
+    return [before + later for before, later in zip(tried, reached, strict=True)]
+
+
+def _best_and_rival(solutions: Iterable[Solution]) -> list[Solution]:
+    """The best of the optima of a throw, and the first other one that fits equally, if
+    there is one; empty where none is finite."""
+    best_and_others = best_first(solutions)
+    if not best_and_others:
+        return []
+    best, *others = best_and_others
+    rivals = [other for other in others if fits_equally(best, other)]
+    return [best, *rivals[:1]]
+
+
+def _solve_again(
+    rounds: Rounds,
+    tasks: Tasks,
+    optima_by_throw: Sequence[list[Solution]],
+    due: Indices,
+) -> None:
+    """Solve the revised problems of throws that are due, from their optima, which stay
+    where a path then is not finite."""
+    starts: list[list[Floats]] = [[] for _ in optima_by_throw]
+    for row in due:
+        starts[row] = [optimum.values for optimum in optima_by_throw[row]]
+    reached = optima(rounds.model, tasks, starts, rounds.batch)
+    for optima_of_throw, refits in zip(optima_by_throw, reached, strict=True):
+        for number, refitted in enumerate(refits):
+            if np.isfinite(refitted.chi_squared):
+                optima_of_throw[number] = refitted
 
 
 def _search_other_rests(
-    rounds: Rounds, tasks: Tasks, followed: Sequence[list[Solution]]
+    rounds: Rounds, tasks: Tasks, optima_by_throw: Sequence[list[Solution]]
 ) -> None:
     """Search on with the rest of the stone in other rows of a measured spin, as long as
     that leads to lower optima. Under a robust loss, and with correlated noise, the rest
@@ -237,17 +287,17 @@ def _search_other_rests(
     problems = unstacked(tasks.problems)
     due = [
         row
-        for row, optima_of_throw in enumerate(followed)
+        for row, optima_of_throw in enumerate(optima_by_throw)
         if optima_of_throw
         and not loss_at(tasks.problems.loss[row]).is_robust
         and not rounds.noises[row].sizes
     ]
     for _ in range(_MOST_REST_SEARCHES):
-        starts: list[list[Floats]] = [[] for _ in followed]
+        starts: list[list[Floats]] = [[] for _ in optima_by_throw]
         for row in due:
             starts[row] = starts_with_other_rests(
                 rounds.model,
-                followed[row][0],
+                optima_by_throw[row][0],
                 problems[row],
                 tasks.lower[row],
                 tasks.upper[row],
@@ -257,98 +307,121 @@ def _search_other_rests(
             return
         reached = optima(rounds.model, tasks, starts, rounds.batch)
         due = []
-        for row, optima_of_throw in enumerate(followed):
+        for row, optima_of_throw in enumerate(optima_by_throw):
             if reached[row]:
                 before = optima_of_throw[0]
-                best, *others = best_first([*optima_of_throw, *reached[row]])
-                rivals = [one for one in others if fits_equally(best, one)]
-                optima_of_throw[:] = [best, *rivals[:1]]
-                if best is not before:
+                optima_of_throw[:] = _best_and_rival([*optima_of_throw, *reached[row]])
+                if optima_of_throw[0] is not before:
                     due.append(row)
 
 
 def _settle(
-    model: Model, tasks: Tasks, followed: Sequence[list[Solution]], batch: int
+    rounds: Rounds, tasks: Tasks, optima_by_throw: Sequence[list[Solution]]
 ) -> None:
     """End searches that have not ended, since along some direction chi squared is level
     or has no slope (the spin, of a stone that hardly spins): the parameter that takes
     part in it most is held, and the others are refitted."""
-    lower, upper = np.array(tasks.lower), np.array(tasks.upper)
-    starts: list[list[Floats]] = [[] for _ in followed]
-    for optima_of_throw, start, low, high in zip(
-        followed, starts, lower, upper, strict=True
-    ):
-        if optima_of_throw and not optima_of_throw[0].success:
-            best = optima_of_throw[0]
-            free = high > low
-            slopes = best.jacobian.reshape(-1, len(free)) * tasks.typical * free
-            _, _, rows = np.linalg.svd(slopes[:, free], full_matrices=False)
-            levellest = np.flatnonzero(free)[np.abs(rows[-1]).argmax()]
-            low[levellest] = high[levellest] = best.values[levellest]
-            start.append(best.values)
+    lower = np.array(tasks.lower)
+    upper = np.array(tasks.upper)
+    starts: list[list[Floats]] = [[] for _ in optima_by_throw]
+    for row, optima_of_throw in enumerate(optima_by_throw):
+        if not optima_of_throw or optima_of_throw[0].success:
+            continue
+        best = optima_of_throw[0]
+        free = np.flatnonzero(upper[row] > lower[row])
+        slopes = best.jacobian.reshape(-1, len(tasks.typical)) * tasks.typical
+        # The last direction is that in which the residuals change least.
+        _, _, directions = np.linalg.svd(slopes[:, free], full_matrices=False)
+        levellest = free[np.abs(directions[-1]).argmax()]
+        lower[row, levellest] = best.values[levellest]
+        upper[row, levellest] = best.values[levellest]
+        starts[row] = [best.values]
     held = tasks._replace(lower=lower, upper=upper)
-    settled = optima(model, held, starts, batch)
-    for optima_of_throw, ended in zip(followed, settled, strict=True):
-        if ended and ended[0].objective <= optima_of_throw[0].objective:
-            optima_of_throw[0] = ended[0]
+    settled = optima(rounds.model, held, starts, rounds.batch)
+    for optima_of_throw, ends in zip(optima_by_throw, settled, strict=True):
+        if ends and ends[0].objective <= optima_of_throw[0].objective:
+            optima_of_throw[0] = ends[0]
 
 
 def _add_usual(
-    model: Model, tasks: Tasks, followed: Sequence[list[Solution]], batch: int
+    rounds: Rounds, tasks: Tasks, optima_by_throw: Sequence[list[Solution]]
 ) -> None:
     """Where coefficients went astray, add the optimum with their defaults, which may
     fit equally: about the first, where they hardly act, the others seem better
     determined than they are."""
-    lower, upper = np.array(tasks.lower), np.array(tasks.upper)
-    starts: list[list[Floats]] = [[] for _ in followed]
-    for found, start, low, high in zip(followed, starts, lower, upper, strict=True):
-        if found:
-            usual = usual_where_astray(model.law, found[0].values, tasks.typical)
-            if (astray := np.isfinite(usual) & (high > low)).any():
-                start.append(np.where(astray, usual, found[0].values))
-                low[astray] = high[astray] = usual[astray]
+    lower = np.array(tasks.lower)
+    upper = np.array(tasks.upper)
+    starts: list[list[Floats]] = [[] for _ in optima_by_throw]
+    for row, optima_of_throw in enumerate(optima_by_throw):
+        if not optima_of_throw:
+            continue
+        best = optima_of_throw[0]
+        usual = usual_where_astray(rounds.model.law, best.values, tasks.typical)
+        astray = np.isfinite(usual) & (upper[row] > lower[row])
+        if astray.any():
+            starts[row] = [np.where(astray, usual, best.values)]
+            lower[row, astray] = usual[astray]
+            upper[row, astray] = usual[astray]
     held = tasks._replace(lower=lower, upper=upper)
-    for found, more in zip(followed, optima(model, held, starts, batch), strict=True):
-        found += more
+    reached = optima(rounds.model, held, starts, rounds.batch)
+    for optima_of_throw, usual_optima in zip(optima_by_throw, reached, strict=True):
+        optima_of_throw += usual_optima
 
 
 def _outcome(
-    rounds: Rounds, row: int, found: Sequence[Solution], tried: int
+    rounds: Rounds,
+    row: int,
+    optima_of_throw: Sequence[Solution],
+    tried: Sequence[Solution],
 ) -> LeastSquaresFit | CurlfitError:
-    """The fit of a throw from its optimum, and one that may fit equally, if
-    any is finite."""
-    if not found:
+    """The fit of a throw from its optimum, and one that may fit equally; an error where
+    none of those tried is finite."""
+    if not optima_of_throw:
         model = rounds.model
         return UnusableFitError(
             f"{rounds.throws[row].throw.name}: law {model.law.name} with "
             f"{model.load} load gives no finite "
             "path from any start" + no_motion_because(model.load)
         )
-    best, *others = found
-    rival = next((one for one in others if fits_equally(best, one)), None)
-    return rounds.record(row, best, tried, rival)
+    best, *others = optima_of_throw
+    rivals = [other for other in others if fits_equally(best, other)]
+    rival = rivals[0] if rivals else None
+    return rounds.record(row, best, len(tried), rival)
 
 
 def _reference_fits(
-    fit: LeastSquaresFit, result: FitResult, reference: Reference
+    outcome: LeastSquaresFit, result: FitResult, reference: Reference
 ) -> tuple[dict[str, Any], ...]:
     """The values that the fit gives with other constants of the stone: those of the
     reference, and each constant of the fit shifted by its rounding; none where they are
     parameters of the fit."""
-    now, start = result.stone.as_dict(), result.parameter_set.values_of(result.values)
-    own = {name: value for name, value in reference.stone.items() if value != now[name]}
-    if not own or result.conditions.keys() & {*reference.stone, *reference.rounding}:
+    stone = result.stone.as_dict()
+    of_reference = {
+        name: constant
+        for name, constant in reference.stone.items()
+        if constant != stone[name]
+    }
+    constants_in_question = {*reference.stone, *reference.rounding}
+    if not of_reference or result.conditions.keys() & constants_in_question:
         return ()
-    off = [{name: round(now[name] + by, 9)} for name, by in reference.rounding.items()]
-    found = []
-    for constants in (own, *(one for one in off if one != own)):
-        prepared = fit.prepared._replace(stone=result.stone.with_values(constants))
-        rounds = Rounds(fit.model, [prepared], loss=fit.loss, noise=fit.noise.kind)
-        other = summarize(_fitted_alone(rounds, start))
-        each = {name: item.value for name, item in other.coefficients.items()}
-        each |= {item.expression: item.value for item in other.combinations}
-        found.append({"stone": constants, "values": each})
-    return tuple(found)
+    rounded = [
+        {name: round(stone[name] + rounding, 9)}
+        for name, rounding in reference.rounding.items()
+    ]
+    changes = [of_reference, *(change for change in rounded if change != of_reference)]
+    start = result.parameter_set.values_of(result.values)
+    reference_fits = []
+    for change in changes:
+        prepared = outcome.prepared._replace(stone=result.stone.with_values(change))
+        rounds = Rounds(
+            outcome.model, [prepared], loss=outcome.loss, noise=outcome.noise.kind
+        )
+        fit = summarize(_fitted_alone(rounds, start))
+        values = {name: estimate.value for name, estimate in fit.coefficients.items()}
+        for combination in fit.combinations:
+            values[combination.expression] = combination.value
+        reference_fits.append({"stone": change, "values": values})
+    return tuple(reference_fits)
 
 
 def fit_throws(
@@ -375,44 +448,62 @@ def fit_throws(
     ------
     InputError : as in `fit`, for the arguments common to all throws.
     """
-    common = Fitting.of(law=law, **choices)
-    law = find_law(common.law)
-    loss = LOSSES[common.loss]
-    noise = NoiseKind(common.noise)
-    curves = curves or loss.is_robust or not noise.is_white
-    found: dict[int, Any] = {}
-    groups: dict[tuple[int, int, tuple[str, ...]], dict[int, PreparedThrow]] = {}
+    chosen = Fitting.of(law=law, **choices)
+    find_law(chosen.law)  # an unknown one is an error of all throws
+    outcomes: dict[int, FitResult | CurlfitError] = {}
+    # Throws of one group have arrays of one shape, and the same parameters.
+    groups: dict[Any, dict[int, PreparedThrow]] = {}
     for index, throw in enumerate(throws):
         try:
-            prepared = PreparedThrow.of(throw, Fitting.of(throw.settings, vars(common)))
+            prepared = PreparedThrow.of(throw, Fitting.of(throw.settings, vars(chosen)))
         except CurlfitError as error:
-            found[index] = error
+            outcomes[index] = error
         else:
-            key = (*problem_shape(prepared.throw), prepared.parameters.names)
-            groups.setdefault(key, {})[index] = prepared
-    for (_, rows, _), alike in groups.items():
-        rest = iter(alike.items())
-        batch = side_by_side(len(alike))
-        while part := dict(islice(rest, max(BATCH, _ROWS // rows))):
-            model = Model(
-                law, Load(common.load), next(iter(part.values())).parameters.conditions
+            shape = problem_shape(prepared.throw)
+            group = groups.setdefault((shape, prepared.parameters.names), {})
+            group[index] = prepared
+    for ((_, rows), _), group in groups.items():
+        batch = side_by_side(len(group))
+        at_once = max(BATCH, _ROWS // rows)
+        indices = list(group)
+        for first in range(0, len(indices), at_once):
+            part = indices[first : first + at_once]
+            results = _fit_alike(
+                [group[index] for index in part],
+                chosen,
+                curves=curves,
+                systematics=systematics,
+                batch=batch,
             )
-            rounds = Rounds(
-                model, list(part.values()), loss=loss, noise=noise, batch=batch
-            )
-            each = dict(zip(part, fitted(rounds, common.start), strict=True))
-            usable = {
-                k: one for k, one in each.items() if isinstance(one, LeastSquaresFit)
-            }
-            widths = (
-                {}
-                if systematics is None
-                else widths_of(model, systematics, rounds.throws)
-            )
-            results = summarize_many(
-                list(usable.values()), batch, curves=curves, widths=widths
-            )
-            found |= each | dict(
-                zip(usable, map(with_curl_warning, results), strict=True)
-            )
-    return [found[index] for index in range(len(throws))]
+            outcomes.update(zip(part, results, strict=True))
+    return [outcomes[index] for index in range(len(throws))]
+
+
+def _fit_alike(
+    throws: Sequence[PreparedThrow],
+    chosen: Fitting,
+    *,
+    curves: bool,
+    systematics: Mapping[str, float] | None,
+    batch: int,
+) -> list[FitResult | CurlfitError]:
+    """Fits of throws whose problems have one shape and the same parameters, `batch` of
+    them side by side; the other arguments as in `fit_throws`."""
+    conditions = throws[0].parameters.conditions
+    model = Model(find_law(chosen.law), Load(chosen.load), conditions)
+    loss = LOSSES[chosen.loss]
+    noise = NoiseKind(chosen.noise)
+    rounds = Rounds(model, throws, loss=loss, noise=noise, batch=batch)
+    outcomes = fitted(rounds, chosen.start)
+    usable = [fit for fit in outcomes if isinstance(fit, LeastSquaresFit)]
+    widths = {}
+    if systematics is not None:
+        widths = widths_of(model, systematics, throws)
+    curves = curves or loss.is_robust or not noise.is_white
+    results = iter(summarize_many(usable, batch, curves=curves, widths=widths))
+    return [
+        outcome
+        if isinstance(outcome, CurlfitError)
+        else with_curl_warning(next(results))
+        for outcome in outcomes
+    ]

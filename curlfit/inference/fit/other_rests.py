@@ -88,10 +88,11 @@ def _rest_and_slopes(
     `steps`, by central differences."""
     change = _STEP * np.diag(steps)
     vectors = np.concatenate([values[None], values + change, values - change])
-    stone, environment = problem.stone, problem.environment
+    stone = problem.stone
+    environment = problem.environment
     clock = np.array(
-        [System.of(model, one, stone, environment).time_scale for one in vectors]
+        [System.of(model, vector, stone, environment).time_scale for vector in vectors]
     )
     _, rests = motions(model, vectors, stone, environment, np.array([np.inf]))
-    now, later, earlier = np.split(clock * rests, [1, 1 + len(values)])
-    return float(now[0]), (later - earlier) / (2 * _STEP)
+    unchanged, above, below = np.split(clock * rests, [1, 1 + len(values)])
+    return float(unchanged[0]), (above - below) / (2 * _STEP)

@@ -64,7 +64,8 @@ class PreparedThrow(NamedTuple):
         ------
         InputError : as in `fit`.
         """
-        stone, read_with = Stone().with_values(dict(chosen.stone)), throw.read_with
+        stone = Stone().with_values(dict(chosen.stone))
+        flags = (*throw.read_with, *chosen.words())
         throw = throw.with_sigma(dict(chosen.sigma)).select_rows(**chosen.rows)
         findings = require_plausible(throw)
         throw = throw.condensed()
@@ -73,14 +74,14 @@ class PreparedThrow(NamedTuple):
             find_law(chosen.law), throw, swept=swept, **chosen.parameters
         )
         return cls(
-            throw,
-            stone,
-            chosen.rows,
-            chosen.swept,
-            parameters,
-            Origin.of(throw),
-            findings,
-            (*read_with, *chosen.words()),
+            throw=throw,
+            stone=stone,
+            rows=chosen.rows,
+            swept=chosen.swept,
+            parameters=parameters,
+            origin=Origin.of(throw),
+            findings=findings,
+            flags=flags,
         )
 
     @property
@@ -115,19 +116,20 @@ class PreparedThrow(NamedTuple):
         constants and the scales, which a path hardly determines, are held near the
         modes of their priors.
         """
-        found = penalty_of(
+        penalty = penalty_of(
             self.parameters.parameters, self.parameters.priors, self.offset
         )
         if not (first and self.equal_sigma()):
-            return found
+            return penalty
         held = np.isin(self.parameters.names, WEAK_CONDITIONS)
-        return found._replace(weight=found.weight * held / _HELD)
+        return penalty._replace(weight=penalty.weight * held / _HELD)
 
     def equal_sigma(self) -> dict[str, float]:
         """Sigma in the first fit for channels whose own is unknown: equal weights."""
-        given = [float(np.nanmedian(series)) for series in self.throw.sigma.values()]
-        even = float(np.exp(np.mean(np.log(given)))) if given else 1.0
-        return {name: even for name in self.throw.seen if name not in self.throw.sigma}
+        medians = [float(np.nanmedian(series)) for series in self.throw.sigma.values()]
+        equal = float(np.exp(np.mean(np.log(medians)))) if medians else 1.0
+        unknown = [name for name in self.throw.seen if name not in self.throw.sigma]
+        return dict.fromkeys(unknown, equal)
 
     def with_start(self, values: Floats, start: Mapping[str, float] | None) -> Floats:
         """Initial values in the problem's coordinates, with those that
@@ -138,10 +140,8 @@ class PreparedThrow(NamedTuple):
         absolute = values + self.offset
         for name, value in start.items():
             absolute[self.parameters.index(name)] = value
-        return (
-            np.clip(absolute, self.parameters.lower, self.parameters.upper)
-            - self.offset
-        )
+        within = np.clip(absolute, self.parameters.lower, self.parameters.upper)
+        return within - self.offset
 
 
 class LeastSquaresFit(NamedTuple):
@@ -181,13 +181,12 @@ def linearized_fit(fit: FitResult) -> Linearized:
     problem, origin = problem_of(replace(fit, sigma=independent, noise=WHITE))
     path = np.array([fit.fitted[name] for name in CHANNELS]) - origin.place[:, None]
     if fit.events:
+        # one more row, with a column for each event
         row = np.zeros((1, path.shape[1]))
-        row[0, : len(fit.events)] = [one["fitted"] for one in fit.events]
-        row[0, : len(fit.events)] -= [
-            origin.of_event(event) for event in fit.throw.events
-        ]
+        for column, (event, fitted) in enumerate(fit.timed):
+            row[0, column] = fitted - origin.of_event(event)
         path = np.concatenate([path, row])
-    verdicts = [item.verdict for item in fit.parameters.values()]
+    verdicts = [estimate.verdict for estimate in fit.parameters.values()]
     adjustable = np.array(
         [verdict not in (Verdict.FIXED, Verdict.AT_BOUND) for verdict in verdicts]
     )
@@ -197,8 +196,9 @@ def linearized_fit(fit: FitResult) -> Linearized:
 
 
 def penalties(throws: Sequence[PreparedThrow], *, first: bool = False) -> Penalty:
-    """The same of many throws."""
-    return stacked([one.penalty(first=first) for one in throws])
+    """What the priors of each throw add to its chi squared, in the problems'
+    coordinates: see `PreparedThrow.penalty`."""
+    return stacked([throw.penalty(first=first) for throw in throws])
 
 
 def local_bounds(
@@ -207,14 +207,12 @@ def local_bounds(
     """Offsets of many throws from the problems' coordinates to the data's, bounds in
     the former; each of shape (throws, parameters). Bounds of parameters in `common`
     hold for all throws."""
-    offset = np.stack([one.offset for one in throws])
-    lower = np.stack([one.parameters.lower for one in throws]) - offset
-    upper = np.stack([one.parameters.upper for one in throws]) - offset
+    offset = np.stack([throw.offset for throw in throws])
+    lower = np.stack([throw.parameters.lower for throw in throws]) - offset
+    upper = np.stack([throw.parameters.upper for throw in throws]) - offset
     if common is not None:
-        lower[:, common], upper[:, common] = (
-            lower[:, common].max(0),
-            upper[:, common].min(0),
-        )
+        lower[:, common] = lower[:, common].max(axis=0)
+        upper[:, common] = upper[:, common].min(axis=0)
     return offset, lower, upper
 
 
@@ -238,18 +236,19 @@ def linearized(
     adjustable : which parameters are neither fixed nor at a bound.
     """
     jacobian = path_jacobians(model, values[None], stacked([problem]))[0]
-    times, rows, seen = problem.times, path.shape[1], len(problem.weight)
-    weight, residual = np.zeros(jacobian.shape[:2]), np.zeros(jacobian.shape[:2])
-    weight[:seen] = problem.weight
-    there = weight[:seen, :rows] > 0
-    residual[:seen, :rows] = np.where(
-        there, problem.observed[:, :rows] - path[:seen], 0.0
-    )
+    times = problem.times
+    rows = path.shape[1]  # without padding
+    measured = len(problem.weight)
+    weight = np.zeros(jacobian.shape[:2])
+    weight[:measured] = problem.weight
+    off = problem.observed[:, :rows] - path[:measured]
+    residual = np.zeros(jacobian.shape[:2])
+    residual[:measured, :rows] = np.where(weight[:measured, :rows] > 0, off, 0.0)
     response = Responses.of(times[:rows], path[: len(CHANNELS)], stone)
     responses = [response.at(times, row) for row in range(len(CHANNELS))]
     if len(jacobian) > len(CHANNELS):
-        responses.append(np.zeros_like(responses[0]))
-    found = Linearized.of(
+        responses.append(np.zeros_like(responses[0]))  # of events
+    data = Linearized.of(
         times,
         weight,
         residual,
@@ -259,4 +258,4 @@ def linearized(
         len(model.law.coefficients()),
     )
     span = time_of_motion(times[:rows], path[CHANNELS.index("speed")])
-    return found._replace(span=np.asarray(span), responses=np.stack(responses))
+    return data._replace(span=np.asarray(span), responses=np.stack(responses))

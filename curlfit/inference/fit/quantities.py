@@ -4,12 +4,13 @@ turns, times between lines and mean friction; with errors to first order."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from curlfit.friction import Parameter
 from curlfit.inference.conditions import CONDITIONS
 from curlfit.inference.derived import Derived, with_quantiles
 from curlfit.inference.fit.prepared import problem_of
@@ -23,13 +24,13 @@ from curlfit.stone import GRAVITY
 from curlfit.throws.events import Event, event_arrays
 
 _STEP = 1e-4  # of a typical size, of differences: the path is accurate to 1e-7 m
-_FARTHER = 1e-2  # the same of conditions, which change it less
+_FARTHER = 1e-2  # of the typical size of a condition, which changes the path less
 _PRECISION = 1e-7  # of the path, m and rad
 _ROUNDING = 1e-7  # of the largest derivative by typical sizes; less is rounding error
 _NEAR = 0.05  # m by which the ends of a record may miss a line
 _DRAWS = 400  # of the posterior
-# draws tested for linearity in the parameters, tolerance in sd
-_TRIED, _LINEAR = 40, 0.03
+_TRIED = 40  # draws that are tested for linearity in the parameters
+_LINEAR = 0.03  # sd by which they may be off
 
 
 class _Motion(NamedTuple):
@@ -48,28 +49,26 @@ class _Motion(NamedTuple):
         """Time at which the path crosses a line, s; NaN where it does not."""
         from scipy.interpolate import CubicSpline  # slow to load, and few fits need it
 
-        n = max(
-            int(np.argmin(self.speed > 0)) + 1
-            if (self.speed <= 0).any()
-            else len(self.t),
-            4,
-        )
-        roots = CubicSpline(self.t[:n], self.y[:n]).solve(LINES[line])
-        late = np.maximum(roots - self.t[n - 1], 0) + np.maximum(self.t[0] - roots, 0)
-        return (
-            float(roots[np.argmin(late)])
-            if len(roots) and late.min() < 1.0
-            else math.nan
-        )
+        at_rest = np.flatnonzero(self.speed <= 0)
+        rows = int(at_rest[0]) + 1 if len(at_rest) else len(self.t)
+        rows = max(rows, 4)  # which a cubic needs
+        first = self.t[0]
+        last = self.t[rows - 1]
+        times = CubicSpline(self.t[:rows], self.y[:rows]).solve(LINES[line])
+        outside = np.maximum(times - last, 0) + np.maximum(first - times, 0)
+        if len(times) and outside.min() < 1.0:
+            return float(times[np.argmin(outside)])
+        return math.nan
 
     def curl(self, line: str | None = None) -> float:
         """Distance to the right of the line along the initial velocity, m, at a line of
         the sheet or at the last row."""
-        s, c = math.sin(self.heading), math.cos(self.heading)
-        right = (self.x - self.x[0]) * c - (self.y - self.y[0]) * s
+        across = (self.x - self.x[0]) * math.cos(self.heading)
+        along = (self.y - self.y[0]) * math.sin(self.heading)
+        right = across - along
         if line is None:
             return float(right[-1])
-        from scipy.interpolate import CubicSpline
+        from scipy.interpolate import CubicSpline  # as in `time_at`
 
         return float(CubicSpline(self.t, right)(self.time_at(line)))
 
@@ -100,9 +99,11 @@ class _Path:
     and conditions."""
 
     def __init__(self, fit: FitResult) -> None:
-        self._model, self._heading = fit.model, list(fit.parameters).index("heading")
+        self._model = fit.model
+        self._heading = list(fit.parameters).index("heading")
         problem, origin = problem_of(fit)
-        self._offset, self._place = origin.offset(len(fit.parameters)), origin.place
+        self._offset = origin.offset(len(fit.parameters))
+        self._place = origin.place
         # As many rows as the fit had, so that no other program is compiled.
         times = np.linspace(0.0, fit.observed["t"][-1] - origin.t, len(problem.times))
         rests = fit.fitted["speed"][-1] <= 0
@@ -122,11 +123,10 @@ class _Path:
             problem = with_condition_off(problem, condition, by)._replace(
                 events=problem.events
             )
-        found = np.asarray(
-            predict_channels(self._model, values - self._offset, problem)
-        )
-        x, y, phi, speed, _ = found[:5] + self._place[:, None]
-        rest = math.inf if problem.events is None else float(found[5, 0])
+        path = np.asarray(predict_channels(self._model, values - self._offset, problem))
+        x, y, phi, speed, _ = path[:5] + self._place[:, None]
+        # The only event, in the row after the channels, is the rest.
+        rest = math.inf if problem.events is None else float(path[5, 0])
         heading = float(values[self._heading])
         return _Motion(np.asarray(problem.times), x, y, phi, speed, heading, rest)
 
@@ -146,139 +146,172 @@ def quantities_of(fit: FitResult, chain: Any = None) -> dict[str, Derived]:
     # Times and places alone, without a channel, determine none of them.
     if not fit.converged or scaled or not fit.fitted or not fit.rms:
         return {}
-    path, known = _Path(fit), fit.first_order
+    path = _Path(fit)
     best = path.at(fit.values)
     if not np.isfinite(best.y).all():
         return {}
-    wanted, parameters = _definitions(fit, best), fit.parameter_set
-    if not wanted:
+    definitions = _definitions(fit, best)
+    if not definitions:
         return {}
-    # the calibration of lengths does not change the motion
-    off = {item.name: item.typical for item in CONDITIONS if item.name in known.widths}
-    p, free = len(parameters), parameters.free
-
-    def at(point: Floats) -> Floats:
-        motion = path.at(
-            point[:p], {name: by for name, by in zip(off, point[p:], strict=True) if by}
-        )
-        return np.array([item.of(motion) for item in wanted])
-
-    typical = np.append(parameters.typical, [*off.values()])
-    where, steps = (
-        np.append(free, np.ones(len(off), bool)),
-        np.repeat([_STEP, _FARTHER], [p, len(off)]),
-    )
-    gradients = slopes(
-        at, np.append(fit.values, 0 * typical[p:]), steps * typical, where
-    )
-    sizes = np.abs(gradients) * typical[where]
-    gradients[sizes < _ROUNDING * sizes.max(-1, keepdims=True, initial=0.0)] = 0.0
-    names = [*parameters.names_where(free), *off]
-    values = at(np.append(fit.values, 0 * typical[p:]))
+    first_order = fit.first_order
+    parameters = fit.parameter_set
+    # The calibration of lengths does not change the motion.
+    conditions = [
+        condition for condition in CONDITIONS if condition.name in first_order.widths
+    ]
+    values, gradients = _values_and_gradients(path, fit, definitions, conditions)
     samples = None
     if chain is not None and len(chain.flat):
-        linear = (
-            values
-            + (chain.flat - fit.values)[:, free] @ gradients[:, : int(free.sum())].T
-        )
-        samples = _samples(path, chain.flat, wanted, linear)
-    found = {}
-    for row, (item, value, gradient) in enumerate(
-        zip(wanted, values, gradients, strict=True)
-    ):
+        by_free = gradients[:, : int(parameters.free.sum())]
+        steps = (chain.flat - fit.values)[:, parameters.free]
+        samples = _samples(path, chain.flat, definitions, values + steps @ by_free.T)
+    names = parameters.names_where(parameters.free)
+    names_of_conditions = [condition.name for condition in conditions]
+    quantities = {}
+    for row, definition in enumerate(definitions):
+        value = float(values[row])
+        gradient = gradients[row].tolist()
         if not np.isfinite([value, *gradient]).all():
             continue
-        by_name = dict(zip(names, map(float, gradient), strict=True))
-        changes = {name: known.widths[name] * by_name.pop(name) for name in off}
-        one = known.assess(item.name, float(value), by_name, changes, held_counts=False)
+        by_parameter = dict(zip(names, gradient[: len(names)], strict=True))
+        by_condition = dict(
+            zip(names_of_conditions, gradient[len(names) :], strict=True)
+        )
+        changes = {
+            name: first_order.widths[name] * slope
+            for name, slope in by_condition.items()
+        }
+        quantity = first_order.assess(
+            definition.name, value, by_parameter, changes, held_counts=False
+        )
         # Under a law that cannot curl a stone, the path contains no information
         # on the curl.
-        if one.verdict.is_known and one.stderr is not None and one.stderr > _PRECISION:
-            one = with_quantiles(one, samples[:, row]) if samples is not None else one
-            found[item.name] = replace(one, meaning=item.meaning, unit=item.unit)
-    return found
+        is_told = quantity.stderr is not None and quantity.stderr > _PRECISION
+        if quantity.verdict.is_known and is_told:
+            if samples is not None:
+                quantity = with_quantiles(quantity, samples[:, row])
+            quantities[definition.name] = replace(
+                quantity, meaning=definition.meaning, unit=definition.unit
+            )
+    return quantities
+
+
+def _values_and_gradients(
+    path: _Path,
+    fit: FitResult,
+    definitions: Sequence[_Definition],
+    conditions: Sequence[Parameter],
+) -> tuple[Floats, Floats]:
+    """Quantities at the estimates, and their derivatives by the free parameters and
+    then by the conditions, shape (quantities, free parameters and conditions)."""
+    parameters = fit.parameter_set
+    count = len(parameters)
+    names = [condition.name for condition in conditions]
+
+    def quantities(point: Floats) -> Floats:
+        """At the parameters and then the conditions, each over its assumed value."""
+        off = zip(names, point[count:], strict=True)
+        motion = path.at(point[:count], {name: by for name, by in off if by})
+        return np.array([definition.of(motion) for definition in definitions])
+
+    point = np.append(fit.values, np.zeros(len(names)))
+    sizes_of_conditions = [condition.typical for condition in conditions]
+    typical = np.append(parameters.typical, sizes_of_conditions)
+    steps = np.repeat([_STEP, _FARTHER], [count, len(names)])
+    moves = np.append(parameters.free, np.ones(len(names), bool))
+    gradients = slopes(quantities, point, steps * typical, moves)
+    sizes = np.abs(gradients) * typical[moves]
+    largest = sizes.max(-1, keepdims=True, initial=0.0)
+    gradients[sizes < _ROUNDING * largest] = 0.0
+    return quantities(point), gradients
 
 
 def _samples(
-    path: _Path, flat: Floats, wanted: list[_Definition], linear: Floats
+    path: _Path, flat: Floats, definitions: Sequence[_Definition], linear: Floats
 ) -> Floats:
     """Draws of the quantities, shape (draws, quantities): from all samples to
     first order where that agrees with the paths of some of them, otherwise from
-    the paths of more."""
+    the paths of more.
 
-    def by_paths(number: int) -> tuple[Any, Floats]:
-        rows = np.unique(np.linspace(0, len(flat) - 1, number).astype(int))
+    Parameters
+    ----------
+    flat : samples of the parameters, shape (draws, parameters).
+    linear : the quantities to first order at each of them.
+    """
+
+    def by_paths(rows: Any) -> Floats:
         motions = [path.at(flat[row]) for row in rows]
-        return rows, np.array([[item.of(one) for item in wanted] for one in motions])
+        return np.array(
+            [
+                [definition.of(motion) for definition in definitions]
+                for motion in motions
+            ]
+        )
 
-    rows, found = by_paths(_TRIED)
-    if (np.abs(found - linear[rows]) < _LINEAR * linear.std(axis=0)).all():
+    last = len(flat) - 1
+    rows = np.unique(np.linspace(0, last, _TRIED).astype(int))
+    errors = np.abs(by_paths(rows) - linear[rows])
+    if (errors < _LINEAR * linear.std(axis=0)).all():
         return linear
-    _, found = by_paths(_DRAWS)
-    return found
+    return by_paths(np.unique(np.linspace(0, last, _DRAWS).astype(int)))
 
 
 def _definitions(fit: FitResult, best: _Motion) -> list[_Definition]:
     """Quantities that the measured channels and the lines crossed determine."""
-    seen, rests = set(fit.rms), best.rest <= best.t[-1]
-    low, high = best.y.min() - _NEAR, best.y.max() + _NEAR
-    counts = "y" in seen and fit.counts_from_hack
-    passed = {
-        name
-        for name in ("hog", "far-hog", "far-tee")
-        if counts and low <= LINES[name] <= high
-    }
+    seen = set(fit.rms)
+    rests = best.rest <= best.t[-1]
+    passed = set()
+    if "y" in seen and fit.counts_from_hack:
+        low = best.y.min() - _NEAR
+        high = best.y.max() + _NEAR
+        lines = ("hog", "far-hog", "far-tee")
+        passed = {line for line in lines if low <= LINES[line] <= high}
     until = "until rest" if rests else "over the record"
-    tee = "far-tee" if "far-tee" in passed else None
-    where = (
-        "at the tee line" if tee else "at rest" if rests else "at the end of the record"
-    )
-    in_house = rests and abs(best.y[-1] - TEE) < HOUSE
-    known = [
-        (
-            seen & {"y", "speed"},
-            _Definition(
-                "friction", f"mean deceleration / g, {until}", "1", lambda m: m.friction
-            ),
-        ),
-        (
-            {"x", "y"} <= seen,
-            _Definition(
-                "curl", f"curl to the right, {where}", "m", lambda m: m.curl(tee)
-            ),
-        ),
-        (
-            seen & {"phi", "omega"},
-            _Definition(
-                "turns", f"turns counter-clockwise, {until}", "1", lambda m: m.turns
-            ),
-        ),
-        (
-            {"hog", "far-hog"} <= passed,
+    definitions = []
+    if "y" in seen or "speed" in seen:
+        meaning = f"mean deceleration / g, {until}"
+        definitions.append(
+            _Definition("friction", meaning, "1", lambda motion: motion.friction)
+        )
+    if "x" in seen and "y" in seen:
+        tee = "far-tee" if "far-tee" in passed else None
+        where = "at rest" if rests else "at the end of the record"
+        if tee is not None:
+            where = "at the tee line"
+        meaning = f"curl to the right, {where}"
+        definitions.append(
+            _Definition("curl", meaning, "m", lambda motion: motion.curl(tee))
+        )
+    if "phi" in seen or "omega" in seen:
+        meaning = f"turns counter-clockwise, {until}"
+        definitions.append(
+            _Definition("turns", meaning, "1", lambda motion: motion.turns)
+        )
+    if {"hog", "far-hog"} <= passed:
+        definitions.append(
             _Definition(
                 "hog_to_hog",
                 "hog line to hog line",
                 "s",
-                lambda m: m.time_at("far-hog") - m.time_at("hog"),
-            ),
-        ),
-        (
-            {"hog", "far-tee"} <= passed,
+                lambda motion: motion.time_at("far-hog") - motion.time_at("hog"),
+            )
+        )
+    if {"hog", "far-tee"} <= passed:
+        definitions.append(
             _Definition(
                 "hog_to_tee",
                 "near hog line to tee line",
                 "s",
-                lambda m: m.time_at("far-tee") - m.time_at("hog"),
-            ),
-        ),
-        (
-            "hog" in passed and in_house,
+                lambda motion: motion.time_at("far-tee") - motion.time_at("hog"),
+            )
+        )
+    if "hog" in passed and rests and abs(best.y[-1] - TEE) < HOUSE:
+        definitions.append(
             _Definition(
                 "draw_time",
                 "near hog line to rest in the house",
                 "s",
-                lambda m: m.rest - m.time_at("hog"),
-            ),
-        ),
-    ]
-    return [quantity for determined, quantity in known if determined]
+                lambda motion: motion.rest - motion.time_at("hog"),
+            )
+        )
+    return definitions

@@ -11,7 +11,7 @@ from curlfit.inference.least_squares import Solution
 from curlfit.inference.likelihood import SIGMA_FLOOR
 from curlfit.inference.problem import Problem
 from curlfit.losses import MAD_TO_SIGMA, Loss, robust_sigma
-from curlfit.numerics.arrays import Floats
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.throws.channels import running_median
 from curlfit.throws.throw import CHANNELS, Throw
 
@@ -28,10 +28,11 @@ def residuals_of(
     """Measured - fitted of many throws, 0 where nothing was observed, shape (throws,
     channels, n); from their paths, or from residuals by least squares with
     independent noise."""
-    there = problems.weight > 0
+    observed = problems.weight > 0
     if paths is None:
-        return -solutions.residual / np.where(there, problems.weight, 1.0)
-    return np.where(there, problems.observed - paths[:, : there.shape[1]], 0.0)
+        return -solutions.residual / np.where(observed, problems.weight, 1.0)
+    channels = observed.shape[1]
+    return np.where(observed, problems.observed - paths[:, :channels], 0.0)
 
 
 def outliers_of(
@@ -56,58 +57,67 @@ def outliers_of(
     dof : degrees of freedom of each channel's sigma.
     leverage : of each value on its own fitted value, shape (channels, n).
     """
-    found = []
-    for row, name in enumerate(CHANNELS[: len(residual)]):
-        there = np.flatnonzero(throw.finite[row])
-        if len(there) < _FEWEST:
+    outliers = []
+    for row, channel in enumerate(CHANNELS[: len(residual)]):
+        observed = np.flatnonzero(throw.finite[row])
+        count = len(observed)
+        if count < _FEWEST:
             continue
-        limit = 5 + 30 / (len(there) - 6)
-        series = throw.sigma.get(name)
-        off = residual[row, there]
-        if series is None:
-            off = off / throw.sigma_over_smallest(name)[there]
+        given = throw.sigma.get(channel)
+        off = residual[row, observed]
+        if given is None:
+            off = off / throw.sigma_over_smallest(channel)[observed]
         size = np.abs(off)
+        limit = 5 + 30 / (count - 6)
         # A law that does not follow the path, or that outliers have drawn aside, is off
         # by as much in the next rows.
-        smooth = lag1.get(name, 1.0) > _SMOOTH
+        smooth = lag1.get(channel, 1.0) > _SMOOTH
         studentized = (
             not smooth
-            and len(there) < _FEW
+            and count < _FEW
             and not loss.is_robust
-            and series is None
+            and given is None
             and dof[row] > 2
         )
-        if not studentized and 2 * (
-            size > size.max() / (limit * MAD_TO_SIGMA)
-        ).sum() > len(there):
+        large = size > size.max() / (limit * MAD_TO_SIGMA)
+        if not studentized and 2 * large.sum() > count:
             continue  # the median size is so large that no value is far off
         bulk = max(robust_sigma(size), SIGMA_FLOOR)
-        sigma = (
-            np.full(len(throw), bulk) if series is None else np.maximum(series, bulk)
-        )
-        far = size > limit * sigma[there]
+        sigma = np.full(count, bulk)
+        if given is not None:
+            sigma = np.maximum(given[observed], bulk)
+        far = size > limit * sigma
         if smooth:
-            alone = np.abs(off - running_median(off, _NEIGHBOURS))
-            far &= alone > limit * sigma[there]
+            from_neighbours = np.abs(off - running_median(off, _NEIGHBOURS))
+            far &= from_neighbours > limit * sigma
             half = _NEIGHBOURS // 2
-            far[:half] = far[-half:] = False  # no rows on both sides
+            far[:half] = False  # no rows on both sides
+            far[-half:] = False
         if studentized:
-            from scipy.special import stdtrit  # slow to load, and few throws need it
-
-            free = np.maximum(1 - leverage[row, there], 1e-6)
-            others = np.maximum((size**2).sum() - size**2 / free, SIGMA_FLOOR**2) / (
-                dof[row] - 1
-            )
-            chance = _BY_CHANCE / (2 * residual.shape[0] * len(there))
-            far |= size > -stdtrit(dof[row] - 1, chance) * np.sqrt(free * others)
-        for index, out in zip(there[far], size[far], strict=True):
-            found.append(
+            chance = _BY_CHANCE / (2 * residual.shape[0] * count)
+            far |= _studentized_far(size, leverage[row, observed], dof[row], chance)
+        for index, sigmas in zip(observed[far], size[far] / sigma[far], strict=True):
+            outliers.append(
                 {
-                    "channel": name,
+                    "channel": channel,
                     "t": float(throw.t[index]),
                     "line": None if throw.lines is None else int(throw.lines[index]),
                     "off": float(residual[row, index]),
-                    "sigmas": float(out / sigma[index]),
+                    "sigmas": float(sigmas),
                 }
             )
-    return tuple(sorted(found, key=lambda item: -item["sigmas"]))
+    return tuple(sorted(outliers, key=lambda outlier: -outlier["sigmas"]))
+
+
+def _studentized_far(
+    size: Floats, leverage: Floats, dof: float, chance: float
+) -> Booleans:
+    """Residuals whose externally studentized size is exceeded by `chance` on either
+    side: each over the sigma of the others, as a fit without it has them."""
+    from scipy.special import stdtrit  # slow to load, and few throws need it
+
+    share = np.maximum(1 - leverage, 1e-6)  # of the noise of a value in its residual
+    squares_of_others = (size**2).sum() - size**2 / share
+    variance = np.maximum(squares_of_others, SIGMA_FLOOR**2) / (dof - 1)
+    far: Booleans = size > -stdtrit(dof - 1, chance) * np.sqrt(share * variance)
+    return far

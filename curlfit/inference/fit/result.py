@@ -236,46 +236,43 @@ class FitResult(NamedEstimates):
         """Raise `ValueError` where what was read contradicts itself."""
         parameters = self.parameters.keys()
         rows = len(self.observed.get("t", ()))
-        for place, names in (
-            ("parameters", [item.name for item in START]),
-            ("covariance", self.covariance["names"]),
-            ("information", self.information["names"]),
-            ("null_directions", [name for one in self.null_directions for name in one]),
-            (
-                "combinations",
-                [name for one in self.combinations for name in one.weights],
-            ),
-            ("posterior", self.posterior.ess if self.posterior else ()),
-            ("ridge", [point.held for point in self.ridge if point.held is not None]),
-        ):
-            require(place, set(names) <= parameters, "names of parameters")
+        of_null_directions = {
+            name for direction in self.null_directions for name in direction
+        }
+        of_combinations = {
+            name for combination in self.combinations for name in combination.weights
+        }
+        names_by_entry: dict[str, Iterable[str]] = {
+            "parameters": [parameter.name for parameter in START],
+            "covariance": self.covariance["names"],
+            "information": self.information["names"],
+            "null_directions": of_null_directions,
+            "combinations": of_combinations,
+            "posterior": self.posterior.ess if self.posterior else (),
+            "ridge": [point.held for point in self.ridge if point.held is not None],
+        }
+        for entry, names in names_by_entry.items():
+            require(entry, set(names) <= parameters, "names of parameters")
         origins = self.data["sigma"].items()
         estimated = {name for name, origin in origins if origin == "estimated"}
         require("data", self.rms.keys() <= self.data["sigma"].keys(), "sigma of each")
         require("sigma", estimated <= self.sigma.keys(), "all that were estimated")
-        for place in ("observed", "fitted", "discrepancy"):
-            require_rows(place, getattr(self, place), rows)
+        for entry in ("observed", "fitted", "discrepancy"):
+            require_rows(entry, getattr(self, entry), rows)
         for name, shifts in self.systematics.shifts.items():
-            known = shifts.keys() <= self.systematics.widths.keys()
-            require("systematics", known, f"{name}: names of conditions")
-        own = {"t", *CHANNELS, *(f"sigma_{name}" for name in CHANNELS)}
-        require(
-            "observed",
-            {"t", *self.rms} <= self.observed.keys() <= own,
-            "t and channels",
-        )
-        for place, found in (
-            ("covariance", self.covariance),
-            ("information", self.information),
-        ):
-            sizes = {
-                len(found["names"]),
-                *map(len, (found["matrix"], *found["matrix"])),
-            }
-            require(place, len(sizes) == 1, "a square matrix")
-        complete = all(len(one.values) == len(parameters) for one in self.ridge)
+            are_conditions = shifts.keys() <= self.systematics.widths.keys()
+            require("systematics", are_conditions, f"{name}: names of conditions")
+        series = {"t", *CHANNELS, *(f"sigma_{name}" for name in CHANNELS)}
+        has_series = {"t", *self.rms} <= self.observed.keys() <= series
+        require("observed", has_series, "t and channels")
+        matrices = {"covariance": self.covariance, "information": self.information}
+        for entry, record in matrices.items():
+            count = len(record["names"])
+            lengths = [len(row) for row in record["matrix"]]
+            require(entry, lengths == [count] * count, "a square matrix")
+        complete = all(len(point.values) == len(parameters) for point in self.ridge)
         require("ridge", complete, "a value of each parameter")
-        shape = (len(START),) * 2 if self.noise.sizes else (0,)
+        shape = (len(START), len(START)) if self.noise.sizes else (0,)
         require("noise", np.shape(self.noise.initial_state) == shape, "a covariance")
         gradient = self.information["gradient"]
         require(
@@ -295,21 +292,21 @@ class FitResult(NamedEstimates):
         InputError : it is not known, or has other coefficients.
         """
         try:
-            found = find_law(self.law, from_files=False)
+            law = find_law(self.law, from_files=False)
         except InputError:
             raise InputError(
                 f"{self.law} is not a law of curlfit, and a saved result does "
                 "not run the file of its law; name it with --law FILE.py:CLASS "
                 "(`find_law` in Python)"
             ) from None
-        own = tuple(item.name for item in found.coefficients())
-        if own != tuple(self.coefficients):
+        coefficients = [coefficient.name for coefficient in law.coefficients()]
+        if coefficients != list(self.coefficients):
             raise InputError(
-                f"the law {self.law} has the coefficients {', '.join(own)}, "
+                f"the law {self.law} has the coefficients {', '.join(coefficients)}, "
                 f"the saved result {', '.join(self.coefficients)}; "
                 "expected the law that was fitted"
             )
-        return found
+        return law
 
     def with_law(self, law: str | type[Law] | None) -> FitResult:
         """The result, whose law is that of a user's file.
@@ -319,10 +316,10 @@ class FitResult(NamedEstimates):
         InputError : it is another law.
         """
         if law is not None:
-            found = find_law(law)
-            if found.name != self.law:
+            name = find_law(law).name
+            if name != self.law:
                 raise InputError(
-                    f"--law {law}: {found.name} found, but the saved fit is of the "
+                    f"--law {law}: {name} found, but the saved fit is of the "
                     f"law {self.law}; give the data to fit another"
                 )
             self.law_class  # noqa: B018  (its coefficients are checked)
@@ -338,14 +335,16 @@ class FitResult(NamedEstimates):
     @property
     def values(self) -> Floats:
         """The fitted parameter vector."""
-        return np.array([item.value for item in self.parameters.values()])
+        return np.array([estimate.value for estimate in self.parameters.values()])
 
     @property
     def coefficients(self) -> dict[str, Estimate]:
         """The law's own parameters."""
-        others = {item.name for item in (*CONDITIONS, *START)}
+        others = {parameter.name for parameter in (*CONDITIONS, *START)}
         return {
-            name: item for name, item in self.parameters.items() if name not in others
+            name: estimate
+            for name, estimate in self.parameters.items()
+            if name not in others
         }
 
     @property
@@ -356,59 +355,60 @@ class FitResult(NamedEstimates):
     @property
     def parameter_set(self) -> ParameterSet:
         """Names, bounds and fixed values of the fit."""
-        own = {item.name for item in fields(Parameter)} - {"name"}
-        return ParameterSet(
-            tuple(
-                Parameter(name=name, **{key: getattr(item, key) for key in own})
-                for name, item in self.parameters.items()
-            ),
-            {
-                name: item.value
-                for name, item in self.parameters.items()
-                if item.verdict == Verdict.FIXED
-            },
-            parse_priors(
-                {name: one.prior for name, one in self.parameters.items() if one.prior}
-            ),
-        )
+        attributes = [attribute.name for attribute in fields(Parameter)]
+        attributes.remove("name")
+        parameters = []
+        fixed = {}
+        priors = {}
+        for name, estimate in self.parameters.items():
+            of_parameter = {key: getattr(estimate, key) for key in attributes}
+            parameters.append(Parameter(name=name, **of_parameter))
+            if estimate.verdict == Verdict.FIXED:
+                fixed[name] = estimate.value
+            if estimate.prior:
+                priors[name] = estimate.prior
+        return ParameterSet(tuple(parameters), fixed, parse_priors(priors))
 
     @property
     def throw(self) -> Throw:
         """The data that were fitted."""
         series = self.observed
         channels: dict[str, Any] = {name: series.get(name) for name in CHANNELS}
-        sigma = {
-            name: series[f"sigma_{name}"]
-            for name in CHANNELS
-            if f"sigma_{name}" in series
-        }
+        sigma: dict[str, Any] = {}
+        relative_sigma: dict[str, Any] = {}
+        for name in CHANNELS:
+            if f"sigma_{name}" in series:
+                is_estimated = name in self.sigma
+                of_channel = relative_sigma if is_estimated else sigma
+                of_channel[name] = series[f"sigma_{name}"]
+        assumed = {}
+        if self.events:
+            for parameter in START:
+                estimate = self.parameters[parameter.name]
+                if estimate.verdict == Verdict.FIXED:
+                    assumed[parameter.name] = estimate.value
         return Throw.from_arrays(
             series["t"],
             **channels,
-            sigma={
-                name: by_row for name, by_row in sigma.items() if name not in self.sigma
-            },
-            relative_sigma={
-                name: by_row for name, by_row in sigma.items() if name in self.sigma
-            },
+            sigma=sigma,
+            relative_sigma=relative_sigma,
             name=self.data["file"],
             reference=self.reference,
             labels=self.data.get("labels", {}),
             events=tuple(event for event, _ in self.timed),
-            assumed={
-                item.name: self.parameters[item.name].value
-                for item in START
-                if self.events and self.parameters[item.name].verdict == Verdict.FIXED
-            },
+            assumed=assumed,
             defaults={"as_given": True},  # it was checked when it was fitted
         )
 
     @property
     def timed(self) -> list[tuple[Event, float]]:
         """The events, each with its value in the fit."""
-        own = [dict(item) for item in self.events]
-        fitted = [item.pop("fitted") for item in own]
-        return [(Event(**item), value) for item, value in zip(own, fitted, strict=True)]
+        timed = []
+        for entry in self.events:
+            attributes = dict(entry)
+            fitted = attributes.pop("fitted")
+            timed.append((Event(**attributes), fitted))
+        return timed
 
     @property
     def counts_from_hack(self) -> bool:
@@ -425,19 +425,19 @@ class FitResult(NamedEstimates):
     def all_derived(self) -> tuple[Derived, ...]:
         """The products that are determined, and the derived quantities that were
         requested, each once."""
-        requested = {item.expression for item in self.derived}
-        own = (item for item in self.products if item.expression not in requested)
-        return (*own, *self.derived)
+        requested = {quantity.expression for quantity in self.derived}
+        others = [
+            product for product in self.products if product.expression not in requested
+        ]
+        return (*others, *self.derived)
 
     @property
     def residuals(self) -> dict[str, Floats]:
         """Measured - fitted by measured channel (SI, rad), NaN where there is no value;
         at the times `observed["t"]`."""
-        return {
-            name: self.observed[name] - self.fitted[name]
-            for name in self.rms
-            if self.fitted
-        }
+        if not self.fitted:
+            return {}
+        return {name: self.observed[name] - self.fitted[name] for name in self.rms}
 
     @property
     def predicted(self) -> dict[str, Floats]:
@@ -452,7 +452,7 @@ class FitResult(NamedEstimates):
     def fitted_law(self) -> Law:
         """The law with the fitted coefficients, as `curlfit.simulate` takes it."""
         return self.law_class.from_vector(
-            [item.value for item in self.coefficients.values()]
+            [coefficient.value for coefficient in self.coefficients.values()]
         )
 
     @property
@@ -467,7 +467,7 @@ class FitResult(NamedEstimates):
             self.systematics.shifts,
             self.stone.as_dict(),
             self.ridge,
-            tuple(item.expression for item in self.products),
+            tuple(product.expression for product in self.products),
         )
 
     def derive(self, expression: str, chain: Any = None) -> Derived:
@@ -520,24 +520,38 @@ class FitResult(NamedEstimates):
         `coefficient_rows`, of which the second are as wide as the ridge, each of shape
         (coefficients, coefficients + 1)."""
         names = list(self.coefficients) if names is None else names
-        known = self.information["names"]
-        typical = np.array([self.parameters[name].typical for name in known])
+        free, typical, matrix, gradient = self._information_in_typical_sizes()
+        rises = np.array([point.rise for point in self.ridge])
+        moves = self._moves_along_ridge(free) / typical
+        step: Any = np.linalg.pinv(matrix, rcond=_SEEN, hermitian=True) @ gradient
+        wanted = np.isin(free, names)
+        kept, stretched = information_along(matrix, moves, rises).of(wanted, step)
+        values = np.array([self.parameters[name].value for name in names])
+        sizes = np.append(typical[wanted], 1.0)
+        rows_kept = self._padded(kept / sizes, names)
+        rows_kept[:, -1] += rows_kept[:, :-1] @ values
+        rows_stretched = self._padded(stretched / sizes, names)
+        rows_stretched[:, -1] += rows_stretched[:, :-1] @ values
+        return rows_kept, rows_stretched
+
+    def _information_in_typical_sizes(
+        self,
+    ) -> tuple[Sequence[str], Floats, Floats, Floats]:
+        """Names of the free parameters, their typical sizes, and the information matrix
+        and the gradient in these."""
+        names = self.information["names"]
+        typical = np.array([self.parameters[name].typical for name in names])
         matrix = np.array(self.information["matrix"]) * typical * typical[:, None]
         gradient = np.array(self.information["gradient"]) * typical
-        rises = np.array([point.rise for point in self.ridge])
-        moves = self._moves_along_ridge(known) / typical
-        step: Any = np.linalg.pinv(matrix, rcond=_SEEN, hermitian=True) @ gradient
-        own = np.isin(known, names)
-        values = np.array([self.parameters[name].value for name in names])
-        free = np.append(np.isin(names, known), True)
-        parts = []
-        for part in information_along(matrix, moves, rises).of(own, step):
-            rows = np.zeros((len(names), len(names) + 1))
-            rows[: len(part), free] = part / np.append(typical[own], 1.0)
-            rows[:, -1] += rows[:, :-1] @ values
-            parts.append(rows)
-        kept, stretched = parts
-        return kept, stretched
+        return names, typical, matrix, gradient
+
+    def _padded(self, rows: Floats, names: Sequence[str]) -> Floats:
+        """Rows on the free ones of some parameters, with what they give as the last
+        column, as rows on all of these parameters, as many as there are of them."""
+        columns = np.append(np.isin(names, self.information["names"]), True)
+        padded = np.zeros((len(names), len(names) + 1))
+        padded[: len(rows), columns] = rows
+        return padded
 
     def rows_told(self, names: Sequence[str] | None = None) -> Floats:
         """All that the throw says of the coefficients of its law, or of the named
@@ -550,7 +564,9 @@ class FitResult(NamedEstimates):
     def stderr_of_coefficients(self, weights: Floats) -> float | None:
         """Standard error of a weighted sum of the coefficients of the law, as wide as
         the ridge; None where the throw says nothing of it."""
-        typical = np.array([item.typical for item in self.coefficients.values()])
+        typical = np.array(
+            [coefficient.typical for coefficient in self.coefficients.values()]
+        )
         return stderr_told(self.rows_told()[:, :-1], weights, typical)
 
     def left_open(self) -> tuple[str, ...]:
@@ -569,7 +585,7 @@ class FitResult(NamedEstimates):
         *_, null = directions(with_start_known, typical)
         # Each of two coefficients of which only the sum enters has a share of 0.7.
         told = np.linalg.norm(null, axis=0) < _HARDLY_TOLD
-        left = []
+        open_ = []
         for name, move, is_told in zip(names, moves, told, strict=True):
             unit = np.array(
                 [1.0 if other == name else 0.0 for other in self.coefficients]
@@ -577,8 +593,8 @@ class FitResult(NamedEstimates):
             stderr = self.stderr_of_coefficients(unit)
             weak = WEAK_ERROR * self.parameters[name].typical
             if move > WEAK_ERROR and is_told and (stderr is None or stderr >= weak):
-                left.append(name)
-        return tuple(left)
+                open_.append(name)
+        return tuple(open_)
 
     def coefficient_rows(self, names: Sequence[str] | None = None) -> Floats:
         """What the throw says of the coefficients of its law, or of the named
@@ -586,29 +602,23 @@ class FitResult(NamedEstimates):
         with what they then give as the last column, shape
         (coefficients, coefficients + 1); errors are one."""
         names = list(self.coefficients) if names is None else names
-        known = self.information["names"]
-        typical = np.array([self.parameters[name].typical for name in known])
-        matrix = np.array(self.information["matrix"]) * typical * typical[:, None]
-        gradient = np.array(self.information["gradient"]) * typical
-        own = np.isin(known, names)
-        to_rest: Any = matrix[own][:, ~own] @ np.linalg.pinv(
-            matrix[~own][:, ~own], hermitian=True
-        )
-        squares, axes = np.linalg.eigh(
-            matrix[own][:, own] - to_rest @ matrix[~own][:, own]
-        )
+        free, typical, matrix, gradient = self._information_in_typical_sizes()
+        wanted = np.isin(free, names)
+        # Whatever the other parameters are: the Schur complement.
+        inverse = np.linalg.pinv(matrix[~wanted][:, ~wanted], hermitian=True)
+        follow: Any = matrix[wanted][:, ~wanted] @ inverse
+        reduced = matrix[wanted][:, wanted] - follow @ matrix[~wanted][:, wanted]
+        reduced_gradient = gradient[wanted] - follow @ gradient[~wanted]
+        squares, axes = np.linalg.eigh(reduced)
         seen = squares > _SEEN * squares.max(initial=0.0)
-        rows = np.zeros((len(names), len(names) + 1))
-        free = np.isin(names, known)
-        along = axes[:, seen].T * np.sqrt(squares[seen])[:, None]
+        root = np.sqrt(squares[seen])
+        directions_seen = axes[:, seen].T
+        slopes = directions_seen * root[:, None] / typical[wanted]
+        steps = directions_seen @ reduced_gradient / root
+        rows = self._padded(np.column_stack([slopes, steps]), names)
         values = np.array([self.parameters[name].value for name in names])
-        rows[: len(along), :-1][:, free] = along / typical[own]
-        push = (
-            axes[:, seen].T
-            @ (gradient[own] - to_rest @ gradient[~own])
-            / np.sqrt(squares[seen])
-        )
-        rows[: len(along), -1] = rows[: len(along), :-1] @ values + push
+        count = len(steps)
+        rows[:count, -1] += rows[:count, :-1] @ values
         return rows
 
     def before_sampling(self) -> FitResult:

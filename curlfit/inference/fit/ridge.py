@@ -14,6 +14,7 @@ estimate at all points where chi squared has risen by no more than that.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -126,8 +127,8 @@ class Ridge(NamedTuple):
         for point, rise in zip(self.points, self.rises, strict=True):
             moved = np.abs(weights @ (point.values - self.optimum.values))
             largest = np.maximum(largest, demanded_errors(moved, rise) / errors)
-            there = point.errors(weights, sizes) / errors
-            largest = np.where(there > FAR_LESS, np.maximum(largest, there), largest)
+            larger = point.errors(weights, sizes) / errors
+            largest = np.where(larger > FAR_LESS, np.maximum(largest, larger), largest)
         return largest
 
     @classmethod
@@ -136,8 +137,8 @@ class Ridge(NamedTuple):
         return cls(optimum, (), np.zeros(0), {})
 
     def joined(self, other: Ridge) -> Ridge:
-        """The same with another ridge of the fit: about another solution, or one from
-        which the search went on."""
+        """This ridge and another one of the same fit: about another solution, or one
+        from which the search went on."""
         near: list[Point] = []
         rises: list[float] = []
         for point in (other.optimum, *other.points):
@@ -147,8 +148,8 @@ class Ridge(NamedTuple):
                 rises.append(rise)
         intervals = dict(other.intervals)
         for index, (low, high) in self.intervals.items():
-            before = intervals.get(index, (low, high))
-            intervals[index] = min(low, before[0]), max(high, before[1])
+            other_low, other_high = intervals.get(index, (low, high))
+            intervals[index] = (min(low, other_low), max(high, other_high))
         return Ridge(
             self.optimum,
             (*self.points, *near),
@@ -199,13 +200,13 @@ class _Side:
         if not self.lower[index] < held < self.upper[index]:
             held = float(np.clip(held, self.lower[index], self.upper[index]))
             self.goes_on = False
+        # The others follow, so that residuals change least to first order.
         moved = held - values[index]
-        slopes = last.slopes * self.typical
         others = self.upper > self.lower
         others[index] = False
-        follow, *_ = np.linalg.lstsq(
-            slopes[:, others], slopes[:, index] / self.typical[index], rcond=_ROUNDING
-        )
+        slopes = last.slopes * self.typical
+        by_held = slopes[:, index] / self.typical[index]
+        follow, *_ = np.linalg.lstsq(slopes[:, others], by_held, rcond=_ROUNDING)
         values[others] -= moved * follow * self.typical[others]
         values = np.clip(values, self.lower, self.upper)
         values[index] = held
@@ -237,7 +238,8 @@ class _Side:
             if rise >= INTERVAL:
                 share = (math.sqrt(INTERVAL) - root) / (next_root - root)
                 return value + share * (next_value - value)
-            value, root = next_value, next_root
+            value = next_value
+            root = next_root
         return value
 
 
@@ -258,11 +260,17 @@ def follow(fits: Sequence[Followed], refit: Refit) -> list[Ridge]:
     for number, fit in enumerate(fits):
         for index, stderr in fit.stderr.items():
             step = min(stderr, _FIRST_STEP * fit.typical[index])
-            bounds = np.array(fit.lower), np.array(fit.upper), fit.typical
-            sides += [
-                _Side((number, index), sign, step, fit.optimum, *bounds)
-                for sign in (-1.0, 1.0)
-            ]
+            for sign in (-1.0, 1.0):
+                side = _Side(
+                    hold_of=(number, index),
+                    sign=sign,
+                    step=step,
+                    optimum=fit.optimum,
+                    lower=np.array(fit.lower),
+                    upper=np.array(fit.upper),
+                    typical=fit.typical,
+                )
+                sides.append(side)
     going = sides
     while going:
         points = refit([side.next_hold() for side in going])
@@ -278,22 +286,22 @@ def follow(fits: Sequence[Followed], refit: Refit) -> list[Ridge]:
 def _ridge(fit: Followed, sides: Sequence[_Side]) -> Ridge:
     """The points of all sides of a fit that fit about as well as the optimum."""
     points = [point for side in sides for point in side.points]
-    rises = {number: _rise(point, fit.optimum) for number, point in enumerate(points)}
-    near = [number for number, rise in rises.items() if rise <= HIGHEST]
+    rises = np.array([_rise(point, fit.optimum) for point in points])
+    in_interval = [
+        point for point, rise in zip(points, rises, strict=True) if rise <= INTERVAL
+    ]
     ends: dict[int, list[float]] = {}
     for side in sides:
-        ends.setdefault(side.hold_of[1], []).append(side.end_of_interval())
-    for index, pair in ends.items():
-        # values that another parameter leads to count as well
-        pair += [points[row].values[index] for row in near if rises[row] <= INTERVAL]
-    intervals = {
-        index: (float(min(pair)), float(max(pair))) for index, pair in ends.items()
-    }
+        index = side.hold_of[1]
+        ends.setdefault(index, []).append(side.end_of_interval())
+    intervals = {}
+    for index, values in ends.items():
+        # Values that another parameter leads to count as well.
+        values += [float(point.values[index]) for point in in_interval]
+        intervals[index] = (min(values), max(values))
+    near = rises <= HIGHEST
     return Ridge(
-        fit.optimum,
-        tuple(points[number] for number in near),
-        np.array([rises[number] for number in near]),
-        intervals,
+        fit.optimum, tuple(itertools.compress(points, near)), rises[near], intervals
     )
 
 

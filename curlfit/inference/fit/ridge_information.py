@@ -35,24 +35,25 @@ class RidgeInformation(NamedTuple):
     """the rest, with errors that reach as far as the ridge: the estimate is a point of
     it by chance, and its distance from the truth may be the same in all throws"""
 
-    def of(self, own: Booleans, step: Floats) -> tuple[Floats, Floats]:
+    def of(self, wanted: Booleans, step: Floats) -> tuple[Floats, Floats]:
         """Both parts of the information about some parameters, whatever the others are,
         with what each row gives at the optimum of the quadratic as the last column.
 
         Parameters
         ----------
-        own : which parameters these are.
+        wanted : which parameters these are.
         step : of all parameters to the optimum of the quadratic.
         """
-        kept = _reduced(np.column_stack([self.kept, self.kept @ step]), own)
+        kept = _reduced(np.column_stack([self.kept, self.kept @ step]), wanted)
         both = np.vstack([self.kept, self.stretched])
-        whole = _reduced(np.column_stack([both, both @ step]), own)
-        # What the others may be is told by both parts together.
-        rest = whole[:, :-1].T @ whole[:, :-1] - kept[:, :-1].T @ kept[:, :-1]
-        squares, axes = np.linalg.eigh(rest)
+        together = _reduced(np.column_stack([both, both @ step]), wanted)
+        # What the other parameters may be is told by both parts together.
+        information = together[:, :-1].T @ together[:, :-1]
+        stretched_information = information - kept[:, :-1].T @ kept[:, :-1]
+        squares, axes = np.linalg.eigh(stretched_information)
         seen = visible(np.sqrt(np.maximum(squares[::-1], 0.0)))[::-1]
         stretched = np.sqrt(squares[seen, None]) * axes[:, seen].T
-        return kept, np.column_stack([stretched, stretched @ step[own]])
+        return kept, np.column_stack([stretched, stretched @ step[wanted]])
 
 
 def information_along(
@@ -78,13 +79,14 @@ def information_along(
     axes, singular, _ = directions(information, np.ones(len(information)))
     rows = singular[:, None] * axes
     # A point within one standard error is where any estimate may be by its noise.
-    places = demanded_errors(moves @ rows.T, rises[:, None])
+    points = demanded_errors(moves @ rows.T, rises[:, None])
     taken = np.zeros((len(rows), 0))
-    left = places
-    while (direction := _farthest(left)) is not None:
-        taken = np.column_stack([taken, direction / np.linalg.norm(direction)])
-        left = left - (left @ taken[:, -1:]) @ taken[:, -1:].T
-    along = places @ taken
+    remaining = points
+    while (direction := _farthest(remaining)) is not None:
+        unit = direction[:, None] / np.linalg.norm(direction)
+        remaining = remaining - (remaining @ unit) @ unit.T
+        taken = np.column_stack([taken, unit])
+    along = points @ taken
     shortened = np.eye(taken.shape[1])
     while (direction := _farthest(along @ shortened.T)) is not None:
         length = np.linalg.norm(direction)
@@ -95,23 +97,23 @@ def information_along(
     return RidgeInformation(kept, shortened @ (taken.T @ rows))
 
 
-def _farthest(places: Floats) -> Floats | None:
-    """The place farthest from zero; None if none is too far."""
-    if not places.size:
+def _farthest(points: Floats) -> Floats | None:
+    """The point farthest from zero; None if none is too far."""
+    if not points.size:
         return None
-    lengths = np.linalg.norm(places, axis=1)
+    lengths = np.linalg.norm(points, axis=1)
     farthest = int(np.argmax(lengths))
-    return places[farthest] if lengths[farthest] > LITTLE else None
+    return points[farthest] if lengths[farthest] > LITTLE else None
 
 
-def _reduced(rows: Floats, own: Booleans) -> Floats:
+def _reduced(rows: Floats, wanted: Booleans) -> Floats:
     """Rows on some parameters alone, whatever the others are, of which at most as many
     are left; the last column is what they give."""
-    columns = np.append(own, True)
+    columns = np.append(wanted, True)
     basis, singular, _ = np.linalg.svd(rows[:, ~columns], full_matrices=False)
-    basis = basis[:, visible(singular)]
-    rest = rows[:, columns] - basis @ (basis.T @ rows[:, columns])
-    basis, singular, axes = np.linalg.svd(rest[:, :-1], full_matrices=False)
+    by_others = basis[:, visible(singular)]
+    beyond = rows[:, columns] - by_others @ (by_others.T @ rows[:, columns])
+    basis, singular, axes = np.linalg.svd(beyond[:, :-1], full_matrices=False)
     seen = visible(singular)
-    told = basis[:, seen].T @ rest[:, -1]
-    return np.column_stack([singular[seen, None] * axes[seen], told])
+    steps = basis[:, seen].T @ beyond[:, -1]
+    return np.column_stack([singular[seen, None] * axes[seen], steps])

@@ -16,9 +16,9 @@ these rounds.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Sequence
 from operator import itemgetter
+from typing import Any
 
 import jax
 import numpy as np
@@ -56,8 +56,8 @@ from curlfit.throws.throw import CHANNELS, Throw
 
 _ROBUST_FITS = 4  # each with sigma from the bulk of the last
 _TIGHTER = 0.1  # sigma of a channel over that of the fit before, at least
-# factors on the usual coefficients, within which a rough path tells them
-_ROUGHLY = 0.25, 4.0
+# factor on the usual coefficients, or one over it, within which a rough path tells them
+_ROUGHLY = 4.0
 _WITH_SIGMA = 2  # the first round once every sigma is known
 
 
@@ -86,66 +86,60 @@ class Rounds:
         """`shape` is that of all problems; `batch` the number of paths integrated
         side by side."""
         if not noise.is_white:
-            for one in throws:
-                if one.throw.events and one.throw.has_path:
+            for prepared in throws:
+                if prepared.throw.events and prepared.throw.has_path:
                     raise InputError(
-                        f"{one.throw.name}: noise {noise} is that of rows, "
+                        f"{prepared.throw.name}: noise {noise} is that of rows, "
                         "and this throw has timed events beside its path; "
                         "fit the path alone, or with white noise"
                     )
-        self.model, self.throws, self.batch = model, throws, batch
+        self.model = model
+        self.throws = throws
+        self.batch = batch
         self.loss = loss
-        even = [throw.equal_sigma() for throw in throws]
-
-        def built(cut: Sequence[Throw], shape: tuple[int, int] | None) -> Problem:
-            return stacked(
-                [
-                    build_problem(
-                        throw,
-                        one.stone,
-                        one.origin,
-                        sigma,
-                        swept=one.swept,
-                        shape=shape,
-                    )
-                    for throw, one, sigma in zip(cut, throws, even, strict=True)
-                ]
-            )
-
-        self.initial_problems = self.problems = built(
-            [one.throw for one in throws], shape
+        equal_sigmas = [prepared.equal_sigma() for prepared in throws]
+        self.problems = _problems(
+            throws, [prepared.throw for prepared in throws], equal_sigmas, shape
         )
+        self.initial_problems = self.problems
         if not noise.is_white:
-            size, blank = len(throws[0].parameters), Noise(noise)
-            each = zip(self.problems.times, self.problems.weight, strict=True)
-            whiteners = stacked([Whitener.of(blank, *one, size) for one in each])
-            self.problems = self.problems._replace(whitener=whiteners)
+            # Until the noise is estimated, these change nothing.
+            whiteners = [
+                Whitener.of(Noise(noise), times, weight, len(throws[0].parameters))
+                for times, weight in zip(
+                    self.problems.times, self.problems.weight, strict=True
+                )
+            ]
+            self.problems = self.problems._replace(whitener=stacked(whiteners))
         if self.problems.events is not None:
             # Initial values do without events; a throw with nothing else needs
             # a rough path.
-            small = len(CHANNELS), self.problems.times.shape[-1]
-            self.initial_problems = built(
-                [one.throw.sketched() for one in throws], small
+            self.initial_problems = _problems(
+                throws,
+                [prepared.throw.sketched() for prepared in throws],
+                equal_sigmas,
+                (len(CHANNELS), self.problems.times.shape[-1]),
             )
         self.channels = ROWS_OF_DATA[: self.problems.observed.shape[1]]
         self.unknown = np.array(
-            [[name in sigma for name in self.channels] for sigma in even]
+            [[name in sigma for name in self.channels] for sigma in equal_sigmas]
         )
         self.sigma = np.array(
-            [[sigma.get(name, 0.0) for name in self.channels] for sigma in even]
+            [[sigma.get(name, 0.0) for name in self.channels] for sigma in equal_sigmas]
         )
         self._estimated = np.zeros_like(self.sigma)
-        self.free = np.stack([throw.parameters.free for throw in throws])
+        self.free = np.stack([prepared.parameters.free for prepared in throws])
         self.noises = [Noise(noise)] * len(throws)
         self.failures: dict[int, InputError] = {}
-        robust = _ROBUST_FITS if loss.is_robust else 0
+        robust_fits = _ROBUST_FITS if loss.is_robust else 0
         self._rounds: list[Callable[[Indices, Solution], None]] = [
             self._estimate_sigma,
             self._tighten,
-            *[self._estimate_robust_sigma] * robust,
+            *[self._estimate_robust_sigma] * robust_fits,
         ]
         if not noise.is_white:
             self._rounds.append(self._estimate_noise)
+        # of each throw, the number of the round that follows its present fit
         self._next = np.where(self.unknown.any(1), 0, _WITH_SIGMA)
 
     def starts(self) -> tuple[SmoothPath, Floats]:
@@ -153,30 +147,36 @@ class Rounds:
         their shapes as of `start_values_of_sides`. The rough path of a throw that has
         none tells the size of coefficients, but no exponent and no sign: without
         friction a stone would never rest."""
-        paths, (_, *ends) = smooth(self.initial_problems), local_bounds(self.throws)
-        rough = np.array([not one.throw.has_path for one in self.throws])
-        for place, item in enumerate(self.model.law.coefficients()):
-            low, high = (end[:, place].copy() for end in ends)
-            for end, factor in zip(ends, _ROUGHLY, strict=True):
-                usual = default_guess(item) * (1.0 if item.signed else factor)
-                end[:, place] = np.where(
-                    rough, np.clip(usual, low, high), end[:, place]
-                )
+        paths = smooth(self.initial_problems)
+        _, lower, upper = local_bounds(self.throws)
+        rough = np.array([not prepared.throw.has_path for prepared in self.throws])
+        for index, coefficient in enumerate(self.model.law.coefficients()):
+            usual = default_guess(coefficient)
+            factor = 1.0 if coefficient.signed else _ROUGHLY
+            low = lower[rough, index]
+            high = upper[rough, index]
+            lower[rough, index] = np.clip(usual / factor, low, high)
+            upper[rough, index] = np.clip(usual * factor, low, high)
         return paths, start_values_of_sides(
-            self.model, self.initial_problems, paths, *ends, batch=self.batch
+            self.model, self.initial_problems, paths, lower, upper, batch=self.batch
         )
 
     def revise(self, which: Indices, solutions: Solution) -> Indices:
         """Revise the problems of throws that are due for a further fit; return
-        these throws."""
-        due = self._next[which]  # a copy: each throw goes through one round
-        again = np.zeros(len(which), bool)
-        for number in np.unique(due[due < len(self._rounds)]):
-            here = due == number
-            self._next[which[here]] += 1
-            self._rounds[number](which[here], jax.tree.map(itemgetter(here), solutions))
-            again |= here
-        return which[again & ~np.isin(which, [*self.failures])]
+        these throws.
+
+        Parameters
+        ----------
+        which : throws, by index. solutions : their optima, along the first axis.
+        """
+        next_rounds = self._next[which]  # a copy: each throw goes through one round
+        has_round = next_rounds < len(self._rounds)
+        for number in np.unique(next_rounds[has_round]):
+            in_round = next_rounds == number
+            throws = which[in_round]
+            self._next[throws] += 1
+            self._rounds[number](throws, _at(solutions, in_round))
+        return which[has_round & ~np.isin(which, [*self.failures])]
 
     def with_own_sigma(self, solutions: Solution) -> Solution:
         """Optima of all throws with the sigmas of their own residuals in place of
@@ -202,30 +202,34 @@ class Rounds:
         rival: Solution | None = None,
     ) -> LeastSquaresFit:
         """The outcome of the fit of a throw."""
-        estimated = np.flatnonzero(self.unknown[index])
-        sigma = {self.channels[row]: float(self.sigma[index, row]) for row in estimated}
-        problem = jax.tree.map(itemgetter(index), self.problems)
+        sigma = {
+            self.channels[row]: float(self.sigma[index, row])
+            for row in np.flatnonzero(self.unknown[index])
+        }
         return LeastSquaresFit(
-            self.throws[index],
-            self.model,
-            self.loss,
-            self.noises[index],
-            problem,
-            sigma,
-            solution,
-            tried,
-            rival,
+            prepared=self.throws[index],
+            model=self.model,
+            loss=self.loss,
+            noise=self.noises[index],
+            problem=_at(self.problems, index),
+            sigma=sigma,
+            solution=solution,
+            tried=tried,
+            rival=rival,
         )
 
-    def _estimate_sigma(self, now: Indices, solutions: Solution) -> None:
-        sigma = residual_sigma(solutions, self._problems_of(now), self.free[now])
-        self._estimated[now] = np.where(self.unknown[now], sigma + SIGMA_FLOOR, 0.0)
-        self.sigma[now] = np.where(
-            self.unknown[now], self._estimated[now].max(1)[:, None], 0.0
-        )
-        self._tighten(now, solutions)
+    def _estimate_sigma(self, throws: Indices, solutions: Solution) -> None:
+        """Estimate the sigmas from a fit with equal weights."""
+        problems = self._problems_of(throws)
+        unknown = self.unknown[throws]
+        sigma = residual_sigma(solutions, problems, self.free[throws]) + SIGMA_FLOOR
+        estimated = np.where(unknown, sigma, 0.0)
+        largest = estimated.max(axis=1, keepdims=True)
+        self._estimated[throws] = estimated
+        self.sigma[throws] = np.where(unknown, largest, 0.0)
+        self._tighten(throws, solutions)
 
-    def _tighten(self, now: Indices, _: Solution) -> None:
+    def _tighten(self, throws: Indices, _: Solution) -> None:
         """Continue toward the estimated sigmas, from equal ones.
 
         An angle has a kink at rest. If it is fitted almost exactly, chi squared has a
@@ -233,107 +237,145 @@ class Rounds:
         beyond the wall, where a weaker weight leads (the quadratic penalty method:
         Nocedal and Wright 2006, ch. 17.1).
         """
-        self.sigma[now] = np.maximum(self._estimated[now], _TIGHTER * self.sigma[now])
-        there = (self.sigma[now] == self._estimated[now]).all(1)
-        self._next[now] = np.where(there, _WITH_SIGMA, _WITH_SIGMA - 1)
-        self._reweight(now)
+        estimated = self._estimated[throws]
+        sigma = np.maximum(estimated, _TIGHTER * self.sigma[throws])
+        reached = (sigma == estimated).all(axis=1)
+        self.sigma[throws] = sigma
+        self._next[throws] = np.where(reached, _WITH_SIGMA, _WITH_SIGMA - 1)
+        self._reweight(throws)
 
-    def _estimate_robust_sigma(self, now: Indices, solutions: Solution) -> None:
-        problems = self._problems_of(now)
-        residual = whitened_residuals_of_many(
+    def _estimate_robust_sigma(self, throws: Indices, solutions: Solution) -> None:
+        """Take sigma from the bulk of the residuals, and apply the robust loss."""
+        problems = self._problems_of(throws)
+        residuals = whitened_residuals_of_many(
             self.model, solutions.values, problems, self.batch
         )
-        for place, throw in enumerate(now):
-            for row in np.flatnonzero(self.unknown[throw]):
-                there = problems.weight[place, row] > 0
-                bulk = robust_sigma(residual[place, row, there])
-                self.sigma[throw, row] = bulk * self.sigma[throw, row] + SIGMA_FLOOR
-        self.problems.loss[now] = place_of(self.loss)
-        # without sigmas
-        self._next[now[~self.unknown[now].any(1)]] = _WITH_SIGMA + _ROBUST_FITS
-        self._reweight(now)
-
-    def _estimate_noise(self, now: Indices, solutions: Solution) -> None:
-        problems = self._problems_of(now)
-        paths = predict_many(self.model, solutions.values, problems, self.batch)
-        for place, (index, unknown) in enumerate(
-            zip(now.tolist(), self.unknown[now], strict=True)
+        for throw, residual, weight in zip(
+            throws, residuals, problems.weight, strict=True
         ):
-            solution, problem = (
-                jax.tree.map(itemgetter(place), stack)
-                for stack in (solutions, problems)
-            )
-            data = self._linearized(index, problem, solution, paths[place])
+            for channel in np.flatnonzero(self.unknown[throw]):
+                observed = weight[channel] > 0
+                bulk = robust_sigma(residual[channel, observed])
+                sigma = bulk * self.sigma[throw, channel] + SIGMA_FLOOR
+                self.sigma[throw, channel] = sigma
+        self.problems.loss[throws] = place_of(self.loss)
+        # Where every sigma is given, one fit with the loss is enough.
+        is_given = ~self.unknown[throws].any(axis=1)
+        self._next[throws[is_given]] = _WITH_SIGMA + _ROBUST_FITS
+        self._reweight(throws)
+
+    def _estimate_noise(self, throws: Indices, solutions: Solution) -> None:
+        """Estimate the correlation of the noise, and whiten the residuals by it."""
+        problems = self._problems_of(throws)
+        paths = predict_many(self.model, solutions.values, problems, self.batch)
+        for row, throw in enumerate(throws.tolist()):
+            problem = _at(problems, row)
+            data = self._linearized(throw, problem, _at(solutions, row), paths[row])
             if not data.enough.any():
-                name = self.throws[index].throw.name
-                self.failures[index] = InputError(
+                name = self.throws[throw].throw.name
+                self.failures[throw] = InputError(
                     f"{name}: too few values to estimate a correlation of the noise"
                 )
                 continue
-            found = estimate(self.noises[index].kind, data, ~unknown)
-            noise = self.noises[index] = found.noise
+            unknown = self.unknown[throw]
+            estimated = estimate(self.noises[throw].kind, data, ~unknown)
+            noise = estimated.noise
             if noise.sizes:
-                sigmas = zip(self.channels, self.sigma[index].tolist(), strict=True)
-                noise.independent.update(itertools.compress(sigmas, unknown))
-            scale = np.where(unknown, found.scale, 1.0)
-            self.sigma[index] = scale * self.sigma[index] + SIGMA_FLOOR * unknown
-            self._reweight(np.array([index]))
+                # The sigmas of independent noise are kept beside the discrepancy.
+                for channel in np.flatnonzero(unknown):
+                    sigma = float(self.sigma[throw, channel])
+                    noise.independent[self.channels[channel]] = sigma
+            self.noises[throw] = noise
+            scale = np.where(unknown, estimated.scale, 1.0)
+            self.sigma[throw] = scale * self.sigma[throw] + SIGMA_FLOOR * unknown
+            self._reweight(np.array([throw]))
             whitener = Whitener.of(
                 noise,
                 problem.times,
-                self.problems.weight[index],
+                self.problems.weight[throw],
                 len(data.from_standard),
                 data,
             )
-            pairs = zip(
-                *map(jax.tree.leaves, (self.problems.whitener, whitener)), strict=True
-            )
-            for leaf, new in pairs:
-                leaf[index] = new
+            stack = jax.tree.leaves(self.problems.whitener)
+            for of_all, of_throw in zip(stack, jax.tree.leaves(whitener), strict=True):
+                of_all[throw] = of_throw
 
     def _linearized(
-        self, index: int, problem: Problem, solution: Solution, path: Floats
+        self, throw: int, problem: Problem, solution: Solution, path: Floats
     ) -> Linearized:
         """A fit with white noise to first order."""
-        one, channels = self.throws[index], len(problem.weight)
-        _, lower, upper = local_bounds([one])
-        adjustable = ((lower < solution.values) & (solution.values < upper))[0]
-        typical, n = one.parameters.typical, len(one.throw)
-        if self.noises[index].kind.has_discrepancy:
+        prepared = self.throws[throw]
+        _, lower, upper = local_bounds([prepared])
+        adjustable = (lower[0] < solution.values) & (solution.values < upper[0])
+        typical = prepared.parameters.typical
+        rows = len(prepared.throw)
+        if self.noises[throw].kind.has_discrepancy:
             return linearized(
                 self.model,
                 problem,
                 solution.values,
-                path[:, :n],
-                one.stone,
+                path[:, :rows],
+                prepared.stone,
                 typical,
                 adjustable,
-            ).first(channels)
-        inverse = 1 / np.where(problem.weight > 0, problem.weight, 1.0)
-        found = Linearized.of(
+            ).first(len(problem.weight))
+        sigma = 1 / np.where(problem.weight > 0, problem.weight, 1.0)
+        data = Linearized.of(
             problem.times,
             problem.weight,
-            -solution.residual * inverse,
-            solution.jacobian * inverse[..., None],
+            -solution.residual * sigma,
+            solution.jacobian * sigma[..., None],
             typical,
             adjustable,
             len(self.model.law.coefficients()),
         )
-        span = time_of_motion(problem.times[:n], path[CHANNELS.index("speed"), :n])
-        return found._replace(span=np.asarray(span))
-
-    def _reweight(self, now: Indices) -> None:
-        before = self.problems.weight[now]
-        there = before > 0
-        sigma = np.where(self.unknown[now], self.sigma[now], 1.0)[..., None]
-        relative = before / np.maximum(
-            before.max(-1, keepdims=True), np.finfo(float).tiny
+        speed = path[CHANNELS.index("speed"), :rows]
+        return data._replace(
+            span=np.asarray(time_of_motion(problem.times[:rows], speed))
         )
-        weight = np.where(
-            there & self.unknown[now][..., None], relative / sigma, before
-        )
-        self.problems.weight[now] = weight
 
-    def _problems_of(self, now: Indices) -> Problem:
-        found: Problem = jax.tree.map(itemgetter(as_slice(now)), self.problems)
-        return found
+    def _reweight(self, throws: Indices) -> None:
+        """Weight the channels whose sigma is estimated by 1/sigma, where the relative
+        weights of their rows stay."""
+        weight = self.problems.weight[throws]
+        unknown = self.unknown[throws][..., None]
+        sigma = np.where(unknown, self.sigma[throws][..., None], 1.0)
+        largest = weight.max(axis=-1, keepdims=True)
+        relative = weight / np.maximum(largest, np.finfo(float).tiny)
+        estimated = unknown & (weight > 0)
+        self.problems.weight[throws] = np.where(estimated, relative / sigma, weight)
+
+    def _problems_of(self, throws: Indices) -> Problem:
+        problems: Problem = _at(self.problems, as_slice(throws))
+        return problems
+
+
+def _problems(
+    prepared: Sequence[PreparedThrow],
+    throws: Sequence[Throw],
+    sigmas: Sequence[dict[str, float]],
+    shape: tuple[int, int] | None,
+) -> Problem:
+    """The problems of throws along the first axis, with these sigmas by channel.
+
+    Parameters
+    ----------
+    throws : the data, those of the `prepared` ones or sketches of them.
+    """
+    problems = [
+        build_problem(
+            throw,
+            of_throw.stone,
+            of_throw.origin,
+            sigma,
+            swept=of_throw.swept,
+            shape=shape,
+        )
+        for of_throw, throw, sigma in zip(prepared, throws, sigmas, strict=True)
+    ]
+    return stacked(problems)
+
+
+def _at(stack: Any, which: Any) -> Any:
+    """The records of a stack at an index, or at several."""
+    return jax.tree.map(itemgetter(which), stack)

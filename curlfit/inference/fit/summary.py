@@ -63,9 +63,7 @@ from curlfit.numerics.batches import stacked, unstacked
 from curlfit.throws.plausibility import examine_fit
 from curlfit.throws.throw import CHANNELS
 
-"""First word of the status of a fit that is impossible for a curling stone."""
-_MOST_STEPS = 60
-"""Of a refit along a ridge."""
+_MOST_STEPS = 60  # of a refit along a ridge
 _FEWEST = 3  # values of a channel, above which their correlation is given
 # typical sizes by which solutions that fit equally differ in a parameter
 _DIFFERENT = 0.1
@@ -90,7 +88,7 @@ def summarize_many(
     ridges: Callable[[dict[int, float]], Sequence[Ridge]] | None = None,
     earlier: Sequence[Ridge | None] | None = None,
 ) -> list[FitResult]:
-    """The same for fits of one model, loss and noise model, to problems of one shape.
+    """The records of fits of one model, loss and noise model, to problems of one shape.
 
     Parameters
     ----------
@@ -112,46 +110,42 @@ def summarize_many(
     if not fits:
         return []
     many = _Many.of(fits, common, others)
-    paths = (
-        predict_many(many.model, many.solutions.values, many.problems, batch)
-        if curves
-        else None
-    )
+    paths = None
+    if curves:
+        paths = predict_many(many.model, many.solutions.values, many.problems, batch)
     residuals = residuals_of(many.problems, many.solutions, paths)
-    found, reduction = many.covariances(residuals)
-    departures = many.departures(found, reduction, batch, ridges, earlier)
+    covariances, reduction = many.covariances(residuals)
+    departures = many.departures(covariances, reduction, batch, ridges, earlier)
+    widths = widths or {}
     shifts: list[dict[str, Floats]] = [{}] * len(fits)
     if paths is not None and widths:
-        shifts = many.shifts(found, reduction, paths, widths, batch)
-    each = [None] * len(fits) if paths is None else paths
-    widths_of_each = [widths or {}] * len(fits)
-    alone = common is None and others is None
-    results = list(
-        map(
-            _record,
-            fits,
-            each,
-            residuals,
-            found,
-            departures,
-            shifts,
-            widths_of_each,
-            [alone] * len(fits),
+        shifts = many.shifts(covariances, reduction, paths, widths, batch)
+    results = []
+    for row, fit in enumerate(fits):
+        result = _record(
+            fit,
+            None if paths is None else paths[row],
+            residuals[row],
+            covariances[row],
+            departures[row],
+            shifts[row],
+            widths,
+            alone=many.alone,
         )
-    )
-    if not alone:
-        # What a fit of one throw says of its residuals holds for one of several too.
-        results = list(map(with_change, fits, results))
+        if not many.alone:
+            # What a fit of one throw says of its residuals holds for one of several.
+            result = with_change(fit, result)
+        results.append(result)
     if earlier is None:
-        better = many.searched_on(found, departures, batch)
-        ended = summarize_many(
+        better = many.searched_on(covariances, departures, batch)
+        results_of_better = summarize_many(
             list(better.values()),
             batch,
             curves=curves,
             widths=widths,
             earlier=[departures[row].ridge for row in better],
         )
-        for row, result in zip(better, ended, strict=True):
+        for row, result in zip(better, results_of_better, strict=True):
             results[row] = result
     return results
 
@@ -180,63 +174,80 @@ class _Many(NamedTuple):
         common: Booleans | None,
         others: Floats | None,
     ) -> Self:
-        throws, solutions = (
-            [fit.prepared for fit in fits],
-            stacked([fit.solution for fit in fits]),
-        )
-        offset, *ends = local_bounds(throws, common)
+        throws = [fit.prepared for fit in fits]
+        solutions = stacked([fit.solution for fit in fits])
+        offset, lower, upper = local_bounds(throws, common)
         penalty = penalties(throws)
         if others is not None:
-            known = (others[..., :-1] != 0).any((0, 1))
-            penalty = penalty._replace(weight=penalty.weight * ~known)
+            is_told = (others[..., :-1] != 0).any((0, 1))
+            penalty = penalty._replace(weight=penalty.weight * ~is_told)
         return cls(
-            fits,
-            fits[0].model,
-            fits[0].loss,
-            throws,
-            stacked([fit.problem for fit in fits]),
-            solutions,
-            offset,
-            Bounded(solutions.values, *ends),
-            throws[0].parameters.typical,
-            penalty,
-            common,
-            others,
+            fits=fits,
+            model=fits[0].model,
+            loss=fits[0].loss,
+            throws=throws,
+            problems=stacked([fit.problem for fit in fits]),
+            solutions=solutions,
+            offset=offset,
+            bounded=Bounded(solutions.values, lower, upper),
+            typical=throws[0].parameters.typical,
+            penalty=penalty,
+            common=common,
+            others=others,
         )
+
+    @property
+    def alone(self) -> bool:
+        """Whether each throw is fitted by itself."""
+        return self.common is None and self.others is None
 
     def covariances(
         self, residuals: Floats
     ) -> tuple[list[Covariance], Reduction | None]:
-        """Of each throw, and how throws that are fitted together act on one another."""
-        solutions, loss = self.solutions, self.loss
-        about = self.bounded, self.typical, self.penalty, self.common, self.others
-        factors = estimator = Factors.of(
-            r_factors(solutions.jacobian, solutions.residual), *about
-        )
-        if loss.is_robust:
-            robust = robust_jacobians(self.problems, solutions, residuals, loss)
-            estimator = Factors.of(r_factors(robust, solutions.residual), *about)
-        channels = ROWS_OF_DATA[: self.problems.observed.shape[1]]
-        number, found = (self.problems.weight > 0).sum(-1), []
-        for row, fit in enumerate(self.fits):
-            total = number[row if self.common is None else ...].sum()
-            known = Sigmas(number[row], np.isin(channels, [*fit.sigma]), loss, total)
-            absolute = Bounded(*(part[row] + self.offset[row] for part in self.bounded))
-            both = factors.at(row), estimator.at(row)
-            found.append(
-                Covariance.of(
-                    fit.prepared.parameters.names,
-                    absolute,
-                    self.typical,
-                    both,
-                    fit.solution.jacobian,
-                    known,
-                    self.penalty.informative or self.others is not None,
-                )
+        """Covariance of each throw, and how throws that are fitted together act on one
+        another."""
+        factors = self._factors(self.solutions.jacobian)
+        estimator = factors
+        if self.loss.is_robust:
+            estimator = self._factors(
+                robust_jacobians(self.problems, self.solutions, residuals, self.loss)
             )
+        channels = ROWS_OF_DATA[: self.problems.observed.shape[1]]
+        counts = (self.problems.weight > 0).sum(-1)
+        covariances = []
+        for row, fit in enumerate(self.fits):
+            count = counts[row] if self.common is None else counts
+            sigmas = Sigmas(
+                number=counts[row],
+                estimated=np.isin(channels, list(fit.sigma)),
+                loss=self.loss,
+                total=count.sum(),
+            )
+            in_data = Bounded(*(part[row] + self.offset[row] for part in self.bounded))
+            covariance = Covariance.of(
+                fit.prepared.parameters.names,
+                in_data,
+                self.typical,
+                (factors.at(row), estimator.at(row)),
+                fit.solution.jacobian,
+                sigmas,
+                has_priors=self.penalty.informative or self.others is not None,
+            )
+            covariances.append(covariance)
         if estimator.reduction is not None:
-            found = with_others(found, estimator.reduction)
-        return found, factors.reduction
+            covariances = with_others(covariances, estimator.reduction)
+        return covariances, factors.reduction
+
+    def _factors(self, jacobian: Floats) -> Factors:
+        """R factors of Jacobians of shape (throws, channels, n, parameters)."""
+        return Factors.of(
+            r_factors(jacobian, self.solutions.residual),
+            self.bounded,
+            self.typical,
+            self.penalty,
+            self.common,
+            self.others,
+        )
 
     def departures(
         self,
@@ -247,35 +258,37 @@ class _Many(NamedTuple):
         earlier: Sequence[Ridge | None] | None,
     ) -> list[Departures]:
         """How chi squared of each throw departs from its quadratic."""
-        about = [
+        probes_by_throw = [
             probes_about(covariance, Bounded(*(part[row] for part in self.bounded)))
             for row, covariance in enumerate(covariances)
         ]
-        rises = self._rises(about, reduction, batch)
+        rises_by_throw = self._rises(probes_by_throw, reduction, batch)
         departing = [
             [
-                pair
-                for pair in zip(probes, rises_of_throw, strict=True)
-                if pair[0].departs(pair[1])
+                (probe, rise)
+                for probe, rise in zip(probes, rises, strict=True)
+                if probe.departs(rise)
             ]
-            for probes, rises_of_throw in zip(about, rises, strict=True)
+            for probes, rises in zip(probes_by_throw, rises_by_throw, strict=True)
         ]
         coefficients = self.model.law.coefficients()
-        usual = np.array([default_guess(item) for item in coefficients])
-        if self.common is not None or self.others is not None:
-            together = self._held_together(covariances, departing, len(coefficients))
-            if ridges_together is not None and together:
-                ridges = ridges_together(together)
-                pairs = zip(covariances, ridges, strict=True)
-                return [departures_together(*pair, usual) for pair in pairs]
-            return [
-                departures_nearby(covariance, pairs)
-                for covariance, pairs in zip(covariances, departing, strict=True)
-            ]
+        usual = np.array([default_guess(coefficient) for coefficient in coefficients])
         held = [
             to_be_held(covariance, [probe for probe, _ in pairs], len(coefficients))
             for covariance, pairs in zip(covariances, departing, strict=True)
         ]
+        if not self.alone:
+            together = self._held_together(covariances, departing, held)
+            if ridges_together is not None and together:
+                ridges = ridges_together(together)
+                return [
+                    departures_together(covariance, ridge, usual)
+                    for covariance, ridge in zip(covariances, ridges, strict=True)
+                ]
+            return [
+                departures_nearby(covariance, pairs)
+                for covariance, pairs in zip(covariances, departing, strict=True)
+            ]
         departures = [NO_DEPARTURES] * len(covariances)
         beside = self._ridges_beside(earlier)
         due = [row for row, ridges in enumerate(beside) if held[row] or ridges]
@@ -305,41 +318,41 @@ class _Many(NamedTuple):
         self,
         covariances: Sequence[Covariance],
         departing: Sequence[Sequence[tuple[Probe, float]]],
-        coefficients: int,
+        held: Sequence[Sequence[int]],
     ) -> dict[int, float]:
         """Parameters that throws have in common along which their ridge is to be
-        followed, by index, with their standard errors."""
+        followed, by index, with their standard errors; `held` are those of each throw
+        by itself."""
         if self.common is None:
             return {}
-        held = {
-            index
-            for covariance, pairs in zip(covariances, departing, strict=True)
-            if pairs
-            for index in to_be_held(
-                covariance, [probe for probe, _ in pairs], coefficients
-            )
-        }
+        of_departing: set[int] = set()
+        for pairs, indices in zip(departing, held, strict=True):
+            if pairs:
+                of_departing.update(indices)
         shared = np.flatnonzero(self.common & covariances[0].open).tolist()
         return {
-            index: covariances[0].error_of(index) for index in shared if index in held
+            index: covariances[0].error_of(index)
+            for index in shared
+            if index in of_departing
         }
 
     def _rises(
         self,
-        about: Sequence[Sequence[Probe]],
+        probes_by_throw: Sequence[Sequence[Probe]],
         reduction: Reduction | None,
         batch: int,
     ) -> list[Floats]:
         """Rises of chi squared from the optimum of each throw to its probes."""
-        numbers = [len(probes) for probes in about]
-        owner = np.repeat(np.arange(len(about)), numbers)
-        points = np.array([probe.point for probes in about for probe in probes])
-        points = points.reshape(len(owner), self.solutions.values.shape[1])
+        counts = [len(probes) for probes in probes_by_throw]
+        points = np.array(
+            [probe.point for probes in probes_by_throw for probe in probes]
+        )
+        if not len(points):
+            return [np.zeros(0) for _ in counts]
+        owner = np.repeat(np.arange(len(counts)), counts)  # throw of each point
         best = self.solutions.values[owner]
         problems = jax.tree.map(itemgetter(owner), self.problems)
-        rises = np.zeros(0)
-        if len(owner):
-            rises = chi_squared_of_many(self.model, points, problems, batch)
+        rises = chi_squared_of_many(self.model, points, problems, batch)
         rises = rises - self.solutions.chi_squared[owner]
         priors = self.penalty.at(owner)
         rises += priors.chi_squared(points) - priors.chi_squared(best)
@@ -347,7 +360,7 @@ class _Many(NamedTuple):
         if rows is not None:
             rises += chi_squared_change(rows[owner], points - best)
         rises = np.nan_to_num(rises, nan=np.inf)
-        return np.split(rises, np.cumsum(numbers)[:-1])
+        return np.split(rises, np.cumsum(counts)[:-1])
 
     def _ridges(
         self,
@@ -363,8 +376,8 @@ class _Many(NamedTuple):
             priors = self.penalty.at(row)
             optimum = Point.of(self.fits[row].solution, priors)
             errors = {index: covariances[row].error_of(index) for index in held[row]}
-            ends = lowest[row], highest[row]
-            followed.append(Followed(optimum, *ends, self.typical, errors))
+            fit = Followed(optimum, lowest[row], highest[row], self.typical, errors)
+            followed.append(fit)
 
         def refit(holds: Sequence[Hold]) -> list[Point]:
             rows = [due[hold.fit] for hold in holds]
@@ -408,7 +421,7 @@ class _Many(NamedTuple):
         to a lower point, searched on from there: with all parameters, and with that
         held which the ridge holds, since a search may stall where a stone hardly spins.
         """
-        if self.common is not None or self.others is not None:
+        if not self.alone:
             return {}
         owner: list[int] = []
         starts: list[Floats] = []
@@ -436,7 +449,7 @@ class _Many(NamedTuple):
 
     def shifts(
         self,
-        found: Sequence[Covariance],
+        covariances: Sequence[Covariance],
         reduction: Reduction | None,
         paths: Floats,
         widths: Mapping[str, float],
@@ -455,85 +468,106 @@ class _Many(NamedTuple):
             jointly=self.common is not None,
         )
         gradients = {}
-        for name, change in changes.items():
+        for condition, change in changes.items():
             gradient = np.einsum("tcn,tcnp->tp", change, self.solutions.jacobian)
-            gradients[name] = (
-                gradient if reduction is None else reduction.gradient(gradient)
-            )
-        return [
-            one.shifts({name: g[row] for name, g in gradients.items()})
-            for row, one in enumerate(found)
-        ]
+            if reduction is not None:
+                gradient = reduction.gradient(gradient)
+            gradients[condition] = gradient
+        shifts = []
+        for row, covariance in enumerate(covariances):
+            of_throw = {name: gradient[row] for name, gradient in gradients.items()}
+            shifts.append(covariance.shifts(of_throw))
+        return shifts
 
 
 def _record(
     fit: LeastSquaresFit,
     path: Floats | None,
     residual: Floats,
-    found: Covariance,
+    covariance: Covariance,
     departures: Departures,
     shifts: Mapping[str, Floats],
     widths: Mapping[str, float],
+    *,
     alone: bool,
 ) -> FitResult:
-    law, throw, known = fit.model.law, fit.prepared.throw, found.identifiability
-    reference, residual = throw.reference, residual[:, : len(throw)]
-    path = None if path is None else path[:, : len(throw)]
+    """The record of one fit.
+
+    Parameters
+    ----------
+    path : the fitted path in the problem's coordinates, shape (channels, n); None
+        without curves.
+    residual : measured - fitted, shape (channels, n).
+    shifts : of the open parameters, by condition.
+    widths : of these conditions.
+    alone : whether the throw is fitted by itself.
+    """
+    law = fit.model.law
+    throw = fit.prepared.throw
+    reference = throw.reference
+    identifiability = covariance.identifiability
+    residual = residual[:, : len(throw)]
+    if path is not None:
+        path = path[:, : len(throw)]
     curves = _curves(fit, path)
     series = _by_channel(fit, residual)
-    enough = {name: pair for name, pair in series.items() if len(pair[0]) > _FEWEST}
+    rms = {name: float(np.sqrt(np.mean(off**2))) for name, (off, _) in series.items()}
+    enough = {name: both for name, both in series.items() if len(both[0]) > _FEWEST}
     lag1 = {name: Independence.of(off).lag1 for name, (off, _) in enough.items()}
+    independence = {name: Independence.of(white) for name, (_, white) in enough.items()}
     rival = _rival(fit)
-    distance = found.distance
+    distance = covariance.distance
     if departures.distance is not None:
         distance = departures.distance
-    estimates = _estimates(fit.prepared.parameters, found, departures, rival)
-    outliers = outliers_of(throw, residual, lag1, found.dof, found.leverage, fit.loss)
+    estimates = _estimates(fit.prepared.parameters, covariance, departures, rival)
+    outliers = outliers_of(
+        throw, residual, lag1, covariance.dof, covariance.leverage, fit.loss
+    )
     misfit = _misfit(fit, series, outliers)
     unusual = _unusual(fit, estimates["v0"], curves, misfit, alone=alone)
+    is_refused = any(finding.is_refusal for finding in unusual)
     systematics = Systematics()
     if shifts:
-        systematics = Systematics(dict(widths), found.shifts_of_determined(shifts))
+        systematics = Systematics(dict(widths), covariance.shifts_of_determined(shifts))
+    events = [
+        asdict(event) | {"fitted": event.value - float(off)}
+        for event, off in zip(throw.events, residual[-1], strict=False)
+    ]
     result = FitResult(
         law=law.name,
         load=fit.model.load.value,
         stone=fit.prepared.stone,
         data=_data(fit),
-        converged=distance < CONVERGED
-        and not any(finding.is_refusal for finding in unusual),
+        converged=distance < CONVERGED and not is_refused,
         status=_status(fit, distance, unusual),
         warnings=(),
         n_observations=throw.n_observations,
-        rms={
-            name: float(np.sqrt(np.mean(off**2))) for name, (off, _) in series.items()
-        },
+        rms=rms,
         sigma=fit.sigma,
         lag1=lag1,
         parameters=estimates,
         systematics=systematics,
         chi_squared=float(fit.solution.chi_squared),
         prior_chi_squared=float(fit.solution.penalty),
-        combinations=tuple(departures.kept(found.combinations)),
-        rank=known.rank,
-        singular_values=tuple(map(float, known.singular_values)),
-        null_directions=known.null_directions,
-        covariance={"names": list(known.names), "matrix": known.covariance.tolist()},
-        information=found.information(),
+        combinations=tuple(departures.kept(covariance.combinations)),
+        rank=identifiability.rank,
+        singular_values=tuple(map(float, identifiability.singular_values)),
+        null_directions=identifiability.null_directions,
+        covariance={
+            "names": list(identifiability.names),
+            "matrix": identifiability.covariance.tolist(),
+        },
+        information=covariance.information(),
         ridge=_ridge_points(fit, departures),
         reference=reference if reference and reference.law == law.name else None,
         observed=_observed(fit),
         fitted=curves,
-        discrepancy=_discrepancy(fit, path, found),
+        discrepancy=_discrepancy(fit, path, covariance),
         loss=fit.loss.name,
         noise=fit.noise,
-        independence={
-            name: Independence.of(white) for name, (_, white) in enough.items()
-        },
+        independence=independence,
         outliers=outliers,
-        events=tuple(
-            asdict(event) | {"fitted": event.value - float(off)}
-            for event, off in zip(throw.events, residual[-1], strict=False)
-        ),
+        events=tuple(events),
     )
     result = _with_products(result, shifts)
     warnings = warnings_of(fit, result, residual, unusual, rival, departures)
@@ -543,41 +577,44 @@ def _record(
 def _with_products(result: FitResult, shifts: Mapping[str, Floats]) -> FitResult:
     """The result with the products that are determined along its ridge, and with their
     systematic errors, from the shifts of the open parameters by condition."""
-    known = result.first_order
-    found = products_of(known)
-    by_product = {}
-    for product in found:
-        gradient = gradient_of(known, product.expression)
-        by_product[product.expression] = {
-            condition: known.across(gradient, shift)
+    first_order = result.first_order
+    products = products_of(first_order)
+    shifts_of_products = {}
+    for product in products:
+        gradient = gradient_of(first_order, product.expression)
+        shifts_of_products[product.expression] = {
+            condition: first_order.across(gradient, shift)
             for condition, shift in shifts.items()
         }
     systematics = result.systematics
     if shifts:
-        together = systematics.shifts | by_product
-        systematics = replace(systematics, shifts=together)
-    known = known._replace(shifts=systematics.shifts, products=tuple(by_product))
-    products = tuple(
-        replace(derive(known, product.expression), meaning=product.meaning)
-        for product in found
+        systematics = replace(
+            systematics, shifts=systematics.shifts | shifts_of_products
+        )
+    first_order = first_order._replace(
+        shifts=systematics.shifts, products=tuple(shifts_of_products)
     )
-    return replace(result, products=products, systematics=systematics)
+    derived = tuple(
+        replace(derive(first_order, product.expression), meaning=product.meaning)
+        for product in products
+    )
+    return replace(result, products=derived, systematics=systematics)
 
 
 def _ridge_points(
     fit: LeastSquaresFit, departures: Departures
 ) -> tuple[RidgePoint, ...]:
     """The ridge in the data's coordinates."""
-    if departures.ridge is None:
+    ridge = departures.ridge
+    if ridge is None:
         return ()
     names = fit.prepared.parameters.names
     points = []
-    pairs = zip(departures.ridge.points, departures.ridge.rises, strict=True)
-    for point, rise in pairs:
+    for point, rise in zip(ridge.points, ridge.rises.tolist(), strict=True):
         held = None if point.held is None else names[point.held]
         values = (point.values + fit.prepared.offset).tolist()
-        slopes = tuple(map(tuple, point.slopes.tolist()))
-        points.append(RidgePoint(held, float(rise), tuple(values), slopes))
+        slopes = tuple(tuple(row) for row in point.slopes.tolist())
+        points.append(RidgePoint(held, rise, tuple(values), slopes))
     return tuple(points)
 
 
@@ -585,9 +622,8 @@ def _curves(fit: LeastSquaresFit, path: Floats | None) -> dict[str, Floats]:
     """The fitted path by channel, in the data's coordinates; empty without one."""
     if path is None:
         return {}
-    return dict(
-        zip(CHANNELS, path[:5] + fit.prepared.origin.place[:, None], strict=True)
-    )
+    in_data = path[: len(CHANNELS)] + fit.prepared.origin.place[:, None]
+    return dict(zip(CHANNELS, in_data, strict=True))
 
 
 def _by_channel(
@@ -595,12 +631,15 @@ def _by_channel(
 ) -> dict[str, tuple[Floats, Floats]]:
     """Residuals of each channel at its values: measured - fitted, and
     whitened over sigma."""
-    there = fit.problem.weight[:, : residual.shape[1]] > 0
-    rows = zip(CHANNELS, there, residual, fit.solution.residual, strict=False)
+    rows = residual.shape[1]
+    measured = fit.problem.weight[:, :rows] > 0
+    whitened = fit.solution.residual[:, :rows]
     return {
-        name: (off[seen], white[: len(seen)][seen])
-        for name, seen, off, white in rows
-        if seen.any()
+        name: (off[there], white[there])
+        for name, there, off, white in zip(
+            CHANNELS, measured, residual, whitened, strict=False
+        )
+        if there.any()
     }
 
 
@@ -640,29 +679,28 @@ def _observed(fit: LeastSquaresFit) -> dict[str, Floats]:
 
 
 def _discrepancy(
-    fit: LeastSquaresFit, path: Floats | None, found: Covariance
+    fit: LeastSquaresFit, path: Floats | None, covariance: Covariance
 ) -> dict[str, Floats]:
     """Mean of the model discrepancy by channel; empty where the noise has none."""
     if path is None or not fit.noise.sizes:
         return {}
-    n, prepared = len(fit.prepared.throw), fit.prepared
-    adjustable = prepared.parameters.free & ~found.at_bound
-    weight = np.array(fit.problem.weight)
+    prepared = fit.prepared
+    weight_of_independent = np.array(fit.problem.weight)
     for name, sigma in fit.noise.independent.items():
-        weight[CHANNELS.index(name)] *= fit.sigma[name] / sigma
+        weight_of_independent[CHANNELS.index(name)] *= fit.sigma[name] / sigma
     data = linearized(
         fit.model,
-        fit.problem._replace(weight=weight),
+        fit.problem._replace(weight=weight_of_independent),
         fit.solution.values,
         path,
         prepared.stone,
         prepared.parameters.typical,
-        adjustable,
+        prepared.parameters.free & ~covariance.at_bound,
     )
-    now = np.zeros_like(data.weight)
-    now[: len(weight)] = fit.problem.weight
-    mean = posterior_mean(fit.noise, fit.problem.times, now, data)[:, :n]
-    return dict(zip(CHANNELS, mean, strict=False))
+    weight = np.zeros_like(data.weight)
+    weight[: len(fit.problem.weight)] = fit.problem.weight
+    mean = posterior_mean(fit.noise, fit.problem.times, weight, data)
+    return dict(zip(CHANNELS, mean[:, : len(prepared.throw)], strict=False))
 
 
 def _misfit(
@@ -676,8 +714,8 @@ def _misfit(
     for name, (off, _) in series.items():
         squares = np.sort(off**2)
         if fit.loss.is_robust:  # outliers are the largest of them
-            far = sum(item["channel"] == name for item in outliers)
-            squares = squares[: len(squares) - far]
+            far = [outlier for outlier in outliers if outlier["channel"] == name]
+            squares = squares[: len(squares) - len(far)]
         misfit[name] = float(np.sqrt(squares.mean())) if len(squares) else 0.0
     return misfit
 
@@ -692,15 +730,21 @@ def _unusual(
 ) -> tuple[Finding, ...]:
     """What is implausible in the data and in the fitted motion."""
     throw = fit.prepared.throw
-    speed, start_speed = np.zeros(0), 0.0
+    speed = np.zeros(0)
+    start_speed = 0.0
     if start.verdict != Verdict.NOT_IDENTIFIABLE:
-        speed, start_speed = curves.get("speed", speed), start.value
+        speed = curves.get("speed", speed)
+        start_speed = start.value
     t = throw.t[: len(speed)]
-    found = examine_fit(throw, t, speed, start_speed, start.stderr, misfit, alone=alone)
-    return (*found, *fit.prepared.findings)
+    of_motion = examine_fit(
+        throw, t, speed, start_speed, start.stderr, misfit, alone=alone
+    )
+    return (*of_motion, *fit.prepared.findings)
 
 
 def _status(fit: LeastSquaresFit, distance: float, unusual: Sequence[Finding]) -> str:
+    """Whether the search has converged, in words; `distance` to the optimum is in
+    standard errors."""
     steps = counted(int(fit.solution.steps), "step")
     if fit.tried > 1:
         steps += f", best of {fit.tried} starts"
@@ -738,26 +782,29 @@ def _rival(fit: LeastSquaresFit) -> dict[str, float]:
 
 def _estimates(
     parameters: ParameterSet,
-    found: Covariance,
+    covariance: Covariance,
     departures: Departures,
     rival: Mapping[str, float],
 ) -> dict[str, Estimate]:
     """Estimates by name; see `Estimate` for the verdicts."""
     estimates = {}
-    for row, item in enumerate(parameters.parameters):
-        stderr, verdict, dof = None, Verdict.FIXED, None
-        if item.name not in parameters.fixed:
-            stderr, verdict, dof = found.classified(row)
+    for index, parameter in enumerate(parameters.parameters):
+        name = parameter.name
+        stderr = None
+        verdict = Verdict.FIXED
+        dof = None
+        if name not in parameters.fixed:
+            stderr, verdict, dof = covariance.classified(index)
         stderr, verdict, reason = departures.judged(
-            item.name, stderr, verdict, item.typical
+            name, stderr, verdict, parameter.typical
         )
-        prior = parameters.priors.get(item.name)
-        if verdict == Verdict.DETERMINED and item.name in rival:
+        if verdict == Verdict.DETERMINED and name in rival:
             verdict = Verdict.WEAK
-            reason = f"{rival[item.name]:.3g} fits as well"
-        estimates[item.name] = Estimate.of(
-            item,
-            float(found.values[row]),
+            reason = f"{rival[name]:.3g} fits as well"
+        prior = parameters.priors.get(name)
+        estimates[name] = Estimate.of(
+            parameter,
+            float(covariance.values[index]),
             verdict,
             reason=reason,
             dof=dof,

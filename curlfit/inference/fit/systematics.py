@@ -38,7 +38,8 @@ from curlfit.stone import UNITS as STONE_UNITS
 from curlfit.throws.events import EventArrays
 from curlfit.throws.readers.homography import displacements
 
-_SPIN = [item.name for item in START].index("omega0") - len(START)
+# index of the spin among the parameters, from the last
+_SPIN = [parameter.name for parameter in START].index("omega0") - len(START)
 _STEP = 1e-2  # of a width, of differences: the path is accurate to 1e-7 of it
 
 
@@ -64,19 +65,23 @@ def widths_of(
     """
     given = dict(given or {})
     check_systematics(given)
-    common = given.pop(ALL, None)
-    of_calibration = given.pop(CALIBRATION, 1.0 if common is None else common)
-    found = {
-        name: width if common is None else common for name, width in WIDTHS.items()
-    } | given
+    for_all = given.pop(ALL, None)
+    widths = dict(WIDTHS) if for_all is None else dict.fromkeys(WIDTHS, for_all)
+    of_calibration = given.pop(CALIBRATION, 1.0 if for_all is None else for_all)
+    widths.update(given)
     errors = _calibrations(throws, jointly=jointly).shape[1]
-    found |= {f"{CALIBRATION}_{k + 1}": of_calibration for k in range(errors)}
-    known = {*model.conditions}
+    for number in range(errors):
+        widths[f"{CALIBRATION}_{number + 1}"] = of_calibration
+    without_error = set(model.conditions)
     if not any(throw.assumed_spin for throw in throws):
-        known.add(SPIN.name)
+        without_error.add(SPIN.name)
     if not any(throw.spin_taken_for_zero for throw in throws):
-        known.add(UNKNOWN_SPIN.name)
-    return {name: width for name, width in found.items() if width and name not in known}
+        without_error.add(UNKNOWN_SPIN.name)
+    return {
+        name: width
+        for name, width in widths.items()
+        if width and name not in without_error
+    }
 
 
 def _calibrations(throws: Sequence[PreparedThrow], *, jointly: bool = False) -> Floats:
@@ -87,26 +92,33 @@ def _calibrations(throws: Sequence[PreparedThrow], *, jointly: bool = False) -> 
     Throws that are fitted `jointly` share the errors of a calibration, and each of
     several calibrations has its own.
     """
-    known = [one.throw.calibration for one in throws]
+    by_throw = [prepared.throw.calibration for prepared in throws]
     distinct: list[Floats] = []
-    for one in known if jointly else ():
-        if one is not None and not any(
-            np.array_equal(one, other) for other in distinct
-        ):
-            distinct.append(one)
-    most = max((len(one) for one in known if one is not None), default=0)
-    found = np.zeros((len(throws), most * max(len(distinct), 1), 3, 3))
-    for row, (throw, one) in enumerate(zip(throws, known, strict=True)):
-        if one is not None:
-            first = most * next(
-                (k for k, d in enumerate(distinct) if np.array_equal(one, d)), 0
-            )
-            to_problem = np.eye(3)
-            to_problem[:2, 2] = -throw.origin.place[:2]
-            found[row, first : first + len(one)] = (
-                to_problem @ one @ np.linalg.inv(to_problem)
-            )
-    return found
+    numbers = [0] * len(throws)  # of the calibration among the distinct ones
+    if jointly:
+        for row, calibration in enumerate(by_throw):
+            if calibration is None:
+                continue
+            same = [np.array_equal(calibration, other) for other in distinct]
+            if not any(same):
+                distinct.append(calibration)
+                same.append(True)
+            numbers[row] = same.index(True)
+    most = max(
+        (len(calibration) for calibration in by_throw if calibration is not None),
+        default=0,
+    )
+    errors = np.zeros((len(throws), most * max(len(distinct), 1), 3, 3))
+    for row, calibration in enumerate(by_throw):
+        if calibration is None:
+            continue
+        to_problem = np.eye(3)
+        to_problem[:2, 2] = -throws[row].origin.place[:2]
+        first = most * numbers[row]
+        errors[row, first : first + len(calibration)] = (
+            to_problem @ calibration @ np.linalg.inv(to_problem)
+        )
+    return errors
 
 
 def residual_changes(
@@ -135,41 +147,48 @@ def residual_changes(
     channels = problems.observed.shape[1]
     names = [name for name in widths if name != UNKNOWN_SPIN.name]
     calibrations = _calibrations(throws, jointly=jointly)
-    spins = np.array([one.assumed_spin for one in throws])
+    assumed_spins = np.array([throw.assumed_spin for throw in throws])
 
-    def measured(off: Floats) -> Floats:
-        by = {
-            name: one * widths[name]
-            for name, one in zip(names, off, strict=True)
-            if one
+    def measured(in_widths: Floats) -> Floats:
+        """Channels where conditions are off by so many of their widths."""
+        off = {
+            name: number * widths[name]
+            for name, number in zip(names, in_widths, strict=True)
+            if number
         }
         moved = values.copy()
-        if turns := by.pop(SPIN.name, 0.0):
-            moved[:, _SPIN] += turns * spins
-        return _measured(model, problems, moved, by, batch, calibrations)[:, :channels]
+        if SPIN.name in off:
+            moved[:, _SPIN] += off.pop(SPIN.name) * assumed_spins
+        return _measured(model, problems, moved, off, batch, calibrations)[:, :channels]
 
-    none = np.zeros(len(names))
-    changes = (
-        slopes(measured, none, _STEP, value=paths[:, :channels]) if names else none
-    )
-    by_name = dict(zip(names, np.moveaxis(changes, -1, 0), strict=True))
+    changes = {}
+    if names:
+        by_width = slopes(
+            measured, np.zeros(len(names)), _STEP, value=paths[:, :channels]
+        )
+        changes = dict(zip(names, np.moveaxis(by_width, -1, 0), strict=True))
     if UNKNOWN_SPIN.name in widths:
         # the whole change: it is even in the spin, and has no slope where there is none
-        turning = np.array([throw.spin_taken_for_zero for throw in throws])
+        is_zero = np.array([throw.spin_taken_for_zero for throw in throws])
         moved = values.copy()
-        moved[:, _SPIN] += widths[UNKNOWN_SPIN.name] * turning
-        measured_then = _measured(model, problems, moved, {}, batch, calibrations)
-        by_name[UNKNOWN_SPIN.name] = (measured_then - paths)[:, :channels]
+        moved[:, _SPIN] += widths[UNKNOWN_SPIN.name] * is_zero
+        turning = _measured(model, problems, moved, {}, batch, calibrations)
+        changes[UNKNOWN_SPIN.name] = (turning - paths)[:, :channels]
     residual = (paths[:, :channels] - problems.observed) * problems.weight
-    by_loss = loss_at(problems.loss.max()).root_slope(residual)
-    found = {}
-    for name, change in by_name.items():
-        change = change * problems.weight
+    root_slope = loss_at(problems.loss.max()).root_slope(residual)
+    weighted_changes = {}
+    for name, change in changes.items():
+        weighted = change * problems.weight
         if problems.whitener is not None:
-            pairs = zip(change, unstacked(problems.whitener), strict=True)
-            change = np.array([whitened(*pair) for pair in pairs])
-        found[name] = change * by_loss
-    return found
+            whiteners = unstacked(problems.whitener)
+            weighted = np.array(
+                [
+                    whitened(of_throw, whitener)
+                    for of_throw, whitener in zip(weighted, whiteners, strict=True)
+                ]
+            )
+        weighted_changes[name] = weighted * root_slope
+    return weighted_changes
 
 
 def _measured(
