@@ -8,8 +8,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from matplotlib.figure import Figure
-
 from curlfit.errors import CurlfitError
 from curlfit.html_report.blocks import Block, paragraph, rows
 from curlfit.html_report.drawings import inline_svg

@@ -196,8 +196,7 @@ def _curves(
 ) -> list[list[Curves]]:
     """Curves by position of the slider and by model, with the parameters of these names
     moved; moves have shape (positions, names or more)."""
-    fit = models[0].fit
-    columns = [list(fit.parameters).index(name) for name in names]
+    columns = [list(models[0].fit.parameters).index(name) for name in names]
     curves = []
     for move in moves:
         curves_of_move = []
@@ -205,7 +204,7 @@ def _curves(
             values = model.fit.values
             values[columns] += move[: len(columns)]
             # the step to a bound ends on it up to rounding
-            bounds = fit.parameter_set
+            bounds = model.fit.parameter_set
             values = np.clip(values, bounds.lower, bounds.upper)
             curves_of_move.append(model.at(values))
         curves.append(curves_of_move)

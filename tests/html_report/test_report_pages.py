@@ -19,8 +19,10 @@ from independent_motion import Reference, front_back
 import curlfit
 from curlfit import Finding
 from curlfit.cli import app
+from curlfit.html_report.direction import _curves
 from curlfit.html_report.page import page_of
 from curlfit.html_report.replay import replay_of_fit
+from curlfit.inference.fit.curves import CurveModel
 from curlfit.inference.verdict import Verdict
 from curlfit.reports.fit import command_of
 from curlfit.settings.choices import Fitting
@@ -189,6 +191,15 @@ def test_the_stone_moves_along_the_path_of_the_record(pages, records):
     shown = data["residuals"]["y"]
     assert shown["unit"] == "mm"
     np.testing.assert_allclose(shown["values"], 1000 * off, rtol=0.01, atol=0.01)
+
+
+def test_a_parameter_that_one_throw_holds_is_free_in_the_others(records):
+    fit = records["fit"]
+    held = curlfit.fit(fit.throw, fix={"x0": fit["x0"].value}, details=False)
+    shifted = replace(fit.throw, x=fit.throw.x + 1.0)
+    other = CurveModel(curlfit.fit(shifted, details=False))
+    ((_, moved),) = _curves([CurveModel(held), other], ["mu1_eta"], np.zeros((1, 1)))
+    assert moved.chi_squared == other.at(other.fit.values).chi_squared
 
 
 def test_every_path_along_a_null_direction_is_that_of_its_own_values(pages, records):
