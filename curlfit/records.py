@@ -440,8 +440,8 @@ def _of_object(made: Any, kind: Any) -> Any:
         for name, read in known.items()
     }
     of_findings = [key for key in _LEVELS if Finding in get_args(hints.get(key))]
-    for key in of_findings:  # which `_with_findings` has read
-        overrides[key] = override(struct_hook=lambda findings, _: findings)
+    for key in of_findings:
+        overrides[key] = override(struct_hook=_findings_at(_LEVELS[key]))
     usual, groups = make(kind, made, **overrides), getattr(kind, "written_together", {})
 
     def hook(value: Any, _: Any) -> Any:
@@ -454,7 +454,7 @@ def _of_object(made: Any, kind: Any) -> Any:
         missing = [name for name in required if name not in value]
         if missing:
             raise ValueError(f"no {missing[0]!r} in it")
-        found = usual(_with_findings(value, of_findings), kind)
+        found = usual(_with_codes(value, of_findings), kind)
         if isinstance(found, Record):
             found.require_consistent()
         return found
@@ -462,25 +462,34 @@ def _of_object(made: Any, kind: Any) -> Any:
     return hook
 
 
-def _with_findings(value: dict[str, Any], keys: Sequence[str]) -> dict[str, Any]:
-    """An object of a file with findings in place of the sentences of some keys."""
-    if not keys:  # as where a part of a record is read by itself
+def _with_codes(value: dict[str, Any], keys: Sequence[str]) -> dict[str, Any]:
+    """An object of a file with pairs in place of the sentences of some keys: a sentence
+    and the object that has its code, or None in files of earlier versions."""
+    sentences = {key: value[key] for key in keys if type(value.get(key)) is list}
+    if not sentences:
         return value
-    sentences = [sentence for key in keys for sentence in value.get(key) or ()]
-    # Earlier versions wrote no codes.
-    codes = value.get("findings", [None] * len(sentences))
-    if type(codes) is not list or len(codes) != len(sentences):
+    count = sum(map(len, sentences.values()))
+    codes = value.get("findings", [None] * count)
+    if type(codes) is not list or len(codes) != count:
         raise ValueError("findings are not those of its warnings and notes")
     remaining = iter(codes)
-    read = {}
-    for key in keys:
-        sentences = value.get(key, [])
-        if type(sentences) is not list:
-            raise unexpected(sentences, "a list")
-        read[key] = tuple(
-            _finding(sentence, next(remaining), _LEVELS[key]) for sentence in sentences
-        )
-    return value | read
+    pairs = {
+        key: [(sentence, next(remaining)) for sentence in of_key]
+        for key, of_key in sentences.items()
+    }
+    return value | pairs
+
+
+def _findings_at(level: Level) -> Callable[[Any, Any], tuple[Finding, ...]]:
+    """The hook of findings, which are pairs of `_with_codes`; sentences without a code
+    have the level."""
+
+    def hook(pairs: Any, _: Any) -> tuple[Finding, ...]:
+        if type(pairs) is not list:
+            raise unexpected(pairs, "a list")
+        return tuple(_finding(sentence, code, level) for sentence, code in pairs)
+
+    return hook
 
 
 def _finding(sentence: Any, code: Any, level: Level) -> Finding:
