@@ -117,7 +117,8 @@ def test_the_next_throw_of_a_season_is_that_of_the_joint_fit(season, tmp_path):
             assert mine.quantiles[level] == pytest.approx(
                 value, abs=0.1 * item.sd + 1e-6
             ), name
-    assert (found.warnings, found.notes) == (other.warnings, other.notes)
+    assert list(map(str, found.warnings)) == list(map(str, other.warnings))
+    assert list(map(str, found.notes)) == list(map(str, other.notes))
     assert found.weights[2].hog_to_hog == pytest.approx(
         other.weights[2].hog_to_hog, abs=2e-3
     )
