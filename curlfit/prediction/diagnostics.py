@@ -29,6 +29,7 @@ MOST_ROWS = 2000
 """Measured rows that a prediction contains, at most."""
 # of the fitted range of speed or spin, beyond which a warning is given
 _EXTRAPOLATION = 1.02
+_UNSEEN = 1e-5  # m; no camera sees smaller effects
 _RELEVANT = 1e-3  # m and rad; smaller effects of null directions at rest are negligible
 
 
@@ -117,8 +118,13 @@ def _of_null_directions(fit: FitResult, simulation: Simulation) -> Iterator[Find
         moved = float(np.hypot(off[:, 0], off[:, 1]).max())
         turned = float(np.abs(off[:, 2]).max())
         numbers |= {"moved": moved, "turned": turned}
-        if max(moved, turned) < _RELEVANT:
+        if moved < _UNSEEN and turned < _RELEVANT:
             yield Finding.note("null-without-effect", **numbers)
+        elif max(moved, turned) < _RELEVANT:
+            millimetres = 1000 * moved
+            yield Finding.note(
+                "null-hardly-moves-rest", **numbers, millimetres=millimetres
+            )
         else:
             yield Finding.warning("null-moves-rest", **numbers)
 

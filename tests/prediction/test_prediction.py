@@ -353,8 +353,7 @@ def test_the_split_that_is_not_known_does_not_widen_the_bands(fit):
     assert 0 <= note.numbers["moved"] < 1e-5
     assert str(note) == (
         "mu1_eta and mu2_eta are not determined individually, which has no effect "
-        "here: over the allowed range the resting position moves by less than a "
-        "millimetre"
+        "here: over the allowed range the resting position moves by less than 0.01 mm"
     )
 
 
