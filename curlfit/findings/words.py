@@ -28,7 +28,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from functools import cache
-from importlib import resources
+from pathlib import Path
 from typing import Any
 
 from curlfit.errors import InputError
@@ -126,7 +126,7 @@ def _part(
 @cache
 def _tables() -> dict[str, dict[str, Message]]:
     """The messages of findings and of remedies, by code."""
-    file = resources.files("curlfit.findings").joinpath("messages.toml")
+    file = Path(__file__).with_name("messages.toml")
     findings = tomllib.loads(file.read_text("utf-8"))
     remedies = findings.pop("remedies")
     return {
