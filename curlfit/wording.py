@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import textwrap
+from collections.abc import Mapping, Sequence
 
 _LEAST_P = 0.001
 _HUGE = 1e9  # numbers from this size on are written with a power of ten
@@ -71,3 +72,24 @@ def capital(text: str) -> str:
 def lower(text: str) -> str:
     """A text with a lower-case initial."""
     return text[:1].lower() + text[1:]
+
+
+def hanging(head: str, text: str, width: int) -> list[str]:
+    """Lines of a text after a head, with a hanging indent."""
+    return textwrap.wrap(
+        text,
+        width,
+        initial_indent=head,
+        subsequent_indent=" " * len(head),
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+
+
+def listed(texts: Mapping[str, str], width: int, indent: str = "") -> list[str]:
+    """Lines of texts beside their names."""
+    longest = max(map(len, texts), default=0)
+    lines = []
+    for name, text in texts.items():
+        lines += hanging(f"{indent}{name:<{longest}}  ", text, width)
+    return lines

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import textwrap
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from curlfit.wording import hanging, listed
 
 if TYPE_CHECKING:
     from curlfit.findings.words import Message
@@ -29,25 +30,13 @@ def explain(*codes: str) -> None:
     if codes:
         print("\n\n".join([_text(code, message_of(code), width) for code in codes]))
         return
-    longest = max(map(len, messages()))
-    for code, message in messages().items():
-        head = f"{code:<{longest}}  "
-        print(textwrap.fill(f"{head}{message.title}", width, **_under(head)))
+    titles = {code: message.title for code, message in messages().items()}
+    print("\n".join(listed(titles, width)))
 
 
 def _text(code: str, message: Message, width: int) -> str:
     """A code with its title, and beneath it what it means."""
-    lines = [textwrap.fill(f"{code}: {message.title}", width)]
+    lines = hanging("", f"{code}: {message.title}", width)
     for paragraph in message.means.split("\n\n"):
-        text = " ".join(paragraph.split())
-        lines.append(textwrap.fill(f"  {text}", width, **_under("  ")))
+        lines += hanging("  ", " ".join(paragraph.split()), width)
     return "\n".join(lines)
-
-
-def _under(head: str) -> dict[str, Any]:
-    """Options of `textwrap.fill` for lines that continue beside a head."""
-    return {
-        "subsequent_indent": " " * len(head),
-        "break_long_words": False,
-        "break_on_hyphens": False,
-    }

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import textwrap
-from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from curlfit.settings.forms import SWITCH, option
+from curlfit.wording import hanging, listed
 
 if TYPE_CHECKING:
     from curlfit.friction import Coefficient, Law
@@ -39,7 +38,8 @@ def laws(
         raise InputError("--conditions are those of any law; give no names")
     width = terminal().width
     if conditions:
-        print("\n".join(_listed("", _condition, (*CONDITIONS, *ASSUMED), width)))
+        texts = {item.name: _condition(item) for item in (*CONDITIONS, *ASSUMED)}
+        print("\n".join(listed(texts, width)))
         return
     chosen = [*LAWS.values(), *TERMS.values()]
     if names:
@@ -69,30 +69,10 @@ def _text(law: type[Law], width: int) -> str:
         paragraphs.append(f"does not brake: a part of sums, as in power+{law.name}")
     lines = [law.name]
     for paragraph in paragraphs:
-        lines += _wrap("  ", paragraph, width)
-    lines += _listed("    ", _coefficient, law.coefficients(), width)
+        lines += hanging("  ", paragraph, width)
+    coefficients = {item.name: _coefficient(item) for item in law.coefficients()}
+    lines += listed(coefficients, width, indent="    ")
     return "\n".join(lines)
-
-
-def _listed(
-    indent: str, describe: Callable[[Any], str], items: Sequence[Any], width: int
-) -> Iterator[str]:
-    """Lines of coefficients or conditions, each with its name and description."""
-    longest = max((len(item.name) for item in items), default=0)
-    for item in items:
-        yield from _wrap(f"{indent}{item.name:<{longest}}  ", describe(item), width)
-
-
-def _wrap(head: str, text: str, width: int) -> list[str]:
-    """Lines of a text after a head, with a hanging indent."""
-    return textwrap.wrap(
-        text,
-        width,
-        initial_indent=head,
-        subsequent_indent=" " * len(head),
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
 
 
 def _coefficient(coefficient: Coefficient) -> str:
