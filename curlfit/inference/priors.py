@@ -44,9 +44,9 @@ class Prior(ABC):
         """Standard deviation of the parameter, or of its logarithm where that is
         normal; of a half-normal density, that of the whole; infinite of a flat one."""
 
-    @abstractmethod
     def fault(self) -> str:
         """What is wrong with its values; empty if nothing is."""
+        return "" if self.width > 0 else "expected a positive width"
 
     def bounds(self, lower: float, upper: float) -> tuple[float, float]:
         """The bounds of the parameter, limited to the support of the density."""
@@ -72,9 +72,6 @@ class Normal(Prior):
     @property
     def width(self) -> float:
         return self.sd
-
-    def fault(self) -> str:
-        return "" if self.sd > 0 else "expected a positive width"
 
     def __str__(self) -> str:
         return f"{self.mean:.10g}+-{self.sd:.10g}"
@@ -103,9 +100,9 @@ class Lognormal(Prior):
         return max(lower, self.median * 1e-9), upper
 
     def fault(self) -> str:
-        if not self.sigma > 0:
-            return "expected a positive width"
-        return "" if self.median > 0 else "expected a positive median"
+        if self.sigma > 0 and not self.median > 0:
+            return "expected a positive median"
+        return super().fault()
 
 
 @dataclass(frozen=True)
@@ -125,9 +122,6 @@ class HalfNormal(Prior):
 
     def bounds(self, lower: float, upper: float) -> tuple[float, float]:
         return max(lower, 0.0), upper
-
-    def fault(self) -> str:
-        return "" if self.sd > 0 else "expected a positive width"
 
 
 @dataclass(frozen=True)

@@ -94,7 +94,7 @@ class _Change(NamedTuple):
         rarity = len(self.units) - 1
         if self.of_one_axis:
             rarity += 1
-            if self.units.keys() & {"x", "y"} and self.typed.endswith(("in", "ft")):
+            if set(self.units.values()) & {"in", "ft"}:
                 rarity += 1
         if self.units.get("t") in _READ:
             rarity += 2
