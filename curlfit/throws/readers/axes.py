@@ -111,8 +111,12 @@ def corrected(
 
 def states_zero(text: str) -> bool:
     """Whether words for axes say where zero lies along the sheet."""
-    words = text.replace(",", " ").lower().replace("_", "-").split()
-    return any(word.startswith("from-") for word in words)
+    return any(word.startswith("from-") for word in _words_in(text))
+
+
+def _words_in(text: str) -> list[str]:
+    """The words of a convention, in lower case and with hyphens."""
+    return text.replace(",", " ").lower().replace("_", "-").split()
 
 
 def parse_axes(text: str | None) -> AxisConvention:
@@ -130,7 +134,7 @@ def parse_axes(text: str | None) -> AxisConvention:
     InputError : an unknown word, or words that contradict one another.
     """
     found: dict[str, str] = {}
-    for given in (text or "").replace(",", " ").lower().replace("_", "-").split():
+    for given in _words_in(text or ""):
         word = _SYNONYMS.get(given, given)
         if word not in WORDS:
             raise InputError(
