@@ -284,7 +284,7 @@ class Throw(Displayed):
         ------
         DataError, InputError : not a table, a column that is missing or not numeric.
         """
-        from curlfit.throws.readers.table import values_of
+        from curlfit.throws.readers.frames import values_of
 
         return cls.from_arrays(**values_of(table, Reading.of(**choices), name))
 
