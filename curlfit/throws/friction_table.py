@@ -4,6 +4,7 @@ without a path."""
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -14,13 +15,16 @@ from curlfit.errors import DataError, InputError
 from curlfit.findings import Finding
 from curlfit.foreign import counted
 from curlfit.numerics.arrays import Floats
-from curlfit.throws.readers.columns import parse_header
-from curlfit.throws.readers.text import TextFile, TextTable
+from curlfit.throws.readers.columns import Column, parse_header, quantities_of
+from curlfit.throws.readers.quantities import find_table, read_quantities
+from curlfit.throws.readers.text import TextFile
 
 _COLUMNS = {
     "mu": "mu|µ|μ|friction|coefficientoffriction|frictioncoefficient",
     "sigma": "(sigma|sd|std|err(or)?|unc(ertainty)?)(mu|friction)?",
 }
+_REQUIRED = ("speed", "mu")
+_EXPECTED = "expected columns speed and mu"
 _MOST = 1.0
 """No coefficient of friction on ice is larger."""
 _LEAST_ROWS = 3
@@ -52,41 +56,55 @@ class FrictionTable:
     note: Finding | None = None
 
 
-def _quantity(header: str) -> str:
-    """What a column is: "speed", "omega", "mu" or "sigma"; empty for another."""
-    column = parse_header(header)
+def _meaning(heading: str) -> Column | None:
+    """What a column holds: "speed", "omega", "mu" or "sigma"; None for another."""
+    column = parse_header(heading)
     if column is not None and column.quantity in ("speed", "omega"):
-        return column.quantity
-    word = re.sub(r"[\s_\-./()\[\]]+", "", header.lower())
-    return next((name for name, of in _COLUMNS.items() if re.fullmatch(of, word)), "")
+        return column
+    word = re.sub(r"[\s_\-./()\[\]]+", "", heading.lower())
+    return next(
+        (
+            Column(quantity, "1", 1.0)
+            for quantity, words in _COLUMNS.items()
+            if re.fullmatch(words, word)
+        ),
+        None,
+    )
 
 
-def _columns(table: TextTable) -> dict[str, int]:
-    return {_quantity(header): place for place, header in enumerate(table.names)}
+def is_friction_table(
+    file: Path, worksheet: str | None = None, named: Mapping[str, str] | None = None
+) -> bool:
+    """Whether a file has columns of speed and friction, and none of time.
 
-
-def is_friction_table(file: Path, worksheet: str | None = None) -> bool:
-    """Whether a file has columns of speed and friction, and none of time."""
+    Parameters
+    ----------
+    named : headings that the user names, by quantity.
+    """
+    named = named or {}
     try:
-        table = TextTable.of(TextFile.read(file, worksheet))
+        text = TextFile.read(file, worksheet)
+        table = find_table(text, _meaning, _REQUIRED, _EXPECTED, named)
     except InputError:  # told where it is read as what it should be
         return False
-    times = [
-        header
-        for header in table.names
-        if (found := parse_header(header)) and found.base == "t"
-    ]
-    return {"speed", "mu"} <= _columns(table).keys() and not times
+    columns = filter(None, map(_meaning, table.headings))
+    present = {column.quantity for column in columns} | named.keys()
+    times = "t" in quantities_of(table.headings)
+    return present >= set(_REQUIRED) and not times
 
 
 def load_friction_table(
-    file: str | PathLike[str], worksheet: str | None = None
+    file: str | PathLike[str],
+    worksheet: str | None = None,
+    columns: Mapping[str, str] | None = None,
 ) -> FrictionTable:
     """Read a table with the columns speed and mu, and if possible sigma_mu and omega.
 
     Parameters
     ----------
     worksheet : of a workbook, by its name; the first one with data by default.
+    columns : headings of columns that are not understood by their names, by what they
+        hold: speed, mu, sigma, omega.
 
     Raises
     ------
@@ -101,19 +119,9 @@ def load_friction_table(
     """
     path = Path(file)
     text = TextFile.read(path, worksheet)
-    table = TextTable.of(text)
-    places = _columns(table)
-    if missing := {"speed", "mu"} - places.keys():
-        raise DataError(
-            f"no column {' and '.join(sorted(missing))}; expected speed and mu",
-            file=path,
-        )
-    names = [name for name in ("speed", "mu", "omega", "sigma") if name in places]
-    numbers = table.numbers([places[name] for name in names])
-    values: dict[str, Floats] = dict(zip(names, numbers, strict=True))
-    for name in values.keys() & {"speed", "omega"}:
-        column = parse_header(table.names[places[name]])
-        values[name] = values[name] * (column.factor if column else 1.0)
+    table, values, places = read_quantities(
+        text, _meaning, _REQUIRED, _EXPECTED, columns
+    )
     lines = table.rows
     limits = {"speed": (0.0, 10.0), "mu": (0.0, _MOST), "sigma": (0.0, _MOST)}
     for name, (low, high) in limits.items():
@@ -127,7 +135,7 @@ def load_friction_table(
                 f"{low:g}, up to {high:g}",
                 file=path,
                 line=lines[row] + 1,
-                column=table.names[places[name]],
+                column=table.headings[places[name]],
             )
     if len(values["mu"]) < _LEAST_ROWS:
         fault = f"{counted(len(values['mu']), 'row')}, expected at least {_LEAST_ROWS}"

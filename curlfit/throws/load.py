@@ -23,7 +23,7 @@ from curlfit.throws.readers.columns import parse_units
 from curlfit.throws.readers.digitalcurling import DIGITALCURLING
 from curlfit.throws.readers.known_points import load_homography
 from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile
-from curlfit.throws.readers.table import TABLE
+from curlfit.throws.readers.path import TABLE
 from curlfit.throws.readers.text import TextFile, is_aside
 from curlfit.throws.readers.timings import (
     TIMINGS,
@@ -243,7 +243,7 @@ def read(file: str | PathLike[str], reading: Reading) -> ParsedFile:
 def _open(file: str | PathLike[str], reading: Reading) -> tuple[Path, Format, Contents]:
     check_reading(reading)
     text = TextFile.read(Path(file), reading.worksheet)
-    format = _BY_NAME[reading.format or detect_format(text.lines)]
+    format = _BY_NAME[reading.format or detect_format(text.lines, reading.columns)]
     format.check(text.path, replace(reading, worksheet=None))
     try:
         return text.path, format, format.contents(text, reading)
@@ -258,12 +258,16 @@ def usual_law(file: str | PathLike[str], reading: Reading) -> str:
     values determine."""
     if format_of(file, reading) == TIMINGS.name:
         with suppress(DataError):  # reported where the file is read
-            return law_of_timings(_text_if_any(file, reading))
+            return law_of_timings(_text_if_any(file, reading), reading.columns)
     return "front-back"
 
 
-def detect_format(lines: list[str]) -> str:
-    """The format of a file, from its first lines."""
+def detect_format(lines: list[str], columns: Collection[str] = ()) -> str:
+    """The format of a file, from the columns that the user names, if only one has them,
+    or from its first lines."""
+    for reader in _READERS:
+        if set(columns) & set(reader.columns):
+            return reader.name
     head = [line for line in lines[:_MOST_ASIDES] if not is_aside(line)][:_HEAD] or [
         "t"
     ]
@@ -272,7 +276,8 @@ def detect_format(lines: list[str]) -> str:
 
 def format_of(file: str | PathLike[str], reading: Reading) -> str:
     """The format of a file, as given or from its first lines."""
-    return reading.format or detect_format(_text_if_any(file, reading).lines)
+    lines = _text_if_any(file, reading).lines
+    return reading.format or detect_format(lines, reading.columns)
 
 
 def found_files(wanted: Sequence[str], besides: Collection[Path] = ()) -> list[Path]:

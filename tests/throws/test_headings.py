@@ -10,7 +10,7 @@ import pytest
 from conftest import command
 from sample_files import PHI, T, X, Y, is_throw, note_on, table
 
-from curlfit import DataError, InputError, Throw, load_throw
+from curlfit import DataError, Throw, load_throw
 from curlfit.errors import Option
 
 TURNS = PHI / (2 * np.pi)
@@ -132,7 +132,7 @@ def test_columns_that_cannot_be_named_so(write, columns, words):
 
 def test_columns_are_named_in_tables_alone(write):
     with pytest.raises(
-        InputError, match=r"--columns: .* is a timings file and holds no columns"
+        DataError, match="columns 't'='x': expected one of back_to_hog, hog_to_hog"
     ):
         load_throw(write("hog_to_hog = 14.2\nhog_to_rest = 10\n"), columns={"t": "x"})
 

@@ -63,9 +63,10 @@ def test_units_in_the_second_row(write):
     )
     is_throw(both)
     with pytest.raises(
-        DataError, match=r"line 2, column Time: '\(h\)' found, expected a finite"
+        DataError,
+        match=r"line 2, column Time: '\(fortnights\)' found, expected a finite",
     ):
-        load_throw(write("\n".join([head, "(h),(au),(au),(gon)", *rows])))
+        load_throw(write("\n".join([head, "(fortnights),(au),(au),(gon)", *rows])))
 
 
 def test_a_row_without_values_is_no_row_of_units(write):

@@ -255,7 +255,7 @@ def test_sigmas_are_set(read):
         ("speed = 0\nrest = 1\n", 1, "expected a number above 0"),
         ("speed = 22\nrest = 1\n", 1, "expected a number up to 10"),
         ("hog_to_hog,rest\n", 1, "no rows"),
-        ("hog_to_hog,rest\n14.2\n", 2, "1 cell, expected 2"),
+        ("hog_to_hog,rest\n14.2\n", 2, "1 cell where the header has 2 columns"),
     ],
 )
 def test_records_that_cannot_be(read, text, line, words):
@@ -603,12 +603,12 @@ def test_a_column_that_is_not_understood_is_never_left_out_in_silence(write):
     with pytest.raises(DataError) as caught:
         load_throw(
             write(
-                "draw,hog to hog,hog-tee,Curl (cm) L+,weight\n"
+                "draw,hog to hog,hog-house,Curl (cm) L+,weight\n"
                 "1,13.4,22.9,1,12\n2,13,22,1,12\n"
             )
         )
     assert str(caught.value).endswith(
         "line 2: hog_to_hog alone gives the mean speed and no friction; expected one "
-        "more of rest, hog_to_rest, or another time; columns hog-tee, Curl (cm) L+ "
-        "are not understood; columns ignored: hog-tee, Curl (cm) L+, weight"
+        "more of rest, hog_to_rest, or another time; columns hog-house, Curl (cm) L+ "
+        "are not understood; columns ignored: hog-house, Curl (cm) L+, weight"
     )

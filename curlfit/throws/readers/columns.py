@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from itertools import groupby
 from typing import NamedTuple
@@ -99,6 +99,16 @@ def named_column(header: str, quantity: str) -> Column:
     return Column(quantity, next(iter(units)), 1.0, stated=False)
 
 
+def unit_in(header: str, kind: str) -> str:
+    """The unit in brackets, or as the last word, of a header of some kind of quantity;
+    empty if there is none."""
+    units = units_of(kind)
+    words = _words(header, True)
+    return next(
+        (unit for begin in (-2, -1) if (unit := "".join(words[begin:])) in units), ""
+    )
+
+
 def resembled(header: str) -> str | None:
     """The quantity that a header of unknown meaning reminds of; None if none or
     more than one."""
@@ -139,6 +149,12 @@ def units_of(quantity: str) -> dict[str, float]:
     return _UNITS.get(kind, _UNITS["length"])
 
 
+def is_unit(text: str) -> bool:
+    """Whether a text is a unit of any quantity, in any language of `words.toml`."""
+    word = "".join(_words(text, True))
+    return any(word in units for units in _UNITS.values())
+
+
 def in_unit(quantity: str, unit: str) -> Column:
     """A quantity in a given unit. Raises `InputError` for an unknown unit."""
     text = "".join(word for word in _SEPARATORS.split(unit.strip().lower()) if word)
@@ -170,6 +186,10 @@ def parse_units(text: str | None) -> dict[str, str]:
             continue
         name, equals, unit = (piece.strip() for piece in part.partition("="))
         quantity = _quantity([name.lower()]) if equals and unit else None
+        if equals and name.lower() == "date":
+            _require_order(unit)
+            found["date"] = unit
+            continue
         if equals and unit and name.lower() == "length":
             quantities = ["x", "y"]
         elif quantity in ("t", "x", "y", "phi", "speed", "omega"):
@@ -186,6 +206,14 @@ def parse_units(text: str | None) -> dict[str, str]:
     return found
 
 
+def _require_order(order: str) -> None:
+    """Raise `InputError` for an order of the parts of a date that is none."""
+    if order not in ("day-first", "month-first"):
+        raise InputError(
+            f"units date={quoted(order)}: expected date=day-first or date=month-first"
+        )
+
+
 def with_unit(column: Column, unit: str | None) -> Column:
     """A column in the unit given by the user, if any, instead of that of its header."""
     if unit is None:
@@ -199,6 +227,19 @@ def with_unit(column: Column, unit: str | None) -> Column:
 def quantity_of(name: str) -> str | None:
     """The quantity of a name without a unit: `angle` is phi; None if unknown."""
     return _quantity(_words(name, False))
+
+
+def quantities_of(headings: Iterable[str]) -> list[str]:
+    """The quantities that headings name, without those of unknown meaning."""
+    columns = map(parse_header, headings)
+    return [column.quantity for column in columns if column is not None]
+
+
+def frame_rate(unit: str) -> float | None:
+    """Frames a second of a film as it is read, for a unit such as 30fps or 240/30fps;
+    None for another unit."""
+    frames = _FRAMES.fullmatch(unit)
+    return None if frames is None else float(frames[2] or frames[1])
 
 
 def _named(name: str, patterns: Mapping[str, str]) -> str | None:

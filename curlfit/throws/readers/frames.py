@@ -12,11 +12,12 @@ from curlfit.findings import Finding
 from curlfit.numerics.arrays import filled, floats
 from curlfit.settings.choices import Reading
 from curlfit.throws.readers.assemble import assemble
+from curlfit.throws.readers.clocks import AmbiguousTimesError, clock_times
 from curlfit.throws.readers.columns import Column, parse_header, parse_units, with_unit
 from curlfit.throws.readers.headings import Headings
 from curlfit.throws.readers.parsed_file import ParsedFile
-from curlfit.throws.readers.table import TABLE, contents_of
-from curlfit.throws.readers.text import clock_times
+from curlfit.throws.readers.path import TABLE
+from curlfit.throws.readers.throws_in_rows import throws_of
 
 _Variables = tuple[dict[str, Any], dict[str, str]]  # arrays, and stated units, by name
 
@@ -64,7 +65,7 @@ def values_of(table: Any, reading: Reading, name: str = "table") -> dict[str, An
         name: values[name].tolist() for k, name in enumerate(names) if k not in columns
     }
     return assemble(
-        TABLE.selected(name, contents_of(parsed, words), reading.stone_index), reading
+        TABLE.selected(name, throws_of(parsed, words), reading.stone_index), reading
     )
 
 
@@ -139,9 +140,12 @@ def _numbers(
     if is_time and values.dtype.kind in "OU":
         # of pandas
         found = [None if type(v).__name__ == "NAType" else v for v in values.tolist()]
-        clock, bad = clock_times([None if v is None else str(v) for v in found])
-        if not bad and np.isfinite(clock).any():
-            return clock / column.factor
+        try:
+            clock = clock_times([None if v is None else str(v) for v in found])
+        except AmbiguousTimesError as error:
+            raise parsed.error(str(error), quantity=header) from None
+        if clock.first and not clock.bad:
+            return clock.seconds / column.factor
     try:
         return floats(values)
     except (TypeError, ValueError, OverflowError):

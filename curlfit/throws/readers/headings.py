@@ -140,37 +140,18 @@ class Headings(NamedTuple):
     def _named(
         self, wanted: Mapping[str, str], units: Mapping[str, str]
     ) -> dict[int, Column]:
-        """The columns that the user names, by index; a heading may be named
-        without its unit."""
+        """The columns that the user names, by index."""
+        quantities = named_columns(
+            wanted, self.names, self.error, c.quantity_of, _QUANTITIES
+        )
         columns: dict[int, Column] = {}
-        names = [name.strip().lower() for name in self.names]
-        without_units = [_UNIT.sub("", name) for name in names]
-        for key, header in wanted.items():
-            quantity = c.quantity_of(key)
-            if quantity is None:
-                raise self.error(
-                    f"columns {quoted(key)}={quoted(header)}: expected one of "
-                    f"{_QUANTITIES}"
-                )
-            sought = header.strip().lower()
-            headings = names if sought in names else without_units
-            indices = [k for k, name in enumerate(headings) if name == sought]
-            if len(indices) != 1 or indices[0] in columns:
-                how_many = (
-                    "more than one column, or one named twice,"
-                    if indices
-                    else "no column"
-                )
-                raise self.error(
-                    f"columns {key}={quoted(header)}: {how_many} of this name among "
-                    f"{self._listed}"
-                )
-            index = indices[0]
-            heading = without_units[index] if quantity in units else names[index]
+        for index, quantity in quantities.items():
+            name = self.names[index].strip().lower()
+            heading = without_unit(name) if quantity in units else name
             try:
                 columns[index] = c.named_column(heading, quantity)
             except InputError as fault:
-                option = Option("units", f"{key}=UNIT")
+                option = Option("units", f"{quantity}=UNIT")
                 raise self.error(f"{fault}, or {option}", options=(option,)) from None
         return columns
 
@@ -254,6 +235,56 @@ class Headings(NamedTuple):
     @property
     def _listed(self) -> str:
         return cut(", ".join(self.names), _MOST_NAMES)
+
+
+def named_columns(
+    wanted: Mapping[str, str],
+    headings: Sequence[str],
+    error: Callable[..., DataError],
+    quantity_of: Callable[[str], str | None],
+    expected: str,
+) -> dict[int, str]:
+    """The quantities of the columns that the user names, by place; a heading may be
+    named without its unit.
+
+    Parameters
+    ----------
+    wanted : headings by what the user calls the quantity.
+    error : makes an error about the headings.
+    quantity_of : the quantity that a word stands for, if any. expected : all of them,
+        for a message.
+
+    Raises
+    ------
+    DataError : an unknown quantity; no column of this heading, or more than one.
+    """
+    quantities: dict[int, str] = {}
+    names = [heading.strip().lower() for heading in headings]
+    for key, header in wanted.items():
+        quantity = quantity_of(key)
+        if not quantity:
+            raise error(
+                f"columns {quoted(key)}={quoted(header)}: expected one of {expected}"
+            )
+        sought = header.strip().lower()
+        alike = names if sought in names else list(map(without_unit, names))
+        places = [place for place, name in enumerate(alike) if name == sought]
+        if len(places) != 1 or places[0] in quantities:
+            how_many = (
+                "more than one column, or one named twice," if places else "no column"
+            )
+            listed = cut(", ".join(headings), _MOST_NAMES)
+            raise error(
+                f"columns {key}={quoted(header)}: {how_many} of this name among "
+                f"{listed}"
+            )
+        quantities[places[0]] = quantity
+    return quantities
+
+
+def without_unit(heading: str) -> str:
+    """A heading without the unit in brackets at its end."""
+    return _UNIT.sub("", heading)
 
 
 def _columns_option(headings: Mapping[str, str]) -> Option:

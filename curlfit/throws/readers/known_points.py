@@ -19,19 +19,22 @@ import numpy as np
 from curlfit.errors import DataError, Option
 from curlfit.findings import Finding, Remedy
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.throws.readers.columns import parse_header
+from curlfit.throws.readers.columns import Column, parse_header
 from curlfit.throws.readers.homography import (
     Homography,
     homography,
     normalised,
     transform_rows,
 )
-from curlfit.throws.readers.text import TextFile, TextTable
+from curlfit.throws.readers.quantities import read_quantities
+from curlfit.throws.readers.table import Table
+from curlfit.throws.readers.text import TextFile
 
 _EXPECTED = (
     "expected a header u,v,x,y (pixels, and metres on the sheet) and "
     "four points or more"
 )
+_QUANTITIES = ("u", "v", "x", "y")
 _CHANCE = 0.01
 """Probability that points without a gross error have an odd one."""
 _CLICK = 0.3
@@ -61,10 +64,13 @@ def load_homography(file: Path, as_given: bool = False) -> Homography:
         that are not consistent with an image of a plane.
     """
     text = TextFile.read(file)
-    table = TextTable.of(text, _EXPECTED)
-    points = _points(table)
+    table, values, _ = read_quantities(text, _meaning, _QUANTITIES, _EXPECTED)
+    points = np.stack([values[quantity] for quantity in _QUANTITIES])
+    _require_numbers(table, points)
     lines = np.array(table.rows) + 1
-    notes = [] if text.note is None else [text.note]
+    notes = [*table.findings]
+    if text.note is not None:
+        notes.append(text.note)
     _, first = np.unique(points, axis=1, return_index=True)
     repeated = points.shape[1] - len(first)
     if repeated:
@@ -91,28 +97,22 @@ def load_homography(file: Path, as_given: bool = False) -> Homography:
     return homography(kept[:2], kept[2:], file)._replace(notes=tuple(notes))
 
 
-def _points(table: TextTable) -> Floats:
-    """u, v in pixels and x, y in m of the points in a table, shape (4, points)."""
-    columns: dict[str, int] = {}
-    factors: list[float] = []
-    for index, name in enumerate(table.names):
-        column = parse_header(name)
-        quantity = "v" if name.strip().lower() == "v" else column and column.quantity
-        if quantity in ("u", "v", "x", "y") and quantity not in columns:
-            columns[quantity] = index
-            factors.append(column.factor if column and quantity in "xy" else 1.0)
-    missing = [name for name in "uvxy" if name not in columns]
-    if missing:
-        raise table.error(f"no column for {' and '.join(missing)}; {_EXPECTED}")
-    cells = np.array(table.numbers(list(columns.values())))
-    values = dict(zip(columns, cells * np.array(factors)[:, None], strict=True))
-    points = np.stack([values[name] for name in "uvxy"])
+def _meaning(heading: str) -> Column | None:
+    """What a column of known points holds; None for another column."""
+    column = parse_header(heading)
+    if heading.strip().lower() == "v":  # not a speed
+        return Column("v", "px", 1.0)
+    return column if column and column.quantity in _QUANTITIES else None
+
+
+def _require_numbers(table: Table, points: Floats) -> None:
+    """Raise `DataError` for a point without all of its coordinates, shape (4, points),
+    or with one that is too large."""
     bad = ~np.isfinite(points).all(axis=0)
     bad |= (np.abs(np.nan_to_num(points)) > 1e7).any(axis=0)
     if bad.any():
         fault = "each point needs four finite numbers u, v, x, y"
         raise table.file.error(fault, table.rows[np.argmax(bad)])
-    return points
 
 
 def odd_points(pixels: Floats, metres: Floats) -> dict[int, float]:

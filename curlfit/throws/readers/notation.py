@@ -9,8 +9,9 @@ from typing import NamedTuple
 
 from curlfit.errors import InputError
 from curlfit.foreign import quoted
+from curlfit.throws.readers.clocks import time_by_watch
 from curlfit.throws.readers.columns import in_unit, units_of
-from curlfit.throws.readers.text import parse_number
+from curlfit.throws.readers.numbers import parse_number
 from curlfit.throws.readers.words import WORDS, by_word
 
 _NUMBER = re.compile(
@@ -53,6 +54,10 @@ def parse_quantity(
     ------
     InputError : no number, an unknown unit or word.
     """
+    if units_of(quantity) is units_of("t") and ":" in text:
+        time = time_by_watch(text)
+        if time is not None:
+            return Quantity(time, signed=False, words=frozenset())
     rest = text.strip()
     if units_of(quantity) is units_of("x"):
         # a last mark of inches belongs to the number, unless the text begins

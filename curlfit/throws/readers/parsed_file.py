@@ -84,6 +84,16 @@ class ParsedFile:
             return {"line": None, "row": row + 1}
         return {"line": int(self.lines[row]), "row": None}
 
+    def copy(self) -> ParsedFile:
+        """The file with lists and settings of its own."""
+        return replace(
+            self,
+            series=list(self.series),
+            ignored=list(self.ignored),
+            notes=list(self.notes),
+            settings=dict(self.settings),
+        )
+
     def rows(self, rows: np.ndarray) -> ParsedFile:
         """Some of its rows; the notes and settings are copies."""
         return replace(
@@ -144,6 +154,7 @@ class Format(NamedTuple):
     what, selected_by : what a throw is called there, and the choice that selects it.
     usual : index of the one taken if none is selected; None if one must be selected.
     selections : all choices that select something in such a file.
+    columns : quantities of its columns that no other format has.
     """
 
     name: str
@@ -153,6 +164,7 @@ class Format(NamedTuple):
     selected_by: str
     usual: int | None
     selections: tuple[str, ...]
+    columns: Collection[str] = ()
 
     def check(self, source: Path | str, reading: Reading) -> None:
         """Raise `InputError` for a choice of something that such files do not hold."""

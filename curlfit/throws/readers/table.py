@@ -1,255 +1,421 @@
-"""Tables: text with a header and settings in leading `#` lines, curlfit's own format.
+"""A table of a file: where its header is, its columns, and the rows that hold data.
 
-A table may hold several throws: named by a column, or one after another.
+Above the header may be titles, comments and `sep=;`; below it a row of units. The
+header may stand behind a `#`, and rows may have names without a heading, as R writes
+them. Rows of means, sums and formulas below the data are left out, and a finding says
+so.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from itertools import islice, pairwise
-from typing import Any
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import islice
+from typing import TypeVar
 
 import numpy as np
 
-from curlfit.errors import DataError
+from curlfit.errors import DataError, Option
 from curlfit.findings import Finding
-from curlfit.foreign import quoted
-from curlfit.settings.choices import Reading
-from curlfit.throws.readers.columns import Column, in_unit, parse_header
-from curlfit.throws.readers.defaults import begun
-from curlfit.throws.readers.headings import Headings
-from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile
-from curlfit.throws.readers.text import (
+from curlfit.foreign import counted, quoted
+from curlfit.numerics.arrays import Floats
+from curlfit.throws.readers.cells import (
     GAPS,
-    TextFile,
-    TextTable,
+    LOST,
+    cells,
     header_cells,
-    is_aside,
-    is_number,
+    is_gap,
+    separator_of,
 )
+from curlfit.throws.readers.clocks import AmbiguousTimesError, ClockTimes, clock_times
+from curlfit.throws.readers.columns import is_unit
+from curlfit.throws.readers.numbers import (
+    is_grouped,
+    is_number,
+    numbers_in,
+    thousands_of_whole_numbers,
+    thousands_that_bar,
+    without_groups,
+)
+from curlfit.throws.readers.text import EXPECTED, TextFile, is_aside
 from curlfit.throws.readers.words import WORDS
 
-_NAMES = set(WORDS["throws"].split())
-_WORDS = re.compile(r"[a-z]+")
-_FEWEST = 5  # rows of a throw
-_MOST_TITLES = 20  # lines above a header
+MOST_TITLES = 20
+"""Lines above a header."""
+_MOST_BELOW = 12
+"""Rows of means, sums and such below a table."""
+_AGGREGATES = set(WORDS["aggregates"].split())
+_MAY_BE_NAMES = set(WORDS["aggregates_or_names"].split())
+"""Aggregates by words that are also names of people, as Max is."""
+Meaning = TypeVar("Meaning")
 
 
-def _contents(file: TextFile, reading: Reading) -> Contents:
-    """The throws of a text table.
+@dataclass(frozen=True)
+class Table:
+    """A table of a file.
 
-    Raises
-    ------
-    DataError : with the line and column of the fault, and what was expected.
-    """
-    parsed, table = _table_of(file, reading)
-    columns = Headings(table.names, table.error, table.is_numeric).of_throw(
-        parsed, reading
-    )
-    read_columns(parsed, table, columns)
-    others = [
-        k for k, name in enumerate(table.names) if k not in columns and _may_name(name)
-    ]
-    return contents_of(parsed, {table.names[k]: table.column(k) for k in others})
-
-
-TABLE = Format(
-    "table",
-    lambda _: True,
-    _contents,
-    "throw",
-    "stone_index",
-    None,
-    ("stone_index", "columns"),
-)
-
-
-def _table_of(file: TextFile, reading: Reading) -> tuple[ParsedFile, TextTable]:
-    """The settings and the table of a file: its header may be below titles, and units
-    in the line below it.
-
-    Raises
-    ------
-    DataError : the file is empty, or begins with numbers.
-    """
-    first = file.head()
-    below = (k for k in range(first, len(file.lines)) if not is_aside(file.lines[k]))
-    for titles, index in enumerate(islice(below, _MOST_TITLES)):
-        table = TextTable.at(file, index)
-        try:
-            parsed = begun(file, "table", index)
-            Headings(table.names, table.error).columns(
-                reading, parsed.settings.get("columns", {})
-            )
-        except DataError:
-            continue
-        if titles:
-            not_read = Finding.note(
-                "lines-above-the-header",
-                count=titles,
-                first=quoted(file.lines[first].strip(" ,;\t")),
-            )
-            table.remarks.append(not_read)
-        return parsed, with_units_below(table)
-    table = TextTable.of(file)
-    return begun(file, "table", table.header), table
-
-
-def with_units_below(table: TextTable) -> TextTable:
-    """The table with the units of a second row in its headings, if this has
-    units alone."""
-    lines = table.file.lines
-    row = next(
-        (k for k in range(table.header + 1, len(lines)) if not is_aside(lines[k])), -1
-    )
-    cells = header_cells(lines[row], table.separator)
-    units = ["" if cell.lower() in GAPS else cell.strip("()[] ") for cell in cells]
-    if len(units) != len(table.names) or any(map(is_number, cells)):
-        return table
-    pairs = list(zip(table.names, units, strict=True))
-    names = [f"{name} ({unit})" if unit else name for name, unit in pairs]
-    read = [
-        parse_header(names[k], other_words=True) for k, unit in enumerate(units) if unit
-    ]
-    known = any(column is not None and column.stated for column in read)
-    return replace(table, header=row, names=names) if known else table
-
-
-def read_columns(
-    parsed: ParsedFile, table: TextTable, columns: dict[int, Column]
-) -> None:
-    """Add columns, by index, to a parsed file; those of clock times become seconds.
-
-    Raises
-    ------
-    DataError : with the line and column of the fault.
-    """
-    times = [k for k, column in columns.items() if column.base == "t"]
-    clocks = {k: found for k in times if (found := table.clock(k))}
-    for k, (begin, _) in clocks.items():
-        columns[k] = in_unit(columns[k].quantity, "s")
-        parsed.notes.append(
-            Finding.note("clock-times", column=table.names[k], since=begin)
-        )
-    plain = [k for k in columns if k not in clocks]
-    values = dict(zip(plain, table.numbers(plain), strict=True))
-    values |= {k: seconds for k, (_, seconds) in clocks.items()}
-    parsed.notes += table.remarks
-    if any("#" in table.file.lines[row] for row in table.rows):
-        faults = [cell for k in plain for cell in table.column(k) if cell[:1] == "#"]
-        if faults:
-            parsed.notes.append(
-                Finding.note("gaps", count=len(faults), cell=quoted(faults[0]))
-            )
-    parsed.lines = np.asarray(table.rows, np.int64) + 1
-    for k, column in columns.items():
-        parsed.add(table.names[k], column, values[k])
-
-
-def _may_name(header: str) -> bool:
-    """Whether a column of this header may name the throw of each row."""
-    parts = set(_WORDS.findall(header.lower()))
-    return bool(parts & _NAMES) and parts <= _NAMES | {"nr", "no", "number", "index"}
-
-
-def contents_of(parsed: ParsedFile, words: Mapping[str, Sequence[Any]]) -> Contents:
-    """The throws in a table.
-
-    A column such as `stone`, `throw_id` or `track` names them. Without one, a new throw
-    begins where the times start again, or where the stone is back at the start from one
-    row to the next.
-
-    Parameters
+    Attributes
     ----------
-    words : cells, by header, of the columns that are not data of a throw.
+    header : index of the last line of its header. separator : of its cells; None for
+        spaces.
+    headings : of its columns.
+    findings : on what was read otherwise than it is written; more come as columns are
+        read.
+    objects : places of the columns of each object, by its name, where the file says
+        which there are.
+    computed : places of columns that a program computed from others.
     """
-    header, groups = _by_column(words, len(parsed.series[0].values))
-    if header:
-        parsed = replace(
-            parsed, ignored=[name for name in parsed.ignored if name != header]
+
+    file: TextFile
+    header: int
+    separator: str | None
+    headings: list[str]
+    findings: list[Finding] = field(default_factory=list)
+    objects: Mapping[str, Sequence[int]] = field(default_factory=dict)
+    computed: Collection[int] = ()
+
+    @classmethod
+    def at(cls, file: TextFile, header: int) -> Table:
+        """The table whose header is the line of an index, behind a `#` perhaps."""
+        line = file.lines[header].lstrip().removeprefix("#")
+        separator = separator_of(line)
+        headings = header_cells(line, separator)
+        while len(headings) > 1 and not headings[-1]:
+            headings.pop()
+        return cls(file, header, separator, headings)
+
+    @classmethod
+    def find(
+        cls, file: TextFile, knows: Callable[[Table], bool], expected: str = EXPECTED
+    ) -> Table:
+        """The table with the first header that a format `knows`, or the first line if
+        it knows none; with what stands above and below the header.
+
+        Raises
+        ------
+        DataError : the file is empty or begins with numbers.
+        """
+        first = file.head(expected)
+        for titles, header in enumerate(_lines_of_data(file, first, MOST_TITLES)):
+            table = cls.at(file, header)
+            if knows(table):
+                if titles:
+                    above = file.lines[first].strip(" ,;\t")
+                    not_read = Finding.note(
+                        "lines-above-the-header", count=titles, first=quoted(above)
+                    )
+                    table.findings.append(not_read)
+                return table.with_units_below()._with_row_names()
+        table = cls.at(file, first)
+        if not all(map(is_number, table.headings)):
+            return table
+        comments = [index for index, _ in file.comments(first)]
+        if comments and knows(commented := cls.at(file, comments[-1])):
+            return commented
+        raise table.error(f"the table begins with numbers; {expected}")
+
+    def error(self, message: str, options: tuple[Option, ...] = ()) -> DataError:
+        """An error at the header, with options to type instead."""
+        return self.file.error(message, self.header, options=options)
+
+    def sole(self, meanings: Sequence[Meaning]) -> dict[Meaning, int]:
+        """The place of the column of each meaning; columns without one are left out.
+
+        Raises
+        ------
+        DataError : two columns mean the same.
+        """
+        places: dict[Meaning, int] = {}
+        for place, meaning in enumerate(meanings):
+            if not meaning:
+                continue
+            other = places.setdefault(meaning, place)
+            if other != place:
+                raise self.error(
+                    f"columns {quoted(self.headings[other])} (column {other + 1}) and "
+                    f"{quoted(self.headings[place])} (column {place + 1}) both mean "
+                    f"{meaning}; rename or remove one"
+                )
+        return places
+
+    @cached_property
+    def rows(self) -> list[int]:
+        """Indices of the lines of its rows. Raises `DataError` for none."""
+        if self._plain is not None:
+            return self._lines
+        return [index for index, _ in self._rows]
+
+    @property
+    def cells(self) -> list[list[str]]:
+        """The cells of its rows."""
+        return [row for _, row in self._rows]
+
+    @cached_property
+    def _lines(self) -> list[int]:
+        """Indices of the lines below the header, without the rows of means and such at
+        the end."""
+        lines = _lines_of_data(self.file, self.header + 1)
+        below = self._aggregates_below(lines)
+        if below:
+            names = [_first_word(self._cells_of(index)) for index in below]
+            left_out = Finding.note(
+                "rows-below-the-table",
+                count=len(below),
+                names=[quoted(name) for name in names],
+                lines=[index + 1 for index in below],
+            )
+            self.findings.append(left_out)
+            lines = lines[: -len(below)]
+        if not lines:
+            raise self.error("a header but no rows of numbers")
+        return lines
+
+    @cached_property
+    def _rows(self) -> list[tuple[int, list[str]]]:
+        """The rows, each with the index of its line; lines between them that are none
+        are noted.
+
+        Raises
+        ------
+        DataError : a row with a wrong number of cells.
+        """
+        width = len(self.headings)
+        header = self.file.lines[self.header]
+        rows = []
+        between = []
+        for index in self._lines:
+            row = self._cells_of(index)
+            if self.file.lines[index] == header or self._is_remark(row):
+                between.append(index)
+                continue
+            if len(row) < width or any(row[width:]):
+                raise self._wrong_width(index, row)
+            rows.append((index, row))
+        if not rows:
+            raise self.error("a header but no rows of numbers")
+        if between:
+            texts = [quoted(_first_word(self._cells_of(index))) for index in between]
+            not_read = Finding.note(
+                "lines-between-rows",
+                count=len(between),
+                texts=texts,
+                lines=[index + 1 for index in between],
+            )
+            self.findings.append(not_read)
+        return rows
+
+    def _is_remark(self, row: Sequence[str]) -> bool:
+        """Whether a row of a table of several columns has one cell alone, of words."""
+        filled = list(filter(None, row))
+        return (
+            len(filled) == 1
+            and len(self.headings) > 2
+            and len(filled[0]) > 1
+            and not any(map(str.isdigit, filled[0]))
+            and not is_gap(filled[0])
         )
-    else:
-        groups = _by_restart(parsed)
-    if len(groups) < 2:
-        return Contents([""], lambda _: parsed)
-    throws = list(groups.items())
 
-    def parse(index: int) -> ParsedFile:
-        name, rows = throws[index]
-        selected = parsed.rows(rows)
-        taken = Finding.note(
-            "one-of-throws", count=len(throws), taken=index + 1, name=name
+    def _wrong_width(self, index: int, row: Sequence[str]) -> DataError:
+        """The error of a row with another number of cells than the header."""
+        width = len(self.headings)
+        count = counted(len(row), "cell")
+        fault = f"{count} where the header has {counted(width, 'column')}"
+        if self.separator == "," and width < len(row) <= 2 * width:
+            fault += (
+                "; where numbers have decimal commas, separate the columns by "
+                "semicolons"
+            )
+        return self.file.error(fault, index)
+
+    def column(self, place: int) -> list[str]:
+        """The cells of a column."""
+        return [row[place] for row in self.cells]
+
+    def is_numeric(self, place: int) -> bool:
+        """Whether a column has numbers or gaps only, at least one number."""
+        values = [cell for cell in self.column(place) if not is_gap(cell)]
+        return bool(values) and all(
+            is_number(cell) or is_grouped(cell) for cell in values
         )
-        selected.notes.append(taken)
-        return selected
 
-    return Contents([f"{name} ({len(rows)} rows)" for name, rows in throws], parse)
+    def numbers(self, places: Sequence[int]) -> list[Floats]:
+        """Numbers in some columns, as written; gaps are NaN.
+
+        Raises
+        ------
+        DataError : a row with a wrong number of cells, or a cell that is not a finite
+            number.
+        """
+        if self._plain is not None:
+            return list(self._plain[:, list(places)].T.copy())
+        columns = [self.column(place) for place in places]
+        decimal_comma = self.separator != "," or not any(
+            "." in cell for column in columns for cell in column
+        )
+        whole = map(thousands_of_whole_numbers, columns)
+        thousands = next(filter(None, whole), None)
+        values = [numbers_in(column, decimal_comma=decimal_comma) for column in columns]
+        if thousands is None and any(None in column for column in values):
+            thousands = thousands_that_bar(columns, decimal_comma=decimal_comma)
+        if thousands is not None:
+            without = [numbers_in(column, thousands.mark) for column in columns]
+            if not any(None in column for column in without):
+                values = without
+                noted = Finding.note(
+                    "thousands",
+                    mark=quoted(thousands.mark),
+                    cell=quoted(thousands.example),
+                    number=without_groups(thousands.example, thousands.mark),
+                )
+                self.findings.append(noted)
+        for place, column in zip(places, values, strict=True):
+            if None in column:
+                row = column.index(None)
+                raise self.not_a("finite number", row, place)
+        self.note_gaps(places)
+        return [np.array(column, float) for column in values]
+
+    def not_a(self, expected: str, row: int, place: int) -> DataError:
+        """The error of a cell that is not what was expected."""
+        cell = self.cells[row][place]
+        fault = f"{quoted(cell)} found, expected a {expected}"
+        return self.file.error(fault, self.rows[row], self.headings[place])
+
+    def note_gaps(self, places: Sequence[int]) -> None:
+        """Say that some columns have cells with a word for a value that was lost."""
+        lost = [
+            cell
+            for place in places
+            for cell in self.column(place)
+            if cell.lower() in LOST or (cell[:1] == "#" and is_gap(cell))
+        ]
+        if lost:
+            gaps = Finding.note("gaps", count=len(lost), cell=quoted(lost[0]))
+            self.findings.append(gaps)
+
+    def clock(
+        self, place: int, frame_rate: float | None, day_first: bool | None
+    ) -> ClockTimes | None:
+        """The clock times of a column; None of another. The choices are those of
+        `clock_times`.
+
+        Raises
+        ------
+        DataError : a cell of such a column is not a clock time, or these have two
+            meanings.
+        """
+        if self._plain is not None:
+            return None
+        column = self.column(place)
+        if not any(":" in cell for cell in column):
+            return None
+        try:
+            times = clock_times(column, frame_rate=frame_rate, day_first=day_first)
+        except AmbiguousTimesError as error:
+            options = " or ".join(map(str, error.options))
+            raise self.file.error(
+                f"{error}; give {options}",
+                self.rows[0],
+                self.headings[place],
+                options=error.options,
+            ) from None
+        if times.first and times.bad:
+            raise self.not_a("clock time as in other rows", times.bad[0], place)
+        return times if times.first else None
+
+    @cached_property
+    def _plain(self) -> Floats | None:
+        """All cells, shape (rows, columns), if they are numbers that mean what they
+        say. It is the usual table, and the quickest to read."""
+        lines = [self.file.lines[index] for index in self._lines]
+        with suppress(ValueError):  # of anything but numbers
+            values = np.loadtxt(lines, delimiter=self.separator, comments=None, ndmin=2)
+            if values.shape[1] == len(self.headings) and not np.isinf(values).any():
+                return None if self._may_have_thousands(values) else values
+        return None
+
+    def _may_have_thousands(self, values: Floats) -> bool:
+        """Whether a column may have points between thousands: whole numbers of three
+        digits, but for some with three decimals."""
+        size = np.abs(values)
+        whole = size == np.round(size)
+        thousandths = np.isclose(1000 * size, np.round(1000 * size), rtol=0, atol=1e-6)
+        grouped = whole | ((size >= 1) & (size < 1000) & thousandths)
+        of_three_digits = whole & (size >= 100) & (size < 1000)
+        suspect = grouped.all(0) & of_three_digits.any(0) & ~whole.all(0)
+        return bool(suspect.any())
+
+    def _cells_of(self, index: int) -> list[str]:
+        return cells(self.file.lines[index], self.separator)
+
+    def with_units_below(self) -> Table:
+        """The table with the units of a second row in its headings, if this has
+        units alone."""
+        index = next(iter(_lines_of_data(self.file, self.header + 1)), None)
+        if index is None:
+            return self
+        row = header_cells(self.file.lines[index], self.separator)
+        units = ["" if cell.lower() in GAPS else cell.strip("()[] ") for cell in row]
+        if len(units) != len(self.headings) or any(map(is_number, row)):
+            return self
+        if not any(map(is_unit, units)):
+            return self
+        headings = [
+            f"{heading} ({unit})" if unit else heading
+            for heading, unit in zip(self.headings, units, strict=True)
+        ]
+        return replace(self, header=index, headings=headings)
+
+    def _with_row_names(self) -> Table:
+        """The table with an empty heading for names of rows, as R writes them: each row
+        has one cell more than the header, and they begin with text in quotes or
+        count on."""
+        first_rows = list(_lines_of_data(self.file, self.header + 1, MOST_TITLES))
+        rows = [self._cells_of(index) for index in first_rows]
+        if not all(len(row) == len(self.headings) + 1 and row[-1] for row in rows):
+            return self
+        names = [row[0] for row in rows]
+        in_quotes = all(
+            self.file.lines[index].lstrip()[:1] == '"' for index in first_rows
+        )
+        if not in_quotes and not _counts_on(names):
+            return self
+        return replace(self, headings=["", *self.headings])
+
+    def _aggregates_below(self, rows: Sequence[int]) -> list[int]:
+        """The rows at the end that are no data: of means, sums and such by their names
+        in the first cell, and of formulas."""
+        below: list[int] = []
+        certain = False
+        for index in reversed(rows[-_MOST_BELOW:]):
+            row = self._cells_of(index)
+            name = _first_word(row)
+            if name in _AGGREGATES or any(cell[:1] == "=" for cell in row):
+                certain = True
+            elif name not in _MAY_BE_NAMES or not is_number(
+                _first_word(self._cells_of(rows[0]))
+            ):
+                break
+            below.insert(0, index)
+        return below if certain else []
 
 
-def _by_column(
-    words: Mapping[str, Sequence[Any]], n: int
-) -> tuple[str, dict[str, np.ndarray]]:
-    """The column that names several throws, and the rows of each; empty if
-    there is none."""
-    for header, cells in words.items():
-        if not _may_name(header):
-            continue
-        names = np.array([str(cell).strip() for cell in cells])
-        listed = [name for name in dict.fromkeys(names.tolist()) if name]
-        if 2 <= len(listed) <= n / _FEWEST:
-            return header, {
-                f"{header} {name}": np.flatnonzero(names == name) for name in listed
-            }
-    return "", {}
+def _counts_on(names: Sequence[str]) -> bool:
+    """Whether names are whole numbers in order, one after another."""
+    if not names or not all(name.isdigit() for name in names):
+        return False
+    numbers = list(map(int, names))
+    return numbers == list(range(numbers[0], numbers[0] + len(numbers)))
 
 
-def _by_restart(parsed: ParsedFile) -> dict[str, np.ndarray]:
-    """Rows of each throw if the times start again, or if they run on while the stone is
-    back at the start; empty if there is one throw."""
-    series = {s.column.quantity: s.values for s in parsed.series}
-    if "t" not in series or len(times := series["t"]) < 2 * _FEWEST:
-        return {}
-    again = np.flatnonzero(np.diff(times) < 0) + 1
-    if len(again) == 1 and _one_time_is_odd(times, int(again[0])):
-        return {}
-    pieces = np.split(np.arange(len(times)), again if len(again) else _returns(series))
-    if len(pieces) < 2 or min(map(len, pieces)) < _FEWEST:
-        return {}
-    # Each begins within the first fifth of the previous one, unlike rows merely
-    # out of order.
-    for before, after in pairwise(pieces) if len(again) else ():
-        began, ended = times[before[0]], times[before[-1]]
-        if not times[after[0]] < began + 0.2 * (ended - began):
-            return {}
-    lines = parsed.lines
-    return {
-        f"from row {rows[0] + 1}"
-        if lines is None
-        else f"from line {lines[rows[0]]}": rows
-        for rows in pieces
-    }
+def _first_word(row: Sequence[str]) -> str:
+    """What stands in the first cell that is not empty, in small letters."""
+    return next(filter(None, row), "").lower().strip(" :.")
 
 
-def _one_time_is_odd(times: np.ndarray, again: int) -> bool:
-    """Whether times that go back once grow again where the row before, or the row
-    itself, is left out."""
-    without = [np.delete(times, row) for row in (again - 1, again)]
-    return any((np.diff(others) > 0).all() for others in without)
-
-
-def _returns(series: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Rows in which the stone is back at the start: from the one before it has gone
-    back by more than half the length of the path; none if it is ever as far ahead."""
-    x, y = (series.get(axis, series.get(pixel)) for axis, pixel in ("xu", "yv"))
-    none = np.array([], int)
-    if x is None or y is None or not np.isfinite(x + y).any():
-        return none
-    rows = np.flatnonzero(np.isfinite(x + y))
-    places = np.stack([x[rows], y[rows]])
-    step = np.diff(places)
-    last = np.flatnonzero(np.hypot(*step) > 0.5 * np.hypot(*np.ptp(places, axis=1)))
-    first = np.append(0, last + 1)[:-1]
-    back = ((places[:, last] - places[:, first]) * step[:, last]).sum(0) < 0
-    return rows[last + 1] if back.all() else none
+def _lines_of_data(file: TextFile, begin: int, most: int | None = None) -> list[int]:
+    """Indices of lines from one on that are no comments and not blank."""
+    indices = (k for k in range(begin, len(file.lines)) if not is_aside(file.lines[k]))
+    return list(islice(indices, most))

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -13,18 +13,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from curlfit.errors import DataError, InputError, Option
+from curlfit.errors import DataError, Option
 from curlfit.findings import Finding, Remedy
-from curlfit.foreign import counted, file_and_number, quoted
+from curlfit.foreign import file_and_number, quoted
 from curlfit.numerics.arrays import Floats
 from curlfit.settings.choices import Reading
 from curlfit.sheet import LINES
 from curlfit.throws.channels import UNITS
-from curlfit.throws.events import RATES, Event
+from curlfit.throws.events import Event
 from curlfit.throws.odd_row import OddRow
+from curlfit.throws.readers.cells import header_cells, separator_of
 from curlfit.throws.readers.columns import parse_header
 from curlfit.throws.readers.defaults import begun
-from curlfit.throws.readers.notation import parse_quantity
 from curlfit.throws.readers.odd_rows import OddValue, odd_values
 from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile
 from curlfit.throws.readers.record import (
@@ -37,32 +37,13 @@ from curlfit.throws.readers.record import (
     Row,
     usual_sigma,
 )
-from curlfit.throws.readers.text import (
-    GAPS,
-    TextFile,
-    cells,
-    header_cells,
-    is_number,
-    separator_of,
-)
-from curlfit.throws.readers.words import WORDS
+from curlfit.throws.readers.stopwatch_table import Heading, is_header, meant, rows_of
+from curlfit.throws.readers.table import MOST_TITLES, Table
+from curlfit.throws.readers.text import TextFile, is_aside
 
-LABELS = set(WORDS["labels"].split())
-"""Columns that say of which throw a row is; any other that has words in most rows
-is kept too."""
-_ALIASES = {
-    "sigma_t": "sigma_time",
-    "rotation": "handle",
-    "split": "back_to_hog",
-    "h2h": "hog_to_hog",
-    "hog_hog": "hog_to_hog",
-}
-_LIKE_MEASUREMENTS = {"hog", "tee", "rest", "curl", "turns", "split", "speed", "spin"}
-_SPLIT = re.compile(r"[\s_\-./()\[\]]+")
 _LINE = re.compile(
     r"""(?!\s*["']?[-+.\d])\s*["']?([^=:;,\t"']*?)["']?\s*[=:;,\t]\s*(\S.*?)\s*[;,]?\s*$"""
 )
-_MOST_ROWS = 100_000
 _MANY = 4  # throws of a table, from which on it is an evening
 
 
@@ -74,8 +55,9 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
     DataError : an unknown line, an impossible value, a curl without its side, or times
         that do not determine friction.
     """
-    rows = _rows(file)
-    keep = {*reading.keep, *begun(file, "timings").settings.get("keep", ())}
+    settings = begun(file, "timings").settings
+    keep = {*reading.keep, *settings.get("keep", ())}
+    rows = _rows(file, {**settings.get("columns", {}), **reading.columns})
     law = _usual_law(rows)
     several = len(rows) > 1
     odd_rows = _odd_rows(file, rows, keep) if several else ()
@@ -93,7 +75,8 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
         source = f"{file.path} row {index + 1}" if several else None
         parsed = begun(file, "timings", source=source)
         parsed.settings.setdefault("law", law)
-        parsed.settings.pop("keep", None)
+        for name in ("keep", "columns"):
+            parsed.settings.pop(name, None)
         record = Record(file, row, limited=row.line not in keep)
         parsed.events = record.events()
         parsed.labels = row.labels
@@ -184,25 +167,19 @@ def _odd_row(file: TextFile, line: int, odd: OddValue, left_out: bool) -> OddRow
     )
 
 
-def is_table(head: list[str]) -> bool:
-    """Whether lines, comments removed, begin with a header of several
-    known quantities."""
-    names = _header(head[0]) if head else []
-    known = {key for key, _ in map(_key, names)} - {""}
-    if len(known) == 1 and known <= TIMES.keys() and separator_of(head[0]):
-        # other columns are named otherwise, perhaps
-        return "=" not in head[0] and len(names) > 1 and not any(map(is_number, names))
-    return len(known) > 1
-
-
 def _recognizes(head: list[str]) -> bool:
-    """Whether the first lines are those of a record or of a table of times."""
-    if is_table(head):
-        names = _header(head[0])
-        keys = {key for key, _ in map(_key, names)}
-        columns = [column for name in names if (column := parse_header(name))]
-        path = "speed" not in keys or any(column.base == "t" for column in columns)
-        return bool(keys & TIMES.keys()) or (bool(keys & {"curl", "rest"}) and not path)
+    """Whether the first lines are those of a record or of a table of times, which may
+    stand below titles."""
+    for line in head[:MOST_TITLES]:
+        headings = header_cells(line, separator_of(line))
+        if is_header(headings):
+            known = {Heading.of(heading).quantity for heading in headings}
+            columns = [column for name in headings if (column := parse_header(name))]
+            timed = any(column.base == "t" for column in columns)
+            path = "speed" not in known or timed
+            return bool(known & TIMES.keys()) or (
+                bool(known & {"curl", "rest"}) and not path
+            )
     pairs = [pair for pair in map(_pair, head) if pair is not None]
     # The header of a table may begin with such a name too, but has no digits.
     return any(key in TIMES for key, _, _ in pairs) or (
@@ -210,34 +187,16 @@ def _recognizes(head: list[str]) -> bool:
     )
 
 
-TIMINGS = Format("timings", _recognizes, _contents, "row", "shot", 0, ("shot", "keep"))
-
-
-def _key(text: str) -> tuple[str, str]:
-    """A known quantity and the unit that follows it, if any, as in `curl_ft`;
-    empty if unknown."""
-    words = [word for word in _SPLIT.split(text.strip().strip("\"'").lower()) if word]
-    for count in range(len(words), max(len(words) - 2, 0), -1):
-        name = "_".join(words[:count])
-        name = _ALIASES.get(name, name)
-        if name in KINDS:
-            return name, "".join(words[count:])
-    column = parse_header(text.strip("\"' "))
-    if column is None or column.base not in RATES:
-        return "", ""
-    unit = column.unit if column.stated else ""
-    return column.quantity.replace("omega", "spin"), unit
-
-
-def _meant(key: str, text: str) -> str:
-    """The quantity under a heading: words alone under that of the spin
-    are its sense."""
-    return "handle" if key == "spin" and not any(map(str.isdigit, text)) else key
-
-
-def _header(line: str) -> list[str]:
-    """The headings in a line."""
-    return header_cells(line, separator_of(line))
+TIMINGS = Format(
+    "timings",
+    _recognizes,
+    _contents,
+    "row",
+    "shot",
+    0,
+    ("shot", "keep", "columns"),
+    KINDS,
+)
 
 
 def _pair(line: str) -> tuple[str, str, str] | None:
@@ -245,118 +204,35 @@ def _pair(line: str) -> tuple[str, str, str] | None:
     match = _LINE.match(line)
     if match is None:
         return None
-    key, unit = _key(match[1])
-    return (key, unit, match[2]) if key else None
+    heading = Heading.of(match[1])
+    return (*heading, match[2]) if heading.quantity else None
 
 
-def _rows(file: TextFile, *, table: bool = False) -> list[Row]:
-    """Each record in the file, which is a `table` even if it has one column of
-    times or none."""
+def _rows(file: TextFile, named: Mapping[str, str]) -> list[Row]:
+    """Each throw in the file: those of a table, or the only one of a record.
+
+    Parameters
+    ----------
+    named : headings that the user names, by quantity.
+    """
+
+    wanted = {heading.strip().lower() for heading in named.values()}
+
+    def knows(table: Table) -> bool:
+        has_wanted = wanted <= {heading.lower() for heading in table.headings}
+        return has_wanted and (bool(wanted) or is_header(table.headings))
+
+    head = [line for line in file.lines if not is_aside(line)][:MOST_TITLES]
+    headings = (header_cells(line, separator_of(line)) for line in head)
+    if named or any(map(is_header, headings)):
+        return rows_of(Table.find(file, knows), named)
     body = [
         (index, text)
         for index, line in enumerate(file.lines)
         if (text := line.split("#", 1)[0].strip(" ")).strip()
         and not text.startswith("[")
     ]
-    if not table and not is_table([text for _, text in body]):
-        return [Row(body[0][0] + 1 if body else 0, _entries(file, body), {}, [])]
-    if len(body) > _MOST_ROWS:
-        raise file.error(f"more than {_MOST_ROWS} throws", body[_MOST_ROWS][0])
-    first, head = body[0]
-    separator = separator_of(head)
-    names = _without_blank_end(_header(head))
-    header = [_key(name) for name in names]
-    rows: dict[int, list[str]] = {}
-    for index, text in body[1:]:
-        values = _without_blank_end(_cells(text, separator, len(names)), len(names))
-        if len(values) != len(names):
-            fault = (
-                f"{counted(len(values), 'cell')}, expected "
-                f"{len(names)} as in the header"
-            )
-            raise file.error(fault, index)
-        rows[index + 1] = ["" if cell.lower() in GAPS else cell for cell in values]
-    if not rows:
-        raise file.error("a header but no rows", first)
-    labels, notes = _labels(names, header, list(rows.values()))
-    return [
-        Row(
-            line,
-            {
-                _meant(key, cell): Entry(line, cell, unit)
-                for (key, unit), cell in zip(header, values, strict=True)
-                if key and cell
-            },
-            {label: values[place] for place, label in labels.items() if values[place]},
-            notes,
-        )
-        for line, values in rows.items()
-    ]
-
-
-def _labels(
-    names: Sequence[str],
-    header: Sequence[tuple[str, str]],
-    rows: Sequence[Sequence[str]],
-) -> tuple[dict[int, str], list[Finding]]:
-    """Columns that are labels, by place, and notes on those that are not used."""
-    labels = {}
-    unused = []
-    strange = []
-    for place, name in enumerate(names):
-        label = "_".join(name.lower().split())
-        key, _ = header[place]
-        if key and all(_meant(key, row[place]) == "handle" for row in rows):
-            labels[place] = "handle"
-        if key or not name:
-            continue
-        like = _LIKE_MEASUREMENTS & set(_SPLIT.split(name.lower()))
-        measured = sum(_is_measurement(row[place]) for row in rows)
-        if label not in LABELS and (like or 2 * measured > len(rows)):
-            strange.append(name)
-        words = sum(not is_number(row[place] or "0") for row in rows)
-        if label in LABELS or 2 * words > len(rows):
-            labels[place] = label
-        else:
-            unused.append(name)
-    notes = []
-    if strange:
-        expected = Remedy("known-headings", numbers={"times": list(TIMES)})
-        not_understood = Finding.note(
-            "columns-not-understood", expected, columns=strange, count=len(strange)
-        )
-        notes.append(not_understood)
-    if unused:
-        notes.append(Finding.note("columns-ignored", columns=unused))
-    return labels, notes
-
-
-def _is_measurement(cell: str) -> bool:
-    """Whether a cell is a number with its unit, or a word of direction."""
-    with suppress(InputError):
-        return not is_number(cell) and math.isfinite(parse_quantity(cell, "x").value)
-    return False
-
-
-def _without_blank_end(row: list[str], fewest: int = 1) -> list[str]:
-    """A row without the empty cells at its end, but of some cells at least."""
-    while len(row) > fewest and not row[-1]:
-        row.pop()
-    return row
-
-
-def _cells(line: str, separator: str | None, width: int) -> list[str]:
-    """Cells of a row, in which a quotation mark may be that of inches."""
-    parts = (
-        [] if separator is None else [part.strip() for part in line.split(separator)]
-    )
-    if len(parts) == width and all(
-        part[:1] != '"' or part[-1:] == '"' for part in parts
-    ):
-        return [
-            part[1:-1].replace('""', '"') if part[:1] == '"' else part for part in parts
-        ]
-    return cells(line, separator)
+    return [Row(body[0][0] + 1 if body else 0, _entries(file, body), {}, [])]
 
 
 def _entries(file: TextFile, body: Sequence[tuple[int, str]]) -> dict[str, Entry]:
@@ -370,17 +246,22 @@ def _entries(file: TextFile, body: Sequence[tuple[int, str]]) -> dict[str, Entry
                 continue  # a header
             raise file.error(f"{quoted(text)} is not known; {EXPECTED}", index)
         heading, unit, value = pair
-        key = _meant(heading, value)
+        key = meant(heading, value)
         if key in entries:
             raise file.error(f"{key} is given twice", index)
         entries[key] = Entry(index + 1, value, unit)
     return entries
 
 
-def usual_law(file: TextFile) -> str:
+def usual_law(file: TextFile, named: Mapping[str, str]) -> str:
     """The law by which each row of a file is fitted for itself if none is named. Raises
-    `DataError` as the reader."""
-    return _law_of_draws(_rows(file))
+    `DataError` as the reader.
+
+    Parameters
+    ----------
+    named : headings that the user names, by quantity.
+    """
+    return _law_of_draws(_rows(file, named))
 
 
 def _usual_law(rows: list[Row]) -> str:
@@ -428,12 +309,17 @@ def entry_in(table: Path, source: str) -> TableEntry:
     DataError : as the reader; no such column, or the throw is named twice.
     """
     file = TextFile.read(table)
-    head = file.head()
+
+    def names_throws(of: Table) -> bool:
+        return bool({"file", "track"} & {heading.lower() for heading in of.headings})
+
+    notes_table = Table.find(file, names_throws)
+    named = begun(file, "timings").settings.get("columns", {})
     path = Path(file_and_number(source)[0]).resolve()
     names = path.parts, path.with_suffix("").parts
     rows_of_throw = []
     any_named = False
-    for row in _rows(file, table=True):
+    for row in rows_of(notes_table, named):
         name = row.labels.pop("file", None) or row.labels.pop("track", None) or ""
         parts = Path(name.replace("\\", "/")).parts
         if parts:
@@ -441,8 +327,8 @@ def entry_in(table: Path, source: str) -> TableEntry:
             if any(parts == ending[-len(parts) :] for ending in names):
                 rows_of_throw.append(row)
     if not any_named:
-        raise file.error(
-            "no names of throws; expected a column `file` or `track`", head
+        raise notes_table.error(
+            "no names of throws; expected a column `file` or `track`"
         )
     if len(rows_of_throw) > 1:
         again = rows_of_throw[1].line - 1

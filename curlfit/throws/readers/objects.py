@@ -1,0 +1,154 @@
+"""Several objects side by side in a table, such as a stone and a mark on its handle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from curlfit.errors import InputError, Option
+from curlfit.findings import Finding, Remedy
+from curlfit.settings.choices import Reading
+from curlfit.throws.readers.columns import Column, parse_header, quantities_of
+from curlfit.throws.readers.headings import Headings
+from curlfit.throws.readers.parsed_file import Contents, ParsedFile, choose
+from curlfit.throws.readers.path_columns import read_columns
+from curlfit.throws.readers.table import Table
+
+# "v" alone is read as a speed
+_AXES = {"x": "x", "y": "y", "u": "x", "v": "y", "speed": "y"}
+
+
+def objects_of(table: Table, begun: ParsedFile, reading: Reading) -> Contents:
+    """The objects of a table; one that marks the handle is no throw by itself.
+
+    Parameters
+    ----------
+    begun : the settings of the file, without columns.
+
+    Raises
+    ------
+    DataError : with the line and column of the fault, and what was expected.
+    InputError : there is no such object as the handle.
+    """
+    names = list(table.objects)
+
+    def parse(index: int) -> ParsedFile:
+        parsed = begun.copy()
+        if len(names) > 1:
+            remedies = [Remedy("selects-another", Option("stone-index", "N"))]
+            if not reading.handle:
+                remedies.append(Remedy("marks-the-handle", Option("handle", "N")))
+            listed = [
+                {"number": number, "name": name} for number, name in enumerate(names, 1)
+            ]
+            taken = Finding.note(
+                "one-of-objects",
+                *remedies,
+                count=len(names),
+                objects=listed,
+                taken=index + 1,
+                name=names[index],
+            )
+            parsed.notes.append(taken)
+        elif names[0]:
+            parsed.notes.append(Finding.note("object", name=names[0]))
+        columns = _columns(parsed, table, table.objects[names[index]], reading)
+        if reading.handle is not None:
+            columns |= _handle(table, names, index, columns, reading.handle)
+        read_columns(parsed, table, columns, reading)
+        return _where_marked(parsed, names[index])
+
+    alone = [
+        index
+        for index in range(len(names))
+        if len(names) == 1 or index + 1 != reading.handle
+    ]
+    return Contents(names, parse, alone)
+
+
+def _columns(
+    parsed: ParsedFile, table: Table, places: Sequence[int], reading: Reading
+) -> dict[int, Column]:
+    """Columns of one object, by place; those that are ignored or left out are noted."""
+    if "t" not in quantities_of([table.headings[place] for place in places]):
+        clocks = [
+            place
+            for place, heading in enumerate(table.headings)
+            if quantities_of([heading]) == ["t"]
+        ]
+        places = [*clocks[:1], *places]  # one column of times for all
+    headings_of_user = {**parsed.settings.get("columns", {}), **reading.columns}
+    chosen = {heading.strip().lower() for heading in headings_of_user.values()}
+    computed = [
+        place
+        for place in places
+        if place in table.computed and table.headings[place].lower() not in chosen
+    ]
+    if not {"x", "y"} <= set(quantities_of([table.headings[k] for k in places])):
+        computed = []  # v is that of pixels u, v
+    if computed:
+        left_out = [table.headings[place] for place in computed]
+        parsed.notes.append(Finding.note("computed-by-tracker", columns=left_out))
+    places = [place for place in places if place not in computed]
+    headings = Headings(
+        [table.headings[place] for place in places],
+        table.error,
+        lambda index: table.is_numeric(places[index]),
+    )
+    columns = headings.of_throw(parsed, reading)
+    return {places[index]: column for index, column in columns.items()}
+
+
+def _handle(
+    table: Table,
+    names: Sequence[str],
+    stone: int,
+    columns: Mapping[int, Column],
+    number: int,
+) -> dict[int, Column]:
+    """Columns of the object that marks the handle, by place, in the units of the
+    stone's `columns`.
+
+    Raises
+    ------
+    InputError : it is the stone itself, or has no position.
+    """
+    handle = choose("object", "--handle", number, names, 0)
+    if handle == stone:
+        raise InputError(
+            f"--handle {number} is the stone itself; expected another object"
+        )
+    column_of_stone = {
+        _AXES[column.quantity]: column
+        for column in columns.values()
+        if column.quantity in ("x", "y", "u", "v")
+    }
+    columns_of_mark = {}
+    for place in table.objects[names[handle]]:
+        column = parse_header(table.headings[place])
+        axis = _AXES.get(column.quantity, "") if column else ""
+        if axis in column_of_stone:
+            columns_of_mark[place] = column_of_stone[axis]._replace(
+                quantity=f"{axis}_mark"
+            )
+    if len(columns_of_mark) != 2:
+        raise InputError(f"--handle {number}: {names[handle]} has no columns x and y")
+    return columns_of_mark
+
+
+def _where_marked(parsed: ParsedFile, name: str) -> ParsedFile:
+    """The rows in which the object is marked, as it is not in some frames."""
+    channels = [
+        series.values
+        for series in parsed.series
+        if not series.column.quantity.endswith("_mark") and series.column.base != "t"
+    ]
+    marked = np.asarray(np.isfinite(channels).any(axis=0))
+    if marked.all() or not marked.any():
+        return parsed
+    without = Finding.note(
+        "rows-without-the-object", count=int((~marked).sum()), name=name
+    )
+    parsed.notes.append(without)
+    return parsed.rows(marked)

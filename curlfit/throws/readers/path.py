@@ -1,0 +1,106 @@
+"""Tables of a path: text with a header and settings in leading `#` lines, curlfit's
+own format, and the exports of other programs whose headers a layout finds.
+
+A table may hold several throws, one after another or named by a column, or several
+objects side by side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+
+from curlfit.errors import DataError
+from curlfit.settings.choices import Reading
+from curlfit.throws.readers.defaults import begun
+from curlfit.throws.readers.headings import Headings
+from curlfit.throws.readers.objects import objects_of
+from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile
+from curlfit.throws.readers.path_columns import read_columns
+from curlfit.throws.readers.table import Table
+from curlfit.throws.readers.text import TextFile
+from curlfit.throws.readers.throws_in_rows import may_name, throws_of
+
+
+def _contents(file: TextFile, reading: Reading) -> Contents:
+    """The throws of a text table.
+
+    Raises
+    ------
+    DataError : with the line and column of the fault, and what was expected.
+    """
+
+    def knows(table: Table) -> bool:
+        with suppress(DataError):
+            settings = begun(file, TABLE.name, table.header).settings
+            headings = Headings(table.headings, table.error)
+            headings.columns(reading, settings.get("columns", {}))
+            return True
+        return False
+
+    table = Table.find(file, knows)
+    return contents_of(table, begun(file, TABLE.name, table.header), reading)
+
+
+TABLE = Format(
+    "table",
+    lambda _: True,
+    _contents,
+    "throw",
+    "stone_index",
+    None,
+    ("stone_index", "columns"),
+)
+
+
+def layout(
+    name: str,
+    recognizes: Callable[[list[str]], bool],
+    table_of: Callable[[TextFile], Table],
+) -> Format:
+    """The format of tables that another program exports, whose header is another one
+    than the first line that curlfit knows.
+
+    Parameters
+    ----------
+    name, recognizes : as of a `Format`.
+    table_of : finds the header and, where several are side by side, the objects.
+    """
+
+    def contents(file: TextFile, reading: Reading) -> Contents:
+        table = table_of(file)
+        return contents_of(table, begun(file, name, table.header), reading)
+
+    return Format(
+        name,
+        recognizes,
+        contents,
+        "object",
+        "stone_index",
+        0,
+        ("stone_index", "handle", "columns"),
+    )
+
+
+def contents_of(table: Table, parsed: ParsedFile, reading: Reading) -> Contents:
+    """The throws in a table.
+
+    Parameters
+    ----------
+    parsed : with the settings of the file, without columns.
+
+    Raises
+    ------
+    DataError : with the line and column of the fault, and what was expected.
+    """
+    if table.objects:
+        return objects_of(table, parsed, reading)
+    headings = Headings(table.headings, table.error, table.is_numeric)
+    columns = headings.of_throw(parsed, reading)
+    read_columns(parsed, table, columns, reading)
+    names = {
+        heading: table.column(place)
+        for place, heading in enumerate(table.headings)
+        if place not in columns and may_name(heading)
+    }
+    return throws_of(parsed, names)

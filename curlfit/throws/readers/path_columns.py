@@ -1,0 +1,43 @@
+"""The numbers and clock times in the columns of a path."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from curlfit.findings import Finding
+from curlfit.settings.choices import Reading
+from curlfit.throws.readers.columns import Column, frame_rate, in_unit, parse_units
+from curlfit.throws.readers.parsed_file import ParsedFile
+from curlfit.throws.readers.table import Table
+
+
+def read_columns(
+    parsed: ParsedFile, table: Table, columns: dict[int, Column], reading: Reading
+) -> None:
+    """Add columns, by place, to a parsed file; those of clock times become seconds.
+
+    Raises
+    ------
+    DataError : with the line and column of the fault.
+    """
+    order = parse_units(reading.units).get("date")
+    day_first = None if order is None else order == "day-first"
+    seconds = {}
+    for place, column in columns.items():
+        if column.base != "t":
+            continue
+        clock = table.clock(place, frame_rate(column.unit), day_first)
+        if clock is None:
+            continue
+        seconds[place] = clock.seconds
+        columns[place] = in_unit(column.quantity, "s")
+        code = "clock-times-in-hundredths" if clock.in_hundredths else "clock-times"
+        parsed.notes.append(
+            Finding.note(code, column=table.headings[place], since=clock.first)
+        )
+    places = [place for place in columns if place not in seconds]
+    values = seconds | dict(zip(places, table.numbers(places), strict=True))
+    parsed.notes += table.findings
+    parsed.lines = np.asarray(table.rows, np.int64) + 1
+    for place, column in columns.items():
+        parsed.add(table.headings[place], column, values[place])

@@ -1,0 +1,206 @@
+"""Tables of stopwatch times, a throw in each row: headings, measurements, labels."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from typing import NamedTuple
+
+from curlfit.errors import InputError
+from curlfit.findings import Finding, Remedy
+from curlfit.throws.events import RATES
+from curlfit.throws.readers.cells import GAPS, is_gap
+from curlfit.throws.readers.columns import parse_header, unit_in
+from curlfit.throws.readers.headings import named_columns
+from curlfit.throws.readers.notation import parse_quantity
+from curlfit.throws.readers.numbers import is_number
+from curlfit.throws.readers.record import KINDS, TIMES, Entry, Row
+from curlfit.throws.readers.table import Table
+from curlfit.throws.readers.words import WORDS, by_word
+
+LABELS = set(WORDS["labels"].split())
+"""Columns that say of which throw a row is; any other that has words in most rows
+is kept too."""
+_MEANS = by_word(WORDS["timings"])
+_MAY_MEAN = by_word(WORDS["timings_may_mean"])
+"""Of a column whose cells are measurements with their units or directions."""
+_NOT_FITTED = set(WORDS["timings_not_fitted"].split())
+_SAYING_NOTHING = {"interval", "time", "line", "lines"}
+_LIKE_MEASUREMENTS = {"hog", "tee", "rest", "curl", "turns", "split", "speed", "spin"}
+_SPLIT = re.compile(r"[\s_\-./()\[\]]+")
+_MOST_ROWS = 100_000
+
+
+class Heading(NamedTuple):
+    """What a heading of a stopwatch table means: a quantity, empty if unknown, and the
+    unit that follows it, if any, as in `curl_ft`."""
+
+    quantity: str
+    unit: str = ""
+
+    @classmethod
+    def of(cls, text: str) -> Heading:
+        """The meaning of a heading."""
+        words = _SPLIT.split(text.strip().strip("\"'").lower())
+        words = list(filter(None, words))
+        for candidates in (words, _saying_something(words)):
+            for count in range(len(candidates), max(len(candidates) - 2, 0), -1):
+                name = "_".join(candidates[:count])
+                name = _MEANS.get(name, name)
+                if name in KINDS:
+                    return cls(name, "".join(candidates[count:]))
+        column = parse_header(text.strip("\"' "))
+        if column is None or column.base not in RATES:
+            return cls("")
+        quantity = column.quantity.replace("omega", "spin")
+        return cls(quantity, column.unit if column.stated else "")
+
+
+def _saying_something(words: Sequence[str]) -> list[str]:
+    """The words of a heading without those that say nothing, as `interval` does."""
+    return [word for word in words if word not in _SAYING_NOTHING]
+
+
+def _name(heading: str) -> str:
+    """A heading as a name: its words that say something, with underscores between."""
+    words = _SPLIT.split(heading.strip().lower())
+    return "_".join(_saying_something(list(filter(None, words))))
+
+
+def is_header(headings: Sequence[str]) -> bool:
+    """Whether headings are those of a table of stopwatch times: they name several known
+    quantities, or a time and others that are named otherwise."""
+    known = {Heading.of(heading).quantity for heading in headings} - {""}
+    if len(known) == 1 and known <= TIMES.keys():
+        line_of_a_record = any("=" in text or text[:1].isdigit() for text in headings)
+        return (
+            len(headings) > 1
+            and not line_of_a_record
+            and not any(map(is_number, headings))
+        )
+    return len(known) > 1
+
+
+def meant(quantity: str, cell: str) -> str:
+    """The quantity under a heading: words alone under that of the spin are
+    its sense."""
+    words_alone = not any(map(str.isdigit, cell))
+    return "handle" if quantity == "spin" and words_alone else quantity
+
+
+def rows_of(table: Table, named: Mapping[str, str]) -> list[Row]:
+    """The throws in the rows of a table.
+
+    Parameters
+    ----------
+    named : headings that the user names, by quantity.
+
+    Raises
+    ------
+    DataError : two columns mean the same; a row has another number of cells; there are
+        no rows or too many.
+    """
+    headings = _headings(table, named)
+    places = table.sole([heading.quantity for heading in headings])
+    if len(table.rows) > _MOST_ROWS:
+        raise table.file.error(f"more than {_MOST_ROWS} throws", table.rows[_MOST_ROWS])
+    labels, notes = _labels(table, headings)
+    table.note_gaps(list(places.values()))
+    notes += table.findings
+    rows = []
+    for index, cells in zip(table.rows, table.cells, strict=True):
+        line = index + 1
+        entries = {
+            meant(quantity, cells[place]): Entry(
+                line, cells[place], headings[place].unit
+            )
+            for quantity, place in places.items()
+            if not is_gap(cells[place])
+        }
+        of_row = {
+            label: cells[place]
+            for place, label in labels.items()
+            if cells[place].lower() not in GAPS
+        }
+        rows.append(Row(line, entries, of_row, notes))
+    return rows
+
+
+def _headings(table: Table, named: Mapping[str, str]) -> list[Heading]:
+    """The meaning of each column: as the user names it, by its heading, or by words
+    that are less certain where its cells are measurements."""
+    headings = list(map(Heading.of, table.headings))
+    chosen = named_columns(
+        named,
+        table.headings,
+        table.error,
+        lambda key: Heading.of(key).quantity,
+        ", ".join(KINDS),
+    )
+    for place, quantity in chosen.items():
+        unit = unit_in(table.headings[place], KINDS[quantity].unit)
+        headings = [
+            Heading("") if heading.quantity == quantity else heading
+            for heading in headings
+        ]
+        headings[place] = Heading(quantity, unit)
+    known = {heading.quantity for heading in headings}
+    for place, text in enumerate(table.headings):
+        quantity = _MAY_MEAN.get(_name(text), "")
+        if headings[place].quantity or quantity in known | {""}:
+            continue
+        if 2 * sum(map(_is_measurement, table.column(place))) > len(table.rows):
+            headings[place] = Heading(quantity)
+            known.add(quantity)
+    return headings
+
+
+def _labels(
+    table: Table, headings: Sequence[Heading]
+) -> tuple[dict[int, str], list[Finding]]:
+    """Columns that are labels, by place, and notes on those that are not used."""
+    labels = {}
+    not_fitted = []
+    unused = []
+    strange = []
+    for place, name in enumerate(table.headings):
+        quantity = headings[place].quantity
+        cells = ["" if is_gap(cell) else cell for cell in table.column(place)]
+        if quantity and all(meant(quantity, cell) == "handle" for cell in cells):
+            labels[place] = "handle"
+        if quantity or not name:
+            continue
+        label = "_".join(name.lower().split())
+        if _name(name) in _NOT_FITTED:
+            not_fitted.append(name)
+            continue
+        like = _LIKE_MEASUREMENTS & set(_SPLIT.split(name.lower()))
+        measured = sum(map(_is_measurement, cells))
+        if label not in LABELS and (like or 2 * measured > len(cells)):
+            strange.append(name)
+        words = sum(not is_number(cell or "0") for cell in cells)
+        if label in LABELS or 2 * words > len(cells):
+            labels[place] = label
+        else:
+            unused.append(name)
+    notes = []
+    if not_fitted:
+        notes.append(Finding.note("columns-not-fitted", columns=not_fitted))
+    if strange:
+        expected = Remedy("known-headings", numbers={"times": list(TIMES)})
+        not_understood = Finding.note(
+            "columns-not-understood", expected, columns=strange, count=len(strange)
+        )
+        notes.append(not_understood)
+    if unused:
+        notes.append(Finding.note("columns-ignored", columns=unused))
+    return labels, notes
+
+
+def _is_measurement(cell: str) -> bool:
+    """Whether a cell is a number with its unit, or a word of direction."""
+    with suppress(InputError):
+        return not is_number(cell) and math.isfinite(parse_quantity(cell, "x").value)
+    return False

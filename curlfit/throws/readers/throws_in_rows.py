@@ -1,0 +1,127 @@
+"""The throws in a table of several: named by a column, or one after another."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from curlfit.findings import Finding
+from curlfit.throws.readers.parsed_file import Contents, ParsedFile
+from curlfit.throws.readers.words import WORDS
+
+_NAMES = set(WORDS["throws"].split())
+_WORDS = re.compile(r"[a-z]+")
+_FEWEST = 5
+"""Rows of a throw."""
+
+
+def may_name(header: str) -> bool:
+    """Whether a column of this header may name the throw of each row."""
+    parts = set(_WORDS.findall(header.lower()))
+    return bool(parts & _NAMES) and parts <= _NAMES | {"nr", "no", "number", "index"}
+
+
+def throws_of(parsed: ParsedFile, words: Mapping[str, Sequence[Any]]) -> Contents:
+    """The throws in a table.
+
+    A column such as `stone`, `throw_id` or `track` names them. Without one, a new throw
+    begins where the times start again, or where the stone is back at the start from one
+    row to the next.
+
+    Parameters
+    ----------
+    words : cells, by header, of the columns that are not data of a throw.
+    """
+    header, groups = _by_column(words, len(parsed.series[0].values))
+    if header:
+        parsed = replace(
+            parsed, ignored=[name for name in parsed.ignored if name != header]
+        )
+    else:
+        groups = _by_restart(parsed)
+    if len(groups) < 2:
+        return Contents([""], lambda _: parsed)
+    throws = list(groups.items())
+
+    def parse(index: int) -> ParsedFile:
+        name, rows = throws[index]
+        selected = parsed.rows(rows)
+        taken = Finding.note(
+            "one-of-throws", count=len(throws), taken=index + 1, name=name
+        )
+        selected.notes.append(taken)
+        return selected
+
+    return Contents([f"{name} ({len(rows)} rows)" for name, rows in throws], parse)
+
+
+def _by_column(
+    words: Mapping[str, Sequence[Any]], n: int
+) -> tuple[str, dict[str, np.ndarray]]:
+    """The column that names several throws, and the rows of each; empty if
+    there is none."""
+    for header, cells in words.items():
+        if not may_name(header):
+            continue
+        names = np.array([str(cell).strip() for cell in cells])
+        listed = [name for name in dict.fromkeys(names.tolist()) if name]
+        if 2 <= len(listed) <= n / _FEWEST:
+            return header, {
+                f"{header} {name}": np.flatnonzero(names == name) for name in listed
+            }
+    return "", {}
+
+
+def _by_restart(parsed: ParsedFile) -> dict[str, np.ndarray]:
+    """Rows of each throw if the times start again, or if they run on while the stone is
+    back at the start; empty if there is one throw."""
+    series = {s.column.quantity: s.values for s in parsed.series}
+    if "t" not in series or len(times := series["t"]) < 2 * _FEWEST:
+        return {}
+    again = np.flatnonzero(np.diff(times) < 0) + 1
+    if len(again) == 1 and _one_time_is_odd(times, int(again[0])):
+        return {}
+    pieces = np.split(np.arange(len(times)), again if len(again) else _returns(series))
+    if len(pieces) < 2 or min(map(len, pieces)) < _FEWEST:
+        return {}
+    # Each begins within the first fifth of the previous one, unlike rows merely
+    # out of order.
+    for before, after in pairwise(pieces) if len(again) else ():
+        began, ended = times[before[0]], times[before[-1]]
+        if not times[after[0]] < began + 0.2 * (ended - began):
+            return {}
+    lines = parsed.lines
+    return {
+        f"from row {rows[0] + 1}"
+        if lines is None
+        else f"from line {lines[rows[0]]}": rows
+        for rows in pieces
+    }
+
+
+def _one_time_is_odd(times: np.ndarray, again: int) -> bool:
+    """Whether times that go back once grow again where the row before, or the row
+    itself, is left out."""
+    without = [np.delete(times, row) for row in (again - 1, again)]
+    return any((np.diff(others) > 0).all() for others in without)
+
+
+def _returns(series: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Rows in which the stone is back at the start: from the one before it has gone
+    back by more than half the length of the path; none if it is ever as far ahead."""
+    x, y = (series.get(axis, series.get(pixel)) for axis, pixel in ("xu", "yv"))
+    none = np.array([], int)
+    if x is None or y is None or not np.isfinite(x + y).any():
+        return none
+    rows = np.flatnonzero(np.isfinite(x + y))
+    places = np.stack([x[rows], y[rows]])
+    step = np.diff(places)
+    last = np.flatnonzero(np.hypot(*step) > 0.5 * np.hypot(*np.ptp(places, axis=1)))
+    first = np.append(0, last + 1)[:-1]
+    back = ((places[:, last] - places[:, first]) * step[:, last]).sum(0) < 0
+    return rows[last + 1] if back.all() else none
