@@ -63,7 +63,5 @@ def fit_table(
             load=given.get("load", "uniform"),
             stone=Stone().with_values(dict(given.get("stone", {}))),
         )
-    done = output.finish(
-        found, folder, drawn, remarks=[table.note] if table.note else []
-    )
+    done = output.finish(found, folder, drawn, remarks=table.notes)
     return done if found.fits[0].converged else done._replace(status=1)

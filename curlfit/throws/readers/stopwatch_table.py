@@ -49,8 +49,9 @@ class Heading(NamedTuple):
             for count in range(len(candidates), max(len(candidates) - 2, 0), -1):
                 name = "_".join(candidates[:count])
                 name = _MEANS.get(name, name)
-                if name in KINDS:
-                    return cls(name, "".join(candidates[count:]))
+                unit = "".join(candidates[count:])
+                if name in KINDS and unit not in _SAYING_NOTHING:
+                    return cls(name, unit)
         column = parse_header(text.strip("\"' "))
         if column is None or column.base not in RATES:
             return cls("")
@@ -72,6 +73,8 @@ def _name(heading: str) -> str:
 def is_header(headings: Sequence[str]) -> bool:
     """Whether headings are those of a table of stopwatch times: they name several known
     quantities, or a time and others that are named otherwise."""
+    if 2 * sum(map(is_number, headings)) >= len(headings):
+        return False
     known = {Heading.of(heading).quantity for heading in headings} - {""}
     if len(known) == 1 and known <= TIMES.keys():
         line_of_a_record = any("=" in text or text[:1].isdigit() for text in headings)

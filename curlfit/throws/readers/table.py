@@ -13,14 +13,14 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import islice
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from curlfit.errors import DataError, Option
 from curlfit.findings import Finding
 from curlfit.foreign import counted, quoted
-from curlfit.numerics.arrays import Floats
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.throws.readers.cells import (
     GAPS,
     LOST,
@@ -49,7 +49,17 @@ _MOST_BELOW = 12
 _AGGREGATES = set(WORDS["aggregates"].split())
 _MAY_BE_NAMES = set(WORDS["aggregates_or_names"].split())
 """Aggregates by words that are also names of people, as Max is."""
+_FIRST_ROWS = 1000
+_OF_NUMBERS = "0123456789+-"
+"""First characters of a cell that is no word for a gap; an empty one is none either."""
 Meaning = TypeVar("Meaning")
+
+
+class _Rows(NamedTuple):
+    """Indices of the lines of rows, and their cells."""
+
+    lines: list[int]
+    cells: list[list[str]]
 
 
 @dataclass(frozen=True)
@@ -145,12 +155,12 @@ class Table:
         """Indices of the lines of its rows. Raises `DataError` for none."""
         if self._plain is not None:
             return self._lines
-        return [index for index, _ in self._rows]
+        return self._rows.lines
 
     @property
     def cells(self) -> list[list[str]]:
         """The cells of its rows."""
-        return [row for _, row in self._rows]
+        return self._rows.cells
 
     @cached_property
     def _lines(self) -> list[int]:
@@ -173,9 +183,8 @@ class Table:
         return lines
 
     @cached_property
-    def _rows(self) -> list[tuple[int, list[str]]]:
-        """The rows, each with the index of its line; lines between them that are none
-        are noted.
+    def _rows(self) -> _Rows:
+        """The rows; lines between them that are none are noted.
 
         Raises
         ------
@@ -183,17 +192,21 @@ class Table:
         """
         width = len(self.headings)
         header = self.file.lines[self.header]
-        rows = []
+        rows = _Rows([], [])
         between = []
         for index in self._lines:
             row = self._cells_of(index)
             if self.file.lines[index] == header or self._is_remark(row):
                 between.append(index)
                 continue
+            if any(row[width:]) and all(map(_begins_with_a_letter, row[width - 1 :])):
+                remark = ", ".join(row[width - 1 :])  # a comma within words
+                row = [*row[: width - 1], remark]
             if len(row) < width or any(row[width:]):
                 raise self._wrong_width(index, row)
-            rows.append((index, row))
-        if not rows:
+            rows.lines.append(index)
+            rows.cells.append(row)
+        if not rows.lines:
             raise self.error("a header but no rows of numbers")
         if between:
             texts = [quoted(_first_word(self._cells_of(index))) for index in between]
@@ -208,14 +221,10 @@ class Table:
 
     def _is_remark(self, row: Sequence[str]) -> bool:
         """Whether a row of a table of several columns has one cell alone, of words."""
-        filled = list(filter(None, row))
-        return (
-            len(filled) == 1
-            and len(self.headings) > 2
-            and len(filled[0]) > 1
-            and not any(map(str.isdigit, filled[0]))
-            and not is_gap(filled[0])
-        )
+        if len(self.headings) < 3 or row.count("") != len(row) - 1:
+            return False
+        text = next(filter(None, row))
+        return len(text) > 1 and not any(map(str.isdigit, text)) and not is_gap(text)
 
     def _wrong_width(self, index: int, row: Sequence[str]) -> DataError:
         """The error of a row with another number of cells than the header."""
@@ -289,7 +298,8 @@ class Table:
             cell
             for place in places
             for cell in self.column(place)
-            if cell.lower() in LOST or (cell[:1] == "#" and is_gap(cell))
+            if cell[:1] not in _OF_NUMBERS
+            and (cell.lower() in LOST or (cell[:1] == "#" and is_gap(cell)))
         ]
         if lost:
             gaps = Finding.note("gaps", count=len(lost), cell=quoted(lost[0]))
@@ -338,14 +348,15 @@ class Table:
 
     def _may_have_thousands(self, values: Floats) -> bool:
         """Whether a column may have points between thousands: whole numbers of three
-        digits, but for some with three decimals."""
+        digits, but for some with three decimals. The first rows tell it of almost all
+        columns that have none."""
+        if not _may_be_grouped(values[:_FIRST_ROWS]).any():
+            return False
+        whole = values == np.round(values)
         size = np.abs(values)
-        whole = size == np.round(size)
-        thousandths = np.isclose(1000 * size, np.round(1000 * size), rtol=0, atol=1e-6)
-        grouped = whole | ((size >= 1) & (size < 1000) & thousandths)
         of_three_digits = whole & (size >= 100) & (size < 1000)
-        suspect = grouped.all(0) & of_three_digits.any(0) & ~whole.all(0)
-        return bool(suspect.any())
+        suspects = _may_be_grouped(values) & of_three_digits.any(0) & ~whole.all(0)
+        return bool(suspects.any())
 
     def _cells_of(self, index: int) -> list[str]:
         return cells(self.file.lines[index], self.separator)
@@ -402,12 +413,26 @@ class Table:
         return below if certain else []
 
 
+def _begins_with_a_letter(cell: str) -> bool:
+    return cell[:1].isalpha()
+
+
 def _counts_on(names: Sequence[str]) -> bool:
     """Whether names are whole numbers in order, one after another."""
     if not names or not all(name.isdigit() for name in names):
         return False
     numbers = list(map(int, names))
     return numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+
+
+def _may_be_grouped(values: Floats) -> Booleans:
+    """Of each column whether points may separate thousands in its numbers, which were
+    read as decimal points."""
+    size = np.abs(values)
+    whole = size == np.round(size)
+    thousandths = np.isclose(1000 * size, np.round(1000 * size), rtol=0, atol=1e-6)
+    grouped = whole | ((size >= 1) & (size < 1000) & thousandths)
+    return np.asarray(grouped.all(0))
 
 
 def _first_word(row: Sequence[str]) -> str:
@@ -417,5 +442,8 @@ def _first_word(row: Sequence[str]) -> str:
 
 def _lines_of_data(file: TextFile, begin: int, most: int | None = None) -> list[int]:
     """Indices of lines from one on that are no comments and not blank."""
+    if most is None:
+        lines = file.lines
+        return [k for k in range(begin, len(lines)) if not is_aside(lines[k])]
     indices = (k for k in range(begin, len(file.lines)) if not is_aside(file.lines[k]))
     return list(islice(indices, most))

@@ -54,7 +54,7 @@ def _bytes_of(path: Path, what: str, most: int) -> bytes:
     return raw
 
 
-def _decoded(raw: bytes) -> str:
+def decoded(raw: bytes) -> str:
     """Text with "\\n" line ends, in UTF-8, UTF-16 with byte order mark, Windows cp932
     with headings in Japanese, or Windows cp1252."""
     encoding = "utf-16" if raw[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
@@ -111,9 +111,11 @@ class TextFile(NamedTuple):
                 f"--worksheet: {path} is no workbook and holds no worksheets"
             )
         else:
-            text = _decoded(raw)
+            text = decoded(raw)
         # In sentences, what is between backticks is an option that curlfit proposes.
-        lines = text.replace("`", "'").replace(_MINUS, "-").split("\n")
+        if not text.isascii():
+            text = text.replace(_MINUS, "-")
+        lines = text.replace("`", "'").split("\n")
         if _SEPARATOR_LINE.fullmatch(lines[0]):
             lines[0] = ""
         file = cls(path, lines, note)
