@@ -163,7 +163,7 @@ def video() -> dict:
     first is followed by two rows of the tracker's own, and a stone at rest."""
     places = np.column_stack([X + 1.0, Y + 10.0 - LINES["centre"]]) / FOOT
     early = T <= 2.5
-    late = T >= 10
+    late = T >= 6
     last = {"t": [2.75, 3.0], "place": [[3.3, -30.0], [3.3, -28.0]]}
     return {
         "state": {

@@ -136,7 +136,7 @@ def test_first_rows_as_the_tracker_writes_them(read):
 
 def test_rows_that_the_tracker_made_are_left_out(write):
     throw = load_throw(write(json.dumps(video()), "video.json"))
-    seen = (T <= 2.5) | (T >= 10)
+    seen = (T <= 2.5) | (T >= 6)
     np.testing.assert_allclose(throw.t, T[seen])
     np.testing.assert_allclose(throw.x, X[seen] + 1.0)
     np.testing.assert_allclose(throw.y, Y[seen] + 10.0)
@@ -399,8 +399,11 @@ def test_what_would_take_too_much_memory_is_refused(write, monkeypatch):
         DataError, match=r"entry 2 of .* \(green\): 181 times; expected"
     ):
         load_throw(CASE)
-    monkeypatch.setattr(json_values, "_MOST_PARTS", 100)
     monkeypatch.setattr(json_values.json, "loads", pytest.fail)
+    monkeypatch.setattr(json_values, "_MOST_VALUES", 1000)
+    with pytest.raises(DataError, match="more than 1,000 values; expected an answer"):
+        load_throw(CASE)
+    monkeypatch.setattr(json_values, "_MOST_PARTS", 100)
     with pytest.raises(DataError, match="more than 100 lists and objects; expected an"):
         load_throw(CASE)
 

@@ -12,7 +12,9 @@ from curlfit.throws.readers.text import TextFile, is_aside
 MOST_NUMBERS = 2_000_000
 """Numbers of one throw."""
 _MOST_PARTS = 4_000_000
-"""Lists and objects of a value; 16 million empty ones would take 1.2 GB."""
+"""Lists and objects in a file; 16 million empty ones would take 1.2 GB."""
+_MOST_VALUES = 6_000_000
+"""Commas in a file; 12 million numbers take 0.6 GB, a log of 50 MB has 3 million."""
 
 
 class _TooManyPartsError(ValueError):
@@ -82,4 +84,6 @@ def _loaded(text: str) -> Any:
     """The value of JSON of at most as many parts as a throw can have."""
     if text.count("[") + text.count("{") > _MOST_PARTS:
         raise _TooManyPartsError(f"more than {_MOST_PARTS:,} lists and objects")
+    if text.count(",") > _MOST_VALUES:
+        raise _TooManyPartsError(f"more than {_MOST_VALUES:,} values")
     return json.loads(text)
