@@ -65,14 +65,14 @@ class _Piece(NamedTuple):
 
     Attributes
     ----------
-    t : s, shape (n,). place : ft from the centre of the sheet, shape (n, 2).
+    t : s, shape (n,). positions : ft from the centre of the sheet, shape (n, 2).
     extrapolated : number of rows after these that the tracker has made.
     computed : keys of what it computes from the positions.
     """
 
     color: str
     t: Floats
-    place: Floats
+    positions: Floats
     extrapolated: int
     computed: list[str]
 
@@ -80,13 +80,13 @@ class _Piece(NamedTuple):
     def first_velocity(self) -> Floats:
         """Velocity over the first second, ft/s."""
         rows = slice(0, _ROWS_OF_VELOCITY)
-        return _slope(self.t[rows], self.place[rows])
+        return _slope(self.t[rows], self.positions[rows])
 
     @property
     def last_velocity(self) -> Floats:
         """Velocity over the last second, ft/s."""
         rows = slice(-_ROWS_OF_VELOCITY, None)
-        return _slope(self.t[rows], self.place[rows])
+        return _slope(self.t[rows], self.positions[rows])
 
 
 class _Stone(NamedTuple):
@@ -103,21 +103,21 @@ class _Stone(NamedTuple):
         return np.concatenate([piece.t for piece in self.pieces])
 
     @property
-    def place(self) -> Floats:
-        return np.concatenate([piece.place for piece in self.pieces])
+    def positions(self) -> Floats:
+        return np.concatenate([piece.positions for piece in self.pieces])
 
     @property
     def way(self) -> Floats:
         """From its first place to its last one, ft."""
-        return self.place[-1] - self.place[0]
+        return self.positions[-1] - self.positions[0]
 
     @property
     def moves(self) -> bool:
         """Whether medians of its first and last places are apart, which the noise of a
         single one does not change."""
-        place = self.place
-        few = max(1, min(_FEW_ROWS, len(place) // 2))
-        moved = np.median(place[-few:], axis=0) - np.median(place[:few], axis=0)
+        positions = self.positions
+        few = max(1, min(_FEW_ROWS, len(positions) // 2))
+        moved = np.median(positions[-few:], axis=0) - np.median(positions[:few], axis=0)
         return math.hypot(*moved) > _MOVED
 
     @property
@@ -125,7 +125,9 @@ class _Stone(NamedTuple):
         """When it is first away from where it was, s; infinite for one at rest."""
         if not self.moves:
             return math.inf
-        away = np.hypot(*(self.place - np.median(self.place[:_FEW_ROWS], axis=0)).T)
+        away = np.hypot(
+            *(self.positions - np.median(self.positions[:_FEW_ROWS], axis=0)).T
+        )
         return float(self.t[np.argmax(away > _MOVED)])
 
     @property
@@ -172,8 +174,8 @@ def _read_stone(
     file: TextFile, stones: Sequence[_Stone], index: int, reading: Reading
 ) -> ParsedFile:
     stone = stones[index]
-    names = [each.name for each in stones]
-    moving = {k: names[k] for k, each in enumerate(stones) if each.moves}
+    names = [other.name for other in stones]
+    moving = {k: names[k] for k, other in enumerate(stones) if other.moves}
     if index not in moving:
         raise file.error(does_not_move(index, stone.name, moving))
     parsed = begun(file, _NAME, _HEAD)
@@ -185,7 +187,7 @@ def _read_stone(
         )
         counts = Finding.note("feet-from-the-centre", toward="+y" if forward else "-y")
         parsed.notes.append(counts)
-    x, y = stone.place.T
+    x, y = stone.positions.T
     parsed.add("time_history", Column("t", "s", 1.0), stone.t)
     parsed.add("position_history.x", Column("x", "ft", FOOT), x)
     parsed.add("position_history.y", Column("y", "ft", FOOT), y)
@@ -271,15 +273,15 @@ def _miss(
     if math.hypot(*after) > math.hypot(*before) + _FASTER:
         return None
     way = (before + after) / 2 * gap
-    miss = math.hypot(*(later.place[0] - earlier.place[-1] - way))
+    miss = math.hypot(*(later.positions[0] - earlier.positions[-1] - way))
     return miss if miss <= _MOVED + _WAY_OFF * math.hypot(*way) else None
 
 
-def _slope(t: Floats, place: Floats) -> Floats:
+def _slope(t: Floats, positions: Floats) -> Floats:
     """Least-squares velocity; zero for rows of one time."""
     time = t - t.mean()
     square = float(time @ time)
-    return time @ place / square if square > 0 else np.zeros(2)
+    return time @ positions / square if square > 0 else np.zeros(2)
 
 
 # The entries of the file
@@ -342,12 +344,12 @@ def _piece(file: TextFile, number: int, entry: Any) -> _Piece:
         row = int(np.argmax(back)) + 1
         fault = f"time {row + 1} is {t[row]:g} s, after {t[row - 1]:g} s; expected"
         raise refuse(f"{fault} times that do not go back")
-    place = np.array(
+    positions = np.array(
         [position[:2] for position in histories["position_history"]], float
     )
-    seen = len(t) - _extrapolated(histories.get("acceleration_history", []))
+    rows = len(t) - _extrapolated(histories.get("acceleration_history", []))
     computed = [key for key in _COMPUTED if key in histories]
-    return _Piece(color, t[:seen], place[:seen], len(t) - seen, computed)
+    return _Piece(color, t[:rows], positions[:rows], len(t) - rows, computed)
 
 
 def _is_position(value: Any) -> bool:
