@@ -245,7 +245,8 @@ class Reading(Choices):
     Attributes
     ----------
     format : `table`, `tracker` (export of Tracker), `digitalcurling` (log of
-        DigitalCurling 3) or `timings` (stopwatch). [default: detected from the file]
+        DigitalCurling 3), `curling-stone-tracker` (stones of a video) or `timings`
+        (stopwatch). [default: detected from the file]
     axes : The file's axes, words separated by commas: `x-along`, `x-back`, `x-right`,
         `x-left` and the same for y say where an axis points, seen along the throw;
         `from-hack`, `from-back`, `from-tee`, `from-hog`, `from-centre`, `from-far-hog`,
@@ -258,8 +259,9 @@ class Reading(Choices):
         (pixels), x,y (m).
     worksheet : Worksheet of a workbook (.xlsx, .ods), by its name. [default: the
         first with data]
-    stone_index : Object of a Tracker export, stone of a shot or throw of a table,
-        from 1. [default: the first object; the stone thrown; with `batch`, each]
+    stone_index : Object of a Tracker export, stone of a shot or of a video, or throw of
+        a table, from 1. [default: the first object; the stone thrown; with `batch`,
+        each]
     shot : Shot of a log with several, from 1. [with `batch`: each]
     handle : Object of a Tracker export, from 1, that marks the handle or any other
         point of the same stone: its direction from the stone is the angle.

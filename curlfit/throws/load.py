@@ -20,6 +20,7 @@ from curlfit.throws.odd_row import OddRow
 from curlfit.throws.readers.assemble import assemble
 from curlfit.throws.readers.axes import parse_axes
 from curlfit.throws.readers.columns import parse_units
+from curlfit.throws.readers.curling_stone_tracker import CURLING_STONE_TRACKER
 from curlfit.throws.readers.digitalcurling import DIGITALCURLING
 from curlfit.throws.readers.known_points import load_homography
 from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile
@@ -33,7 +34,7 @@ from curlfit.throws.readers.timings import (
 from curlfit.throws.readers.tracker import TRACKER
 from curlfit.throws.throw import Throw, counts_from_hack
 
-_READERS = (DIGITALCURLING, TIMINGS, TRACKER, TABLE)
+_READERS = (CURLING_STONE_TRACKER, DIGITALCURLING, TIMINGS, TRACKER, TABLE)
 """Formats in the order in which they are tried; the last accepts any file."""
 _BY_NAME = {reader.name: reader for reader in reversed(_READERS)}
 FORMATS = tuple(_BY_NAME)
@@ -135,9 +136,9 @@ def load_throws(*files: str | PathLike[str], **choices: Any) -> list[Throw]:
 def parts_of(
     file: str | PathLike[str], reading: Reading, *, jointly: bool = False
 ) -> list[Part]:
-    """Every throw in a file: shots of a log, objects of a Tracker export, throws of a
-    table; `shot` or `stone_index` selects a single one. For a joint fit every one of a
-    table alone.
+    """Every throw in a file: shots of a log, objects of a Tracker export, stones of a
+    video, throws of a table; `shot` or `stone_index` selects a single one. For a joint
+    fit every one of a table alone.
 
     Raises
     ------

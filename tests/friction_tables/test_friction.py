@@ -174,7 +174,7 @@ def test_a_worksheet_of_a_workbook_is_chosen_by_its_name(tmp_path):
     assert curlfit.load_friction_table(file).mu.tolist() == [0.01] * 3
     warm = curlfit.load_friction_table(file, "warm")
     assert warm.mu.tolist() == [0.02] * 3
-    assert str(warm.note) == (
+    assert str(warm.notes[0]) == (
         "2 worksheets: evening, warm; taken: warm; `--worksheet NAME` selects another"
     )
     assert is_friction_table(file, "warm")
