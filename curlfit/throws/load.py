@@ -185,6 +185,15 @@ def parts_of(
     return parts
 
 
+def rows_of_table(file: str | PathLike[str], reading: Reading) -> list[Part]:
+    """The throws in the rows of a stopwatch table, of which none is selected; none of
+    another file. Raises as `parts_of`."""
+    if reading.shot is not None or format_of(file, reading) != TIMINGS.name:
+        return []
+    parts = parts_of(file, reading)
+    return parts if len(parts) > 1 else []
+
+
 def throw_of(parsed: ParsedFile, reading: Reading) -> Throw:
     """The throw in a parsed file. Raises `DataError` or `InputError` with the
     place of a fault."""
