@@ -124,7 +124,9 @@ def fit(
     from curlfit.throws.friction_table import is_friction_table
 
     files = _files_of(data, reading)
-    if len(files) == 1 and is_friction_table(files[0], reading.worksheet):
+    if len(files) == 1 and is_friction_table(
+        files[0], reading.worksheet, reading.columns
+    ):
         from curlfit.friction_tables.command import fit_table
 
         return fit_table(files[0], flags, output, "fit", reading, sampling)

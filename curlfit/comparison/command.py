@@ -47,7 +47,7 @@ def compare(
     if not data:
         raise InputError("compare: no file given; expected DATA")
     alone = data[0]
-    if len(data) == 1 and is_friction_table(alone, reading.worksheet):
+    if len(data) == 1 and is_friction_table(alone, reading.worksheet, reading.columns):
         from curlfit.friction_tables.command import fit_table
 
         return fit_table(alone, flags, output, "compare", reading)

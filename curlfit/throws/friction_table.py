@@ -97,6 +97,7 @@ def load_friction_table(
     file: str | PathLike[str],
     worksheet: str | None = None,
     columns: Mapping[str, str] | None = None,
+    units: str | None = None,
 ) -> FrictionTable:
     """Read a table with the columns speed and mu, and if possible sigma_mu and omega.
 
@@ -105,6 +106,7 @@ def load_friction_table(
     worksheet : of a workbook, by its name; the first one with data by default.
     columns : headings of columns that are not understood by their names, by what they
         hold: speed, mu, sigma, omega.
+    units : in place of those of the headings, such as "speed=km/h".
 
     Raises
     ------
@@ -120,7 +122,7 @@ def load_friction_table(
     path = Path(file)
     text = TextFile.read(path, worksheet)
     table, values, places = read_quantities(
-        text, _meaning, _REQUIRED, _EXPECTED, columns
+        text, _meaning, _REQUIRED, _EXPECTED, columns, units
     )
     notes = [*([] if text.note is None else [text.note]), *table.findings]
     measured = np.all([np.isfinite(column) for column in values.values()], axis=0)

@@ -268,7 +268,7 @@ def usual_law(file: str | PathLike[str], reading: Reading) -> str:
     values determine."""
     if format_of(file, reading) == TIMINGS.name:
         with suppress(DataError):  # reported where the file is read
-            return law_of_timings(_text_if_any(file, reading), reading.columns)
+            return law_of_timings(_text_if_any(file, reading), reading)
     return "front-back"
 
 

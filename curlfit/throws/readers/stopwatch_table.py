@@ -58,6 +58,11 @@ class Heading(NamedTuple):
         quantity = column.quantity.replace("omega", "spin")
         return cls(quantity, column.unit if column.stated else "")
 
+    def in_unit(self, units: Mapping[str, str]) -> Heading:
+        """The heading with the unit that the user gives for its kind of quantity."""
+        kind = KINDS[self.quantity].unit if self.quantity else ""
+        return self._replace(unit=units.get(kind, self.unit))
+
 
 def _saying_something(words: Sequence[str]) -> list[str]:
     """The words of a heading without those that say nothing, as `interval` does."""
@@ -93,19 +98,22 @@ def meant(quantity: str, cell: str) -> str:
     return "handle" if quantity == "spin" and words_alone else quantity
 
 
-def rows_of(table: Table, named: Mapping[str, str]) -> list[Row]:
+def rows_of(
+    table: Table, named: Mapping[str, str], units: Mapping[str, str]
+) -> list[Row]:
     """The throws in the rows of a table.
 
     Parameters
     ----------
     named : headings that the user names, by quantity.
+    units : of cells without one of their own, as `parse_units` gives them.
 
     Raises
     ------
     DataError : two columns mean the same; a row has another number of cells; there are
         no rows or too many.
     """
-    headings = _headings(table, named)
+    headings = [heading.in_unit(units) for heading in _headings(table, named)]
     places = table.sole([heading.quantity for heading in headings])
     if len(table.rows) > _MOST_ROWS:
         raise table.file.error(f"more than {_MOST_ROWS} throws", table.rows[_MOST_ROWS])
