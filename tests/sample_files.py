@@ -240,6 +240,16 @@ def known_points(count: int = 6, noise: float = 0.0) -> str:
 
 PIXELS = table(dict(zip("uv", project(X, Y), strict=True)) | {"t": T, "phi": PHI})
 
+EVENING = (
+    "Club night;;;;;\n"
+    "draw;time;sheet;hog to hog;rest;curl\n"
+    ";;;(s);;\n"
+    "1;7:05 pm;A;12,86;1'7\" heavy;3 ft left\n"
+    "2;7:12 pm;B;0:12.18;0.4 m light;2 ft right\n"
+    "3;7:19 pm;A;DNF;0.2;1 m left\n"
+    "4;7:25 pm;B;12,7;0.5 m past;0.8 m right\n"
+    "Mean;;;12,6;;\n"
+)
 SAMPLES = {
     "table": PLAIN,
     "settings": '# until = 12\n# stone.R = 0.06\n# axes = "x-left"\n' + PLAIN,
@@ -259,6 +269,8 @@ SAMPLES = {
     "log": log(2),
     "video": json.dumps(video(), indent=1),
     "timings": TIMINGS,
+    "evening": EVENING,
+    "friction": "v (m/s),mu,omega\n0.5,0.011,0\n1,0.0095,0\n2,0.009,0\n3,0.008,0\n",
     "clocks": CLOCKS,
     "pixels": PIXELS,
 }
