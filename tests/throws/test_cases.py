@@ -169,7 +169,7 @@ def test_a_total_is_no_throw() -> None:
     throws = load_throws(CASES / "03_footer_total.csv")
     assert [throw.events[0].value for throw in throws] == [12.9, 13.1, 12.7, 13.0]
     (note,) = (note for note in throws[0].notes if note.code == "rows-below-the-table")
-    assert str(note) == "1 row below the table left out: 'total' (line 6)"
+    assert str(note) == "1 row below the table left out: 'Total' (line 6)"
 
 
 def test_a_throw_that_was_not_timed_is_a_gap() -> None:

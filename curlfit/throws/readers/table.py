@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import islice
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,6 +32,7 @@ from curlfit.throws.readers.cells import (
 from curlfit.throws.readers.clocks import AmbiguousTimesError, ClockTimes, clock_times
 from curlfit.throws.readers.columns import is_unit
 from curlfit.throws.readers.numbers import (
+    Thousands,
     is_grouped,
     is_number,
     numbers_in,
@@ -52,7 +53,6 @@ _MAY_BE_NAMES = set(WORDS["aggregates_or_names"].split())
 _FIRST_ROWS = 1000
 _OF_NUMBERS = "0123456789+-"
 """First characters of a cell that is no word for a gap; an empty one is none either."""
-Meaning = TypeVar("Meaning")
 
 
 class _Rows(NamedTuple):
@@ -71,6 +71,7 @@ class Table:
     header : index of the last line of its header. separator : of its cells; None for
         spaces.
     headings : of its columns.
+    header_lines : the text of its header, which may be repeated between the rows.
     findings : on what was read otherwise than it is written; more come as columns are
         read.
     objects : places of the columns of each object, by its name, where the file says
@@ -82,6 +83,7 @@ class Table:
     header: int
     separator: str | None
     headings: list[str]
+    header_lines: tuple[str, ...] = ()
     findings: list[Finding] = field(default_factory=list)
     objects: Mapping[str, Sequence[int]] = field(default_factory=dict)
     computed: Collection[int] = ()
@@ -94,7 +96,7 @@ class Table:
         headings = header_cells(line, separator)
         while len(headings) > 1 and not headings[-1]:
             headings.pop()
-        return cls(file, header, separator, headings)
+        return cls(file, header, separator, headings, (file.lines[header],))
 
     @classmethod
     def find(
@@ -130,14 +132,15 @@ class Table:
         """An error at the header, with options to type instead."""
         return self.file.error(message, self.header, options=options)
 
-    def sole(self, meanings: Sequence[Meaning]) -> dict[Meaning, int]:
-        """The place of the column of each meaning; columns without one are left out.
+    def sole(self, meanings: Sequence[str]) -> dict[str, int]:
+        """The place of the column of each meaning; those without one, which is empty
+        then, are left out.
 
         Raises
         ------
         DataError : two columns mean the same.
         """
-        places: dict[Meaning, int] = {}
+        places: dict[str, int] = {}
         for place, meaning in enumerate(meanings):
             if not meaning:
                 continue
@@ -169,7 +172,7 @@ class Table:
         lines = _lines_of_data(self.file, self.header + 1)
         below = self._aggregates_below(lines)
         if below:
-            names = [_first_word(self._cells_of(index)) for index in below]
+            names = [_first_cell(self._cells_of(index)) for index in below]
             left_out = Finding.note(
                 "rows-below-the-table",
                 count=len(below),
@@ -191,12 +194,12 @@ class Table:
         DataError : a row with a wrong number of cells.
         """
         width = len(self.headings)
-        header = self.file.lines[self.header]
         rows = _Rows([], [])
         between = []
         for index in self._lines:
             row = self._cells_of(index)
-            if self.file.lines[index] == header or self._is_remark(row):
+            repeated = self.file.lines[index] in self.header_lines
+            if repeated or self._is_remark(row):
                 between.append(index)
                 continue
             if any(row[width:]) and all(map(_begins_with_a_letter, row[width - 1 :])):
@@ -209,7 +212,7 @@ class Table:
         if not rows.lines:
             raise self.error("a header but no rows of numbers")
         if between:
-            texts = [quoted(_first_word(self._cells_of(index))) for index in between]
+            texts = [quoted(_first_cell(self._cells_of(index))) for index in between]
             not_read = Finding.note(
                 "lines-between-rows",
                 count=len(between),
@@ -263,28 +266,46 @@ class Table:
         decimal_comma = self.separator != "," or not any(
             "." in cell for column in columns for cell in column
         )
-        whole = map(thousands_of_whole_numbers, columns)
-        thousands = next(filter(None, whole), None)
         values = [numbers_in(column, decimal_comma=decimal_comma) for column in columns]
-        if thousands is None and any(None in column for column in values):
-            thousands = thousands_that_bar(columns, decimal_comma=decimal_comma)
+        thousands = self._thousands(columns, values, decimal_comma=decimal_comma)
         if thousands is not None:
-            without = [numbers_in(column, thousands.mark) for column in columns]
-            if not any(None in column for column in without):
-                values = without
-                noted = Finding.note(
-                    "thousands",
-                    mark=quoted(thousands.mark),
-                    cell=quoted(thousands.example),
-                    number=without_groups(thousands.example, thousands.mark),
-                )
-                self.findings.append(noted)
+            values = [numbers_in(column, thousands.mark) for column in columns]
+            noted = Finding.note(
+                "thousands",
+                mark=quoted(thousands.mark),
+                cell=quoted(thousands.example),
+                number=without_groups(thousands.example, thousands.mark),
+            )
+            self.findings.append(noted)
         for place, column in zip(places, values, strict=True):
             if None in column:
                 row = column.index(None)
                 raise self.not_a("finite number", row, place)
         self.note_gaps(places)
         return [np.array(column, float) for column in values]
+
+    def _thousands(
+        self,
+        columns: Sequence[Sequence[str]],
+        values: Sequence[Sequence[float | None]],
+        *,
+        decimal_comma: bool,
+    ) -> Thousands | None:
+        """The mark between the thousands of numbers, with which all cells are numbers;
+        None where there is none.
+
+        Parameters
+        ----------
+        values : the numbers without regard to such marks; None for what is none.
+        """
+        whole = map(thousands_of_whole_numbers, columns)
+        thousands = next(filter(None, whole), None)
+        if thousands is None and any(None in column for column in values):
+            thousands = thousands_that_bar(columns, decimal_comma=decimal_comma)
+        if thousands is None:
+            return None
+        without_marks = [numbers_in(column, thousands.mark) for column in columns]
+        return None if any(None in column for column in without_marks) else thousands
 
     def not_a(self, expected: str, row: int, place: int) -> DataError:
         """The error of a cell that is not what was expected."""
@@ -359,6 +380,7 @@ class Table:
         return bool(suspects.any())
 
     def _cells_of(self, index: int) -> list[str]:
+        """The cells of a line."""
         return cells(self.file.lines[index], self.separator)
 
     def with_units_below(self) -> Table:
@@ -377,15 +399,17 @@ class Table:
             f"{heading} ({unit})" if unit else heading
             for heading, unit in zip(self.headings, units, strict=True)
         ]
-        return replace(self, header=index, headings=headings)
+        header_lines = (*self.header_lines, self.file.lines[index])
+        return replace(self, header=index, headings=headings, header_lines=header_lines)
 
     def _with_row_names(self) -> Table:
         """The table with an empty heading for names of rows, as R writes them: each row
         has one cell more than the header, and they begin with text in quotes or
         count on."""
-        first_rows = list(_lines_of_data(self.file, self.header + 1, MOST_TITLES))
+        first_rows = _lines_of_data(self.file, self.header + 1, MOST_TITLES)
         rows = [self._cells_of(index) for index in first_rows]
-        if not all(len(row) == len(self.headings) + 1 and row[-1] for row in rows):
+        width = len(self.headings) + 1
+        if not rows or not all(len(row) == width and row[-1] for row in rows):
             return self
         names = [row[0] for row in rows]
         in_quotes = all(
@@ -402,11 +426,11 @@ class Table:
         certain = False
         for index in reversed(rows[-_MOST_BELOW:]):
             row = self._cells_of(index)
-            name = _first_word(row)
+            name = _first_cell(row).lower().strip(" :.")
             if name in _AGGREGATES or any(cell[:1] == "=" for cell in row):
                 certain = True
             elif name not in _MAY_BE_NAMES or not is_number(
-                _first_word(self._cells_of(rows[0]))
+                _first_cell(self._cells_of(rows[0]))
             ):
                 break
             below.insert(0, index)
@@ -414,6 +438,7 @@ class Table:
 
 
 def _begins_with_a_letter(cell: str) -> bool:
+    """Whether a cell is a word, as of a remark."""
     return cell[:1].isalpha()
 
 
@@ -435,9 +460,9 @@ def _may_be_grouped(values: Floats) -> Booleans:
     return np.asarray(grouped.all(0))
 
 
-def _first_word(row: Sequence[str]) -> str:
-    """What stands in the first cell that is not empty, in small letters."""
-    return next(filter(None, row), "").lower().strip(" :.")
+def _first_cell(row: Sequence[str]) -> str:
+    """The first cell that is not empty; empty if all are."""
+    return next(filter(None, row), "")
 
 
 def _lines_of_data(file: TextFile, begin: int, most: int | None = None) -> list[int]:
