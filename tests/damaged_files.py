@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import NamedTuple
 from xml.sax.saxutils import escape
 
-from sample_files import SAMPLES, known_points, ods, xlsx, xlsx_rows
+from sample_files import EXPORTS, SAMPLES, known_points, ods, xlsx, xlsx_rows
 
 from curlfit.cli import main
 from curlfit.throws.load import FORMATS
@@ -174,7 +174,8 @@ def damaged_text(chance: random.Random, text: str) -> str:
 
 def damaged(chance: random.Random) -> bytes:
     """A sample with some damage."""
-    text = damaged_text(chance, chance.choice(list(SAMPLES.values())))
+    samples = [*SAMPLES.values(), *EXPORTS.values()]
+    text = damaged_text(chance, chance.choice(samples))
     raw = text.encode(
         chance.choice(["utf-8"] * 6 + ["utf-8-sig", "utf-16", "utf-16-le"])
     )
@@ -394,6 +395,7 @@ def arguments(chance: random.Random, folder: Path) -> list[str]:
         words.append(f"--shot={chance.choice([0, 1, 2, 99])}")
     if chance.random() < 0.1:
         units = ["x=cm", "angle=deg,t=ms", "x=px,y=px", "x=kg", "=", "length=ft"]
+        units += ["t=10fps", "t=10fps,length=m"]
         words.append(f"--units={chance.choice(units)}")
     if chance.random() < 0.2:
         (folder / "settings.toml").write_bytes(settings(chance))

@@ -276,6 +276,115 @@ SAMPLES = {
 }
 
 
+_ARM = 0.1  # m, from the stone's centre to a mark on its handle
+
+
+def marked_stone() -> dict[str, np.ndarray]:
+    """Places of the stone and of a mark on its handle, in m."""
+    return {
+        "x": X,
+        "y": Y,
+        "x_mark": X + _ARM * np.cos(PHI),
+        "y_mark": Y + _ARM * np.sin(PHI),
+    }
+
+
+def rows_of(*columns: np.ndarray, first: int = 0, digits: int = 9) -> str:
+    """Rows of a number that counts on from `first`, and of columns; NaN is an empty
+    cell."""
+    rows = []
+    for number, values in enumerate(zip(*columns, strict=True), first):
+        cells = ["" if np.isnan(value) else f"{value:.{digits}g}" for value in values]
+        rows.append(",".join([str(number), *cells]) + "\n")
+    return "".join(rows)
+
+
+def vicon(rate: str = "4", places: dict[str, np.ndarray] | None = None) -> str:
+    """The ASCII export of Nexus, with a section of a force plate above the markers and
+    one of events below them."""
+    marks = [1000 * values for values in (places or marked_stone()).values()]
+    height = np.full(N, 110.0)
+    rows = rows_of(np.zeros(N), *marks[:2], height, *marks[2:], height, first=1)
+    return (
+        "Devices\n1000\n,,Force plate\nFrame,Sub Frame,Fx\n,,N\n"
+        "1,0,0.5\n1,1,0.4\n\n"
+        f"Trajectories\n{rate}\n,,stone:centre,,,stone:handle,,\n"
+        "Frame,Sub Frame,X,Y,Z,X,Y,Z\n,,mm,mm,mm,mm,mm,mm\n"
+        f"{rows}\nEvents\n4\nSubject,Context,Name\n"
+    )
+
+
+def optitrack(
+    columns: dict[str, np.ndarray] | None = None,
+    quaternion: np.ndarray | None = None,
+    unit: str = "Millimeters",
+) -> str:
+    """The CSV export of Motive: a rigid body, whose mean marker error has no heading,
+    and a marker.
+
+    Parameters
+    ----------
+    columns : X, Y, Z of the body and of the marker in mm; by default x along the sheet,
+        y up. quaternion : X, Y, Z, W, shape (n, 4); by default turned by the angle
+        about y.
+    """
+    if quaternion is None:
+        zero = np.zeros(N)
+        half = PHI / 2
+        quaternion = np.column_stack([zero, np.sin(half), zero, np.cos(half)])
+    if columns is None:
+        stone, handle = np.split(np.array(list(marked_stone().values())), 2)
+        height = np.full(N, 0.11)
+        places = [stone[1], height, stone[0], handle[1], height, handle[0]]
+        names = ["X", "Y", "Z", "X handle", "Y handle", "Z handle"]
+        columns = {
+            name: 1000 * place for name, place in zip(names, places, strict=True)
+        }
+    error = np.full(N, 0.2)
+    body, marker = np.split(np.array(list(columns.values())), 2)
+    rows = rows_of(T, *quaternion.T, *body, error, *marker)
+    types = ",".join(["Rigid Body"] * 8)
+    return (
+        "Format Version,1.23,Take Name,evening,Capture Frame Rate,4.000000,Export "
+        f"Frame Rate,4.000000,Rotation Type,Quaternion,Length Units,{unit},"
+        "Coordinate Space,Global\n\n"
+        f",Type,{types},Marker,Marker,Marker\n"
+        f",Name,{','.join(['Stone'] * 8)},Stone:Handle,Stone:Handle,Stone:Handle\n"
+        f",ID,{','.join(['A1'] * 8)},B2,B2,B2\n"
+        f",,{','.join(['Rotation'] * 4 + ['Position'] * 3)},Mean Marker Error,"
+        "Position,Position,Position\n"
+        f"Frame,Time (Seconds),X,Y,Z,W,X,Y,Z,,X,Y,Z\n{rows}"
+    )
+
+
+def vernier(data_sets: Iterable[str] = ("VideoAnalysis",), space: str = " ") -> str:
+    """A CSV export of Vernier's programs, each data set 0.5 m farther to the right."""
+    columns = {}
+    for number, name in enumerate(data_sets):
+        measured = {
+            "Time": ("s", T),
+            "X": ("m", X + 0.5 * number),
+            "Y": ("m", Y),
+            "Y Velocity": ("m/s", np.gradient(Y, T)),
+        }
+        for quantity, (unit, values) in measured.items():
+            columns[f"{name}:{space}{quantity}{space}({unit})"] = values
+    return table(columns, digits=9)
+
+
+CASES = Path(__file__).parent / "throws" / "cases"
+EXPORTS = {
+    **{
+        file.stem: file.read_text()
+        for file in sorted(CASES.iterdir())
+        if file.stem != "truth"
+    },
+    "optitrack": optitrack(),
+    "vernier": vernier(),
+    "vicon": vicon(),
+}
+"""Tables that other programs export, each named after its layout."""
+
 CELL = (
     '<table:table-cell office:value-type="{}" {}><text:p>{}</text:p></table:table-cell>'
 )

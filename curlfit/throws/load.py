@@ -21,10 +21,13 @@ from curlfit.throws.readers.assemble import assemble
 from curlfit.throws.readers.axes import parse_axes
 from curlfit.throws.readers.columns import parse_units
 from curlfit.throws.readers.curling_stone_tracker import CURLING_STONE_TRACKER
+from curlfit.throws.readers.deeplabcut import DEEPLABCUT
 from curlfit.throws.readers.digitalcurling import DIGITALCURLING
 from curlfit.throws.readers.known_points import load_homography
+from curlfit.throws.readers.optitrack import OPTITRACK
 from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile
 from curlfit.throws.readers.path import TABLE
+from curlfit.throws.readers.qualisys import QUALISYS
 from curlfit.throws.readers.text import TextFile, is_aside
 from curlfit.throws.readers.timings import (
     TIMINGS,
@@ -32,9 +35,24 @@ from curlfit.throws.readers.timings import (
     usual_law as law_of_timings,
 )
 from curlfit.throws.readers.tracker import TRACKER
+from curlfit.throws.readers.trackmate import TRACKMATE
+from curlfit.throws.readers.vernier import VERNIER
+from curlfit.throws.readers.vicon import VICON
 from curlfit.throws.throw import Throw, counts_from_hack
 
-_READERS = (CURLING_STONE_TRACKER, DIGITALCURLING, TIMINGS, TRACKER, TABLE)
+_READERS = (
+    CURLING_STONE_TRACKER,
+    DEEPLABCUT,
+    DIGITALCURLING,
+    OPTITRACK,
+    QUALISYS,
+    TRACKMATE,
+    VERNIER,
+    VICON,
+    TIMINGS,
+    TRACKER,
+    TABLE,
+)
 """Formats in the order in which they are tried; the last accepts any file."""
 _BY_NAME = {reader.name: reader for reader in reversed(_READERS)}
 FORMATS = tuple(_BY_NAME)
@@ -150,7 +168,7 @@ def parts_of(
     number = getattr(reading, key)
     whole = partial(format.selected, path, contents, number)
     parses: list[tuple[int | None, Callable[[], ParsedFile]]] = [(number, whole)]
-    every = format in (TIMINGS, TABLE) if jointly else True
+    every = format.jointly if jointly else True
     if every and number is None and len(contents.labels) > 1:
         among = (
             range(len(contents.labels)) if contents.among is None else contents.among

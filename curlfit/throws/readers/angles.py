@@ -10,8 +10,9 @@ import numpy as np
 from curlfit.errors import Option
 from curlfit.findings import Finding, Remedy
 from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.sheet import LENGTH
 from curlfit.throws.channels import scatter
-from curlfit.throws.readers.columns import parse_header
+from curlfit.throws.readers.columns import in_unit, parse_header
 from curlfit.throws.readers.parsed_file import ParsedFile
 from curlfit.throws.readers.unwrapping import (
     TURN,
@@ -26,6 +27,8 @@ MAX_SPIN = 2 * TURN
 _MOST_NAMED = 3  # stretches of rows whose angle contradicts the others
 _HANDLE = Option("handle", "N")
 _FARTHEST = 0.3  # m, of a mark; the stone's diameter is 0.29 m
+_HANDLE_ARM = 0.1  # m, from the centre of a stone to the end of its handle
+_LENGTHS = ("m", "cm", "mm", "ft", "in")
 
 
 def require_radians(parsed: ParsedFile, columns: dict[str, Floats]) -> None:
@@ -155,6 +158,20 @@ def _place(parsed: ParsedFile, row: int) -> str:
     return f"row {place['row']}"
 
 
+def add_angle_of_quaternion(parsed: ParsedFile, columns: dict[str, Floats]) -> None:
+    """Put phi, in (-pi, pi], in place of the parts of a rotation quaternion.
+
+    A turn by phi about the vertical axis multiplies the quaternion by cos(phi/2) +
+    k sin(phi/2), which turns its scalar and vertical parts by phi/2 in their plane,
+    whatever the attitude of the body's own axes: with s and v these, phi is twice
+    atan2(v, s), up to a constant, and q and -q give the same.
+    """
+    scalar = columns.pop("quaternion_scalar")
+    vertical = columns.pop("quaternion_vertical")
+    columns["phi"] = np.arctan2(2 * scalar * vertical, scalar**2 - vertical**2)
+    parsed.notes.append(Finding.note("angle-of-quaternion"))
+
+
 def add_angle_of_mark(
     parsed: ParsedFile, columns: dict[str, Floats], mark: tuple[Floats, Floats]
 ) -> None:
@@ -192,6 +209,13 @@ def add_angle_of_mark(
         )
     typical = float(np.median(length[seen]))
     if not 0 < typical < _FARTHEST:
+        if (other_unit := _unit_of_mark(parsed, columns, typical)) is not None:
+            raise parsed.error(
+                f"the path is {_length(columns):.3g} m long and the mark {typical:.3g} "
+                f"m from the stone, and a sheet has {LENGTH:.3g} m; give the unit of "
+                f"lengths, as in {other_unit}",
+                options=(other_unit,),
+            )
         raise parsed.error(
             f"the mark is {typical:.3g} m from the stone, and a stone's diameter is "
             f"0.29 m; expected a point of the same stone ({_HANDLE})",
@@ -218,6 +242,37 @@ def add_angle_of_mark(
             scatter=1000 * noise,
         )
     parsed.notes.append(note)
+
+
+def _length(columns: dict[str, Floats]) -> float:
+    """Extent of the positions in m."""
+    seen = np.isfinite(columns["x"]) & np.isfinite(columns["y"])
+    return float(np.hypot(np.ptp(columns["x"][seen]), np.ptp(columns["y"][seen])))
+
+
+def _unit_of_mark(
+    parsed: ParsedFile, columns: dict[str, Floats], typical: float
+) -> Option | None:
+    """The unit of lengths in which a path too long for a sheet fits on it, and the mark
+    is about as far from the stone as a handle's end; None if there is none, or if the
+    path is short enough.
+
+    Parameters
+    ----------
+    typical : distance of the mark from the stone in m.
+    """
+    length = _length(columns)
+    if length <= LENGTH:
+        return None
+    now = next(s.column.factor for s in parsed.series if s.column.quantity in "xy")
+    factors = {unit: in_unit("x", unit).factor / now for unit in _LENGTHS}
+    fitting = [unit for unit, factor in factors.items() if factor * length <= LENGTH]
+    if not fitting:
+        return None
+    unit = min(
+        fitting, key=lambda unit: abs(math.log(typical * factors[unit] / _HANDLE_ARM))
+    )
+    return Option("units", f"length={unit}")
 
 
 def jump_in_degrees(t: Floats, angle: Floats) -> tuple[int, int] | None:

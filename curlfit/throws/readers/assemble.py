@@ -15,6 +15,7 @@ from curlfit.settings.choices import Reading
 from curlfit.throws.channels import CHANNELS, block_means
 from curlfit.throws.readers.angles import (
     add_angle_of_mark,
+    add_angle_of_quaternion,
     require_radians,
     unwrap_angle,
 )
@@ -77,6 +78,8 @@ def assemble(parsed: ParsedFile, reading: Reading) -> dict[str, Any]:
     calibration, unknown = _in_metres(
         parsed, columns, reading.reference, convention, as_given
     )
+    if "quaternion_scalar" in columns:
+        add_angle_of_quaternion(parsed, columns)
     if not as_given:
         require_radians(parsed, columns)
     if "phi" in columns:

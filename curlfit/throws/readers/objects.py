@@ -9,14 +9,23 @@ import numpy as np
 from curlfit.errors import InputError, Option
 from curlfit.findings import Finding, Remedy
 from curlfit.settings.choices import Reading
-from curlfit.throws.readers.columns import Column, parse_header, quantities_of
+from curlfit.throws.readers.columns import Column, quantities_of
 from curlfit.throws.readers.headings import Headings
 from curlfit.throws.readers.parsed_file import Contents, ParsedFile, choose
 from curlfit.throws.readers.path_columns import read_columns
 from curlfit.throws.readers.table import Table
 
-# "v" alone is read as a speed
-_AXES = {"x": "x", "y": "y", "u": "x", "v": "y", "speed": "y"}
+_AXES = {"x": "x", "y": "y", "u": "x", "v": "y"}
+
+
+def places_by_name(names: Sequence[str]) -> dict[str, list[int]]:
+    """The places of the columns of each object, from the names of all columns; one
+    without a name is of no object."""
+    places: dict[str, list[int]] = {}
+    for place, name in enumerate(names):
+        if name:
+            places.setdefault(name, []).append(place)
+    return places
 
 
 def objects_of(table: Table, begun: ParsedFile, reading: Reading) -> Contents:
@@ -56,6 +65,8 @@ def objects_of(table: Table, begun: ParsedFile, reading: Reading) -> Contents:
         columns = _columns(parsed, table, table.objects[names[index]], reading)
         if reading.handle is not None:
             columns |= _handle(table, names, index, columns, reading.handle)
+        elif names[index] in table.quaternions:
+            columns |= _rotation(table, columns, table.quaternions[names[index]])
         read_columns(parsed, table, columns, reading)
         return _where_marked(parsed, names[index])
 
@@ -107,8 +118,8 @@ def _handle(
     columns: Mapping[int, Column],
     number: int,
 ) -> dict[int, Column]:
-    """Columns of the object that marks the handle, by place, in the units of the
-    stone's `columns`.
+    """Columns of the object that marks the handle, by place: those with the headings
+    of the stone's `columns` of positions.
 
     Raises
     ------
@@ -119,22 +130,48 @@ def _handle(
         raise InputError(
             f"--handle {number} is the stone itself; expected another object"
         )
-    column_of_stone = {
-        _AXES[column.quantity]: column
-        for column in columns.values()
-        if column.quantity in ("x", "y", "u", "v")
+    columns_of_stone = {
+        table.headings[place].lower(): column
+        for place, column in columns.items()
+        if column.quantity in _AXES
     }
     columns_of_mark = {}
     for place in table.objects[names[handle]]:
-        column = parse_header(table.headings[place])
-        axis = _AXES.get(column.quantity, "") if column else ""
-        if axis in column_of_stone:
-            columns_of_mark[place] = column_of_stone[axis]._replace(
-                quantity=f"{axis}_mark"
-            )
+        column = columns_of_stone.get(table.headings[place].lower())
+        if column is not None:
+            axis = _AXES[column.quantity]
+            columns_of_mark[place] = column._replace(quantity=f"{axis}_mark")
     if len(columns_of_mark) != 2:
         raise InputError(f"--handle {number}: {names[handle]} has no columns x and y")
     return columns_of_mark
+
+
+def _rotation(
+    table: Table, columns: Mapping[int, Column], parts: Mapping[str, int]
+) -> dict[int, Column]:
+    """Columns of a rotation about the axis that is neither x nor y, by place; none if
+    the positions are not on two of the axes.
+
+    Parameters
+    ----------
+    columns : of the positions. parts : places of the parts of the quaternion.
+    """
+    axis_of = {
+        column.quantity: table.headings[place] for place, column in columns.items()
+    }
+    ice = [axis_of.get("x", ""), axis_of.get("y", "")]
+    (*_, vertical) = [axis for axis in "XYZ" if axis not in ice]
+    if len({*ice, vertical} & set("XYZ")) < 3:
+        return {}
+    places = [parts["W"], parts[vertical]]
+    if "".join(ice) not in "XYZX":
+        # Seen from the other side the angle has the other sign. The angle is twice
+        # atan2(vertical, scalar), and that of exchanged parts a constant minus it.
+        places.reverse()
+    return {
+        places[0]: Column("quaternion_scalar", "", 1.0),
+        places[1]: Column("quaternion_vertical", "", 1.0),
+    }
 
 
 def _where_marked(parsed: ParsedFile, name: str) -> ParsedFile:

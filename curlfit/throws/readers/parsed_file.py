@@ -159,6 +159,7 @@ class Format(NamedTuple):
     usual : index of the one taken if none is selected; None if one must be selected.
     selections : all choices that select something in such a file.
     columns : quantities of its columns that no other format has.
+    jointly : whether a joint fit takes all throws of such a file.
     """
 
     name: str
@@ -169,6 +170,7 @@ class Format(NamedTuple):
     usual: int | None
     selections: tuple[str, ...]
     columns: Collection[str] = ()
+    jointly: bool = False
 
     def check(self, source: Path | str, reading: Reading) -> None:
         """Raise `InputError` for a choice of something that such files do not hold."""

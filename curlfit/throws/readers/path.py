@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 
 from curlfit.errors import DataError
 from curlfit.settings.choices import Reading
@@ -19,7 +20,11 @@ from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile
 from curlfit.throws.readers.path_columns import read_columns
 from curlfit.throws.readers.table import Table
 from curlfit.throws.readers.text import TextFile
-from curlfit.throws.readers.throws_in_rows import may_name, throws_of
+from curlfit.throws.readers.throws_in_rows import (
+    may_name,
+    throws_named,
+    throws_of,
+)
 
 
 def _contents(file: TextFile, reading: Reading) -> Contents:
@@ -50,6 +55,7 @@ TABLE = Format(
     "stone_index",
     None,
     ("stone_index", "columns"),
+    jointly=True,
 )
 
 
@@ -57,6 +63,8 @@ def layout(
     name: str,
     recognizes: Callable[[list[str]], bool],
     table_of: Callable[[TextFile], Table],
+    *,
+    throws_in_rows: bool = False,
 ) -> Format:
     """The format of tables that another program exports, whose header is another one
     than the first line that curlfit knows.
@@ -65,12 +73,16 @@ def layout(
     ----------
     name, recognizes : as of a `Format`.
     table_of : finds the header and, where several are side by side, the objects.
+    throws_in_rows : whether it holds throws one below the other, not objects side by
+        side of which the first is usual.
     """
 
     def contents(file: TextFile, reading: Reading) -> Contents:
         table = table_of(file)
         return contents_of(table, begun(file, name, table.header), reading)
 
+    if throws_in_rows:
+        return TABLE._replace(name=name, recognizes=recognizes, contents=contents)
     return Format(
         name,
         recognizes,
@@ -93,11 +105,23 @@ def contents_of(table: Table, parsed: ParsedFile, reading: Reading) -> Contents:
     ------
     DataError : with the line and column of the fault, and what was expected.
     """
+    reading = replace(
+        reading,
+        units=",".join(filter(None, [table.units, reading.units])) or None,
+        columns={
+            **table.columns,
+            **parsed.settings.get("columns", {}),
+            **reading.columns,
+        },
+    )
     if table.objects:
         return objects_of(table, parsed, reading)
     headings = Headings(table.headings, table.error, table.is_numeric)
     columns = headings.of_throw(parsed, reading)
     read_columns(parsed, table, columns, reading)
+    if table.names_of_throws is not None:
+        place = table.names_of_throws
+        return throws_named(parsed, table.headings[place], table.column(place))
     names = {
         heading: table.column(place)
         for place, heading in enumerate(table.headings)

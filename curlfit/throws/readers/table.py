@@ -62,6 +62,14 @@ class _Rows(NamedTuple):
     cells: list[list[str]]
 
 
+class Likelihood(NamedTuple):
+    """How sure a program is of the values of a column: the place of the column that
+    says it, and the least with which a value counts."""
+
+    place: int
+    least: float
+
+
 @dataclass(frozen=True)
 class Table:
     """A table of a file.
@@ -77,6 +85,13 @@ class Table:
     objects : places of the columns of each object, by its name, where the file says
         which there are.
     computed : places of columns that a program computed from others.
+    units, columns : as `--units` and `--columns` have them, which override these: what
+        the program says of its columns elsewhere than in the headings.
+    likelihoods : of the values of some columns, by place.
+    quaternions : places of the parts W, X, Y, Z of the rotations of some objects, by
+        name; their positions have headings X, Y, Z of right-handed axes.
+    names_of_throws : place of the column that names the throw of each row, where the
+        program has one; a row without a name is of no throw.
     """
 
     file: TextFile
@@ -87,6 +102,11 @@ class Table:
     findings: list[Finding] = field(default_factory=list)
     objects: Mapping[str, Sequence[int]] = field(default_factory=dict)
     computed: Collection[int] = ()
+    units: str = ""
+    columns: Mapping[str, str] = field(default_factory=dict)
+    likelihoods: Mapping[int, Likelihood] = field(default_factory=dict)
+    quaternions: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    names_of_throws: int | None = None
 
     @classmethod
     def at(cls, file: TextFile, header: int) -> Table:
@@ -110,7 +130,7 @@ class Table:
         DataError : the file is empty or begins with numbers.
         """
         first = file.head(expected)
-        for titles, header in enumerate(_lines_of_data(file, first, MOST_TITLES)):
+        for titles, header in enumerate(lines_of_data(file, first, MOST_TITLES)):
             table = cls.at(file, header)
             if knows(table):
                 if titles:
@@ -169,7 +189,7 @@ class Table:
     def _lines(self) -> list[int]:
         """Indices of the lines below the header, without the rows of means and such at
         the end."""
-        lines = _lines_of_data(self.file, self.header + 1)
+        lines = lines_of_data(self.file, self.header + 1)
         below = self._aggregates_below(lines)
         if below:
             names = [_first_cell(self._cells_of(index)) for index in below]
@@ -386,10 +406,12 @@ class Table:
     def with_units_below(self) -> Table:
         """The table with the units of a second row in its headings, if this has
         units alone."""
-        index = next(iter(_lines_of_data(self.file, self.header + 1)), None)
+        index = next(iter(lines_of_data(self.file, self.header + 1)), None)
         if index is None:
             return self
         row = header_cells(self.file.lines[index], self.separator)
+        while len(row) > len(self.headings) and not row[-1]:
+            row.pop()
         units = ["" if cell.lower() in GAPS else cell.strip("()[] ") for cell in row]
         if len(units) != len(self.headings) or any(map(is_number, row)):
             return self
@@ -406,7 +428,7 @@ class Table:
         """The table with an empty heading for names of rows, as R writes them: each row
         has one cell more than the header, and they begin with text in quotes or
         count on."""
-        first_rows = _lines_of_data(self.file, self.header + 1, MOST_TITLES)
+        first_rows = lines_of_data(self.file, self.header + 1, MOST_TITLES)
         rows = [self._cells_of(index) for index in first_rows]
         width = len(self.headings) + 1
         if not rows or not all(len(row) == width and row[-1] for row in rows):
@@ -465,7 +487,7 @@ def _first_cell(row: Sequence[str]) -> str:
     return next(filter(None, row), "")
 
 
-def _lines_of_data(file: TextFile, begin: int, most: int | None = None) -> list[int]:
+def lines_of_data(file: TextFile, begin: int, most: int | None = None) -> list[int]:
     """Indices of lines from one on that are no comments and not blank."""
     if most is None:
         lines = file.lines

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from curlfit.findings import Finding
+from curlfit.throws.readers.cells import is_gap
 from curlfit.throws.readers.parsed_file import Contents, ParsedFile
 from curlfit.throws.readers.words import WORDS
 
@@ -46,6 +47,37 @@ def throws_of(parsed: ParsedFile, words: Mapping[str, Sequence[Any]]) -> Content
         groups = _by_restart(parsed)
     if len(groups) < 2:
         return Contents([""], lambda _: parsed)
+    return _contents(parsed, groups)
+
+
+def throws_named(parsed: ParsedFile, heading: str, cells: Sequence[str]) -> Contents:
+    """The throws in a table whose program names that of each row in a column.
+
+    Parameters
+    ----------
+    heading, cells : of the column; a row with a gap there is of no throw.
+    """
+    parsed.ignored = [name for name in parsed.ignored if name != heading]
+    groups: dict[str, list[int]] = {}
+    for row, cell in enumerate(cells):
+        if not is_gap(cell):
+            groups.setdefault(f"{heading} {cell}", []).append(row)
+    rows_of_no_throw = len(cells) - sum(map(len, groups.values()))
+    if rows_of_no_throw:
+        left_out = Finding.note(
+            "rows-of-no-throw", count=rows_of_no_throw, column=heading
+        )
+        parsed.notes.append(left_out)
+    if not groups:
+        raise parsed.error("no row names its throw", quantity=heading)
+    if len(groups) == 1:
+        rows = np.array(*groups.values())
+        return Contents([""], lambda _: parsed.rows(rows))
+    return _contents(parsed, {name: np.array(rows) for name, rows in groups.items()})
+
+
+def _contents(parsed: ParsedFile, groups: Mapping[str, np.ndarray]) -> Contents:
+    """Several throws, from the rows of each by its name."""
     throws = list(groups.items())
 
     def parse(index: int) -> ParsedFile:

@@ -196,6 +196,7 @@ TIMINGS = Format(
     0,
     ("shot", "keep", "columns"),
     KINDS,
+    jointly=True,
 )
 
 
