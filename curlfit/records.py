@@ -79,6 +79,11 @@ class Choice(tuple[str, ...]):
     """The admissible values of a text, as an annotation."""
 
 
+class Kinds(tuple[type, ...]):
+    """The types that an object may have, as an annotation: its entry "kind" is the
+    default of this field of its type."""
+
+
 Matrix = Annotated[Floats, Axes(2)]
 Arrays = dict[str, Annotated[Floats, Axes(0)]]
 
@@ -314,6 +319,22 @@ def _chosen(value: Any, kind: Any) -> Any:
     return value
 
 
+def _of_kind(made: Any, kind: Any) -> Any:
+    """The hook of an object that says of which type it is."""
+    kinds = next(item for item in get_args(kind) if isinstance(item, Kinds))
+    type_by_name = {of_kind.kind: of_kind for of_kind in kinds}  # type: ignore[attr-defined]
+
+    def hook(value: Any, _: Any) -> Any:
+        if type(value) is not dict:
+            raise unexpected(value, "an object")
+        name = value.get("kind")
+        if not isinstance(name, str) or name not in type_by_name:
+            raise unexpected(name, f"the kind one of {', '.join(type_by_name)}")
+        return made.structure(value, type_by_name[name])
+
+    return hook
+
+
 def _member(value: Any, kind: type[StrEnum]) -> StrEnum:
     try:
         return kind(value)
@@ -365,6 +386,7 @@ def _converter() -> Any:
     made.register_structure_hook_factory(
         partial(holds, Names), partial(_of_names, made)
     )
+    made.register_structure_hook_factory(partial(holds, Kinds), partial(_of_kind, made))
 
     @made.register_structure_hook_factory(partial(is_a, (Union, UnionType)))
     def of_optional(kind: Any) -> Any:

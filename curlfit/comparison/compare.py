@@ -51,9 +51,9 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.parameters import options_of, require_known
 from curlfit.inference.verdict import Verdict
 from curlfit.losses import LOSSES
+from curlfit.noises import NOISES
 from curlfit.records import plain
 from curlfit.settings.choices import Comparing, takes
-from curlfit.settings.noise_kinds import NoiseKind
 from curlfit.throws.friction_table import FrictionTable
 from curlfit.throws.throw import Throw, require_path, require_throw
 
@@ -126,9 +126,7 @@ def compare(
     require_path(throw)
     chosen = Comparing.of(throw.settings, laws=laws, **choices)
     todo = laws_under(chosen.laws, chosen.load)
-    fits = [
-        (law, load, NoiseKind(noise)) for noise in chosen.noise for law, load in todo
-    ]
+    fits = [(law, load, noise) for noise in chosen.noise for law, load in todo]
     options = {**chosen.by_parameter, "start": chosen.start}
     require_known([law for law, _ in todo], options)
     shared = vars(chosen) | {
@@ -138,7 +136,7 @@ def compare(
     }
     del shared["laws"]
 
-    def fitted(law: type[Law], load: str, noise: NoiseKind) -> list[Fitted | Candidate]:
+    def fitted(law: type[Law], load: str, noise: str) -> list[Fitted | Candidate]:
         own = options_of(law, options) | {"load": load, "noise": noise}
         return _with_free_signs(throw, law, shared | own)
 
@@ -158,7 +156,7 @@ def _lacking(made: Comparison, family: type[LawFamily] | None) -> Lacking | None
     fits = {
         item.label: one
         for item, one in zip(made.candidates, made.fits, strict=True)
-        if item.rank is not None and one is not None and item.noise.is_white
+        if item.rank is not None and one is not None and NOISES[item.noise].is_white
     }
     if not fits:
         return None

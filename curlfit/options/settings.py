@@ -15,6 +15,7 @@ from cyclopts import Group, Parameter
 from curlfit.errors import DataError, InputError
 from curlfit.foreign import quoted, safe_name
 from curlfit.losses import LOSSES
+from curlfit.noises import NOISES
 from curlfit.settings.choices import (
     FLAGS,
     LAW,
@@ -29,7 +30,6 @@ from curlfit.settings.choices import (
     Reading,
 )
 from curlfit.settings.forms import NUMBER, PATH, VALUES, option
-from curlfit.settings.noise_kinds import NoiseKind
 
 if TYPE_CHECKING:
     from curlfit.inference.fit.result import FitResult
@@ -172,7 +172,7 @@ class ConfiguredThrow(Generic[Chosen]):
             find_law(chosen.law), Load(chosen.load), prepared.parameters.conditions
         )
         rounds = Rounds(
-            model, [prepared], loss=LOSSES[chosen.loss], noise=NoiseKind(chosen.noise)
+            model, [prepared], loss=LOSSES[chosen.loss], noise=NOISES[chosen.noise]
         )
         (problem,) = unstacked(rounds.problems)
         return model, prepared.local_parameters, problem

@@ -30,6 +30,7 @@ from cyclopts import Group, Parameter
 
 from curlfit.errors import InputError
 from curlfit.losses import LOSSES
+from curlfit.noises import NOISES as BY_NAME
 from curlfit.settings.forms import (
     HEADINGS,
     LIMITS,
@@ -48,7 +49,6 @@ from curlfit.settings.forms import (
     option,
     whole,
 )
-from curlfit.settings.noise_kinds import NoiseKind
 from curlfit.stone import Stone
 
 READING = Group("How to read DATA", sort_key=1)
@@ -74,7 +74,15 @@ FILE = Form(
 )
 LOAD = OneOf("load", ("uniform", "consistent"))
 LOSS = OneOf("loss", tuple(LOSSES))
-NOISE = OneOf("noise", tuple(NoiseKind), **{"ar1+discrepancy": NoiseKind.DISCREPANCY})
+NOISE = OneOf(
+    "noise",
+    tuple(BY_NAME),
+    **{
+        further: noise.kind
+        for noise in BY_NAME.values()
+        for further in noise.further_names
+    },
+)
 NOISES = Several(NOISE, "noise models", "noise models with commas between", text=True)
 LOADS = OneOf("load", (*LOAD.names, "both"))
 LAW = Form(
@@ -126,6 +134,11 @@ def _losses_in_words() -> str:
     return ", ".join(words)
 
 
+def _noises_in_words() -> str:
+    """The names of noises, and what is said about them."""
+    return "; ".join(f"`{name}` {noise.about}" for name, noise in BY_NAME.items())
+
+
 def given(value: Any) -> bool:
     """Whether a value gives a choice."""
     return not (
@@ -148,6 +161,7 @@ class Choices:
         for name, text in re.findall(r"^(\w+) : (.+(?:\n +.+)*)", entries, re.M):
             if hasattr(hints.get(name), "__metadata__") and name in own:
                 text = text.replace("{losses}", _losses_in_words())
+                text = text.replace("{noises}", _noises_in_words())
                 flag: Parameter = hints[name].__metadata__[0]
                 called = FLAGS.get(name) or flag.name or None
                 helpful = Parameter(help=" ".join(text.split()), name=called)
@@ -380,7 +394,7 @@ class Estimation(Rows):
         noise = getattr(self, "noise", ())
         kinds = [noise] if isinstance(noise, str) else list(noise)
         for kind in kinds:
-            if not NoiseKind(kind).is_white and LOSSES[self.loss].is_robust:
+            if not BY_NAME[kind].is_white and LOSSES[self.loss].is_robust:
                 raise InputError(
                     f"noise {kind} and loss {self.loss} cannot be combined: "
                     "a robust loss takes each value by itself"
@@ -418,17 +432,15 @@ class Modelling(Estimation):
         [default: front-back; for stopwatch times what they determine]
     load : Distribution of the load on the ring: `uniform`, or `consistent` with the
         friction (eq. 8-9). [default: uniform]
-    noise : Correlation of the noise from row to row: `white` has none; `ar1` has
-        independent and exponentially correlated noise, as from a filter or a swaying
-        camera; `discrepancy` also accelerations that an inexact law lacks, as functions
-        of speed. Estimated from the residuals. [default: white]
+    noise : Correlation of the noise from row to row: {noises}. Estimated from the
+        residuals. [default: white]
     """
 
     law: Annotated[Any, option(LAW, metavar="NAME")] = None
     load: Annotated[Literal["uniform", "consistent"], option(LOAD, metavar="NAME")] = (
         UNSET
     )
-    noise: Annotated[str, option(NOISE, metavar="white|ar1|discrepancy")] = UNSET
+    noise: Annotated[str, option(NOISE, metavar="|".join(BY_NAME))] = UNSET
 
     usual: ClassVar = {
         **Estimation.usual,

@@ -50,10 +50,10 @@ from curlfit.inference.model import Model
 from curlfit.inference.problem import problem_shape
 from curlfit.inference.verdict import Verdict
 from curlfit.losses import LOSSES
+from curlfit.noises import NOISES
 from curlfit.numerics.arrays import Booleans
 from curlfit.numerics.batches import side_by_side, unstacked
 from curlfit.settings.choices import Fitting, takes
-from curlfit.settings.noise_kinds import NoiseKind
 from curlfit.throws.throw import Throw, require_throw
 
 _VARYING = 4  # throws from which on their coefficients may vary
@@ -216,7 +216,7 @@ def solved_together(
         model,
         prepared,
         loss=LOSSES[first.loss],
-        noise=NoiseKind(first.noise),
+        noise=NOISES[first.noise],
         shape=(max(channels), max(rows)),
     )
     starts = [
