@@ -21,7 +21,7 @@ from curlfit.batch.table import plan_of, settings_file
 from curlfit.errors import DataError
 from curlfit.findings import Finding
 from curlfit.foreign import counted, printable
-from curlfit.friction import Law, Load, find_law
+from curlfit.friction import Law, find_law
 from curlfit.inference.joint.result import JointResult
 from curlfit.inference.joint.season import Season, mean_of
 from curlfit.inference.model import Model
@@ -150,7 +150,7 @@ def _read(file: Path, law: str | type[Law] | None = None) -> Season:
     notes = (Finding.note("rows-not-ok", count=not_ok),) if not_ok else ()
     return Season(
         file=str(file),
-        model=Model(kind, Load(chosen.load)),
+        model=Model(kind, chosen.load),
         stone=Stone().with_values(dict(chosen.stone)),
         labels=labels,
         values=values,

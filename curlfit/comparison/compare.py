@@ -41,7 +41,7 @@ from curlfit.comparison.leave_one_out import leave_one_out, standard_error
 from curlfit.comparison.result import PLACE, Candidate, Comparison, Lacking
 from curlfit.comparison.several import compare_sets
 from curlfit.errors import UnusableFitError
-from curlfit.friction import Law
+from curlfit.friction import Law, Load
 from curlfit.friction.family import LawFamily, family_of
 from curlfit.friction.registry import laws_under
 from curlfit.inference.conditions import ALL
@@ -51,7 +51,7 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.parameters import options_of, require_known
 from curlfit.inference.verdict import Verdict
 from curlfit.losses import LOSSES
-from curlfit.noises import NOISES
+from curlfit.noises import NOISES, Noise
 from curlfit.records import plain
 from curlfit.settings.choices import Comparing, takes
 from curlfit.throws.friction_table import FrictionTable
@@ -136,7 +136,7 @@ def compare(
     }
     del shared["laws"]
 
-    def fitted(law: type[Law], load: str, noise: str) -> list[Fitted | Candidate]:
+    def fitted(law: type[Law], load: Load, noise: Noise) -> list[Fitted | Candidate]:
         own = options_of(law, options) | {"load": load, "noise": noise}
         return _with_free_signs(throw, law, shared | own)
 
@@ -190,7 +190,7 @@ def _fitted(
 ) -> Fitted | Candidate:
     known = about(law, choices["load"]) | {
         "signs_free": signs_free,
-        "noise": choices["noise"],
+        "noise": choices["noise"].kind,
     }
     try:
         result = fit(throw, law, **choices)

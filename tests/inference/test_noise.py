@@ -187,10 +187,11 @@ def test_every_noise_is_fitted_said_and_saved(noise, tmp_path):
 
 
 def test_every_noise_is_a_choice():
-    for kind in (Modelling, Comparing):
-        for name in NOISES:
-            (given,) = np.atleast_1d(kind.of(noise=name).noise)
-            assert given == name
+    for name, noise in NOISES.items():
+        for given in (name, noise):
+            assert Modelling.of(noise=given).noise == noise
+            assert Comparing.of(noise=[given, given]).noise == (noise,)
+        assert Modelling.of(noise=name).words()[-1] == f"--noise={name}"
     help_of_fit = Modelling.help("noise")
     for name, noise in NOISES.items():
         assert f"`{name}` {noise.about}" in help_of_fit
