@@ -329,7 +329,7 @@ def _of_kind(made: Any, kind: Any) -> Any:
             raise unexpected(value, "an object")
         name = value.get("kind")
         if not isinstance(name, str) or name not in type_by_name:
-            raise unexpected(name, f"the kind one of {', '.join(type_by_name)}")
+            raise unexpected(name, f"a kind, one of {', '.join(type_by_name)}")
         return made.structure(value, type_by_name[name])
 
     return hook

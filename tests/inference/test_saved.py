@@ -216,6 +216,8 @@ def test_what_cannot_be_read_is_refused(eq12_fit, compared, tmp_path, change, sa
         ("covariance.matrix", [[1.0]], "covariance: expected a square matrix"),
         ("combinations", [{"expression": "a"}], "combinations.0: no 'weights' in it"),
         ("noise.initial_state", [[1.0]], "noise: expected a covariance"),
+        ("noise.kind", "pink", "noise: 'pink' found, expected a kind, one of white"),
+        ("noise.memory", [0.1], "noise.memory: a list found, expected an object"),
         ("data.flags", 3, "data.flags: 3 found, expected a list"),
         ("data.flags", [3], "data.flags.0: 3 found, expected text"),
         ("sigma", {}, "sigma: expected all that were estimated"),
