@@ -360,6 +360,7 @@ def require_rows(
 def _converter() -> Any:
     """The converter from JSON; imported only where a record is read."""
     from cattrs import Converter
+    from cattrs.gen import make_mapping_structure_fn
 
     made = Converter()
     made.register_structure_hook(float, _number)
@@ -403,12 +404,17 @@ def _converter() -> Any:
 
     @made.register_structure_hook_factory(is_list)
     def of_list(kind: Any) -> Any:
-        inside.append(kind)
-        usual = made.get_structure_hook(kind, cache_result=False)
-        inside.remove(kind)
-        wanted, what = (
-            (dict, "an object") if get_origin(kind) is dict else (list, "a list")
-        )
+        if get_origin(kind) is dict:
+            wanted: type = dict
+            what = "an object"
+            # not by the converter, which would prefer its own hook from then on
+            usual: Any = make_mapping_structure_fn(kind, made)
+        else:
+            wanted = list
+            what = "a list"
+            inside.append(kind)
+            usual = made.get_structure_hook(kind, cache_result=False)
+            inside.remove(kind)
 
         def hook(value: Any, _: Any) -> Any:
             if type(value) is not wanted:

@@ -218,6 +218,7 @@ def test_what_cannot_be_read_is_refused(eq12_fit, compared, tmp_path, change, sa
         ("noise.initial_state", [[1.0]], "noise: expected a covariance"),
         ("noise.kind", "pink", "noise: 'pink' found, expected a kind, one of white"),
         ("noise.memory", [0.1], "noise.memory: a list found, expected an object"),
+        ("noise.white", [1.0], "noise.white: a list found, expected an object"),
         ("data.flags", 3, "data.flags: 3 found, expected a list"),
         ("data.flags", [3], "data.flags.0: 3 found, expected text"),
         ("sigma", {}, "sigma: expected all that were estimated"),
