@@ -20,7 +20,7 @@ from curlfit.batch.table import plan_of, settings_file
 from curlfit.errors import DataError
 from curlfit.findings import Finding
 from curlfit.foreign import counted
-from curlfit.friction import Law, Load, find_law
+from curlfit.friction import Law, find_law
 from curlfit.inference.joint.result import JointResult
 from curlfit.inference.joint.season import Season, mean_of
 from curlfit.inference.model import Model
@@ -129,7 +129,7 @@ def _read(file: Path, law: str | type[Law] | None = None) -> Season:
         notes.append(Finding.note("rows-not-ok", count=not_ok))
     return Season(
         file=str(file),
-        model=Model(kind, Load(chosen.load)),
+        model=Model(kind, chosen.load),
         stone=Stone().with_values(dict(chosen.stone)),
         labels=[
             (f"{file} row {number + 1}", _labels(rows[number], added))

@@ -260,11 +260,11 @@ def _load_saved(
     subject = chain.subject_of_fit(
         job.cut.condensed(),
         find_law(chosen.law),
-        chosen.load,
+        chosen.load.value,
         Stone().with_values(dict(chosen.stone)),
         job.parameters,
-        chosen.loss,
-        chosen.noise,
+        chosen.loss.name,
+        chosen.noise.kind,
     )
     chain.require_same(chain.subject_of_saved(saved), subject, folder / "fit.json")
     file = folder / "chain.h5"

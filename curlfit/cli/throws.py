@@ -141,7 +141,7 @@ def _swept(word: str) -> tuple[tuple[float, float], float]:
     return period, ratio
 
 
-_LINE = OneOf("line", list(LINES)[:-1])
+_LINE = OneOf("line", {name: name for name in list(LINES)[:-1]})
 _SWEPT = Form(
     "",
     lambda value: value,
