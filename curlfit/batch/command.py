@@ -79,6 +79,7 @@ def batch(
     from curlfit.batch.settings import BatchSettings, columns
     from curlfit.batch.table import Table, settings_file
     from curlfit.errors import InputError
+    from curlfit.numerics.jax_settings import require_jax
     from curlfit.output.console import terminal
     from curlfit.throws.load import found_files, states_sweeping, usual_law
 
@@ -96,6 +97,8 @@ def batch(
         vars(running),
         any_swept=any(states_sweeping(file, reading) for file in files),
     )
+    if running.dask is None:
+        require_jax()
     console = terminal(quiet=running.quiet)
     with Table(out, columns(plan), dict(plan), files, again=running.again) as table:
         _fill(

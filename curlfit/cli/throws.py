@@ -231,7 +231,7 @@ def simulate(
     `curlfit simulate --line hog --v0 2.3 --slope-x 2e-4 --drag 0.8 --sweep 8:14=0.9
     --out b.csv`
 
-    `curlfit simulate --fit a-fit --omega0=-1.2 --until 30 --out c.csv`: another
+    `curlfit simulate --fit a-fit --omega0 -1.2 --until 30 --out c.csv`: another
     throw of a fit
 
     Parameters

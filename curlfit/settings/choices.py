@@ -46,6 +46,8 @@ from curlfit.settings.forms import (
     Form,
     OneOf,
     Several,
+    file_named,
+    in_home,
     option,
     whole,
 )
@@ -70,7 +72,10 @@ else:
 COUNT = whole(1)
 LINES = Several(COUNT, "a list of line numbers", "line numbers with commas between")
 FILE = Form(
-    "a name of a file", lambda file: TEXT.checked("", fspath(file)), written="a word"
+    "a name of a file",
+    lambda file: in_home(TEXT.checked("", fspath(file))),
+    file_named,
+    "a word",
 )
 LOAD = OneOf("load", {load.value: load for load in Load})
 LOADS = OneOf("load", {load.value: (load,) for load in Load} | {"both": tuple(Load)})
@@ -89,7 +94,7 @@ SEVERAL_NOISES = Several(
 )
 LAW = Form(
     "the name or the class of a law",
-    lambda law: law,
+    lambda law: in_home(law) if isinstance(law, str) else law,
     written="a name, or FILE.py:CLASS",
     words=lambda law: getattr(law, "name", law),
 )

@@ -4,6 +4,7 @@ settings, in Python."""
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from numbers import Integral, Real
@@ -274,13 +275,25 @@ def numbers(count: int, written: str) -> Form:
     )
 
 
-def _path_of(word: str) -> Path:
-    """The path that a word names. No shell replaces the `~` of `--out=~/x`."""
-    return Path(word).expanduser() if word[:2] in ("~", "~/") else Path(word)
+def in_home(name: str) -> str:
+    """The name of a file, with the home in place of `~`: no shell replaces that of
+    `--out=~/x`, or of a file of settings."""
+    return os.path.expanduser(name) if name[:2] in ("~", f"~{os.sep}") else name
+
+
+def file_named(word: str) -> str:
+    """The file or folder that a word after an option names. Raises `InputError` for
+    standard input."""
+    if word == "-":
+        raise InputError("expected a name; only data are read from standard input")
+    return in_home(word)
 
 
 PATH = Form(
-    "a name of a file or folder", lambda one: Path(one), _path_of, "a file or folder"
+    "a name of a file or folder",
+    lambda name: Path(name),
+    lambda word: Path(file_named(word)),
+    "a file or folder",
 )
 NUMBER = Form(f"a number, {SIZES}", _finite, float)
 TIME = Form("a time in s", _finite, float)

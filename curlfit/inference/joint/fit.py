@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from curlfit.errors import InputError, UnusableFitError, require_kind
+from curlfit.errors import InputError, Option, UnusableFitError, require_kind
 from curlfit.foreign import quoted
 from curlfit.friction import Law, find_law, no_motion_because
 from curlfit.inference.derived import check_derived
@@ -405,7 +405,7 @@ def _varying(together: Together, equal: _Equal, seed: int | None) -> JointResult
     except np.linalg.LinAlgError:
         raise UnusableFitError(
             "how these throws vary cannot be estimated: their coefficients become "
-            "unbounded; fix some of them, or fit with share='all' (--share all)"
+            f"unbounded; fix some of them, or fit with {Option('share', 'all')}"
         ) from None
     ridges = None if ridge is None else lambda _: ridge.of_throws
     ended = bool(np.all(solution.success))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import stat
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import NamedTuple
 
 from curlfit.errors import DataError, InputError, Option
 from curlfit.findings import Finding
-from curlfit.foreign import quoted
+from curlfit.foreign import STANDARD_INPUT, quoted
 from curlfit.throws.readers.columns import has_japanese_words
 from curlfit.throws.readers.spreadsheet import text_of_sheet
 
@@ -29,14 +30,15 @@ _SEPARATOR_LINE = re.compile(r"\"?sep=.?\"?[;,\t]*", re.I)  # for spreadsheets
 
 
 def _bytes_of(path: Path, what: str, most: int) -> bytes:
-    """The content of a file; a pipe, such as `<(zcat FILE)`, is read once and kept.
-    Raises `DataError` where there is none, or too much."""
+    """The content of a file; a pipe, such as `<(zcat FILE)`, and standard input are
+    read once and kept. Raises `DataError` where there is none, or too much."""
+    source = 0 if str(path) == STANDARD_INPUT else path
     try:
-        status = path.stat()
+        status = os.stat(source)
         place = status.st_dev, status.st_ino
         if place in _of_pipes:
             return _of_pipes[place]
-        with path.open("rb") as stream:
+        with open(source, "rb", closefd=source != 0) as stream:
             raw = stream.read(most + 1)
     except ValueError:
         raise DataError("this is not a file name", file=quoted(str(path))) from None
@@ -49,7 +51,7 @@ def _bytes_of(path: Path, what: str, most: int) -> bytes:
         raise DataError(fault, file=path) from None
     if len(raw) > most:
         raise DataError(f"larger than {most // 1000} kB; expected {what}", file=path)
-    if stat.S_ISFIFO(status.st_mode):
+    if source == 0 or stat.S_ISFIFO(status.st_mode):
         _of_pipes[place] = raw
     return raw
 
