@@ -374,11 +374,9 @@ def vernier(data_sets: Iterable[str] = ("VideoAnalysis",), space: str = " ") -> 
 
 CASES = Path(__file__).parent / "throws" / "cases"
 EXPORTS = {
-    **{
-        file.stem: file.read_text()
-        for file in sorted(CASES.iterdir())
-        if file.stem != "truth"
-    },
+    "deeplabcut": (CASES / "deeplabcut.csv").read_text(),
+    "qualisys": (CASES / "qualisys.tsv").read_text(),
+    "trackmate": (CASES / "trackmate.csv").read_text(),
     "optitrack": optitrack(),
     "vernier": vernier(),
     "vicon": vicon(),
