@@ -201,6 +201,25 @@ def test_unlikely_points_are_gaps(write):
     assert len(load_throw(write("# as_given = true\n" + text), **choices)) == N
 
 
+def test_a_point_on_the_handle_gives_the_angle(write):
+    """An unlikely one leaves a gap of the angle alone."""
+    places = marked_stone()
+    likely = np.ones(N)
+    of_handle = np.where(np.arange(N) == 30, 0.1, 1.0)
+    text = deeplabcut(
+        ("stone", *project(places["x"], places["y"]), likely),
+        ("handle", *project(places["x_mark"], places["y_mark"]), of_handle),
+    )
+    points = write(known_points(), "points.csv")
+    throw = load_throw(write(text), units="t=4fps", reference=points, handle=2)
+    is_throw(throw, phi=False, atol=1e-5)
+    assert np.flatnonzero(np.isnan(throw.phi)).tolist() == [30]
+    seen = np.isfinite(throw.phi)
+    difference = (throw.phi - throw.phi[0] - PHI + PHI[0])[seen]
+    np.testing.assert_allclose(difference, 0.0, atol=1e-3)
+    assert note_on(throw, "unlikely-positions").numbers["column"] == 7
+
+
 def test_points_of_several_individuals(write):
     likely = np.ones(N)
     text = deeplabcut(
