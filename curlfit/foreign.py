@@ -14,6 +14,8 @@ from collections.abc import Iterable, Sequence
 from io import StringIO
 from typing import Any
 
+STANDARD_INPUT = "standard input"
+"""The name of standard input where a file is named; `-` on the command line."""
 LARGEST = 1e12
 """No measurement or setting, in SI, is larger; times since 1970 are smaller."""
 _SMALLEST = 1e-30  # of a setting other than 0
@@ -93,6 +95,8 @@ def file_and_number(name: str) -> tuple[str, str]:
 def safe_name(text: str) -> str:
     """A name for a folder, of this or any other system; a usual name is
     left as it is."""
+    if text.startswith(STANDARD_INPUT):
+        text = text.replace(" ", "-", 1)
     name = _UNSAFE.sub(lambda match: "_" * len(match[0]), printable(text)) or "_"
     if _DEVICES.fullmatch(name):
         name += "_"

@@ -13,6 +13,7 @@ every one that is there.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from curlfit.numerics.namespace import namespace
@@ -40,6 +41,7 @@ def robust_sigma(values: Floats) -> float:
     return MAD_TO_SIGMA * float(xp.median(xp.abs(values)))
 
 
+@dataclass(frozen=True)  # two of one class are equal
 class Loss:
     """How much a residual counts that may be too large to be noise.
 

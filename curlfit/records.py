@@ -79,6 +79,11 @@ class Choice(tuple[str, ...]):
     """The admissible values of a text, as an annotation."""
 
 
+class Kinds(tuple[type, ...]):
+    """The types that an object may have, as an annotation: its entry "kind" is the
+    default of this field of its type."""
+
+
 Matrix = Annotated[Floats, Axes(2)]
 Arrays = dict[str, Annotated[Floats, Axes(0)]]
 
@@ -314,6 +319,22 @@ def _chosen(value: Any, kind: Any) -> Any:
     return value
 
 
+def _of_kind(made: Any, kind: Any) -> Any:
+    """The hook of an object that says of which type it is."""
+    kinds = next(item for item in get_args(kind) if isinstance(item, Kinds))
+    type_by_name = {of_kind.kind: of_kind for of_kind in kinds}  # type: ignore[attr-defined]
+
+    def hook(value: Any, _: Any) -> Any:
+        if type(value) is not dict:
+            raise unexpected(value, "an object")
+        name = value.get("kind")
+        if not isinstance(name, str) or name not in type_by_name:
+            raise unexpected(name, f"a kind, one of {', '.join(type_by_name)}")
+        return made.structure(value, type_by_name[name])
+
+    return hook
+
+
 def _member(value: Any, kind: type[StrEnum]) -> StrEnum:
     try:
         return kind(value)
@@ -339,6 +360,7 @@ def require_rows(
 def _converter() -> Any:
     """The converter from JSON; imported only where a record is read."""
     from cattrs import Converter
+    from cattrs.gen import make_mapping_structure_fn
 
     made = Converter()
     made.register_structure_hook(float, _number)
@@ -365,6 +387,7 @@ def _converter() -> Any:
     made.register_structure_hook_factory(
         partial(holds, Names), partial(_of_names, made)
     )
+    made.register_structure_hook_factory(partial(holds, Kinds), partial(_of_kind, made))
 
     @made.register_structure_hook_factory(partial(is_a, (Union, UnionType)))
     def of_optional(kind: Any) -> Any:
@@ -381,12 +404,17 @@ def _converter() -> Any:
 
     @made.register_structure_hook_factory(is_list)
     def of_list(kind: Any) -> Any:
-        inside.append(kind)
-        usual = made.get_structure_hook(kind, cache_result=False)
-        inside.remove(kind)
-        wanted, what = (
-            (dict, "an object") if get_origin(kind) is dict else (list, "a list")
-        )
+        if get_origin(kind) is dict:
+            wanted: type = dict
+            what = "an object"
+            # not by the converter, which would prefer its own hook from then on
+            usual: Any = make_mapping_structure_fn(kind, made)
+        else:
+            wanted = list
+            what = "a list"
+            inside.append(kind)
+            usual = made.get_structure_hook(kind, cache_result=False)
+            inside.remove(kind)
 
         def hook(value: Any, _: Any) -> Any:
             if type(value) is not wanted:

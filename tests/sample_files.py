@@ -13,6 +13,7 @@ import numpy as np
 
 from curlfit import Throw
 from curlfit.findings import Finding
+from curlfit.sheet import FOOT, LINES
 
 # A throw that slows down and curls: what every file below says in its own way.
 N = 60
@@ -156,6 +157,48 @@ def log(count: int = 1) -> str:
     return "".join(json.dumps(entry) + "\n" for entry in entries)
 
 
+def video() -> dict:
+    """An answer of curling-stone-tracker, in feet from the centre of the sheet: the
+    throw above in two pieces, 10 m from the hack and 1 m to the right, of which the
+    first is followed by two rows of the tracker's own, and a stone at rest."""
+    places = np.column_stack([X + 1.0, Y + 10.0 - LINES["centre"]]) / FOOT
+    early = T <= 2.5
+    late = T >= 6
+    last = {"t": [2.75, 3.0], "place": [[3.3, -30.0], [3.3, -28.0]]}
+    return {
+        "state": {
+            "stones": [
+                tracked("red", T[late], places[late].tolist()),
+                tracked("yellow", T, [[-2.0, 57.5]] * N),
+                tracked(
+                    "red",
+                    [*T[early], *last["t"]],
+                    [*places[early].tolist(), *last["place"]],
+                    made=2,
+                ),
+            ]
+        },
+        "mosaic_detections": [],
+        "mosaic_detection_times": [],
+    }
+
+
+def tracked(color: str, times: Iterable[float], places: list, made: int = 0) -> dict:
+    """A stone as curling-stone-tracker writes it; the last rows have `made`
+    accelerations that are those of the row before."""
+    times = [float(time) for time in times]
+    seen = len(times) - made
+    return {
+        "acceleration_history": [
+            [0.0, -0.01 * min(k, seen - 1)] for k in range(len(times))
+        ],
+        "color": color,
+        "position_history": places,
+        "time_history": times,
+        "velocity_history": [[0.0, 0.0] for _ in times],
+    }
+
+
 TIMINGS = """# draw shot, sheet 3
 back_to_hog = 3.4
 hog_to_hog = 14.2 s
@@ -197,6 +240,16 @@ def known_points(count: int = 6, noise: float = 0.0) -> str:
 
 PIXELS = table(dict(zip("uv", project(X, Y), strict=True)) | {"t": T, "phi": PHI})
 
+EVENING = (
+    "Club night;;;;;\n"
+    "draw;time;sheet;hog to hog;rest;curl\n"
+    ";;;(s);;\n"
+    "1;7:05 pm;A;12,86;1'7\" heavy;3 ft left\n"
+    "2;7:12 pm;B;0:12.18;0.4 m light;2 ft right\n"
+    "3;7:19 pm;A;DNF;0.2;1 m left\n"
+    "4;7:25 pm;B;12,7;0.5 m past;0.8 m right\n"
+    "Mean;;;12,6;;\n"
+)
 SAMPLES = {
     "table": PLAIN,
     "settings": '# until = 12\n# stone.R = 0.06\n# axes = "x-left"\n' + PLAIN,
@@ -214,7 +267,10 @@ SAMPLES = {
     "two": two_masses(),
     "shot": json.dumps(shot(hit=40), indent=1),
     "log": log(2),
+    "video": json.dumps(video(), indent=1),
     "timings": TIMINGS,
+    "evening": EVENING,
+    "friction": "v (m/s),mu,omega\n0.5,0.011,0\n1,0.0095,0\n2,0.009,0\n3,0.008,0\n",
     "clocks": CLOCKS,
     "pixels": PIXELS,
 }
@@ -318,12 +374,10 @@ def vernier(data_sets: Iterable[str] = ("VideoAnalysis",), space: str = " ") -> 
 
 CASES = Path(__file__).parent / "throws" / "cases"
 EXPORTS = {
-    **{
-        file.stem: file.read_text()
-        for file in sorted(CASES.iterdir())
-        if file.stem != "truth"
-    },
+    "deeplabcut": (CASES / "16_deeplabcut.csv").read_text(),
     "optitrack": optitrack(),
+    "qualisys": (CASES / "22_qualisys.tsv").read_text(),
+    "trackmate": (CASES / "16_trackmate.csv").read_text(),
     "vernier": vernier(),
     "vicon": vicon(),
 }

@@ -17,6 +17,7 @@ from curlfit.errors import InputError, Option
 from curlfit.foreign import cut
 from curlfit.friction import LAWS, TERMS
 from curlfit.settings.choices import FILE, LAW
+from curlfit.settings.command_words import parser_words
 from curlfit.settings.forms import PATH, SWITCH, Form, refusal_of
 
 _WORDS_OF_FILES = ("--columns", "--by", "--trend", "--worksheet")
@@ -117,7 +118,7 @@ def values_of(cli: App, words: Sequence[str]) -> dict[str, Any]:
         a file, a place for results, `--help`.
     """
     try:
-        command, bound, _ = cli.parse_args(["fit", *words])
+        command, bound, _ = cli.parse_args(parser_words(cli, ["fit", *words]))
     except CycloptsError as error:
         raise refusal_of(error) from None
     if command is not cli["fit"].default_command:

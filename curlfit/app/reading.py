@@ -59,7 +59,7 @@ def look(files: Sequence[Path], chosen: Mapping[str, Any]) -> Seen:
             table = load_friction_table(files[0], worksheet)
             span = f"{table.speed.min():.3g} to {table.speed.max():.3g} m/s"
             finding = f"{len(table.speed)} values of friction against speed, {span}"
-            return Seen(finding, notes=[table.note] if table.note else [])
+            return Seen(finding, notes=table.notes)
         of_reading = chosen.keys() & Reading.forms().keys()
         of_fitting = chosen.keys() & Fitting.forms().keys()
         reading = Reading(**{name: chosen[name] for name in of_reading})

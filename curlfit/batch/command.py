@@ -55,11 +55,12 @@ def batch(
 
     A row has status, rms, coefficients, standard errors, verdicts and what is
     determined together. A log of DigitalCurling 3 has a row for each shot, an export of
-    a tracking program one for each object, a table one for each throw (columns shot and
-    stone_index). A throw without a usable fit has the reason in its row and does not
-    stop the batch: status "not usable" if the data were read, "failed" if they could
-    not be read, "odd" for a row of a stopwatch table that the other rows contradict
-    (`--keep` fits it). The same command continues where an earlier run was interrupted.
+    a tracking program one for each object, a video one for each stone that moves, a
+    table one for each throw (columns shot and stone_index). A throw without a usable
+    fit has the reason in its row and does not stop the batch: status "not usable" if
+    the data were read, "failed" if they could not be read, "odd" for a row of a
+    stopwatch table that the other rows contradict (`--keep` fits it). The same command
+    continues where an earlier run was interrupted.
 
     Exit status 0 if a throw in the table is ok; 1 if some were read and none is usable;
     2 if none could be read, or the command itself is refused.
@@ -78,6 +79,7 @@ def batch(
     from curlfit.batch.settings import BatchSettings, columns
     from curlfit.batch.table import Table, settings_file
     from curlfit.errors import InputError
+    from curlfit.numerics.jax_settings import require_jax
     from curlfit.output.console import terminal
     from curlfit.throws.load import found_files, states_sweeping, usual_law
 
@@ -95,6 +97,8 @@ def batch(
         vars(running),
         any_swept=any(states_sweeping(file, reading) for file in files),
     )
+    if running.dask is None:
+        require_jax()
     console = terminal(quiet=running.quiet)
     with Table(out, columns(plan), dict(plan), files, again=running.again) as table:
         _fill(

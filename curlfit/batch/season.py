@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
@@ -20,17 +19,19 @@ from curlfit.batch.settings import (
 from curlfit.batch.table import plan_of, settings_file
 from curlfit.errors import DataError
 from curlfit.findings import Finding
-from curlfit.foreign import counted, printable
-from curlfit.friction import Law, Load, find_law
+from curlfit.foreign import counted
+from curlfit.friction import Law, find_law
 from curlfit.inference.joint.result import JointResult
 from curlfit.inference.joint.season import Season, mean_of
 from curlfit.inference.model import Model
 from curlfit.inference.parameters import START
 from curlfit.inference.verdict import Verdict
+from curlfit.numerics.arrays import Floats
 from curlfit.stone import Stone
+from curlfit.throws.readers.table import Table
+from curlfit.throws.readers.text import TextFile
 
 _AGAIN = "repeat the batch with --again"
-_LONGEST = 100_000  # characters of a cell
 
 
 def fit_season(
@@ -93,75 +94,96 @@ def _read(file: Path, law: str | type[Law] | None = None) -> Season:
         )
     names = [item.name for item in kind.coefficients()]
     names_of_numbers = [*names, *(item.name for item in START), DURATION]
-    size = len(names) * (len(names) + 1)
-    labels: list[tuple[str, dict[str, str]]] = []
-    numbers: list[list[float]] = []
-    information: list[list[float]] = []
-    left_open: list[tuple[str, ...]] = []
-    not_ok = 0
-    doubtful = 0
-    try:
-        with file.open(encoding="utf-8", newline="") as stream:
-            reader = csv.DictReader(stream)
-            head = reader.fieldnames or ()
-            for name in (*names_of_numbers, "status", INFORMATION, LABELS):
-                if name not in head:
-                    raise KeyError(f"no column {name}; {_AGAIN}")
-            written = columns(chosen)
-            if LEFT_OPEN not in head:
-                written.remove(LEFT_OPEN)
-            added = [name for name in head if name not in written]
-            for row in reader:
-                if any(len(cell or "") > _LONGEST for cell in row.values()):
-                    raise ValueError(f"a cell of more than {_LONGEST} characters")
-                if row["status"] != "ok":
-                    not_ok += 1
-                    continue
-                if LEFT_OPEN not in head and not _is_quadratic(row):
-                    doubtful += 1
-                open_names = row.get(LEFT_OPEN, "").split("; ")
-                left_open.append(tuple(filter(None, open_names)))
-                throw = f"{file} row {reader.line_num - 1}"
-                labels.append((throw, _labels(row, added)))
-                numbers.append([float(row[name]) for name in names_of_numbers])
-                cells = row[INFORMATION].strip("[]").split(",")
-                told = [float(cell) for cell in cells]
-                if len(told) not in (size, 2 * size):
-                    raise ValueError("another number of numbers")
-                # without a ridge there is no second part
-                information.append(told + [0.0] * (2 * size - len(told)))
-    except KeyError as error:
-        raise DataError(error.args[0], file=file, line=1) from None
-    except (AttributeError, TypeError, ValueError, csv.Error) as error:
-        fault = f"not a row of `curlfit batch`: {printable(str(error))}"
-        raise DataError(fault, file=file, line=reader.line_num) from None
+    table = Table.find(TextFile.read(file), _is_header)
+    needed = (*names_of_numbers, "status", INFORMATION, LABELS)
+    place_of = table.sole(table.headings)
+    for name in needed:
+        if name not in place_of:
+            raise table.error(f"no column {name}; {_AGAIN}")
+    with_left_open = LEFT_OPEN in place_of
+    written = set(columns(chosen))
+    added = [name for name in place_of if name not in written]
+    rows = [dict(zip(table.headings, row, strict=True)) for row in table.cells]
+    usable = [number for number, row in enumerate(rows) if row["status"] == "ok"]
+    doubtful = sum(
+        not with_left_open and not _is_quadratic(rows[number]) for number in usable
+    )
     if doubtful:
         raise DataError(
             f"{counted(doubtful, 'throw')} without an angle, which an earlier version "
             f"of curlfit took for quadratics in the coefficients; {_AGAIN}",
             file=file,
         )
-    throws = len(numbers)
-    table = np.array(numbers).reshape(throws, len(names_of_numbers))
-    rows = np.array(information).reshape(throws, 2, len(names), len(names) + 1)
-    if not (np.isfinite(table).all() and np.isfinite(rows).all()):
-        raise DataError("numbers that are not finite", file=file)
-    values, start, durations = np.split(table, [len(names), -1], 1)
-    notes = (Finding.note("rows-not-ok", count=not_ok),) if not_ok else ()
+    places = [place_of[name] for name in names_of_numbers]
+    numbers = np.column_stack(table.numbers(places))[usable]
+    _require_finite(table, numbers, usable)
+    information = [
+        _information(table, number, rows[number][INFORMATION], len(names))
+        for number in usable
+    ]
+    stacked = np.array(information).reshape(-1, 2, len(names), len(names) + 1)
+    values, start, durations = np.split(numbers, [len(names), -1], 1)
+    not_ok = len(rows) - len(usable)
+    notes = [*table.findings]
+    if not_ok:
+        notes.append(Finding.note("rows-not-ok", count=not_ok))
     return Season(
         file=str(file),
-        model=Model(kind, Load(chosen.load)),
+        model=Model(kind, chosen.load),
         stone=Stone().with_values(dict(chosen.stone)),
-        labels=labels,
+        labels=[
+            (f"{file} row {number + 1}", _labels(rows[number], added))
+            for number in usable
+        ],
         values=values,
         start=start,
         durations=durations[:, 0],
-        told=rows[:, 0],
-        notes=notes,
+        told=stacked[:, 0],
+        notes=tuple(notes),
         conditions=tuple({*chosen.parameter_set().conditions} - {"sweep"}),
-        stretched=rows[:, 1],
-        left_open=tuple(left_open),
+        stretched=stacked[:, 1],
+        left_open=tuple(
+            tuple(filter(None, rows[number].get(LEFT_OPEN, "").split("; ")))
+            for number in usable
+        ),
     )
+
+
+def _is_header(table: Table) -> bool:
+    """Whether headings are those of a table of `curlfit batch`."""
+    return {"file", "status"} <= set(table.headings)
+
+
+def _require_finite(table: Table, numbers: Floats, usable: Sequence[int]) -> None:
+    """Raise `DataError` for a usable row without all of its numbers."""
+    bad = ~np.isfinite(numbers).all(axis=1)
+    if bad.any():
+        row = table.rows[usable[int(np.argmax(bad))]]
+        raise table.file.error("numbers that are not finite", row)
+
+
+def _information(
+    table: Table, number: int, cell: str, coefficients: int
+) -> list[float]:
+    """The rows of information of a throw, and those along a ridge, which are zeros
+    where it has none.
+
+    Raises
+    ------
+    DataError : not as many finite numbers.
+    """
+    size = coefficients * (coefficients + 1)
+    try:
+        told = [float(text) for text in cell.strip("[]").split(",")]
+    except ValueError:
+        told = []
+    if len(told) not in (size, 2 * size) or not np.isfinite(told).all():
+        raise table.not_a(
+            f"list of {size} finite numbers or twice as many",
+            number,
+            table.headings.index(INFORMATION),
+        )
+    return told + [0.0] * (2 * size - len(told))
 
 
 def _is_quadratic(row: Mapping[str, str]) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from curlfit.friction import Law, Load, NetLaw, check_load, find_law
+from curlfit.friction import Law, Load, NetLaw, find_law
 from curlfit.inference.parameters import ParameterSet
 from curlfit.options.settings import checked_parameters
 from curlfit.settings.choices import SEED, Fitting, Reading
@@ -57,7 +57,7 @@ class BatchSettings(Fitting, Reading):
         """Free coefficients of which only the sum enters the motion, by the
         sum as written."""
         law = self.checked()
-        if check_load(self.load) != Load.UNIFORM and not issubclass(law, NetLaw):
+        if self.load != Load.UNIFORM and not issubclass(law, NetLaw):
             return {}
         return {
             " + ".join(names): names

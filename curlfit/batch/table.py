@@ -20,12 +20,15 @@ from curlfit.errors import DataError, InputError
 from curlfit.foreign import csv_cell, csv_lines
 from curlfit.output.locks import locked
 from curlfit.records import plain, read_json, write_json
+from curlfit.throws.readers.text import decoded
 from curlfit.version import __version__
 
 ODD = "odd"
 """Status of a row of a stopwatch table that contradicts the others and is left out."""
 _MAKER = "curlfit batch"
-_HEAD, _LONG = re.compile(rb"file,.*\bstone_index,.*\bstatus,"), 4096
+_HEAD = re.compile(r'"?file"?[,;\t].*\bstone_index"?[,;\t].*\bstatus"?[,;\t]')
+"""The first line, also of a table that a spreadsheet saved again."""
+_LONG = 4096
 _OTHERWISE = "name another table with --out, or write over it with --again"
 
 
@@ -40,7 +43,7 @@ def is_table(file: Path) -> bool:
         return False
     try:
         with file.open("rb") as stream:
-            return _HEAD.match(stream.read(_LONG)) is not None
+            return _HEAD.match(decoded(stream.read(_LONG))) is not None
     except OSError:
         return False
 

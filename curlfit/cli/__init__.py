@@ -26,6 +26,7 @@ from curlfit.options.output import Saved
 from curlfit.paper.command import reproduce
 from curlfit.prediction.command import predict
 from curlfit.profile_likelihood.command import profile
+from curlfit.settings.command_words import parser_words
 from curlfit.settings.forms import refusal_of
 from curlfit.version import __version__
 
@@ -85,7 +86,7 @@ app.command(_version, name="--version")
 def run(words: Sequence[str]) -> int:
     """Carry out a command; returns its exit status."""
     try:
-        saved = app(words)
+        saved = app(parser_words(app, words))
         if not isinstance(saved, Saved):
             return 0
         if saved.page is not None:

@@ -124,7 +124,9 @@ def fit(
     from curlfit.throws.friction_table import is_friction_table
 
     files = _files_of(data, reading)
-    if len(files) == 1 and is_friction_table(files[0], reading.worksheet):
+    if len(files) == 1 and is_friction_table(
+        files[0], reading.worksheet, reading.columns
+    ):
         from curlfit.friction_tables.command import fit_table
 
         return fit_table(files[0], flags, output, "fit", reading, sampling)
@@ -258,11 +260,11 @@ def _load_saved(
     subject = chain.subject_of_fit(
         job.cut.condensed(),
         find_law(chosen.law),
-        chosen.load,
+        chosen.load.value,
         Stone().with_values(dict(chosen.stone)),
         job.parameters,
-        chosen.loss,
-        chosen.noise,
+        chosen.loss.name,
+        chosen.noise.kind,
     )
     chain.require_same(chain.subject_of_saved(saved), subject, folder / "fit.json")
     file = folder / "chain.h5"

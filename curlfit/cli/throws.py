@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter
 
-from curlfit.errors import InputError
+from curlfit.errors import CurlfitError, InputError
 from curlfit.foreign import say
 from curlfit.options import settings as s
 from curlfit.settings.choices import SEED, Choices, Modelling, Reading, Rows
@@ -25,6 +25,9 @@ from curlfit.settings.forms import (
 from curlfit.sheet import LINES
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from curlfit.throws.load import Part
     from curlfit.throws.throw import Throw
 
 
@@ -39,7 +42,8 @@ def check(
 ) -> None:
     """Show how a data file is read: columns, units, scatter, rest, what is implausible.
 
-    Exit status 0 if the file can be read and is plausible, 2 otherwise.
+    Exit status 0 if the file can be read and is plausible, 2 otherwise. Of a table of
+    stopwatch times each row is read, or the one that `--shot` selects.
 
     Example: `curlfit check data/jensen_shegelski_2004.csv`
 
@@ -53,7 +57,7 @@ def check(
     from curlfit.errors import DataError
     from curlfit.inference.parameters import FEWEST_ROWS
     from curlfit.output.console import terminal
-    from curlfit.throws.load import read, throw_of
+    from curlfit.throws.load import read, rows_of_table, throw_of
     from curlfit.throws.plausibility import examine, require_motion, require_plausible
     from curlfit.throws.report import print_findings, print_inspection
 
@@ -61,6 +65,10 @@ def check(
         _require_picture(out)
     configured = s.read_config(config)
     reading = Reading.of(configured, vars(reading))
+    parts = rows_of_table(data, reading)
+    if parts:
+        _check_rows(parts, data, out)
+        return
     parsed = read(data, reading)
     job = s.apply_settings(
         throw_of(parsed, reading), configured, Modelling(**vars(rows))
@@ -87,6 +95,32 @@ def check(
     require_plausible(job.cut)
 
 
+def _check_rows(parts: Sequence[Part], data: Path, out: Path | None) -> None:
+    """Show the throws in the rows of a stopwatch table.
+
+    Raises
+    ------
+    DataError : of the first row that cannot be read.
+    """
+    from curlfit.output.console import terminal
+    from curlfit.throws.report import print_rows
+
+    if out is not None:
+        raise InputError(f"--out: {data} has timed events only, and no path to draw")
+    faults = [
+        part.throw
+        for part in parts
+        if isinstance(part.throw, CurlfitError) and not part.left_out
+    ]
+    readable = [part for part in parts if not isinstance(part.throw, CurlfitError)]
+    if readable:
+        print_rows(readable, data, terminal(highlight=False))
+    if faults:
+        raise faults[0]
+    if all(part.alone for part in parts) and parts[0].alone is not None:
+        raise parts[0].alone
+
+
 def _require_picture(file: Path) -> None:
     """Raise `InputError` for a file that cannot become a picture."""
     if file.suffix.lower() not in (".png", ".pdf", ".svg"):
@@ -107,7 +141,7 @@ def _swept(word: str) -> tuple[tuple[float, float], float]:
     return period, ratio
 
 
-_LINE = OneOf("line", list(LINES)[:-1])
+_LINE = OneOf("line", {name: name for name in list(LINES)[:-1]})
 _SWEPT = Form(
     "",
     lambda value: value,
@@ -197,7 +231,7 @@ def simulate(
     `curlfit simulate --line hog --v0 2.3 --slope-x 2e-4 --drag 0.8 --sweep 8:14=0.9
     --out b.csv`
 
-    `curlfit simulate --fit a-fit --omega0=-1.2 --until 30 --out c.csv`: another
+    `curlfit simulate --fit a-fit --omega0 -1.2 --until 30 --out c.csv`: another
     throw of a fit
 
     Parameters

@@ -75,7 +75,7 @@ def adequacy(result: FitResult) -> Adequacy:
     if turned.sum() > 3:
         uneven = _uneven(t[turned], _seen(phi[turned], loss))
         series.append((t[turned], phi[turned], off["phi"][turned], uneven))
-    correlated = any(result.noise.memory.values()) or any(
+    correlated = bool(result.noise.correlated) or any(
         item.doubtful for item in result.independence.values()
     )
     sizes = [(loss.size(one[2]), _noise(one[0], one[1], loss)) for one in series]

@@ -10,7 +10,7 @@ from typing import Any
 from curlfit.comparison.adequacy import opposes_sliding
 from curlfit.comparison.result import Candidate
 from curlfit.errors import UnusableFitError
-from curlfit.friction import Law, NetLaw
+from curlfit.friction import Law, Load, NetLaw
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.identifiability import Combination
 from curlfit.inference.verdict import Verdict
@@ -26,11 +26,11 @@ _DIFFERENCES: dict[str, tuple[str, Callable[[list[float]], float]]] = {
 """The difference from the best by each criterion, and which value is the best."""
 
 
-def about(law: type[Law], load: str) -> dict[str, Any]:
+def about(law: type[Law], load: Load) -> dict[str, Any]:
     """What is known of a candidate before it is fitted."""
     return {
         "law": law.name,
-        "load": "-" if issubclass(law, NetLaw) else load,
+        "load": "-" if issubclass(law, NetLaw) else load.value,
         "isotropic": opposes_sliding(law),
         "signs_free": False,
     }

@@ -42,30 +42,18 @@ def compare(
         Data as for `curlfit fit`; tables of friction against speed.
     """
     from curlfit.throws.friction_table import is_friction_table
+    from curlfit.throws.load import rows_of_table
 
     if not data:
         raise InputError("compare: no file given; expected DATA")
     alone = data[0]
-    if len(data) == 1 and is_friction_table(alone, reading.worksheet):
+    if len(data) == 1 and is_friction_table(alone, reading.worksheet, reading.columns):
         from curlfit.friction_tables.command import fit_table
 
         return fit_table(alone, flags, output, "compare", reading)
-    if len(data) == 1 and not _is_table_of_throws(alone, reading):
+    if len(data) == 1 and not rows_of_table(alone, reading):
         return _one_throw(alone, flags, reading, config, output)
     return _several(data, flags, reading, config, output)
-
-
-def _is_table_of_throws(file: Path, reading: Reading) -> bool:
-    """Whether a file has throws by stopwatch in its rows, of which none is selected."""
-    from curlfit.throws.load import format_of, parts_of
-    from curlfit.throws.readers.timings import TIMINGS
-
-    if reading.shot is not None or format_of(file, reading) != TIMINGS.name:
-        return False
-    parts = parts_of(file, reading)
-    return len(parts) > 1 and not any(
-        getattr(one.throw, "has_path", True) for one in parts
-    )
 
 
 def _several(

@@ -41,7 +41,7 @@ from curlfit.comparison.leave_one_out import leave_one_out, standard_error
 from curlfit.comparison.result import PLACE, Candidate, Comparison, Lacking
 from curlfit.comparison.several import compare_sets
 from curlfit.errors import UnusableFitError
-from curlfit.friction import Law
+from curlfit.friction import Law, Load
 from curlfit.friction.family import LawFamily, family_of
 from curlfit.friction.registry import laws_under
 from curlfit.inference.conditions import ALL
@@ -51,9 +51,9 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.parameters import options_of, require_known
 from curlfit.inference.verdict import Verdict
 from curlfit.losses import LOSSES
+from curlfit.noises import NOISES, Noise
 from curlfit.records import plain
 from curlfit.settings.choices import Comparing, takes
-from curlfit.settings.noise_kinds import NoiseKind
 from curlfit.throws.friction_table import FrictionTable
 from curlfit.throws.throw import Throw, require_path, require_throw
 
@@ -126,9 +126,7 @@ def compare(
     require_path(throw)
     chosen = Comparing.of(throw.settings, laws=laws, **choices)
     todo = laws_under(chosen.laws, chosen.load)
-    fits = [
-        (law, load, NoiseKind(noise)) for noise in chosen.noise for law, load in todo
-    ]
+    fits = [(law, load, noise) for noise in chosen.noise for law, load in todo]
     options = {**chosen.by_parameter, "start": chosen.start}
     require_known([law for law, _ in todo], options)
     shared = vars(chosen) | {
@@ -138,7 +136,7 @@ def compare(
     }
     del shared["laws"]
 
-    def fitted(law: type[Law], load: str, noise: NoiseKind) -> list[Fitted | Candidate]:
+    def fitted(law: type[Law], load: Load, noise: Noise) -> list[Fitted | Candidate]:
         own = options_of(law, options) | {"load": load, "noise": noise}
         return _with_free_signs(throw, law, shared | own)
 
@@ -158,7 +156,7 @@ def _lacking(made: Comparison, family: type[LawFamily] | None) -> Lacking | None
     fits = {
         item.label: one
         for item, one in zip(made.candidates, made.fits, strict=True)
-        if item.rank is not None and one is not None and item.noise.is_white
+        if item.rank is not None and one is not None and NOISES[item.noise].is_white
     }
     if not fits:
         return None
@@ -192,7 +190,7 @@ def _fitted(
 ) -> Fitted | Candidate:
     known = about(law, choices["load"]) | {
         "signs_free": signs_free,
-        "noise": choices["noise"],
+        "noise": choices["noise"].kind,
     }
     try:
         result = fit(throw, law, **choices)

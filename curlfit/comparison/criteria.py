@@ -81,16 +81,9 @@ class EffectiveValues(NamedTuple):
 
 def number_of_parameters(result: FitResult) -> float:
     """Number of parameters that the data determine: of the law and the initial state,
-    the estimated sigmas, and the noise model's own (distinct correlation times,
-    independent shares, sizes of a discrepancy)."""
-    noise = result.noise
-    correlated = {name: memory for name, memory in noise.memory.items() if memory}
-    own = (
-        len({*correlated.values()})
-        + len(correlated.keys() & noise.white)
-        + len(noise.sizes)
-    )
-    return effective_parameters(result) + len(result.sigma) + own
+    the estimated sigmas, and those of the noise."""
+    of_noise = result.noise.number_of_parameters
+    return effective_parameters(result) + len(result.sigma) + of_noise
 
 
 def residuals_of(result: FitResult) -> dict[str, Floats]:

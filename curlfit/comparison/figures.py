@@ -15,6 +15,7 @@ from curlfit.comparison.result import (
     Lacking,
 )
 from curlfit.losses import LOSSES
+from curlfit.noises import NOISES
 from curlfit.output import figures as draw
 
 _MOST = 4  # other laws drawn
@@ -55,7 +56,7 @@ def comparison_figure(comparison: Comparison) -> draw.Picture:
         }
         style |= {"lw": 1.5 if item.follows else 0.9, "zorder": 3 + len(shown) - place}
         name = item.label if item.rank is None else f"{item.rank}. {item.label}"
-        if item.noise.has_discrepancy:
+        if NOISES[item.noise].has_discrepancy:
             name += ", law alone"
         path.plot(fitted["y"], fitted["x"], **style, label=name)
         residual.plot(t, 1000 * (x - fitted["x"]), **style)

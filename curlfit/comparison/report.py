@@ -23,10 +23,10 @@ from curlfit.errors import Option
 from curlfit.findings import Finding, Remedy
 from curlfit.foreign import counted
 from curlfit.losses import LOSSES
+from curlfit.noises import WHITE
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Said, Section, command_line, show
 from curlfit.output.text import rows_text, stone_text
-from curlfit.settings.noise_kinds import NoiseKind
 from curlfit.wording import compact, join_words
 
 _PROBABLE = 0.01  # weight of a law that is named
@@ -56,7 +56,7 @@ def document(comparison: Comparison) -> Document:
     count = len(comparison.candidates)
     loss = LOSSES[comparison.loss].suffix
     noise = ""
-    if comparison.noises != (NoiseKind.WHITE,):
+    if comparison.noises != (WHITE.kind,):
         noise = f", {join_words(comparison.noises)} noise"
     bend = (
         f"to the {comparison.side}" if comparison.side else "no more than its scatter"

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from os import PathLike
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, get_type_hints
 
 import numpy as np
 
 from curlfit.findings import Finding
-from curlfit.inference.fit.result import DataOfFit, FitResult, LossName
+from curlfit.inference.fit.result import DataOfFit, FitResult, LossName, NoiseName
 from curlfit.inference.verdict import Verdict
+from curlfit.noises import NOISES, WHITE
 from curlfit.numerics.arrays import Floats
 from curlfit.output.frames import frame
 from curlfit.records import SERIES, UNSAVED, Matrix, Record, keys, require, require_rows
-from curlfit.settings.noise_kinds import NoiseKind
 from curlfit.stone import Stone
 
 PLACE = ("x", "y", "phi")
@@ -27,18 +27,18 @@ _Coefficient = Annotated[
     dict[str, Any], keys(value=float, stderr=float | None, verdict=Verdict, unit=str)
 ]
 _Sum = Annotated[dict[str, Any], keys(expression=str, value=float, stderr=float | None)]
-_Noise = Annotated[
-    dict[str, Any],
-    keys(
-        False,
-        kind=str,
-        memory=dict[str, float],
-        white=dict[str, float],
-        sizes=dict[str, float],
-        independent=dict[str, float],
-        initial_state=list[list[float]],
-    ),
-]
+
+
+def _entries_of_noises() -> dict[str, Any]:
+    """The entries of all noises in files, and their types."""
+    entries: dict[str, Any] = {}
+    for noise in NOISES.values():
+        hints = get_type_hints(type(noise))
+        entries |= {entry.name: hints[entry.name] for entry in fields(noise)}
+    return entries
+
+
+_Noise = Annotated[dict[str, Any], keys(False, **_entries_of_noises())]
 
 
 @dataclass(frozen=True)
@@ -182,7 +182,7 @@ class Candidate:
     not_identifiable: tuple[str, ...] = ()
     warnings: tuple[Finding, ...] = ()
     fitted: dict[str, list[float]] | None = None
-    noise: NoiseKind = NoiseKind.WHITE
+    noise: NoiseName = WHITE.kind
     noise_model: _Noise = field(default_factory=dict)
     sets: tuple[OnSet, ...] = ()
     p_together: float | None = None
@@ -192,7 +192,7 @@ class Candidate:
         """Law, load and noise in a few words."""
         load = "" if self.load == "-" else f", {self.load} load"
         sign = ", any sign" if self.signs_free else ""
-        return f"{self.law}{load}{sign}{self.noise.suffix}"
+        return f"{self.law}{load}{sign}{NOISES[self.noise].suffix}"
 
     @property
     def residual_size(self) -> dict[str, float]:

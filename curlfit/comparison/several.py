@@ -37,6 +37,8 @@ from curlfit.inference.fit.covariance import CONVERGED
 from curlfit.inference.joint.data_sets import LawOnSets, Noise, Told, best, data_sets
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.problem import ROWS_OF_DATA
+from curlfit.losses import LINEAR
+from curlfit.noises import WHITE
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.settings.choices import Comparing
 from curlfit.throws.friction_table import FrictionTable
@@ -68,8 +70,8 @@ def compare_sets(
     """
     sets = data_sets(items)
     for name, usual in (
-        ("loss", "linear"),
-        ("noise", ("white",)),
+        ("loss", LINEAR),
+        ("noise", (WHITE,)),
         ("priors", {}),
         ("free", ()),
     ):

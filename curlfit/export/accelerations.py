@@ -35,6 +35,7 @@ from curlfit.errors import InputError, UnusableFitError
 from curlfit.friction import Law, NetLaw, check_load
 from curlfit.inference.fit.result import FitResult
 from curlfit.numerics.arrays import Floats
+from curlfit.numerics.jax_settings import require_jax
 from curlfit.stone import Stone
 from curlfit.version import __version__
 
@@ -242,6 +243,7 @@ def tabulate(fit: FitResult) -> AccelerationTable:
             f"law {law.name} has no contact ring: its accelerations are the formula "
             "that `curlfit laws` prints; no table is needed"
         )
+    require_jax()
     if any(depends_on_turned_and_time(law, stone)):
         raise InputError(
             f"the friction of law {law.name} depends on the angle turned or on the "

@@ -6,23 +6,20 @@ from pkgutil import iter_modules
 
 from curlfit.friction.base import (
     LAWS,
-    LOADS,
     TERMS,
     Coefficient,
     Edges,
     Law,
-    Load,
     LocalLaw,
     Motion,
     NetLaw,
     Parameter,
     RingPoint,
-    check_load,
     coefficient,
-    no_motion_because,
     power,
 )
 from curlfit.friction.registry import find_law
+from curlfit.loads import LOADS, Load, check_load, no_motion_because
 
 for _module in iter_modules(__path__):
     import_module(f"{__name__}.{_module.name}")

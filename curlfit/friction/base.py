@@ -10,7 +10,6 @@ import dataclasses
 import functools
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from enum import StrEnum
 from typing import (
     Any,
     ClassVar,
@@ -21,37 +20,11 @@ from typing import (
 
 import numpy as np
 
-from curlfit.errors import InputError
 from curlfit.foreign import quoted
-
-
-class Load(StrEnum):
-    """Distribution of the weight over the ring: uniform, or consistent with
-    friction (eq. 8-9)."""
-
-    UNIFORM = "uniform"
-    CONSISTENT = "consistent"
-
-
-LOADS: tuple[str, ...] = tuple(Load)
 
 START_NAMES = ("x0", "y0", "heading", "v0", "phi0", "omega0")
 """Parameters of the initial state, which a fit estimates together with
 the coefficients."""
-
-
-def check_load(load: str) -> Load:
-    """The name of a load. Raises `InputError` for any other name."""
-    if load not in LOADS:
-        raise InputError(f"unknown load {quoted(load)}; expected {' or '.join(LOADS)}")
-    return Load(load)
-
-
-def no_motion_because(load: str) -> str:
-    """The likely reason why a law admits no motion, to be appended to a message."""
-    if load != Load.CONSISTENT:
-        return ""
-    return "; the consistent load (eq. 8-9) would have to be negative somewhere"
 
 
 @dataclasses.dataclass(frozen=True)

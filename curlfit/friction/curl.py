@@ -7,7 +7,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from curlfit.friction.base import Law, Load, LocalLaw, Motion, NetLaw, RingPoint
+from curlfit.friction.base import Law, LocalLaw, Motion, NetLaw, RingPoint
+from curlfit.loads import Load
 from curlfit.stone import Stone
 
 AnyLaw = TypeVar("AnyLaw", bound=Law)

@@ -13,6 +13,7 @@ from curlfit.foreign import quoted
 from curlfit.friction.base import LAWS, TERMS, Law, LocalLaw, NetLaw
 from curlfit.friction.checks import checked, first_line, last_line
 from curlfit.friction.sums import sum_of
+from curlfit.loads import Load
 
 
 def find_law(name: str | type[Law], *, from_files: bool = True) -> type[Law]:
@@ -66,9 +67,10 @@ def find_law(name: str | type[Law], *, from_files: bool = True) -> type[Law]:
 
 
 def laws_under(
-    laws: str | type[Law] | Sequence[str | type[Law]] | None, load: str
-) -> list[tuple[type[Law], str]]:
-    """Laws and loads to be fitted; `load` may be "both".
+    laws: str | type[Law] | Sequence[str | type[Law]] | None,
+    loads: Sequence[Load] = (Load.UNIFORM,),
+) -> list[tuple[type[Law], Load]]:
+    """Laws to be fitted, each under some loads.
 
     Where no law is named, all of curlfit's own except those that approximate another. A
     law without a ring has no load and is listed once. Raises `InputError` for an
@@ -81,11 +83,10 @@ def laws_under(
         find_law(law)
         for law in ([wanted] if isinstance(wanted, str | type) else wanted)
     ]
-    loads = ("uniform", "consistent") if load == "both" else (load,)
     return [
-        (law, one)
+        (law, load)
         for law in dict.fromkeys(chosen)
-        for one in (loads[:1] if issubclass(law, NetLaw) else loads)
+        for load in (loads[:1] if issubclass(law, NetLaw) else loads)
     ]
 
 

@@ -103,6 +103,9 @@ class Sampled:
     def __init__(self, law: type[Law]) -> None:
         import jax  # only for user-defined laws
 
+        from curlfit.numerics.jax_settings import require_jax
+
+        require_jax()
         self.law = law
         function: Any = _at_point if issubclass(law, LocalLaw) else _of_stone
         self._program = jax.jit(jax.vmap(partial(function, law)))

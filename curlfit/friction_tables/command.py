@@ -38,7 +38,7 @@ def fit_table(
         **{name: given[name] for name in given if name in _TAKEN}
     ).words()
     words = [word for word in flags.words() if word not in taken]
-    others = (replace(reading, worksheet=None), *others)
+    others = (replace(reading, worksheet=None, columns={}, units=None), *others)
     words += [
         word for other in others for word in other.words() if word != "--no-sample"
     ]
@@ -47,7 +47,8 @@ def fit_table(
             f"{words[0]}: {file} is a table of friction against speed; "
             "expected it with a throw"
         )
-    table, drawn = load_friction_table(file, reading.worksheet), output.drawn()
+    table = load_friction_table(file, reading.worksheet, reading.columns, reading.units)
+    drawn = output.drawn()
     folder = claim_folder(output.out or result_folder(file, kind, reading))
     laws = (
         given.get("laws")
@@ -63,7 +64,5 @@ def fit_table(
             load=given.get("load", "uniform"),
             stone=Stone().with_values(dict(given.get("stone", {}))),
         )
-    done = output.finish(
-        found, folder, drawn, remarks=[table.note] if table.note else []
-    )
+    done = output.finish(found, folder, drawn, remarks=table.notes)
     return done if found.fits[0].converged else done._replace(status=1)

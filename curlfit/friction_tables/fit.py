@@ -58,7 +58,8 @@ def fit_friction(
     """
     if not isinstance(table, FrictionTable):
         table = load_friction_table(table)
-    wanted = [law for law, _ in laws_under(laws, check_load(load))]
+    chosen_load = check_load(load)
+    wanted = [law for law, _ in laws_under(laws, (chosen_load,))]
     usable = [law for law in wanted if len(law.coefficients()) < len(table.mu)]
     if not usable:
         raise InputError(
@@ -66,12 +67,11 @@ def fit_friction(
             f"{len(wanted[0].coefficients())} coefficients; expected more rows "
             "than coefficients"
         )
-    chosen, family = Comparing.of(load=load, stone=stone or Stone()), family_of(usable)
+    chosen = Comparing.of(load=chosen_load, stone=stone or Stone())
+    family = family_of(usable)
     sets = [DataSet(table.name, table=table)]
     with in_threads(
-        lambda law: _fitted(
-            LawOnSets(law, check_load(load), sets, chosen, family), table
-        ),
+        lambda law: _fitted(LawOnSets(law, chosen_load, sets, chosen, family), table),
         [(law,) for law in usable],
     ) as each:
         fits = sorted(each, key=lambda one: (not one.converged, round(one.bic, 6)))

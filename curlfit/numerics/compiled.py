@@ -30,6 +30,7 @@ from jax.extend.mlir.passmanager import PassManager
 from jaxlib import version as jaxlib_version
 
 from curlfit.numerics import program_cache as cache
+from curlfit.numerics.jax_settings import require_jax
 from curlfit.numerics.threads import cores
 
 _MOST_LOADED = 16  # programs in memory, of 5 to 30 MB each
@@ -83,6 +84,7 @@ class _CompiledFunction:
     def __call__(self, *args: Any) -> Any:
         if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(args)):
             return self.jitted(*args)
+        require_jax()
         call = self._call(args)
         program, new = self._program(call)
         if new:
@@ -91,6 +93,7 @@ class _CompiledFunction:
 
     def prepare(self, *args: Any) -> None:
         """Start loading or compiling, in a thread, the program of this call."""
+        require_jax()
         if cores() > 1:
             call = self._call(args)
             program, new = self._program(call)

@@ -161,7 +161,7 @@ def design(
     hard spinners
 
     `curlfit design --rate 60 --sigma-xy 2mm --sigma-phi 0.2deg --v0
-    2.0,2.2 --omega0=-1.5,1.5`
+    2.0,2.2 --omega0 -1.5,1.5`
 
     `curlfit design --load consistent --separate mu1_eta,mu2_eta --stone h=0.1`
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from cyclopts import Group, Parameter
 
+from curlfit.numerics.jax_settings import require_jax
 from curlfit.options.figures import FigureFiles
 from curlfit.output.display import KINDS, document_of, figures_of
 from curlfit.settings.choices import Choices
@@ -60,7 +61,9 @@ class Output(Choices):
     quiet: Annotated[bool, option(SWITCH, name=["--quiet", "-q"])] = False
 
     def drawn(self) -> FigureFiles:
-        """The figures to be drawn. Raises `InputError` for an unknown format."""
+        """The figures to be drawn of what will be computed. Raises `InputError` for an
+        unknown format, or where JAX cannot compute."""
+        require_jax()
         return FigureFiles.of(self.figures, none=self.no_figures)
 
     def console(self) -> Console:

@@ -14,7 +14,7 @@ from cyclopts import Group, Parameter
 
 from curlfit.errors import DataError, InputError
 from curlfit.foreign import quoted, safe_name
-from curlfit.losses import LOSSES
+from curlfit.loads import Load
 from curlfit.settings.choices import (
     FLAGS,
     LAW,
@@ -29,7 +29,6 @@ from curlfit.settings.choices import (
     Reading,
 )
 from curlfit.settings.forms import NUMBER, PATH, VALUES, option
-from curlfit.settings.noise_kinds import NoiseKind
 
 if TYPE_CHECKING:
     from curlfit.inference.fit.result import FitResult
@@ -78,7 +77,7 @@ class LawValues(Choices):
     coefficients: Annotated[Named, option(VALUES, "NAME=V")] = field(
         default_factory=dict
     )
-    load: Annotated[str | None, option(LOAD, "NAME")] = None
+    load: Annotated[Load | None, option(LOAD, "NAME")] = None
     stone: Annotated[Named, option(VALUES, "R=V,rho=V")] = field(default_factory=dict)
 
 
@@ -160,7 +159,7 @@ class ConfiguredThrow(Generic[Chosen]):
         self: ConfiguredThrow[ModelChoices],
     ) -> tuple[Model, ParameterSet, Problem]:
         """The initial problem of the fit, for programs compiled alongside it."""
-        from curlfit.friction import Load, find_law
+        from curlfit.friction import find_law
         from curlfit.inference.fit.prepared import PreparedThrow
         from curlfit.inference.fit.rounds import Rounds
         from curlfit.inference.model import Model
@@ -168,12 +167,8 @@ class ConfiguredThrow(Generic[Chosen]):
 
         chosen = self.chosen
         prepared = PreparedThrow.of(self.throw, chosen)
-        model = Model(
-            find_law(chosen.law), Load(chosen.load), prepared.parameters.conditions
-        )
-        rounds = Rounds(
-            model, [prepared], loss=LOSSES[chosen.loss], noise=NoiseKind(chosen.noise)
-        )
+        model = Model(find_law(chosen.law), chosen.load, prepared.parameters.conditions)
+        rounds = Rounds(model, [prepared], loss=chosen.loss, noise=chosen.noise)
         (problem,) = unstacked(rounds.problems)
         return model, prepared.local_parameters, problem
 

@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from curlfit.findings import Finding
+from curlfit.foreign import STANDARD_INPUT
 from curlfit.output.console import terminal
 
 Part = str | Text | Table | None
@@ -144,4 +145,5 @@ def show(document: RenderableType, console: Console | None = None) -> None:
 
 def command_line(*words: str) -> str:
     """A command of curlfit as it is typed."""
-    return shlex.join(["curlfit", *words])
+    typed = ["-" if word == STANDARD_INPUT else word for word in words]
+    return shlex.join(["curlfit", *typed])

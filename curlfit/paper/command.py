@@ -49,6 +49,7 @@ def reproduce(
     as_json
         Print claims.json in place of the table.
     """
+    from curlfit.numerics.jax_settings import require_jax
     from curlfit.output.files import atomic_write, claim_folder
 
     if quiet and as_json:
@@ -56,6 +57,7 @@ def reproduce(
             "--json prints the claims, and --quiet prints nothing; give one of them"
         )
     drawn = FigureFiles.of(figures)
+    require_jax()
     folder = claim_folder(out)
 
     from curlfit.output.console import terminal

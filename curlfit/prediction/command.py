@@ -38,7 +38,6 @@ class Goal(Choices):
         On the centre line, or at any x with --heading.
     tee_speed : Speed of a takeout at the tee line, m/s. [default: 1.5]
     target : Come to rest at this point: m to the right of the tee and m beyond it.
-        Write --target=-0.5,1 if the first number is negative.
     """
 
     to_tee: Annotated[bool, option(SWITCH)] = False
@@ -140,7 +139,7 @@ def predict(
 
     `curlfit predict throw-fit --to-tee`: how to throw a draw to the button
 
-    `curlfit predict throw-fit --target=-0.6,0.3`: to rest left of the tee and behind it
+    `curlfit predict throw-fit --target -0.6,0.3`: to rest left of the tee and behind it
 
     `curlfit predict evening-fit --sheet 2 --hog-to-hog 13.9 --broom "4 ft left" --turn
     in`: the next stone on the ice of a joint fit

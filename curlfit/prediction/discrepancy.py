@@ -42,12 +42,12 @@ from curlfit.inference.noise.accelerations import (
 )
 from curlfit.inference.noise.linearized import Linearized, Regression
 from curlfit.inference.noise.restricted import GRID, Estimate, estimate
+from curlfit.noises import DISCREPANCY
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.compiled import compiled
 from curlfit.numerics.differences import slopes
 from curlfit.prediction.ensemble import TrajectoryEnsemble
 from curlfit.prediction.result import Discrepancy
-from curlfit.settings.noise_kinds import NoiseKind
 from curlfit.throws.events import along_path
 from curlfit.throws.throw import CHANNELS
 
@@ -159,7 +159,7 @@ def discrepancy_posterior(fit: FitResult) -> DiscrepancyPosterior:
         data.responses[-1, : len(fit.events)] = _response_of_events(fit, responses)
     channels = [*CHANNELS, "events"][: len(data.weight)]
     sigma_given = [name not in fit.sigma for name in channels]
-    estimated = estimate(NoiseKind.DISCREPANCY, data, sigma_given)
+    estimated = estimate(DISCREPANCY, data, sigma_given)
     # rows of GRID are sizes of the components; the first size is none
     log_likelihood = estimated.log_likelihood
     without = [log_likelihood[column == SIZES[0]].max() for column in GRID.T]

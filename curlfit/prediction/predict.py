@@ -38,13 +38,13 @@ from curlfit.inference.mcmc.chain import Chain
 from curlfit.inference.mcmc.draws import draws_along_ridge
 from curlfit.inference.mcmc.ridge import ridge_proposal
 from curlfit.inference.parameters import START
+from curlfit.noises import WHITE
 from curlfit.numerics.arrays import Floats
 from curlfit.prediction import diagnostics
 from curlfit.prediction.ensemble import ThrowFamily, prepare_ensemble, weights_of
 from curlfit.prediction.request import PlannedThrow, both_turns, planned
 from curlfit.prediction.result import CENTRED, Call, Prediction
 from curlfit.prediction.simulation import Simulation
-from curlfit.settings.noise_kinds import NoiseKind
 from curlfit.throws.odd_row import OddRow
 from curlfit.throws.throw import CHANNELS, Throw
 
@@ -199,10 +199,10 @@ def _with_white_noise(
             "groups; leave it out"
         )
     _require_predictable(fit, draws)
-    if not fit.noise.kind.has_discrepancy:
+    if not fit.noise.has_discrepancy:
         return fit, chain, []
     note = Finding.note("law-without-discrepancy")
-    return refit(fit, NoiseKind.WHITE), None, [note]
+    return refit(fit, WHITE), None, [note]
 
 
 def _require_alike(throw: PlannedThrow, together: bool, check: Throw | None) -> None:

@@ -105,7 +105,7 @@ def document(fit: FitResult) -> Document:
         Section("outliers", "Outliers", (outliers(fit),), brief=False),
     )
     loss = LOSSES[fit.loss].suffix
-    noise = fit.noise.kind.suffix
+    noise = fit.noise.suffix
     file = fit.data["file"]
     numbers = lines_of(fit)
     quantities = quantities_line(fit)
@@ -332,7 +332,7 @@ def _quality(fit: FitResult) -> PlainTable:
         }
         if not fit.noise.is_white:
             whitened = fit.independence.get(channel)
-            row["noise model"] = _memory(fit, channel)
+            row["noise model"] = fit.noise.words(channel)
             row["lag-1 after whitening"] = f"{whitened.lag1:.2f}" if whitened else ""
         rows.append(row)
     return PlainTable(rows, "Residuals by channel")
@@ -346,15 +346,6 @@ def _sigma(fit: FitResult, channel: str) -> str:
     by_row = fit.observed.get(f"sigma_{channel}")
     largest = "" if by_row is None else f" to {by_row.max():.3g}"
     return f"{fit.sigma[channel]:.3g}{largest} {UNITS[channel]}"
-
-
-def _memory(fit: FitResult, channel: str) -> str:
-    """The correlation of a channel's noise, in a few words."""
-    parts = ["discrepancy"] if fit.noise.sizes else []
-    if memory := fit.noise.memory.get(channel):
-        share = fit.noise.white_share(channel)
-        parts.append(f"correlation time {memory:.2g} s, {share:.0%} independent")
-    return ", ".join(parts) or "independent"
 
 
 def _events(fit: FitResult) -> PlainTable:

@@ -20,7 +20,6 @@ from typing import (
     Annotated,
     Any,
     ClassVar,
-    Literal,
     Self,
     TypeVar,
     get_type_hints,
@@ -29,7 +28,9 @@ from typing import (
 from cyclopts import Group, Parameter
 
 from curlfit.errors import InputError
-from curlfit.losses import LOSSES
+from curlfit.loads import Load
+from curlfit.losses import LOSSES, Loss
+from curlfit.noises import NOISES, Noise
 from curlfit.settings.forms import (
     HEADINGS,
     LIMITS,
@@ -45,10 +46,11 @@ from curlfit.settings.forms import (
     Form,
     OneOf,
     Several,
+    file_named,
+    in_home,
     option,
     whole,
 )
-from curlfit.settings.noise_kinds import NoiseKind
 from curlfit.stone import Stone
 
 READING = Group("How to read DATA", sort_key=1)
@@ -70,16 +72,29 @@ else:
 COUNT = whole(1)
 LINES = Several(COUNT, "a list of line numbers", "line numbers with commas between")
 FILE = Form(
-    "a name of a file", lambda file: TEXT.checked("", fspath(file)), written="a word"
+    "a name of a file",
+    lambda file: in_home(TEXT.checked("", fspath(file))),
+    file_named,
+    "a word",
 )
-LOAD = OneOf("load", ("uniform", "consistent"))
-LOSS = OneOf("loss", tuple(LOSSES))
-NOISE = OneOf("noise", tuple(NoiseKind), **{"ar1+discrepancy": NoiseKind.DISCREPANCY})
-NOISES = Several(NOISE, "noise models", "noise models with commas between", text=True)
-LOADS = OneOf("load", (*LOAD.names, "both"))
+LOAD = OneOf("load", {load.value: load for load in Load})
+LOADS = OneOf("load", {load.value: (load,) for load in Load} | {"both": tuple(Load)})
+LOSS = OneOf("loss", LOSSES)
+NOISE = OneOf(
+    "noise",
+    NOISES,
+    **{
+        further: noise.kind
+        for noise in NOISES.values()
+        for further in noise.further_names
+    },
+)
+SEVERAL_NOISES = Several(
+    NOISE, "noise models", "noise models with commas between", text=True
+)
 LAW = Form(
     "the name or the class of a law",
-    lambda law: law,
+    lambda law: in_home(law) if isinstance(law, str) else law,
     written="a name, or FILE.py:CLASS",
     words=lambda law: getattr(law, "name", law),
 )
@@ -126,6 +141,11 @@ def _losses_in_words() -> str:
     return ", ".join(words)
 
 
+def _noises_in_words() -> str:
+    """The names of noises, and what is said about them."""
+    return "; ".join(f"`{name}` {noise.about}" for name, noise in NOISES.items())
+
+
 def given(value: Any) -> bool:
     """Whether a value gives a choice."""
     return not (
@@ -148,6 +168,7 @@ class Choices:
         for name, text in re.findall(r"^(\w+) : (.+(?:\n +.+)*)", entries, re.M):
             if hasattr(hints.get(name), "__metadata__") and name in own:
                 text = text.replace("{losses}", _losses_in_words())
+                text = text.replace("{noises}", _noises_in_words())
                 flag: Parameter = hints[name].__metadata__[0]
                 called = FLAGS.get(name) or flag.name or None
                 helpful = Parameter(help=" ".join(text.split()), name=called)
@@ -201,7 +222,9 @@ class Choices:
             raise TypeError(
                 f"unexpected keyword argument {name!r}; there are {', '.join(forms)}"
             )
-        found: dict[str, Any] = dict(cls.usual)
+        found: dict[str, Any] = {
+            name: forms[name].checked(name, value) for name, value in cls.usual.items()
+        }
         for layer in (*layers, keywords):
             for name in forms.keys() & layer.keys():
                 if given(layer[name]):
@@ -245,8 +268,9 @@ class Reading(Choices):
     Attributes
     ----------
     format : `table`, `timings` (stopwatch), `digitalcurling` (log of DigitalCurling 3),
-        or an export of another program: `tracker`, `trackmate`, `deeplabcut`,
-        `vernier`, `optitrack`, `vicon`, `qualisys`. [default: detected from the file]
+        `curling-stone-tracker` (stones of a video), or an export of another program:
+        `tracker`, `trackmate`, `deeplabcut`, `vernier`, `optitrack`, `vicon`,
+        `qualisys`. [default: detected from the file]
     axes : The file's axes, words separated by commas: `x-along`, `x-back`, `x-right`,
         `x-left` and the same for y say where an axis points, seen along the throw;
         `from-hack`, `from-back`, `from-tee`, `from-hog`, `from-centre`, `from-far-hog`,
@@ -259,8 +283,9 @@ class Reading(Choices):
         (pixels), x,y (m).
     worksheet : Worksheet of a workbook (.xlsx, .ods), by its name. [default: the
         first with data]
-    stone_index : Object that a tracking program exports, stone of a shot or throw of a
-        table, from 1. [default: the first object; the stone thrown; with `batch`, each]
+    stone_index : Object that a tracking program exports, stone of a shot or of a video,
+        or throw of a table, from 1. [default: the first object; the stone thrown; with
+        `batch`, each]
     shot : Shot of a log with several, from 1. [with `batch`: each]
     handle : Object that a tracking program exports, from 1, that marks the handle or
         any other point of the same stone: its direction from the stone is the angle.
@@ -355,7 +380,7 @@ class Estimation(Rows):
     sigma: Annotated[Named, option(VALUES, metavar="NAME=V")] = field(
         default_factory=dict
     )
-    loss: Annotated[str, option(LOSS, metavar="NAME")] = UNSET
+    loss: Annotated[Loss, option(LOSS, metavar="NAME")] = UNSET
     stone: Annotated[Named, option(VALUES, metavar="R=V,rho=V")] = field(
         default_factory=dict
     )
@@ -378,12 +403,11 @@ class Estimation(Rows):
         """Raise `InputError` for no stone, and for a robust loss with
         correlated noise."""
         Stone().with_values(dict(self.stone))
-        noise = getattr(self, "noise", ())
-        kinds = [noise] if isinstance(noise, str) else list(noise)
-        for kind in kinds:
-            if not NoiseKind(kind).is_white and LOSSES[self.loss].is_robust:
+        chosen = getattr(self, "noise", ())
+        for noise in [chosen] if isinstance(chosen, Noise) else chosen:
+            if not noise.is_white and self.loss.is_robust:
                 raise InputError(
-                    f"noise {kind} and loss {self.loss} cannot be combined: "
+                    f"noise {noise.kind} and loss {self.loss.name} cannot be combined: "
                     "a robust loss takes each value by itself"
                 )
 
@@ -402,8 +426,8 @@ class Comparing(Estimation):
     """
 
     laws: Annotated[Sequence[Any], option(LAWS, metavar="A,B,...")] = ()
-    load: Annotated[str, option(LOADS, metavar="NAME")] = UNSET
-    noise: Annotated[Sequence[str], option(NOISES, metavar="A,B,...")] = ()
+    load: Annotated[Sequence[Load], option(LOADS, metavar="NAME")] = UNSET
+    noise: Annotated[Sequence[Noise], option(SEVERAL_NOISES, metavar="A,B,...")] = ()
 
     usual: ClassVar = {**Estimation.usual, "load": "uniform", "noise": ("white",)}
 
@@ -419,17 +443,13 @@ class Modelling(Estimation):
         [default: front-back; for stopwatch times what they determine]
     load : Distribution of the load on the ring: `uniform`, or `consistent` with the
         friction (eq. 8-9). [default: uniform]
-    noise : Correlation of the noise from row to row: `white` has none; `ar1` has
-        independent and exponentially correlated noise, as from a filter or a swaying
-        camera; `discrepancy` also accelerations that an inexact law lacks, as functions
-        of speed. Estimated from the residuals. [default: white]
+    noise : Correlation of the noise from row to row: {noises}. Estimated from the
+        residuals. [default: white]
     """
 
     law: Annotated[Any, option(LAW, metavar="NAME")] = None
-    load: Annotated[Literal["uniform", "consistent"], option(LOAD, metavar="NAME")] = (
-        UNSET
-    )
-    noise: Annotated[str, option(NOISE, metavar="white|ar1|discrepancy")] = UNSET
+    load: Annotated[Load, option(LOAD, metavar="NAME")] = UNSET
+    noise: Annotated[Noise, option(NOISE, metavar="|".join(NOISES))] = UNSET
 
     usual: ClassVar = {
         **Estimation.usual,

@@ -4,7 +4,9 @@ settings, in Python."""
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
@@ -137,7 +139,7 @@ class Several(Form):
             value = [one.strip() if isinstance(one, str) else one for one in each]
         if isinstance(value, str | Mapping) or not hasattr(value, "__iter__"):
             raise InputError(f"{name} = {quoted(value)}; expected {self.expected}")
-        return tuple(dict.fromkeys(self.value.checked(name, one) for one in value))
+        return _distinct([self.value.checked(name, one) for one in value])
 
     def __call__(self, _: Any, tokens: Sequence[Any]) -> tuple[Any, ...]:
         """All words together."""
@@ -151,6 +153,17 @@ class Several(Form):
     def words(self, value: Sequence[Any]) -> list[str]:
         """One word for each value."""
         return [word for one in value for word in self.value.words(one)]
+
+
+def _distinct(values: Sequence[Any]) -> tuple[Any, ...]:
+    """Values in their order, each once."""
+    with suppress(TypeError):
+        return tuple(dict.fromkeys(values))
+    distinct: list[Any] = []  # of noises, which have no hash and are few
+    for value in values:
+        if value not in distinct:
+            distinct.append(value)
+    return tuple(distinct)
 
 
 class Interval(Form):
@@ -216,21 +229,29 @@ def whole(low: int, high: int = 10**9) -> Form:
 
 
 class OneOf(Form):
-    """One of some names; `others` are further names of these."""
+    """One of some values, by its name or as it is; `others` are further names, each
+    with the name whose value it stands for."""
 
-    def __init__(self, what: str, names: Sequence[str], **others: str) -> None:
+    def __init__(self, what: str, values: Mapping[str, Any], **others: str) -> None:
+        names = tuple(values)
         expected = (
             " or ".join(names) if len(names) < 3 else f"one of {', '.join(names)}"
         )
 
-        def check(value: Any) -> str:
-            text = others.get(TEXT.check(value), value)
-            if text not in names:
-                raise InputError(f"unknown {what} {quoted(text)}; expected {expected}")
-            return str(text)
+        def check(value: Any) -> Any:
+            if not isinstance(value, str) and value in values.values():
+                return value
+            name = others.get(TEXT.check(value), value)
+            if name not in values:
+                raise InputError(f"unknown {what} {quoted(name)}; expected {expected}")
+            return values[name]
 
-        super().__init__(expected, check)
-        self.names = tuple(names)
+        super().__init__(expected, check, words=self._name_of)
+        self.values = values
+
+    def _name_of(self, value: Any) -> str:
+        """The name of a value."""
+        return next(name for name, known in self.values.items() if known == value)
 
 
 TEXT = Form("a quoted string", _of_type(str), written="a word")
@@ -254,13 +275,25 @@ def numbers(count: int, written: str) -> Form:
     )
 
 
-def _path_of(word: str) -> Path:
-    """The path that a word names. No shell replaces the `~` of `--out=~/x`."""
-    return Path(word).expanduser() if word[:2] in ("~", "~/") else Path(word)
+def in_home(name: str) -> str:
+    """The name of a file, with the home in place of `~`: no shell replaces that of
+    `--out=~/x`, or of a file of settings."""
+    return os.path.expanduser(name) if name[:2] in ("~", f"~{os.sep}") else name
+
+
+def file_named(word: str) -> str:
+    """The file or folder that a word after an option names. Raises `InputError` for
+    standard input."""
+    if word == "-":
+        raise InputError("expected a name; only data are read from standard input")
+    return in_home(word)
 
 
 PATH = Form(
-    "a name of a file or folder", lambda one: Path(one), _path_of, "a file or folder"
+    "a name of a file or folder",
+    lambda name: Path(name),
+    lambda word: Path(file_named(word)),
+    "a file or folder",
 )
 NUMBER = Form(f"a number, {SIZES}", _finite, float)
 TIME = Form("a time in s", _finite, float)

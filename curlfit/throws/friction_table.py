@@ -40,7 +40,7 @@ class FrictionTable:
     speed : m/s, of the centre of the stone. mu : braking force over the weight.
     omega : spin, rad/s; 0 where the table has none. sigma : standard errors of
         mu, if given.
-    note : on what of the file was read, if it has more.
+    notes : on how the file was read.
 
     Examples
     --------
@@ -53,7 +53,7 @@ class FrictionTable:
     mu: Floats
     omega: Floats
     sigma: Floats | None = None
-    note: Finding | None = None
+    notes: tuple[Finding, ...] = ()
 
 
 def _meaning(heading: str) -> Column | None:
@@ -97,6 +97,7 @@ def load_friction_table(
     file: str | PathLike[str],
     worksheet: str | None = None,
     columns: Mapping[str, str] | None = None,
+    units: str | None = None,
 ) -> FrictionTable:
     """Read a table with the columns speed and mu, and if possible sigma_mu and omega.
 
@@ -105,6 +106,7 @@ def load_friction_table(
     worksheet : of a workbook, by its name; the first one with data by default.
     columns : headings of columns that are not understood by their names, by what they
         hold: speed, mu, sigma, omega.
+    units : in place of those of the headings, such as "speed=km/h".
 
     Raises
     ------
@@ -120,21 +122,27 @@ def load_friction_table(
     path = Path(file)
     text = TextFile.read(path, worksheet)
     table, values, places = read_quantities(
-        text, _meaning, _REQUIRED, _EXPECTED, columns
+        text, _meaning, _REQUIRED, _EXPECTED, columns, units
     )
-    lines = table.rows
+    notes = [*([] if text.note is None else [text.note]), *table.findings]
+    measured = np.all([np.isfinite(column) for column in values.values()], axis=0)
+    if not measured.all():
+        gaps = int((~measured).sum())
+        notes.append(Finding.note("rows-without-friction", count=gaps))
+    lines = np.array(table.rows)[measured] + 1
+    values = {name: column[measured] for name, column in values.items()}
     limits = {"speed": (0.0, 10.0), "mu": (0.0, _MOST), "sigma": (0.0, _MOST)}
     for name, (low, high) in limits.items():
-        if (
-            name in values
-            and (wrong := ~((values[name] > low) & (values[name] <= high))).any()
-        ):
+        if name not in values:
+            continue
+        wrong = ~((values[name] > low) & (values[name] <= high))
+        if wrong.any():
             row = int(np.argmax(wrong))
             raise DataError(
                 f"{values[name][row]:g} found, expected a number above "
                 f"{low:g}, up to {high:g}",
                 file=path,
-                line=lines[row] + 1,
+                line=int(lines[row]),
                 column=table.headings[places[name]],
             )
     if len(values["mu"]) < _LEAST_ROWS:
@@ -146,5 +154,5 @@ def load_friction_table(
         values["mu"],
         values.get("omega", np.zeros(len(values["mu"]))),
         values.get("sigma"),
-        text.note,
+        tuple(notes),
     )

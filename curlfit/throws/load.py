@@ -20,6 +20,7 @@ from curlfit.throws.odd_row import OddRow
 from curlfit.throws.readers.assemble import assemble
 from curlfit.throws.readers.axes import parse_axes
 from curlfit.throws.readers.columns import parse_units
+from curlfit.throws.readers.curling_stone_tracker import CURLING_STONE_TRACKER
 from curlfit.throws.readers.deeplabcut import DEEPLABCUT
 from curlfit.throws.readers.digitalcurling import DIGITALCURLING
 from curlfit.throws.readers.known_points import load_homography
@@ -40,6 +41,7 @@ from curlfit.throws.readers.vicon import VICON
 from curlfit.throws.throw import Throw, counts_from_hack
 
 _READERS = (
+    CURLING_STONE_TRACKER,
     DEEPLABCUT,
     DIGITALCURLING,
     OPTITRACK,
@@ -152,9 +154,9 @@ def load_throws(*files: str | PathLike[str], **choices: Any) -> list[Throw]:
 def parts_of(
     file: str | PathLike[str], reading: Reading, *, jointly: bool = False
 ) -> list[Part]:
-    """Every throw in a file: shots of a log, objects of a tracking program, throws of a
-    table; `shot` or `stone_index` selects a single one. For a joint fit every one of a
-    table alone.
+    """Every throw in a file: shots of a log, objects of a tracking program, stones of a
+    video, throws of a table; `shot` or `stone_index` selects a single one. For a joint
+    fit every one of a table alone.
 
     Raises
     ------
@@ -199,6 +201,15 @@ def parts_of(
             )
         )
     return parts
+
+
+def rows_of_table(file: str | PathLike[str], reading: Reading) -> list[Part]:
+    """The throws in the rows of a stopwatch table, of which none is selected; none of
+    another file. Raises as `parts_of`."""
+    if reading.shot is not None or format_of(file, reading) != TIMINGS.name:
+        return []
+    parts = parts_of(file, reading)
+    return parts if len(parts) > 1 else []
 
 
 def throw_of(parsed: ParsedFile, reading: Reading) -> Throw:
@@ -275,7 +286,7 @@ def usual_law(file: str | PathLike[str], reading: Reading) -> str:
     values determine."""
     if format_of(file, reading) == TIMINGS.name:
         with suppress(DataError):  # reported where the file is read
-            return law_of_timings(_text_if_any(file, reading), reading.columns)
+            return law_of_timings(_text_if_any(file, reading), reading)
     return "front-back"
 
 

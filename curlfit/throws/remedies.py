@@ -23,7 +23,7 @@ USUAL_CURL = 4.0
 """m; ordinary throws curl 0.5 to 2 m."""
 _READ = ("60/30fps", "120/30fps", "240/30fps", "30/60fps")  # filmed and read
 _UNITS = {
-    "t": ("s", "ms", "us", "min", "30fps", *_READ),
+    "t": ("s", "ms", "us", "ns", "min", "h", "days", "30fps", *_READ),
     "phi": ("rad", "deg", "mrad"),
     "omega": ("rad/s", "deg/s", "rpm"),
     "speed": ("m/s", "km/h", "ft/s", "mph", "cm/s", "mm/s"),
@@ -32,7 +32,9 @@ _UNITS = {
 _NAMES = {
     "ms": "milliseconds",
     "us": "microseconds",
+    "ns": "nanoseconds",
     "min": "minutes",
+    "h": "hours",
     "cm": "centimetres",
     "mm": "millimetres",
     "ft": "feet",

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Console
 from rich.text import Text
 
+from curlfit.errors import CurlfitError
 from curlfit.foreign import counted
 from curlfit.output.console import PlainTable
 from curlfit.settings.choices import Reading
+from curlfit.sheet import LINES
 from curlfit.throws.motion import MIN_POSITIONS, final_speed, first_row_at_rest, path_of
 from curlfit.throws.odd_row import odd_rows_in_words
 from curlfit.throws.throw import CHANNELS, UNITS, scatter
@@ -20,10 +23,14 @@ from curlfit.wording import compact
 if TYPE_CHECKING:
     from curlfit.findings import Finding
     from curlfit.numerics.arrays import Floats
+    from curlfit.throws.events import Event
+    from curlfit.throws.load import Part
     from curlfit.throws.readers.parsed_file import ParsedFile
     from curlfit.throws.throw import Throw
 
 
+_MOST_SHOWN = 100
+"""Rows of a table that are printed."""
 _PAUSE = 2.5  # a longer interval is a pause; in median intervals
 
 
@@ -60,6 +67,55 @@ def print_inspection(
         write("\nNotes")
         for note in throw.notes:
             write(f"- {note}")
+
+
+def print_rows(parts: Sequence[Part], file: Path, console: Console) -> None:
+    """Print the throws in the rows of a stopwatch table, which of them a joint fit
+    leaves out, and the reader's notes.
+
+    Parameters
+    ----------
+    parts : those that can be read.
+    """
+    throws = [part.throw for part in parts if not isinstance(part.throw, CurlfitError)]
+    odd_rows = throws[0].odd_rows if throws else ()
+    console.print(f"{file}: timings, {counted(len(parts), 'throw')} in rows")
+    for sentence in odd_rows_in_words(odd_rows):
+        console.print(sentence, style="yellow", markup=False)
+    rows = []
+    for part, throw in zip(parts, throws, strict=True):
+        values = {f">{_heading(event)}": _in_table(event) for event in throw.events}
+        used = "left out" if part.left_out else ""
+        row = {">row": str(part.shot), **throw.labels, **values, "": used}
+        rows.append({heading: Text(cell) for heading, cell in row.items()})
+    headings = {heading: Text("") for row in rows for heading in row}
+    shown = [headings | row for row in rows[:_MOST_SHOWN]]
+    console.print(PlainTable(shown))
+    if len(rows) > _MOST_SHOWN:
+        console.print(f"... and {len(rows) - _MOST_SHOWN} more")
+    notes = dict.fromkeys(
+        note
+        for throw in throws
+        for note in throw.notes
+        if note.code not in ("odd-value", "impossible-value")  # said above
+    )
+    if notes:
+        console.print("\nNotes")
+        for note in notes:
+            console.print(f"- {note}")
+
+
+def _heading(event: Event) -> str:
+    """The name and unit of a measurement, as of a table that a person keeps."""
+    if event.name == "rest":
+        return "rest (m past the tee)"
+    return f"{event.name.replace('_', ' ')} ({event.unit})"
+
+
+def _in_table(event: Event) -> str:
+    """The value of a measurement under its heading."""
+    beyond = LINES["far-tee"] if event.name == "rest" else 0.0
+    return f"{event.value - beyond:.4g}"
 
 
 def print_findings(findings: Sequence[Finding], console: Console) -> None:

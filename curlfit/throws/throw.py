@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from curlfit.errors import DataError, InputError, require_kind
 from curlfit.findings import Finding
 from curlfit.foreign import counted, quoted
-from curlfit.numerics.arrays import Booleans, Floats, floats
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.output.console import PlainTable
 from curlfit.output.display import Displayed
 from curlfit.output.document import Document, Section
@@ -23,6 +23,7 @@ from curlfit.settings.choices import Reading, takes
 from curlfit.throws.channels import CHANNELS, UNITS, condensed, last_motion, scatter
 from curlfit.throws.events import Event, lines_of, sketch
 from curlfit.throws.odd_row import OddRow
+from curlfit.throws.readers.sequences import Fault, numbers, one_or_many, times
 from curlfit.throws.reference import Conventions, Reference, StoneValues
 
 __all__ = [
@@ -143,20 +144,24 @@ class Throw(Displayed):
     odd_rows: tuple[OddRow, ...] = ()
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "t", times(self.t, _fault_of("t")))
         n = len(self.t)
-        for name in ("t", *CHANNELS):
-            values = floats(getattr(self, name))
+        self._require(np.isfinite(self.t), "t", "expected a finite number")
+        for name in CHANNELS:
+            values = numbers(getattr(self, name), _fault_of(name))
             if name in ("speed", "omega") and not len(values):
                 values = np.full(n, np.nan)
             object.__setattr__(self, name, values)
-            if values.shape != (n,):
-                raise self._error(f"{name} has shape {values.shape}, t has {(n,)}")
-            if name == "t":
-                self._require(np.isfinite(values), name, "expected a finite number")
-            else:
-                sound = ~np.isinf(values)
-                self._require(sound, name, "expected a finite number, or NaN")
+            self._require_rows(name, values)
+            sound = ~np.isinf(values)
+            self._require(sound, name, "expected a finite number, or NaN")
         for name, values in self.sigma.items():
+            if name not in CHANNELS:
+                raise InputError(
+                    f"sigma: {quoted(name)} found, expected channels, which are "
+                    f"{', '.join(CHANNELS)}"
+                )
+            self._require_rows(f"sigma_{name}", values)
             sound = (np.isfinite(values) & (values > 0)) | np.isnan(getattr(self, name))
             self._require(
                 sound, f"sigma_{name}", "expected a positive standard deviation"
@@ -167,6 +172,12 @@ class Throw(Displayed):
             raise self._error(
                 f"no value is given; expected some of {', '.join(CHANNELS)}"
             )
+
+    def _require_rows(self, name: str, values: Floats) -> None:
+        """Raise `DataError` for an array that has not one value of each row."""
+        n = len(self.t)
+        if np.shape(values) != (n,):
+            raise self._error(f"{name} has shape {np.shape(values)}, t has {(n,)}")
 
     def _require(self, sound: Booleans, column: str, expected: str) -> None:
         if not sound.all():
@@ -200,24 +211,35 @@ class Throw(Displayed):
     ) -> Throw:
         """A throw from arrays or lists; channels that were not measured are omitted.
 
-        Masked entries, None and the NA of pandas are gaps, as NaN is.
-        `sigma` values may be single numbers, in the units of their channels. `units`
-        and `axes` are as for `load_throw`; without them, values are in SI units and in
-        curlfit's axes, with angles unwrapped. `more` are other attributes, for
+        Times are numbers in s, durations, dates or clock times; of the latter two, the
+        first is 0. Masked entries, None and the NA and NaT of pandas are gaps, as NaN
+        is. `sigma` values may be single numbers, in the units of their channels.
+        `units` and `axes` are as for `load_throw`; without them, values are in SI units
+        and in curlfit's axes, with angles unwrapped. `more` are other attributes, for
         instance `name`.
+
+        Raises
+        ------
+        InputError : something else than numbers in one dimension, or arrays of unlike
+            lengths.
         """
         require_kind(
             sigma or {}, Mapping, "sigma", "a mapping by channel, such as {'x': 0.005}"
         )
-        t = floats(t)
+        if isinstance(t, Mapping) or hasattr(t, "columns"):
+            raise InputError(
+                f"t: {type(t).__name__} found, expected times; `Throw.from_frame` "
+                "reads a table"
+            )
+        seconds = times(t, _fault_of("t"))
         channels = {"x": x, "y": y, "phi": phi, "speed": speed, "omega": omega}
         arrays = {
-            name: floats(values)
+            name: numbers(values, _fault_of(name))
             for name, values in channels.items()
             if values is not None
         }
         given = {
-            name: np.broadcast_to(floats(values), t.shape)
+            name: one_or_many(values, len(seconds), _fault_of(f"sigma of {name}"))
             for name, values in (sigma or {}).items()
         }
         if units or axes:
@@ -230,8 +252,8 @@ class Throw(Displayed):
                 columns, more.get("name", "table"), units=units, axes=axes
             )
             return replace(made, **more)
-        blank: Any = {name: np.full_like(t, np.nan) for name in CHANNELS}
-        return cls(t=t, **blank | arrays, sigma=given, **more)
+        blank: Any = {name: np.full_like(seconds, np.nan) for name in CHANNELS}
+        return cls(t=seconds, **blank | arrays, sigma=given, **more)
 
     @classmethod
     def from_events(
@@ -267,13 +289,13 @@ class Throw(Displayed):
     @classmethod
     @takes(Reading, "format", "worksheet", "shot", "handle", "keep", "throws")
     def from_frame(cls, table: Any, name: str = "table", **choices: Any) -> Throw:
-        """A throw from a pandas or polars DataFrame, an xarray Dataset or a
-        mapping of arrays.
+        """A throw from a pandas or polars DataFrame, a PyArrow Table, an xarray
+        Dataset, a NumPy array with named fields or a mapping of arrays.
 
         Columns are named as in files (`t`, `y_ft`, `angle_deg` ...), with units in the
         names; the `attrs["units"]` of a variable take precedence. An index that is
         named `time` or has dates, or the coordinate of a dataset, is taken as `t` where
-        no column is. Times may be dates or durations.
+        no column is. Times and gaps may be as of `from_arrays`.
 
         Parameters
         ----------
@@ -462,6 +484,11 @@ class Throw(Displayed):
             for one in self.events
         )
         return replace(self, sigma={**self.sigma, **filled}, events=events)
+
+
+def _fault_of(name: str) -> Fault:
+    """What makes the error of an argument."""
+    return lambda said: InputError(f"{name}: {said}")
 
 
 _CONTENT = ("t", *CHANNELS, "sigma", "reference", "defaults")  # compared for equality

@@ -32,7 +32,7 @@ from curlfit.numerics.batches import stacked
 from curlfit.throws.synthetic import law_with, synthetic_throw, write_table
 
 STONE = Stone(R=0.054)
-RING = family_of(law for law, _ in laws_under(None, "uniform"))
+RING = family_of(law for law, _ in laws_under(None))
 
 
 @pytest.fixture(scope="module")

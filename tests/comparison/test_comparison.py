@@ -31,11 +31,7 @@ ISOTROPIC = {
     "debris",
 }
 RIVALS = ["front-back", "coulomb"]
-MANY = [
-    law
-    for law, _ in laws_under(None, "uniform")
-    if law.name not in ("denny-1998", "fcv1")
-]
+MANY = [law for law, _ in laws_under(None) if law.name not in ("denny-1998", "fcv1")]
 """One law without a ring stands for three, each of which takes programs of its own."""
 
 

@@ -164,7 +164,7 @@ def test_a_prior_counts_as_a_row_that_is_never_left_out():
 
 @pytest.fixture(scope="module")
 def of_ring(throw):
-    every = laws_under(None, "uniform")
+    every = laws_under(None)
     return curlfit.compare(
         throw, [law for law, _ in every if issubclass(law, LocalLaw)]
     )

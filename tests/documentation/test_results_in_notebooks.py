@@ -30,12 +30,11 @@ from curlfit.inference.mcmc.arviz_export import (
     log_likelihoods,
     whitening_matrix,
 )
-from curlfit.inference.noise.models import Noise
 from curlfit.inference.noise.whitening import Whitener
 from curlfit.inference.problem import LEVEL_AND_STILL, Problem
 from curlfit.losses import LOSSES
+from curlfit.noises import Ar1
 from curlfit.output import html
-from curlfit.settings.noise_kinds import NoiseKind
 from curlfit.stone import Stone
 
 pytestmark = pytest.mark.documentation
@@ -508,7 +507,7 @@ def test_correlated_noise_is_that_of_the_covariance():
     weight = np.zeros((3, 8))
     weight[0, :6] = 10.0
     times = np.append(t, [1.0, 1.0])
-    noise = Noise(NoiseKind.AR1, memory={"x": memory})
+    noise = Ar1(memory={"x": memory}, white={"x": 0.0})
     whitener = Whitener.of(noise, times, weight, 0)
     problem = Problem(
         times, weight * 0, weight, Stone(), LEVEL_AND_STILL, whitener=whitener

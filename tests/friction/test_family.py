@@ -18,7 +18,7 @@ from curlfit.inference.model import Model
 from curlfit.numerics.batches import stacked
 
 STONE = Stone(R=0.065, rho=0.1, h=0.057)
-FAMILY = family_of([law for law, _ in laws_under(None, "uniform")])
+FAMILY = family_of([law for law, _ in laws_under(None)])
 TIMES = np.linspace(0, 25, 61)  # as many as in test_laws.py
 
 
@@ -45,7 +45,7 @@ _slopes = jax.jit(
 
 def test_all_laws_of_the_ring_are_in_one():
     assert set(FAMILY.members) == {
-        law for law, _ in laws_under(None, "uniform") if issubclass(law, LocalLaw)
+        law for law, _ in laws_under(None) if issubclass(law, LocalLaw)
     }
 
 

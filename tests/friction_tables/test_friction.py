@@ -114,8 +114,8 @@ def test_units_and_a_column_of_spin(write):
     ("rows", "said"),
     [
         (
-            "1,0.01\n2,x\n3,0.02\n",
-            "line 3, column mu: 'x' found, expected a finite number",
+            "1,0.01\n2,low\n3,0.02\n",
+            "line 3, column mu: 'low' found, expected a finite number",
         ),
         (
             "1,0.01\n2,2\n3,0.02\n",
@@ -123,7 +123,7 @@ def test_units_and_a_column_of_spin(write):
         ),
         ("-1,0.01\n2,0.01\n3,0.02\n", "line 2, column speed: -1 found"),
         ("1,0.01\n2,0.01\n", "2 rows, expected at least 3"),
-        ("1,0.01\n2,\n3,0.02\n", "line 3, column mu: nan found"),
+        ("1,0.01\n2,\n3,x\n4,0.01\n", "2 rows, expected at least 3"),
     ],
 )
 def test_what_is_refused(rows, said, write):
@@ -174,7 +174,7 @@ def test_a_worksheet_of_a_workbook_is_chosen_by_its_name(tmp_path):
     assert curlfit.load_friction_table(file).mu.tolist() == [0.01] * 3
     warm = curlfit.load_friction_table(file, "warm")
     assert warm.mu.tolist() == [0.02] * 3
-    assert str(warm.note) == (
+    assert str(warm.notes[0]) == (
         "2 worksheets: evening, warm; taken: warm; `--worksheet NAME` selects another"
     )
     assert is_friction_table(file, "warm")

@@ -6,17 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import DATA, NOISE as SIGMA, codes_of, filmed, finding_of
+from conftest import DATA, NOISE as SIGMA, codes_of, filmed, finding_of, shown
 from scipy.linalg import block_diag, toeplitz
 
 import curlfit
 from curlfit.errors import Option
 from curlfit.inference.noise.accelerations import SHAPES
+from curlfit.inference.noise.independence import Independence
 from curlfit.inference.noise.linearized import Linearized
-from curlfit.inference.noise.models import Independence, Noise
 from curlfit.inference.noise.restricted import _slope
-from curlfit.inference.noise.whitening import Whitener, whitened
-from curlfit.settings.noise_kinds import NoiseKind
+from curlfit.inference.noise.whitening import Whitener, filter_of, whitened
+from curlfit.noises import NOISES, Ar1
+from curlfit.settings.choices import Comparing, Modelling
 
 TRUE = {"mu1_xi": 0.005, "mu2_xi": 0.05, "mu1_eta": 0.009, "mu2_eta": 0.009}
 START = {"v0": 2.1, "omega0": 1.3}
@@ -63,9 +64,7 @@ def test_correlated_noise_is_made_independent_across_gaps():
     weight = np.ones((3, 60))
     weight[1, 20:35] = 0.0
     times = np.cumsum(np.random.default_rng(1).uniform(0.05, 0.3, 60))
-    noise = Noise(
-        NoiseKind.AR1, memory={"x": 0.4, "y": 1.5}, white={"x": 0.0, "y": 0.3}
-    )
+    noise = Ar1(memory={"x": 0.4, "y": 1.5}, white={"x": 0.0, "y": 0.3})
     whitener = Whitener.of(noise, times, weight, 0)
     for channel, memory, white in ((0, 0.4, 0.0), (1, 1.5, 0.3)):
         w = operator(whitener, 60, channel)
@@ -119,15 +118,83 @@ def test_the_restricted_likelihood_is_that_of_the_covariance():
 
     first = np.array([0.1, -0.2, 0.3, -2.0, -1.0, -1.0, -2.0, -3.0])
     second = np.array([0.3, 0.2, -1.0, 2.0, 0.5, -3.0, -1.5, -1.0])
-    found = [float(_slope(logs, data)[2]) for logs in (first, second)]
+    found = [float(_slope("discrepancy", logs, data)[2]) for logs in (first, second)]
     assert found[0] - found[1] == pytest.approx(
         expected(first) - expected(second), rel=1e-6
     )
-    _, slope, _ = _slope(first, data)
+    _, slope, _ = _slope("discrepancy", first, data)
     for index in range(8):
         step = 1e-5 * (np.arange(8) == index)
-        up, down = (float(_slope(first + by, data)[0]) for by in (step, -step))
+        up = float(_slope("discrepancy", first + step, data)[0])
+        down = float(_slope("discrepancy", first - step, data)[0])
         assert slope[index] == pytest.approx((up - down) / 2e-5, rel=1e-5, abs=1e-5)
+
+
+CORRELATED = [noise for noise in NOISES.values() if not noise.is_white]
+
+
+@pytest.mark.parametrize("noise", CORRELATED, ids=lambda noise: noise.kind)
+def test_every_filter_is_that_of_noise_of_variance_1(noise):
+    """Whatever the correlations C of the rows: with W C W^T = 1 and W from the filter,
+    C is (W^T W)^-1, with ones on its diagonal, and W has the determinant it says."""
+    unknowns = noise.search([True, True, False], gap=0.1, span=9.0)
+    for unknown in unknowns:
+        assert all(unknown.lower <= start <= unknown.upper for start in unknown.starts)
+    start = np.array([unknown.starts[0] for unknown in unknowns])
+    values = {name: np.asarray(of) for name, of in noise.values(start).items()}
+    assert values.keys() == noise.parameters.keys()
+    assert np.isfinite(noise.log_prior(start, 9.0))
+    by_name = {
+        name: dict(zip("xy", of.tolist(), strict=False)) for name, of in values.items()
+    }
+    estimated = replace(noise, **by_name)
+    assert set(estimated.correlated) == {"x", "y"}
+    assert estimated.words("x") != estimated.words("phi") == "independent"
+    assert 2 <= estimated.number_of_parameters <= 2 * len(noise.parameters)
+
+    random = np.random.default_rng(1)
+    times = np.cumsum(random.uniform(0.05, 0.3, 40))
+    seen = random.random((3, 40)) < 0.8
+    of_noise = filter_of(estimated, times, seen)
+    for channel in range(3):
+        rows = np.flatnonzero(seen[channel])
+        columns = np.zeros((3, 40, 40))
+        columns[channel] = np.eye(40)
+        whitening = np.asarray(of_noise.innovations(columns))[channel][rows][:, rows]
+        correlation = np.linalg.inv(whitening.T @ whitening)
+        np.testing.assert_allclose(np.diag(correlation), 1, rtol=1e-9)
+        if channel == 2:
+            np.testing.assert_allclose(correlation, np.eye(len(rows)), atol=1e-9)
+        else:
+            assert np.abs(np.diag(correlation, 1)).max() > 0.1
+        assert np.asarray(of_noise.log_determinant())[channel] == pytest.approx(
+            np.linalg.slogdet(whitening)[1], abs=1e-9
+        )
+
+
+@pytest.mark.parametrize("noise", CORRELATED, ids=lambda noise: noise.kind)
+def test_every_noise_is_fitted_said_and_saved(noise, tmp_path):
+    fit = curlfit.fit(thrown(3, 0.9), noise=noise.kind, details=False)
+    assert fit.converged
+    assert fit.noise.correlated
+    assert 0.3 < fit.sigma["y"] / SIGMA["y"] < 3
+    text = shown(fit, 200)
+    assert f"{noise.kind} noise" in text
+    assert fit.noise.words("x") in text
+    fit.save(tmp_path / "fit.json")
+    assert curlfit.load_fit(tmp_path / "fit.json").noise == fit.noise
+    assert curlfit.load_fit(tmp_path / "fit.json").noise.kind == noise.kind
+
+
+def test_every_noise_is_a_choice():
+    for name, noise in NOISES.items():
+        for given in (name, noise):
+            assert Modelling.of(noise=given).noise == noise
+            assert Comparing.of(noise=[given, given]).noise == (noise,)
+        assert Modelling.of(noise=name).words()[-1] == f"--noise={name}"
+    help_of_fit = Modelling.help("noise")
+    for name, noise in NOISES.items():
+        assert f"`{name}` {noise.about}" in help_of_fit
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from tables import Table, asked, correlated
 
 import curlfit
 from curlfit.inference.fit.fit import fit_throws
-from curlfit.inference.noise.models import NOISES
+from curlfit.noises import NOISES
 
 SWAY = np.array([0.01, 0.01, 0.015])  # m, m, rad
 JITTER = np.array([0.001, 0.004, 0.005])

@@ -60,7 +60,7 @@ def main() -> None:
         case = Case("", TRUE, TRUE, memory)
         throws = [thrown(case, random)[0] for _ in range(number)]
         fits = {}
-        every = laws_under(None, "uniform")
+        every = laws_under(None)
         for noise in NOISES:
             by_law = [fit_throws(throws, law, noise=noise) for law, _ in every]
             fits[noise] = list(zip(*by_law, strict=True))

@@ -21,7 +21,7 @@ from tables import LEVELS, Table, share
 import curlfit
 from curlfit.friction.registry import laws_under
 
-LAWS = [law.name for law, _ in laws_under(None, "uniform")]
+LAWS = [law.name for law, _ in laws_under(None)]
 SPINS = (0.7, -0.7, 1.8, -1.8)
 SEED = 3
 

@@ -31,7 +31,7 @@ from curlfit import DataError, InputError, Throw, load_throw
 from curlfit.errors import Option
 from curlfit.sheet import LINES
 from curlfit.throws.load import detect_format
-from curlfit.throws.readers import digitalcurling
+from curlfit.throws.readers import json_values
 from curlfit.throws.readers.unwrapping import AmbiguousTurnError, unwrap
 
 
@@ -44,6 +44,7 @@ from curlfit.throws.readers.unwrapping import AmbiguousTurnError, unwrap
         ("two", "tracker"),
         ("shot", "digitalcurling"),
         ("log", "digitalcurling"),
+        ("video", "curling-stone-tracker"),
         ("timings", "timings"),
         ("clocks", "table"),
         ("pixels", "table"),
@@ -242,9 +243,9 @@ def test_a_shot_that_cannot_be_read(write, change, words):
 
 
 def test_a_log_that_would_take_too_much_memory_is_refused_unread(write, monkeypatch):
-    monkeypatch.setattr(digitalcurling, "_MOST_PARTS", 1000)
+    monkeypatch.setattr(json_values, "_MOST_PARTS", 1000)
     text = json.dumps({"trajectory": [{}] * 1000})
-    monkeypatch.setattr(digitalcurling.json, "loads", pytest.fail)
+    monkeypatch.setattr(json_values.json, "loads", pytest.fail)
     with pytest.raises(DataError, match="line 1: more than 1,000 lists and objects"):
         load_throw(write(text))
 
@@ -269,7 +270,7 @@ def test_a_data_frame():
     frame["x"] = pd.array([None, *X[1:]], dtype="Float64")
     assert np.isnan(Throw.from_frame(frame).x).tolist() == [True, *[False] * (N - 1)]
     frame["x"] = "left"
-    with pytest.raises(DataError, match="table, column x: expected numbers"):
+    with pytest.raises(DataError, match="column x: row 0: str 'left' found, expected"):
         Throw.from_frame(frame)
 
 
@@ -301,7 +302,7 @@ def test_a_mapping_and_what_is_no_table():
     )
     with pytest.raises(InputError, match="expected a DataFrame"):
         Throw.from_frame(3)
-    with pytest.raises(DataError, match="different lengths"):
+    with pytest.raises(DataError, match="unlike lengths"):
         Throw.from_frame({"t": T, "x": X[:-1], "y": Y})
     with pytest.raises(
         InputError, match="--shot: table is a table file and holds no shots"

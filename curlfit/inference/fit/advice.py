@@ -29,10 +29,10 @@ from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import WEAK_ERROR, Identifiability, analyse
 from curlfit.inference.least_squares import Indices
 from curlfit.inference.likelihood import predict_channels
-from curlfit.inference.noise.models import is_rough
+from curlfit.inference.noise.independence import is_rough
+from curlfit.noises import NOISES, Noise
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.differences import slopes
-from curlfit.settings.noise_kinds import NoiseKind
 from curlfit.throws.motion import SURE, motion_of
 from curlfit.throws.throw import CHANNELS
 
@@ -99,7 +99,7 @@ _FARTHER = 2.0
 
 
 def with_noise_advice(
-    result: FitResult, refit: Callable[[FitResult, NoiseKind], FitResult]
+    result: FitResult, refit: Callable[[FitResult, Noise], FitResult]
 ) -> FitResult:
     """A fit with independent noise whose warning about correlated residuals
     says what helps."""
@@ -114,7 +114,7 @@ def with_noise_advice(
 
 
 def _noise_remedy(
-    result: FitResult, refit: Callable[[FitResult, NoiseKind], FitResult]
+    result: FitResult, refit: Callable[[FitResult, Noise], FitResult]
 ) -> Remedy:
     """Which noise model describes correlated residuals, if any."""
     residuals = [
@@ -124,10 +124,12 @@ def _noise_remedy(
     ]
     if not any(is_rough(residual[np.isfinite(residual)]) for residual in residuals):
         return Remedy("no-noise-so-smooth")
-    for noise in (NoiseKind.AR1, NoiseKind.DISCREPANCY):
+    for noise in NOISES.values():
+        if noise.is_white:
+            continue
         correlated = refit(result, noise)
         if _describes(correlated, result):
-            option = Option("noise", noise.value)
+            option = Option("noise", noise.kind)
             factors = _error_factors(correlated, result)
             code = "noise-with-errors" if factors else "noise"
             return Remedy(code, option, {"factors": factors})

@@ -15,7 +15,7 @@ from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.prepared import LeastSquaresFit
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import SIGMA_FLOOR
-from curlfit.inference.noise.models import time_of_motion
+from curlfit.inference.noise.independence import time_of_motion
 from curlfit.inference.verdict import Verdict
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.throw import CHANNELS, Throw
@@ -117,7 +117,7 @@ def _of_correlation(result: FitResult) -> list[Finding]:
     if not channels:
         return []
     if not result.noise.is_white:
-        noise = result.noise.kind.value
+        noise = result.noise.kind
         return [Finding.warning("noise-not-described", lag1=channels, noise=noise)]
     return [Finding.warning("correlated", lag1=channels, effective=channels)]
 

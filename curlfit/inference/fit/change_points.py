@@ -31,7 +31,7 @@ from curlfit.findings import Finding, Remedy
 from curlfit.inference.fit.prepared import LeastSquaresFit
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.likelihood import predict_channels
-from curlfit.inference.noise.models import time_of_motion
+from curlfit.inference.noise.independence import time_of_motion
 from curlfit.numerics.arrays import Floats
 from curlfit.throws.throw import CHANNELS
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from curlfit.errors import CurlfitError, UnusableFitError
-from curlfit.friction import Law, Load, NetLaw, find_law, no_motion_because
+from curlfit.friction import Law, NetLaw, find_law, no_motion_because
 from curlfit.friction.family import LawFamily
 from curlfit.inference.derived import check_derived
 from curlfit.inference.fit.advice import remedies, with_curl_warning, with_noise_advice
@@ -42,10 +42,10 @@ from curlfit.inference.likelihood import prepare_channels
 from curlfit.inference.model import Model
 from curlfit.inference.problem import Origin, problem_shape
 from curlfit.losses import LOSSES, loss_at
+from curlfit.noises import Noise
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import BATCH, side_by_side, stacked, unstacked
 from curlfit.settings.choices import Fitting, takes
-from curlfit.settings.noise_kinds import NoiseKind
 from curlfit.throws.throw import Reference, Throw, require_throw
 
 _MOST_REST_SEARCHES = 20  # each moves the rest by up to eight rows
@@ -110,10 +110,8 @@ def _fit(
     family: type[LawFamily] | None,
 ) -> FitResult:
     conditions = prepared.parameters.conditions
-    model = Model(find_law(chosen.law), Load(chosen.load), conditions).within(family)
-    rounds = Rounds(
-        model, [prepared], loss=LOSSES[chosen.loss], noise=NoiseKind(chosen.noise)
-    )
+    model = Model(find_law(chosen.law), chosen.load, conditions).within(family)
+    rounds = Rounds(model, [prepared], loss=chosen.loss, noise=chosen.noise)
     outcome = _fitted_alone(rounds, chosen.start)
     result = summarize(outcome, widths_of(model, chosen.systematics, [prepared]))
     if not result.converged:
@@ -138,7 +136,7 @@ def _fit(
     return result
 
 
-def refit(fit: FitResult, noise: NoiseKind) -> FitResult:
+def refit(fit: FitResult, noise: Noise) -> FitResult:
     """Repeat a fit under another noise model, starting from its optimum."""
     throw = fit.throw
     rows = {name: fit.data[name] for name in ("since", "until", "exclude")}
@@ -414,7 +412,7 @@ def _reference_fits(
     for change in changes:
         prepared = outcome.prepared._replace(stone=result.stone.with_values(change))
         rounds = Rounds(
-            outcome.model, [prepared], loss=outcome.loss, noise=outcome.noise.kind
+            outcome.model, [prepared], loss=outcome.loss, noise=outcome.noise
         )
         fit = summarize(_fitted_alone(rounds, start))
         values = {name: estimate.value for name, estimate in fit.coefficients.items()}
@@ -490,9 +488,9 @@ def _fit_alike(
     """Fits of throws whose problems have one shape and the same parameters, `batch` of
     them side by side; the other arguments as in `fit_throws`."""
     conditions = throws[0].parameters.conditions
-    model = Model(find_law(chosen.law), Load(chosen.load), conditions)
-    loss = LOSSES[chosen.loss]
-    noise = NoiseKind(chosen.noise)
+    loss = chosen.loss
+    noise = chosen.noise
+    model = Model(find_law(chosen.law), chosen.load, conditions)
     rounds = Rounds(model, throws, loss=loss, noise=noise, batch=batch)
     outcomes = fitted(rounds, chosen.start)
     usable = [fit for fit in outcomes if isinstance(fit, LeastSquaresFit)]

@@ -16,14 +16,15 @@ from curlfit.inference.least_squares import Solution
 from curlfit.inference.likelihood import path_jacobians
 from curlfit.inference.model import Model
 from curlfit.inference.noise.accelerations import Responses
+from curlfit.inference.noise.independence import time_of_motion
 from curlfit.inference.noise.linearized import Linearized
-from curlfit.inference.noise.models import WHITE, Noise, time_of_motion
 from curlfit.inference.noise.whitening import Whitener
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty, penalty_of
 from curlfit.inference.problem import Origin, Problem, build_problem
 from curlfit.inference.verdict import Verdict
 from curlfit.losses import LOSSES, Loss
+from curlfit.noises import WHITE, Noise
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import stacked
 from curlfit.settings.choices import Modelling

@@ -34,13 +34,23 @@ from curlfit.inference.identifiability import (
     stderr_told,
 )
 from curlfit.inference.model import Model
-from curlfit.inference.noise.models import WHITE, Independence, Noise
+from curlfit.inference.noise.independence import Independence
 from curlfit.inference.parameters import START, ParameterSet
 from curlfit.inference.priors import parse_priors
 from curlfit.inference.verdict import Verdict
 from curlfit.losses import LOSSES
+from curlfit.noises import NOISES, WHITE, Noise
 from curlfit.numerics.arrays import Floats
-from curlfit.records import ADDED, SERIES, Choice, Names, keys, require, require_rows
+from curlfit.records import (
+    ADDED,
+    SERIES,
+    Choice,
+    Kinds,
+    Names,
+    keys,
+    require,
+    require_rows,
+)
 from curlfit.stone import Stone
 from curlfit.throws.events import QUANTITIES, Event
 from curlfit.throws.throw import (
@@ -60,6 +70,8 @@ _HARDLY_TOLD = 0.5
 ChannelName = Annotated[str, Choice(CHANNELS)]
 LoadName = Annotated[str, Choice(("uniform", "consistent"))]
 LossName = Annotated[str, Choice(tuple(LOSSES))]
+NoiseName = Annotated[str, Choice(tuple(NOISES))]
+_AnyNoise = Annotated[Noise, Kinds(type(noise) for noise in NOISES.values())]
 Pair = tuple[float, float]
 
 Extent = Annotated[
@@ -150,8 +162,7 @@ class FitResult(NamedEstimates):
         discrepancy given the residuals: x, y, phi, speed, omega at the times of the
         rows, to be added to `fitted`. Empty without such noise.
     loss : how much large residuals count, see `curlfit.losses`.
-    noise : how noise is correlated from row to row, see
-        `curlfit.inference.noise.models`.
+    noise : how noise is correlated from row to row, see `curlfit.noises`.
     outliers : values far from the fit: {"channel", "t", "line" (of the file, or None),
         "off" (SI), "sigmas"}, the farthest first.
     remedies : further measurements that would help, see `curlfit.inference.fit.advice`.
@@ -201,7 +212,7 @@ class FitResult(NamedEstimates):
     sigma: dict[str, float]
     lag1: dict[str, float]
     loss: LossName = "linear"
-    noise: Noise = WHITE
+    noise: _AnyNoise = WHITE
     independence: dict[ChannelName, Independence] = field(default_factory=dict)
     outliers: tuple[_Outlier, ...] = ()
     events: tuple[_Event, ...] = ()

@@ -17,6 +17,7 @@ these rounds.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from operator import itemgetter
 from typing import Any
 
@@ -43,15 +44,15 @@ from curlfit.inference.likelihood import (
     whitened_residuals_of_many,
 )
 from curlfit.inference.model import Model
+from curlfit.inference.noise.independence import time_of_motion
 from curlfit.inference.noise.linearized import Linearized
-from curlfit.inference.noise.models import Noise, time_of_motion
 from curlfit.inference.noise.restricted import estimate
 from curlfit.inference.noise.whitening import Whitener
 from curlfit.inference.problem import ROWS_OF_DATA, Problem, build_problem
 from curlfit.losses import LINEAR, Loss, place_of, robust_sigma
+from curlfit.noises import WHITE, Noise
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import stacked
-from curlfit.settings.noise_kinds import NoiseKind
 from curlfit.throws.throw import CHANNELS, Throw
 
 _ROBUST_FITS = 4  # each with sigma from the bulk of the last
@@ -79,20 +80,21 @@ class Rounds:
         throws: Sequence[PreparedThrow],
         *,
         loss: Loss = LINEAR,
-        noise: NoiseKind = NoiseKind.WHITE,
+        noise: Noise = WHITE,
         shape: tuple[int, int] | None = None,
         batch: int = 1,
     ) -> None:
         """`shape` is that of all problems; `batch` the number of paths integrated
-        side by side."""
+        side by side. Estimates that the noise has are made anew."""
         if not noise.is_white:
             for prepared in throws:
                 if prepared.throw.events and prepared.throw.has_path:
                     raise InputError(
-                        f"{prepared.throw.name}: noise {noise} is that of rows, "
+                        f"{prepared.throw.name}: noise {noise.kind} is that of rows, "
                         "and this throw has timed events beside its path; "
                         "fit the path alone, or with white noise"
                     )
+        noise = type(noise)()  # not estimated
         self.model = model
         self.throws = throws
         self.batch = batch
@@ -105,7 +107,7 @@ class Rounds:
         if not noise.is_white:
             # Until the noise is estimated, these change nothing.
             whiteners = [
-                Whitener.of(Noise(noise), times, weight, len(throws[0].parameters))
+                Whitener.of(noise, times, weight, len(throws[0].parameters))
                 for times, weight in zip(
                     self.problems.times, self.problems.weight, strict=True
                 )
@@ -129,7 +131,7 @@ class Rounds:
         )
         self._estimated = np.zeros_like(self.sigma)
         self.free = np.stack([prepared.parameters.free for prepared in throws])
-        self.noises = [Noise(noise)] * len(throws)
+        self.noises = [noise] * len(throws)
         self.failures: dict[int, InputError] = {}
         robust_fits = _ROBUST_FITS if loss.is_robust else 0
         self._rounds: list[Callable[[Indices, Solution], None]] = [
@@ -278,13 +280,15 @@ class Rounds:
                 )
                 continue
             unknown = self.unknown[throw]
-            estimated = estimate(self.noises[throw].kind, data, ~unknown)
+            estimated = estimate(self.noises[throw], data, ~unknown)
             noise = estimated.noise
             if noise.sizes:
                 # The sigmas of independent noise are kept beside the discrepancy.
-                for channel in np.flatnonzero(unknown):
-                    sigma = float(self.sigma[throw, channel])
-                    noise.independent[self.channels[channel]] = sigma
+                independent = {
+                    self.channels[channel]: float(self.sigma[throw, channel])
+                    for channel in np.flatnonzero(unknown)
+                }
+                noise = replace(noise, independent=independent)
             self.noises[throw] = noise
             scale = np.where(unknown, estimated.scale, 1.0)
             self.sigma[throw] = scale * self.sigma[throw] + SIGMA_FLOOR * unknown
@@ -309,7 +313,7 @@ class Rounds:
         adjustable = (lower[0] < solution.values) & (solution.values < upper[0])
         typical = prepared.parameters.typical
         rows = len(prepared.throw)
-        if self.noises[throw].kind.has_discrepancy:
+        if self.noises[throw].has_discrepancy:
             return linearized(
                 self.model,
                 problem,

@@ -50,7 +50,7 @@ from curlfit.inference.initial_values import default_guess
 from curlfit.inference.least_squares import MOST_STEPS, Solution, Tasks, minimize_many
 from curlfit.inference.likelihood import chi_squared_of_many, predict_many
 from curlfit.inference.model import Model
-from curlfit.inference.noise.models import Independence
+from curlfit.inference.noise.independence import Independence
 from curlfit.inference.noise.whitening import posterior_mean
 from curlfit.inference.parameters import ParameterSet
 from curlfit.inference.priors import Penalty

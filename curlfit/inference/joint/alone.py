@@ -97,7 +97,7 @@ def fitted_alone(
         rounds.model,
         [_by_itself(one, names, held) for one in rounds.throws],
         loss=rounds.loss,
-        noise=rounds.noises[0].kind,
+        noise=rounds.noises[0],
         shape=rounds.problems.observed.shape[1:],
         batch=side_by_side(len(rounds.throws)),
     )

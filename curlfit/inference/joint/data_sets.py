@@ -45,7 +45,7 @@ from curlfit.inference.joint.population import told_by_data
 from curlfit.inference.joint.solver import JOINT, minimize_jointly
 from curlfit.inference.least_squares import PRECISE, Solution, Tasks, residual_sigma
 from curlfit.inference.model import Model
-from curlfit.inference.noise.models import Independence
+from curlfit.inference.noise.independence import Independence
 from curlfit.inference.parameters import options_of
 from curlfit.inference.priors import Penalty
 from curlfit.inference.problem import ROWS_OF_DATA, Problem, problem_shape

@@ -19,12 +19,11 @@ from curlfit.inference.identifiability import WithInterval
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.mixed_model import MixedFit, bounded, to_mean
 from curlfit.records import ADDED, Matrix
+from curlfit.throws.readers.clocks import HOUR, AmbiguousTimesError, times_of_day
+from curlfit.throws.readers.numbers import parse_number
 from curlfit.wording import join_words
 
 _PER = {"h": "an hour", "day": "a day"}
-_CLOCK = re.compile(r"(\d{1,2})[:h](\d{2})(?::(\d{2}))?")
-_DAY = 24.0  # h
-_LATE = 12.0  # h by which a clock goes back at midnight
 SLOPES_DIFFER = 0.01
 """Probability that an evening whose groups change alike is said to have slopes that
 differ. Of 2,000 simulated evenings of 8 to 20 draws it is said of 0.1 to 1.0 %, the
@@ -198,28 +197,29 @@ def _numbers(name: str, labels: Sequence[str]) -> tuple[list[float], str]:
     and their unit."""
     with suppress(ValueError):
         return [float(date.fromisoformat(label).toordinal()) for label in labels], "day"
-    clocks = [_CLOCK.fullmatch(label) for label in labels]
-    found: list[float] = []
-    for label, clock in zip(labels, clocks, strict=True):
-        try:
-            value = (
-                float(label)
-                if clock is None
-                else float(clock[1]) + float(clock[2]) / 60
-            )
-        except ValueError:
-            value = np.nan
-        if not np.isfinite(value) or (clock is None) != (clocks[0] is None):
-            raise InputError(
-                f"trend {name}: {quoted(label)} found, expected numbers, "
-                "times such as 19:05, or dates such as 2026-02-27"
-            )
-        if clock is not None:
-            value += float(clock[3] or 0) / 3600
-            while found and value < found[-1] - _LATE:
-                value += _DAY
-        found.append(value)
-    return found, "1" if clocks[0] is None else "h"
+    numbers = [parse_number(label, decimal_comma=False) for label in labels]
+    if None not in numbers and np.isfinite(np.array(numbers, float)).all():
+        return np.array(numbers, float).tolist(), "1"
+    try:
+        seconds = times_of_day(labels)
+    except AmbiguousTimesError as error:
+        raise InputError(
+            f"trend {name}: {error}; expected dates such as 2026-02-27"
+        ) from None
+    if seconds is not None:
+        return (seconds / HOUR).tolist(), "h"
+    strange = next(
+        (
+            label
+            for label, number in zip(labels, numbers, strict=True)
+            if number is None and times_of_day([label]) is None
+        ),
+        labels[0],
+    )
+    raise InputError(
+        f"trend {name}: {quoted(strange)} found, expected numbers, "
+        "times such as 19:05, or dates such as 2026-02-27"
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from curlfit.errors import InputError, UnusableFitError, require_kind
+from curlfit.errors import InputError, Option, UnusableFitError, require_kind
 from curlfit.foreign import quoted
-from curlfit.friction import Law, Load, find_law, no_motion_because
+from curlfit.friction import Law, find_law, no_motion_because
 from curlfit.inference.derived import check_derived
 from curlfit.inference.fit.covariance import Covariance
 from curlfit.inference.fit.departures import NO_DEPARTURES, Departures
@@ -49,11 +49,9 @@ from curlfit.inference.least_squares import Solution, Tasks
 from curlfit.inference.model import Model
 from curlfit.inference.problem import problem_shape
 from curlfit.inference.verdict import Verdict
-from curlfit.losses import LOSSES
 from curlfit.numerics.arrays import Booleans
 from curlfit.numerics.batches import side_by_side, unstacked
 from curlfit.settings.choices import Fitting, takes
-from curlfit.settings.noise_kinds import NoiseKind
 from curlfit.throws.throw import Throw, require_throw
 
 _VARYING = 4  # throws from which on their coefficients may vary
@@ -136,7 +134,7 @@ def fit_together(
     together = solved_together(throws, chosen, shared, covariates, progress)
     equal = _equal(together, chosen[0].systematics)
     result = equal.result
-    robust = LOSSES[chosen[0].loss].is_robust
+    robust = chosen[0].loss.is_robust
     usual = share is None and len(throws) >= _VARYING and not robust
     if equal.varying.weights and (by or trend or usual):
         result = _varying(together, equal, seed)
@@ -182,7 +180,7 @@ def _shared(
                 f"share: law {law.name} has no coefficient {quoted(name)}; "
                 f"it has {', '.join(own)}"
             )
-    if mean and LOSSES[chosen.loss].is_robust:
+    if mean and chosen.loss.is_robust:
         raise InputError("by, trend: groups and trends are estimated with loss linear")
     if mean and set(shared) != set(own):
         raise InputError("share: with groups or trends, all coefficients have a mean")
@@ -211,12 +209,12 @@ def solved_together(
     parameters = prepared[0].parameters
     common = np.isin(parameters.names, (*shared, *parameters.conditions))
     channels, rows = zip(*(problem_shape(one.throw) for one in prepared), strict=True)
-    model = Model(find_law(first.law), Load(first.load), parameters.conditions)
+    model = Model(find_law(first.law), first.load, parameters.conditions)
     rounds = Rounds(
         model,
         prepared,
-        loss=LOSSES[first.loss],
-        noise=NoiseKind(first.noise),
+        loss=first.loss,
+        noise=first.noise,
         shape=(max(channels), max(rows)),
     )
     starts = [
@@ -407,7 +405,7 @@ def _varying(together: Together, equal: _Equal, seed: int | None) -> JointResult
     except np.linalg.LinAlgError:
         raise UnusableFitError(
             "how these throws vary cannot be estimated: their coefficients become "
-            "unbounded; fix some of them, or fit with share='all' (--share all)"
+            f"unbounded; fix some of them, or fit with {Option('share', 'all')}"
         ) from None
     ridges = None if ridge is None else lambda _: ridge.of_throws
     ended = bool(np.all(solution.success))

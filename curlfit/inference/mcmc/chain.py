@@ -352,9 +352,10 @@ def subject_of(fit: FitResult, seed: int) -> dict[str, str]:
     """What identifies a chain, in the same form."""
     own = subject_of_saved(fit)
     noise = [fit.sigma[name] for name in sorted(fit.sigma)]
-    noise += [
-        one[name] for one in (fit.noise.memory, fit.noise.sizes) for name in sorted(one)
-    ]
+    for name in (*fit.noise.parameters, "sizes"):
+        if name != "white":  # as in chains of earlier versions
+            of_channel = getattr(fit.noise, name)
+            noise += [of_channel[channel] for channel in sorted(of_channel)]
     information = [np.array(fit.information[name]) for name in ("matrix", "gradient")]
     return own | {
         "least-squares result": digest(fit.values, np.array(noise), *information),

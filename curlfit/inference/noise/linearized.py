@@ -19,8 +19,7 @@ from jax.scipy.linalg import cho_solve, solve_triangular
 
 from curlfit.inference.identifiability import directions
 from curlfit.inference.noise.accelerations import amplitude_root
-from curlfit.inference.noise.kalman import SHORTEST, KalmanFilter
-from curlfit.inference.noise.models import Noise
+from curlfit.noises import Filter, Noise
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import compiled
 from curlfit.throws.throw import CHANNELS
@@ -129,7 +128,7 @@ class Linearized(NamedTuple):
         """Derivatives of the path by the amplitudes while the parameters adjust."""
         return self.responses - self.jacobian @ self.coupling
 
-    def regression(self, noise: KalmanFilter, scale: Any) -> Regression:
+    def regression(self, noise: Filter, scale: Any) -> Regression:
         """After a filter of the noise, with sigma times `scale` by channel."""
         p, columns = (
             len(self.held.T),
@@ -150,20 +149,15 @@ class Linearized(NamedTuple):
         """Of the least-squares estimates of the directions under noise with sigma
         times `scale`."""
         found = np.zeros((len(self.held.T),) * 2)
+        correlated = noise.correlated
         for row, (weight, factor) in enumerate(zip(self.weight, scale, strict=True)):
-            name, seen = [*CHANNELS, ""][row], weight > 0
-            rows, t = (
-                factor * weight[seen, None] * self.jacobian[row, seen],
-                times[seen],
-            )
-            share, memory = (
-                noise.white_share(name),
-                max(noise.memory.get(name, 0.0), SHORTEST),
-            )
-            found += share * rows.T @ rows
-            if share < 1:
-                correlation = np.exp(-np.abs(t[:, None] - t) / memory)
-                found += (1 - share) * rows.T @ correlation @ rows
+            name = [*CHANNELS, ""][row]
+            seen = weight > 0
+            rows = factor * weight[seen, None] * self.jacobian[row, seen]
+            if name in correlated:
+                found += rows.T @ noise.covariance(name, times[seen]) @ rows
+            else:
+                found += rows.T @ rows
         return found
 
 

@@ -4,16 +4,18 @@ white noise.
 The restricted likelihood (Patterson and Thompson 1971) is that of the part of the
 residuals that no change of the fitted parameters can produce, since the fit has
 absorbed the rest. The maximum of the posterior gives the scale of each channel, the
-independent share of its variance, one correlation time (the channels are measured by
-one camera) and the sizes of a discrepancy.
+parameters of the noise, which are its own (`curlfit.noises`), and the sizes of a
+discrepancy.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
-from typing import NamedTuple
+from itertools import product
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,23 +23,16 @@ import numpy as np
 from jax import Array
 
 from curlfit.inference.noise.accelerations import COMPONENTS, SIZES, log_prior
-from curlfit.inference.noise.kalman import KalmanFilter
+from curlfit.inference.noise.independence import is_rough
 from curlfit.inference.noise.linearized import Linearized, Regression
-from curlfit.inference.noise.models import Noise, is_rough
 from curlfit.inference.noise.whitening import STATE
+from curlfit.noises import NOISES, Noise, Unknown
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.compiled import compiled
 from curlfit.numerics.differences import slopes
-from curlfit.settings.noise_kinds import NoiseKind
 from curlfit.throws.throw import CHANNELS
 
-_TYPICAL = 0.1  # mean of the prior of the correlation time over the time of motion
-_SHORTEST = 0.3  # correlation time over the time between rows
-_LONGEST = 0.3  # correlation time over the time of motion
-_TRIED = (0.02, 0.1)  # initial correlation times over the time of motion
 _FAR = 8.0  # limit of the logarithm of a scale over the rms residual
-_WHITE = 12.0  # logit of an independent share that is practically 1
-_MOST = 9.0  # limit of the logit of that of correlated noise
 _SIZE = 0.05  # initial size of a discrepancy
 _PRECISE = 1e-12  # relative change of the log-posterior at which the search ends
 _STEP = 1e-3  # of differences of slopes
@@ -49,40 +44,61 @@ GRID = np.stack(np.meshgrid(*[SIZES] * len(COMPONENTS), indexing="ij"), -1).resh
 """Sizes of a discrepancy, shape (sizes, 3)."""
 
 
-@compiled()
-def _slope(logs: Array, data: Linearized) -> tuple[Array, Array, Array]:
-    """Negative log-posterior of the logarithms of scales, shares (logits), correlation
-    time and sizes; its gradient; and the restricted log-likelihood."""
-    channels = len(data.weight)
+class _Parts(NamedTuple):
+    """The parts of a point of the search."""
 
-    def negative(logs: Array) -> tuple[Array, Array]:
-        regression, determinant = _regression(logs, data)
-        memory, sizes = logs[2 * channels], jnp.exp(logs[2 * channels + 1 :])
+    log_scale: Any
+    """of sigma, by channel"""
+    unknowns: Any
+    """of the noise"""
+    log_sizes: Any
+    """of a discrepancy; none without one"""
+
+
+def _parts(point: Any, data: Linearized) -> _Parts:
+    """The parts of a point of the search."""
+    channels = len(data.weight)
+    end = len(point) - _number_of_sizes(data)
+    return _Parts(point[:channels], point[channels:end], point[end:])
+
+
+def _number_of_sizes(data: Linearized) -> int:
+    return len(COMPONENTS) if data.responses.shape[-1] else 0
+
+
+@compiled("kind")
+def _slope(kind: str, point: Array, data: Linearized) -> tuple[Array, Array, Array]:
+    """Negative log-posterior of the logarithms of scales, the unknowns of a noise and
+    the logarithms of sizes; its gradient; and the restricted log-likelihood."""
+    noise = NOISES[kind]
+
+    def negative(point: Array) -> tuple[Array, Array]:
+        regression, determinant = _regression(noise, point, data)
+        parts = _parts(point, data)
+        sizes = jnp.exp(parts.log_sizes)
         likelihood = regression.log_likelihood(sizes) + determinant
-        # Exponential in the correlation time, uniform in shares and
-        # logarithms of scales.
-        prior = memory - jnp.exp(memory) / (_TYPICAL * data.span)
+        # uniform in the logarithms of scales
+        prior = noise.log_prior(parts.unknowns, data.span)
         return -likelihood - prior - log_prior(sizes), likelihood
 
-    (value, likelihood), slope = jax.value_and_grad(negative, has_aux=True)(logs)
+    (value, likelihood), slope = jax.value_and_grad(negative, has_aux=True)(point)
     return value, slope, likelihood
 
 
-def _regression(logs: Array, data: Linearized) -> tuple[Regression, Array]:
+def _regression(
+    noise: Noise, point: Array, data: Linearized
+) -> tuple[Regression, Array]:
     """The regression, and the log-determinant of the whitening."""
-    channels, seen = len(data.weight), data.weight > 0
-    share, memory = (
-        jax.nn.sigmoid(logs[channels : 2 * channels]),
-        jnp.exp(logs[2 * channels]),
-    )
-    own = KalmanFilter.of(jnp.full(channels, memory), share, data.gaps, seen)
-    determinant = own.log_determinant() - seen.sum(-1) * logs[:channels]
-    return data.regression(own, jnp.exp(logs[:channels])), determinant.sum()
+    seen = data.weight > 0
+    parts = _parts(point, data)
+    whitening = noise.filter(noise.values(parts.unknowns), data.gaps, seen)
+    determinant = whitening.log_determinant() - seen.sum(-1) * parts.log_scale
+    return data.regression(whitening, jnp.exp(parts.log_scale)), determinant.sum()
 
 
-@compiled()
-def _at(logs: Array, data: Linearized) -> Regression:
-    return _regression(logs, data)[0]
+@compiled("kind")
+def _at(kind: str, point: Array, data: Linearized) -> Regression:
+    return _regression(NOISES[kind], point, data)[0]
 
 
 @compiled()
@@ -109,8 +125,8 @@ class Estimate(NamedTuple):
         return found / found.sum()
 
 
-def estimate(kind: NoiseKind, data: Linearized, known: Sequence[bool]) -> Estimate:
-    """The noise of some residuals.
+def estimate(noise: Noise, data: Linearized, known: Sequence[bool]) -> Estimate:
+    """A noise with its estimates, from some residuals.
 
     Independent noise is preferred unless a correlation raises the likelihood by more
     than its number of parameters (Akaike 1974, IEEE Trans. Autom. Control 19, 716). A
@@ -122,42 +138,42 @@ def estimate(kind: NoiseKind, data: Linearized, known: Sequence[bool]) -> Estima
     known : by channel, whether its sigma was given.
     """
     enough = data.enough
-    search = _Search(data, enough, np.asarray(known))
-    white = search.maximum(None, enough & False)
+    nowhere = enough & False
+    search = _Search(noise, data, enough, np.asarray(known))
+    white = search.highest(nowhere)
     correlated = enough & search.rough(white)
     if (search.free & ~correlated).any():
         search.free &= correlated
-        white = search.maximum(None, enough & False)
+        white = search.highest(nowhere)
     best = white
     if correlated.any():
-        others = [search.maximum(memory, correlated) for memory in _TRIED]
-        other = max(others, key=lambda one: one.log_posterior)
-        if other.log_likelihood > white.log_likelihood + 1 + correlated.sum():
+        other = search.highest(correlated)
+        added = sum(unknown.lower < unknown.upper for unknown in other.unknowns)
+        if other.log_likelihood > white.log_likelihood + added:
             best = search.widened(other)
-    return search.estimate(kind, best)
+    return search.estimate(best)
 
 
 class _Maximum(NamedTuple):
-    logs: Floats
+    point: Floats
     correlated: Booleans
     """which channels have correlated noise"""
+    unknowns: list[Unknown]
     log_posterior: float
     log_likelihood: float
 
 
 class _Search:
-    """The search for the maximum of the posterior of a noise model."""
+    """The search for the maximum of the posterior of a noise."""
 
-    def __init__(self, data: Linearized, enough: Booleans, known: Booleans) -> None:
-        self.data, self.enough, self.free = data, enough, enough & ~known
-        self.sizes = len(COMPONENTS) if data.responses.shape[-1] else 0
-
-    @cached_property
-    def ends(self) -> tuple[float, float]:
-        """Limits of the logarithm of the correlation time."""
-        gap = float(np.median(self.data.gaps[self.data.gaps > 0]))
-        shortest = math.log(_SHORTEST * gap)
-        return shortest, max(math.log(_LONGEST * float(self.data.span)), shortest)
+    def __init__(
+        self, noise: Noise, data: Linearized, enough: Booleans, known: Booleans
+    ) -> None:
+        self.noise = noise
+        self.data = data
+        self.enough = enough
+        self.free = enough & ~known
+        self.sizes = _number_of_sizes(data)
 
     @cached_property
     def rms(self) -> Floats:
@@ -169,103 +185,131 @@ class _Search:
         )
         return found
 
-    def maximum(self, memory: float | None, correlated: Booleans) -> _Maximum:
-        """From an initial correlation time over the time of motion; None: of
-        independent noise."""
+    def highest(self, correlated: Booleans) -> _Maximum:
+        """The highest of the maxima to which initial values lead, with correlated noise
+        in some channels."""
+        gap = float(np.median(self.data.gaps[self.data.gaps > 0]))
+        unknowns = self.noise.search(correlated.tolist(), gap, float(self.data.span))
+        starts = product(*(unknown.starts for unknown in unknowns))
+        maxima = [self._maximum(start, unknowns, correlated) for start in starts]
+        return max(maxima, key=lambda maximum: maximum.log_posterior)
+
+    def _maximum(
+        self, start: Sequence[float], unknowns: list[Unknown], correlated: Booleans
+    ) -> _Maximum:
+        """The maximum to which an initial value of each unknown leads."""
         from scipy.optimize import minimize  # slow to load
 
-        data, far = self.data, _FAR * self.free
+        far = _FAR * self.free
         scale = np.where(self.free, self.rms, 0.0)
-        time = math.log((memory or 1e-9) * float(data.span))
-        shares = [(0.0, -_MOST, _MOST) if own else (_WHITE,) * 3 for own in correlated]
-        start, *bounds = np.array(
-            [
-                *zip(scale, scale - far, scale + far, strict=True),
-                *shares,
-                (time, *(self.ends if memory else self.ends[:1] * 2)),
-                *[(math.log(_SIZE), math.log(SIZES[0]), 0.0)] * self.sizes,
-            ]
-        ).T
+        lower = [unknown.lower for unknown in unknowns]
+        upper = [unknown.upper for unknown in unknowns]
+        first = [*scale, *start, *[math.log(_SIZE)] * self.sizes]
+        lowest = [*scale - far, *lower, *[math.log(SIZES[0])] * self.sizes]
+        highest = [*scale + far, *upper, *[0.0] * self.sizes]
 
-        def slope(logs: Floats) -> tuple[float, Floats]:
-            value, gradient, _ = _slope(logs, data)
+        def slope(point: Floats) -> tuple[float, Floats]:
+            value, gradient, _ = _slope(self.noise.kind, point, self.data)
             return float(value), np.asarray(gradient)
 
         found = minimize(
             slope,
-            np.clip(start, *bounds),
+            np.clip(first, lowest, highest),
             jac=True,
             method="L-BFGS-B",
-            bounds=np.transpose(bounds),
+            bounds=np.transpose([lowest, highest]),
             options={"ftol": _PRECISE},
         )
-        likelihood = float(_slope(found.x, data)[2])
-        return _Maximum(found.x, correlated, -float(found.fun), likelihood)
+        likelihood = float(_slope(self.noise.kind, found.x, self.data)[2])
+        return _Maximum(found.x, correlated, unknowns, -float(found.fun), likelihood)
 
     def rough(self, found: _Maximum) -> Booleans:
         """Channels whose residuals are as rough as noise, and of a size; others are due
         to the law, or to a file without noise."""
         data = self.data
         left = data.residual
+        parts = _parts(found.point, data)
         if self.sizes:
-            regression: Regression = jax.tree.map(np.asarray, _at(found.logs, data))
-            sizes = np.exp(found.logs[-self.sizes :])
-            left = left - np.asarray(data.paid) @ regression.mean(sizes)
+            sizes = np.exp(parts.log_sizes)
+            left = left - np.asarray(data.paid) @ self._at(found).mean(sizes)
         series = zip(data.weight * left, data.weight > 0, strict=True)
-        sized = ~self.free | (found.logs[: len(self.free)] > self.rms - _FAR)
+        sized = ~self.free | (parts.log_scale > self.rms - _FAR)
         return sized & [is_rough(values[seen]) for values, seen in series]
+
+    def _at(self, maximum: _Maximum) -> Regression:
+        """The regression at a maximum."""
+        found: Regression = jax.tree.map(
+            np.asarray, _at(self.noise.kind, maximum.point, self.data)
+        )
+        return found
 
     def widened(self, best: _Maximum) -> _Maximum:
         """With the mean variance of the noise at low frequencies in place of the
-        most probable.
+        most probable, where the noise has a correlation time.
 
         Noise of longer memory is larger, and the likelihood has a ridge along which
         the variance at low frequencies grows as the square of the correlation time.
         For a log-normal posterior its mean is at a shift of the logarithm of the time
         by its variance.
         """
-        place = 2 * len(self.enough)
-        inside = np.abs(best.logs[place // 2 : place]) < _MOST
-        moving = np.flatnonzero([*self.free, *best.correlated & inside, True])
+        if not self.noise.has_time:
+            return best
+        *others, time = best.unknowns
+        values = _parts(best.point, self.data).unknowns
+        inside = [
+            unknown.lower < value < unknown.upper
+            for unknown, value in zip(others, values[:-1], strict=True)
+        ]
+        moving = np.flatnonzero([*self.free, *inside, True])
         hessian = slopes(
-            lambda logs: _slope(logs, self.data)[1][moving], best.logs, _STEP, moving
+            lambda point: _slope(self.noise.kind, point, self.data)[1][moving],
+            best.point,
+            _STEP,
+            moving,
         )
-        values, axes = np.linalg.eigh(hessian + hessian.T)
-        inverse = (2 * axes / np.maximum(values, 2.0)) @ axes.T
-        logs = best.logs.copy()
-        logs[moving] += inverse[-1]
-        logs[place] = min(logs[place], self.ends[1])
-        return best._replace(logs=logs)
+        squares, axes = np.linalg.eigh(hessian + hessian.T)
+        inverse = (2 * axes / np.maximum(squares, 2.0)) @ axes.T
+        point = best.point.copy()
+        point[moving] += inverse[-1]
+        point[moving[-1]] = min(point[moving[-1]], time.upper)
+        return best._replace(point=point)
 
-    def estimate(self, kind: NoiseKind, best: _Maximum) -> Estimate:
+    def estimate(self, best: _Maximum) -> Estimate:
         """The estimate at a maximum."""
-        data, channels, noise = self.data, len(self.enough), Noise(kind)
-        for row in np.flatnonzero(self.enough):
-            name, own = CHANNELS[row], bool(best.correlated[row])
-            noise.memory[name] = math.exp(best.logs[2 * channels]) if own else 0.0
-            noise.white[name] = (
-                1 / (1 + math.exp(-best.logs[channels + row])) if own else 1.0
-            )
-        scale = np.exp(best.logs[:channels])
+        data = self.data
+        parts = _parts(best.point, data)
+        values = self.noise.values(parts.unknowns)
+        by_channel: dict[str, Any] = {}
+        for name, independent in self.noise.parameters.items():
+            by_channel[name] = {
+                CHANNELS[row]: float(values[name][row])
+                if best.correlated[row]
+                else independent
+                for row in np.flatnonzero(self.enough)
+            }
+        noise = replace(self.noise, **by_channel)
+        scale = np.exp(parts.log_scale)
         if not self.sizes:
             return Estimate(noise, scale)
-        regression: Regression = jax.tree.map(np.asarray, _at(best.logs, data))
-        found = Estimate(
-            noise, scale, regression, np.asarray(_of_sizes(regression, GRID))
-        )
+        regression = self._at(best)
+        of_sizes = np.asarray(_of_sizes(regression, GRID))
+        found = Estimate(noise, scale, regression, of_sizes)
         rms = np.sqrt(found.weights @ GRID**2)
-        noise.sizes.update(zip(COMPONENTS, map(float, rms), strict=True))
-        lower, white, root = map(np.asarray, regression.posterior(rms))
+        noise = replace(
+            noise,
+            sizes=dict(zip(COMPONENTS, map(float, rms), strict=True)),
+            initial_state=self._initial_state(regression, rms).tolist(),
+        )
+        return found._replace(noise=noise)
+
+    def _initial_state(self, regression: Regression, sizes: Floats) -> Floats:
+        """Covariance of the change of the initial state that compensates a
+        discrepancy."""
+        data = self.data
+        lower, white, root = map(np.asarray, regression.posterior(sizes))
         spread = np.linalg.inv(lower.T)
         shift = data.from_standard[-STATE:] @ np.asarray(data.coupling) @ root
-        noise.initial_state.extend(
-            (
-                shift
-                @ (
-                    spread @ spread.T
-                    + _FACTOR * np.outer(spread @ white, spread @ white)
-                )
-                @ shift.T
-            ).tolist()
-        )
+        mean = spread @ white
+        squares = spread @ spread.T + _FACTOR * np.outer(mean, mean)
+        found: Floats = shift @ squares @ shift.T
         return found

@@ -7,16 +7,17 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple, Self
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from curlfit.inference.noise.accelerations import COMPONENTS, SHAPES, amplitude_root
-from curlfit.inference.noise.kalman import KalmanFilter
 from curlfit.inference.noise.linearized import Linearized, regression_of
-from curlfit.inference.noise.models import Noise
+from curlfit.noises import NOISES, Filter, Noise
 from curlfit.numerics.arrays import Floats
 from curlfit.numerics.compiled import compiled
+from curlfit.throws.throw import CHANNELS
 
 STATE = 6
 """Number of parameters of the initial state, the last of all."""
@@ -33,7 +34,7 @@ class Whitener(NamedTuple):
     s times the noise is scaled down by sqrt(1 + s^2).
     """
 
-    filter: KalmanFilter
+    filter: Filter
     directions: Any = None
     """orthonormal, shape (channels, n, k); None without a discrepancy"""
     shrink: Any = None
@@ -68,8 +69,8 @@ class Whitener(NamedTuple):
         """
         if noise.is_white:
             return None
-        own = KalmanFilter.of_noise(noise, times, weight > 0)
-        if not noise.kind.has_discrepancy:
+        own = filter_of(noise, times, weight > 0)
+        if not noise.has_discrepancy:
             return cls(own)
         k, n = _COUNT, weight.size
         directions, shrink = np.zeros((n, k + parameters)), np.zeros(k + parameters)
@@ -91,7 +92,7 @@ class Whitener(NamedTuple):
             values, axes = np.linalg.eigh(covariance[determined][:, determined])
             restored[:, determined] = g @ (axes / np.sqrt(values)) @ axes.T
             root = amplitude_root(
-                noise.all_sizes, data.held @ np.asarray(data.coupling)
+                _sizes_of(noise), data.held @ np.asarray(data.coupling)
             )
             rows = _filtered(own, weight[..., None] * np.asarray(data.paid)) @ root
             rows -= g @ (g.T @ rows)
@@ -117,6 +118,34 @@ class Whitener(NamedTuple):
         if self.determinant is not None:
             found[0] += self.determinant  # of all channels together
         return found
+
+
+def filter_of(noise: Noise, times: Floats, seen: Any) -> Filter:
+    """The filter of a noise with its estimates, at times in s; rows beyond the
+    channels are independent.
+
+    Parameters
+    ----------
+    seen : which values were observed, shape (channels, n).
+    """
+    channels = [*CHANNELS, ""][: len(seen)]
+    values = {}
+    for name, independent in noise.parameters.items():
+        of_channel = getattr(noise, name)
+        values[name] = np.array([of_channel.get(row, independent) for row in channels])
+    gaps = np.diff(times, append=times[-1])
+    found: Filter = jax.tree.map(np.asarray, _filter(noise.kind, values, gaps, seen))
+    return found
+
+
+@compiled("kind")
+def _filter(kind: str, values: dict[str, Array], gaps: Array, seen: Array) -> Filter:
+    return NOISES[kind].filter(values, gaps, seen)
+
+
+def _sizes_of(noise: Noise) -> Floats:
+    """The sizes of a discrepancy as an array, shape (3,)."""
+    return np.array(list(noise.sizes.values()))
 
 
 @compiled()
@@ -149,12 +178,12 @@ def posterior_mean(
     """Mean of the discrepancy given the residuals (Rasmussen and Williams 2006,
     eq. 2.25), beside the path of the law; SI, shape (channels, n). Parameters as
     of `Whitener.of`."""
-    own = KalmanFilter.of_noise(noise, times, data.weight > 0)
+    own = filter_of(noise, times, data.weight > 0)
     regression = regression_of(data, own, scale_between(data.weight, weight))
-    found: Floats = np.asarray(data.paid) @ regression.mean(noise.all_sizes)
+    found: Floats = np.asarray(data.paid) @ regression.mean(_sizes_of(noise))
     return found
 
 
-def _filtered(own: KalmanFilter, columns: Floats) -> Floats:
+def _filtered(own: Filter, columns: Floats) -> Floats:
     found = np.array(own.innovations(columns))
     return found.reshape(-1, found.shape[-1])

@@ -70,8 +70,8 @@ def require_radians(parsed: ParsedFile, columns: dict[str, Floats]) -> None:
             if quantity == "phi"
             else float(np.nanquantile(np.abs(values), 0.9))
         )
-        if rate <= MAX_SPIN:
-            continue
+        if rate <= MAX_SPIN or math.radians(rate) > MAX_SPIN:
+            continue  # the times are wrong if degrees turn too fast too
         if header.strip().lower() != quantity:
             fault = (
                 f"no unit is given, and {rate:.3g} rad/s would be more than two turns "

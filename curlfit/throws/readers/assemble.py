@@ -66,6 +66,7 @@ def assemble(parsed: ParsedFile, reading: Reading) -> dict[str, Any]:
                 options=tuple(without),
             )
         events = {
+            "conventions": Conventions(),
             "events": parsed.events,
             "assumed": parsed.assumed,
             "odd_rows": parsed.odd_rows,

@@ -16,10 +16,8 @@ stopped, so that its time is accurate to one frame.
 
 from __future__ import annotations
 
-import json
 import math
 import re
-from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,17 +29,19 @@ from curlfit.numerics.arrays import Floats
 from curlfit.settings.choices import Reading
 from curlfit.throws.readers.columns import Column
 from curlfit.throws.readers.defaults import begun
+from curlfit.throws.readers.json_values import (
+    MOST_NUMBERS,
+    does_not_move,
+    values_in,
+)
 from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile, choose
-from curlfit.throws.readers.text import TextFile, is_aside
+from curlfit.throws.readers.text import TextFile
 
 _EXPECTED = (
     'expected a log of a DigitalCurling 3 shot with a "trajectory" '
     "(shot_*.json or server.log)"
 )
-_MOST_NUMBERS = 2_000_000
 _MOST_STONES = 64
-_MOST_PARTS = 4_000_000
-"""Lists and objects of a shot; 16 million empty ones would take 1.2 GB."""
 _DEEPEST = 6  # entry around a trajectory
 _HEAD = 200  # lines whose comments are settings
 _MOVED = 1e-4  # m; positions are 32-bit numbers
@@ -102,11 +102,8 @@ def _read_shot(file: TextFile, chosen: Shot, stone_index: int | None) -> ParsedF
     thrown = max((k for k in began if began[k] == first), key=lambda k: far[k])
     stone = choose("stone", "--stone-index", stone_index, names, thrown)
     if stone not in began:
-        movers = ", ".join(f"{k + 1} ({names[k]})" for k in began)
-        fault = (
-            f"stone {stone + 1} ({names[stone]}) does not move; "
-            f"those that do are {movers}"
-        )
+        moving = {k: names[k] for k in began}
+        fault = does_not_move(stone, names[stone], moving)
         raise file.error(fault, chosen.line - 1)
     # A free throw: from its first motion until another stone moves.
     time = period * np.arange(positions.shape[1])
@@ -153,39 +150,13 @@ def _shots_of(file: TextFile) -> list[Shot]:
     """
     shots = [
         Shot(number, *found)
-        for number, value in _values(file)
+        for number, value in values_in(file, _EXPECTED)
         for item in (value if isinstance(value, list) else [value])
         if (found := _trajectory(item)) is not None
     ]
     if not shots:
         raise file.error(f"no trajectory found; {_EXPECTED}")
     return shots
-
-
-def _values(file: TextFile) -> Iterator[tuple[int, Any]]:
-    """The JSON values of the file, with their lines."""
-    rows = [(k, line) for k, line in enumerate(file.lines) if not is_aside(line)]
-    try:
-        yield 1, _loaded("\n".join(line for _, line in rows))
-    except (ValueError, RecursionError):
-        for index, line in rows:
-            try:
-                yield index + 1, _loaded(line)
-            except _TooManyPartsError as error:
-                raise file.error(f"{error}; {_EXPECTED}", index) from None
-            except (ValueError, RecursionError):
-                raise file.error(f"not a line of JSON; {_EXPECTED}", index) from None
-
-
-class _TooManyPartsError(ValueError):
-    """JSON that would take too much memory."""
-
-
-def _loaded(text: str) -> Any:
-    """The value of JSON of at most as many parts as a shot can have."""
-    if text.count("[") + text.count("{") > _MOST_PARTS:
-        raise _TooManyPartsError(f"more than {_MOST_PARTS:,} lists and objects")
-    return json.loads(text)
 
 
 def _trajectory(
@@ -224,7 +195,7 @@ def _paths(file: TextFile, shot: Shot) -> tuple[float, Floats, list[str]]:
         if isinstance(start[team], list)
         for k, stone in enumerate(start[team])
     }
-    if not 0 < len(stones) <= min(_MOST_STONES, _MOST_NUMBERS / (len(frames) + 1)):
+    if not 0 < len(stones) <= min(_MOST_STONES, MOST_NUMBERS / (len(frames) + 1)):
         raise refuse("the start needs some stones by team")
     places = {key: slot for slot, key in enumerate(stones)}
     positions = np.empty((len(stones), len(frames) + 1, 3))

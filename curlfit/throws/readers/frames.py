@@ -1,25 +1,25 @@
-"""Tables in memory: of pandas, polars, xarray, or mappings of arrays."""
+"""Tables in memory: of pandas, polars, PyArrow, xarray, or mappings of arrays."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
-from curlfit.errors import InputError
+from curlfit.errors import DataError, InputError
 from curlfit.findings import Finding
-from curlfit.numerics.arrays import filled, floats
+from curlfit.foreign import quoted
+from curlfit.numerics.arrays import Floats
 from curlfit.settings.choices import Reading
 from curlfit.throws.readers.assemble import assemble
-from curlfit.throws.readers.clocks import AmbiguousTimesError, clock_times
 from curlfit.throws.readers.columns import Column, parse_header, parse_units, with_unit
 from curlfit.throws.readers.headings import Headings
 from curlfit.throws.readers.parsed_file import ParsedFile
 from curlfit.throws.readers.path import TABLE
+from curlfit.throws.readers.sequences import as_array, numbers, times
 from curlfit.throws.readers.throws_in_rows import throws_of
 
-_Variables = tuple[dict[str, Any], dict[str, str]]  # arrays, and stated units, by name
+_TABLES = "a DataFrame, a Dataset, a table or a mapping of names to arrays"
+_Variables = tuple[dict[str, Any], dict[str, str]]  # columns, and stated units, by name
 
 
 def values_of(table: Any, reading: Reading, name: str = "table") -> dict[str, Any]:
@@ -40,19 +40,12 @@ def values_of(table: Any, reading: Reading, name: str = "table") -> dict[str, An
     names = list(values)
 
     def numeric(index: int) -> bool:
-        return bool(values[names[index]].dtype.kind in "fiu")
+        return as_array(values[names[index]]).dtype.kind in "fiu"
 
     columns = Headings(names, parsed.error, numeric).of_throw(
         parsed, reading, python=True
     )
-    shapes = sorted({values[names[index]].shape for index in columns})
-    if len(shapes) > 1 or len(shapes[0]) != 1:
-        listed = ", ".join(map(str, shapes))
-        raise parsed.error(
-            f"columns of different lengths, or of several dimensions: {listed}"
-        )
-    if shapes == [(0,)]:
-        raise parsed.error("no rows")
+    arrays: dict[int, Floats] = {}
     for index, column in columns.items():
         header = names[index]
         if column.base not in chosen:
@@ -60,26 +53,63 @@ def values_of(table: Any, reading: Reading, name: str = "table") -> dict[str, An
                 column = with_unit(column, stated.get(header))
             except InputError as error:
                 raise parsed.error(str(error), quantity=header) from None
-        parsed.add(header, column, _numbers(values[header], column, parsed, header))
+        columns[index] = column
+        arrays[index] = _in_unit(values[header], column, parsed, header)
+    lengths = {names[index]: len(array) for index, array in arrays.items()}
+    if len(set(lengths.values())) > 1:
+        listed = ", ".join(f"{header} {rows}" for header, rows in lengths.items())
+        raise parsed.error(
+            f"columns of unlike lengths ({listed}); expected one value of each in "
+            "every row"
+        )
+    if not all(lengths.values()):
+        raise parsed.error("no rows")
+    for index, column in columns.items():
+        parsed.add(names[index], column, arrays[index])
     words = {
-        name: values[name].tolist() for k, name in enumerate(names) if k not in columns
+        header: cells
+        for index, header in enumerate(names)
+        if index not in columns
+        and (cells := _cells(values[header], len(parsed.series[0].values)))
     }
     return assemble(
         TABLE.selected(name, throws_of(parsed, words), reading.stone_index), reading
     )
 
 
+def _in_unit(values: Any, column: Column, parsed: ParsedFile, header: str) -> Floats:
+    """The numbers of a column in its unit."""
+
+    def fault(said: str) -> DataError:
+        return parsed.error(said, quantity=header)
+
+    if column.quantity.startswith("t"):
+        return times(values, fault, column.factor)
+    return numbers(values, fault)
+
+
+def _cells(values: Any, rows: int) -> list[Any]:
+    """The cells of a column that may name the throw of each row; empty of another."""
+    array = as_array(values)
+    return array.tolist() if array.shape == (rows,) else []
+
+
 def _variables(table: Any, parsed: ParsedFile) -> _Variables:
     if hasattr(table, "data_vars") and hasattr(table, "coords"):
         return _of_dataset(table, parsed)
+    if hasattr(table, "collect") and hasattr(table, "lazy"):  # a LazyFrame of polars
+        table = table.collect()
+    if isinstance(table, Mapping):
+        return {str(name): values for name, values in table.items()}, {}
     if hasattr(table, "columns") and hasattr(table, "__getitem__"):
         return _of_frame(table, parsed), {}
-    if isinstance(table, Mapping):
-        return {str(name): filled(values) for name, values in table.items()}, {}
-    raise InputError(
-        f"{type(table).__name__}: expected a DataFrame, a Dataset or a mapping "
-        "of names to arrays"
-    )
+    fields = getattr(getattr(table, "dtype", None), "names", None)
+    if fields:  # an array of NumPy with named fields
+        return {name: table[name] for name in fields}, {}
+    found = f"{type(table).__name__} found, expected {_TABLES}"
+    if isinstance(table, str):
+        found = f"{quoted(table)} found, expected {_TABLES}; load_throw reads a file"
+    raise InputError(f"table: {found}")
 
 
 def _of_dataset(table: Any, parsed: ParsedFile) -> _Variables:
@@ -101,52 +131,25 @@ def _of_dataset(table: Any, parsed: ParsedFile) -> _Variables:
     units = {
         name: str(v.attrs["units"]) for name, v in flat.items() if v.attrs.get("units")
     }
-    return {name: np.asarray(variable.values) for name, variable in flat.items()}, units
+    return {name: variable.values for name, variable in flat.items()}, units
 
 
 def _of_frame(table: Any, parsed: ParsedFile) -> dict[str, Any]:
     """The columns; an index of times or dates is the time where no column is."""
-    values = {str(key): np.asarray(table[key]) for key in table.columns}
-    if len(values) < len(table.columns):
+    keys = list(getattr(table, "column_names", table.columns))  # PyArrow's, or others'
+    if len({str(key) for key in keys}) < len(keys):
         raise parsed.error("two columns of the same name")
+    values = {str(key): table[key] for key in keys}
     index = getattr(table, "index", None)
     if index is None or any(map(_is_time, values)) or getattr(index, "nlevels", 1) > 1:
         return values
-    own, times = str(index.name), np.asarray(index)
+    own = str(index.name)
     if _is_time(own):
-        return {own: times, **values}
-    return {"time": times, **values} if times.dtype.kind in "mM" else values
+        return {own: index, **values}
+    dates = as_array(index).dtype.kind in "mM"
+    return {"time": index, **values} if dates else values
 
 
 def _is_time(name: str) -> bool:
     column = parse_header(name)
     return column is not None and column.quantity == "t"
-
-
-def _numbers(
-    values: Any, column: Column, parsed: ParsedFile, header: str
-) -> np.ndarray:
-    """Numbers in the column's unit; dates and durations as seconds."""
-    is_time = column.quantity.startswith("t")
-    if values.dtype.kind in "mM" and is_time:
-        blank = np.isnat(values)
-        if blank.all():
-            raise parsed.error("every time is missing", quantity=header)
-        origin = (
-            values[~blank][0] if values.dtype.kind == "M" else np.timedelta64(0, "ns")
-        )
-        numbers = (values - origin) / np.timedelta64(1, "s") / column.factor
-        return np.where(blank, np.nan, numbers)
-    if is_time and values.dtype.kind in "OU":
-        # of pandas
-        found = [None if type(v).__name__ == "NAType" else v for v in values.tolist()]
-        try:
-            clock = clock_times([None if v is None else str(v) for v in found])
-        except AmbiguousTimesError as error:
-            raise parsed.error(str(error), quantity=header) from None
-        if clock.first and not clock.bad:
-            return clock.seconds / column.factor
-    try:
-        return floats(values)
-    except (TypeError, ValueError, OverflowError):
-        raise parsed.error("expected numbers", quantity=header) from None

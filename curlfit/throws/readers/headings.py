@@ -71,7 +71,8 @@ class Headings(NamedTuple):
         """Columns to read, by index.
 
         With a reference, positions are in pixels: x and y without a unit are then in
-        pixels, and v is not a speed. With a unit of t such as 25fps, a column of frame
+        pixels, and v is not a speed; of positions in metres beside pixels, it decides
+        which are read. With a unit of t such as 25fps, a column of frame
         numbers is the time if there is no other. What is missing is sought among
         headings in other words.
 
@@ -91,6 +92,7 @@ class Headings(NamedTuple):
         pixels = reading.reference is not None
         velocities = not pixels and {"x", "y"} <= meant and "u" in bare
         pixels = pixels or ("u" in bare and "v" in bare and not velocities)
+        has_both = {"x", "y", "u", "v"} <= meant and not velocities
         frames = [k for k, word in enumerate(bare) if _FRAME_NUMBERS.fullmatch(word)]
         frames = [] if "t" in meant else frames
 
@@ -98,6 +100,7 @@ class Headings(NamedTuple):
             column = c.with_unit(column, units.get(column.base))
             if (
                 pixels
+                and not has_both
                 and not column.stated
                 and column.quantity in ("x", "y", "sigma_x", "sigma_y")
             ):
@@ -132,6 +135,14 @@ class Headings(NamedTuple):
                 )
             columns[index] = column
         columns |= self._in_other_words(columns, as_set)
+        if has_both:
+            in_pixels = reading.reference is not None or chosen & {"u", "v"}
+            left_out = ("x", "y") if in_pixels else ("u", "v")
+            columns = {
+                index: column
+                for index, column in columns.items()
+                if column.base not in left_out
+            }
         missing = missing_columns(column.quantity for column in columns.values())
         if missing:
             raise self._missing(missing, has_frames=bool(frames))

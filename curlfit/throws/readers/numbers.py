@@ -23,11 +23,16 @@ class Thousands(NamedTuple):
 
 def parse_number(cell: str, *, decimal_comma: bool = True) -> float | None:
     """A cell as a number; None if it is not one."""
-    text = cell.replace(",", ".") if decimal_comma and "." not in cell else cell
-    if "_" in text:
+    if "_" in cell:
         return None
     try:
-        return float(text)
+        return float(cell)
+    except ValueError:
+        pass
+    if not decimal_comma or "," not in cell or "." in cell:
+        return None
+    try:
+        return float(cell.replace(",", "."))
     except ValueError:
         return None
 
@@ -101,10 +106,9 @@ def numbers_in(
     """
     values: list[float | None] = []
     for cell in cells:
-        if is_gap(cell):
-            values.append(math.nan)
-            continue
-        text = without_groups(cell, mark) if mark else cell
+        text = without_groups(cell, mark) if mark and not is_gap(cell) else cell
         value = parse_number(text, decimal_comma=decimal_comma)
-        values.append(value if value is not None and math.isfinite(value) else None)
+        if value is None or not math.isfinite(value):
+            value = math.nan if is_gap(cell) else None
+        values.append(value)
     return values

@@ -16,7 +16,7 @@ from curlfit.numerics.arrays import Floats
 from curlfit.settings.choices import Reading, given
 from curlfit.throws.events import Event
 from curlfit.throws.odd_row import OddRow
-from curlfit.throws.readers.columns import Column
+from curlfit.throws.readers.columns import Column, in_unit
 from curlfit.throws.readers.text import TextFile
 from curlfit.throws.reference import Reference
 
@@ -116,7 +116,11 @@ class ParsedFile:
         if bad.any():
             row = int(np.argmax(bad))
             fault = f"{values[row]:g} {column.unit} found, expected at most {LARGEST:g}"
-            raise self.error(fault, row, header)
+            options = []
+            if column.base == "t" and (unit := unit_since_1970(values[row])):
+                options = [Option("units", f"t={unit}")]
+                fault += f"; it may be a time since 1970 in {unit}: give {options[0]}"
+            raise self.error(fault, row, header, tuple(options))
         self.series.append(Series(header, column, scaled))
 
 
@@ -210,6 +214,17 @@ class Format(NamedTuple):
         return parsed
 
 
+def unit_since_1970(value: float) -> str | None:
+    """The unit in which a number is a time since 1970, of this century; None if there
+    is none smaller than a second."""
+    for unit in ("ms", "us", "ns"):
+        if _CENTURY[0] < value * in_unit("t", unit).factor < _CENTURY[1]:
+            return unit
+    return None
+
+
+_CENTURY = (946684800.0, 4102444800.0)
+"""s since 1970, of the years 2000 and 2100."""
 _NOTHING = {
     "worksheet": "no worksheets",
     "shot": "no shots",

@@ -6,7 +6,12 @@ from collections.abc import Callable, Collection, Mapping
 
 from curlfit.errors import InputError
 from curlfit.numerics.arrays import Floats
-from curlfit.throws.readers.columns import Column, named_column
+from curlfit.throws.readers.columns import (
+    Column,
+    named_column,
+    parse_units,
+    with_unit,
+)
 from curlfit.throws.readers.defaults import begun
 from curlfit.throws.readers.headings import named_columns
 from curlfit.throws.readers.table import Table
@@ -51,6 +56,7 @@ def read_quantities(
     required: Collection[str],
     expected: str,
     named: Mapping[str, str] | None = None,
+    units: str | None = None,
 ) -> tuple[Table, dict[str, Floats], dict[str, int]]:
     """A table, its quantities in SI (pixels), each of shape (rows,), with NaN for gaps,
     and the places of their columns.
@@ -59,6 +65,7 @@ def read_quantities(
     ----------
     meaning, required, expected, named : as of `find_table`; headings may be named by
         lines `# columns.NAME = "HEADING"` of the file too.
+    units : in place of those of the headings, as of `parse_units`.
 
     Raises
     ------
@@ -90,7 +97,10 @@ def read_quantities(
         raise table.error(f"no column for {' and '.join(missing)}; {expected}")
     numbers = table.numbers(list(place_of.values()))
     in_si = {}
+    unit_of = parse_units(units)
     for (quantity, place), values in zip(place_of.items(), numbers, strict=True):
         column = columns[place]
+        if column is not None:
+            column = with_unit(column, unit_of.get(column.base))
         in_si[quantity] = values * (column.factor if column else 1.0)
     return table, in_si, place_of

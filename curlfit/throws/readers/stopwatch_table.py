@@ -49,13 +49,19 @@ class Heading(NamedTuple):
             for count in range(len(candidates), max(len(candidates) - 2, 0), -1):
                 name = "_".join(candidates[:count])
                 name = _MEANS.get(name, name)
-                if name in KINDS:
-                    return cls(name, "".join(candidates[count:]))
+                unit = "".join(candidates[count:])
+                if name in KINDS and unit not in _SAYING_NOTHING:
+                    return cls(name, unit)
         column = parse_header(text.strip("\"' "))
         if column is None or column.base not in RATES:
             return cls("")
         quantity = column.quantity.replace("omega", "spin")
         return cls(quantity, column.unit if column.stated else "")
+
+    def in_unit(self, units: Mapping[str, str]) -> Heading:
+        """The heading with the unit that the user gives for its kind of quantity."""
+        kind = KINDS[self.quantity].unit if self.quantity else ""
+        return self._replace(unit=units.get(kind, self.unit))
 
 
 def _saying_something(words: Sequence[str]) -> list[str]:
@@ -72,6 +78,8 @@ def _name(heading: str) -> str:
 def is_header(headings: Sequence[str]) -> bool:
     """Whether headings are those of a table of stopwatch times: they name several known
     quantities, or a time and others that are named otherwise."""
+    if 2 * sum(map(is_number, headings)) >= len(headings):
+        return False
     known = {Heading.of(heading).quantity for heading in headings} - {""}
     if len(known) == 1 and known <= TIMES.keys():
         line_of_a_record = any("=" in text or text[:1].isdigit() for text in headings)
@@ -90,19 +98,22 @@ def meant(quantity: str, cell: str) -> str:
     return "handle" if quantity == "spin" and words_alone else quantity
 
 
-def rows_of(table: Table, named: Mapping[str, str]) -> list[Row]:
+def rows_of(
+    table: Table, named: Mapping[str, str], units: Mapping[str, str]
+) -> list[Row]:
     """The throws in the rows of a table.
 
     Parameters
     ----------
     named : headings that the user names, by quantity.
+    units : of cells without one of their own, as `parse_units` gives them.
 
     Raises
     ------
     DataError : two columns mean the same; a row has another number of cells; there are
         no rows or too many.
     """
-    headings = _headings(table, named)
+    headings = [heading.in_unit(units) for heading in _headings(table, named)]
     places = table.sole([heading.quantity for heading in headings])
     if len(table.rows) > _MOST_ROWS:
         raise table.file.error(f"more than {_MOST_ROWS} throws", table.rows[_MOST_ROWS])

@@ -13,14 +13,14 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import islice
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
 from curlfit.errors import DataError, Option
 from curlfit.findings import Finding
 from curlfit.foreign import counted, quoted
-from curlfit.numerics.arrays import Floats
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.throws.readers.cells import (
     GAPS,
     LOST,
@@ -32,6 +32,7 @@ from curlfit.throws.readers.cells import (
 from curlfit.throws.readers.clocks import AmbiguousTimesError, ClockTimes, clock_times
 from curlfit.throws.readers.columns import is_unit
 from curlfit.throws.readers.numbers import (
+    Thousands,
     is_grouped,
     is_number,
     numbers_in,
@@ -49,7 +50,16 @@ _MOST_BELOW = 12
 _AGGREGATES = set(WORDS["aggregates"].split())
 _MAY_BE_NAMES = set(WORDS["aggregates_or_names"].split())
 """Aggregates by words that are also names of people, as Max is."""
-Meaning = TypeVar("Meaning")
+_FIRST_ROWS = 1000
+_OF_NUMBERS = "0123456789+-"
+"""First characters of a cell that is no word for a gap; an empty one is none either."""
+
+
+class _Rows(NamedTuple):
+    """Indices of the lines of rows, and their cells."""
+
+    lines: list[int]
+    cells: list[list[str]]
 
 
 class Likelihood(NamedTuple):
@@ -69,6 +79,7 @@ class Table:
     header : index of the last line of its header. separator : of its cells; None for
         spaces.
     headings : of its columns.
+    header_lines : the text of its header, which may be repeated between the rows.
     findings : on what was read otherwise than it is written; more come as columns are
         read.
     objects : places of the columns of each object, by its name, where the file says
@@ -87,6 +98,7 @@ class Table:
     header: int
     separator: str | None
     headings: list[str]
+    header_lines: tuple[str, ...] = ()
     findings: list[Finding] = field(default_factory=list)
     objects: Mapping[str, Sequence[int]] = field(default_factory=dict)
     computed: Collection[int] = ()
@@ -104,7 +116,7 @@ class Table:
         headings = header_cells(line, separator)
         while len(headings) > 1 and not headings[-1]:
             headings.pop()
-        return cls(file, header, separator, headings)
+        return cls(file, header, separator, headings, (file.lines[header],))
 
     @classmethod
     def find(
@@ -140,14 +152,15 @@ class Table:
         """An error at the header, with options to type instead."""
         return self.file.error(message, self.header, options=options)
 
-    def sole(self, meanings: Sequence[Meaning]) -> dict[Meaning, int]:
-        """The place of the column of each meaning; columns without one are left out.
+    def sole(self, meanings: Sequence[str]) -> dict[str, int]:
+        """The place of the column of each meaning; those without one, which is empty
+        then, are left out.
 
         Raises
         ------
         DataError : two columns mean the same.
         """
-        places: dict[Meaning, int] = {}
+        places: dict[str, int] = {}
         for place, meaning in enumerate(meanings):
             if not meaning:
                 continue
@@ -165,12 +178,12 @@ class Table:
         """Indices of the lines of its rows. Raises `DataError` for none."""
         if self._plain is not None:
             return self._lines
-        return [index for index, _ in self._rows]
+        return self._rows.lines
 
     @property
     def cells(self) -> list[list[str]]:
         """The cells of its rows."""
-        return [row for _, row in self._rows]
+        return self._rows.cells
 
     @cached_property
     def _lines(self) -> list[int]:
@@ -179,7 +192,7 @@ class Table:
         lines = lines_of_data(self.file, self.header + 1)
         below = self._aggregates_below(lines)
         if below:
-            names = [_first_word(self._cells_of(index)) for index in below]
+            names = [_first_cell(self._cells_of(index)) for index in below]
             left_out = Finding.note(
                 "rows-below-the-table",
                 count=len(below),
@@ -193,30 +206,33 @@ class Table:
         return lines
 
     @cached_property
-    def _rows(self) -> list[tuple[int, list[str]]]:
-        """The rows, each with the index of its line; lines between them that are none
-        are noted.
+    def _rows(self) -> _Rows:
+        """The rows; lines between them that are none are noted.
 
         Raises
         ------
         DataError : a row with a wrong number of cells.
         """
         width = len(self.headings)
-        header = self.file.lines[self.header]
-        rows = []
+        rows = _Rows([], [])
         between = []
         for index in self._lines:
             row = self._cells_of(index)
-            if self.file.lines[index] == header or self._is_remark(row):
+            repeated = self.file.lines[index] in self.header_lines
+            if repeated or self._is_remark(row):
                 between.append(index)
                 continue
+            if any(row[width:]) and all(map(_begins_with_a_letter, row[width - 1 :])):
+                remark = ", ".join(row[width - 1 :])  # a comma within words
+                row = [*row[: width - 1], remark]
             if len(row) < width or any(row[width:]):
                 raise self._wrong_width(index, row)
-            rows.append((index, row))
-        if not rows:
+            rows.lines.append(index)
+            rows.cells.append(row)
+        if not rows.lines:
             raise self.error("a header but no rows of numbers")
         if between:
-            texts = [quoted(_first_word(self._cells_of(index))) for index in between]
+            texts = [quoted(_first_cell(self._cells_of(index))) for index in between]
             not_read = Finding.note(
                 "lines-between-rows",
                 count=len(between),
@@ -228,14 +244,10 @@ class Table:
 
     def _is_remark(self, row: Sequence[str]) -> bool:
         """Whether a row of a table of several columns has one cell alone, of words."""
-        filled = list(filter(None, row))
-        return (
-            len(filled) == 1
-            and len(self.headings) > 2
-            and len(filled[0]) > 1
-            and not any(map(str.isdigit, filled[0]))
-            and not is_gap(filled[0])
-        )
+        if len(self.headings) < 3 or row.count("") != len(row) - 1:
+            return False
+        text = next(filter(None, row))
+        return len(text) > 1 and not any(map(str.isdigit, text)) and not is_gap(text)
 
     def _wrong_width(self, index: int, row: Sequence[str]) -> DataError:
         """The error of a row with another number of cells than the header."""
@@ -274,28 +286,46 @@ class Table:
         decimal_comma = self.separator != "," or not any(
             "." in cell for column in columns for cell in column
         )
-        whole = map(thousands_of_whole_numbers, columns)
-        thousands = next(filter(None, whole), None)
         values = [numbers_in(column, decimal_comma=decimal_comma) for column in columns]
-        if thousands is None and any(None in column for column in values):
-            thousands = thousands_that_bar(columns, decimal_comma=decimal_comma)
+        thousands = self._thousands(columns, values, decimal_comma=decimal_comma)
         if thousands is not None:
-            without = [numbers_in(column, thousands.mark) for column in columns]
-            if not any(None in column for column in without):
-                values = without
-                noted = Finding.note(
-                    "thousands",
-                    mark=quoted(thousands.mark),
-                    cell=quoted(thousands.example),
-                    number=without_groups(thousands.example, thousands.mark),
-                )
-                self.findings.append(noted)
+            values = [numbers_in(column, thousands.mark) for column in columns]
+            noted = Finding.note(
+                "thousands",
+                mark=quoted(thousands.mark),
+                cell=quoted(thousands.example),
+                number=without_groups(thousands.example, thousands.mark),
+            )
+            self.findings.append(noted)
         for place, column in zip(places, values, strict=True):
             if None in column:
                 row = column.index(None)
                 raise self.not_a("finite number", row, place)
         self.note_gaps(places)
         return [np.array(column, float) for column in values]
+
+    def _thousands(
+        self,
+        columns: Sequence[Sequence[str]],
+        values: Sequence[Sequence[float | None]],
+        *,
+        decimal_comma: bool,
+    ) -> Thousands | None:
+        """The mark between the thousands of numbers, with which all cells are numbers;
+        None where there is none.
+
+        Parameters
+        ----------
+        values : the numbers without regard to such marks; None for what is none.
+        """
+        whole = map(thousands_of_whole_numbers, columns)
+        thousands = next(filter(None, whole), None)
+        if thousands is None and any(None in column for column in values):
+            thousands = thousands_that_bar(columns, decimal_comma=decimal_comma)
+        if thousands is None:
+            return None
+        without_marks = [numbers_in(column, thousands.mark) for column in columns]
+        return None if any(None in column for column in without_marks) else thousands
 
     def not_a(self, expected: str, row: int, place: int) -> DataError:
         """The error of a cell that is not what was expected."""
@@ -309,7 +339,8 @@ class Table:
             cell
             for place in places
             for cell in self.column(place)
-            if cell.lower() in LOST or (cell[:1] == "#" and is_gap(cell))
+            if cell[:1] not in _OF_NUMBERS
+            and (cell.lower() in LOST or (cell[:1] == "#" and is_gap(cell)))
         ]
         if lost:
             gaps = Finding.note("gaps", count=len(lost), cell=quoted(lost[0]))
@@ -358,16 +389,18 @@ class Table:
 
     def _may_have_thousands(self, values: Floats) -> bool:
         """Whether a column may have points between thousands: whole numbers of three
-        digits, but for some with three decimals."""
+        digits, but for some with three decimals. The first rows tell it of almost all
+        columns that have none."""
+        if not _may_be_grouped(values[:_FIRST_ROWS]).any():
+            return False
+        whole = values == np.round(values)
         size = np.abs(values)
-        whole = size == np.round(size)
-        thousandths = np.isclose(1000 * size, np.round(1000 * size), rtol=0, atol=1e-6)
-        grouped = whole | ((size >= 1) & (size < 1000) & thousandths)
         of_three_digits = whole & (size >= 100) & (size < 1000)
-        suspect = grouped.all(0) & of_three_digits.any(0) & ~whole.all(0)
-        return bool(suspect.any())
+        suspects = _may_be_grouped(values) & of_three_digits.any(0) & ~whole.all(0)
+        return bool(suspects.any())
 
     def _cells_of(self, index: int) -> list[str]:
+        """The cells of a line."""
         return cells(self.file.lines[index], self.separator)
 
     def with_units_below(self) -> Table:
@@ -388,15 +421,17 @@ class Table:
             f"{heading} ({unit})" if unit else heading
             for heading, unit in zip(self.headings, units, strict=True)
         ]
-        return replace(self, header=index, headings=headings)
+        header_lines = (*self.header_lines, self.file.lines[index])
+        return replace(self, header=index, headings=headings, header_lines=header_lines)
 
     def _with_row_names(self) -> Table:
         """The table with an empty heading for names of rows, as R writes them: each row
         has one cell more than the header, and they begin with text in quotes or
         count on."""
-        first_rows = list(lines_of_data(self.file, self.header + 1, MOST_TITLES))
+        first_rows = lines_of_data(self.file, self.header + 1, MOST_TITLES)
         rows = [self._cells_of(index) for index in first_rows]
-        if not all(len(row) == len(self.headings) + 1 and row[-1] for row in rows):
+        width = len(self.headings) + 1
+        if not rows or not all(len(row) == width and row[-1] for row in rows):
             return self
         names = [row[0] for row in rows]
         in_quotes = all(
@@ -413,15 +448,20 @@ class Table:
         certain = False
         for index in reversed(rows[-_MOST_BELOW:]):
             row = self._cells_of(index)
-            name = _first_word(row)
+            name = _first_cell(row).lower().strip(" :.")
             if name in _AGGREGATES or any(cell[:1] == "=" for cell in row):
                 certain = True
             elif name not in _MAY_BE_NAMES or not is_number(
-                _first_word(self._cells_of(rows[0]))
+                _first_cell(self._cells_of(rows[0]))
             ):
                 break
             below.insert(0, index)
         return below if certain else []
+
+
+def _begins_with_a_letter(cell: str) -> bool:
+    """Whether a cell is a word, as of a remark."""
+    return cell[:1].isalpha()
 
 
 def _counts_on(names: Sequence[str]) -> bool:
@@ -432,12 +472,25 @@ def _counts_on(names: Sequence[str]) -> bool:
     return numbers == list(range(numbers[0], numbers[0] + len(numbers)))
 
 
-def _first_word(row: Sequence[str]) -> str:
-    """What stands in the first cell that is not empty, in small letters."""
-    return next(filter(None, row), "").lower().strip(" :.")
+def _may_be_grouped(values: Floats) -> Booleans:
+    """Of each column whether points may separate thousands in its numbers, which were
+    read as decimal points."""
+    size = np.abs(values)
+    whole = size == np.round(size)
+    thousandths = np.isclose(1000 * size, np.round(1000 * size), rtol=0, atol=1e-6)
+    grouped = whole | ((size >= 1) & (size < 1000) & thousandths)
+    return np.asarray(grouped.all(0))
+
+
+def _first_cell(row: Sequence[str]) -> str:
+    """The first cell that is not empty; empty if all are."""
+    return next(filter(None, row), "")
 
 
 def lines_of_data(file: TextFile, begin: int, most: int | None = None) -> list[int]:
     """Indices of lines from one on that are no comments and not blank."""
+    if most is None:
+        lines = file.lines
+        return [k for k in range(begin, len(lines)) if not is_aside(lines[k])]
     indices = (k for k in range(begin, len(file.lines)) if not is_aside(file.lines[k]))
     return list(islice(indices, most))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import stat
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import NamedTuple
 
 from curlfit.errors import DataError, InputError, Option
 from curlfit.findings import Finding
-from curlfit.foreign import quoted
+from curlfit.foreign import STANDARD_INPUT, quoted
 from curlfit.throws.readers.columns import has_japanese_words
 from curlfit.throws.readers.spreadsheet import text_of_sheet
 
@@ -29,14 +30,15 @@ _SEPARATOR_LINE = re.compile(r"\"?sep=.?\"?[;,\t]*", re.I)  # for spreadsheets
 
 
 def _bytes_of(path: Path, what: str, most: int) -> bytes:
-    """The content of a file; a pipe, such as `<(zcat FILE)`, is read once and kept.
-    Raises `DataError` where there is none, or too much."""
+    """The content of a file; a pipe, such as `<(zcat FILE)`, and standard input are
+    read once and kept. Raises `DataError` where there is none, or too much."""
+    source = 0 if str(path) == STANDARD_INPUT else path
     try:
-        status = path.stat()
+        status = os.stat(source)
         place = status.st_dev, status.st_ino
         if place in _of_pipes:
             return _of_pipes[place]
-        with path.open("rb") as stream:
+        with open(source, "rb", closefd=source != 0) as stream:
             raw = stream.read(most + 1)
     except ValueError:
         raise DataError("this is not a file name", file=quoted(str(path))) from None
@@ -49,12 +51,12 @@ def _bytes_of(path: Path, what: str, most: int) -> bytes:
         raise DataError(fault, file=path) from None
     if len(raw) > most:
         raise DataError(f"larger than {most // 1000} kB; expected {what}", file=path)
-    if stat.S_ISFIFO(status.st_mode):
+    if source == 0 or stat.S_ISFIFO(status.st_mode):
         _of_pipes[place] = raw
     return raw
 
 
-def _decoded(raw: bytes) -> str:
+def decoded(raw: bytes) -> str:
     """Text with "\\n" line ends, in UTF-8, UTF-16 with byte order mark, Windows cp932
     with headings in Japanese, or Windows cp1252."""
     encoding = "utf-16" if raw[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
@@ -111,9 +113,11 @@ class TextFile(NamedTuple):
                 f"--worksheet: {path} is no workbook and holds no worksheets"
             )
         else:
-            text = _decoded(raw)
+            text = decoded(raw)
         # In sentences, what is between backticks is an option that curlfit proposes.
-        lines = text.replace("`", "'").replace(_MINUS, "-").split("\n")
+        if not text.isascii():
+            text = text.replace(_MINUS, "-")
+        lines = text.replace("`", "'").split("\n")
         if _SEPARATOR_LINE.fullmatch(lines[0]):
             lines[0] = ""
         file = cls(path, lines, note)

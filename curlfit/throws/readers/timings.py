@@ -23,7 +23,7 @@ from curlfit.throws.channels import UNITS
 from curlfit.throws.events import Event
 from curlfit.throws.odd_row import OddRow
 from curlfit.throws.readers.cells import header_cells, separator_of
-from curlfit.throws.readers.columns import parse_header
+from curlfit.throws.readers.columns import parse_header, parse_units
 from curlfit.throws.readers.defaults import begun
 from curlfit.throws.readers.odd_rows import OddValue, odd_values
 from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile
@@ -57,7 +57,7 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
     """
     settings = begun(file, "timings").settings
     keep = {*reading.keep, *settings.get("keep", ())}
-    rows = _rows(file, {**settings.get("columns", {}), **reading.columns})
+    rows = _rows(file, reading)
     law = _usual_law(rows)
     several = len(rows) > 1
     odd_rows = _odd_rows(file, rows, keep) if several else ()
@@ -209,14 +209,11 @@ def _pair(line: str) -> tuple[str, str, str] | None:
     return (*heading, match[2]) if heading.quantity else None
 
 
-def _rows(file: TextFile, named: Mapping[str, str]) -> list[Row]:
-    """Each throw in the file: those of a table, or the only one of a record.
-
-    Parameters
-    ----------
-    named : headings that the user names, by quantity.
-    """
-
+def _rows(file: TextFile, reading: Reading) -> list[Row]:
+    """Each throw in the file: those of a table, or the only one of a record."""
+    settings = begun(file, "timings").settings
+    named = {**settings.get("columns", {}), **reading.columns}
+    units = parse_units(reading.units)
     wanted = {heading.strip().lower() for heading in named.values()}
 
     def knows(table: Table) -> bool:
@@ -226,18 +223,20 @@ def _rows(file: TextFile, named: Mapping[str, str]) -> list[Row]:
     head = [line for line in file.lines if not is_aside(line)][:MOST_TITLES]
     headings = (header_cells(line, separator_of(line)) for line in head)
     if named or any(map(is_header, headings)):
-        return rows_of(Table.find(file, knows), named)
+        return rows_of(Table.find(file, knows), named, units)
     body = [
         (index, text)
         for index, line in enumerate(file.lines)
         if (text := line.split("#", 1)[0].strip(" ")).strip()
         and not text.startswith("[")
     ]
-    return [Row(body[0][0] + 1 if body else 0, _entries(file, body), {}, [])]
+    return [Row(body[0][0] + 1 if body else 0, _entries(file, body, units), {}, [])]
 
 
-def _entries(file: TextFile, body: Sequence[tuple[int, str]]) -> dict[str, Entry]:
-    """The quantities of a record, by name."""
+def _entries(
+    file: TextFile, body: Sequence[tuple[int, str]], units: Mapping[str, str]
+) -> dict[str, Entry]:
+    """The quantities of a record, by name; `units` are those that the user gives."""
     entries: dict[str, Entry] = {}
     for index, line in body:
         text = line.strip()
@@ -250,19 +249,15 @@ def _entries(file: TextFile, body: Sequence[tuple[int, str]]) -> dict[str, Entry
         key = meant(heading, value)
         if key in entries:
             raise file.error(f"{key} is given twice", index)
+        unit = Heading(key, unit).in_unit(units).unit
         entries[key] = Entry(index + 1, value, unit)
     return entries
 
 
-def usual_law(file: TextFile, named: Mapping[str, str]) -> str:
+def usual_law(file: TextFile, reading: Reading) -> str:
     """The law by which each row of a file is fitted for itself if none is named. Raises
-    `DataError` as the reader.
-
-    Parameters
-    ----------
-    named : headings that the user names, by quantity.
-    """
-    return _law_of_draws(_rows(file, named))
+    `DataError` as the reader."""
+    return _law_of_draws(_rows(file, reading))
 
 
 def _usual_law(rows: list[Row]) -> str:
@@ -320,7 +315,7 @@ def entry_in(table: Path, source: str) -> TableEntry:
     names = path.parts, path.with_suffix("").parts
     rows_of_throw = []
     any_named = False
-    for row in rows_of(notes_table, named):
+    for row in rows_of(notes_table, named, {}):
         name = row.labels.pop("file", None) or row.labels.pop("track", None) or ""
         parts = Path(name.replace("\\", "/")).parts
         if parts:

@@ -1,7 +1,6 @@
 """The Kalman filter of noise that is partly correlated from row to row.
 
-The noise of a channel is an Ornstein-Uhlenbeck process plus independent noise. The
-innovations of its filter are independent (Schweppe 1965, IEEE Trans. Inf. Theory
+The innovations of the filter are independent (Schweppe 1965, IEEE Trans. Inf. Theory
 11, 61): an exact whitening in a time proportional to the number of rows, however
 they are spaced.
 """
@@ -12,31 +11,30 @@ from typing import Any, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
-from curlfit.inference.noise.models import Noise
-from curlfit.numerics.arrays import Floats
 from curlfit.numerics.compiled import compiled
-from curlfit.throws.throw import CHANNELS
 
-SHORTEST = 1e-9
-"""s, in place of a correlation time of 0."""
+_SHORTEST = 1e-9  # s, in place of a correlation time of 0
 
 
 class KalmanFilter(NamedTuple):
     """Predicts each row of a channel from those before it; arrays of shape
-    (channels, n)."""
+    (channels, n).
+
+    The prediction of a row is `decay` times that of the row before, plus `gain` times
+    what that left unpredicted, its innovation.
+    """
 
     decay: Any
-    """of the correlated part to the next row"""
     gain: Any
     scale: Any
     """1 over the standard deviation of an innovation; 0 where nothing was observed"""
 
     @classmethod
     def of(cls, memory: Any, white: Any, gaps: Any, seen: Any) -> Self:
-        """The filter of noise of variance 1.
+        """The filter of an Ornstein-Uhlenbeck process plus independent noise, together
+        of variance 1.
 
         Parameters
         ----------
@@ -45,7 +43,7 @@ class KalmanFilter(NamedTuple):
         gaps : time to the next row, s, shape (n,).
         seen : which values were observed, shape (channels, n).
         """
-        rate = gaps / jnp.maximum(memory, SHORTEST)[:, None]
+        rate = gaps / jnp.maximum(memory, _SHORTEST)[:, None]
 
         def advance(
             variance: Array, row: tuple[Array, Array]
@@ -59,27 +57,14 @@ class KalmanFilter(NamedTuple):
             return left + renewed * (1 - white), (gain, scale)
 
         _, (gain, scale) = jax.lax.scan(advance, 1 - white, (rate.T, seen.T))
-        return cls(jnp.exp(-rate), gain.T, scale.T)
-
-    @classmethod
-    def of_noise(cls, noise: Noise, times: Floats, seen: Any) -> Self:
-        """The filter of a noise model, at times in s; rows beyond the channels
-        are independent."""
-        names = [*CHANNELS, ""][: len(seen)]
-        memory = np.array([noise.memory.get(name, 0.0) for name in names])
-        white = np.array([noise.white_share(name) for name in names])
-        return cls(
-            *map(
-                np.asarray,
-                _filter(memory, white, np.diff(times, append=times[-1]), seen),
-            )
-        )
+        decay = jnp.exp(-rate)
+        return cls(decay, decay * gain.T, scale.T)
 
     def innovations(self, columns: Any) -> Array:
         """What the rows before do not predict, over its standard deviation, of each
         column; shape (channels, n, columns)."""
-        found: Array = _innovations(self, columns)
-        return found
+        innovations: Array = _innovations(self, columns)
+        return innovations
 
     def log_determinant(self) -> Array:
         """Of the whitening, by channel."""
@@ -87,17 +72,15 @@ class KalmanFilter(NamedTuple):
 
 
 @compiled()
-def _innovations(own: KalmanFilter, columns: Array) -> Array:
-    rows = [jnp.swapaxes(part, 0, 1)[..., None] for part in own]
+def _innovations(kalman: KalmanFilter, columns: Array) -> Array:
+    by_row = [jnp.swapaxes(part, 0, 1)[..., None] for part in kalman]
     columns = jnp.swapaxes(columns, 0, 1)
-    _, found = jax.lax.scan(_innovation, jnp.zeros_like(columns[0]), (*rows, columns))
-    return jnp.swapaxes(found, 0, 1)
+    first = jnp.zeros_like(columns[0])
+    _, innovations = jax.lax.scan(_innovation, first, (*by_row, columns))
+    return jnp.swapaxes(innovations, 0, 1)
 
 
-def _innovation(mean: Array, row: tuple[Array, ...]) -> tuple[Array, Array]:
+def _innovation(prediction: Array, row: tuple[Array, ...]) -> tuple[Array, Array]:
     decay, gain, scale, value = row
-    off = value - mean
-    return decay * (mean + gain * off), scale * off
-
-
-_filter = compiled()(KalmanFilter.of)
+    innovation = value - prediction
+    return decay * prediction + gain * innovation, scale * innovation
