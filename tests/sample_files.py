@@ -374,10 +374,10 @@ def vernier(data_sets: Iterable[str] = ("VideoAnalysis",), space: str = " ") -> 
 
 CASES = Path(__file__).parent / "throws" / "cases"
 EXPORTS = {
-    "deeplabcut": (CASES / "deeplabcut.csv").read_text(),
-    "qualisys": (CASES / "qualisys.tsv").read_text(),
-    "trackmate": (CASES / "trackmate.csv").read_text(),
+    "deeplabcut": (CASES / "16_deeplabcut.csv").read_text(),
     "optitrack": optitrack(),
+    "qualisys": (CASES / "22_qualisys.tsv").read_text(),
+    "trackmate": (CASES / "16_trackmate.csv").read_text(),
     "vernier": vernier(),
     "vicon": vicon(),
 }

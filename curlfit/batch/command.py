@@ -54,13 +54,13 @@ def batch(
     """Fit a friction law to many throws, each by itself, into one table.
 
     A row has status, rms, coefficients, standard errors, verdicts and what is
-    determined together. A log of DigitalCurling 3 has a row for each shot, a Tracker
-    export one for each object, a video one for each stone that moves, a table one for
-    each throw (columns shot and stone_index). A throw without a usable fit has the
-    reason in its row and does not stop the batch: status "not usable" if the data were
-    read, "failed" if they could not be read, "odd" for a row of a stopwatch table that
-    the other rows contradict (`--keep` fits it). The same command continues where an
-    earlier run was interrupted.
+    determined together. A log of DigitalCurling 3 has a row for each shot, an export of
+    a tracking program one for each object, a video one for each stone that moves, a
+    table one for each throw (columns shot and stone_index). A throw without a usable
+    fit has the reason in its row and does not stop the batch: status "not usable" if
+    the data were read, "failed" if they could not be read, "odd" for a row of a
+    stopwatch table that the other rows contradict (`--keep` fits it). The same command
+    continues where an earlier run was interrupted.
 
     Exit status 0 if a throw in the table is ok; 1 if some were read and none is usable;
     2 if none could be read, or the command itself is refused.

@@ -267,9 +267,10 @@ class Reading(Choices):
 
     Attributes
     ----------
-    format : `table`, `tracker` (export of Tracker), `digitalcurling` (log of
-        DigitalCurling 3), `curling-stone-tracker` (stones of a video) or `timings`
-        (stopwatch). [default: detected from the file]
+    format : `table`, `timings` (stopwatch), `digitalcurling` (log of DigitalCurling 3),
+        `curling-stone-tracker` (stones of a video), or an export of another program:
+        `tracker`, `trackmate`, `deeplabcut`, `vernier`, `optitrack`, `vicon`,
+        `qualisys`. [default: detected from the file]
     axes : The file's axes, words separated by commas: `x-along`, `x-back`, `x-right`,
         `x-left` and the same for y say where an axis points, seen along the throw;
         `from-hack`, `from-back`, `from-tee`, `from-hog`, `from-centre`, `from-far-hog`,
@@ -282,12 +283,12 @@ class Reading(Choices):
         (pixels), x,y (m).
     worksheet : Worksheet of a workbook (.xlsx, .ods), by its name. [default: the
         first with data]
-    stone_index : Object of a Tracker export, stone of a shot or of a video, or throw of
-        a table, from 1. [default: the first object; the stone thrown; with `batch`,
-        each]
+    stone_index : Object that a tracking program exports, stone of a shot or of a video,
+        or throw of a table, from 1. [default: the first object; the stone thrown; with
+        `batch`, each]
     shot : Shot of a log with several, from 1. [with `batch`: each]
-    handle : Object of a Tracker export, from 1, that marks the handle or any other
-        point of the same stone: its direction from the stone is the angle.
+    handle : Object that a tracking program exports, from 1, that marks the handle or
+        any other point of the same stone: its direction from the stone is the angle.
     keep : Rows of a table of stopwatch times, by their lines in the file, that a joint
         fit uses although their values are odd beside those of the others.
     throws : Table with a column `file` (or `track`) and labels of these throws, such as

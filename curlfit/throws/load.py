@@ -154,7 +154,7 @@ def load_throws(*files: str | PathLike[str], **choices: Any) -> list[Throw]:
 def parts_of(
     file: str | PathLike[str], reading: Reading, *, jointly: bool = False
 ) -> list[Part]:
-    """Every throw in a file: shots of a log, objects of a Tracker export, stones of a
+    """Every throw in a file: shots of a log, objects of a tracking program, stones of a
     video, throws of a table; `shot` or `stone_index` selects a single one. For a joint
     fit every one of a table alone.
 

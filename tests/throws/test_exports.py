@@ -32,7 +32,7 @@ from scipy.spatial.transform import Rotation
 from curlfit import DataError, InputError, load_throw, load_throws
 from curlfit.throws.load import detect_format
 
-TRUTH = load_throw(CASES / "truth.csv")
+TRUTH = load_throw(CASES / "00_truth.csv")
 
 
 def agrees(throw, truth=TRUTH, first=0, *, phi=False, atol=6e-5):
@@ -83,7 +83,7 @@ def test_another_table_is_refused(write, name):
 
 
 def test_a_table_of_spots():
-    throw = load_throw(CASES / "trackmate.csv")
+    throw = load_throw(CASES / "16_trackmate.csv")
     agrees(throw)
     assert throw.lines[0] == 5
 
@@ -146,7 +146,7 @@ def test_spots_in_pixels_and_frames(write):
 
 
 def test_points_of_a_network():
-    file = CASES / "deeplabcut.csv"
+    file = CASES / "16_deeplabcut.csv"
     with pytest.raises(DataError) as caught:
         load_throw(file)
     assert [str(option) for option in caught.value.options] == ["`--units t=30fps`"]
@@ -199,6 +199,25 @@ def test_unlikely_points_are_gaps(write):
     assert not has_note(as_given, "unlikely-positions")
     assert abs(as_given.x[7] - X[7]) > 0.5
     assert len(load_throw(write("# as_given = true\n" + text), **choices)) == N
+
+
+def test_a_point_on_the_handle_gives_the_angle(write):
+    """An unlikely one leaves a gap of the angle alone."""
+    places = marked_stone()
+    likely = np.ones(N)
+    of_handle = np.where(np.arange(N) == 30, 0.1, 1.0)
+    text = deeplabcut(
+        ("stone", *project(places["x"], places["y"]), likely),
+        ("handle", *project(places["x_mark"], places["y_mark"]), of_handle),
+    )
+    points = write(known_points(), "points.csv")
+    throw = load_throw(write(text), units="t=4fps", reference=points, handle=2)
+    is_throw(throw, phi=False, atol=1e-5)
+    assert np.flatnonzero(np.isnan(throw.phi)).tolist() == [30]
+    seen = np.isfinite(throw.phi)
+    difference = (throw.phi - throw.phi[0] - PHI + PHI[0])[seen]
+    np.testing.assert_allclose(difference, 0.0, atol=1e-3)
+    assert note_on(throw, "unlikely-positions").numbers["column"] == 7
 
 
 def test_points_of_several_individuals(write):
@@ -334,7 +353,7 @@ def test_sections_of_a_spreadsheet_are_as_wide_as_the_widest(write):
 
 
 def test_markers_are_in_millimetres():
-    file = CASES / "qualisys.tsv"
+    file = CASES / "22_qualisys.tsv"
     throw = load_throw(file)
     agrees(throw)
     assert note_on(throw, "unit-of-the-program").numbers["unit"] == "mm"
@@ -398,16 +417,20 @@ def test_headings_of_other_tables_are_no_data_sets():
 
 
 @pytest.mark.parametrize(
-    ("name", "words"),
+    ("file", "layout", "words"),
     [
-        ("trackmate.csv", []),
-        ("deeplabcut.csv", ["--units=t=10fps,length=m", "--handle=2"]),
-        ("qualisys.tsv", ["--handle=2"]),
+        ("16_trackmate.csv", "trackmate", []),
+        (
+            "16_deeplabcut.csv",
+            "deeplabcut",
+            ["--units=t=10fps,length=m", "--handle=2"],
+        ),
+        ("22_qualisys.tsv", "qualisys", ["--handle=2"]),
     ],
 )
-def test_check_shows_how_an_export_is_read(name, words):
-    run = python(*STRICT, "-m", "curlfit", "check", CASES / name, *words)
+def test_check_shows_how_an_export_is_read(file, layout, words):
+    run = python(*STRICT, "-m", "curlfit", "check", CASES / file, *words)
     assert run.returncode == 0, run.stderr
-    assert f": {name.partition('.')[0]}, " in run.stdout
+    assert f": {layout}, " in run.stdout
     with pytest.raises(InputError):
-        load_throw(CASES / name, shot=1)
+        load_throw(CASES / file, shot=1)
