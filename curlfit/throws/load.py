@@ -23,9 +23,10 @@ from curlfit.throws.readers.columns import parse_units
 from curlfit.throws.readers.curling_stone_tracker import CURLING_STONE_TRACKER
 from curlfit.throws.readers.deeplabcut import DEEPLABCUT
 from curlfit.throws.readers.digitalcurling import DIGITALCURLING
+from curlfit.throws.readers.format import Contents, Format
 from curlfit.throws.readers.known_points import load_homography
 from curlfit.throws.readers.optitrack import OPTITRACK
-from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile
+from curlfit.throws.readers.parsed_file import ParsedFile
 from curlfit.throws.readers.path import TABLE
 from curlfit.throws.readers.qualisys import QUALISYS
 from curlfit.throws.readers.text import TextFile, is_aside

@@ -30,9 +30,9 @@ from curlfit.numerics.arrays import Floats
 from curlfit.settings.choices import Reading
 from curlfit.sheet import FOOT
 from curlfit.throws.readers.columns import Column
-from curlfit.throws.readers.defaults import begun
+from curlfit.throws.readers.format import Contents, Format
 from curlfit.throws.readers.json_values import MOST_NUMBERS, does_not_move, value_in
-from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile
+from curlfit.throws.readers.parsed_file import ParsedFile
 from curlfit.throws.readers.text import TextFile
 
 _NAME = "curling-stone-tracker"
@@ -181,7 +181,7 @@ def _read_stone(
     moving = {k: names[k] for k, other in enumerate(stones) if other.moves}
     if index not in moving:
         raise file.error(does_not_move(index, stone.name, moving))
-    parsed = begun(file, _NAME, _HEAD)
+    parsed = ParsedFile.begin(file, _NAME, _HEAD)
     parsed.notes += _notes(stone, index, names, others_move=len(moving) > 1)
     if reading.axes is None and "axes" not in parsed.settings:
         forward = stone.way[1] >= 0

@@ -28,13 +28,13 @@ from curlfit.foreign import is_number, quoted
 from curlfit.numerics.arrays import Floats
 from curlfit.settings.choices import Reading
 from curlfit.throws.readers.columns import Column
-from curlfit.throws.readers.defaults import begun
+from curlfit.throws.readers.format import Contents, Format, choose
 from curlfit.throws.readers.json_values import (
     MOST_NUMBERS,
     does_not_move,
     values_in,
 )
-from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile, choose
+from curlfit.throws.readers.parsed_file import ParsedFile
 from curlfit.throws.readers.text import TextFile
 
 _EXPECTED = (
@@ -90,7 +90,7 @@ DIGITALCURLING = Format(
 
 
 def _read_shot(file: TextFile, chosen: Shot, stone_index: int | None) -> ParsedFile:
-    parsed = begun(file, "digitalcurling", _HEAD)
+    parsed = ParsedFile.begin(file, "digitalcurling", _HEAD)
     notes = parsed.notes
     period, positions, names = _paths(file, chosen)
     xy = positions[:, :, :2]

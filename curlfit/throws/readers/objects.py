@@ -10,8 +10,9 @@ from curlfit.errors import InputError, Option
 from curlfit.findings import Finding, Remedy
 from curlfit.settings.choices import Reading
 from curlfit.throws.readers.columns import Column, quantities_of
+from curlfit.throws.readers.format import Contents, choose
 from curlfit.throws.readers.headings import Headings
-from curlfit.throws.readers.parsed_file import Contents, ParsedFile, choose
+from curlfit.throws.readers.parsed_file import ParsedFile
 from curlfit.throws.readers.path_columns import read_columns
 from curlfit.throws.readers.table import Table
 
@@ -28,12 +29,12 @@ def places_by_name(names: Sequence[str]) -> dict[str, list[int]]:
     return places
 
 
-def objects_of(table: Table, begun: ParsedFile, reading: Reading) -> Contents:
+def objects_of(table: Table, file: ParsedFile, reading: Reading) -> Contents:
     """The objects of a table; one that marks the handle is no throw by itself.
 
     Parameters
     ----------
-    begun : the settings of the file, without columns.
+    file : with its settings, without columns.
 
     Raises
     ------
@@ -43,7 +44,7 @@ def objects_of(table: Table, begun: ParsedFile, reading: Reading) -> Contents:
     names = list(table.objects)
 
     def parse(index: int) -> ParsedFile:
-        parsed = begun.copy()
+        parsed = file.copy()
         if len(names) > 1:
             remedies = [Remedy("selects-another", Option("stone-index", "N"))]
             if not reading.handle:

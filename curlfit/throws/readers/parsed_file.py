@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from curlfit.errors import DataError, InputError, Option
+from curlfit.errors import DataError, Option
 from curlfit.findings import Finding
 from curlfit.foreign import LARGEST
 from curlfit.numerics.arrays import Floats
-from curlfit.settings.choices import Reading, given
 from curlfit.throws.events import Event
 from curlfit.throws.odd_row import OddRow
 from curlfit.throws.readers.columns import Column, in_unit
+from curlfit.throws.readers.comments import read_comments
 from curlfit.throws.readers.text import TextFile
 from curlfit.throws.reference import Reference
 
@@ -59,6 +58,34 @@ class ParsedFile:
     labels: dict[str, str] = field(default_factory=dict)
     alone: DataError | None = None
     odd_rows: tuple[OddRow, ...] = ()
+
+    @classmethod
+    def begin(
+        cls,
+        file: TextFile,
+        format: str,
+        until: int | None = None,
+        source: str | None = None,
+    ) -> ParsedFile:
+        """A file with what its comments say, and no columns yet.
+
+        Parameters
+        ----------
+        until : as of `read_comments`. source : a name in place of the file.
+
+        Raises
+        ------
+        DataError : a setting that cannot be read or used.
+        """
+        comments = read_comments(file, until)
+        of_file = [] if file.note is None else [file.note]
+        return cls(
+            source or file.path,
+            format,
+            settings=comments.settings,
+            reference=comments.reference,
+            notes=[*of_file, *comments.notes],
+        )
 
     def error(
         self,
@@ -124,96 +151,6 @@ class ParsedFile:
         self.series.append(Series(header, column, scaled))
 
 
-class Contents(NamedTuple):
-    """The throws in a file.
-
-    Attributes
-    ----------
-    labels : their names; one name without meaning where the file has only one.
-    parse : reads the one of an index.
-    among : indices of those that are throws by themselves; all, if None.
-    note : makes the note on the one of several that is taken, from their number and
-        its own; None for none.
-    left_out : indices of those that a joint fit leaves out.
-    odd_rows : those of a stopwatch table that contradict the others.
-    """
-
-    labels: Sequence[str]
-    parse: Callable[[int], ParsedFile]
-    among: Sequence[int] | None = None
-    note: Callable[[int, int], Finding] | None = None
-    left_out: Collection[int] = ()
-    odd_rows: Sequence[OddRow] = ()
-
-
-class Format(NamedTuple):
-    """A format of data files.
-
-    Attributes
-    ----------
-    name : as in `--format`.
-    recognizes : whether a file is of this format, from its first lines without
-        comments and blanks.
-    contents : the throws in a file.
-    what, selected_by : what a throw is called there, and the choice that selects it.
-    usual : index of the one taken if none is selected; None if one must be selected.
-    selections : all choices that select something in such a file.
-    columns : quantities of its columns that no other format has.
-    jointly : whether a joint fit takes all throws of such a file.
-    """
-
-    name: str
-    recognizes: Callable[[list[str]], bool]
-    contents: Callable[[TextFile, Reading], Contents]
-    what: str
-    selected_by: str
-    usual: int | None
-    selections: tuple[str, ...]
-    columns: Collection[str] = ()
-    jointly: bool = False
-
-    def check(self, source: Path | str, reading: Reading) -> None:
-        """Raise `InputError` for a choice of something that such files do not hold."""
-        for name, what in _NOTHING.items():
-            if given(getattr(reading, name)) and name not in self.selections:
-                flag = name.replace("_", "-")
-                raise InputError(
-                    f"--{flag}: {source} is a {self.name} file and holds {what}"
-                )
-
-    def selected(
-        self, source: Path | str, contents: Contents, number: int | None
-    ) -> ParsedFile:
-        """The throw of a number, counting from 1, or the usual one.
-
-        Raises
-        ------
-        DataError : several throws, of which one must be selected, or one that
-            determines nothing by itself. InputError : no such throw.
-        """
-        labels, count = contents.labels, len(contents.labels)
-        flag = f"--{self.selected_by.replace('_', '-')}"
-        if list(labels) == [""] and number is not None:
-            raise InputError(
-                f"{flag}: {source} is a {self.name} file and holds one stone"
-            )
-        if number is None and count > 1 and self.usual is None:
-            listed = "; ".join(
-                f"{k} {label}" for k, label in enumerate(labels[:_MOST_LISTED], 1)
-            )
-            more = f"; and {count - _MOST_LISTED} more" if count > _MOST_LISTED else ""
-            select = Option(flag.removeprefix("--"), "N")
-            fault = f"{count} {self.what}s; choose one with {select}: {listed}{more}"
-            raise DataError(fault, file=source, options=(select,))
-        index = choose(self.what, flag, number, labels, self.usual or 0)
-        parsed = contents.parse(index)
-        if parsed.alone is not None:
-            raise parsed.alone
-        if count > 1 and contents.note is not None:
-            parsed.notes.insert(0, contents.note(count, index + 1))
-        return parsed
-
-
 def unit_since_1970(value: float) -> str | None:
     """The unit in which a number is a time since 1970, of this century; None if there
     is none smaller than a second."""
@@ -225,15 +162,6 @@ def unit_since_1970(value: float) -> str | None:
 
 _CENTURY = (946684800.0, 4102444800.0)
 """s since 1970, of the years 2000 and 2100."""
-_NOTHING = {
-    "worksheet": "no worksheets",
-    "shot": "no shots",
-    "stone_index": "one stone",
-    "handle": "no objects",
-    "keep": "no throws in rows",
-    "columns": "no columns to be named",
-}
-_MOST_LISTED = 20
 
 
 def clock_of(quantity: str, quantities: Any) -> str:
@@ -244,22 +172,3 @@ def clock_of(quantity: str, quantities: Any) -> str:
         return clock
     of_place = base.removesuffix("_mark") in ("x", "y", "u", "v")
     return "t_xy" if of_place and "t_xy" in quantities else "t"
-
-
-def choose(
-    what: str, flag: str, number: int | None, options: Sequence[str], default: int
-) -> int:
-    """Index of option `number` (counting from 1), or the default.
-
-    Raises
-    ------
-    InputError : there is no such option; the message lists them.
-    """
-    if number is None:
-        return default
-    if not 1 <= number <= len(options):
-        listed = "; ".join(f"{index} {name}" for index, name in enumerate(options, 1))
-        raise InputError(
-            f"{flag} {number}: there is no such {what}; expected one of {listed}"
-        )
-    return number - 1

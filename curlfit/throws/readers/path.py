@@ -13,10 +13,11 @@ from dataclasses import replace
 
 from curlfit.errors import DataError
 from curlfit.settings.choices import Reading
-from curlfit.throws.readers.defaults import begun
+from curlfit.throws.readers.comments import read_comments
+from curlfit.throws.readers.format import Contents, Format
 from curlfit.throws.readers.headings import Headings
 from curlfit.throws.readers.objects import objects_of
-from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile
+from curlfit.throws.readers.parsed_file import ParsedFile
 from curlfit.throws.readers.path_columns import read_columns
 from curlfit.throws.readers.table import Table
 from curlfit.throws.readers.text import TextFile
@@ -37,14 +38,14 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
 
     def knows(table: Table) -> bool:
         with suppress(DataError):
-            settings = begun(file, TABLE.name, table.header).settings
+            settings = read_comments(file, table.header).settings
             headings = Headings(table.headings, table.error)
             headings.columns(reading, settings.get("columns", {}))
             return True
         return False
 
     table = Table.find(file, knows)
-    return contents_of(table, begun(file, TABLE.name, table.header), reading)
+    return contents_of(table, ParsedFile.begin(file, TABLE.name, table.header), reading)
 
 
 TABLE = Format(
@@ -79,7 +80,7 @@ def layout(
 
     def contents(file: TextFile, reading: Reading) -> Contents:
         table = table_of(file)
-        return contents_of(table, begun(file, name, table.header), reading)
+        return contents_of(table, ParsedFile.begin(file, name, table.header), reading)
 
     if throws_in_rows:
         return TABLE._replace(name=name, recognizes=recognizes, contents=contents)

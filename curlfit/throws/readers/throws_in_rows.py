@@ -12,7 +12,8 @@ import numpy as np
 
 from curlfit.findings import Finding
 from curlfit.throws.readers.cells import is_gap
-from curlfit.throws.readers.parsed_file import Contents, ParsedFile
+from curlfit.throws.readers.format import Contents
+from curlfit.throws.readers.parsed_file import ParsedFile
 from curlfit.throws.readers.words import WORDS
 
 _NAMES = set(WORDS["throws"].split())

@@ -24,9 +24,10 @@ from curlfit.throws.events import Event
 from curlfit.throws.odd_row import OddRow
 from curlfit.throws.readers.cells import header_cells, separator_of
 from curlfit.throws.readers.columns import parse_header, parse_units
-from curlfit.throws.readers.defaults import begun
+from curlfit.throws.readers.comments import read_comments
+from curlfit.throws.readers.format import Contents, Format
 from curlfit.throws.readers.odd_rows import OddValue, odd_values
-from curlfit.throws.readers.parsed_file import Contents, Format, ParsedFile
+from curlfit.throws.readers.parsed_file import ParsedFile
 from curlfit.throws.readers.record import (
     ALONG,
     EXPECTED,
@@ -55,7 +56,7 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
     DataError : an unknown line, an impossible value, a curl without its side, or times
         that do not determine friction.
     """
-    settings = begun(file, "timings").settings
+    settings = read_comments(file).settings
     keep = {*reading.keep, *settings.get("keep", ())}
     rows = _rows(file, reading)
     law = _usual_law(rows)
@@ -73,7 +74,7 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
     def parse(index: int) -> ParsedFile:
         row = rows[index]
         source = f"{file.path} row {index + 1}" if several else None
-        parsed = begun(file, "timings", source=source)
+        parsed = ParsedFile.begin(file, "timings", source=source)
         parsed.settings.setdefault("law", law)
         for name in ("keep", "columns"):
             parsed.settings.pop(name, None)
@@ -211,7 +212,7 @@ def _pair(line: str) -> tuple[str, str, str] | None:
 
 def _rows(file: TextFile, reading: Reading) -> list[Row]:
     """Each throw in the file: those of a table, or the only one of a record."""
-    settings = begun(file, "timings").settings
+    settings = read_comments(file).settings
     named = {**settings.get("columns", {}), **reading.columns}
     units = parse_units(reading.units)
     wanted = {heading.strip().lower() for heading in named.values()}
@@ -310,7 +311,7 @@ def entry_in(table: Path, source: str) -> TableEntry:
         return bool({"file", "track"} & {heading.lower() for heading in of.headings})
 
     notes_table = Table.find(file, names_throws)
-    named = begun(file, "timings").settings.get("columns", {})
+    named = read_comments(file).settings.get("columns", {})
     path = Path(file_and_number(source)[0]).resolve()
     names = path.parts, path.with_suffix("").parts
     rows_of_throw = []

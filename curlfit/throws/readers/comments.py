@@ -6,8 +6,7 @@ import re
 import tomllib
 from bisect import bisect_left
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from curlfit.errors import InputError
 from curlfit.findings import Finding
@@ -16,7 +15,6 @@ from curlfit.friction import find_law
 from curlfit.settings.choices import SEED, Modelling, Reading
 from curlfit.stone import Stone
 from curlfit.throws.readers.axes import parse_axes
-from curlfit.throws.readers.parsed_file import ParsedFile
 from curlfit.throws.readers.text import TextFile
 from curlfit.throws.reference import Reference
 
@@ -47,14 +45,23 @@ _REFERENCE = (
 )
 
 
-def begun(
-    file: TextFile,
-    format: str,
-    until: int | None = None,
-    source: Path | str | None = None,
-) -> ParsedFile:
-    """A parsed file with the settings, reference and notes from its comments, and no
-    columns yet.
+class Comments(NamedTuple):
+    """What the comments of a file say of its throw.
+
+    Attributes
+    ----------
+    settings : defaults of a fit and of how it is read, by name.
+    reference : published values, if there are any.
+    notes : on settings that are not known.
+    """
+
+    settings: dict[str, Any]
+    reference: Reference | None
+    notes: list[Finding]
+
+
+def read_comments(file: TextFile, until: int | None = None) -> Comments:
+    """The settings, the reference and the notes in the comments of a file.
 
     Comments that are not `key = value` are skipped, but `key: value` is refused where
     `key = value` would be a setting.
@@ -62,7 +69,6 @@ def begun(
     Parameters
     ----------
     until : index of the line before which comments are settings; all are, if None.
-    source : a name in place of the file.
 
     Raises
     ------
@@ -93,7 +99,7 @@ def begun(
             key=lambda end: bool(_settings(known[: end + 1])[1]),
         )
         raise file.error(_settings(known[: first + 1])[1], known[first][0])
-    notes = [] if file.note is None else [file.note]
+    notes = []
     if unknown:
         more = len(unknown) - _MOST_NAMED
         ignored = Finding.note(
@@ -103,9 +109,7 @@ def begun(
         )
         notes.append(ignored)
     reference = _reference(file, settings.pop("reference", None))
-    return ParsedFile(
-        source or file.path, format, settings=settings, reference=reference, notes=notes
-    )
+    return Comments(settings, reference, notes)
 
 
 def _require_no_colon(file: TextFile, index: int, body: str) -> None:
