@@ -140,9 +140,10 @@ def load_throws(*files: str | PathLike[str], **choices: Any) -> list[Throw]:
     for part in parts:
         if isinstance(part.throw, CurlfitError):
             raise part.throw
-        of_table = part.stone_index is not None and reading.stone_index is None
-        name = part.throw.name + f" throw {part.stone_index}" * of_table
-        throws.append(replace(part.throw, name=name))
+        throw = part.throw
+        if part.stone_index is not None and reading.stone_index is None:
+            throw = replace(throw, name=f"{throw.name} throw {part.stone_index}")
+        throws.append(throw)
     if (
         parts
         and (fault := parts[0].alone) is not None
@@ -165,43 +166,40 @@ def parts_of(
         cannot be used.
     """
     path, format, contents = _open(file, reading)
-    key = format.selected_by
-    number = getattr(reading, key)
-    whole = partial(format.selected, path, contents, number)
-    parses: list[tuple[int | None, Callable[[], ParsedFile]]] = [(number, whole)]
-    every = format.jointly if jointly else True
-    if every and number is None and len(contents.labels) > 1:
-        among = (
-            range(len(contents.labels)) if contents.among is None else contents.among
-        )
-        parses = [(k + 1, partial(contents.parse, k)) for k in among]
-    own: dict[str, int | None] = {
-        "shot": reading.shot,
-        "stone_index": reading.stone_index,
-    }
+    number = getattr(reading, format.selected_by)
+    one_alone = len(contents.labels) < 2 or (jointly and not format.jointly)
+    if number is not None or one_alone:
+        selected = partial(format.selected, path, contents, number)
+        return [_part(selected, reading, format.selected_by, number)]
+    indices = range(len(contents.labels)) if contents.among is None else contents.among
     parts = []
-    for k, parse in parses:
-        alone = None
-        try:
-            parsed = parse()
-            alone = parsed.alone
-            throw: Throw | CurlfitError = throw_of(parsed, reading)
-        except CurlfitError as error:
-            throw = error
-        left_out = number is None and k is not None and k - 1 in contents.left_out
-        odd_row = None
-        if left_out:
-            odd_row = next((odd for odd in contents.odd_rows if odd.row == k), None)
-        parts.append(
-            Part(
-                **own | {key: k},
-                throw=throw,
-                alone=alone,
-                left_out=left_out,
-                odd_row=odd_row,
-            )
-        )
+    for index in indices:
+        parse = partial(contents.parse, index)
+        part = _part(parse, reading, format.selected_by, index + 1)
+        if index in contents.left_out:
+            odd_rows = (odd for odd in contents.odd_rows if odd.row == index + 1)
+            part = part._replace(left_out=True, odd_row=next(odd_rows, None))
+        parts.append(part)
     return parts
+
+
+def _part(
+    parse: Callable[[], ParsedFile], reading: Reading, key: str, number: int | None
+) -> Part:
+    """A throw of a file, or why it cannot be read.
+
+    Parameters
+    ----------
+    key : the choice by which it is selected, "shot" or "stone_index"; `number` is the
+        value that selects it.
+    """
+    selection = {"shot": reading.shot, "stone_index": reading.stone_index, key: number}
+    try:
+        parsed = parse()
+        throw = throw_of(parsed, reading)
+    except CurlfitError as error:
+        return Part(selection["shot"], selection["stone_index"], error)
+    return Part(selection["shot"], selection["stone_index"], throw, parsed.alone)
 
 
 def rows_of_table(file: str | PathLike[str], reading: Reading) -> list[Part]:
@@ -317,28 +315,22 @@ def found_files(wanted: Sequence[str], besides: Collection[Path] = ()) -> list[P
     ------
     InputError : a folder, pattern or name matches no file.
     """
-    found: set[Path] = set()
+    files: set[Path] = set()
     left_out = {file.resolve() for file in besides}
     for text in wanted:
         place = Path(text)
         if place.is_dir():
-            here = {
-                file
-                for file in place.iterdir()
-                if file.suffix.lower() in _SUFFIXES and file.is_file()
+            named = {
+                file for file in place.iterdir() if file.suffix.lower() in _SUFFIXES
             }
+            fault = f"no file that ends in {', '.join(_SUFFIXES)} found"
         else:
-            here = {
-                Path(name)
-                for name in glob(text, recursive=True)
-                if Path(name).is_file()
-            }
-        if not (here := {file for file in here if file.resolve() not in left_out}):
-            what = (
-                f"no file that ends in {', '.join(_SUFFIXES)}"
-                if place.is_dir()
-                else "no file"
-            )
-            raise InputError(f"{text}: {what} found")
-        found |= here
-    return sorted(found)
+            named = set(map(Path, glob(text, recursive=True)))
+            fault = "no file found"
+        readable = {
+            file for file in named if file.is_file() and file.resolve() not in left_out
+        }
+        if not readable:
+            raise InputError(f"{text}: {fault}")
+        files |= readable
+    return sorted(files)
