@@ -118,7 +118,7 @@ def fit(
         Table with a header: t, x, y and if possible phi (s, m, m, rad; other units as
         y_ft, angle_deg ...). Leading lines `# key = value` are its defaults. Several
         files, or those of a folder, are fitted jointly; of a table of `curlfit batch`,
-        the throws that it contains.
+        the throws that it contains. `-` is standard input.
     """
     from curlfit.batch.table import is_table
     from curlfit.throws.friction_table import is_friction_table
