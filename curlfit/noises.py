@@ -236,8 +236,8 @@ class Ar1(Noise):
         xp = namespace(times)
         share = self.white[channel]
         decay = xp.exp(-abs(times[:, None] - times) / self.memory[channel])
-        found: Floats = share * xp.eye(len(times)) + (1 - share) * decay
-        return found
+        covariance: Floats = share * xp.eye(len(times)) + (1 - share) * decay
+        return covariance
 
     def correlation_in_words(self, channel: str) -> str:
         time = f"correlation time {self.memory[channel]:.2g} s"

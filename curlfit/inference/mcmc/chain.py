@@ -353,9 +353,8 @@ def subject_of(fit: FitResult, seed: int) -> dict[str, str]:
     own = subject_of_saved(fit)
     noise = [fit.sigma[name] for name in sorted(fit.sigma)]
     for name in (*fit.noise.parameters, "sizes"):
-        if name != "white":  # as in chains of earlier versions
-            of_channel = getattr(fit.noise, name)
-            noise += [of_channel[channel] for channel in sorted(of_channel)]
+        estimates = getattr(fit.noise, name)
+        noise += [estimates[key] for key in sorted(estimates)]
     information = [np.array(fit.information[name]) for name in ("matrix", "gradient")]
     return own | {
         "least-squares result": digest(fit.values, np.array(noise), *information),

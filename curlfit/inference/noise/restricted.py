@@ -223,25 +223,24 @@ class _Search:
         likelihood = float(_slope(self.noise.kind, found.x, self.data)[2])
         return _Maximum(found.x, correlated, unknowns, -float(found.fun), likelihood)
 
-    def rough(self, found: _Maximum) -> Booleans:
+    def rough(self, maximum: _Maximum) -> Booleans:
         """Channels whose residuals are as rough as noise, and of a size; others are due
         to the law, or to a file without noise."""
         data = self.data
         left = data.residual
-        parts = _parts(found.point, data)
+        parts = _parts(maximum.point, data)
         if self.sizes:
             sizes = np.exp(parts.log_sizes)
-            left = left - np.asarray(data.paid) @ self._at(found).mean(sizes)
+            left = left - np.asarray(data.paid) @ self._at(maximum).mean(sizes)
         series = zip(data.weight * left, data.weight > 0, strict=True)
         sized = ~self.free | (parts.log_scale > self.rms - _FAR)
         return sized & [is_rough(values[seen]) for values, seen in series]
 
     def _at(self, maximum: _Maximum) -> Regression:
         """The regression at a maximum."""
-        found: Regression = jax.tree.map(
-            np.asarray, _at(self.noise.kind, maximum.point, self.data)
-        )
-        return found
+        regression = _at(self.noise.kind, maximum.point, self.data)
+        in_numpy: Regression = jax.tree.map(np.asarray, regression)
+        return in_numpy
 
     def widened(self, best: _Maximum) -> _Maximum:
         """With the mean variance of the noise at low frequencies in place of the
@@ -293,14 +292,14 @@ class _Search:
             return Estimate(noise, scale)
         regression = self._at(best)
         of_sizes = np.asarray(_of_sizes(regression, GRID))
-        found = Estimate(noise, scale, regression, of_sizes)
-        rms = np.sqrt(found.weights @ GRID**2)
+        estimate = Estimate(noise, scale, regression, of_sizes)
+        rms = np.sqrt(estimate.weights @ GRID**2)
         noise = replace(
             noise,
             sizes=dict(zip(COMPONENTS, map(float, rms), strict=True)),
             initial_state=self._initial_state(regression, rms).tolist(),
         )
-        return found._replace(noise=noise)
+        return estimate._replace(noise=noise)
 
     def _initial_state(self, regression: Regression, sizes: Floats) -> Floats:
         """Covariance of the change of the initial state that compensates a
@@ -311,5 +310,5 @@ class _Search:
         shift = data.from_standard[-STATE:] @ np.asarray(data.coupling) @ root
         mean = spread @ white
         squares = spread @ spread.T + _FACTOR * np.outer(mean, mean)
-        found: Floats = shift @ squares @ shift.T
-        return found
+        covariance: Floats = shift @ squares @ shift.T
+        return covariance

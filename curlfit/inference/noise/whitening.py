@@ -134,8 +134,9 @@ def filter_of(noise: Noise, times: Floats, seen: Any) -> Filter:
         of_channel = getattr(noise, name)
         values[name] = np.array([of_channel.get(row, independent) for row in channels])
     gaps = np.diff(times, append=times[-1])
-    found: Filter = jax.tree.map(np.asarray, _filter(noise.kind, values, gaps, seen))
-    return found
+    whitening: Filter = _filter(noise.kind, values, gaps, seen)
+    in_numpy: Filter = jax.tree.map(np.asarray, whitening)
+    return in_numpy
 
 
 @compiled("kind")

@@ -22,6 +22,7 @@ _FEET = re.compile(r"(?<=\d)\s*['\u2032\u2019]")
 _UNIT = re.compile(r"[^\W\d_]+[.]?|[°'\u2032\"\u2033]")
 _RATE = re.compile(r"(?:[^\W\d_]+|°)(?:\s*/\s*[^\W\d_]+)?[.]?")  # km/h, °/s
 _FILLING = set(WORDS["filling"].split())
+_FEET_IN_WORDS = ("ft", "foot", "feet")
 _MEANS = by_word(WORDS["directions"])
 
 
@@ -37,6 +38,14 @@ class Quantity(NamedTuple):
     value: float
     signed: bool
     words: frozenset[str]
+
+
+class _Number(NamedTuple):
+    """A number with its sign, if any, and its unit, which is empty if none follows."""
+
+    sign: str
+    size: float
+    unit: str
 
 
 def parse_quantity(
@@ -58,50 +67,90 @@ def parse_quantity(
         time = time_by_watch(text)
         if time is not None:
             return Quantity(time, signed=False, words=frozenset())
+    plain = _units_as_words(text, quantity)
+    numbers, rest = _leading_numbers(plain, text, quantity, unit)
+    words = _words(rest)
+    if not (numbers or words) or not all(map(_is_known, words)):
+        raise InputError(f"{quoted(text.strip())} found, expected a number")
+    directions = frozenset(_MEANS[word] for word in words if word in _MEANS)
+    if not numbers:
+        return Quantity(math.nan, signed=False, words=directions)
+    value = 0.0
+    for number in numbers:
+        factor = in_unit(quantity, number.unit).factor if number.unit else per
+        value += number.size * factor
+    sign = numbers[0].sign
+    negative = sign in ("-", "\u2212")
+    return Quantity(-value if negative else value, bool(sign), directions)
+
+
+def _units_as_words(text: str, quantity: str) -> str:
+    """A text with the marks of feet and inches as words. A last mark of inches belongs
+    to the number, unless the text begins with one too."""
     rest = text.strip()
     if units_of(quantity) is units_of("x"):
-        # a last mark of inches belongs to the number, unless the text begins
-        # with one too
         rest = re.sub(r"^([\"'])(.*)\1$", r"\2", rest).lstrip("\"'")
         rest = _FEET.sub(" ft ", _INCHES.sub(" in ", rest))
-    rest = re.sub(r"(?i)\bin\s+front\b", "front", rest.strip("\"'").strip())
-    sign, value, signed, units = 1.0, 0.0, False, units_of(quantity)
-    given, before = unit, ""
-    numbers, bare = 0, False
-    while match := _NUMBER.match(rest):
-        if numbers and (match["sign"] or bare):
-            break  # another number may only follow a unit, as in 4 ft 6 in
-        size = parse_number(match["size"] + (match["power"] or ""), decimal_comma=True)
+    return re.sub(r"(?i)\bin\s+front\b", "front", rest.strip("\"'").strip())
+
+
+def _leading_numbers(
+    rest: str, text: str, quantity: str, usual_unit: str
+) -> tuple[list[_Number], str]:
+    """The numbers with which a text begins, and the rest of it. Another number may only
+    follow a unit, as in 4 ft 6 in; after feet it is in inches.
+
+    Parameters
+    ----------
+    rest : the text with units as words. text : as written.
+    usual_unit : of a number without one.
+    """
+    units = units_of(quantity)
+    pattern = _RATE if quantity in ("speed", "omega") else _UNIT
+    numbers: list[_Number] = []
+    may_follow = True
+    while may_follow and (match := _NUMBER.match(rest)):
+        if numbers and match["sign"]:
+            break
+        size = parse_number(match["size"] + (match["power"] or ""))
         if size is None:
             break
         rest = rest[match.end() :].strip()
-        own = (_RATE if quantity in ("speed", "omega") else _UNIT).match(rest)
-        said = re.sub(r"[\s/]", "", own[0].rstrip(".").lower()) if own else ""
-        bare = said not in units
-        if own and not bare:
-            rest, given = rest[own.end() :].strip(), said
-        elif said and said not in _MEANS and said not in _FILLING:
-            in_unit(quantity, said)  # raises
-        elif before in ("ft", "foot", "feet"):
-            given = "in"  # 3 ft 6
+        word = pattern.match(rest)
+        written = re.sub(r"[\s/]", "", word[0].rstrip(".").lower()) if word else ""
+        may_follow = written in units
+        if word and may_follow:
+            rest = rest[word.end() :].strip()
+            unit = written
+        elif written and not _is_known(written):
+            raise _unknown_unit(quantity, written)
+        elif numbers and numbers[-1].unit in _FEET_IN_WORDS:
+            unit = "in"  # 3 ft 6
         elif numbers:
             raise InputError(
                 f"{quoted(text.strip())} found, expected a unit of {match[0].strip()}"
             )
-        value += size * (in_unit(quantity, given).factor if given else per)
-        if match["sign"]:
-            signed, sign = True, -1.0 if match["sign"] != "+" else 1.0
-        numbers += 1
-        given, before = unit, given
-    words = re.sub(r"(?i)\b(counter|anti)[\s-]+(?=clock)", r"\1", rest)
-    said_words = re.findall(r"[^\W\d_]+|\d[\d.,]*", words.lower())
-    unknown = [
-        word for word in said_words if word not in _MEANS and word not in _FILLING
-    ]
-    if unknown or (not numbers and not said_words):
-        raise InputError(f"{quoted(text.strip())} found, expected a number")
-    return Quantity(
-        sign * value if numbers else math.nan,
-        signed,
-        frozenset(_MEANS[word] for word in said_words if word in _MEANS),
-    )
+        else:
+            unit = usual_unit
+        numbers.append(_Number(match["sign"], size, unit))
+    return numbers, rest
+
+
+def _unknown_unit(quantity: str, unit: str) -> InputError:
+    """The error of a unit that is none of the quantity."""
+    try:
+        in_unit(quantity, unit)
+    except InputError as error:
+        return error
+    return InputError(f"{quantity} in {quoted(unit)}: expected a unit after a number")
+
+
+def _words(text: str) -> list[str]:
+    """The words after a number, and further numbers."""
+    joined = re.sub(r"(?i)\b(counter|anti)[\s-]+(?=clock)", r"\1", text)
+    return re.findall(r"[^\W\d_]+|\d[\d.,]*", joined.lower())
+
+
+def _is_known(word: str) -> bool:
+    """Whether a word is a direction, or says nothing beside one."""
+    return word in _MEANS or word in _FILLING
