@@ -343,6 +343,17 @@ def test_a_rate_that_is_missing_is_asked_for(write):
         load_throw(write(vicon().partition("Trajectories")[0]))
 
 
+@pytest.mark.parametrize("rate", ["0", "-4", "inf", "1e999", "nan"])
+def test_a_rate_that_is_none_is_asked_for_too(write, rate):
+    with pytest.raises(DataError, match="`--units t=30fps`"):
+        load_throw(write(vicon(rate)))
+
+
+def test_a_rate_with_a_decimal_comma(write):
+    semicolons = vicon("4.0").replace(",", ";").replace(".", ",")
+    is_throw(load_throw(write(semicolons)), later=0.25, phi=False, atol=1e-8)
+
+
 def test_sections_of_a_spreadsheet_are_as_wide_as_the_widest(write):
     lines = vicon().split("\n")
     padded = "\n".join(line + "," * (12 - line.count(",")) for line in lines)

@@ -262,10 +262,10 @@ def _unit_of_mark(
     typical : distance of the mark from the stone in m.
     """
     length = _length(columns)
-    if length <= LENGTH:
+    now = [s.column.factor for s in parsed.series if s.column.quantity in ("x", "y")]
+    if not typical or length <= LENGTH or not now:
         return None
-    now = next(s.column.factor for s in parsed.series if s.column.quantity in "xy")
-    factors = {unit: in_unit("x", unit).factor / now for unit in _LENGTHS}
+    factors = {unit: in_unit("x", unit).factor / now[0] for unit in _LENGTHS}
     fitting = [unit for unit, factor in factors.items() if factor * length <= LENGTH]
     if not fitting:
         return None

@@ -11,6 +11,7 @@ from unicodedata import normalize
 
 from curlfit.errors import InputError
 from curlfit.foreign import quoted
+from curlfit.throws.readers.numbers import parse_number
 from curlfit.throws.readers.words import WORDS, by_word
 
 _NAMES: dict[str, str] = WORDS["names"]
@@ -240,6 +241,15 @@ def frame_rate(unit: str) -> float | None:
     None for another unit."""
     frames = _FRAMES.fullmatch(unit)
     return None if frames is None else float(frames[2] or frames[1])
+
+
+def unit_of_frames(rate: str) -> str:
+    """The unit of times that count frames, from their rate as a file has it; empty for
+    what is no rate of a camera."""
+    number = parse_number(rate)
+    if number is None or not 1e-3 <= number <= 1e6:
+        return ""
+    return f"{number:.9g}fps"
 
 
 def _named(name: str, patterns: Mapping[str, str]) -> str | None:

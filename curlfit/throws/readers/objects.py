@@ -151,7 +151,7 @@ def _rotation(
     table: Table, columns: Mapping[int, Column], parts: Mapping[str, int]
 ) -> dict[int, Column]:
     """Columns of a rotation about the axis that is neither x nor y, by place; none if
-    the positions are not on two of the axes.
+    the positions are not on two of the axes, or if there is an angle already.
 
     Parameters
     ----------
@@ -162,7 +162,7 @@ def _rotation(
     }
     ice = [axis_of.get("x", ""), axis_of.get("y", "")]
     (*_, vertical) = [axis for axis in "XYZ" if axis not in ice]
-    if len({*ice, vertical} & set("XYZ")) < 3:
+    if "phi" in axis_of or len({*ice, vertical} & set("XYZ")) < 3:
         return {}
     places = [parts["W"], parts[vertical]]
     if "".join(ice) not in "XYZX":

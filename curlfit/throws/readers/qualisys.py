@@ -12,7 +12,7 @@ from dataclasses import replace
 
 from curlfit.errors import Option
 from curlfit.findings import Finding, Remedy
-from curlfit.throws.readers.numbers import is_number
+from curlfit.throws.readers.columns import unit_of_frames
 from curlfit.throws.readers.objects import places_by_name
 from curlfit.throws.readers.path import layout
 from curlfit.throws.readers.table import Table, lines_of_data
@@ -32,11 +32,11 @@ def _recognizes(head: list[str]) -> bool:
 def _table(file: TextFile) -> Table:
     """The table with each marker as an object."""
     first = file.head()
-    frequency = ""
+    frames = ""
     for index in lines_of_data(file, first, _MOST_ABOVE_HEADER):
         name, _, value = file.lines[index].partition("\t")
         if name == "FREQUENCY":
-            frequency = value.strip()
+            frames = unit_of_frames(value.strip())
         if name in ("Frame", "Time"):
             table = Table.at(file, index)
             break
@@ -54,8 +54,8 @@ def _table(file: TextFile) -> Table:
     ]
     clock = markers.index(next(filter(None, markers), ""))
     units = "length=mm"
-    if "Time" not in headings and is_number(frequency):
-        units += f",t={float(frequency):g}fps"
+    if "Time" not in headings and frames:
+        units += f",t={frames}"
     in_mm = Finding.note(
         "unit-of-the-program",
         Remedy("another-unit", Option("units", "length=UNIT")),

@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from curlfit.throws.readers.cells import header_cells, separator_of
-from curlfit.throws.readers.numbers import is_number
+from curlfit.throws.readers.columns import unit_of_frames
 from curlfit.throws.readers.objects import places_by_name
 from curlfit.throws.readers.path import layout
 from curlfit.throws.readers.table import Table, lines_of_data
@@ -43,13 +43,13 @@ def _table(file: TextFile) -> Table:
     table = Table.at(section, header).with_units_below()
     above_header = above[: above.index(header)]
     rate = _cells(file.lines[above_header[1]])[0] if len(above_header) > 1 else ""
+    frames = unit_of_frames(rate)
     names = _names(file, above_header[-1], len(table.headings))
     objects = {
         name: [0, *places]  # with the frame
         for name, places in places_by_name(names).items()
     }
-    units = f"t={float(rate):g}fps" if is_number(rate) else ""
-    return replace(table, objects=objects, units=units)
+    return replace(table, objects=objects, units=f"t={frames}" if frames else "")
 
 
 def _names(file: TextFile, index: int, columns: int) -> list[str]:
