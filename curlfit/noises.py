@@ -223,7 +223,8 @@ class Ar1(Noise):
         return {"memory": jax.numpy.full(len(shares), memory), "white": shares}
 
     def log_prior(self, unknowns: Any, span: Any) -> Any:
-        # exponential in the correlation time, uniform in the shares
+        # exponential in the correlation time (in its logarithm, hence the Jacobian),
+        # uniform in the logits of the shares
         log_time = unknowns[-1]
         return log_time - namespace(log_time).exp(log_time) / (_TYPICAL * span)
 
@@ -263,8 +264,8 @@ class Discrepancy(Ar1):
     kind: str = "discrepancy"
 
     about = (
-        "has the same and accelerations that an inexact law lacks, as functions of "
-        "speed"
+        "has the noise of `ar1` and accelerations that an inexact law lacks, as "
+        "functions of speed"
     )
     further_names = ("ar1+discrepancy",)
     has_discrepancy = True

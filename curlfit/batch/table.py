@@ -37,7 +37,7 @@ def settings_file(table: Path) -> Path:
     return table.parent / f"{table.stem}.settings.json"
 
 
-def is_table(file: Path) -> bool:
+def is_table_of_batch(file: Path) -> bool:
     """Whether a file begins as a table of `curlfit batch` does."""
     if not file.is_file():  # a pipe can be read once
         return False

@@ -120,7 +120,7 @@ def fit(
         files, or those of a folder, are fitted jointly; of a table of `curlfit batch`,
         the throws that it contains. `-` is standard input.
     """
-    from curlfit.batch.table import is_table
+    from curlfit.batch.table import is_table_of_batch
     from curlfit.throws.friction_table import is_friction_table
 
     files = _files_of(data, reading)
@@ -131,7 +131,7 @@ def fit(
 
         return fit_table(files[0], flags, output, "fit", reading, sampling)
     output.drawn()
-    if is_table(files[0]):
+    if is_table_of_batch(files[0]):
         if words := [*replace(flags, law=None).words(), *reading.words()]:
             raise InputError(
                 f"{words[0]}: the throws of {files[0]} are fitted already; "

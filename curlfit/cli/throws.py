@@ -43,7 +43,8 @@ def check(
     """Show how a data file is read: columns, units, scatter, rest, what is implausible.
 
     Exit status 0 if the file can be read and is plausible, 2 otherwise. Of a table of
-    stopwatch times each row is read, or the one that `--shot` selects.
+    stopwatch times each row is read, or the one that `--shot` selects; a table of
+    friction against speed is shown too.
 
     Example: `curlfit check data/jensen_shegelski_2004.csv`
 
@@ -57,6 +58,7 @@ def check(
     from curlfit.errors import DataError
     from curlfit.inference.parameters import FEWEST_ROWS
     from curlfit.output.console import terminal
+    from curlfit.throws.friction_table import is_friction_table
     from curlfit.throws.load import read, rows_of_table, throw_of
     from curlfit.throws.plausibility import examine, require_motion, require_plausible
     from curlfit.throws.report import print_findings, print_inspection
@@ -65,6 +67,9 @@ def check(
         _require_picture(out)
     configured = s.read_config(config)
     reading = Reading.of(configured, vars(reading))
+    if is_friction_table(data, reading.worksheet, reading.columns):
+        _check_friction(data, reading)
+        return
     parts = rows_of_table(data, reading)
     if parts:
         _check_rows(parts, data, out)
@@ -93,6 +98,17 @@ def check(
         save_figure(throw_figure(job.throw), out)
         console.print(f"Written: {out}", soft_wrap=True)
     require_plausible(job.cut)
+
+
+def _check_friction(data: Path, reading: Reading) -> None:
+    """Show a table of friction against speed. Raises `DataError` where it cannot be
+    read."""
+    from curlfit.output.console import terminal
+    from curlfit.throws.friction_table import load_friction_table
+    from curlfit.throws.report import print_friction
+
+    table = load_friction_table(data, reading.worksheet, reading.columns, reading.units)
+    print_friction(table, terminal(highlight=False))
 
 
 def _check_rows(parts: Sequence[Part], data: Path, out: Path | None) -> None:

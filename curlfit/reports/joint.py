@@ -11,6 +11,7 @@ from rich.text import Text
 
 from curlfit.findings import Finding
 from curlfit.inference.joint.effects import SLOPES_DIFFER, chances_of_alike_slopes
+from curlfit.losses import LOSSES
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Section, command_line, show
 from curlfit.output.text import labelled
@@ -110,19 +111,22 @@ def document(result: JointResult) -> Document:
     )
     settings = {}
     names: Collection[str] = result.coefficients
+    model = f"{result.load} load"
     if result.throws:
-        settings = settings_of(result.throws[0])
-        names = result.throws[0].parameters
+        first = result.throws[0]
+        settings = settings_of(first)
+        names = first.parameters
+        model += LOSSES[first.loss].suffix + first.noise.suffix
     settings["Data"] = ", ".join(_files(result))
     settings["Sigma"] = ""
     settings["In common"] = ", ".join(result.share)
     return Document(
         finding=lower(result.status),
         style=style_of(result),
-        subject=f"{result.law} law, {result.load} load, {count}",
+        subject=f"{result.law} law, {model}, {count}",
         headline=Text.assemble(
             (f"{result.law} law", "bold"),
-            f", {result.load} load, {count}; shared: {', '.join(result.share)}",
+            f", {model}, {count}; shared: {', '.join(result.share)}",
         ),
         about=about(result, result.warnings, odd_rows),
         lines=[odd_rows, *effects, *lines_of(result), differs],

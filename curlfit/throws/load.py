@@ -54,7 +54,8 @@ _READERS = (
     TRACKER,
     TABLE,
 )
-"""Formats in the order in which they are tried; the last accepts any file."""
+"""Formats in the order in which they are tried: first those that only one program
+writes; the last accepts any file."""
 _BY_NAME = {reader.name: reader for reader in reversed(_READERS)}
 FORMATS = tuple(_BY_NAME)
 _SUFFIXES = (".csv", ".tsv", ".txt", ".jsonl", ".json")

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from curlfit.findings import Finding
     from curlfit.numerics.arrays import Floats
     from curlfit.throws.events import Event
+    from curlfit.throws.friction_table import FrictionTable
     from curlfit.throws.load import Part
     from curlfit.throws.readers.parsed_file import ParsedFile
     from curlfit.throws.throw import Throw
@@ -63,10 +64,7 @@ def print_inspection(
     write()
     for line in facts(throw, settings):
         write(line)
-    if throw.notes:
-        write("\nNotes")
-        for note in throw.notes:
-            write(f"- {note}")
+    _print_notes(throw.notes, console)
 
 
 def print_rows(parts: Sequence[Part], file: Path, console: Console) -> None:
@@ -99,10 +97,35 @@ def print_rows(parts: Sequence[Part], file: Path, console: Console) -> None:
         for note in throw.notes
         if note.code not in ("odd-value", "impossible-value")  # said above
     )
-    if notes:
-        console.print("\nNotes")
-        for note in notes:
-            console.print(f"- {note}")
+    _print_notes(list(notes), console)
+
+
+def print_friction(table: FrictionTable, console: Console) -> None:
+    """Print a table of friction against speed, and the reader's notes."""
+    console.print(
+        f"{table.name}: friction against speed, {counted(len(table.mu), 'row')}"
+    )
+    columns = {"speed (m/s)": table.speed, "mu": table.mu}
+    if table.sigma is not None:
+        columns["sigma of mu"] = table.sigma
+    if table.omega.any():
+        columns["spin (rad/s)"] = table.omega
+    console.print(
+        PlainTable(
+            {f">{heading}": f"{values[row]:.5g}" for heading, values in columns.items()}
+            for row in range(min(len(table.mu), _MOST_SHOWN))
+        )
+    )
+    _print_notes(table.notes, console)
+
+
+def _print_notes(notes: Sequence[Finding], console: Console) -> None:
+    """Print what the reader says, if it says anything."""
+    if not notes:
+        return
+    console.print("\nNotes")
+    for note in notes:
+        console.print(f"- {note}")
 
 
 def _heading(event: Event) -> str:

@@ -240,3 +240,25 @@ def test_a_comma_within_the_words_of_the_last_column(write) -> None:
     assert throws[0].labels["remark"] == "wide, a bit"
     with pytest.raises(DataError, match="line 2: 4 cells where the header has 3"):
         load_throws(write("hog to hog,rest,remark\n12,8,0.5,good\n12.7,0.4,good\n"))
+
+
+def test_each_row_is_a_frame_where_there_are_no_times(write) -> None:
+    states = zip(X, Y, PHI, strict=True)
+    rows = [f"{x:.17g},{y:.17g},{phi:.17g}" for x, y, phi in states]
+
+    def text(head: str) -> str:
+        return "\n".join([head, *rows])
+
+    for head in ("x,y,phi", "my throw\nx,y,phi", "my throw\nof today\n,,\nx,y,phi"):
+        throw = load_throw(write(text(head)), units="t=4fps")
+        is_throw(throw)
+        assert note_on(throw, "rows-are-frames")
+    with pytest.raises(DataError, match="no column for t among x, y, phi"):
+        load_throw(write(text("x,y,phi")))
+    rows[5] = ",,"
+    throw = load_throw(write(text("x,y,phi")), units="t=4fps")
+    assert throw.t.tolist() == T.tolist()
+    assert np.flatnonzero(np.isnan(throw.x)).tolist() == [5]
+    rows[5] = "1,2"
+    with pytest.raises(DataError, match="line 7: 2 cells where the header has 3"):
+        load_throw(write(text("x,y,phi")), units="t=4fps")

@@ -27,6 +27,14 @@ def separator_of(line: str) -> str | None:
     return next((mark for mark in ("\t", ";", ",") if mark in bare), None)
 
 
+def headings_in(line: str) -> list[str]:
+    """The headings in a line, without empty ones at its end."""
+    headings = header_cells(line, separator_of(line))
+    while len(headings) > 1 and not headings[-1]:
+        headings.pop()
+    return headings
+
+
 def header_cells(line: str, separator: str | None) -> list[str]:
     """Cells of a header; in a table separated by spaces, `t (s)` is one cell."""
     return cells(_UNIT_APART.sub(r"\1", line) if separator is None else line, separator)

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import zip_longest
 
-from curlfit.throws.readers.cells import header_cells, separator_of
+from curlfit.throws.readers.cells import headings_in
 from curlfit.throws.readers.objects import places_by_name
 from curlfit.throws.readers.path import layout
 from curlfit.throws.readers.table import Likelihood, Table, lines_of_data
@@ -71,7 +71,7 @@ def _table(file: TextFile) -> Table:
 
 def _cells(lines: Sequence[str]) -> list[list[str]]:
     """The cells of header lines."""
-    return [header_cells(line, separator_of(line)) for line in lines]
+    return [headings_in(line) for line in lines]
 
 
 DEEPLABCUT = layout("deeplabcut", _recognizes, _table)

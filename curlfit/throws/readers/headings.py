@@ -248,6 +248,16 @@ class Headings(NamedTuple):
         return cut(", ".join(self.names), _MOST_NAMES)
 
 
+def has_clock(headings: Iterable[str]) -> bool:
+    """Whether a heading means times, in any language, or numbers of frames."""
+    for heading in headings:
+        column = c.parse_header(heading, other_words=True)
+        is_time = column is not None and column.base == "t"
+        if is_time or _FRAME_NUMBERS.fullmatch(heading.strip().lower()):
+            return True
+    return False
+
+
 def named_columns(
     wanted: Mapping[str, str],
     headings: Sequence[str],

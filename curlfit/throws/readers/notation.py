@@ -123,7 +123,7 @@ def _leading_numbers(
             rest = rest[word.end() :].strip()
             unit = written
         elif written and not _is_known(written):
-            raise _unknown_unit(quantity, written)
+            raise _unknown_unit(text, quantity, written)
         elif numbers and numbers[-1].unit in _FEET_IN_WORDS:
             unit = "in"  # 3 ft 6
         elif numbers:
@@ -136,13 +136,13 @@ def _leading_numbers(
     return numbers, rest
 
 
-def _unknown_unit(quantity: str, unit: str) -> InputError:
+def _unknown_unit(text: str, quantity: str, unit: str) -> InputError:
     """The error of a unit that is none of the quantity."""
     try:
         in_unit(quantity, unit)
     except InputError as error:
-        return error
-    return InputError(f"{quantity} in {quoted(unit)}: expected a unit after a number")
+        return InputError(f"{quoted(text.strip())} found; {error}")
+    return InputError(f"{quoted(text.strip())} found, expected a unit after a number")
 
 
 def _words(text: str) -> list[str]:

@@ -16,7 +16,7 @@ from dataclasses import replace
 from curlfit.errors import Option
 from curlfit.findings import Finding, Remedy
 from curlfit.foreign import quoted
-from curlfit.throws.readers.cells import header_cells, separator_of
+from curlfit.throws.readers.cells import headings_in
 from curlfit.throws.readers.columns import units_of
 from curlfit.throws.readers.objects import places_by_name
 from curlfit.throws.readers.path import layout
@@ -78,7 +78,7 @@ def _table(file: TextFile) -> Table:
         columns={"x": "Z", "y": "X"},
         units=_units(file, first),
         quaternions=quaternions,
-        findings=[axes, *unused],
+        noted=[axes, *unused],
     )
 
 
@@ -94,7 +94,7 @@ def _units(file: TextFile, first: int) -> str:
 
 def _cells(line: str) -> list[str]:
     """The cells of a line of the header."""
-    return header_cells(line, separator_of(line))
+    return headings_in(line)
 
 
 OPTITRACK = layout("optitrack", _recognizes, _table)

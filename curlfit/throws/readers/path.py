@@ -7,15 +7,17 @@ objects side by side.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 
 from curlfit.errors import DataError
+from curlfit.findings import Finding
 from curlfit.settings.choices import Reading
+from curlfit.throws.readers.columns import frame_rate, parse_units
 from curlfit.throws.readers.comments import read_comments
 from curlfit.throws.readers.format import Contents, Format
-from curlfit.throws.readers.headings import Headings
+from curlfit.throws.readers.headings import Headings, has_clock
 from curlfit.throws.readers.objects import objects_of
 from curlfit.throws.readers.parsed_file import ParsedFile
 from curlfit.throws.readers.path_columns import read_columns
@@ -29,23 +31,41 @@ from curlfit.throws.readers.throws_in_rows import (
 
 
 def _contents(file: TextFile, reading: Reading) -> Contents:
-    """The throws of a text table.
+    """The throws of a text table. With frames as the unit of time, each row of a table
+    without times is a frame.
 
     Raises
     ------
     DataError : with the line and column of the fault, and what was expected.
     """
-
-    def knows(table: Table) -> bool:
-        with suppress(DataError):
-            settings = read_comments(file, table.header).settings
-            headings = Headings(table.headings, table.error)
-            headings.columns(reading, settings.get("columns", {}))
-            return True
-        return False
-
-    table = Table.find(file, knows)
+    table = Table.find(file, lambda table: _has_path(table, reading))
     return contents_of(table, ParsedFile.begin(file, TABLE.name, table.header), reading)
+
+
+def _has_path(table: Table, reading: Reading) -> bool:
+    """Whether the headings are those of a path, as the user or the file names them."""
+    with suppress(DataError):
+        settings = read_comments(table.file, table.header).settings
+        named = settings.get("columns", {})
+        timed = _timed(table, reading, named)
+        Headings(timed.headings, table.error).columns(reading, named)
+        return True
+    return False
+
+
+def _timed(table: Table, reading: Reading, named: Mapping[str, str]) -> Table:
+    """The table, with each row as a frame if it has no column of times and frames are
+    the unit of time.
+
+    Parameters
+    ----------
+    named : headings that the file names, by quantity.
+    """
+    unit = parse_units(reading.units).get("t", "")
+    times_are_named = "t" in named or "t" in reading.columns
+    if frame_rate(unit) is None or times_are_named or has_clock(table.headings):
+        return table
+    return table.with_frames()
 
 
 TABLE = Format(
@@ -115,6 +135,9 @@ def contents_of(table: Table, parsed: ParsedFile, reading: Reading) -> Contents:
             **reading.columns,
         },
     )
+    table = _timed(table, reading, {})
+    if table.has_frames:
+        parsed.notes.append(Finding.note("rows-are-frames"))
     if table.objects:
         return objects_of(table, parsed, reading)
     headings = Headings(table.headings, table.error, table.is_numeric)

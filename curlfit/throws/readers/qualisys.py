@@ -70,7 +70,7 @@ def _table(file: TextFile) -> Table:
             for name, places in places_by_name(markers).items()
         },
         units=units,
-        findings=[in_mm],
+        noted=[in_mm],
     )
 
 

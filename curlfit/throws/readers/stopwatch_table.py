@@ -98,7 +98,7 @@ def meant(quantity: str, cell: str) -> str:
     return "handle" if quantity == "spin" and words_alone else quantity
 
 
-def rows_of(
+def throws_of_table(
     table: Table, named: Mapping[str, str], units: Mapping[str, str]
 ) -> list[Row]:
     """The throws in the rows of a table.

@@ -26,6 +26,7 @@ from curlfit.throws.readers.cells import (
     LOST,
     cells,
     header_cells,
+    headings_in,
     is_gap,
     separator_of,
 )
@@ -80,8 +81,9 @@ class Table:
         spaces.
     headings : of its columns.
     header_lines : the text of its header, which may be repeated between the rows.
-    findings : on what was read otherwise than it is written; more come as columns are
-        read.
+    has_frames : whether the last heading is that of numbers of rows, which the file
+        does not have: each row is a frame of a film.
+    noted : findings on the header, the rows and the columns, as these are read.
     objects : places of the columns of each object, by its name, where the file says
         which there are.
     computed : places of columns that a program computed from others.
@@ -99,7 +101,8 @@ class Table:
     separator: str | None
     headings: list[str]
     header_lines: tuple[str, ...] = ()
-    findings: list[Finding] = field(default_factory=list)
+    has_frames: bool = False
+    noted: list[Finding] = field(default_factory=list)
     objects: Mapping[str, Sequence[int]] = field(default_factory=dict)
     computed: Collection[int] = ()
     units: str = ""
@@ -113,9 +116,7 @@ class Table:
         """The table whose header is the line of an index, behind a `#` perhaps."""
         line = file.lines[header].lstrip().removeprefix("#")
         separator = separator_of(line)
-        headings = header_cells(line, separator)
-        while len(headings) > 1 and not headings[-1]:
-            headings.pop()
+        headings = headings_in(line)
         return cls(file, header, separator, headings, (file.lines[header],))
 
     @classmethod
@@ -138,7 +139,7 @@ class Table:
                     not_read = Finding.note(
                         "lines-above-the-header", count=titles, first=quoted(above)
                     )
-                    table.findings.append(not_read)
+                    table.noted.append(not_read)
                 return table.with_units_below()._with_row_names()
         table = cls.at(file, first)
         if not all(map(is_number, table.headings)):
@@ -173,11 +174,18 @@ class Table:
                 )
         return places
 
+    @property
+    def findings(self) -> list[Finding]:
+        """What was read otherwise than it is written, in the header, in the rows and in
+        the columns that were read."""
+        _ = self.rows
+        return self.noted
+
     @cached_property
     def rows(self) -> list[int]:
         """Indices of the lines of its rows. Raises `DataError` for none."""
         if self._plain is not None:
-            return self._lines
+            return self._lines_of_rows
         return self._rows.lines
 
     @property
@@ -186,7 +194,7 @@ class Table:
         return self._rows.cells
 
     @cached_property
-    def _lines(self) -> list[int]:
+    def _lines_of_rows(self) -> list[int]:
         """Indices of the lines below the header, without the rows of means and such at
         the end."""
         lines = lines_of_data(self.file, self.header + 1)
@@ -199,7 +207,7 @@ class Table:
                 names=[quoted(name) for name in names],
                 lines=[index + 1 for index in below],
             )
-            self.findings.append(left_out)
+            self.noted.append(left_out)
             lines = lines[: -len(below)]
         if not lines:
             raise self.error("a header but no rows of numbers")
@@ -213,10 +221,10 @@ class Table:
         ------
         DataError : a row with a wrong number of cells.
         """
-        width = len(self.headings)
+        width = self._width
         rows = _Rows([], [])
         between = []
-        for index in self._lines:
+        for index in self._lines_of_rows:
             row = self._cells_of(index)
             repeated = self.file.lines[index] in self.header_lines
             if repeated or self._is_remark(row):
@@ -227,6 +235,8 @@ class Table:
                 row = [*row[: width - 1], remark]
             if len(row) < width or any(row[width:]):
                 raise self._wrong_width(index, row)
+            if self.has_frames:
+                row = [*row[:width], str(len(rows.lines))]
             rows.lines.append(index)
             rows.cells.append(row)
         if not rows.lines:
@@ -239,7 +249,7 @@ class Table:
                 texts=texts,
                 lines=[index + 1 for index in between],
             )
-            self.findings.append(not_read)
+            self.noted.append(not_read)
         return rows
 
     def _is_remark(self, row: Sequence[str]) -> bool:
@@ -251,7 +261,7 @@ class Table:
 
     def _wrong_width(self, index: int, row: Sequence[str]) -> DataError:
         """The error of a row with another number of cells than the header."""
-        width = len(self.headings)
+        width = self._width
         count = counted(len(row), "cell")
         fault = f"{count} where the header has {counted(width, 'column')}"
         if self.separator == "," and width < len(row) <= 2 * width:
@@ -296,7 +306,7 @@ class Table:
                 cell=quoted(thousands.example),
                 number=without_groups(thousands.example, thousands.mark),
             )
-            self.findings.append(noted)
+            self.noted.append(noted)
         for place, column in zip(places, values, strict=True):
             if None in column:
                 row = column.index(None)
@@ -344,7 +354,7 @@ class Table:
         ]
         if lost:
             gaps = Finding.note("gaps", count=len(lost), cell=quoted(lost[0]))
-            self.findings.append(gaps)
+            self.noted.append(gaps)
 
     def clock(
         self, place: int, frame_rate: float | None, day_first: bool | None
@@ -380,11 +390,15 @@ class Table:
     def _plain(self) -> Floats | None:
         """All cells, shape (rows, columns), if they are numbers that mean what they
         say. It is the usual table, and the quickest to read."""
-        lines = [self.file.lines[index] for index in self._lines]
+        lines = [self.file.lines[index] for index in self._lines_of_rows]
         with suppress(ValueError):  # of anything but numbers
             values = np.loadtxt(lines, delimiter=self.separator, comments=None, ndmin=2)
-            if values.shape[1] == len(self.headings) and not np.isinf(values).any():
-                return None if self._may_have_thousands(values) else values
+            if values.shape[1] != self._width or np.isinf(values).any():
+                return None
+            if self._may_have_thousands(values):
+                return None
+            frames = np.arange(len(values))
+            return np.column_stack([values, frames]) if self.has_frames else values
         return None
 
     def _may_have_thousands(self, values: Floats) -> bool:
@@ -423,6 +437,22 @@ class Table:
         ]
         header_lines = (*self.header_lines, self.file.lines[index])
         return replace(self, header=index, headings=headings, header_lines=header_lines)
+
+    def with_frames(self) -> Table:
+        """The table with the numbers of its rows as a further column: each row is a
+        frame of a film."""
+        frame = len(self.headings)
+        return replace(
+            self,
+            headings=[*self.headings, "frame"],
+            objects={name: [*of, frame] for name, of in self.objects.items()},
+            has_frames=True,
+        )
+
+    @property
+    def _width(self) -> int:
+        """Number of columns of the file."""
+        return len(self.headings) - int(self.has_frames)
 
     def _with_row_names(self) -> Table:
         """The table with an empty heading for names of rows, as R writes them: each row

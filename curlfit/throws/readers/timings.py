@@ -22,7 +22,7 @@ from curlfit.sheet import LINES
 from curlfit.throws.channels import UNITS
 from curlfit.throws.events import Event
 from curlfit.throws.odd_row import OddRow
-from curlfit.throws.readers.cells import header_cells, separator_of
+from curlfit.throws.readers.cells import headings_in
 from curlfit.throws.readers.columns import parse_header, parse_units
 from curlfit.throws.readers.comments import read_comments
 from curlfit.throws.readers.format import Contents, Format
@@ -38,7 +38,12 @@ from curlfit.throws.readers.record import (
     Row,
     usual_sigma,
 )
-from curlfit.throws.readers.stopwatch_table import Heading, is_header, meant, rows_of
+from curlfit.throws.readers.stopwatch_table import (
+    Heading,
+    is_header,
+    meant,
+    throws_of_table,
+)
 from curlfit.throws.readers.table import MOST_TITLES, Table
 from curlfit.throws.readers.text import TextFile, is_aside
 
@@ -58,7 +63,7 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
     """
     settings = read_comments(file).settings
     keep = {*reading.keep, *settings.get("keep", ())}
-    rows = _rows(file, reading)
+    rows = _throws_in(file, reading)
     law = _usual_law(rows)
     several = len(rows) > 1
     odd_rows = _odd_rows(file, rows, keep) if several else ()
@@ -172,7 +177,7 @@ def _recognizes(head: list[str]) -> bool:
     """Whether the first lines are those of a record or of a table of times, which may
     stand below titles."""
     for line in head[:MOST_TITLES]:
-        headings = header_cells(line, separator_of(line))
+        headings = headings_in(line)
         if is_header(headings):
             known = {Heading.of(heading).quantity for heading in headings}
             columns = [column for name in headings if (column := parse_header(name))]
@@ -210,7 +215,7 @@ def _pair(line: str) -> tuple[str, str, str] | None:
     return (*heading, match[2]) if heading.quantity else None
 
 
-def _rows(file: TextFile, reading: Reading) -> list[Row]:
+def _throws_in(file: TextFile, reading: Reading) -> list[Row]:
     """Each throw in the file: those of a table, or the only one of a record."""
     settings = read_comments(file).settings
     named = {**settings.get("columns", {}), **reading.columns}
@@ -222,9 +227,9 @@ def _rows(file: TextFile, reading: Reading) -> list[Row]:
         return has_wanted and (bool(wanted) or is_header(table.headings))
 
     head = [line for line in file.lines if not is_aside(line)][:MOST_TITLES]
-    headings = (header_cells(line, separator_of(line)) for line in head)
+    headings = (headings_in(line) for line in head)
     if named or any(map(is_header, headings)):
-        return rows_of(Table.find(file, knows), named, units)
+        return throws_of_table(Table.find(file, knows), named, units)
     body = [
         (index, text)
         for index, line in enumerate(file.lines)
@@ -258,7 +263,7 @@ def _entries(
 def usual_law(file: TextFile, reading: Reading) -> str:
     """The law by which each row of a file is fitted for itself if none is named. Raises
     `DataError` as the reader."""
-    return _law_of_draws(_rows(file, reading))
+    return _law_of_draws(_throws_in(file, reading))
 
 
 def _usual_law(rows: list[Row]) -> str:
@@ -316,7 +321,7 @@ def entry_in(table: Path, source: str) -> TableEntry:
     names = path.parts, path.with_suffix("").parts
     rows_of_throw = []
     any_named = False
-    for row in rows_of(notes_table, named, {}):
+    for row in throws_of_table(notes_table, named, {}):
         name = row.labels.pop("file", None) or row.labels.pop("track", None) or ""
         parts = Path(name.replace("\\", "/")).parts
         if parts:

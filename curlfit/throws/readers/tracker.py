@@ -14,7 +14,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 
-from curlfit.throws.readers.cells import cells, header_cells, separator_of
+from curlfit.throws.readers.cells import cells, headings_in
 from curlfit.throws.readers.columns import quantities_of
 from curlfit.throws.readers.numbers import is_number
 from curlfit.throws.readers.path import layout
@@ -93,7 +93,7 @@ def _repetitions(headings: Sequence[str]) -> list[int]:
 
 def _header(line: str) -> list[str]:
     """The headings in a line, without numbers of throws side by side."""
-    return _without_numbers(header_cells(line, separator_of(line)))
+    return _without_numbers(headings_in(line))
 
 
 def _without_numbers(headings: list[str]) -> list[str]:

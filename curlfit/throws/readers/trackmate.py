@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from curlfit.throws.readers.cells import header_cells, separator_of
+from curlfit.throws.readers.cells import header_cells, headings_in
 from curlfit.throws.readers.numbers import is_number
 from curlfit.throws.readers.path import layout
 from curlfit.throws.readers.table import Table, lines_of_data
@@ -25,7 +25,7 @@ _MOST_BELOW_KEYS = 3
 
 def _recognizes(head: list[str]) -> bool:
     """Whether a file begins with keys of spots in tracks."""
-    return set(header_cells(head[0], separator_of(head[0]))) >= _NEEDED
+    return set(headings_in(head[0])) >= _NEEDED
 
 
 def _table(file: TextFile) -> Table:

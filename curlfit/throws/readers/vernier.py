@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
-from curlfit.throws.readers.cells import header_cells, separator_of
+from curlfit.throws.readers.cells import headings_in
 from curlfit.throws.readers.columns import quantities_of
 from curlfit.throws.readers.objects import places_by_name
 from curlfit.throws.readers.path import layout
@@ -23,7 +23,7 @@ _HEADING = re.compile(r"(?P<data_set>[^:]*[^:\W][^:]*):\s*(?P<column>[^:]+)")
 
 def _recognizes(head: list[str]) -> bool:
     """Whether all headings of a file begin with a data set, and some are of a path."""
-    headings = header_cells(head[0], separator_of(head[0]))
+    headings = headings_in(head[0])
     matches = list(map(_HEADING.fullmatch, headings))
     columns = [match["column"] for match in matches if match]
     quantities = set(quantities_of(columns))

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from curlfit.throws.readers.cells import header_cells, separator_of
+from curlfit.throws.readers.cells import headings_in
 from curlfit.throws.readers.columns import unit_of_frames
 from curlfit.throws.readers.objects import places_by_name
 from curlfit.throws.readers.path import layout
@@ -56,7 +56,7 @@ def _names(file: TextFile, index: int, columns: int) -> list[str]:
     """The name of the marker of each column, which stands above the first of its
     columns."""
     line = file.lines[index]
-    above = header_cells(line, separator_of(line))[:columns]
+    above = headings_in(line)[:columns]
     names = []
     marker = ""
     for place in range(columns):
@@ -74,7 +74,7 @@ def _end_of_section(file: TextFile, header: int) -> int:
 
 def _cells(line: str) -> list[str]:
     """The cells of a line in small letters."""
-    return [cell.lower() for cell in header_cells(line, separator_of(line))]
+    return [cell.lower() for cell in headings_in(line)]
 
 
 VICON = layout("vicon", _recognizes, _table)
