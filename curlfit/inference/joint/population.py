@@ -37,6 +37,9 @@ from curlfit.numerics.mixed_model import MixedFit, MixedModel, bounded
 _AGAIN = 8
 """Times that throws are linearised again, at most: tracks with an angle take 2,
 evenings whose exponents are far from what is usual 4, tracks without an angle 7."""
+_OF_SPEEDS = 3
+"""The first of these, after which the distribution of speeds stays: it then moves by a
+fiftieth of its spread."""
 _STEPS = 30  # to the optimum of a throw at its coefficients
 _LARGE = 1.0  # typical sizes that a step may be long
 _SETTLED = 0.01  # standard errors that coefficients still move by, which is none
@@ -300,7 +303,8 @@ def vary(
     speeds_vary = _speeds_vary(throws)
     for linearization in itertools.count():
         solution = throws.rounds.with_own_sigma(solution)
-        if speeds_vary:
+        speeds_move = speeds_vary and linearization < _OF_SPEEDS
+        if speeds_move:
             speeds = _expected_speeds(throws, solution, centre, weights, guess)
             throws = throws._replace(speeds=speeds)
         reduction = reduced(throws, solution)
@@ -317,7 +321,8 @@ def vary(
         lower, upper = linear.ends
         move = _moves(rows, fit.model.null, lower - linear.at, upper - linear.at)
         off = np.linalg.norm((rows[..., :-1] @ move[..., None])[..., 0], axis=1).max()
-        if off < _SETTLED or linearization == _AGAIN:
+        settled = off < _SETTLED and not speeds_move
+        if settled or linearization == _AGAIN:
             break
         move *= min(1.0, _LARGE / np.abs(move).max())
         steps = reduction.follow[:, :, common] @ (typical * move)[..., None]
