@@ -242,8 +242,7 @@ class Means:
         freedom of these.
     angle : rad by which a draw to the tee turns, the median of the throws.
     drawn : from the posterior: the estimate, then the spreads, shape (draws, numbers);
-        none of many throws, whose spreads are known so well that Student's t says the
-        same.
+        none of tracks, and of many draws, for which Student's t is right.
     """
 
     names: tuple[str, ...]

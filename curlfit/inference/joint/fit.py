@@ -418,7 +418,9 @@ def _varying(together: Together, equal: _Equal, seed: int | None) -> JointResult
     draws = of_others = None
     if ended:
         draws = sampled(found.fit, guess, seed)
-        of_others = drawn_for_others(found.fit, guess, draws)
+        # tracks know their coefficients better than these vary: Student's t is exact
+        if not any(one.throw.has_path for one in together.rounds.throws):
+            of_others = drawn_for_others(found.fit, guess, draws)
     throws = [
         replace(one, systematics=before.systematics)
         for one, before in zip(

@@ -134,7 +134,12 @@ class Population(NamedTuple):
         drawn = np.zeros((0, 0))
         if draws is not None:
             kept = np.linspace(0, len(draws.spreads) - 1, _DRAWN).astype(int)
-            estimates = reference + self.scale * draws.estimate[kept]
+            off = draws.estimate[kept] - self.fit.estimate
+            # where nothing determines the mean, draws are arbitrary: it is held there
+            size = len(self.typical)
+            null = self.fit.model.null
+            off[:, :size] -= (off[:, :size] @ null) @ null.T
+            estimates = reference + self.scale * (self.fit.estimate + off)
             drawn = np.concatenate([estimates, draws.spreads[kept]], 1)
         return Means(
             names=names,

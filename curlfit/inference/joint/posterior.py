@@ -22,8 +22,8 @@ from curlfit.numerics.mixed_model import MixedFit, MixedModel
 _WALKERS, _EFFECTIVE, _STEPS = 16 * ENSEMBLES, 1000, 2000
 _MOST = 1000  # throws; more know their spreads so well that Student's t says the same
 _MANY = 100
-"""Throws above which predictions take the spreads for known up to Student's t. Of 12 to
-24 draws, which know a spread of 2 % to a fifth, t has too short tails: 94 % of those
+"""Draws above which predictions take the spreads for known up to Student's t. Of 12 to
+24 draws whose errors are as large as a spread, t has too short tails: 92 % of those
 simulated were within its 95 %, and within those of the posterior 95 %."""
 _PROPER = 3  # throws beyond the covariates
 _KEPT, _FEWEST = 4000, 400
@@ -48,8 +48,8 @@ class Draws(NamedTuple):
 
 
 def drawn_for_others(fit: MixedFit, size: Floats, draws: Draws | None) -> Draws | None:
-    """Draws from the posterior for predictions of another throw: those that were asked
-    for, or others; none of many throws.
+    """Draws from the posterior for predictions of another draw of an evening: those
+    that were asked for, or others; none of many draws.
 
     Parameters
     ----------

@@ -29,7 +29,7 @@ from curlfit.inference.joint.alone import ThrowsAlone
 from curlfit.inference.joint.draw import TIMES, Draw
 from curlfit.inference.joint.effects import Covariates, Labelled
 from curlfit.inference.joint.population import LinearizedThrows, Population
-from curlfit.inference.joint.posterior import drawn_for_others, sampled
+from curlfit.inference.joint.posterior import sampled
 from curlfit.inference.joint.result import JointResult, SeparateFits
 from curlfit.inference.joint.summary import about_mean
 from curlfit.inference.joint.variation import (
@@ -261,16 +261,13 @@ def mean_of(
     )
     population = _joined(throws, varying, covariates.values)
     turning = np.linspace(0, count - 1, min(count, _TURNING)).astype(int)
-    spreads = varying.first_spreads
-    draws = sampled(population.fit, spreads, seed)
     result = about_mean(
         equal,
         population,
         covariates,
         Draw(season.model, season.stone),
         (season.values[turning], season.start[turning, -1]),
-        draws,
-        of_others=drawn_for_others(population.fit, spreads, draws),
+        sampled(population.fit, varying.first_spreads, seed),
         left_open=season.counts_left_open(),
     )
     warnings = (*result.warnings, *warnings_of_slopes(result))

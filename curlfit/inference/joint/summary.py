@@ -59,7 +59,7 @@ def about_mean(
     throws : vectors of the common parameters and initial spins of throws, whose draws
         to the tee have the usual angle.
     draws : from the posterior of the population, whose quantiles are given.
-    of_others : the same, for predictions of throws that have not been thrown.
+    of_others : the same, for predictions of draws that have not been thrown.
     ridge : of equal coefficients, where chi squared is no quadratic.
     left_open : coefficients that ridges of single throws leave open; a bound may hold
         the mean of one, which tells no more of it.
