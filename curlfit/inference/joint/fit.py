@@ -35,7 +35,7 @@ from curlfit.inference.joint.draw import Draw
 from curlfit.inference.joint.effects import Covariates
 from curlfit.inference.joint.evening import same_in_all, with_usual_priors
 from curlfit.inference.joint.population import Together, told_by_data, vary
-from curlfit.inference.joint.posterior import drawn_for_others, sampled
+from curlfit.inference.joint.posterior import sampled
 from curlfit.inference.joint.result import JointResult, Variation
 from curlfit.inference.joint.ridge import JointRidge, follow_jointly
 from curlfit.inference.joint.solver import Progress, minimize_jointly
@@ -282,11 +282,7 @@ class _Equal(NamedTuple):
 def _equal(together: Together, given: Mapping[str, float] | None) -> _Equal:
     """The result where the shared coefficients are equal in all throws, with the
     systematic errors due to the `given` conditions."""
-    rounds = together.rounds
-    tasks = together.tasks
-    solution = together.solution
-    common = together.common
-    covariates = together.covariates
+    rounds, tasks, solution, common, covariates = together
     widths = widths_of(rounds.model, given, rounds.throws, jointly=True)
     joint_ridges: list[JointRidge] = []
 
@@ -413,12 +409,7 @@ def _varying(together: Together, equal: _Equal, seed: int | None) -> JointResult
         ) from None
     ridges = None if ridge is None else lambda _: ridge.of_throws
     ended = bool(np.all(solution.success))
-    draws = of_others = None
-    if ended:
-        draws = sampled(found.fit, guess, seed)
-        # tracks know their coefficients better than these vary: Student's t is exact
-        if not any(one.throw.has_path for one in together.rounds.throws):
-            of_others = drawn_for_others(found.fit, guess, draws)
+    draws = sampled(found.fit, guess, seed) if ended else None
     throws = [
         replace(one, systematics=before.systematics)
         for one, before in zip(
@@ -437,6 +428,5 @@ def _varying(together: Together, equal: _Equal, seed: int | None) -> JointResult
         at_spins,
         draws,
         ridge,
-        of_others=of_others,
     )
     return with_throws(result, throws, solution)

@@ -20,14 +20,6 @@ from curlfit.inference.fit.factors import Factors, Reduction, combined
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.identifiability import Bounded, Combination, r_factor, r_factors
 from curlfit.inference.joint.effects import Covariates, Means
-from curlfit.inference.joint.evening import same_in_all
-from curlfit.inference.joint.posterior import Draws
-from curlfit.inference.joint.speeds import (
-    LEAST_SPREAD,
-    NAME as SPEED,
-    ExpectedSpeeds,
-    with_speed,
-)
 from curlfit.inference.least_squares import Solution, Tasks, minimize_many
 from curlfit.inference.priors import Penalty
 from curlfit.numerics.arrays import Booleans, Floats
@@ -37,15 +29,11 @@ from curlfit.numerics.mixed_model import MixedFit, MixedModel, bounded
 _AGAIN = 8
 """Times that throws are linearised again, at most: tracks with an angle take 2,
 evenings whose exponents are far from what is usual 4, tracks without an angle 7."""
-_OF_SPEEDS = 3
-"""The first of these, after which the distribution of speeds stays: it then moves by a
-fiftieth of its spread."""
 _STEPS = 30  # to the optimum of a throw at its coefficients
 _LARGE = 1.0  # typical sizes that a step may be long
 _SETTLED = 0.01  # standard errors that coefficients still move by, which is none
 _ENDED = 0.1  # the same, which is little
 _AT = 1e-9  # typical sizes from a bound
-_DRAWN = 400  # draws from the posterior, for predictions
 _EXACT = 1e-16  # typical sizes squared: a variance below which a direction is exact
 
 
@@ -121,26 +109,10 @@ class Population(NamedTuple):
         return first_order(names, factors, bounded, self.typical)
 
     def means(
-        self,
-        names: tuple[str, ...],
-        covariates: Covariates,
-        angle: float,
-        draws: Draws | None = None,
+        self, names: tuple[str, ...], covariates: Covariates, angle: float
     ) -> Means:
-        """The record of the mean, with some draws from the posterior; a draw to the tee
-        turns by `angle`."""
+        """The record of the mean; a draw to the tee turns by `angle`."""
         effects = np.zeros(len(self.scale) - len(self.reference))
-        reference = np.append(self.reference, effects)
-        drawn = np.zeros((0, 0))
-        if draws is not None:
-            kept = np.linspace(0, len(draws.spreads) - 1, _DRAWN).astype(int)
-            off = draws.estimate[kept] - self.fit.estimate
-            # where nothing determines the mean, draws are arbitrary: it is held there
-            size = len(self.typical)
-            null = self.fit.model.null
-            off[:, :size] -= (off[:, :size] @ null) @ null.T
-            estimates = reference + self.scale * (self.fit.estimate + off)
-            drawn = np.concatenate([estimates, draws.spreads[kept]], 1)
         return Means(
             names=names,
             groups=covariates.groups,
@@ -148,13 +120,13 @@ class Population(NamedTuple):
             trend_by=covariates.trend_by,
             centre=covariates.mean,
             last=covariates.last,
-            estimate=reference + self.scale * self.fit.estimate,
+            estimate=np.append(self.reference, effects)
+            + self.scale * self.fit.estimate,
             covariance=self.scale[:, None] * self.fit.covariance * self.scale,
             directions=self.typical[:, None] * self.fit.model.directions,
             spreads=self.spreads,
             dof=self.dof,
             angle=angle,
-            drawn=drawn,
         )
 
 
@@ -168,8 +140,6 @@ class Together(NamedTuple):
     common: Booleans
     """which parameters they have in common"""
     covariates: Covariates
-    speeds: ExpectedSpeeds | None = None
-    """of the draws of an evening"""
 
 
 class LinearizedThrows(NamedTuple):
@@ -216,22 +186,6 @@ class LinearizedThrows(NamedTuple):
         if prior is not None:
             prior = prior[0] @ projection, prior[1]
         return self._replace(rows=self.rows @ projection, prior=prior)
-
-    def with_logarithm(self, values: Floats) -> Self:
-        """The same with the logarithm of the last parameter, whose values are given for
-        each throw, in its place; without its bounds."""
-        logarithms = np.log(values)
-        rows = self.rows.copy()
-        rows[..., -1] *= values[:, None] / self.typical[-1]
-        at = np.column_stack([self.at[:, :-1], logarithms - logarithms[0]])
-        lower, upper = self.bounds
-        return self._replace(
-            rows=rows,
-            at=at,
-            reference=np.append(self.reference[:-1], logarithms[0]),
-            typical=np.append(self.typical[:-1], 1.0),
-            bounds=(np.append(lower[:-1], -np.inf), np.append(upper[:-1], np.inf)),
-        )
 
     def projection(
         self, weights: Mapping[str, Floats], covariates: Floats, spreads: Floats
@@ -305,13 +259,8 @@ def vary(
     typical, reference = tasks.typical[common], solution.values[0, common]
     covariates = throws.covariates.values
     centre, projection = reference, None
-    speeds_vary = _speeds_vary(throws)
     for linearization in itertools.count():
         solution = throws.rounds.with_own_sigma(solution)
-        speeds_move = speeds_vary and linearization < _OF_SPEEDS
-        if speeds_move:
-            speeds = _expected_speeds(throws, solution, centre, weights, guess)
-            throws = throws._replace(speeds=speeds)
         reduction = reduced(throws, solution)
         linear = _about(throws, solution, reduction, centre)
         if projection is None:
@@ -326,8 +275,7 @@ def vary(
         lower, upper = linear.ends
         move = _moves(rows, fit.model.null, lower - linear.at, upper - linear.at)
         off = np.linalg.norm((rows[..., :-1] @ move[..., None])[..., 0], axis=1).max()
-        settled = off < _SETTLED and not speeds_move
-        if settled or linearization == _AGAIN:
+        if off < _SETTLED or linearization == _AGAIN:
             break
         move *= min(1.0, _LARGE / np.abs(move).max())
         steps = reduction.follow[:, :, common] @ (typical * move)[..., None]
@@ -336,61 +284,8 @@ def vary(
         solution = at_coefficients(throws, values)
     told = np.zeros((*others.shape[:2], len(tasks.typical) + 1))
     told[..., np.append(common, True)] = others / np.append(typical, 1.0)
-    if throws.speeds is not None:
-        told = np.concatenate([told, throws.speeds.rows(solution.values)], 1)
     ended = np.full(len(solution.values), off < _ENDED)
     return population, solution._replace(success=ended), told
-
-
-def _speeds_vary(throws: Together) -> bool:
-    """Whether these are draws of an evening, which have a coefficient in common that
-    is not held, and speeds without priors."""
-    tasks = throws.tasks
-    measured = [one.throw for one in throws.rounds.throws]
-    same_names = [*same_in_all(measured, throws.rounds.model.law)]
-    names = throws.rounds.throws[0].parameters.names
-    free = tasks.upper > tasks.lower
-    place = names.index(SPEED)
-    has_prior = tasks.penalty.weight[:, place] > 0
-    is_open = free[0, np.isin(names, same_names)].any()
-    return bool(is_open and free[:, place].all() and not has_prior.any())
-
-
-def _expected_speeds(
-    throws: Together,
-    solution: Solution,
-    centre: Floats,
-    weights: Mapping[str, Floats],
-    guess: Floats,
-) -> ExpectedSpeeds:
-    """Of draws, by the mixed model of their speeds and of what else varies; `centre` is
-    the mean of what they have in common, about which priors are linear."""
-    place = throws.rounds.throws[0].parameters.names.index(SPEED)
-    common = throws.common.copy()
-    common[place] = True  # after all others that are in common
-    with_speeds = throws._replace(common=common, speeds=None)
-    speeds = solution.values[:, place]
-    reduction = reduced(with_speeds, solution)
-    linear = _about(with_speeds, solution, reduction, np.append(centre, speeds[0]))
-    linear = linear.with_logarithm(speeds)
-    varying = with_speed(weights)
-    spreads = np.append(guess, max(np.log(speeds).std(), LEAST_SPREAD))
-    covariates = throws.covariates.values
-    linear = linear.along(linear.projection(varying, covariates, spreads))
-    population = linear.joined(varying, covariates, spreads)
-    fit = population.fit
-    to_speeds = fit.at(covariates)[:, -1]
-    is_same = linear.free & ~np.any([*varying.values()], axis=0)
-    own = fit.covariance[: len(is_same)][is_same]
-    slopes = to_speeds @ own.T @ np.linalg.pinv(own[:, : len(is_same)][:, is_same])
-    return ExpectedSpeeds(
-        place,
-        np.flatnonzero(common)[is_same],
-        (linear.reference + linear.typical * fit.estimate[: len(is_same)])[is_same],
-        linear.reference[-1] + to_speeds @ fit.estimate,
-        slopes / linear.typical[is_same],
-        max(float(population.spreads[-1]), LEAST_SPREAD),
-    )
 
 
 def _about(
@@ -425,10 +320,7 @@ def at_coefficients(throws: Together, values: Floats) -> Solution:
     ----------
     values : of each throw, with its initial state nearby.
     """
-    penalty = _of_throws(throws)
-    if throws.speeds is not None:
-        penalty = throws.speeds.added_to(penalty, values)
-    tasks = throws.tasks._replace(penalty=penalty)
+    tasks = throws.tasks._replace(penalty=_of_throws(throws))
     start = np.clip(values, tasks.lower, tasks.upper)
     lower = np.where(throws.common, start, tasks.lower)
     upper = np.where(throws.common, start, tasks.upper)
@@ -472,8 +364,6 @@ def reduced(throws: Together, solution: Solution) -> Reduction:
     tasks, factors = throws.tasks, r_factors(solution.jacobian, solution.residual)
     within = Bounded(np.array(solution.values), tasks.lower, tasks.upper)
     whole = combined(factors, _of_throws(throws).rows(within.values))
-    if throws.speeds is not None:
-        whole = combined(whole, throws.speeds.rows(within.values))
     return Reduction.of(whole, within, tasks.typical, throws.common)
 
 
