@@ -21,6 +21,7 @@ from curlfit.inference.verdict import Verdict
 from curlfit.output.console import Items, PlainTable
 from curlfit.output.document import Document, Said, Section, command_line
 from curlfit.output.text import STYLE, stone_text
+from curlfit.throws.odd_row import odd_rows_in_words
 from curlfit.wording import join_words, p_text
 
 _FAR = 3.0  # sigmas, from which a value speaks against a law
@@ -34,11 +35,14 @@ def document_of_sets(comparison: Comparison) -> Document:
     several = len(sets) > 1
     files = ", ".join(data_set.name for data_set in sets)
     laws = f"{counted(len(candidates), 'law')}, {counted(len(sets), 'data set')}"
+    odd_rows = odd_rows_in_words(comparison.odd_rows)
+    of_ranks = summary(comparison, first, " ...")
     return Document(
-        **summary(comparison, first, " ..."),
+        finding=of_ranks["finding"],
+        lines=[*odd_rows, *of_ranks["lines"]],
         subject=f"{laws}: {files}",
         headline=Text(f"{laws}: {files}", style="bold"),
-        about=[_about(data_set) for data_set in sets],
+        about=[*map(_about, sets), *map(Said, odd_rows)],
         sections=(
             Section(
                 "laws",

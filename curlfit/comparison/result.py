@@ -14,8 +14,18 @@ from curlfit.inference.verdict import Verdict
 from curlfit.noises import NOISES, WHITE
 from curlfit.numerics.arrays import Floats
 from curlfit.output.frames import frame
-from curlfit.records import SERIES, UNSAVED, Matrix, Record, keys, require, require_rows
+from curlfit.records import (
+    ADDED,
+    SERIES,
+    UNSAVED,
+    Matrix,
+    Record,
+    keys,
+    require,
+    require_rows,
+)
 from curlfit.stone import Stone
+from curlfit.throws.odd_row import OddRow
 
 PLACE = ("x", "y", "phi")
 FOLLOWS = 1.5**2
@@ -267,7 +277,9 @@ class Comparison(Record):
     from row to row; otherwise empty.
     `lacking` is what the first law lacks, if the path shows it.
     `fits` are the full results in the order of the candidates, and empty when read from
-    a file. Of several data sets, `sets` describes these, and there is no path.
+    a file. Of several data sets, `sets` describes these, and there is no path;
+    `odd_rows` are those of stopwatch tables that contradict the others, which were left
+    out unless they are many.
 
     Examples
     --------
@@ -290,6 +302,7 @@ class Comparison(Record):
     observed: dict[str, list[float]]
     lacking: Lacking | None = None
     sets: tuple[SetOfData, ...] = ()
+    odd_rows: tuple[OddRow, ...] = field(default=(), metadata=ADDED)
     fits: tuple[FitResult | None, ...] = field(default=(), metadata=UNSAVED)
 
     @property

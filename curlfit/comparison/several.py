@@ -42,6 +42,7 @@ from curlfit.noises import WHITE
 from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.settings.choices import Comparing
 from curlfit.throws.friction_table import FrictionTable
+from curlfit.throws.odd_row import OddRow
 from curlfit.throws.throw import Throw
 
 # probability of a larger chi squared, where few values make larger ones likely
@@ -125,8 +126,15 @@ def compare_sets(
         side=None,
         candidates=candidates,
         observed={name: [] for name in ("t", "x", "y", "phi")},
+        odd_rows=_odd_rows(items),
         sets=tuple(_described(first, k, noise, of_laws[k]) for k in range(len(sets))),
     )
+
+
+def _odd_rows(items: Sequence[Throw | FrictionTable]) -> tuple[OddRow, ...]:
+    """Those of the tables of throws; each throw has all of its table."""
+    throws = [item for item in items if isinstance(item, Throw)]
+    return tuple(dict.fromkeys(odd for throw in throws for odd in throw.odd_rows))
 
 
 def _deviance(

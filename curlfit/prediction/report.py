@@ -50,7 +50,7 @@ _CHANGES = {
     "broom": "m (1 ft) of broom to the right",
 }
 _SOURCES = {
-    "throws": "the throws of the joint fit, by Student's t",
+    "throws": "the throws of the joint fit",
     "chain": "the chain",
     "ridge": "the posterior, along the values that fit (there is no chain.h5)",
     "covariance": "the covariance of the fit (there is no chain.h5): Gaussian along "

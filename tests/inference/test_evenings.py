@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 import curlfit
+from curlfit.comparison.report_of_sets import document_of_sets
 from curlfit.html_report.page import page_of
 from curlfit.inference.fit import quantities
 from curlfit.prediction.report import document as prediction_of
@@ -97,6 +98,20 @@ def test_an_exchanged_digit_is_named_and_left_out(tmp_path):
         one for one in joint.groups if one.parameter == "friction" and not one.by
     )
     assert abs(of_friction.value / mean.value + 0.03) < 0.025
+
+
+def test_a_comparison_names_the_odd_rows_that_it_leaves_out():
+    """In the words of a fit, above and in the file."""
+    throws = curlfit.load_throws(FOLDER / "slip.csv")
+    comparison = curlfit.compare(throws, ["power", "coulomb"])
+    assert comparison.sets[0].throws == 15
+    page = document_of_sets(comparison)
+    of_odd_rows = str(page.heading[-1])
+    assert of_odd_rows.startswith("Left out as odd: line 6 (row 5, hog to hog 16.93 s")
+    assert of_odd_rows.endswith("`--keep 6` keeps it.")
+    assert page.lines[0] == of_odd_rows
+    (record,) = comparison.to_json()["odd_rows"]
+    assert (record["line"], record["value"], record["left_out"]) == (6, 16.93, True)
 
 
 def test_no_path_is_computed_for_quantities_that_times_do_not_tell(monkeypatch):

@@ -211,6 +211,14 @@ def test_another_throw_takes_its_given_time_and_has_the_spread(joint):
             curlfit.predict(joint, call=Call(labels), start={"v0": 2.2})
 
 
+def test_forecasts_hold_what_nothing_determines(joint):
+    """The friction of front and back each, of which only the sum is known."""
+    columns = [joint.means.names.index(name) for name in ("mu1_eta", "mu2_eta")]
+    front, back = joint.means.drawn[:, columns].T
+    assert np.std(front + back) > 1e-5
+    assert np.ptp(front - back) < 1e-12
+
+
 def test_a_stone_thrown_as_the_table_of_weights_says_rests_where_it_says(joint):
     call = Call({"sheet": "2"}, hog_to_hog=13.4)
     found = curlfit.predict(joint, call=call, start={"omega0": -1.3}, draws=100)

@@ -241,6 +241,8 @@ class Means:
     spreads : standard deviations between throws along them. dof : degrees of
         freedom of these.
     angle : rad by which a draw to the tee turns, the median of the throws.
+    drawn : from the posterior: the estimate, then the spreads, shape (draws, numbers);
+        none of tracks, and of many draws, for which Student's t is right.
     """
 
     names: tuple[str, ...]
@@ -255,6 +257,7 @@ class Means:
     dof: float
     angle: float
     trend_by: tuple[str, ...] = field(default=(), metadata=ADDED)
+    drawn: Matrix = field(default_factory=lambda: np.zeros((0, 0)), metadata=ADDED)
 
     def at(self, columns: Floats) -> Floats:
         """Matrix from the estimate to the parameters where covariates have
@@ -339,23 +342,38 @@ class Means:
         upper: Floats,
     ) -> tuple[Floats, Floats]:
         """The mean parameters of another throw, and draws of its own, shape (number,
-        parameters): by Student's t, since the spreads are estimated. A draw outside the
-        bounds is replaced by the nearest one inside, measured by the covariance, which
-        changes what is determined least."""
+        parameters). A draw outside the bounds is replaced by the nearest one inside,
+        measured by the covariance, which changes what is determined least."""
         to = self.at(self.columns(labels))
         between = self.directions * self.spreads**2 @ self.directions.T
         squares, axes = np.linalg.eigh(to @ self.covariance @ to.T + between)
         root = axes * np.sqrt(np.maximum(squares, 0.0))
-        tails = np.sqrt(self.dof / random.chisquare(self.dof, (number, 1)))
         mean = np.clip(to @ self.estimate, lower, upper)
-        normal = tails * random.standard_normal((number, len(mean)))
-        drawn = mean + normal @ root.T
+        if len(self.drawn):
+            drawn = self._drawn_by_posterior(to, number, random)
+        else:
+            tails = np.sqrt(self.dof / random.chisquare(self.dof, (number, 1)))
+            normal = tails * random.standard_normal((number, len(mean)))
+            drawn = mean + normal @ root.T
+        to_normal = np.linalg.pinv(root)
+        ends = lower - mean, upper - mean
         for row in np.flatnonzero(((drawn < lower) | (drawn > upper)).any(1)):
-            ends = lower - mean, upper - mean
+            normal_of_row = to_normal @ (drawn[row] - mean)
             drawn[row] = mean + root @ bounded(
-                normal[row], np.eye(len(mean)), root, *ends
+                normal_of_row, np.eye(len(mean)), root, *ends
             )
         return mean, np.clip(drawn, lower, upper)
+
+    def _drawn_by_posterior(self, to: Floats, number: int, random: Any) -> Floats:
+        """Parameters of another throw, shape (number, parameters): each about a mean
+        and with spreads of its own from the posterior; `to` is from the estimate to
+        the mean."""
+        chosen = self.drawn[random.integers(len(self.drawn), size=number)]
+        estimates = chosen[:, : len(self.estimate)]
+        spreads = chosen[:, len(self.estimate) :]
+        deviations = spreads * random.standard_normal(spreads.shape)
+        found: Floats = estimates @ to.T + deviations @ self.directions.T
+        return found
 
 
 class OwnSlopes(NamedTuple):

@@ -35,7 +35,7 @@ from curlfit.inference.joint.draw import Draw
 from curlfit.inference.joint.effects import Covariates
 from curlfit.inference.joint.evening import same_in_all, with_usual_priors
 from curlfit.inference.joint.population import Together, told_by_data, vary
-from curlfit.inference.joint.posterior import sampled
+from curlfit.inference.joint.posterior import drawn_for_others, sampled
 from curlfit.inference.joint.result import JointResult, Variation
 from curlfit.inference.joint.ridge import JointRidge, follow_jointly
 from curlfit.inference.joint.solver import Progress, minimize_jointly
@@ -409,7 +409,12 @@ def _varying(together: Together, equal: _Equal, seed: int | None) -> JointResult
         ) from None
     ridges = None if ridge is None else lambda _: ridge.of_throws
     ended = bool(np.all(solution.success))
-    draws = sampled(found.fit, guess, seed) if ended else None
+    draws = of_others = None
+    if ended:
+        draws = sampled(found.fit, guess, seed)
+        # tracks know their coefficients better than these vary: Student's t is exact
+        if not any(one.throw.has_path for one in together.rounds.throws):
+            of_others = drawn_for_others(found.fit, guess, draws)
     throws = [
         replace(one, systematics=before.systematics)
         for one, before in zip(
@@ -428,5 +433,6 @@ def _varying(together: Together, equal: _Equal, seed: int | None) -> JointResult
         at_spins,
         draws,
         ridge,
+        of_others=of_others,
     )
     return with_throws(result, throws, solution)

@@ -20,6 +20,7 @@ from curlfit.inference.fit.factors import Factors, Reduction, combined
 from curlfit.inference.fit.rounds import Rounds
 from curlfit.inference.identifiability import Bounded, Combination, r_factor, r_factors
 from curlfit.inference.joint.effects import Covariates, Means
+from curlfit.inference.joint.posterior import Draws
 from curlfit.inference.least_squares import Solution, Tasks, minimize_many
 from curlfit.inference.priors import Penalty
 from curlfit.numerics.arrays import Booleans, Floats
@@ -34,6 +35,7 @@ _LARGE = 1.0  # typical sizes that a step may be long
 _SETTLED = 0.01  # standard errors that coefficients still move by, which is none
 _ENDED = 0.1  # the same, which is little
 _AT = 1e-9  # typical sizes from a bound
+_DRAWN = 400  # draws from the posterior, for predictions
 _EXACT = 1e-16  # typical sizes squared: a variance below which a direction is exact
 
 
@@ -109,10 +111,26 @@ class Population(NamedTuple):
         return first_order(names, factors, bounded, self.typical)
 
     def means(
-        self, names: tuple[str, ...], covariates: Covariates, angle: float
+        self,
+        names: tuple[str, ...],
+        covariates: Covariates,
+        angle: float,
+        draws: Draws | None = None,
     ) -> Means:
-        """The record of the mean; a draw to the tee turns by `angle`."""
+        """The record of the mean, with some draws from the posterior; a draw to the tee
+        turns by `angle`."""
         effects = np.zeros(len(self.scale) - len(self.reference))
+        reference = np.append(self.reference, effects)
+        drawn = np.zeros((0, 0))
+        if draws is not None:
+            kept = np.linspace(0, len(draws.spreads) - 1, _DRAWN).astype(int)
+            off = draws.estimate[kept] - self.fit.estimate
+            # where nothing determines the mean, draws are arbitrary: it is held there
+            size = len(self.typical)
+            null = self.fit.model.null
+            off[:, :size] -= (off[:, :size] @ null) @ null.T
+            estimates = reference + self.scale * (self.fit.estimate + off)
+            drawn = np.concatenate([estimates, draws.spreads[kept]], 1)
         return Means(
             names=names,
             groups=covariates.groups,
@@ -120,13 +138,13 @@ class Population(NamedTuple):
             trend_by=covariates.trend_by,
             centre=covariates.mean,
             last=covariates.last,
-            estimate=np.append(self.reference, effects)
-            + self.scale * self.fit.estimate,
+            estimate=reference + self.scale * self.fit.estimate,
             covariance=self.scale[:, None] * self.fit.covariance * self.scale,
             directions=self.typical[:, None] * self.fit.model.directions,
             spreads=self.spreads,
             dof=self.dof,
             angle=angle,
+            drawn=drawn,
         )
 
 

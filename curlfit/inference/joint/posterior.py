@@ -21,6 +21,10 @@ from curlfit.numerics.mixed_model import MixedFit, MixedModel
 
 _WALKERS, _EFFECTIVE, _STEPS = 16 * ENSEMBLES, 1000, 2000
 _MOST = 1000  # throws; more know their spreads so well that Student's t says the same
+_MANY = 100
+"""Draws above which predictions take the spreads for known up to Student's t. Of 12 to
+24 draws whose errors are as large as a spread, t has too short tails: 92 % of those
+simulated were within its 95 %, and within those of the posterior 95 %."""
 _PROPER = 3  # throws beyond the covariates
 _KEPT, _FEWEST = 4000, 400
 # proposals: over the normal density at the optimum, and in logarithms
@@ -41,6 +45,20 @@ class Draws(NamedTuple):
     r_hat: float
     """largest of the spreads"""
     seed: int = 0
+
+
+def drawn_for_others(fit: MixedFit, size: Floats, draws: Draws | None) -> Draws | None:
+    """Draws from the posterior for predictions of another draw of an evening: those
+    that were asked for, or others; none of many draws.
+
+    Parameters
+    ----------
+    size : of spreads that may be zero.
+    draws : that were asked for.
+    """
+    if draws is not None or len(fit.model.covariates) > _MANY:
+        return draws
+    return sampled(fit, size, seed=0)
 
 
 class _OfSpreads(Run):

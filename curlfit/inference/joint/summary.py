@@ -49,6 +49,7 @@ def about_mean(
     draws: Draws | None,
     ridge: JointRidge | None = None,
     *,
+    of_others: Draws | None = None,
     left_open: Collection[str] = (),
 ) -> JointResult:
     """The result where throws vary, from that where they are equal.
@@ -57,7 +58,8 @@ def about_mean(
     ----------
     throws : vectors of the common parameters and initial spins of throws, whose draws
         to the tee have the usual angle.
-    draws : from the posterior of the population.
+    draws : from the posterior of the population, whose quantiles are given.
+    of_others : the same, for predictions of draws that have not been thrown.
     ridge : of equal coefficients, where chi squared is no quadratic.
     left_open : coefficients that ridges of single throws leave open; a bound may hold
         the mean of one, which tells no more of it.
@@ -65,7 +67,7 @@ def about_mean(
     names = tuple(equal.coefficients)
     known, angle = found.of_mean(names), float(np.median(np.abs(draw.angle(*throws))))
     departures = NO_DEPARTURES if ridge is None else ridge.departures(known)
-    means = found.means(names, covariates, angle)
+    means = found.means(names, covariates, angle, of_others)
     units = {name: item.unit for name, item in equal.coefficients.items()}
     coefficients = {
         name: one
