@@ -104,7 +104,7 @@ class Record(Choices):
 
     def sigma(self) -> dict[str, float]:
         """Noise of each channel that is measured."""
-        each = {
+        by_channel = {
             "x": self.sigma_xy,
             "y": self.sigma_xy,
             "phi": self.sigma_phi,
@@ -113,8 +113,8 @@ class Record(Choices):
         }
         return {
             name: value
-            for name, value in each.items()
-            if not (value is None or math.isnan(value))
+            for name, value in by_channel.items()
+            if value is not None and not math.isnan(value)
         }
 
 
@@ -186,12 +186,15 @@ def design(
     drawn = output.drawn()
     if not between:
         throws = throws or 3
-    others = {
-        "separate": pair.separate,
-        "law": assumed.law,
-        "discrepancy": record.discrepancy,
-    }
-    _require_only(between, others)
+    else:
+        not_between = {
+            "separate": pair.separate,
+            "law": assumed.law,
+            "discrepancy": record.discrepancy,
+        }
+        for name, value in not_between.items():
+            if value:
+                raise InputError(f"--{name} is not an option with --between")
     first, chosen = _assumed(assumed, between[0] if between else assumed.law)
     drawn.draw_beside()
     chosen |= {
@@ -213,11 +216,6 @@ def design(
     return output.finish(result, claim_folder(output.out or Path("design")), drawn)
 
 
-def _require_only(between: Sequence[Any], others: dict[str, Any]) -> None:
-    for name in [name for name, given in others.items() if given and between]:
-        raise InputError(f"--{name} is not an option with --between")
-
-
 def _assumed(assumed: Assumed, law: Any) -> tuple[Any, dict[str, Any]]:
     """The law, or the saved fit that is given; coefficients, load and stone."""
     from curlfit.inference.fit.result import load_fit
@@ -225,7 +223,8 @@ def _assumed(assumed: Assumed, law: Any) -> tuple[Any, dict[str, Any]]:
 
     stone = Stone()
     if assumed.fit is not None:
-        if (kind := s.kind_of(assumed.fit)) != "fit":
+        kind = s.kind_of(assumed.fit)
+        if kind != "fit":
             raise InputError(
                 f"{assumed.fit}: a result of curlfit {kind}; expected the "
                 "fit of one throw"

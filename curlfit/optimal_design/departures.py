@@ -55,6 +55,7 @@ from curlfit.optimal_design.information import (
     PlannedThrow,
     apart_from,
     exact_problems,
+    vectors_of,
 )
 
 _STEPS = 24
@@ -78,37 +79,28 @@ def expected_departures(
     plans : the throws of each, repeated for repeated throws.
     """
     exact = assumed.by_load[assumed.load]
-    problems = _plans(exact, plans)
-    covariances = [problem.covariance for problem in problems]
-    probes_by_plan = [
-        probes_about(covariance, problem.bounded)
-        for covariance, problem in zip(covariances, problems, strict=True)
-    ]
-    held = []
-    for problem, covariance, probes, rises in zip(
-        problems,
-        covariances,
-        probes_by_plan,
-        _rises(problems, probes_by_plan),
-        strict=True,
-    ):
-        pairs = zip(probes, rises, strict=True)
-        departing = [probe for probe, rise in pairs if probe.departs(rise)]
-        held.append(problem.held(covariance, departing))
-    due = [number for number, indices in enumerate(held) if indices]
+    planned = _plans(exact, plans)
+    departing = []
     followed = []
-    for number in due:
-        errors = {index: covariances[number].error_of(index) for index in held[number]}
-        followed.append(problems[number].followed(errors))
-    problems_due = [problems[number] for number in due]
-    ridges = follow(followed, lambda holds: _refitted(problems_due, holds))
+    for number, (plan, rises) in enumerate(zip(planned, _rises(planned), strict=True)):
+        indices = plan.held(rises)
+        if indices:
+            departing.append(number)
+            followed.append(plan.followed(indices))
+    plans_followed = [planned[number] for number in departing]
+    ridges = follow(followed, lambda holds: _refitted(plans_followed, holds))
+    coefficients = [
+        coefficient
+        for coefficient in exact.law.coefficients()
+        if coefficient.name in exact.names
+    ]
+    usual = np.array([default_guess(coefficient) for coefficient in coefficients])
     departures = [NO_DEPARTURES] * len(plans)
-    items = [item for item in exact.law.coefficients() if item.name in exact.names]
-    usual = np.array([default_guess(item) for item in items])
-    for number, ridge in zip(due, ridges, strict=True):
-        of_coefficients = problems[number].ridge_of_coefficients(ridge)
+    for number, ridge in zip(departing, ridges, strict=True):
+        plan = planned[number]
         factor = combined(*exact.factors(plans[number]))
         covariance = _covariance_of_coefficients(exact, factor)
+        of_coefficients = plan.ridge_of_coefficients(ridge)
         departures[number] = departures_along(covariance, of_coefficients, usual)
     return departures
 
@@ -161,6 +153,11 @@ class _Plan:
     """values and bounds, shape (throws, parameters of a throw)"""
 
     @property
+    def is_single(self) -> bool:
+        """Whether it is one throw, made once or repeated."""
+        return len(self.jacobian) == 1
+
+    @property
     def common(self) -> Booleans:
         """Which parameters of a throw are coefficients."""
         count = len(self.assumed.values)
@@ -168,7 +165,7 @@ class _Plan:
 
     @cached_property
     def index(self) -> NDArray[np.intp]:
-        """Places of the parameters of each throw among those of the plan, of shape
+        """Indices of the parameters of each throw among those of the plan, of shape
         (throws, parameters of a throw)."""
         index: NDArray[np.intp] = Blocks.of(self.common, len(self.jacobian)).index
         return index
@@ -181,11 +178,15 @@ class _Plan:
     @property
     def bounded(self) -> Bounded:
         """Values and bounds of the parameters of the plan."""
-        return Bounded(*map(self.joined, self.of_throws))
+        return Bounded(
+            self.joined(self.of_throws.values),
+            self.joined(self.of_throws.lower),
+            self.joined(self.of_throws.upper),
+        )
 
     @cached_property
     def typical(self) -> Floats:
-        """Typical sizes of these."""
+        """Typical sizes of the parameters of the plan."""
         sizes = np.broadcast_to(self.assumed.parameters.typical, self.index.shape)
         return self.joined(sizes)
 
@@ -193,7 +194,7 @@ class _Plan:
     def names(self) -> list[str]:
         """Names of the parameters of the plan: those of a fit, if it is one throw."""
         names = self.assumed.parameters.names
-        if len(self.jacobian) == 1:
+        if self.is_single:
             return list(names)
         throws = range(1, len(self.jacobian) + 1)
         state = list(itertools.compress(names, ~self.common))
@@ -209,8 +210,8 @@ class _Plan:
         count, channels, rows, width = jacobian.shape
         of_throws = r_factor(jacobian.reshape(count, channels * rows, width))
         slopes = np.zeros((count, of_throws.shape[1], len(self.typical)))
-        for of_throw, factor, index in zip(slopes, of_throws, self.index, strict=True):
-            of_throw[:, index] = factor
+        for throw, factor in enumerate(of_throws):
+            slopes[throw][:, self.index[throw]] = factor
         return r_factor(slopes.reshape(-1, len(self.typical)))
 
     @cached_property
@@ -220,26 +221,38 @@ class _Plan:
         factors = Factors.of(rows, self.bounded, self.typical)
         return first_order(self.names, factors, self.bounded, self.typical)
 
-    def held(self, covariance: Covariance, departing: Sequence[Probe]) -> list[int]:
-        """The parameters along which the ridge is to be followed, as in a fit; of
-        several throws only coefficients, which all of them depend on."""
-        count = int(self.common.sum())
-        indices = to_be_held(covariance, departing, count)
-        if len(self.jacobian) == 1:
-            return indices
-        coefficients = [index for index in indices if index < count]
-        if indices and not coefficients:
-            return np.flatnonzero(covariance.open[:count]).tolist()
-        return coefficients
+    @cached_property
+    def probes(self) -> list[Probe]:
+        """Where chi squared is compared with its quadratic."""
+        return probes_about(self.covariance, self.bounded)
 
-    def followed(self, errors: dict[int, float]) -> Followed:
-        """The plan as a fit whose ridge is to be followed.
+    def held(self, rises: Sequence[float]) -> list[int]:
+        """The parameters along which the ridge is to be followed, as in a fit; of
+        several throws only coefficients, which all of them depend on.
 
         Parameters
         ----------
-        errors : of the parameters to be held, by index.
+        rises : chi squared at the probes.
         """
+        departing = [
+            probe
+            for probe, rise in zip(self.probes, rises, strict=True)
+            if probe.departs(rise)
+        ]
+        count = int(self.common.sum())
+        indices = to_be_held(self.covariance, departing, count)
+        if self.is_single:
+            return indices
+        coefficients = [index for index in indices if index < count]
+        if indices and not coefficients:
+            return np.flatnonzero(self.covariance.open[:count]).tolist()
+        return coefficients
+
+    def followed(self, indices: Sequence[int]) -> Followed:
+        """The plan as a fit whose ridge is to be followed, with the parameters to be
+        held."""
         optimum = Point(self.bounded.values, self.slopes, 0.0)
+        errors = {index: self.covariance.error_of(index) for index in indices}
         return Followed(
             optimum, self.bounded.lower, self.bounded.upper, self.typical, errors
         )
@@ -248,11 +261,16 @@ class _Plan:
         """The problem with a parameter held at the value of the start."""
         lower = np.array(self.bounded.lower)
         upper = np.array(self.bounded.upper)
-        lower[hold.parameter] = upper[hold.parameter] = hold.start[hold.parameter]
-        start = hold.start[self.index]
-        typical = self.assumed.parameters.typical
-        bounds = lower[self.index], upper[self.index]
-        return Tasks(self.problems, start, *bounds, typical, self.chi_squared_of_noise)
+        lower[hold.parameter] = hold.start[hold.parameter]
+        upper[hold.parameter] = hold.start[hold.parameter]
+        return Tasks(
+            self.problems,
+            start=hold.start[self.index],
+            lower=lower[self.index],
+            upper=upper[self.index],
+            typical=self.assumed.parameters.typical,
+            penalty=self.chi_squared_of_noise,
+        )
 
     @property
     def chi_squared_of_noise(self) -> Penalty:
@@ -275,15 +293,14 @@ class _Plan:
     def ridge_of_coefficients(self, ridge: Ridge) -> Ridge:
         """The ridge in the free coefficients, whatever the initial states."""
         free = self.assumed.free.tolist()
-        places = {index: place for place, index in enumerate(free)}
         return Ridge(
             self._of_coefficients(ridge.optimum),
             tuple(map(self._of_coefficients, ridge.points)),
             ridge.rises,
             {
-                places[index]: interval
+                free.index(index): interval
                 for index, interval in ridge.intervals.items()
-                if index in places
+                if index in free
             },
         )
 
@@ -309,82 +326,89 @@ def _plans(
 ) -> list[_Plan]:
     """Plans with the data that their throws would give without noise."""
     throws = list(dict.fromkeys(itertools.chain(*plans)))
-    problems, values = exact_problems(assumed, throws)
+    problems = exact_problems(assumed, throws)
+    values = vectors_of(assumed, throws)
     jacobians = in_batches(
         lambda *batch: linearize(assumed.model, *batch)[1], (values, problems), FEW
     )
-    lower, upper = _bounds(assumed, values)
-    made = []
+    bounded = _bounded(assumed, values)
+    planned = []
     for plan in plans:
         counts = Counter(plan)
         rows = np.array([throws.index(throw) for throw in counts])
-        more = np.sqrt([*counts.values()])[:, None, None]
+        # a throw made n times has residuals of sqrt(n) times the weight
+        repeated = np.sqrt([*counts.values()])[:, None, None]
         of_plan = jax.tree.map(lambda leaf, rows=rows: leaf[rows], problems)
-        of_plan = of_plan._replace(weight=of_plan.weight * more)
-        jacobian = jacobians[rows] * more[..., None]
-        of_throws = Bounded(values[rows], lower[rows], upper[rows])
-        made.append(_Plan(assumed, of_plan, jacobian, of_throws))
-    return made
+        of_plan = of_plan._replace(weight=of_plan.weight * repeated)
+        jacobian = jacobians[rows] * repeated[..., None]
+        of_throws = Bounded(
+            bounded.values[rows], bounded.lower[rows], bounded.upper[rows]
+        )
+        planned.append(_Plan(assumed, of_plan, jacobian, of_throws))
+    return planned
 
 
-def _bounds(assumed: Assumptions, values: Floats) -> tuple[Floats, Floats]:
-    """Bounds of the parameters of throws as in a fit, shape (throws, parameters); none
-    where an assumed value lies beyond."""
+def _bounded(assumed: Assumptions, values: Floats) -> Bounded:
+    """Values and bounds of the parameters of throws as in a fit, shape (throws,
+    parameters); no bounds where an assumed value lies beyond."""
     parameters = assumed.parameters_of_fit
     lower = np.where(values >= parameters.lower, parameters.lower, -np.inf)
     upper = np.where(values <= parameters.upper, parameters.upper, np.inf)
     fixed = np.ones(len(parameters), bool)
     fixed[[*assumed.free, *assumed.state]] = False
-    return np.where(fixed, values, lower), np.where(fixed, values, upper)
-
-
-def _rises(
-    plans: Sequence[_Plan], probes_by_plan: Sequence[Sequence[Probe]]
-) -> list[list[float]]:
-    """Chi squared of each plan at its probes."""
-    pairs = [
-        (plan, probe)
-        for plan, probes in zip(plans, probes_by_plan, strict=True)
-        for probe in probes
-    ]
-    if not pairs:
-        return [[] for _ in plans]
-    values = np.concatenate([probe.point[plan.index] for plan, probe in pairs])
-    problems = jax.tree.map(
-        lambda *leaves: np.concatenate(leaves), *[plan.problems for plan, _ in pairs]
+    return Bounded(
+        values, np.where(fixed, values, lower), np.where(fixed, values, upper)
     )
+
+
+def _rises(plans: Sequence[_Plan]) -> list[list[float]]:
+    """Chi squared of each plan at its probes."""
+    points = []
+    problems_at_points = []
+    for plan in plans:
+        for probe in plan.probes:
+            points.append(probe.point[plan.index])
+            problems_at_points.append(plan.problems)
+    if not points:
+        return [[] for _ in plans]
+    # all throws of all plans at all probes side by side
+    problems = jax.tree.map(lambda *leaves: np.concatenate(leaves), *problems_at_points)
     model = plans[0].assumed.model
+    values = np.concatenate(points)
     residuals = whitened_residuals_of_many(model, values, problems, FEW)
     of_throws = (np.nan_to_num(residuals, nan=np.inf) ** 2).sum((1, 2))
     rises = iter(of_throws.tolist())
     return [
-        [sum(itertools.islice(rises, len(plan.jacobian))) for _ in probes]
-        for plan, probes in zip(plans, probes_by_plan, strict=True)
+        [sum(itertools.islice(rises, len(plan.jacobian))) for _ in plan.probes]
+        for plan in plans
     ]
 
 
 def _refitted(plans: Sequence[_Plan], holds: Sequence[Hold]) -> list[Point]:
     """Refits of plans with a parameter held: those of single throws side by side, those
     of several throws one after another."""
-    solutions: dict[int, Solution] = {}
+    model = plans[0].assumed.model
     tasks = [plans[hold.fit].task(hold) for hold in holds]
-    alone = [number for number, task in enumerate(tasks) if len(task.start) == 1]
-    if alone:
+    single = [number for number, hold in enumerate(holds) if plans[hold.fit].is_single]
+    solutions: dict[int, Solution] = {}
+    if single:
+        # typical sizes are the same for all, and have no axis of problems
+        typical = tasks[single[0]].typical
         stack = jax.tree.map(
             lambda *leaves: np.concatenate(leaves),
-            *[tasks[number]._replace(typical=np.zeros(0)) for number in alone],
+            *[tasks[number]._replace(typical=np.zeros(0)) for number in single],
         )
-        stack = stack._replace(typical=tasks[alone[0]].typical)
-        model = plans[0].assumed.model
-        together = minimize_many(model, stack, FEW, _STEPS, ALONG_RIDGE)
-        for number, solution in zip(alone, unstacked(together), strict=True):
+        stack = stack._replace(typical=typical)
+        side_by_side = minimize_many(model, stack, FEW, _STEPS, ALONG_RIDGE)
+        for number, solution in zip(single, unstacked(side_by_side), strict=True):
             solutions[number] = stacked([solution])
-    for number, (hold, task) in enumerate(zip(holds, tasks, strict=True)):
+    for number, hold in enumerate(holds):
         if number not in solutions:
-            plan = plans[hold.fit]
-            how = JOINT._replace(most=_STEPS)
             solutions[number] = minimize_jointly(
-                plan.assumed.model, task, plan.common, how=how
+                model,
+                tasks[number],
+                plans[hold.fit].common,
+                how=JOINT._replace(most=_STEPS),
             )
     return [
         plans[hold.fit].point(solutions[number], hold.parameter)

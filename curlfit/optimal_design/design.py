@@ -19,7 +19,6 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
-from typing import Any
 
 import numpy as np
 
@@ -85,7 +84,8 @@ _MAX_THROWS = 1000
 _FACTORS = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 _RATES = (1.0, 3.0, 10.0, 30.0, 100.0)  # Hz
 _COUNTS = (1, 2, 3, 4, 6, 8, 12, 16)  # throws
-_POSITION, _ANGLE = {"x", "y", "speed"}, {"phi", "omega"}
+_POSITION = {"x", "y", "speed"}
+_ANGLE = {"phi", "omega"}
 
 
 def design(
@@ -135,7 +135,16 @@ def design(
     (4, 3)
     """
     assumed, planned = planned_throws(
-        (law, coefficients, load, stone), (v0, omega0, rate), sigma, until, throws
+        law,
+        coefficients=coefficients,
+        load=load,
+        stone=stone,
+        v0=v0,
+        omega0=omega0,
+        rate=rate,
+        sigma=sigma,
+        until=until,
+        throws=throws,
     )
     pair = None
     if separate is not None:
@@ -154,9 +163,10 @@ def _checked_pair(assumed: Assumptions, separate: Sequence[str]) -> tuple[str, s
         raise InputError(
             "separate: expected two different coefficients, such as mu1_eta,mu2_eta"
         )
-    coefficients = assumed.law.coefficients()
     units = {
-        item.name: item.unit for item in coefficients if item.name in assumed.names
+        coefficient.name: coefficient.unit
+        for coefficient in assumed.law.coefficients()
+        if coefficient.name in assumed.names
     }
     for name in separate:
         if name not in units:
@@ -195,45 +205,49 @@ def _designed(
     plans = [[planned[index] for index in indices] for indices in selections.values()]
     singles = [[throw] for throw in planned]
     departures = expected_departures(assumed, [*plans, *singles])
-    best = {
-        criterion: _expected(
-            assumed,
-            indices,
-            candidates.together(indices),
-            departures_of_plan,
-            difference,
+    departures_of_plans = departures[: len(plans)]
+    departures_of_throws = departures[len(plans) :]
+    best = {}
+    for (criterion, indices), departures_of_plan in zip(
+        selections.items(), departures_of_plans, strict=True
+    ):
+        factor = candidates.together(indices)
+        best[criterion] = _expected(
+            assumed, indices, factor, departures_of_plan, difference
         )
-        for (criterion, indices), departures_of_plan in zip(
-            selections.items(), departures, strict=False
-        )
-    }
     quantities = _quantities(assumed, identifiability, best.values()) | difference
     separation = None
     if pair is not None:
         separation = _separation(assumed, pair, planned, throws, best)
-    coefficients = {item.name: item for item in law.coefficients()}
+    coefficients = {coefficient.name: coefficient for coefficient in law.coefficients()}
     return Design(
         law=law.name,
         load=assumed.load,
         stone=planned[0].stone,
         coefficients=dict(zip(coefficients, assumed.values.tolist(), strict=True)),
-        symbols={name: item.symbol for name, item in coefficients.items()},
-        units={name: item.unit for name, item in coefficients.items()},
-        typical={name: item.typical for name, item in coefficients.items()},
+        symbols={
+            name: coefficient.symbol for name, coefficient in coefficients.items()
+        },
+        units={name: coefficient.unit for name, coefficient in coefficients.items()},
+        typical={
+            name: coefficient.typical for name, coefficient in coefficients.items()
+        },
         sigma=dict(assumed.sigma),
         until=assumed.until,
         throws=throws,
         candidates=tuple(
             Candidate(
-                *throw[:3],
+                throw.v0,
+                throw.omega0,
+                throw.rate,
                 record.rows,
                 record.last,
-                record.rest,
-                record.distance,
+                record.rest.time,
+                record.rest.distance,
                 errors_along(assumed, factor, quantities, departures_of_throw),
             )
             for throw, record, factor, departures_of_throw in zip(
-                planned, records, factors, departures[len(plans) :], strict=True
+                planned, records, factors, departures_of_throws, strict=True
             )
         ),
         quantities=quantities,
@@ -258,15 +272,17 @@ def _identifiability(assumed: Assumptions, factor: Floats) -> Identifiability:
 
 
 def _quantities(
-    assumed: Assumptions, known: Identifiability, best: Iterable[ExpectedErrors]
+    assumed: Assumptions,
+    identifiability: Identifiability,
+    best: Iterable[ExpectedErrors],
 ) -> dict[str, dict[str, float]]:
     """What all candidates determine, as weights: coefficients, and combinations that
     hold for the best throws too."""
-    names = itertools.compress(assumed.names, ~known.unseen)
+    names = itertools.compress(assumed.names, ~identifiability.unseen)
     quantities = {name: {name: 1.0} for name in names}
-    expected = [errors.stderr.keys() for errors in best]
-    for combination in known.combinations:
-        if all(combination.expression in errors for errors in expected):
+    errors_of_best = [errors.stderr for errors in best]
+    for combination in identifiability.combinations:
+        if all(combination.expression in stderr for stderr in errors_of_best):
             quantities[combination.expression] = combination.weights
     return quantities
 
@@ -325,18 +341,21 @@ def _separation(
     """The throws with the least standard error of a difference, under each load."""
     ways = []
     for load in LOADS:
-        indices: tuple[int, ...] | None = None
-        stderr: float | None = None
         if load != assumed.load:
             under_load = replace(assumed, load=check_load(load))
-            indices, stderr = _least_error(under_load, pair, planned, throws)
+            scenario = _least_error(under_load, pair, planned, throws)
         elif "C" in best:
-            indices = best["C"].throws
             stderr = best["C"].stderr[_name(pair)]
-        if stderr is None:
-            indices = None
-        ways.append(LoadScenario(load, indices, stderr))
+            scenario = _scenario(load, best["C"].throws, stderr)
+        else:
+            scenario = LoadScenario(load, None, None)
+        ways.append(scenario)
     return Separation(pair, tuple(ways))
+
+
+def _scenario(load: str, throws: tuple[int, ...], stderr: float | None) -> LoadScenario:
+    """Throws under a load, without them where they do not determine the difference."""
+    return LoadScenario(load, None if stderr is None else throws, stderr)
 
 
 def _least_error(
@@ -344,20 +363,21 @@ def _least_error(
     pair: tuple[str, str],
     planned: Sequence[PlannedThrow],
     throws: int,
-) -> tuple[tuple[int, ...] | None, float | None]:
+) -> LoadScenario:
     """The throws with the least standard error of a difference, and this error to first
-    order; None where they do not determine it."""
+    order, under the load that is assumed."""
+    undetermined = LoadScenario(assumed.load, None, None)
     factors = assumed.factors(planned)
     difference = _difference(assumed, pair, combined(factors))
     if not difference:
-        return None, None
+        return undetermined
     candidates = CandidateSet.from_factors(factors)
     weights = assumed.weights(difference[_name(pair)])
     indices = select_design(candidates, error_criterion(candidates, weights), throws)
     if indices is None:
-        return None, None
+        return undetermined
     errors = assumed.errors(candidates.together(indices), difference)
-    return indices, errors[_name(pair)]
+    return _scenario(assumed.load, indices, errors[_name(pair)])
 
 
 def _expected(
@@ -380,6 +400,7 @@ def _expected(
             index = assumed.names.index(name)
             typical = float(assumed.typical[index])
             error, verdict = classify(typical, False, identifiability, index)
+            # along the ridge
             error, verdict, _ = departures.judged(name, error, verdict, typical)
         stderr[name] = error
         verdicts[name] = verdict
@@ -410,37 +431,40 @@ def _verdict(stderr: float | None, typical: float) -> Verdict:
 
 
 def planned_throws(
-    assumed: tuple[Any, Mapping[str, float] | None, str | None, Stone | None],
-    grid: tuple[Sequence[float], Sequence[float], float],
+    law: str | type[Law] | FitResult,
+    *,
+    coefficients: Mapping[str, float] | None,
+    load: str | None,
+    stone: Stone | None,
+    v0: Sequence[float],
+    omega0: Sequence[float],
+    rate: float,
     sigma: Mapping[str, float] | None,
     until: float | None,
     throws: int,
-    *,
-    either: bool = False,
+    both_senses: bool = False,
 ) -> tuple[Assumptions, list[PlannedThrow]]:
-    """What is assumed, and the candidates, with `either` sense of spin.
+    """What is assumed, and the candidates; parameters as in `design`.
 
     Parameters
     ----------
-    assumed : law or fit, coefficients, load and stone, as in `design`.
-    grid : speeds, spins and rate.
+    both_senses : add to each spin that of the other sense.
 
     Raises
     ------
     InputError : noise, candidates, records or a number of throws that cannot be.
     """
-    law, coefficients, load, stone = assumed
-    v0, omega0, rate = grid
     if sigma is None:
         sigma = NOISE
-    fitted = {}
+    values_of_fit = {}
     if isinstance(law, FitResult):
-        fitted = {name: item.value for name, item in law.coefficients.items()}
+        values_of_fit = {name: fit.value for name, fit in law.coefficients.items()}
         load = load or law.load
         stone = stone or law.stone
         law = law.law_class
-    exact = law_with(law, coefficients or {}, others=fitted)
-    if not sigma or (unknown := [name for name in sigma if name not in CHANNELS]):
+    exact = law_with(law, coefficients or {}, others=values_of_fit)
+    unknown = [name for name in sigma if name not in CHANNELS]
+    if not sigma or unknown:
         what = f"no channel {quoted(unknown[0])}" if sigma else "nothing is measured"
         raise InputError(
             f"sigma: {what}; expected noise of some of {', '.join(CHANNELS)}"
@@ -450,7 +474,8 @@ def planned_throws(
     require_positive(v0=v0, rate=rate, **ends, **noise)
     if not omega0 or not all(map(math.isfinite, omega0)):
         raise InputError("omega0: expected finite numbers")
-    if (count := len(v0) * len(omega0)) > _MAX_CANDIDATES:
+    count = len(v0) * len(omega0)
+    if count > _MAX_CANDIDATES:
         raise InputError(
             f"{len(v0)} speeds and {len(omega0)} spins make {count} candidates; "
             f"expected at most {_MAX_CANDIDATES}"
@@ -463,24 +488,26 @@ def planned_throws(
         raise InputError(
             f"throws = {throws}: expected a whole number from 1 to {_MAX_THROWS}"
         )
-    values = np.array(
-        [float(getattr(exact, item.name)) for item in exact.coefficients()]
-    )
+    names = [coefficient.name for coefficient in exact.coefficients()]
+    values = np.array([float(getattr(exact, name)) for name in names])
     measured = {name: float(sigma[name]) for name in CHANNELS if name in sigma}
-    spins = [float(w) for w in omega0]
-    if either:
-        spins = sorted({*spins, *(-w for w in spins)}, key=lambda w: (abs(w), w < 0))
-    chosen_load = check_load(load or "uniform")
+    spins = [float(spin) for spin in omega0]
+    if both_senses:
+        reversed_spins = [-spin for spin in spins]
+        spins = sorted(
+            {*spins, *reversed_spins}, key=lambda spin: (abs(spin), spin < 0)
+        )
     planned = [
         PlannedThrow(float(speed), spin, float(rate), stone or Stone())
         for speed, spin in product(v0, spins)
     ]
-    return Assumptions(type(exact), chosen_load, values, measured, until), planned
+    checked_load = check_load(load or "uniform")
+    return Assumptions(type(exact), checked_load, values, measured, until), planned
 
 
-def require_positive(**given: float | Sequence[float]) -> None:
+def require_positive(**quantities: float | Sequence[float]) -> None:
     """Raise `InputError` for a number, or numbers, that are not positive."""
-    for name, value in given.items():
+    for name, value in quantities.items():
         values = np.atleast_1d(np.array(value, float))
         if not len(values) or not ((values > 0) & (values < math.inf)).all():
             shown = ",".join(f"{number:g}" for number in values)
@@ -504,30 +531,32 @@ def _undetermined_pair(
 
 def _curves(
     assumed: Assumptions,
-    made: Sequence[PlannedThrow],
+    throws: Sequence[PlannedThrow],
     candidates: CandidateSet,
     quantities: Mapping[str, Mapping[str, float]],
 ) -> dict[str, dict[str, list[float | None]]]:
-    """Standard errors against noise of position, noise of angle, rate and
-    number of throws."""
-    records = assumed.records(made)
+    """Standard errors of throws against noise of position, noise of angle and rate; and
+    those of the best of the candidates against their number."""
+    records = assumed.records(throws)
+    # R factors by the abscissa of each curve
     factors: dict[str, dict[float, Floats]] = {}
     for name, channels in (("place", _POSITION), ("angle", _ANGLE)):
-        if noisy := assumed.sigma.keys() & channels:
+        noisy = assumed.sigma.keys() & channels
+        if noisy:
             factors[name] = {}
-            for by in _FACTORS:
-                noisier = assumed.noisier(noisy, by)
+            for multiple in _FACTORS:
+                noisier = assumed.noisier(noisy, multiple)
                 marginals = [noisier.marginal(record) for record in records]
-                factors[name][by] = combined(marginals)
-    factors["rate"] = {
-        rate: combined(assumed.factors([throw._replace(rate=rate) for throw in made]))
-        for rate in _RATES
-    }
-    factors["throws"] = {
-        float(count): candidates.together(indices)
-        for count in _COUNTS
-        if (indices := select_design(candidates, d_criterion, count)) is not None
-    }
+                factors[name][multiple] = combined(marginals)
+    factors["rate"] = {}
+    for rate in _RATES:
+        at_rate = [throw._replace(rate=rate) for throw in throws]
+        factors["rate"][rate] = combined(assumed.factors(at_rate))
+    factors["throws"] = {}
+    for count in _COUNTS:
+        indices = select_design(candidates, d_criterion, count)
+        if indices is not None:
+            factors["throws"][float(count)] = candidates.together(indices)
     curves: dict[str, dict[str, list[float | None]]] = {}
     for name, factor_at in factors.items():
         rows = [assumed.errors(factor, quantities) for factor in factor_at.values()]
@@ -592,38 +621,42 @@ def scenarios(
     `quantities` are coefficients and combinations as weights.
     """
     typical = assumed.typical
-    n = len(assumed.free)
-    rows = {name: assumed.weights(weights) for name, weights in quantities.items()}
-    count = Counter(throws)
+    free = len(assumed.free)
+    weights_by_quantity = {
+        name: assumed.weights(weights) for name, weights in quantities.items()
+    }
+    count_by_throw = Counter(throws)
+    counts = np.array([*count_by_throw.values()])
     widths = widths_of(assumed.model)
     ways = SCENARIOS["both spins and directions"]
     varied = [
         throw._replace(omega0=sense * throw.omega0, heading=heading)
-        for throw in count
+        for throw in count_by_throw
         for sense, heading in ways
     ]
+    # the conditions come after the parameters
     columns = np.append(assumed.free, len(assumed.parameters) + np.arange(len(widths)))
     records = record_information(assumed, varied, widths)
     factors = [assumed.marginal(record, columns) for record in records]
-    by_throw_and_way = np.reshape(factors, (len(count), len(ways), *factors[0].shape))
-    divided = []
-    for name, chosen in SCENARIOS.items():
-        of_scenario = by_throw_and_way[:, [ways.index(way) for way in chosen]]
-        share = np.sqrt(np.array([*count.values()]) / len(chosen))
-        weighted = share[:, None, None, None] * of_scenario
-        whole = r_factor(weighted.reshape(-1, len(columns)))
-        factor = whole[:, :n]
-        by_condition = factor.T @ whole[:, n:] / typical[:, None]
+    by_throw_and_way = np.reshape(factors, (len(counts), len(ways), *factors[0].shape))
+    expected = []
+    for name, ways_of_scenario in SCENARIOS.items():
+        indices = [ways.index(way) for way in ways_of_scenario]
+        # a share of the information, of which these are roots
+        share = np.sqrt(counts / len(indices))
+        weighted = share[:, None, None, None] * by_throw_and_way[:, indices]
+        rows = r_factor(weighted.reshape(-1, len(columns)))
+        factor = rows[:, :free]
+        by_condition = factor.T @ rows[:, free:] / typical[:, None]
         gradients = dict(zip(widths, by_condition.T, strict=True))
-        moved = shifts(factor / typical, gradients, typical)
-        by_quantity = {
-            quantity: {
-                key: float(row @ (shift / typical)) for key, shift in moved.items()
+        shifts_by_condition = shifts(factor / typical, gradients, typical)
+        stderr = {}
+        shifts_by_quantity = {}
+        for quantity, weights in weights_by_quantity.items():
+            stderr[quantity] = standard_error(factor, weights)
+            shifts_by_quantity[quantity] = {
+                condition: float(weights @ (shift / typical))
+                for condition, shift in shifts_by_condition.items()
             }
-            for quantity, row in rows.items()
-        }
-        stderr = {
-            quantity: standard_error(factor, row) for quantity, row in rows.items()
-        }
-        divided.append(Scenario(name, stderr, by_quantity))
-    return tuple(divided)
+        expected.append(Scenario(name, stderr, shifts_by_quantity))
+    return tuple(expected)

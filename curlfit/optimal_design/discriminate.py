@@ -15,9 +15,10 @@ have been fitted together.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,13 +33,15 @@ from curlfit.optimal_design.discrimination import (
     Discrimination,
     Pair,
     PossibleThrow,
+    Ranks,
 )
 from curlfit.optimal_design.information import Assumptions, PlannedThrow
 from curlfit.optimal_design.rivals import Rival, Truth
 from curlfit.optimal_design.selection import exchanged
 from curlfit.stone import Stone
 
-_ORDINARY = 2.0, 1.0  # m/s, rad/s: the draw in which all laws agree
+_ORDINARY_SPEED = 2.0  # m/s, of the draw in which all laws agree
+_ORDINARY_SPIN = 1.0  # rad/s, of the same
 _MOST = 64  # throws
 _ONE_BY_ONE = 8  # throws that are chosen one by one; more are these repeated
 
@@ -49,38 +52,39 @@ class Contest:
 
     Attributes
     ----------
-    rows : of each candidate, as `Rival` gives them.
+    rows : of each candidate, see `Rival`.
     ranks : of the coefficients of the true law and of the rival, from all candidates.
     """
 
     truth: Truth
     rival: Rival
     rows: Floats
-    ranks: tuple[int, int]
+    ranks: Ranks
 
     def promise(self, throws: Sequence[int], rows: Floats | None = None) -> Pair:
-        """Of candidates together; of their rows, if others are better."""
-        left, _ = self.rival.fit(self.rows[[*throws]] if rows is None else rows)
-        values = len(self.truth.assumed.sigma) * sum(
-            self.truth.rows[one] for one in throws
-        )
-        return Pair.of(
-            self.truth.law, self.rival.model.law.name, left, self.ranks, values
-        )
+        """What candidates promise together, by their rows, or by others about a better
+        fit of them."""
+        if rows is None:
+            rows = self.rows[[*throws]]
+        left = self.rival.fit_rows(rows).chi_squared
+        rows_of_records = sum(self.truth.throws[index].rows for index in throws)
+        values = len(self.truth.assumed.sigma) * rows_of_records
+        rival = self.rival.model.law.name
+        return Pair.of(self.truth.law, rival, left, self.ranks, values)
 
     def verified(self, throws: Sequence[int], times: int) -> Pair:
-        """The same of candidates, each repeated so many times, from a fit of
-        them together."""
-        whole = [*throws] * times
-        linear = self.promise(whole)
+        """What candidates promise, each repeated so many times, from a fit of them
+        together."""
+        repeated = [*throws] * times
+        linear = self.promise(repeated)
         if len(throws) == 1:  # fitted already
             return linear
-        _, start = self.rival.fit(self.rows[[*throws]])
-        rows, converged = self.rival.together(
-            [self.truth.throws[k] for k in throws], start
-        )
-        found = self.promise(whole, np.tile(rows, (times, 1, 1)))
-        return found if converged or found.chi_squared < linear.chi_squared else linear
+        start = self.rival.fit_rows(self.rows[[*throws]]).coefficients
+        joint = self.rival.fit_together(self.truth.at(throws).throws, start)
+        pair = self.promise(repeated, np.tile(joint.rows, (times, 1, 1)))
+        if joint.converged or pair.chi_squared < linear.chi_squared:
+            return pair
+        return linear
 
 
 def discriminate(
@@ -134,27 +138,61 @@ def discriminate(
             f"throws = {throws}: expected at most {_MOST} to decide between laws"
         )
     assumed, planned = planned_throws(
-        (_law(laws[0]), coefficients, load, stone),
-        (v0, omega0, rate),
-        sigma,
-        until,
-        1 if throws is None else throws,
-        either=True,
+        _law(laws[0]),
+        coefficients=coefficients,
+        load=load,
+        stone=stone,
+        v0=v0,
+        omega0=omega0,
+        rate=rate,
+        sigma=sigma,
+        until=until,
+        throws=1 if throws is None else throws,
+        both_senses=True,
     )
-    others = [find_law(_law(one)) for one in laws[1:]]  # type: ignore[arg-type]
-    names = [assumed.law.name, *(one.name for one in others)]
+    rival_laws = [find_law(_law(law)) for law in laws[1:]]  # type: ignore[arg-type]
+    names = [law.name for law in (assumed.law, *rival_laws)]
     if len({*names}) < len(names):
         raise InputError(f"between: {', '.join(names)}; expected different laws")
-    contests, possible = _contests(assumed, others, planned, systematics)
-    found = _record(
-        contests, [planned[one] for one in possible], *_chosen(contests, throws)
+    contests = _contests(assumed, rival_laws, planned, systematics)
+    first = contests[0].truth
+    choice = _chosen(contests, throws)
+    possible = {throw.planned for throw in first.throws}
+    left_out = [throw for throw in planned if throw not in possible]
+    return Discrimination(
+        laws=_coefficients_by_law(contests),
+        load=assumed.load,
+        stone=planned[0].stone,
+        sigma=dict(assumed.sigma),
+        rate=planned[0].rate,
+        until=assumed.until,
+        candidates=tuple(
+            PossibleThrow(
+                throw.planned.v0,
+                throw.planned.omega0,
+                throw.rest.time,
+                throw.rest.distance,
+                tuple(contest.promise([index]).log_odds for contest in contests),
+            )
+            for index, throw in enumerate(first.throws)
+        ),
+        throws=tuple(choice.throws),
+        pairs=tuple(choice.pairs),
+        asked=throws,
+        left_out=tuple(
+            dict.fromkeys((throw.v0, abs(throw.omega0)) for throw in left_out)
+        ),
     )
-    left = dict.fromkeys(
-        (one.v0, abs(one.omega0))
-        for row, one in enumerate(planned)
-        if row not in possible
-    )
-    return replace(found, asked=throws, left_out=tuple(left))
+
+
+def _coefficients_by_law(contests: Sequence[Contest]) -> dict[str, dict[str, float]]:
+    """Assumed coefficients of each law."""
+    by_law: dict[str, dict[str, float]] = {}
+    for truth in (contest.truth for contest in contests):
+        names = truth.assumed.parameters.names
+        values = truth.assumed.values.tolist()
+        by_law[truth.law] = dict(zip(names, values, strict=False))
+    return by_law
 
 
 def _law(law: str | type[Law] | FitResult) -> type[Law] | FitResult:
@@ -168,124 +206,126 @@ def _law(law: str | type[Law] | FitResult) -> type[Law] | FitResult:
 
 def _contests(
     assumed: Assumptions,
-    others: Sequence[type[Law]],
+    rival_laws: Sequence[type[Law]],
     planned: Sequence[PlannedThrow],
     systematics: Mapping[str, float] | None,
-) -> tuple[list[Contest], list[int]]:
-    """Every law against every other, and which throws are possible under each."""
-    ordinary = planned[0]._replace(v0=_ORDINARY[0], omega0=_ORDINARY[1])
-    draw, truths = Truth.of(assumed, [ordinary]), [Truth.of(assumed, planned)]
+) -> list[Contest]:
+    """Every law against every other, over the throws that are possible under each."""
+    ordinary = planned[0]._replace(v0=_ORDINARY_SPEED, omega0=_ORDINARY_SPIN)
+    draw = Truth.of(assumed, [ordinary])
+    truths = [Truth.of(assumed, planned)]
     rivals = [
         Rival(replace(assumed, law=law), ordinary.stone, systematics)
-        for law in (assumed.law, *others)
+        for law in (assumed.law, *rival_laws)
     ]
     for rival in rivals[1:]:
-        (values,), one = rival.alone(draw.throws)
+        fit = rival.fit_each(draw.throws)
         law = rival.model.law
-        if np.isnan(one).any():
+        if np.isnan(fit.rows).any():
             raise InputError(
                 f"between: {law.name} cannot be fitted to a draw of {draw.law}"
             )
-        truths.append(Truth.of(replace(assumed, law=law, values=values), planned))
-    which = np.flatnonzero(np.all([truth.plausible() for truth in truths], 0))
-    none = InputError(
+        of_rival = replace(assumed, law=law, values=fit.coefficients[0])
+        truths.append(Truth.of(of_rival, planned))
+    no_throw = InputError(
         "between: no such throw stays on the sheet under each of these laws"
     )
-    if not len(which):
-        raise none
-    rows: dict[tuple[int, int], Floats] = {}
-    for place, rival in enumerate(rivals):
-        against = [true for true in range(len(truths)) if true != place]
-        made = chain(*(truths[true].at(which).throws for true in against))
-        parts = np.split(rival.alone([*made])[1], len(against))
-        rows |= {(true, place): part for true, part in zip(against, parts, strict=True)}
-    followed = np.all([np.isfinite(own).all((1, 2)) for own in rows.values()], 0)
-    if not followed.any():
-        raise none
-    which = which[followed]
-    rows = {pair: own[followed] for pair, own in sorted(rows.items())}
-    ranks = {place: rivals[place].rank(own) for (_, place), own in rows.items()}
+    plausible = [
+        index
+        for index in range(len(planned))
+        if all(truth.throws[index].is_plausible for truth in truths)
+    ]
+    if not plausible:
+        raise no_throw
+    # by the numbers of the true law and of its rival
+    rows_of_pair: dict[tuple[int, int], Floats] = {}
+    for number, rival in enumerate(rivals):
+        opponents = [true for true in range(len(truths)) if true != number]
+        # all fits of a law side by side, in one batch
+        throws = [
+            truths[true].throws[index] for true in opponents for index in plausible
+        ]
+        parts = np.split(rival.fit_each(throws).rows, len(opponents))
+        rows_of_pair |= {
+            (true, number): rows for true, rows in zip(opponents, parts, strict=True)
+        }
+    fitted_by_all = np.all(
+        [np.isfinite(rows).all((1, 2)) for rows in rows_of_pair.values()], 0
+    )
+    if not fitted_by_all.any():
+        raise no_throw
+    ranks = []
+    for number, rival in enumerate(rivals):
+        # from the throws of the last of its opponents
+        last = max(true for true in range(len(truths)) if true != number)
+        ranks.append(rival.rank(rows_of_pair[last, number][fitted_by_all]))
+    possible = list(itertools.compress(plausible, fitted_by_all))
     return [
-        Contest(truths[true].at(which), rivals[place], own, (ranks[true], ranks[place]))
-        for (true, place), own in rows.items()
-    ], which.tolist()
+        Contest(
+            truths[true].at(possible),
+            rivals[number],
+            rows_of_pair[true, number][fitted_by_all],
+            Ranks(ranks[true], ranks[number]),
+        )
+        for true, number in sorted(rows_of_pair)
+    ]
 
 
 def _margin(contests: Sequence[Contest], throws: Sequence[int]) -> float:
-    """That of the worst pair."""
-    return min(one.promise(throws).margin() for one in contests)
+    """Margin of the log odds of the worst pair."""
+    return min(contest.promise(throws).margin() for contest in contests)
 
 
 def _extended(contests: Sequence[Contest], throws: Sequence[int]) -> list[int]:
     """The best throws, one more than given: added, then exchanged."""
+    candidates = range(len(contests[0].rows))
 
     def best(others: Sequence[int]) -> int:
-        every = range(len(contests[0].rows))
         # Throws that are equal but for rounding: the first of them.
-        return max(every, key=lambda one: round(_margin(contests, [*others, one]), 6))
+        return max(
+            candidates,
+            key=lambda candidate: round(_margin(contests, [*others, candidate]), 6),
+        )
 
     return exchanged([*throws, best(throws)], best)
 
 
-def _chosen(
-    contests: Sequence[Contest], count: int | None
-) -> tuple[list[int], list[Pair]]:
-    """The throws, and what they promise for each pair when fitted together."""
-    found: list[int] = []
-    pairs: list[Pair] = []
-    for size in range(1, 1 + (count or _ONE_BY_ONE)):
-        found = _extended(contests, found)
-        if size == count or (count is None and _margin(contests, found) >= MARGIN):
-            pairs = [one.verified(found, 1) for one in contests]
-            if count or min(one.decides for one in pairs) >= PROBABILITY:
-                return found, pairs
-    for times in range(2, 1 + _MOST // len(found)):
-        if (
-            _margin(contests, found * times) >= MARGIN
-            or len(found) * (times + 1) > _MOST
-        ):
-            pairs = [one.verified(found, times) for one in contests]
-            if min(one.decides for one in pairs) >= PROBABILITY:
-                break
-    return sorted(found * times), pairs
+class _Choice(NamedTuple):
+    """Chosen throws."""
+
+    throws: list[int]
+    """indices of candidates, repeated for repeated throws"""
+    pairs: list[Pair]
+    """what they promise when fitted together"""
+
+    @property
+    def decides(self) -> bool:
+        """Whether they decide with the required probability, whichever law is true."""
+        return min(pair.decides for pair in self.pairs) >= PROBABILITY
 
 
-def _record(
-    contests: Sequence[Contest],
-    planned: Sequence[PlannedThrow],
-    throws: Sequence[int],
-    pairs: Sequence[Pair],
-) -> Discrimination:
-    truths = {one.truth.law: one.truth for one in contests}
-    first = contests[0].truth
-    return Discrimination(
-        laws={
-            name: dict(
-                zip(
-                    one.assumed.parameters.names,
-                    one.assumed.values.tolist(),
-                    strict=False,
-                )
-            )
-            for name, one in truths.items()
-        },
-        load=first.assumed.load,
-        stone=planned[0].stone,
-        sigma=dict(first.assumed.sigma),
-        rate=planned[0].rate,
-        until=first.assumed.until,
-        candidates=tuple(
-            PossibleThrow(
-                one.v0,
-                one.omega0,
-                rest,
-                distance,
-                tuple(contest.promise([place]).log_odds for contest in contests),
-            )
-            for place, (one, (rest, distance)) in enumerate(
-                zip(planned, first.ends.tolist(), strict=True)
-            )
-        ),
-        throws=tuple(throws),
-        pairs=tuple(pairs),
-    )
+def _chosen(contests: Sequence[Contest], count: int | None) -> _Choice:
+    """So many throws; if no number is given, the least that decides, or `_MOST`."""
+
+    def verified(throws: list[int], times: int) -> _Choice:
+        pairs = [contest.verified(throws, times) for contest in contests]
+        return _Choice(sorted(throws * times), pairs)
+
+    throws: list[int] = []
+    if count is not None:
+        for _ in range(count):
+            throws = _extended(contests, throws)
+        return verified(throws, 1)
+    for _ in range(_ONE_BY_ONE):
+        throws = _extended(contests, throws)
+        if _margin(contests, throws) >= MARGIN:
+            choice = verified(throws, 1)
+            if choice.decides:
+                return choice
+    most_times = _MOST // len(throws)
+    for times in range(2, most_times):
+        if _margin(contests, throws * times) >= MARGIN:
+            choice = verified(throws, times)
+            if choice.decides:
+                return choice
+    return verified(throws, most_times)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from os import PathLike
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 from rich.console import Console
 from rich.text import Text
@@ -31,6 +31,13 @@ MARGIN = 1.2815515655446004
 """... its quantile of the normal distribution."""
 
 
+class Ranks(NamedTuple):
+    """Numbers of directions of the coefficients that throws determine."""
+
+    truth: int
+    rival: int
+
+
 @dataclass(frozen=True)
 class Pair:
     """What the chosen throws, fitted together, promise where one law is true.
@@ -38,8 +45,8 @@ class Pair:
     Attributes
     ----------
     truth, rival : names.
-    chi_squared : left by the rival, without noise. relative : the same as rms
-        over the noise.
+    chi_squared : left by the rival, without noise. relative : what it leaves as
+        root mean square over the noise.
     log_odds, sd : expected log odds for the true law by BIC, and their
         standard deviation.
     wins, decides : probability that the true law has the better BIC, and that it
@@ -55,14 +62,15 @@ class Pair:
     written: ClassVar[tuple[str, ...]] = ("wins", "decides")
 
     @classmethod
-    def of(
-        cls, truth: str, rival: str, left: float, ranks: tuple[int, int], values: int
-    ) -> Pair:
-        """From the chi squared that is left, the ranks of both, and the
-        number of values."""
-        true, other = ranks
-        mean = (left + (other - true) * (math.log(values) - 1)) / 2
-        sd = math.sqrt(left + (true + other) / 2)
+    def of(cls, truth: str, rival: str, left: float, ranks: Ranks, values: int) -> Pair:
+        """What the chi squared `left` by the rival and the number of measured values
+        promise.
+
+        BIC adds the logarithm of the number of values for each direction.
+        """
+        more = ranks.rival - ranks.truth
+        mean = (left + more * (math.log(values) - 1)) / 2
+        sd = math.sqrt(left + (ranks.truth + ranks.rival) / 2)
         return cls(truth, rival, left, math.sqrt(left / values), mean, sd)
 
     def margin(self, least: float = DECISIVE) -> float:
@@ -149,16 +157,16 @@ class Discrimination(Record):
     def by_size(self) -> dict[tuple[float, float], float]:
         """The log odds of the hardest pair by speed and size of the spin, of the
         worse sense."""
-        found: dict[tuple[float, float], float] = {}
-        for one in self.candidates:
-            key = one.v0, abs(one.omega0)
-            found[key] = min(one.least, found.get(key, math.inf))
-        return found
+        least: dict[tuple[float, float], float] = {}
+        for throw in self.candidates:
+            key = throw.v0, abs(throw.omega0)
+            least[key] = min(throw.least, least.get(key, math.inf))
+        return least
 
     @property
     def worst(self) -> Pair:
         """The pair that is hardest to decide."""
-        return min(self.pairs, key=lambda one: (one.decides, one.log_odds))
+        return min(self.pairs, key=lambda pair: (pair.decides, pair.log_odds))
 
     @property
     def decided(self) -> bool:
@@ -169,14 +177,13 @@ class Discrimination(Record):
     def require_consistent(self) -> None:
         """Raise `ValueError` where what was read contradicts itself."""
         count = len(self.candidates)
-        require(
-            "throws",
-            all(0 <= one < count for one in self.throws),
-            "indices of candidates",
+        exist = all(0 <= index < count for index in self.throws)
+        require("throws", exist, "indices of candidates")
+        complete = all(
+            len(throw.log_odds) == len(self.pairs) for throw in self.candidates
         )
-        each = all(len(one.log_odds) == len(self.pairs) for one in self.candidates)
-        require("candidates", each, "log odds of every pair")
-        named = all({one.truth, one.rival} <= self.laws.keys() for one in self.pairs)
+        require("candidates", complete, "log odds of every pair")
+        named = all({pair.truth, pair.rival} <= self.laws.keys() for pair in self.pairs)
         require("pairs", bool(self.pairs) and named, "pairs of the laws")
 
     def to_frame(self) -> Any:
@@ -189,11 +196,11 @@ class Discrimination(Record):
         """
         names = ("v0", "omega0", "rest", "distance")
         columns = {
-            name: [getattr(one, name) for one in self.candidates] for name in names
+            name: [getattr(throw, name) for throw in self.candidates] for name in names
         }
-        for place, pair in enumerate(self.pairs):
+        for index, pair in enumerate(self.pairs):
             name = f"{pair.truth} over {pair.rival}"
-            columns[name] = [one.log_odds[place] for one in self.candidates]
+            columns[name] = [throw.log_odds[index] for throw in self.candidates]
         return frame(columns)
 
 
@@ -226,38 +233,50 @@ def print_discrimination(found: Discrimination, console: Console | None = None) 
     show(document(found), console)
 
 
-def document(found: Discrimination) -> Document:
+def document(discrimination: Discrimination) -> Document:
     """How many throws decide, and which."""
-    laws = join_words([*found.laws])
-    finding, *others = _summary(found)
-    what = measured(found.rate, found.until, found.sigma, found.stone)
+    laws = join_words([*discrimination.laws])
+    sentences = _summary(discrimination)
+    record = measured(
+        discrimination.rate,
+        discrimination.until,
+        discrimination.sigma,
+        discrimination.stone,
+    )
     return Document(
-        finding=lower(finding).rstrip("."),
+        finding=lower(sentences[0]).rstrip("."),
         subject=Text.assemble(
-            (laws, "bold"), f", {found.load} load: throws that decide between laws"
+            (laws, "bold"),
+            f", {discrimination.load} load: throws that decide between laws",
         ),
-        about=(what,),
-        lines=[what, *others],
+        about=(record,),
+        lines=[record, *sentences[1:]],
         sections=(
             Section(
                 "pairs",
                 "Expected log odds",
-                (Said(finding), *map(Said, others), _pairs(found)),
+                (*map(Said, sentences), _pairs(discrimination)),
             ),
-            Section("laws", "The laws", (_laws(found),), titled=True, brief=False),
             Section(
-                "single", "A single throw", (_single(found),), titled=True, brief=False
+                "laws", "The laws", (_laws(discrimination),), titled=True, brief=False
+            ),
+            Section(
+                "single",
+                "A single throw",
+                (_single(discrimination),),
+                titled=True,
+                brief=False,
             ),
         ),
-        notes=_notes(found),
+        notes=_notes(discrimination),
         title=f"Throws that decide between {laws}",
         settings={
-            "Laws, load": f"{laws}, {found.load}",
-            "Stone": stone_text(found.stone),
-            "Noise": noise_text(found.sigma),
+            "Laws, load": f"{laws}, {discrimination.load}",
+            "Stone": stone_text(discrimination.stone),
+            "Noise": noise_text(discrimination.sigma),
         },
-        command=found.command,
-        names=found.laws,
+        command=discrimination.command,
+        names=discrimination.laws,
     )
 
 
@@ -266,31 +285,34 @@ def _percent(probability: float) -> str:
     return f"{math.floor(1000 * min(probability, 0.9999)) / 10:g} %"
 
 
-def _summary(found: Discrimination) -> list[str]:
-    worst, count = found.worst, len(found.throws)
-    which = throws_text(found.candidates, found.throws)
+def _summary(discrimination: Discrimination) -> list[str]:
+    """Sentences on how many throws decide, and which."""
+    worst = discrimination.worst
+    count = len(discrimination.throws)
+    throws = throws_text(discrimination.candidates, discrimination.throws)
     odds = f"leads by odds of {ODDS} to 1 with a probability of"
-    if found.decided:
-        alone = sum(value > DECISIVE for value in found.by_size.values())
+    if discrimination.decided:
+        odds_alone = discrimination.by_size.values()
+        alone = sum(value > DECISIVE for value in odds_alone)
         decide = "decides" if count == 1 else "decide"
         lines = [
-            f"{counted(count, 'throw')} {decide}: {which}. "
+            f"{counted(count, 'throw')} {decide}: {throws}. "
             f"Whichever law is true, it {odds} at least {_percent(worst.decides)}."
         ]
         if count == 1 and alone > 1:
             lines.append(
-                f"In expectation, {alone} of the {len(found.by_size)} speeds and "
+                f"In expectation, {alone} of the {len(odds_alone)} speeds and "
                 "spins do so alone."
             )
         return lines
-    if found.asked is None:
+    if discrimination.asked is None:
         start = "Cannot be decided by tracks of this precision"
     else:
         verb = "does" if count == 1 else "do"
         start = f"{counted(count, 'throw')} of this precision {verb} not decide"
     lines = [
         f"{start}: if {worst.truth} is true, it {odds} only {_percent(worst.decides)} "
-        f"over {worst.rival}, after {counted(count, 'throw')}, {which}."
+        f"over {worst.rival}, after {counted(count, 'throw')}, {throws}."
     ]
     if worst.chi_squared < count:
         lines.append(
@@ -301,47 +323,49 @@ def _summary(found: Discrimination) -> list[str]:
     return lines
 
 
-def _pairs(found: Discrimination) -> PlainTable:
+def _pairs(discrimination: Discrimination) -> PlainTable:
     rows = [
         {
-            "true law": one.truth,
-            "rival": one.rival,
-            ">left by rival,\nover the noise": f"{one.relative:.2g}",
-            ">log odds": f"{one.log_odds:.1f} +- {one.sd:.1f}",
-            ">true law\nleads": _percent(one.wins),
-            f">by {ODDS}\nto 1": _percent(one.decides),
+            "true law": pair.truth,
+            "rival": pair.rival,
+            ">left by rival,\nover the noise": f"{pair.relative:.2g}",
+            ">log odds": f"{pair.log_odds:.1f} +- {pair.sd:.1f}",
+            ">true law\nleads": _percent(pair.wins),
+            f">by {ODDS}\nto 1": _percent(pair.decides),
         }
-        for one in found.pairs
+        for pair in discrimination.pairs
     ]
     return PlainTable(
         rows, "Expected log odds of these throws, and probabilities", keys=2
     )
 
 
-def _laws(found: Discrimination) -> PlainTable:
+def _laws(discrimination: Discrimination) -> PlainTable:
     rows = [
         {
             "law": law,
             "coefficients": ", ".join(
-                f"{name} = {v:.4g}" for name, v in values.items()
+                f"{name} = {value:.4g}" for name, value in values.items()
             ),
         }
-        for law, values in found.laws.items()
+        for law, values in discrimination.laws.items()
     ]
     return PlainTable(rows, "The laws: the same ordinary draw, 2 m/s and 1 rad/s")
 
 
-def _single(found: Discrimination) -> PlainTable:
-    shown = {(one.v0, abs(one.omega0)): one for one in found.candidates}
+def _single(discrimination: Discrimination) -> PlainTable:
+    by_start = {
+        (throw.v0, abs(throw.omega0)): throw for throw in discrimination.candidates
+    }
     rows = [
         {
             ">v0\n(m/s)": f"{v0:g}",
             ">omega0\n(rad/s)": f"{spin:g}",
-            ">at rest\n(s)": f"{shown[v0, spin].rest:.1f}",
-            ">after\n(m)": f"{shown[v0, spin].distance:.1f}",
+            ">at rest\n(s)": f"{by_start[v0, spin].rest:.1f}",
+            ">after\n(m)": f"{by_start[v0, spin].distance:.1f}",
             ">log odds,\nhardest pair": f"{least:.1f}",
         }
-        for (v0, spin), least in found.by_size.items()
+        for (v0, spin), least in discrimination.by_size.items()
     ]
     return PlainTable(rows, "A single throw of either sense of spin", keys=2)
 

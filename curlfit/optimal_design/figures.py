@@ -52,38 +52,50 @@ def _cells(
 ) -> None:
     """A cell for each speed and spin, dark where the value is small; those of the
     selected throws are framed."""
-    speeds, spins = (sorted(set(of)) for of in zip(*values, strict=True))
+    speeds = sorted({v0 for v0, _ in values})
+    spins = sorted({omega0 for _, omega0 in values})
     cells = np.full((len(spins), len(speeds)), np.nan)
     for (v0, omega0), value in values.items():
         cells[spins.index(omega0), speeds.index(v0)] = value
     axes.set_facecolor("0.9")
     axes.grid(visible=False)
-    known = cells[cells > 0]
-    low, high = (known.min(), known.max()) if len(known) else (1.0, 1.0)
+    # logarithms are of positive numbers only
+    positive = cells[cells > 0]
+    low = positive.min() if len(positive) else 1.0
+    high = positive.max() if len(positive) else 1.0
     if not high > 1.01 * low:
-        low, high = low / 1.5, high * 1.5
+        low /= 1.5
+        high *= 1.5
     norm = LogNorm(low, high, clip=True)
-    shown = axes.imshow(cells, origin="lower", aspect="auto", cmap="viridis", norm=norm)
+    image = axes.imshow(cells, origin="lower", aspect="auto", cmap="viridis", norm=norm)
     if cells.size <= _MAX_LABELLED:
         for (row, column), value in np.ndenumerate(cells):
-            text, color = unknown, "black"
+            text = unknown
+            color = "black"
             if np.isfinite(value):
                 text = number(value)
-                color = "white" if value <= 0 or norm(value) < 0.6 else "black"
+                is_dark = value <= 0 or norm(value) < 0.6
+                color = "white" if is_dark else "black"
             axes.text(
                 column, row, text, ha="center", va="center", fontsize=6, color=color
             )
     else:
-        axes.figure.colorbar(shown, ax=axes)
-    for axis, numbers, most in ((axes.xaxis, speeds, 6), (axes.yaxis, spins, 12)):
-        some = range(0, len(numbers), -(-len(numbers) // most))
-        axis.set_ticks(some, [f"{numbers[index]:g}" for index in some])
+        axes.figure.colorbar(image, ax=axes)
+    _label_cells(axes.xaxis, speeds, most=6)
+    _label_cells(axes.yaxis, spins, most=12)
     axes.set_xlabel("initial speed (m/s)")
     for v0, omega0 in set(framed):
         corner = speeds.index(v0) - 0.47, spins.index(omega0) - 0.47
         axes.add_patch(
             Rectangle(corner, 0.94, 0.94, fill=False, ec=draw.REFERENCE_COLOR, lw=2.2)
         )
+
+
+def _label_cells(axis: Any, numbers: Sequence[float], most: int) -> None:
+    """Ticks at the first of the cells along an axis and at each so many from it."""
+    step = math.ceil(len(numbers) / most)
+    indices = range(0, len(numbers), step)
+    axis.set_ticks(indices, [f"{numbers[index]:g}" for index in indices])
 
 
 def _number(value: float) -> str:
@@ -93,18 +105,19 @@ def _number(value: float) -> str:
 def _map(design: Design) -> draw.Picture:
     names = list(design.quantities)
     columns = 2 if len(names) == 4 else min(len(names), 3)
-    rows = -(-len(names) // columns)
-    tall = 0.8 + 0.28 * len({one.omega0 for one in design.candidates})
+    rows = math.ceil(len(names) / columns)
+    tall = 0.8 + 0.28 * len({throw.omega0 for throw in design.candidates})
     figure, grid = draw.panels(
         max(tall, 1.9) * rows + 0.5, rows, columns, squeeze=False
     )
-    panels, starts = grid.flat, [(one.v0, one.omega0) for one in design.candidates]
+    panels = grid.flat
+    starts = [(throw.v0, throw.omega0) for throw in design.candidates]
     framed = [starts[index] for index in next(iter(design.best.values())).throws]
     for axes, name in zip(panels, names, strict=False):
-        errors = [one.stderr[name] for one in design.candidates]
+        errors = [throw.stderr[name] for throw in design.candidates]
         values = [math.nan if error is None else error for error in errors]
-        each = dict(zip(starts, values, strict=True))
-        _cells(axes, each, framed, _number, "not\ndetermined")
+        value_by_start = dict(zip(starts, values, strict=True))
+        _cells(axes, value_by_start, framed, _number, "not\ndetermined")
         axes.set_title(_quantity(design, name), loc="center")
     for axes in panels[len(names) :]:
         axes.set_visible(False)
@@ -127,9 +140,8 @@ def discrimination_figure(found: Discrimination) -> Figure:
     >>> curlfit.discrimination_figure(between).savefig("discrimination.png")
     """
     values = found.by_size
-    framed = [
-        (one.v0, abs(one.omega0)) for one in (found.candidates[k] for k in found.throws)
-    ]
+    chosen = [found.candidates[index] for index in found.throws]
+    framed = [(throw.v0, abs(throw.omega0)) for throw in chosen]
     height = 1.6 + 0.28 * len({spin for _, spin in values})
     figure, axes = draw.panels(height, 1, 1, 0.72 * draw.WIDTH)
     _cells(
@@ -158,7 +170,8 @@ def _errors(design: Design) -> draw.Picture:
     names = [name for name in about if name in design.curves]
     figure, (panels,) = draw.panels(3.2, 1, len(names), sharey=True, squeeze=False)
     for axes, name in zip(panels, names, strict=True):
-        curve, styles = design.curves[name], draw.line_styles(len(design.quantities))
+        curve = design.curves[name]
+        styles = draw.line_styles(len(design.quantities))
         for quantity, style in zip(design.quantities, styles, strict=True):
             values = np.array(curve[quantity], float)
             axes.plot(
@@ -172,7 +185,7 @@ def _errors(design: Design) -> draw.Picture:
         axes.set(xscale="log", yscale="log", xlabel=about[name])
         axes.axvline(planned[name], **_PLANNED)
         if name == "throws":
-            counts = [int(one) for one in curve["at"] if one is not None]
+            counts = [int(count) for count in curve["at"] if count is not None]
             axes.set_xticks(counts, map(str, counts))
             axes.minorticks_off()
     panels[0].set_ylabel("standard error")

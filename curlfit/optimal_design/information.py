@@ -69,16 +69,22 @@ class PlannedThrow(NamedTuple):
     """initial direction, rad; pi is back along the sheet"""
 
 
+class Rest(NamedTuple):
+    """Where and when a stone comes to rest, from the first row of its record."""
+
+    time: float
+    """s; extrapolated beyond `LONGEST`"""
+    distance: float
+    """m; at `LONGEST` if the stone still moves then"""
+
+
 class RecordInformation(NamedTuple):
     """Length and Fisher information of the record of a planned throw."""
 
     rows: int
     last: float
     """time of the last row, s since the first"""
-    rest: float
-    """time of rest, s since the first row"""
-    distance: float
-    """from the first row to rest, m"""
+    rest: Rest
     factors: Floats
     """by channel, for noise of 1 m, 1 rad ...: R factor of the information on
     coefficients and initial state, scaled by typical sizes, on the conditions examined,
@@ -116,7 +122,8 @@ class Assumptions:
 
     @cached_property
     def parameters_of_fit(self) -> ParameterSet:
-        """The same with the bounds of a fit of what is measured."""
+        """The coefficients and the initial state with the bounds of a fit of what is
+        measured."""
         turning = {"phi", "omega"} & self.sigma.keys()
         bounds = {} if turning else BOUNDS_WITHOUT_ANGLE
         return ParameterSet.build(self.law, bounds=bounds)
@@ -143,17 +150,16 @@ class Assumptions:
 
     @property
     def typical(self) -> Floats:
-        """Their typical sizes."""
+        """Typical sizes of the free coefficients."""
         return self.parameters.typical[self.free]
 
     @property
     def bounded(self) -> Bounded:
-        """Their values and bounds; one beyond which the value lies was not
-        that of its fit."""
-        known = self.parameters
-        values, lower, upper = (
-            part[self.free] for part in (self.values, known.lower, known.upper)
-        )
+        """Values and bounds of the free coefficients, without the bounds beyond which
+        a value lies: those were not the bounds of its fit."""
+        values = self.values[self.free]
+        lower = self.parameters.lower[self.free]
+        upper = self.parameters.upper[self.free]
         return Bounded(
             values,
             np.where(values > lower, lower, -np.inf),
@@ -174,8 +180,8 @@ class Assumptions:
             confined(factor / self.typical, self.bounded, self.typical) * self.typical
         )
         errors = {
-            name: standard_error(factor, self.weights(of))
-            for name, of in quantities.items()
+            name: standard_error(factor, self.weights(combination))
+            for name, combination in quantities.items()
         }
         return self.within_bounds(errors, quantities)
 
@@ -199,34 +205,35 @@ class Assumptions:
         return within
 
     def noisier(self, channels: Iterable[str], factor: float) -> Assumptions:
-        """The same with the noise of some channels multiplied."""
-        sigma = dict(self.sigma)
-        return replace(
-            self, sigma=sigma | {name: factor * sigma[name] for name in channels}
-        )
+        """These assumptions with the noise of some channels multiplied."""
+        multiplied = {name: factor * self.sigma[name] for name in channels}
+        return replace(self, sigma={**self.sigma, **multiplied})
 
     @cached_property
     def by_load(self) -> dict[Load, Assumptions]:
-        """The same for an exact law, under each load."""
-        loads: tuple[Load, ...] = tuple(Load)
-        own = {} if self.discrepancy else {self.load: self}
-        return {load: replace(self, load=load, discrepancy=0.0) for load in loads} | own
+        """These assumptions for an exact law, under each load."""
+        by_load = {load: replace(self, load=load, discrepancy=0.0) for load in Load}
+        if not self.discrepancy:
+            # the object itself, which keeps the records that it has computed
+            by_load[self.load] = self
+        return by_load
 
     @cached_property
-    def _known(self) -> dict[PlannedThrow, RecordInformation]:
+    def _computed(self) -> dict[PlannedThrow, RecordInformation]:
         return {}
 
     def records(self, throws: Sequence[PlannedThrow]) -> list[RecordInformation]:
         """The information of each of several throws, computed once."""
-        if new := [
-            throw for throw in dict.fromkeys(throws) if throw not in self._known
-        ]:
-            self._known.update(zip(new, record_information(self, new), strict=True))
-        return [self._known[throw] for throw in throws]
+        computed = self._computed
+        missing = [throw for throw in dict.fromkeys(throws) if throw not in computed]
+        if missing:
+            records = record_information(self, missing)
+            computed.update(zip(missing, records, strict=True))
+        return [computed[throw] for throw in throws]
 
     def factors(self, throws: Sequence[PlannedThrow]) -> list[Floats]:
         """R factor of the information of each throw on the free coefficients."""
-        return [self.marginal(one) for one in self.records(throws)]
+        return [self.marginal(record) for record in self.records(throws)]
 
     def marginal(
         self, record: RecordInformation, columns: Indices | None = None
@@ -235,8 +242,8 @@ class Assumptions:
         initial state.
 
         The Schur complement: the columns are projected onto the orthogonal complement
-        of those of the initial state. Initial values that only channels without noise
-        determine are fixed, as in a fit.
+        of those of the initial state. Initial values that only channels that are not
+        measured determine are fixed, as in a fit.
 
         Parameters
         ----------
@@ -247,16 +254,17 @@ class Assumptions:
         Upper triangular, shape (columns, columns), scaled by typical sizes.
         """
         width = record.factors.shape[-1]
-        lacking = np.arange(width - record.shapes, width)
+        shapes = np.arange(width - record.shapes, width)
         # a priori the amplitudes of the shapes have unit variance
-        everything = np.concatenate([self.rows(record), np.eye(width)[lacking]])
-        wanted = everything[:, self.free if columns is None else columns]
-        wanted = apart_from(everything[:, [*self.state, *lacking]], wanted)
-        factor = r_factor(wanted)
+        rows = np.concatenate([self.rows(record), np.eye(width)[shapes]])
+        nuisances = rows[:, [*self.state, *shapes]]
+        wanted = rows[:, self.free if columns is None else columns]
+        factor = r_factor(apart_from(nuisances, wanted))
         return np.pad(factor, ((0, factor.shape[1] - len(factor)), (0, 0)))
 
     def rows(self, record: RecordInformation) -> Floats:
-        """The information of what is measured of a record, in rows over the noise."""
+        """Rows of the information of the measured channels of a record, over the
+        noise."""
         return np.concatenate(
             [
                 factor / self.sigma[name]
@@ -272,20 +280,28 @@ class Assumptions:
         needed = {"x0": {"x"}, "y0": {"y"}, "phi0": {"phi"}, "heading": {"x", "y"}}
         names = self.parameters.names
         return [
-            names.index(item.name)
-            for item in START
-            if needed.get(item.name, set()) <= {*self.sigma}
+            names.index(parameter.name)
+            for parameter in START
+            if needed.get(parameter.name, set()) <= self.sigma.keys()
         ]
 
 
-def apart_from(columns: Floats, wanted: Floats) -> Floats:
-    """Other columns, projected onto the orthogonal complement of some; or those of
-    each of many."""
-    left, singular, _ = np.linalg.svd(columns, full_matrices=False)
+def apart_from(nuisances: Floats, columns: Floats) -> Floats:
+    """Columns projected onto the orthogonal complement of others, the nuisances; both
+    of one throw, or of many along the first axis."""
+    left, singular, _ = np.linalg.svd(nuisances, full_matrices=False)
     left = left * (singular > _ROUNDING * singular[..., :1])[..., None, :]
     for _ in range(2):  # twice, against rounding errors
-        wanted = wanted - left @ (left.mT @ wanted)
-    return wanted
+        columns = columns - left @ (left.mT @ columns)
+    return columns
+
+
+class _Piece(NamedTuple):
+    """Some consecutive rows of a record, at most `_ROWS`."""
+
+    throw: int
+    """index of the throw"""
+    times: Floats
 
 
 def record_information(
@@ -304,69 +320,69 @@ def record_information(
     InputError : a stone that does not come to rest, or for which there is no motion; a
         record with fewer than two rows or more than `MOST_ROWS`.
     """
-    model, channels, ends = (
-        assumed.model,
-        range(assumed.channels),
-        ends_of(assumed, throws),
-    )
+    model = assumed.model
+    rests = rests_of(assumed, throws)
     clocks = [
-        clock_of(assumed, throw, rest)
-        for throw, (rest, _) in zip(throws, ends, strict=True)
+        clock_of(assumed, throw, rest.time)
+        for throw, rest in zip(throws, rests, strict=True)
     ]
     responses: list[Responses] = []
-    if assumed.discrepancy:  # to accelerations of the size of the friction
-        even = [np.linspace(0.0, clock[-1], _ROWS) for clock in clocks]
-        about = zip(even, paths_of(assumed, throws, even), throws, strict=True)
-        responses = [
-            Responses.of(times, path, throw.stone) for times, path, throw in about
-        ]
-    # Long records are split into several columns of a batch.
-    columns = [
-        (index, clock[first : first + _ROWS])
+    shapes = 0
+    if assumed.discrepancy:
+        responses = _responses(assumed, throws, clocks)
+        shapes = responses[0].by_channel.shape[-1]
+    # Long records are cut into pieces, so that all columns of a batch are equally long.
+    pieces = [
+        _Piece(index, clock[first : first + _ROWS])
         for index, clock in enumerate(clocks)
         for first in range(0, len(clock), _ROWS)
     ]
-    owner = np.array([index for index, _ in columns])
 
-    def factors_of(some: Indices) -> Floats:
-        own = [throws[index] for index in owner[some]]
-        values = _vectors(assumed, own)
-        problems = _problems(own, [columns[place][1] for place in some], len(channels))
-        jacobian = (
-            np.asarray(linearize(model, values, problems)[1])
-            * assumed.parameters.typical
-        )
+    def factors_of(indices: Indices) -> Floats:
+        batch = [pieces[index] for index in indices]
+        throws_of_batch = [throws[piece.throw] for piece in batch]
+        values = vectors_of(assumed, throws_of_batch)
+        times = [piece.times for piece in batch]
+        problems = _problems(throws_of_batch, times, assumed.channels)
+        _, slopes = linearize(model, values, problems)
+        jacobian = np.asarray(slopes) * assumed.parameters.typical
         if widths:
             paths = predict_many(model, values, problems, FEW)
             changes = residual_changes(model, problems, values, paths, widths, FEW)
-            jacobian = np.concatenate(
-                [jacobian, np.stack(list(changes.values()), -1)], -1
-            )
-        if (lost := ~np.isfinite(jacobian).all((1, 2, 3))).any():
-            raise _no_motion(assumed, own[int(np.argmax(lost))])
+            of_conditions = np.stack(list(changes.values()), -1)
+            jacobian = np.concatenate([jacobian, of_conditions], -1)
+        finite = np.isfinite(jacobian).all((1, 2, 3))
+        if not finite.all():
+            raise _no_motion(assumed, throws_of_batch[int(np.argmin(finite))])
         if responses:
-            about = zip(owner[some], problems.times, strict=True)
-            lacking = [
-                [responses[one].at(t, row) for row in channels] for one, t in about
+            accelerated = [
+                [responses[piece.throw].at(t, row) for row in range(assumed.channels)]
+                for piece, t in zip(batch, problems.times, strict=True)
             ]
             scale = assumed.discrepancy * problems.weight[..., None]
-            jacobian = np.concatenate([jacobian, scale * lacking], -1)
+            jacobian = np.concatenate([jacobian, scale * accelerated], -1)
         return r_factor(jacobian)
 
-    factors = in_batches(factors_of, (np.arange(len(columns)),), FEW)
-    shapes = responses[0].by_channel.shape[-1] if responses else 0
+    factors = in_batches(factors_of, (np.arange(len(pieces)),), FEW)
+    throw_of_piece = np.array([piece.throw for piece in pieces])
+    records = []
+    for index, (clock, rest) in enumerate(zip(clocks, rests, strict=True)):
+        whole = r_factor(np.concatenate(factors[throw_of_piece == index], 1))
+        records.append(
+            RecordInformation(len(clock), float(clock[-1]), rest, whole, shapes)
+        )
+    return records
+
+
+def _responses(
+    assumed: Assumptions, throws: Sequence[PlannedThrow], clocks: Sequence[Floats]
+) -> list[Responses]:
+    """Responses of the paths of throws to accelerations of the size of the friction."""
+    even = [np.linspace(0.0, clock[-1], _ROWS) for clock in clocks]
+    paths = paths_of(assumed, throws, even)
     return [
-        RecordInformation(
-            len(clock),
-            float(clock[-1]),
-            rest,
-            distance,
-            r_factor(np.concatenate(factors[owner == index], 1)),
-            shapes,
-        )
-        for index, (clock, (rest, distance)) in enumerate(
-            zip(clocks, ends.tolist(), strict=True)
-        )
+        Responses.of(times, path, throw.stone)
+        for times, path, throw in zip(even, paths, throws, strict=True)
     ]
 
 
@@ -388,14 +404,11 @@ def paths_of(
     """Paths at up to `_ROWS` times of each throw, the last repeated,
     (throws, 5, _ROWS)."""
     problems = _problems(throws, clocks, 3)
-    return predict_many(assumed.model, _vectors(assumed, throws), problems, FEW)
+    return predict_many(assumed.model, vectors_of(assumed, throws), problems, FEW)
 
 
-def exact_problems(
-    assumed: Assumptions, throws: Sequence[PlannedThrow]
-) -> tuple[Problem, Floats]:
-    """Problems of throws, along the first axis, whose data have no noise, and the
-    values of their parameters, shape (throws, parameters).
+def exact_problems(assumed: Assumptions, throws: Sequence[PlannedThrow]) -> Problem:
+    """Problems of throws, along the first axis, whose data have no noise.
 
     Each has `_ROWS` rows at most, evenly spread, whose weights stand for all rows of
     the record.
@@ -403,39 +416,37 @@ def exact_problems(
     clocks = []
     shares = []
     for throw, record in zip(throws, assumed.records(throws), strict=True):
-        clock = clock_of(assumed, throw, record.rest)
-        places = np.linspace(0, len(clock) - 1, _ROWS)
-        chosen = clock[np.unique(places.round().astype(int))]
-        clocks.append(chosen)
-        shares.append(len(chosen) / len(clock))
+        clock = clock_of(assumed, throw, record.rest.time)
+        rows = np.unique(np.linspace(0, len(clock) - 1, _ROWS).round().astype(int))
+        clocks.append(clock[rows])
+        shares.append(len(rows) / len(clock))
     problems = _problems(throws, clocks, assumed.channels)
     sigma = np.array([assumed.sigma.get(name, np.inf) for name in CHANNELS])
     noise = sigma[: assumed.channels, None] * np.sqrt(shares)[:, None, None]
     observed = paths_of(assumed, throws, clocks)[:, : assumed.channels]
-    problems = problems._replace(observed=observed, weight=problems.weight / noise)
-    return problems, _vectors(assumed, throws)
+    return problems._replace(observed=observed, weight=problems.weight / noise)
 
 
-def _vectors(assumed: Assumptions, throws: Sequence[PlannedThrow]) -> Floats:
-    """Parameter vectors of throws from the origin."""
-    return np.array(
-        [
-            [*assumed.values, *(getattr(throw, item.name, 0.0) for item in START)]
-            for throw in throws
-        ]
-    )
+def vectors_of(assumed: Assumptions, throws: Sequence[PlannedThrow]) -> Floats:
+    """Parameter vectors of throws from the origin, shape (throws, parameters)."""
+    vectors = []
+    for throw in throws:
+        start = [getattr(throw, parameter.name, 0.0) for parameter in START]
+        vectors.append([*assumed.values, *start])
+    return np.array(vectors)
 
 
 def _problems(
     throws: Sequence[PlannedThrow], clocks: Sequence[Floats], channels: int
 ) -> Problem:
-    """Problems with unit noise, whose residuals have the derivatives of the trajectory,
-    of throws at times of each."""
+    """Problems of throws at the times of each, with unit noise, so that the derivatives
+    of the residuals are those of the trajectory."""
     times = np.stack(
         [np.pad(clock, (0, _ROWS - len(clock)), mode="edge") for clock in clocks]
     )
-    seen = np.arange(_ROWS) < np.array([len(clock) for clock in clocks])[:, None]
-    weight = np.repeat(seen[:, None].astype(float), channels, axis=1)
+    lengths = np.array([len(clock) for clock in clocks])
+    is_measured = np.arange(_ROWS) < lengths[:, None]
+    weight = np.repeat(is_measured[:, None].astype(float), channels, axis=1)
     stone = stacked([jax.tree.map(float, throw.stone) for throw in throws])
     level = jax.tree.map(lambda value: np.full(len(throws), value), LEVEL_AND_STILL)
     return Problem(
@@ -443,27 +454,33 @@ def _problems(
     )
 
 
-def ends_of(assumed: Assumptions, throws: Sequence[PlannedThrow]) -> Floats:
-    """Time of rest (s), extrapolated beyond `LONGEST`, and distance (m) of throws."""
-    ends = np.empty((len(throws), 2))
+def rests_of(assumed: Assumptions, throws: Sequence[PlannedThrow]) -> list[Rest]:
+    """Where throws come to rest.
+
+    Raises
+    ------
+    InputError : a stone for which there is no motion, or that does not come to rest
+        within `LONGEST` where the record lasts until then.
+    """
+    rests = [Rest(math.nan, math.nan)] * len(throws)
     for stone in {throw.stone for throw in throws}:
-        own = [row for row, throw in enumerate(throws) if throw.stone == stone]
-        values, whole = (
-            _vectors(assumed, [throws[row] for row in own]),
-            np.array([0.0, LONGEST]),
-        )
-        state, rest = motions(assumed.model, values, stone, LEVEL_AND_STILL, whole)
-        ends[own] = np.column_stack([rest, np.hypot(*state[:, :2, -1].T)])
-    for throw, (rest, distance) in zip(throws, ends, strict=True):
-        if np.isnan([rest, distance]).any():
+        indices = [row for row, throw in enumerate(throws) if throw.stone == stone]
+        values = vectors_of(assumed, [throws[index] for index in indices])
+        clock = np.array([0.0, LONGEST])
+        states, times = motions(assumed.model, values, stone, LEVEL_AND_STILL, clock)
+        distances = np.hypot(*states[:, :2, -1].T)
+        for index, time, distance in zip(indices, times, distances, strict=True):
+            rests[index] = Rest(float(time), float(distance))
+    for throw, rest in zip(throws, rests, strict=True):
+        if math.isnan(rest.time) or math.isnan(rest.distance):
             raise _no_motion(assumed, throw)
-        if assumed.until is None and not 0 < rest <= LONGEST:
+        if assumed.until is None and not 0 < rest.time <= LONGEST:
             raise InputError(
                 f"a stone of {throw.v0:g} m/s and {throw.omega0:g} rad/s does "
                 f"not come to rest within {LONGEST:g} s; give the length of the "
                 "record (--until)"
             )
-    return ends
+    return rests
 
 
 def _no_motion(assumed: Assumptions, throw: PlannedThrow) -> InputError:

@@ -43,26 +43,26 @@ def print_design(design: Design, console: Console | None = None) -> None:
 
 def document(design: Design) -> Document:
     """The best throws and the errors that they give."""
-    best, *others = _summary(design)
+    sentences = _summary(design)
     law = f"{design.law} law"
     about = (
         f", {design.load} load: expected errors of {counted(design.throws, 'throw')} "
         f"selected from {len(design.candidates)}"
     )
     scenarios = design.scenarios
-    what = measured(
+    record = measured(
         design.rate, design.until, design.sigma, design.stone, design.discrepancy
     )
     return Document(
-        finding=lower(best).rstrip("."),
+        finding=lower(sentences[0]).rstrip("."),
         subject=Text.assemble((law, "bold"), about),
-        about=(what,),
-        lines=[what, *others],
+        about=(record,),
+        lines=[record, *sentences[1:]],
         sections=(
             Section(
                 "errors",
                 "Expected errors",
-                (_best(design), Said(best), *map(Said, others)),
+                (_best(design), *map(Said, sentences)),
             ),
             Section(
                 "systematic",
@@ -84,7 +84,7 @@ def document(design: Design) -> Document:
         settings={
             "Law, load": f"{design.law}, {design.load}",
             "Coefficients": ", ".join(
-                f"{name} = {v:g}" for name, v in design.coefficients.items()
+                f"{name} = {value:g}" for name, value in design.coefficients.items()
             ),
             "Stone": stone_text(design.stone),
             "Noise": noise_text(design.sigma),
@@ -97,10 +97,12 @@ def document(design: Design) -> Document:
 
 def noise_text(sigma: dict[str, float], factor: float = 1.0) -> str:
     """Noise by channel, as in "5 mm in x and y, 10 mrad in phi"."""
-    same: dict[str, list[str]] = {}
+    channels: dict[str, list[str]] = {}
     for name, value in sigma.items():
-        same.setdefault(with_unit(value * factor, name), []).append(name)
-    return ", ".join(f"{size} in {join_words(names)}" for size, names in same.items())
+        channels.setdefault(with_unit(value * factor, name), []).append(name)
+    return ", ".join(
+        f"{size} in {join_words(names)}" for size, names in channels.items()
+    )
 
 
 def with_unit(value: float, channel: str) -> str:
@@ -122,8 +124,8 @@ def throws_text(candidates: Sequence[Any], indices: Iterable[int]) -> str:
     )
 
 
-def _start(one: Any) -> str:
-    return f"{one.v0:g} m/s, {one.omega0:g} rad/s"
+def _start(throw: Any) -> str:
+    return f"{throw.v0:g} m/s, {throw.omega0:g} rad/s"
 
 
 def measured(
@@ -150,8 +152,8 @@ def _scenarios(design: Design) -> PlainTable:
         (
             {"coefficient": name}
             | {
-                f">{one.name}": two_digits(one.systematic[name])
-                for one in design.scenarios
+                f">{scenario.name}": two_digits(scenario.systematic[name])
+                for scenario in design.scenarios
             }
             for name in design.quantities
         ),
@@ -161,12 +163,13 @@ def _scenarios(design: Design) -> PlainTable:
 
 def _recommended(scenarios: Sequence[Scenario]) -> str:
     """The simplest scenario with nearly the largest gain, if there is a gain."""
-    first, *others = (one.systematic for one in scenarios)
+    planned = scenarios[0].systematic
     gains = {
-        one.name: max(
-            first[name] / max(error, 1e-300) for name, error in systematic.items()
+        scenario.name: max(
+            planned[name] / max(error, 1e-300)
+            for name, error in scenario.systematic.items()
         )
-        for one, systematic in zip(scenarios[1:], others, strict=True)
+        for scenario in scenarios[1:]
     }
     best = next(
         name for name, gain in gains.items() if gain > 0.8 * max(gains.values())
@@ -184,16 +187,18 @@ def _best(design: Design) -> PlainTable:
     criteria: dict[tuple[int, ...], list[str]] = {}
     for name, errors in design.best.items():
         criteria.setdefault(errors.throws, []).append(name)
-    shown = {"": first}
+    errors_by_criteria = {"": first}
     if len(criteria) > 1:
-        shown = {
+        errors_by_criteria = {
             f" by {join_words(names)}": design.best[names[0]]
             for names in criteria.values()
         }
     assumed = {sum_.expression: sum_.value for sum_ in first.combinations}
     for name, weights in design.quantities.items():
-        terms = (weight * design.coefficients[one] for one, weight in weights.items())
-        assumed[name] = sum(terms)
+        assumed[name] = sum(
+            weight * design.coefficients[coefficient]
+            for coefficient, weight in weights.items()
+        )
     assumed |= design.coefficients
     head = f">std. error, best {counted(design.throws, 'throw')}"
     rows = [
@@ -201,8 +206,8 @@ def _best(design: Design) -> PlainTable:
             "coefficient": labelled(name, design.units.get(name, "1")),
             ">assumed": f"{assumed[name]:.6g}",
             **{
-                f"{head}{by}": _error(item.stderr.get(name))
-                for by, item in shown.items()
+                f"{head}{by}": _error(errors.stderr.get(name))
+                for by, errors in errors_by_criteria.items()
             },
             "verdict": judged(first.verdicts.get(name, Verdict.DETERMINED)),
         }
@@ -223,15 +228,14 @@ def _criterion(design: Design, name: str) -> str:
 
 
 def _summary(design: Design) -> list[str]:
-    throws: dict[str, list[str]] = {}
-    for name, item in design.best.items():
-        throws.setdefault(throws_text(design.candidates, item.throws), []).append(
-            _criterion(design, name)
-        )
+    criteria_by_throws: dict[str, list[str]] = {}
+    for name, errors in design.best.items():
+        throws = throws_text(design.candidates, errors.throws)
+        criteria_by_throws.setdefault(throws, []).append(_criterion(design, name))
     lines = [
-        f"Best {counted(design.throws, 'throw')}: {text}, "
+        f"Best {counted(design.throws, 'throw')}: {throws}, "
         f"by {' and by '.join(criteria)}."
-        for text, criteria in throws.items()
+        for throws, criteria in criteria_by_throws.items()
     ]
     first = next(iter(design.best.values()))
     if design.rank < design.free:
@@ -242,9 +246,12 @@ def _summary(design: Design) -> list[str]:
         ]
         changes = "; or ".join(
             join_words(
-                [f"{n} {'grows' if w > 0 else 'falls'}" for n, w in item.items()]
+                [
+                    f"{name} {'grows' if weight > 0 else 'falls'}"
+                    for name, weight in direction.items()
+                ]
             )
-            for item in first.null_directions
+            for direction in first.null_directions
         )
         lines.append(
             f"All candidates together determine {design.rank} of {design.free} "
@@ -260,17 +267,17 @@ def _summary(design: Design) -> list[str]:
 def _single_throws(design: Design) -> PlainTable:
     rows = [
         {
-            ">v0\n(m/s)": f"{one.v0:g}",
-            ">omega0\n(rad/s)": f"{one.omega0:g}",
-            ">rows": str(one.rows),
-            ">at rest\n(s)": f"{one.rest:.1f}",
-            ">after\n(m)": f"{one.distance:.1f}",
+            ">v0\n(m/s)": f"{throw.v0:g}",
+            ">omega0\n(rad/s)": f"{throw.omega0:g}",
+            ">rows": str(throw.rows),
+            ">at rest\n(s)": f"{throw.rest:.1f}",
+            ">after\n(m)": f"{throw.distance:.1f}",
             **{
-                f">error of\n{name}": _error(one.stderr[name])
+                f">error of\n{name}": _error(throw.stderr[name])
                 for name in design.quantities
             },
         }
-        for one in design.candidates[:_MAX_LISTED]
+        for throw in design.candidates[:_MAX_LISTED]
     ]
     more = len(design.candidates) - _MAX_LISTED
     note = Text(f"and {more} more (in design.json)", style="dim") if more > 0 else None

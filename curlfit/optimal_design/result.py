@@ -169,28 +169,30 @@ class Design(Record):
         """
         names = ("v0", "omega0", "rate", "rows", "last", "rest", "distance")
         columns = {
-            name: [getattr(one, name) for one in self.candidates] for name in names
+            name: [getattr(throw, name) for throw in self.candidates] for name in names
         }
         for name in self.quantities:
-            errors = [one.stderr[name] for one in self.candidates]
-            columns[f"{name} stderr"] = [math.nan if e is None else e for e in errors]
+            errors = [throw.stderr[name] for throw in self.candidates]
+            columns[f"{name} stderr"] = [
+                math.nan if error is None else error for error in errors
+            ]
         return frame(columns)
 
     def require_consistent(self) -> None:
         """Raise `ValueError` where what was read contradicts itself."""
         require("sigma", all(size > 0 for size in self.sigma.values()), "noise above 0")
         names = self.quantities.keys()
-        for place, expected in (
+        for key, expected in (
             ("candidates", self.candidates),
             ("scenarios", self.scenarios),
             ("best", self.best.values()),
         ):
             complete = all(names <= errors.stderr.keys() for errors in expected)
-            require(place, complete, f"the standard errors of {', '.join(names)}")
+            require(key, complete, f"the standard errors of {', '.join(names)}")
         count = len(self.candidates)
         chosen = [index for best in self.best.values() for index in best.throws]
-        there = all(0 <= index < count for index in chosen)
-        require("best", there, "indices of candidates")
+        exist = all(0 <= index < count for index in chosen)
+        require("best", exist, "indices of candidates")
         for curve in self.curves.values():
             require("curves", {"at", *names} <= curve.keys(), "all standard errors")
             require_rows("curves", curve, len(curve["at"]))

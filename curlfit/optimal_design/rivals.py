@@ -10,7 +10,7 @@ of least squares.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,19 +23,20 @@ from curlfit.inference.fit.systematics import residual_changes, widths_of
 from curlfit.inference.identifiability import r_factor, visible
 from curlfit.inference.joint.effects import Covariates
 from curlfit.inference.joint.fit import solved_together
-from curlfit.inference.least_squares import Indices, Solution
+from curlfit.inference.least_squares import Solution
 from curlfit.inference.likelihood import predict_many
 from curlfit.inference.parameters import START, ParameterSet
 from curlfit.inference.problem import problem_shape
-from curlfit.numerics.arrays import Booleans, Floats
+from curlfit.numerics.arrays import Floats
 from curlfit.numerics.batches import side_by_side, stacked
 from curlfit.optimal_design.information import (
     Assumptions,
     PlannedThrow,
+    Rest,
     apart_from,
     clock_of,
-    ends_of,
     paths_of,
+    rests_of,
 )
 from curlfit.settings.choices import Fitting
 from curlfit.stone import Stone
@@ -45,75 +46,112 @@ from curlfit.throws.throw import CHANNELS, Throw
 _POINTS = 128  # rows of a throw without noise, weighted as all rows of its record
 
 
+class NoiselessThrow(NamedTuple):
+    """A throw that a law makes, without noise, at a few times."""
+
+    planned: PlannedThrow
+    throw: Throw
+    rows: int
+    """of the whole record, for which the few stand"""
+    rest: Rest
+
+    @property
+    def is_plausible(self) -> bool:
+        """Whether it stays on the sheet and is possible in other ways."""
+        try:
+            require_plausible(self.throw)
+        except InputError:
+            return False
+        return True
+
+
 class Truth(NamedTuple):
-    """The throws that a law makes."""
+    """A law, and the throws that it makes."""
 
     assumed: Assumptions
-    throws: list[Throw]
-    rows: list[int]
-    """of the record of each"""
-    ends: Floats
-    """time of rest (s) and distance (m), shape (throws, 2)"""
+    throws: list[NoiselessThrow]
 
     @classmethod
     def of(cls, assumed: Assumptions, planned: Sequence[PlannedThrow]) -> Truth:
-        """Without noise, at a few times.
+        """The throws of a law as planned.
 
         Raises
         ------
         InputError : as in `record_information`.
         """
-        ends = ends_of(assumed, planned)
+        rests = rests_of(assumed, planned)
         clocks = [
-            clock_of(assumed, *each) for each in zip(planned, ends[:, 0], strict=True)
+            clock_of(assumed, plan, rest.time)
+            for plan, rest in zip(planned, rests, strict=True)
         ]
-        times = [
+        times_by_throw = [
             np.linspace(0.0, clock[-1], min(_POINTS, len(clock))) for clock in clocks
         ]
+        paths = paths_of(assumed, planned, times_by_throw)
         throws = []
-        for one, clock, t, path in zip(
-            planned, clocks, times, paths_of(assumed, planned, times), strict=True
+        for plan, rest, clock, times, path in zip(
+            planned, rests, clocks, times_by_throw, paths, strict=True
         ):
-            fewer = math.sqrt(len(t) / len(clock))
-            seen: Any = {
-                name: path[row, : len(t)]
+            # so that a few rows weigh as much as all of the record
+            factor = math.sqrt(len(times) / len(clock))
+            sigma: Any = {name: factor * size for name, size in assumed.sigma.items()}
+            columns: Any = {
+                name: path[row, : len(times)]
                 for row, name in enumerate(CHANNELS)
                 if name in assumed.sigma
             }
-            sigma: Any = {name: fewer * size for name, size in assumed.sigma.items()}
-            label = f"{one.v0:g} m/s, {one.omega0:g} rad/s"
-            throws.append(Throw.from_arrays(t, **seen, sigma=sigma, name=label))
-        return cls(assumed, throws, [*map(len, clocks)], ends)
+            label = f"{plan.v0:g} m/s, {plan.omega0:g} rad/s"
+            throw = Throw.from_arrays(times, **columns, sigma=sigma, name=label)
+            throws.append(NoiselessThrow(plan, throw, len(clock), rest))
+        return cls(assumed, throws)
 
     @property
     def law(self) -> str:
-        """Its name."""
+        """Name of the law."""
         return self.assumed.law.name
 
-    def at(self, which: Indices) -> Truth:
-        """Some of the throws."""
-        throws, rows = zip(
-            *((self.throws[one], self.rows[one]) for one in which), strict=True
-        )
-        return Truth(self.assumed, [*throws], [*rows], self.ends[which])
+    def at(self, indices: Iterable[int]) -> Truth:
+        """The law with some of the throws."""
+        return Truth(self.assumed, [self.throws[index] for index in indices])
 
-    def plausible(self) -> Booleans:
-        """Which throws stay on the sheet and are possible in other ways."""
-        found = np.ones(len(self.throws), bool)
-        for row, throw in enumerate(self.throws):
-            try:
-                require_plausible(throw)
-            except InputError:
-                found[row] = False
-        return found
+
+class SingleFits(NamedTuple):
+    """A law fitted to each of several throws."""
+
+    coefficients: Floats
+    """shape (throws, coefficients)"""
+    rows: Floats
+    """what is left of each throw, NaN where the law cannot be fitted to it; shape
+    (throws, rows, columns), see `Rival`"""
+
+
+class JointFit(NamedTuple):
+    """A law fitted to several throws together."""
+
+    rows: Floats
+    """what is left of each throw, as of `SingleFits`"""
+    converged: bool
+
+
+class LinearFit(NamedTuple):
+    """Least squares of the rows of several throws."""
+
+    chi_squared: float
+    coefficients: Floats
+    """over typical sizes"""
 
 
 class Rival:
     """A law that is fitted to the throws of others.
 
+    What a fit leaves of a throw is held in rows, whose columns are the coefficients
+    over typical sizes, the conditions over widths, and the residual where all of these
+    are zero.
+
     Attributes
     ----------
-    typical : sizes of its coefficients. bounds : lower and upper, over these.
+    size, typical : number and typical sizes of its coefficients.
+    lower, upper : their bounds over typical sizes.
     """
 
     def __init__(
@@ -125,58 +163,55 @@ class Rival:
         """Of a law and load; `systematics` as in `widths_of`."""
         self.model = assumed.model
         self._widths = widths_of(self.model, systematics)
-        own = ParameterSet.build(assumed.law)
+        parameters = ParameterSet.build(assumed.law)
         self.size = len(assumed.law.coefficients())
-        self.typical = own.typical[: self.size]
-        self.bounds = tuple(
-            end[: self.size] / self.typical for end in (own.lower, own.upper)
-        )
-        self._chosen = {
+        self.typical = parameters.typical[: self.size]
+        self.lower = parameters.lower[: self.size] / self.typical
+        self.upper = parameters.upper[: self.size] / self.typical
+        self._choices = {
             "law": assumed.law,
             "load": assumed.load,
             "stone": stone.as_dict(),
         }
 
-    def alone(self, throws: Sequence[Throw]) -> tuple[Floats, Floats]:
-        """The coefficients that fit each throw, and its rows; NaN where none do."""
-        chosen = Fitting.of(**self._chosen)
-        prepared = [PreparedThrow.of(_accepted(throw), chosen) for throw in throws]
-        channels, rows = zip(
-            *(problem_shape(one.throw) for one in prepared), strict=True
+    def fit_each(self, throws: Sequence[NoiselessThrow]) -> SingleFits:
+        """Fit each throw on its own."""
+        choices = Fitting.of(**self._choices)
+        prepared = [PreparedThrow.of(_accepted(throw), choices) for throw in throws]
+        shapes = [problem_shape(throw.throw) for throw in prepared]
+        shape = (
+            max(channels for channels, _ in shapes),
+            max(rows for _, rows in shapes),
         )
-        shape = max(channels), max(rows)
         rounds = Rounds(
             self.model, prepared, shape=shape, batch=side_by_side(len(throws))
         )
-        each = []
-        for one in fitted(rounds, None):
-            if isinstance(one, CurlfitError):
-                raise one
-            each.append(one.solution)
-        solutions = stacked(each)
-        found = self._reduced(rounds, solutions)
-        found[~np.asarray(solutions.success)] = np.nan
-        return solutions.values[:, : self.size], found
+        solution_by_throw = []
+        for fit in fitted(rounds, None):
+            if isinstance(fit, CurlfitError):
+                raise fit
+            solution_by_throw.append(fit.solution)
+        solutions = stacked(solution_by_throw)
+        rows = self._rows(rounds, solutions)
+        rows[~np.asarray(solutions.success)] = np.nan
+        return SingleFits(solutions.values[:, : self.size], rows)
 
-    def together(self, throws: Sequence[Throw], start: Floats) -> tuple[Floats, bool]:
-        """The rows of throws about the coefficients that fit all of them, found from a
-        `start` over typical sizes, and whether this fit converged."""
-        names = [item.name for item in self.model.law.coefficients()]
-        first = dict(zip(names, (start * self.typical).tolist(), strict=True))
-        chosen = [Fitting.of(**self._chosen, start=first)] * len(throws)
+    def fit_together(self, throws: Sequence[NoiselessThrow], start: Floats) -> JointFit:
+        """Fit throws together, from the coefficients `start` over typical sizes."""
+        names = [coefficient.name for coefficient in self.model.law.coefficients()]
+        values = (start * self.typical).tolist()
+        start_by_name = dict(zip(names, values, strict=True))
+        choices = [Fitting.of(**self._choices, start=start_by_name)] * len(throws)
         none = Covariates.of([("", {})] * len(throws), (), ())
-        found = solved_together([*map(_accepted, throws)], chosen, names, none, None)
-        return self._reduced(found.rounds, found.solution), bool(
-            np.all(found.solution.success)
-        )
+        accepted = [_accepted(throw) for throw in throws]
+        joint = solved_together(accepted, choices, names, none, None)
+        rows = self._rows(joint.rounds, joint.solution)
+        return JointFit(rows, bool(np.all(joint.solution.success)))
 
-    def _reduced(self, rounds: Rounds, solutions: Solution) -> Floats:
-        """What is left of the residuals of each throw whatever its initial state.
-
-        Shape (throws, rows, columns). Columns are coefficients over typical sizes,
-        conditions over widths, and the residual where all of these are zero.
-        """
-        parameters, values = rounds.throws[0].parameters, solutions.values
+    def _rows(self, rounds: Rounds, solutions: Solution) -> Floats:
+        """What is left of the residuals of each throw whatever its initial state."""
+        parameters = rounds.throws[0].parameters
+        values = solutions.values
         paths = predict_many(self.model, values, rounds.problems, rounds.batch)
         changes = residual_changes(
             self.model, rounds.problems, values, paths, self._widths, rounds.batch
@@ -184,33 +219,38 @@ class Rival:
         scaled = solutions.jacobian * (parameters.typical * parameters.free)
         of_law = (values / parameters.typical)[:, None, None, : self.size]
         at_zero = solutions.residual - (scaled[..., : self.size] * of_law).sum(-1)
-        whole = np.concatenate([scaled, np.stack([*changes.values(), at_zero], -1)], -1)
-        whole = r_factor(whole.reshape(len(values), -1, whole.shape[-1]))
-        own = np.arange(self.size, self.size + len(START))
-        return apart_from(whole[..., own], np.delete(whole, own, -1))
+        columns = np.concatenate(
+            [scaled, np.stack([*changes.values(), at_zero], -1)], -1
+        )
+        rows = r_factor(columns.reshape(len(values), -1, columns.shape[-1]))
+        state = np.arange(self.size, self.size + len(START))
+        return apart_from(rows[..., state], np.delete(rows, state, -1))
 
-    def fit(self, rows: Floats) -> tuple[float, Floats]:
-        """Chi squared of throws together, and the coefficients over typical sizes,
-        within bounds; conditions contribute to it by their widths."""
+    def fit_rows(self, rows: Floats) -> LinearFit:
+        """Least squares of the rows of throws together, with the coefficients within
+        bounds; conditions contribute to chi squared by their widths."""
         from scipy.optimize import lsq_linear  # slow to load
 
-        whole = r_factor(rows.reshape(-1, rows.shape[-1]))
-        conditions = whole.shape[-1] - 1 - self.size
+        factor = r_factor(rows.reshape(-1, rows.shape[-1]))
+        conditions = factor.shape[-1] - 1 - self.size
         width = self.size + conditions
-        matrix = np.concatenate([whole[:, :-1], np.eye(conditions, width, self.size)])
-        aim = -np.append(whole[:, -1], np.zeros(conditions))
-        free = np.full(conditions, np.inf)
-        ends = np.append(self.bounds[0], -free), np.append(self.bounds[1], free)
-        found = lsq_linear(matrix, aim, ends, method="bvls")
-        return 2 * float(found.cost), found.x[: self.size]
+        # below the rows of the throws a row for each condition, as of a prior
+        priors = np.eye(conditions, width, self.size)
+        matrix = np.concatenate([factor[:, :-1], priors])
+        target = -np.append(factor[:, -1], np.zeros(conditions))
+        unbounded = np.full(conditions, np.inf)
+        lower = np.append(self.lower, -unbounded)
+        upper = np.append(self.upper, unbounded)
+        optimum = lsq_linear(matrix, target, (lower, upper), method="bvls")
+        return LinearFit(2 * float(optimum.cost), optimum.x[: self.size])
 
     def rank(self, rows: Floats) -> int:
         """Number of directions of the coefficients that throws together determine."""
-        whole = r_factor(rows[..., : self.size].reshape(-1, self.size))
-        singular = np.asarray(np.linalg.svd(whole, compute_uv=False), float)
+        factor = r_factor(rows[..., : self.size].reshape(-1, self.size))
+        singular = np.asarray(np.linalg.svd(factor, compute_uv=False), float)
         return int(visible(singular).sum())
 
 
-def _accepted(throw: Throw) -> Throw:
+def _accepted(throw: NoiselessThrow) -> Throw:
     """A throw that is fitted even if it is not possible: it is left out later."""
-    return throw.with_defaults(as_given=True)
+    return throw.throw.with_defaults(as_given=True)

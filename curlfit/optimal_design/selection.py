@@ -91,27 +91,30 @@ def _nonsingular(information: Floats) -> Booleans:
     return np.linalg.eigvalsh(information)[..., 0] > _SINGULAR
 
 
-def _trace(information: Floats, of: Floats) -> Floats:
+def _trace(information: Floats, weights: Floats) -> Floats:
+    """Trace of the inverse of the information times weights; infinite where there is no
+    inverse."""
     nonsingular = _nonsingular(information)
-    safe = np.where(
-        nonsingular[..., None, None], information, np.eye(information.shape[-1])
-    )
-    return np.where(
-        nonsingular, np.trace(np.linalg.solve(safe, of), axis1=-2, axis2=-1), np.inf
-    )
+    identity = np.eye(information.shape[-1])
+    safe = np.where(nonsingular[..., None, None], information, identity)
+    trace = np.trace(np.linalg.solve(safe, weights), axis1=-2, axis2=-1)
+    return np.where(nonsingular, trace, np.inf)
 
 
 def exchanged(throws: Sequence[int], best: Callable[[list[int]], int]) -> list[int]:
     """Throws, one at a time exchanged for the best beside the others, until that
     changes none (Fedorov 1972); sorted."""
-    found = [*throws]
-    for _ in range(_MAX_ROUNDS if len(found) > 1 else 0):
-        before = sorted(found)
+    chosen = [*throws]
+    if len(chosen) == 1:
+        return chosen
+    for _ in range(_MAX_ROUNDS):
+        before = sorted(chosen)
         for _ in before:
-            found = [*found[1:], best(found[1:])]
-        if sorted(found) == before:
+            beside = chosen[1:]
+            chosen = [*beside, best(beside)]
+        if sorted(chosen) == before:
             break
-    return sorted(found)
+    return sorted(chosen)
 
 
 def select_design(
@@ -122,14 +125,17 @@ def select_design(
 
     They are exchanged from a greedy start.
     """
-    every, chosen = candidates.information, list[int]()
+    information = candidates.information
 
-    def best(others: list[int], more: float = 0.0) -> int:
-        rest = every[others].sum(0) + more * every.sum(0)
-        return int(np.argmin(criterion(rest + every)))
+    def best(others: list[int], share_of_all: float = 0.0) -> int:
+        fixed = information[others].sum(0) + share_of_all * information.sum(0)
+        return int(np.argmin(criterion(fixed + information)))
 
+    chosen: list[int] = []
     for _ in range(throws):
-        # A small multiple of the total information keeps the criterion finite at first.
+        # A small share of the information of all keeps the criterion finite at first.
         chosen.append(best(chosen, 1e-6))
     chosen = exchanged(chosen, best)
-    return tuple(chosen) if np.isfinite(criterion(every[chosen].sum(0))) else None
+    if np.isfinite(criterion(information[chosen].sum(0))):
+        return tuple(chosen)
+    return None

@@ -12,7 +12,7 @@ from conftest import command, invoke
 
 import curlfit
 from curlfit.optimal_design.discriminate import _extended
-from curlfit.optimal_design.discrimination import DECISIVE, Pair
+from curlfit.optimal_design.discrimination import DECISIVE, Pair, Ranks
 
 COARSE = {"x": 1.0, "y": 1.0, "phi": 2.0}
 PLAN = {
@@ -66,7 +66,7 @@ def test_one_throw_leaves_what_a_fit_of_it_leaves(found):
     throw = throw_of(found, pair.truth, one.v0, one.omega0)
     fit = curlfit.fit(throw, pair.rival, details=False, priors={"slope_x": "0+-0.001"})
     n = fit.n_observations
-    expected = Pair.of("", "", left_by(fit), (3, 1), n).log_odds
+    expected = Pair.of("", "", left_by(fit), Ranks(3, 1), n).log_odds
     assert one.log_odds[0] == pytest.approx(expected, rel=0.03)
 
 
@@ -117,7 +117,7 @@ def test_log_odds_are_those_of_simulated_linear_models(true, rival):
 
     bic = [left(y, one) + one.shape[1] * np.log(n) for one in project]
     odds = (bic[1] - bic[0]) / 2
-    found = Pair.of("", "", left(mean, project[1]), (true, rival), n)
+    found = Pair.of("", "", left(mean, project[1]), Ranks(true, rival), n)
     assert odds.mean() == pytest.approx(found.log_odds, abs=0.2)
     assert odds.std() == pytest.approx(found.sd, rel=0.03)
     decided, promised = (odds > DECISIVE).mean(), found.decides
@@ -135,7 +135,7 @@ class Additive:
     def promise(self, throws):
         matrix = np.concatenate([self.rows[k] for k in throws])
         left = np.linalg.svd(matrix, compute_uv=False)[-1] ** 2
-        return Pair.of("", "", left, (2, 2), 100)
+        return Pair.of("", "", left, Ranks(2, 2), 100)
 
 
 def test_the_exchange_finds_the_best_of_all_choices_for_the_worst_pair():
