@@ -79,9 +79,9 @@ def adequacy(result: FitResult) -> Adequacy:
     t = observed["t"]
     residual = {name: observed[name] - result.fitted[name] for name in PLACE}
     located = np.isfinite(observed["x"]) & np.isfinite(observed["y"])
-    place = np.stack([observed["x"], observed["y"]], 1)[located]
+    positions = np.stack([observed["x"], observed["y"]], 1)[located]
     missed = np.stack([residual["x"], residual["y"]], 1)[located]
-    bulk = np.stack([_without_outliers(values, loss) for values in place.T], 1)
+    bulk = np.stack([_without_outliers(values, loss) for values in positions.T], 1)
 
     # the straight line next to the path: its first principal axis, along the motion
     along = np.linalg.svd(bulk - bulk.mean(0), full_matrices=False)[2][0]
@@ -96,9 +96,9 @@ def adequacy(result: FitResult) -> Adequacy:
         return _Misfit(loss.size(residual), noise, deviation)
 
     curl = float((bulk @ across).std())
-    sideways = misfit(located, place @ across, missed @ across, curl)
+    sideways = misfit(located, positions @ across, missed @ across, curl)
     uneven = _unevenness(t[located], bulk @ along)
-    misfits = [sideways, misfit(located, place @ along, missed @ along, uneven)]
+    misfits = [sideways, misfit(located, positions @ along, missed @ along, uneven)]
     turned = np.isfinite(observed["phi"])
     if turned.sum() > 3:
         phi = observed["phi"][turned]

@@ -108,7 +108,7 @@ def computed(
 
 
 def parted(fits: Iterable[Any]) -> tuple[list[Any], list[Candidate]]:
-    """Those that were fitted, and the candidates that could not be.
+    """The fits, and the candidates that could not be fitted.
 
     Raises
     ------
@@ -126,6 +126,11 @@ def parted(fits: Iterable[Any]) -> tuple[list[Any], list[Candidate]]:
     return fitted, failed
 
 
+def counts(fields: dict[str, Any]) -> bool:
+    """Whether a candidate is ranked: within its bounds, and converged."""
+    return fields["converged"] and not fields["signs_free"]
+
+
 def ranked(candidates: Sequence[dict[str, Any]]) -> list[int]:
     """The order of candidates, best first; their ranks, differences from the best and
     weights are added to their fields.
@@ -134,9 +139,6 @@ def ranked(candidates: Sequence[dict[str, Any]]) -> list[int]:
     noise model its likelihood may be greater all the same. Differences of BIC below a
     tenth are meaningless: the order of the request is kept.
     """
-
-    def counts(fields: dict[str, Any]) -> bool:
-        return fields["converged"] and not fields["signs_free"]
 
     some_law_follows = any(
         counts(fields) and fields["follows"] for fields in candidates

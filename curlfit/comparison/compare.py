@@ -24,6 +24,7 @@ from curlfit.comparison.candidates import (
     Progress,
     about,
     computed,
+    counts,
     described,
     parted,
     ranked,
@@ -76,7 +77,7 @@ class FittedLaw(NamedTuple):
     @property
     def counts(self) -> bool:
         """Whether it is ranked."""
-        return self.result.converged and not self.fields["signs_free"]
+        return counts(self.fields)
 
     @property
     def size(self) -> dict[str, float]:

@@ -55,12 +55,12 @@ def comparison_figure(comparison: Comparison) -> draw.Picture:
     y = np.array(comparison.observed["y"], float)
     some = draw.some_rows(len(t))
     path.plot(y[some], x[some], **draw.DATA_STYLE, label="data")
-    for place, (candidate, style) in enumerate(zip(shown, styles, strict=True)):
+    for number, (candidate, style) in enumerate(zip(shown, styles, strict=True)):
         fitted = {
             name: np.array(values) for name, values in (candidate.fitted or {}).items()
         }
         style["lw"] = 1.5 if candidate.follows else 0.9
-        style["zorder"] = 3 + len(shown) - place  # the best above all others
+        style["zorder"] = 3 + len(shown) - number  # the best above all others
         label = candidate.label
         if candidate.rank is not None:
             label = f"{candidate.rank}. {label}"

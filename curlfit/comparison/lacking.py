@@ -96,7 +96,7 @@ def lacking(
     )
     sine = vx / measured.speed
     cosine = vy / measured.speed
-    whole = np.array(
+    of_path = np.array(
         [
             ax * cosine - ay * sine,
             ax * sine + ay * cosine,
@@ -110,16 +110,16 @@ def lacking(
             error["phi"],
         ]
     )
-    law = _accelerations(best, family, measured)
+    of_law = _accelerations(best, family, measured)
     return Lacking(
         label,
         measured.speed,
         measured.omega,
-        law,
-        whole - law,
+        of_law,
+        of_path - of_law,
         np.hypot(by_spline, _errors(best, family, measured)),
         {
-            other: _accelerations(fit, family, measured) - law
+            other: _accelerations(fit, family, measured) - of_law
             for other, fit in others.items()
         },
     )
@@ -141,18 +141,18 @@ def _errors(fit: FitResult, family: type[LawFamily] | None, states: _States) -> 
     """Standard errors of the accelerations of a fitted law by those of its
     coefficients, shape (3, POINTS)."""
     names = list(fit.coefficients)
-    of_law = np.isin(fit.covariance["names"], names)
-    free = np.isin(names, fit.covariance["names"])
-    if not free.any():
+    is_coefficient = np.isin(fit.covariance["names"], names)
+    is_free = np.isin(names, fit.covariance["names"])
+    if not is_free.any():
         return np.zeros((3, POINTS))
     typical = [estimate.typical for estimate in fit.coefficients.values()]
     by_coefficient = slopes(
         lambda values: _accelerations(fit, family, states, values),
         _coefficients(fit),
         _STEP * np.array(typical),
-        free,
+        is_free,
     )
-    matrix = np.array(fit.covariance["matrix"])[np.ix_(of_law, of_law)]
+    matrix = np.array(fit.covariance["matrix"])[np.ix_(is_coefficient, is_coefficient)]
     variance = ((by_coefficient @ matrix) * by_coefficient).sum(-1)
     errors: Floats = np.sqrt(np.maximum(variance, 0.0))
     return errors

@@ -214,8 +214,8 @@ def densities(
         design / np.where(size > 0, size, 1.0), full_matrices=False
     )
     basis = left[:, singular > NULL * singular.max(initial=0.0)]
-    whole = np.concatenate([residual.ravel(), prior_residual])
-    refitted = whole - basis @ (basis.T @ whole)
+    off = np.concatenate([residual.ravel(), prior_residual])
+    refitted = off - basis @ (basis.T @ off)
     # subscripts of einsum: c, d channels, i rows, k, l columns of the basis
     e = refitted[: channels * n].reshape(channels, n)
     q = basis[: channels * n].reshape(channels, n, -1)
@@ -252,8 +252,8 @@ def densities(
         return np.where(measured.T, by_channel, 0.0).sum(1)
 
     dof = measured.sum(1) - spent
-    seen = measured.any(0)
+    with_values = measured.any(0)
     return LeaveOneOut(
-        log_density(e_out, covariance, squares_out.T, dof - 1)[seen],
-        log_density(e, np.eye(channels) + hat, squares, dof)[seen],
+        log_density(e_out, covariance, squares_out.T, dof - 1)[with_values],
+        log_density(e, np.eye(channels) + hat, squares, dof)[with_values],
     )

@@ -110,7 +110,7 @@ def _lacking(comparison: Comparison) -> tuple[Any, ...]:
         lacks = lacking.lacks[row, at]
         error = lacking.stderr[row, at]
         # beside the friction along the path; in the spin beside what slows that
-        whole = friction[at] if row < 2 else abs(lacking.of_law[row, at])
+        of_law = friction[at] if row < 2 else abs(lacking.of_law[row, at])
         rows.append(
             {
                 "lacking": name,
@@ -118,7 +118,7 @@ def _lacking(comparison: Comparison) -> tuple[Any, ...]:
                 ">std. errors": f"{abs(by_error[row, at]):.1f}",
                 ">at v": f"{lacking.speed[at]:.2f} m/s",
                 ">spin": f"{lacking.omega[at]:.2f} rad/s",
-                ">of the law's": f"{100 * abs(lacks) / whole:.2g} %" if whole else "",
+                ">of the law's": f"{100 * abs(lacks) / of_law:.2g} %" if of_law else "",
             }
         )
     table = PlainTable(rows, "Accelerations that the path has beyond the first law")
