@@ -25,12 +25,11 @@ from curlfit.inference.initial_values import POINTS, accelerations_along
 from curlfit.inference.model import Model
 from curlfit.inference.verdict import Verdict
 from curlfit.losses import LOSSES, Loss
-from curlfit.numerics.arrays import Floats
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import in_batches, stacked
 from curlfit.throws.throw import scatter
 
-_MOST = 500
-"""Largest number of coefficient vectors for which a law is evaluated."""
+_MOST = 500  # coefficient vectors for which a law is evaluated
 # rms of a residual over what is to be explained, up to which a law follows a path
 _FOLLOWS = 0.1
 _MEDIAN = 5  # rows of a running median that removes single outliers
@@ -53,49 +52,80 @@ class Adequacy(NamedTuple):
     """to which the path bends, if it bends by more than its noise"""
 
 
+class _Misfit(NamedTuple):
+    """What a fit misses of a component of the path, m or rad."""
+
+    size: float
+    """of the residuals"""
+    noise: float
+    """standard deviation of that of the data"""
+    deviation: float
+    """rms departure of the path from uniform straight motion, to be explained"""
+
+    def follows(self, *, correlated: bool) -> bool | None:
+        """Whether the fit follows this component; None where noise that is
+        correlated may explain the residuals."""
+        if self.size <= max(_FOLLOWS * self.deviation, _NOISE * self.noise):
+            return True
+        if correlated and self.size <= _UNCLEAR * self.noise:
+            return None
+        return False
+
+
 def adequacy(result: FitResult) -> Adequacy:
     """Whether the law follows the path, and what part of its curl it explains."""
-    t, x, y, phi = (result.observed[name] for name in ("t", *PLACE))
     loss = LOSSES[result.loss]
-    off = {name: result.observed[name] - result.fitted[name] for name in PLACE}
-    place, turned = np.isfinite(x) & np.isfinite(y), np.isfinite(phi)
-    measured, missed = (
-        np.stack([x, y], 1)[place],
-        np.stack([off["x"], off["y"]], 1)[place],
-    )
-    seen = np.stack([_seen(values, loss) for values in measured.T], 1)
-    along = np.linalg.svd(seen - seen.mean(0), full_matrices=False)[2][0]
-    along = along if along @ (seen[-1] - seen[0]) > 0 else -along
+    observed = result.observed
+    t = observed["t"]
+    residual = {name: observed[name] - result.fitted[name] for name in PLACE}
+    located = np.isfinite(observed["x"]) & np.isfinite(observed["y"])
+    positions = np.stack([observed["x"], observed["y"]], 1)[located]
+    missed = np.stack([residual["x"], residual["y"]], 1)[located]
+    bulk = np.stack([_without_outliers(values, loss) for values in positions.T], 1)
+
+    # the straight line next to the path: its first principal axis, along the motion
+    along = np.linalg.svd(bulk - bulk.mean(0), full_matrices=False)[2][0]
+    if along @ (bulk[-1] - bulk[0]) <= 0:
+        along = -along
     across = np.array([along[1], -along[0]])  # to the right
-    curl = float((seen @ across).std())
-    series = [
-        (t[place], measured @ across, missed @ across, curl),
-        (t[place], measured @ along, missed @ along, _uneven(t[place], seen @ along)),
-    ]
+
+    def misfit(
+        rows: Booleans, measured: Floats, residual: Floats, deviation: float
+    ) -> _Misfit:
+        noise = _noise(t[rows], measured, loss)
+        return _Misfit(loss.size(residual), noise, deviation)
+
+    curl = float((bulk @ across).std())
+    sideways = misfit(located, positions @ across, missed @ across, curl)
+    uneven = _unevenness(t[located], bulk @ along)
+    misfits = [sideways, misfit(located, positions @ along, missed @ along, uneven)]
+    turned = np.isfinite(observed["phi"])
     if turned.sum() > 3:
-        uneven = _uneven(t[turned], _seen(phi[turned], loss))
-        series.append((t[turned], phi[turned], off["phi"][turned], uneven))
+        phi = observed["phi"][turned]
+        uneven = _unevenness(t[turned], _without_outliers(phi, loss))
+        misfits.append(misfit(turned, phi, residual["phi"][turned], uneven))
+
     correlated = bool(result.noise.correlated) or any(
-        item.doubtful for item in result.independence.values()
+        independence.doubtful for independence in result.independence.values()
     )
-    sizes = [(loss.size(one[2]), _noise(one[0], one[1], loss)) for one in series]
+    verdicts = [component.follows(correlated=correlated) for component in misfits]
     follows: bool | None = True
-    for (size, noise), (*_, wanted) in zip(sizes, series, strict=True):
-        if not size <= max(_FOLLOWS * wanted, _NOISE * noise):
-            unclear = correlated and size <= _UNCLEAR * noise
-            follows = None if unclear and follows is not False else False
-    (size, noise), *_ = sizes
+    if False in verdicts:
+        follows = False
+    elif None in verdicts:
+        follows = None
+    noise = sideways.noise
     if curl <= 3 * noise:
         return Adequacy(None, follows, curl, None)
-    unexplained = max(size**2 - noise**2, 0.0) / (curl**2 - noise**2)
-    curvature = np.polyfit(seen @ along, seen @ across, 2)[0]
+    unexplained = max(sideways.size**2 - noise**2, 0.0) / (curl**2 - noise**2)
+    curvature = np.polyfit(bulk @ along, bulk @ across, 2)[0]
     side = "right" if curvature > 0 else "left"
     return Adequacy(float(1 - unexplained), follows, curl, side)
 
 
-def _seen(values: Floats, loss: Loss) -> Floats:
-    """The part of a series to be explained: without outliers where the
-    loss is robust."""
+def _without_outliers(values: Floats, loss: Loss) -> Floats:
+    """The part of a series to be explained: all of it, or under a robust loss what a
+    running median leaves."""
     if not loss.is_robust:
         return values
     from scipy.ndimage import median_filter  # slow to load
@@ -111,12 +141,12 @@ def _noise(t: Floats, values: Floats, loss: Loss) -> float:
     by_row = float(scatter(values))
     if len(values) <= 3 * _DEGREE:
         return by_row
-    fitted = Polynomial.fit(t, _seen(values, loss), _DEGREE)
+    fitted = Polynomial.fit(t, _without_outliers(values, loss), _DEGREE)
     free = 1 - (_DEGREE + 1) / len(values)
     return max(by_row, loss.size(values - fitted(t)) / math.sqrt(free))
 
 
-def _uneven(t: Floats, values: Floats) -> float:
+def _unevenness(t: Floats, values: Floats) -> float:
     """rms departure from uniform motion."""
     return float(np.std(values - np.polyval(np.polyfit(t, values, 1), t)))
 
@@ -127,12 +157,12 @@ def opposes_sliding(law: type[Law]) -> bool:
     if not issubclass(law, LocalLaw):
         return False
     general = law_in_general(law)
-    points = [sample_points(half) for half in (1.0, 0.0)]
-    tractions = [(*general.traction(one), one.e_xi, one.e_eta) for one in points]
-    return all(
-        np.allclose(xi * e_eta, eta * e_xi, rtol=0, atol=1e-9)
-        for xi, eta, e_xi, e_eta in tractions
-    )
+    for half in (1.0, 0.0):
+        point = sample_points(half)
+        xi, eta = general.traction(point)
+        if not np.allclose(xi * point.e_eta, eta * point.e_xi, rtol=0, atol=1e-9):
+            return False
+    return True
 
 
 def sides_of_curl(
@@ -143,13 +173,14 @@ def sides_of_curl(
 
     A law of a family is evaluated by the family's program.
     """
-    steps = np.array([-3, -1, -0.3, 0, 0.3, 1, 3])
-    ranges = [
-        [item.value]
-        if item.verdict == Verdict.FIXED
-        else np.unique(np.clip(steps * item.typical, item.lower, item.upper))
-        for item in result.coefficients.values()
-    ]
+    multiples = np.array([-3, -1, -0.3, 0, 0.3, 1, 3])  # of the typical size
+    ranges = []
+    for coefficient in result.coefficients.values():
+        values = np.array([coefficient.value])
+        if coefficient.verdict != Verdict.FIXED:
+            steps = multiples * coefficient.typical
+            values = np.unique(np.clip(steps, coefficient.lower, coefficient.upper))
+        ranges.append(values)
     grid = np.array(list(product(*ranges)))
     if len(grid) > _MOST:
         grid = grid[np.random.default_rng(0).choice(len(grid), _MOST, replace=False)]
@@ -161,11 +192,19 @@ def sides_of_curl(
     model = Model(law, load).within(family)
     stones = stacked([result.stone])
 
-    def accelerations(part: Floats) -> Floats:
-        """In this state for each coefficient vector, shape (POINTS, 3)."""
-        return accelerations_along(model, part[None], stones, state[None], batch=1)[0].T
+    def accelerations(coefficients: Floats) -> Floats:
+        """In this state for each of POINTS coefficient vectors, shape (POINTS, 3)."""
+        # the points along the path of one throw serve as as many vectors
+        return accelerations_along(
+            model, coefficients[None], stones, state[None], batch=1
+        )[0].T
 
     xi, eta = in_batches(accelerations, (grid,), POINTS)[:, :2].T
-    sideways = np.where(eta < 0, xi / np.where(eta < 0, -eta, 1.0), 0.0)
-    found = [("left", (sideways < -1e-9).any()), ("right", (sideways > 1e-9).any())]
-    return tuple(side for side, possible in found if possible)
+    slows = eta < 0
+    sideways = np.where(slows, xi / np.where(slows, -eta, 1.0), 0.0)
+    sides = []
+    if (sideways < -1e-9).any():
+        sides.append("left")
+    if (sideways > 1e-9).any():
+        sides.append("right")
+    return tuple(sides)

@@ -1,11 +1,15 @@
 """What comparisons with one track and with several data sets say alike of
-their candidates."""
+their candidates.
+
+A candidate that is still being compared is a dictionary of the fields of
+`Candidate`, to which its rank and its differences from the best are added.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from curlfit.comparison.adequacy import opposes_sliding
 from curlfit.comparison.result import Candidate
@@ -18,12 +22,21 @@ from curlfit.numerics.threads import in_threads
 
 Progress = Callable[[str, int, int], None]
 
-_DIFFERENCES: dict[str, tuple[str, Callable[[list[float]], float]]] = {
-    "aicc": ("delta_aicc", min),
-    "bic": ("delta_bic", min),
-    "log_evidence": ("delta_evidence", max),
-}
-"""The difference from the best by each criterion, and which value is the best."""
+
+class _Criterion(NamedTuple):
+    """A field by which laws are compared."""
+
+    field: str
+    difference: str
+    """field of the difference from the best"""
+    best: Callable[[Iterable[float]], float]
+
+
+_CRITERIA = (
+    _Criterion("aicc", "delta_aicc", min),
+    _Criterion("bic", "delta_bic", min),
+    _Criterion("log_evidence", "delta_evidence", max),
+)
 
 
 def about(law: type[Law], load: Load) -> dict[str, Any]:
@@ -39,98 +52,122 @@ def about(law: type[Law], load: Load) -> dict[str, Any]:
 def described(
     estimates: Mapping[str, Estimate], combinations: Iterable[Combination]
 ) -> dict[str, Any]:
-    """Its coefficients, and the sums of them that are determined."""
+    """The coefficients of a candidate, and the sums of them that are determined."""
 
-    def of(verdict: Verdict) -> tuple[str, ...]:
+    def names_of(verdict: Verdict) -> tuple[str, ...]:
         return tuple(
-            name for name, item in estimates.items() if item.verdict == verdict
+            name for name, estimate in estimates.items() if estimate.verdict == verdict
         )
 
     return {
         "coefficients": {
             name: {
-                key: getattr(item, key)
-                for key in ("value", "stderr", "verdict", "unit")
+                "value": estimate.value,
+                "stderr": estimate.stderr,
+                "verdict": estimate.verdict,
+                "unit": estimate.unit,
             }
-            for name, item in estimates.items()
+            for name, estimate in estimates.items()
         },
         "combinations": tuple(
-            {key: getattr(item, key) for key in ("expression", "value", "stderr")}
-            for item in combinations
-            if item.weights.keys() & estimates.keys()
+            {
+                "expression": combination.expression,
+                "value": combination.value,
+                "stderr": combination.stderr,
+            }
+            for combination in combinations
+            if combination.weights.keys() & estimates.keys()
         ),
-        "at_bound": of(Verdict.AT_BOUND),
-        "not_identifiable": of(Verdict.NOT_IDENTIFIABLE),
+        "at_bound": names_of(Verdict.AT_BOUND),
+        "not_identifiable": names_of(Verdict.NOT_IDENTIFIABLE),
     }
 
 
 def computed(
     function: Callable[..., Any],
-    fits: Sequence[Any],
+    arguments: Sequence[tuple[Any, ...]],
     names: Iterable[str],
     done: int,
     total: int,
     progress: Progress | None,
 ) -> list[Any]:
-    """What a function makes of each of several fits, in threads; its
-    progress is told."""
-    found = []
-    with in_threads(function, fits) as results:
-        for place, name in enumerate(names, done):
+    """The results of a function for each of several arguments, in threads.
+
+    Parameters
+    ----------
+    names : of the laws, for the progress.
+    done, total : number of fits done before, and altogether.
+    """
+    results = []
+    with in_threads(function, arguments) as results_in_order:
+        for number, name in enumerate(names, done):
             if progress is not None:
-                progress(name, place, total)
-            found.append(next(results))
-    return found
+                progress(name, number, total)
+            results.append(next(results_in_order))
+    return results
 
 
-def parted(found: Iterable[Any]) -> tuple[list[Any], list[Candidate]]:
-    """Those that were fitted, and those that could not be.
+def parted(fits: Iterable[Any]) -> tuple[list[Any], list[Candidate]]:
+    """The fits, and the candidates that could not be fitted.
 
     Raises
     ------
     UnusableFitError : there is no fit at all.
     """
-    every = list(found)
-    failed = [one for one in every if isinstance(one, Candidate)]
-    if len(failed) == len(every):
-        raise UnusableFitError("; ".join(one.status for one in failed))
-    return [one for one in every if not isinstance(one, Candidate)], failed
+    fitted = []
+    failed = []
+    for fit in fits:
+        if isinstance(fit, Candidate):
+            failed.append(fit)
+        else:
+            fitted.append(fit)
+    if not fitted:
+        raise UnusableFitError("; ".join(candidate.status for candidate in failed))
+    return fitted, failed
 
 
-def ranked(known: Sequence[dict[str, Any]]) -> list[int]:
-    """Which candidates come first, of what is known of each; their ranks, differences
-    from the best and weights are added to that.
+def counts(fields: dict[str, Any]) -> bool:
+    """Whether a candidate is ranked: within its bounds, and converged."""
+    return fields["converged"] and not fields["signs_free"]
+
+
+def ranked(candidates: Sequence[dict[str, Any]]) -> list[int]:
+    """The order of candidates, best first; their ranks, differences from the best and
+    weights are added to their fields.
 
     A law that does not follow what another follows comes after it: with a flexible
     noise model its likelihood may be greater all the same. Differences of BIC below a
     tenth are meaningless: the order of the request is kept.
     """
-    counts = [one["converged"] and not one["signs_free"] for one in known]
-    followed = any(c and one["follows"] for c, one in zip(counts, known, strict=True))
-    misses = [followed and one["follows"] is False for one in known]
+
+    some_law_follows = any(
+        counts(fields) and fields["follows"] for fields in candidates
+    )
+
+    def misses(fields: dict[str, Any]) -> bool:
+        return some_law_follows and fields["follows"] is False
 
     def place(row: int) -> tuple[bool, bool, bool, float]:
-        one = known[row]
+        fields = candidates[row]
         return (
-            one["signs_free"],
-            not one["converged"],
-            misses[row],
-            round(one["bic"], 1),
+            fields["signs_free"],
+            not fields["converged"],
+            misses(fields),
+            round(fields["bic"], 1),
         )
 
-    order = sorted(range(len(known)), key=place)
-    best = [known[row] for row in order if counts[row] and not misses[row]] or [
-        known[order[0]]
-    ]
-    for name, (difference, best_of) in _DIFFERENCES.items():
-        if name in best[0]:
-            least = best_of([one[name] for one in best])
-            for one in known:
-                one[difference] = one[name] - least
-    ranks = [row for row in order if counts[row]]
-    total = sum(math.exp(known[row].get("delta_evidence", 0.0)) for row in ranks)
-    for rank, row in enumerate(ranks, 1):
-        known[row]["rank"] = rank
-        if "delta_evidence" in known[row]:
-            known[row]["weight"] = math.exp(known[row]["delta_evidence"]) / total
+    order = sorted(range(len(candidates)), key=place)
+    in_order = [candidates[row] for row in order]
+    in_rank = [fields for fields in in_order if counts(fields)]
+    rivals = [fields for fields in in_rank if not misses(fields)] or in_order[:1]
+    for criterion in _CRITERIA:
+        if criterion.field in rivals[0]:
+            best = criterion.best(fields[criterion.field] for fields in rivals)
+            for fields in candidates:
+                fields[criterion.difference] = fields[criterion.field] - best
+    total = sum(math.exp(fields.get("delta_evidence", 0.0)) for fields in in_rank)
+    for rank, fields in enumerate(in_rank, 1):
+        fields["rank"] = rank
+        if "delta_evidence" in fields:
+            fields["weight"] = math.exp(fields["delta_evidence"]) / total
     return order

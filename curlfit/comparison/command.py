@@ -46,14 +46,16 @@ def compare(
 
     if not data:
         raise InputError("compare: no file given; expected DATA")
-    alone = data[0]
-    if len(data) == 1 and is_friction_table(alone, reading.worksheet, reading.columns):
+    first, *others = data
+    if others:
+        return _several(data, flags, reading, config, output)
+    if is_friction_table(first, reading.worksheet, reading.columns):
         from curlfit.friction_tables.command import fit_table
 
-        return fit_table(alone, flags, output, "compare", reading)
-    if len(data) == 1 and not rows_of_table(alone, reading):
-        return _one_throw(alone, flags, reading, config, output)
-    return _several(data, flags, reading, config, output)
+        return fit_table(first, flags, output, "compare", reading)
+    if rows_of_table(first, reading):
+        return _several(data, flags, reading, config, output)
+    return _one_throw(first, flags, reading, config, output)
 
 
 def _several(
@@ -68,23 +70,21 @@ def _several(
     from curlfit.throws.friction_table import is_friction_table, load_friction_table
     from curlfit.throws.load import load_throws
 
-    drawn, configured = output.drawn(), s.read_config(config)
+    figures = output.drawn()
+    configured = s.read_config(config)
     chosen = Comparing.of(configured, vars(flags))
-    how = vars(Reading.of(configured, vars(reading)))
-    items: list[Any] = []
+    how_read = vars(Reading.of(configured, vars(reading)))
+    data_sets: list[Any] = []
     for file in data:
-        items += (
-            [load_friction_table(file)]
-            if is_friction_table(file)
-            else load_throws(file, **how)
-        )
-    single = len(data) == 1
-    usual = (
-        s.result_folder(data[0], "compare", reading)
-        if single
-        else Path("joint-compare")
-    )
-    return _compared(items, chosen, (claim_folder(output.out or usual), drawn), output)
+        if is_friction_table(file):
+            data_sets.append(load_friction_table(file))
+        else:
+            data_sets.extend(load_throws(file, **how_read))
+    usual = Path("joint-compare")
+    if len(data) == 1:
+        usual = s.result_folder(data[0], "compare", reading)
+    folder = claim_folder(output.out or usual)
+    return _compared(data_sets, chosen, folder, figures, output)
 
 
 def _one_throw(
@@ -97,39 +97,44 @@ def _one_throw(
     from curlfit.throws.plausibility import require_plausible
     from curlfit.throws.throw import require_path
 
-    drawn = output.drawn()
-    job = s.prepare(data, config, reading, flags)
-    throw, chosen, cut = job.throw, job.chosen, job.cut
+    figures = output.drawn()
+    configured = s.prepare(data, config, reading, flags)
+    chosen = configured.chosen
+    cut = configured.cut
     unusual = require_plausible(cut)
     laws = [find_law(name) for name in chosen.laws] or list(LAWS.values())
     options = {**chosen.by_parameter, "start": chosen.start}
     require_known(
         laws, {FLAGS.get(name, f"--{name}"): values for name, values in options.items()}
     )
-    for law in laws:
-        own = options_of(law, chosen.by_parameter)
-        ParameterSet.for_throw(law, cut, swept=chosen.swept is not None, **own)
+    for law in laws:  # a prior or bound that a law refuses is told before any is fitted
+        parameters = options_of(law, chosen.by_parameter)
+        ParameterSet.for_throw(law, cut, swept=chosen.swept is not None, **parameters)
     require_path(cut)
     folder = claim_folder(output.out or s.result_folder(data, "compare", reading))
-    return _compared(throw, chosen, (folder, drawn), output, unusual)
+    return _compared(configured.throw, chosen, folder, figures, output, unusual)
 
 
 def _compared(
     data: Any,
     chosen: Comparing,
-    saved: tuple[Path, FigureFiles],
+    folder: Path,
+    figures: FigureFiles,
     output: Output,
     remarks: Sequence[object] = (),
 ) -> Saved:
-    """Compare laws on a throw, or on data sets, and write what was found."""
+    """Compare laws on a throw, or on data sets, and write the comparison."""
     from rich.progress import BarColumn, MofNCompleteColumn
 
-    folder, drawn = saved
-    drawn.draw_beside()
-    compiles = "(a first run on a machine compiles each law)"
-    columns = "Fitting {task.description}", BarColumn(), MofNCompleteColumn(), compiles
+    figures.draw_beside()
+    columns = (
+        "Fitting {task.description}",
+        BarColumn(),
+        MofNCompleteColumn(),
+        "(a first run on a machine compiles each law)",
+    )
     with progress_line(output.console(), *columns) as show:
         from curlfit.comparison.compare import compare as compare_laws
 
-        found = compare_laws(data, progress=show, **vars(chosen))
-    return output.finish(found, folder, drawn, remarks=remarks)
+        comparison = compare_laws(data, progress=show, **vars(chosen))
+    return output.finish(comparison, folder, figures, remarks=remarks)

@@ -24,6 +24,7 @@ from curlfit.comparison.candidates import (
     Progress,
     about,
     computed,
+    counts,
     described,
     parted,
     ranked,
@@ -37,7 +38,7 @@ from curlfit.comparison.criteria import (
     residuals_of,
 )
 from curlfit.comparison.lacking import lacking
-from curlfit.comparison.leave_one_out import leave_one_out, standard_error
+from curlfit.comparison.leave_one_out import LeaveOneOut, leave_one_out, standard_error
 from curlfit.comparison.result import PLACE, Candidate, Comparison, Lacking
 from curlfit.comparison.several import compare_sets
 from curlfit.errors import UnusableFitError
@@ -63,11 +64,11 @@ a law does not follow a path: 4.1 for the front-back law on the path of eq. 12, 
 where friction depends on the speed to the power -0.25."""
 
 
-class Fitted(NamedTuple):
-    """A fit, and what is known of its candidate, by field; more is added as fits
-    are compared."""
+class FittedLaw(NamedTuple):
+    """A fit of a law, with what makes it a candidate."""
 
-    known: dict[str, Any]
+    fields: dict[str, Any]
+    """of its `Candidate`; more are added as fits are compared"""
     result: FitResult
     likelihood: dict[str, float]
     """logarithm, by channel"""
@@ -76,12 +77,12 @@ class Fitted(NamedTuple):
     @property
     def counts(self) -> bool:
         """Whether it is ranked."""
-        return self.result.converged and not self.known["signs_free"]
+        return counts(self.fields)
 
     @property
     def size(self) -> dict[str, float]:
         """Size of the residuals by channel: of their bulk under a robust loss."""
-        return self.known.get("bulk") or self.result.rms
+        return self.fields.get("bulk") or self.result.rms
 
 
 @takes(Comparing, "laws")
@@ -125,83 +126,101 @@ def compare(
     require_throw(throw)
     require_path(throw)
     chosen = Comparing.of(throw.settings, laws=laws, **choices)
-    todo = laws_under(chosen.laws, chosen.load)
-    fits = [(law, load, noise) for noise in chosen.noise for law, load in todo]
+    laws_and_loads = laws_under(chosen.laws, chosen.load)
+    models = [
+        (law, load, noise) for noise in chosen.noise for law, load in laws_and_loads
+    ]
     options = {**chosen.by_parameter, "start": chosen.start}
-    require_known([law for law, _ in todo], options)
+    require_known([law for law, _ in laws_and_loads], options)
+    family = family_of(law for law, _ in laws_and_loads)
     shared = vars(chosen) | {
-        "family": family_of(law for law, _ in todo),
+        "family": family,
         "systematics": {ALL: 0.0},
         "details": False,
     }
     del shared["laws"]
 
-    def fitted(law: type[Law], load: Load, noise: Noise) -> list[Fitted | Candidate]:
-        own = options_of(law, options) | {"load": load, "noise": noise}
-        return _with_free_signs(throw, law, shared | own)
+    def fits_of(
+        law: type[Law], load: Load, noise: Noise
+    ) -> list[FittedLaw | Candidate]:
+        of_law = options_of(law, options) | {"load": load, "noise": noise}
+        return _with_free_signs(throw, law, shared | of_law)
 
-    names = [law.name for law, *_ in fits]
-    found = computed(fitted, fits, names, 0, len(fits), progress)
+    names = [law.name for law, *_ in models]
+    fits_by_model = computed(fits_of, models, names, 0, len(models), progress)
     if progress is not None:
-        progress("", len(fits), len(fits))
-    made = _compared(*parted(chain(*found)), shared["family"])
-    made = replace(made, lacking=_lacking(made, shared["family"]))
+        progress("", len(models), len(models))
+    fitted, failed = parted(chain(*fits_by_model))
+    comparison = _compared(fitted, failed, family)
+    flags = [*throw.read_with, *chosen.words()]
     return replace(
-        made, data={**made.data, "flags": [*throw.read_with, *chosen.words()]}
+        comparison,
+        lacking=_lacking(comparison, family),
+        data={**comparison.data, "flags": flags},
     )
 
 
-def _lacking(made: Comparison, family: type[LawFamily] | None) -> Lacking | None:
+def _lacking(comparison: Comparison, family: type[LawFamily] | None) -> Lacking | None:
     """What the first law lacks, if it was fitted with independent noise."""
     fits = {
-        item.label: one
-        for item, one in zip(made.candidates, made.fits, strict=True)
-        if item.rank is not None and one is not None and NOISES[item.noise].is_white
+        candidate.label: fit
+        for candidate, fit in zip(comparison.candidates, comparison.fits, strict=True)
+        if candidate.rank is not None
+        and fit is not None
+        and NOISES[candidate.noise].is_white
     }
     if not fits:
         return None
-    first, *others = fits.items()
-    return lacking(*first, dict(others), family)
+    first = next(iter(fits))
+    best = fits.pop(first)
+    return lacking(first, best, fits, family)
 
 
 def _with_free_signs(
     throw: Throw, law: type[Law], choices: dict[str, Any]
-) -> list[Fitted | Candidate]:
+) -> list[FittedLaw | Candidate]:
     """The fit of a law and, where it needs a negative coefficient, the
     fit with that."""
-    one = _fitted(throw, law, choices, signs_free=False)
-    if isinstance(one, Candidate) or one.known["follows"] or choices["unbounded"]:
-        return [one]
-    at_zero = (
-        item.verdict == Verdict.AT_BOUND
-        and item.lower == 0
-        and item.value < 1e-6 * item.typical
-        for item in one.result.coefficients.values()
+    within_bounds = _fitted(throw, law, choices, signs_free=False)
+    if (
+        isinstance(within_bounds, Candidate)
+        or within_bounds.fields["follows"]
+        or choices["unbounded"]
+    ):
+        return [within_bounds]
+    at_zero = any(
+        coefficient.verdict == Verdict.AT_BOUND
+        and coefficient.lower == 0
+        and coefficient.value < 1e-6 * coefficient.typical
+        for coefficient in within_bounds.result.coefficients.values()
     )
-    if any(at_zero):
-        again = _fitted(throw, law, choices | {"unbounded": True}, signs_free=True)
-        if isinstance(again, Fitted) and again.known["negative"]:
-            return [one, again]
-    return [one]
+    if not at_zero:
+        return [within_bounds]
+    free = _fitted(throw, law, choices | {"unbounded": True}, signs_free=True)
+    if isinstance(free, Candidate) or not free.fields["negative"]:
+        return [within_bounds]
+    return [within_bounds, free]
 
 
 def _fitted(
     throw: Throw, law: type[Law], choices: dict[str, Any], *, signs_free: bool
-) -> Fitted | Candidate:
-    known = about(law, choices["load"]) | {
+) -> FittedLaw | Candidate:
+    """A law fitted to a throw; the candidate alone where there is no fit."""
+    fields = about(law, choices["load"]) | {
         "signs_free": signs_free,
         "noise": choices["noise"].kind,
     }
     try:
         result = fit(throw, law, **choices)
     except UnusableFitError as error:
-        return Candidate(**known, status=str(error))
-    likelihood, adequate = log_likelihood(result), adequacy(result)
-    known |= {
-        name: getattr(result, name)
-        for name in ("status", "converged", "rms", "warnings")
-    }
-    known |= described(result.coefficients, result.combinations) | {
+        return Candidate(**fields, status=str(error))
+    likelihood = log_likelihood(result)
+    adequate = adequacy(result)
+    fields |= described(result.coefficients, result.combinations) | {
+        "status": result.status,
+        "converged": result.converged,
+        "rms": result.rms,
+        "warnings": result.warnings,
         "noise_model": plain(result.noise),
         "n_parameters": number_of_parameters(result),
         "curl_explained": adequate.explained,
@@ -214,94 +233,108 @@ def _fitted(
     loss = LOSSES[result.loss]
     if loss.is_robust:
         residuals = residuals_of(result)
-        known["bulk"] = {name: loss.size(r) for name, r in residuals.items()}
-    return Fitted(known, result, likelihood, adequate)
+        fields["bulk"] = {name: loss.size(r) for name, r in residuals.items()}
+    return FittedLaw(fields, result, likelihood, adequate)
 
 
 def _needed_negative(result: FitResult) -> tuple[str, ...]:
     """Coefficients below zero at the point of the optimum, possibly a ridge, with the
     smallest sum of negative parts."""
-    from scipy.optimize import linprog
+    from scipy.optimize import linprog  # slow to load
 
-    names = [item.name for item in result.law_class.coefficients() if not item.signed]
+    names = [
+        coefficient.name
+        for coefficient in result.law_class.coefficients()
+        if not coefficient.signed
+    ]
     value = np.array([result.parameters[name].value for name in names])
     typical = np.array([result.parameters[name].typical for name in names])
     ridge = np.array(
-        [[row.get(name, 0.0) for row in result.null_directions] for name in names]
+        [
+            [direction.get(name, 0.0) for direction in result.null_directions]
+            for name in names
+        ]
     )
     if ridge.size:
-        # minimize the sum of s >= 0 subject to s >= -(value + ridge step)/typical
-        p, d = ridge.shape
-        found = linprog(
-            np.concatenate([np.zeros(d), np.ones(p)]),
-            A_ub=np.hstack([-ridge / typical[:, None], -np.eye(p)]),
+        # minimize the sum of s >= 0 subject to s >= -(value + ridge step)/typical;
+        # unknowns are the steps, of any sign, and the negative parts s
+        parameters, directions = ridge.shape
+        optimum = linprog(
+            np.concatenate([np.zeros(directions), np.ones(parameters)]),
+            A_ub=np.hstack([-ridge / typical[:, None], -np.eye(parameters)]),
             b_ub=value / typical,
-            bounds=[(None, None)] * d + [(0, None)] * p,
+            bounds=[(None, None)] * directions + [(0, None)] * parameters,
         )
-        value = value + ridge @ found.x[:d]
-    return tuple(
-        name for name, low in zip(names, value < -1e-6 * typical, strict=True) if low
-    )
+        value = value + ridge @ optimum.x[:directions]
+    below_zero = value < -1e-6 * typical
+    return tuple(name for name, low in zip(names, below_zero, strict=True) if low)
 
 
 def _compared(
-    found: list[Fitted], failed: Sequence[Candidate], family: type[LawFamily] | None
+    laws: list[FittedLaw], failed: Sequence[Candidate], family: type[LawFamily] | None
 ) -> Comparison:
-    """The comparison of fits to one throw, given in the order of the request."""
-    first, path = found[0].result, found[0].adequacy
-    noises = list(dict.fromkeys(one.result.noise.kind for one in found))
-    countable = [one for one in found if one.counts] or found
-    likeliest = max(countable, key=lambda one: one.known["log_likelihood"])
+    """The comparison of laws fitted to one throw, given in the order of the request."""
+    first = laws[0].result
+    path = laws[0].adequacy
+    noises = list(dict.fromkeys(law.result.noise.kind for law in laws))
+    countable = [law for law in laws if law.counts] or laws
+    likeliest = max(countable, key=lambda law: law.fields["log_likelihood"])
     effective = effective_values(likeliest.result)
-    for one in found:
-        one.known.update(criteria(one.result, one.likelihood, effective))
-    _follow(found)
+    for law in laws:
+        law.fields.update(criteria(law.result, law.likelihood, effective))
+    _require_small_residuals(laws)
     if not effective.number and len(noises) == 1:
-        _add_predictions(found, family)
-    found = [found[row] for row in ranked([one.known for one in found])]
+        _add_predictions(laws, family)
+    laws = [laws[row] for row in ranked([law.fields for law in laws])]
     return Comparison(
         data=first.data,
         stone=first.stone,
         curl=path.curl,
         side=path.side,
-        candidates=(*(Candidate(**one.known) for one in found), *failed),
+        candidates=(*(Candidate(**law.fields) for law in laws), *failed),
         observed={name: first.observed[name].tolist() for name in ("t", *PLACE)},
-        fits=(*(one.result for one in found), *(None for _ in failed)),
+        fits=(*(law.result for law in laws), *(None for _ in failed)),
         loss=first.loss,
         noise=",".join(noises),
         effective=effective.number,
     )
 
 
-def _follow(found: Sequence[Fitted]) -> None:
+def _require_small_residuals(laws: Sequence[FittedLaw]) -> None:
     """No law follows the path that leaves far larger residuals than another, beyond the
     noise of an ordinary tracker."""
-    able = [one for one in found if one.result.converged and not one.known["negative"]]
+    physical = [
+        law for law in laws if law.result.converged and not law.fields["negative"]
+    ]
     for name, sigma in NOISE.items():
-        sizes = [one.size[name] for one in able if name in one.size]
+        sizes = [law.size[name] for law in physical if name in law.size]
         least = max(sigma, min(sizes, default=math.inf))
-        for one in found:
-            if one.size.get(name, 0.0) > _FAR * least:
-                one.known["follows"] = False
+        for law in laws:
+            if law.size.get(name, 0.0) > _FAR * least:
+                law.fields["follows"] = False
 
 
-def _add_predictions(found: Sequence[Fitted], family: type[LawFamily] | None) -> None:
+def _add_predictions(laws: Sequence[FittedLaw], family: type[LawFamily] | None) -> None:
     """Evidence and leave-one-out, which are valid for independent residuals only: a
     small effective sample size does not determine the shape of a likelihood, and a row
     that is correlated with its neighbours is predicted from them whatever the law."""
-    for one in found:
-        one.known["log_evidence"] = log_evidence(
-            one.result, one.known["log_likelihood"]
+    best: LeaveOneOut | None = None
+    scored = []
+    for law in laws:
+        law.fields["log_evidence"] = log_evidence(
+            law.result, law.fields["log_likelihood"]
         )
-    scored = [
-        (one, score) for one in found if (score := leave_one_out(one.result, family))
-    ]
-    counted = [score for one, score in scored if one.counts]
-    best = max(counted, key=lambda score: score.elpd, default=None)
-    for one, score in scored:
-        one.known.update(
-            elpd_loo=score.elpd, elpd_loo_se=score.stderr, p_loo=score.p_loo
-        )
+        score = leave_one_out(law.result, family)
+        if score is None:
+            continue
+        scored.append((law, score))
+        if law.counts and (best is None or score.elpd > best.elpd):
+            best = score
+    for law, score in scored:
+        law.fields["elpd_loo"] = score.elpd
+        law.fields["elpd_loo_se"] = score.stderr
+        law.fields["p_loo"] = score.p_loo
         if best is not None:
-            one.known["delta_elpd"] = score.elpd - best.elpd
-            one.known["delta_elpd_se"] = standard_error(score.left_out - best.left_out)
+            difference = score.left_out - best.left_out
+            law.fields["delta_elpd"] = score.elpd - best.elpd
+            law.fields["delta_elpd_se"] = standard_error(difference)

@@ -65,7 +65,8 @@ NULL = 1e-13
 # standard deviation of a coefficient's prior over its typical size or default
 _ORDER = 3.0
 _FAR = 8.0  # standard deviations within which a bound matters
-_PROPOSALS, _FEWEST = 4096, 100  # along a ridge, and how many must count
+_PROPOSALS = 4096  # along a ridge
+_FEWEST = 100  # effective number of these, below which the sum is not trusted
 _LEAST = 1e-12  # smallest probability of a box, and stiffness
 
 
@@ -98,26 +99,29 @@ def log_likelihood(result: FitResult) -> dict[str, float]:
     estimated sigma is at its most likely value."""
     loss = LOSSES[result.loss]
     problem, _ = problem_of(result)
-    weight = problem.weight
+    weight = problem.weight  # 1/sigma, 0 where not measured, shape (channels, rows)
     whitener = problem.whitener
-    found = {}
-    residual = np.zeros(weight.shape)
+    residual = np.zeros(weight.shape)  # has more rows than were measured
     for row, name in enumerate(CHANNELS):
         if name in result.residuals:
             values = result.residuals[name]
             residual[row, : len(values)] = np.nan_to_num(values)
     white = np.asarray(whitened(residual * weight, whitener))
-    determinant = (
-        np.zeros(len(weight)) if whitener is None else whitener.log_determinant()
-    )
+    determinant = np.zeros(len(weight))
+    if whitener is not None:
+        determinant = whitener.log_determinant()
+    by_channel = {}
     for row, name in enumerate(CHANNELS):
         if name in result.residuals:
-            there = weight[row] > 0
-            own = white[row, there]
-            scale = loss.likeliest_sigma(own) if name in result.sigma else 1.0
-            density = loss.log_density(own / scale) + np.log(weight[row, there] / scale)
-            found[name] = float(density.sum() + determinant[row])
-    return found
+            measured = weight[row] > 0
+            of_channel = white[row, measured]
+            scale = 1.0
+            if name in result.sigma:
+                scale = loss.likeliest_sigma(of_channel)
+            density = loss.log_density(of_channel / scale)
+            density = density + np.log(weight[row, measured] / scale)
+            by_channel[name] = float(density.sum() + determinant[row])
+    return by_channel
 
 
 def effective_values(result: FitResult) -> EffectiveValues:
@@ -128,13 +132,17 @@ def effective_values(result: FitResult) -> EffectiveValues:
     reduces the correlation r of neighbours by (2 r + p (1 + r))/n (Marriott and Pope
     1954, for a mean).
     """
-    found, p = {}, effective_parameters(result) / len(result.rms)
+    p = effective_parameters(result) / len(result.rms)
+    number = {}
     for name, residual in residuals_of(result).items():
-        item, n = result.independence.get(name), len(residual)
-        if item is not None and item.doubtful and result.rms[name] > 10 * SIGMA_FLOOR:
-            r = (item.lag1 + p / n) / (1 - (2 + p) / n)
-            found[name] = max(n * (1 - r) / (1 + r), 1.0)
-    return EffectiveValues(found, p)
+        n = len(residual)
+        independence = result.independence.get(name)
+        if independence is None or not independence.doubtful:
+            continue
+        if result.rms[name] > 10 * SIGMA_FLOOR:
+            r = (independence.lag1 + p / n) / (1 - (2 + p) / n)
+            number[name] = max(n * (1 - r) / (1 + r), 1.0)
+    return EffectiveValues(number, p)
 
 
 def criteria(
@@ -148,18 +156,24 @@ def criteria(
     correlated, the effective sample size is often less than k + 2, and the correction
     would be infinite.
     """
-    k, n = number_of_parameters(result), result.n_observations
-    twice = values = 0.0
+    k = number_of_parameters(result)
+    n = result.n_observations
+    twice_likelihood = 0.0
+    values = 0.0
     for name, residual in residuals_of(result).items():
         rows = len(residual)
-        number = effective.number.get(name, rows)
-        counted = (
-            max(number - effective.spent, 1.0) if name in effective.number else rows
-        )
-        twice += 2 * likelihood[name] * counted / rows
+        number: float = rows
+        counted: float = rows
+        if name in effective.number:
+            number = effective.number[name]
+            counted = max(number - effective.spent, 1.0)
+        twice_likelihood += 2 * likelihood[name] * counted / rows
         values += number
     correction = 2 * k * (k + 1) / max(n - k - 1, 1)
-    return {"aicc": 2 * k - twice + correction, "bic": k * math.log(values) - twice}
+    return {
+        "aicc": 2 * k - twice_likelihood + correction,
+        "bic": k * math.log(values) - twice_likelihood,
+    }
 
 
 class NormalFactors(NamedTuple):
@@ -168,6 +182,13 @@ class NormalFactors(NamedTuple):
     mean: Floats
     precision: Floats
     """0 where there is none"""
+
+
+class Parabola(NamedTuple):
+    """A function b d - s d^2/2 of one parameter minus its estimate."""
+
+    slope: float
+    stiffness: float
 
 
 class Quadratic(NamedTuple):
@@ -190,11 +211,12 @@ class Quadratic(NamedTuple):
         block = self.matrix[inner][:, inner]
         return np.asarray(np.linalg.pinv(block, rcond=NULL, hermitian=True), float)
 
-    def alone(self, row: Any, inner: Booleans) -> tuple[float, float]:
-        """Slope and stiffness of a parameter with others integrated out."""
+    def alone(self, row: Any, inner: Booleans) -> Parabola:
+        """A parameter with others integrated out."""
         gain = self.matrix[row, inner] @ self.inverse(inner)
+        slope = float(self.slope[row] - gain @ self.slope[inner])
         stiffness = max(1 - float(gain @ self.matrix[inner, row]), _LEAST)
-        return float(self.slope[row] - gain @ self.slope[inner]), stiffness
+        return Parabola(slope, stiffness)
 
 
 class Posterior(NamedTuple):
@@ -214,23 +236,24 @@ class Posterior(NamedTuple):
     @classmethod
     def of(cls, result: FitResult) -> Self:
         """From a fit, whose own priors are among the prior."""
-        known, free = result.information, result.parameter_set.free
-        information, gradient = np.array(known["matrix"]), np.array(known["gradient"])
+        free = result.parameter_set.free
+        names = result.information["names"]
+        information = np.array(result.information["matrix"])
+        gradient = np.array(result.information["gradient"])
+        # of the data alone: without what the priors of the fit say
         _, slope, square = result.parameter_set.penalty.quadratic(result.values)
         information -= np.diag(square[free])
         gradient += slope[free]
-        mean, sd, lower, upper = np.array(
-            [_prior(result, name) for name in known["names"]]
-        ).T
+        priors = [_prior(result, name) for name in names]
+        sd = np.array([prior.sd for prior in priors])
         at_bound = [
-            result.parameters[name].verdict == Verdict.AT_BOUND
-            for name in known["names"]
+            result.parameters[name].verdict == Verdict.AT_BOUND for name in names
         ]
         return cls(
             result.values[free],
-            lower,
-            upper,
-            NormalFactors(mean, 1 / sd**2),
+            np.array([prior.lower for prior in priors]),
+            np.array([prior.upper for prior in priors]),
+            NormalFactors(np.array([prior.mean for prior in priors]), 1 / sd**2),
             information,
             gradient,
             np.array(at_bound),
@@ -249,55 +272,80 @@ class Posterior(NamedTuple):
         return np.where(self.at_bound, np.where(lower, 1.0, -1.0), 0.0)
 
 
-def _prior(result: FitResult, name: str) -> tuple[float, float, float, float]:
-    """Mean and standard deviation of the prior of a parameter, infinite where it is
-    flat, and its bounds, as described in the module docstring."""
-    item, prior = result.parameters[name], result.parameter_set.priors.get(name)
-    bounds = item.lower, item.upper
+class _BoundedNormal(NamedTuple):
+    """A normal density between bounds; flat where its standard deviation is
+    infinite."""
+
+    mean: float
+    sd: float
+    lower: float
+    upper: float
+
+
+def _prior(result: FitResult, name: str) -> _BoundedNormal:
+    """The prior of a parameter, as described in the module docstring."""
+    parameter = result.parameters[name]
+    lower = parameter.lower
+    upper = parameter.upper
+    prior = result.parameter_set.priors.get(name)
     if prior is None:
-        own = [one for one in result.law_class.coefficients() if one.name == name]
-        sizes = [max(one.typical, abs(one.default)) for one in own]
-        return 0.0, _ORDER * sizes[0] if sizes else math.inf, *bounds
+        for coefficient in result.law_class.coefficients():
+            if coefficient.name == name:
+                size = max(coefficient.typical, abs(coefficient.default))
+                return _BoundedNormal(0.0, _ORDER * size, lower, upper)
+        return _BoundedNormal(0.0, math.inf, lower, upper)  # of the initial state
     if prior.is_flat:
-        return 0.0, math.inf, *bounds
+        return _BoundedNormal(0.0, math.inf, lower, upper)
     if not isinstance(prior, Lognormal):
-        return prior.mode, prior.width, *bounds
-    median, lower, upper = (
-        item.value * (1 + math.log(p / item.value)) if p > 0 else -math.inf
-        for p in (prior.median, *bounds)
+        return _BoundedNormal(prior.mode, prior.width, lower, upper)
+    estimate = parameter.value
+
+    def logarithmic(p: float) -> float:
+        """p in the coordinate q, in which the prior is normal."""
+        return estimate * (1 + math.log(p / estimate)) if p > 0 else -math.inf
+
+    return _BoundedNormal(
+        logarithmic(prior.median),
+        prior.sigma * estimate,
+        logarithmic(lower),
+        logarithmic(upper),
     )
-    return median, prior.sigma * item.value, lower, upper
 
 
 def log_evidence(result: FitResult, log_likelihood: float) -> float:
     """Logarithm of the evidence, up to a constant that is the same for all laws, from
     the log-likelihood at the fit."""
-    known = Posterior.of(result)
-    (mean, precision), off = known.prior, known.away
-    total = log_likelihood - 0.5 * float(off @ (precision * off))
+    posterior = Posterior.of(result)
+    mean = posterior.prior.mean
+    precision = posterior.prior.precision
+    away = posterior.away
+    total = log_likelihood - 0.5 * float(away @ (precision * away))
+    # priors that are flat between the bounds of a parameter
     for name, prior in result.parameter_set.priors.items():
         if prior.is_flat:
-            total -= math.log(
-                result.parameters[name].upper - result.parameters[name].lower
-            )
+            parameter = result.parameters[name]
+            total -= math.log(parameter.upper - parameter.lower)
+    # normal priors, of which bounds cut off a part
     normal = precision > 0
     root = np.sqrt(precision[normal])
-    ends = ((end - mean)[normal] * root for end in (known.lower, known.upper))
-    total += float((np.log(root / np.sqrt(2 * np.pi)) - _log_between(*ends)).sum())
+    lower = (posterior.lower - mean)[normal] * root
+    upper = (posterior.upper - mean)[normal] * root
+    log_density = np.log(root / np.sqrt(2 * np.pi)) - _log_between(lower, upper)
+    total += float(log_density.sum())
     if result.ridge:
-        along = _log_integral_along_ridge(result, known)
-        if along is not None:
-            return total + along
+        along_ridge = _log_integral_along_ridge(result, posterior)
+        if along_ridge is not None:
+            return total + along_ridge
     return total + _log_integral(
-        known.gradient + precision * off,
-        known.information + np.diag(precision),
-        known.lower - known.estimates,
-        known.upper - known.estimates,
-        known.at_bound,
+        posterior.gradient + precision * away,
+        posterior.information + np.diag(precision),
+        posterior.lower - posterior.estimates,
+        posterior.upper - posterior.estimates,
+        posterior.at_bound,
     )
 
 
-def _log_integral_along_ridge(result: FitResult, known: Posterior) -> float | None:
+def _log_integral_along_ridge(result: FitResult, posterior: Posterior) -> float | None:
     """Logarithm of the integral of the posterior density over that at the estimates;
     None where the proposals do not follow the ridge, or a prior is lognormal."""
     priors = result.parameter_set.priors
@@ -308,9 +356,9 @@ def _log_integral_along_ridge(result: FitResult, known: Posterior) -> float | No
     # the priors of the fit are in its posterior, those of the evidence are not
     free = result.parameter_set.free
     names = result.parameter_set.names_where(free)
-    precision = np.where(np.isin(names, [*priors]), 0.0, known.prior.precision)
-    square = precision * (proposals.values[:, free] - known.prior.mean) ** 2
-    at_estimates = precision * known.away**2
+    precision = np.where(np.isin(names, [*priors]), 0.0, posterior.prior.precision)
+    square = precision * (proposals.values[:, free] - posterior.prior.mean) ** 2
+    at_estimates = precision * posterior.away**2
     log_prior = -0.5 * (square.sum(1) - at_estimates.sum())
     proposals = proposals._replace(log_ratio=proposals.log_ratio + log_prior)
     if proposals.effective < _FEWEST:
@@ -321,17 +369,18 @@ def _log_integral_along_ridge(result: FitResult, known: Posterior) -> float | No
 def effective_parameters(result: FitResult) -> float:
     """Number of parameters away from their bounds that the data rather than the prior
     determine: the trace of J^T J (J^T J + P)^-1, P the precision of the prior."""
-    known = Posterior.of(result)
-    free = ~known.at_bound
-    information, prior = known.information[free][:, free], known.prior.precision[free]
-    whole = Quadratic.of(known.gradient[free], information + np.diag(prior))
-    return float(
-        np.trace(whole.inverse() @ (information / np.outer(whole.size, whole.size)))
-    )
+    posterior = Posterior.of(result)
+    free = ~posterior.at_bound
+    information = posterior.information[free][:, free]
+    prior = np.diag(posterior.prior.precision[free])
+    quadratic = Quadratic.of(posterior.gradient[free], information + prior)
+    of_data = information / np.outer(quadratic.size, quadratic.size)
+    return float(np.trace(quadratic.inverse() @ of_data))
 
 
 def _log_between(low: Any, high: Any) -> Any:
     """Logarithm of the probability of an interval under the standard normal density."""
+    # mirrored where above the mean: log_ndtr is exact in the lower tail alone
     low, high = np.where(low > 0, [-high, -low], [low, high])
     return log_ndtr(high) + np.log1p(-np.exp(log_ndtr(low) - log_ndtr(high)))
 
@@ -344,8 +393,10 @@ def _log_integral(
 
     b is `linear`, A `precision`.
     """
-    quadratic, inner = Quadratic.of(linear, precision), ~pushed
-    size, slope = quadratic.size, quadratic.slope[inner]
+    quadratic = Quadratic.of(linear, precision)
+    inner = ~pushed
+    size = quadratic.size
+    slope = quadratic.slope[inner]
     squares = np.linalg.eigvalsh(quadratic.matrix[inner][:, inner])
     squares = squares[squares > NULL * squares.max(initial=0.0)]
     inverse = quadratic.inverse(inner)
@@ -356,9 +407,8 @@ def _log_integral(
     # Each pushed parameter over its half-line, with the others following.
     for index in np.flatnonzero(pushed):
         push, stiffness = quadratic.alone(index, inner)
-        total += push**2 / (2 * stiffness) + float(
-            log_ndtr(-abs(push) / math.sqrt(stiffness))
-        )
+        half_line = float(log_ndtr(-abs(push) / math.sqrt(stiffness)))
+        total += push**2 / (2 * stiffness) + half_line
         total += 0.5 * math.log(2 * math.pi / stiffness) - math.log(size[index])
     return total
 
@@ -374,8 +424,8 @@ def _log_box(mean: Floats, covariance: Floats, lower: Floats, upper: Floats) -> 
         return max(_log_between(*ends), math.log(_LEAST))
     from scipy.stats import multivariate_normal  # slow to load, and few boxes need it
 
-    some = np.ix_(near, near)
-    found = multivariate_normal(
-        mean[near], covariance[some], allow_singular=True, seed=1
-    ).cdf(upper[near], lower_limit=lower[near])
-    return math.log(max(float(found), _LEAST))
+    density = multivariate_normal(
+        mean[near], covariance[np.ix_(near, near)], allow_singular=True, seed=1
+    )
+    probability = density.cdf(upper[near], lower_limit=lower[near])
+    return math.log(max(float(probability), _LEAST))

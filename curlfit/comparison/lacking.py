@@ -11,7 +11,7 @@ penalised spline (`curlfit.numerics.penalized_spline`).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from curlfit.comparison.result import PLACE, Lacking
 from curlfit.friction.family import LawFamily
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.initial_values import POINTS, accelerations_along
-from curlfit.numerics.arrays import Floats
+from curlfit.numerics.arrays import Booleans, Floats
 from curlfit.numerics.batches import stacked
 from curlfit.numerics.differences import slopes
 from curlfit.numerics.penalized_spline import PenalizedSpline
@@ -27,6 +27,16 @@ from curlfit.numerics.penalized_spline import PenalizedSpline
 _STEP = 1e-3  # typical sizes, of differences
 _FEWEST = 40  # rows in which the stone moves
 _SLOWEST = 0.1  # over the initial speed: below, what is lacking changes too fast
+
+
+class _States(NamedTuple):
+    """States of a stone along a path, each of shape (POINTS,)."""
+
+    speed: Floats
+    omega: Floats
+    phi: Floats
+    t: Floats
+    """since release"""
 
 
 def lacking(
@@ -42,108 +52,132 @@ def lacking(
     ----------
     label, best : of the law. others : fits of the same throw, by label.
     """
-    observed, fitted = best.observed, best.fitted
-    moving = (fitted["speed"] > _SLOWEST * fitted["speed"].max()) & np.all(
-        [
-            np.isfinite(observed.get(name, np.full(len(observed["t"]), np.nan)))
-            for name in PLACE
-        ],
-        0,
-    )
-    moving &= np.diff(observed["t"], prepend=-np.inf) > 0
+    observed = best.observed
+    fitted = best.fitted
+    moving = _measured_in_motion(best)
     if moving.sum() < _FEWEST or best.model.conditions or best.data["swept"]:
         return None
     t = observed["t"][moving]
     at = np.linspace(t[0], t[-1], POINTS)
-    left = {
+    residual = {
         name: PenalizedSpline.of(t, observed[name][moving] - fitted[name][moving])
         for name in PLACE
     }
-    (dx, _), (dy, _), (spun, _) = (left[name].at(at, 1) for name in PLACE)
-    (ax, x_error), (ay, y_error), (angular, angle_error) = (
-        left[name].at(at, 2) for name in PLACE
+    rate = {name: residual[name].at(at, 1)[0] for name in PLACE}
+    acceleration = {}
+    error = {}
+    for name in PLACE:
+        acceleration[name], error[name] = residual[name].at(at, 2)
+
+    # the fitted path: its states, and its accelerations by the law
+    x_rate = np.gradient(fitted["x"][moving], t)
+    y_rate = np.gradient(fitted["y"][moving], t)
+    of_fit = _States(
+        np.interp(at, t, fitted["speed"][moving]),
+        np.interp(at, t, fitted["omega"][moving]),
+        np.interp(at, t, fitted["phi"][moving]),
+        at - observed["t"][0],
     )
-    speed, omega, phi = (
-        np.interp(at, t, fitted[name][moving]) for name in ("speed", "omega", "phi")
+    heading = np.interp(at, t, np.unwrap(np.arctan2(x_rate, y_rate)))
+    sine = np.sin(heading)
+    cosine = np.cos(heading)
+    xi, eta, turning = _accelerations(best, family, of_fit)
+    vx = of_fit.speed * sine + rate["x"]
+    vy = of_fit.speed * cosine + rate["y"]
+    ax = xi * cosine + eta * sine + acceleration["x"]
+    ay = eta * cosine - xi * sine + acceleration["y"]
+
+    # the measured one: to the right of its own motion, along it, and angular
+    measured = _States(
+        np.hypot(vx, vy),
+        of_fit.omega + rate["phi"],
+        of_fit.phi + residual["phi"].at(at)[0],
+        of_fit.t,
     )
-    steps = [np.gradient(fitted[name][moving], t) for name in ("x", "y")]
-    heading = np.interp(at, t, np.unwrap(np.arctan2(*steps)))
-    since = at - observed["t"][0]
-    xi, eta, turning = _accelerations(best, family, speed, omega, phi, since)
-    sine, cosine = np.sin(heading), np.cos(heading)
-    vx, vy = speed * sine + dx, speed * cosine + dy
-    ax, ay = xi * cosine + eta * sine + ax, eta * cosine - xi * sine + ay
-    speed, omega = np.hypot(vx, vy), omega + spun
-    sine, cosine = vx / speed, vy / speed
-    whole = np.array(
-        [ax * cosine - ay * sine, ax * sine + ay * cosine, turning + angular]
-    )
-    state = speed, omega, phi + left["phi"].at(at)[0], since
-    law, by_coefficients = (
-        _accelerations(best, family, *state),
-        _errors(best, family, *state),
+    sine = vx / measured.speed
+    cosine = vy / measured.speed
+    of_path = np.array(
+        [
+            ax * cosine - ay * sine,
+            ax * sine + ay * cosine,
+            turning + acceleration["phi"],
+        ]
     )
     by_spline = np.array(
         [
-            np.hypot(x_error * cosine, y_error * sine),
-            np.hypot(x_error * sine, y_error * cosine),
-            angle_error,
+            np.hypot(error["x"] * cosine, error["y"] * sine),
+            np.hypot(error["x"] * sine, error["y"] * cosine),
+            error["phi"],
         ]
     )
+    of_law = _accelerations(best, family, measured)
     return Lacking(
         label,
-        speed,
-        omega,
-        law,
-        whole - law,
-        np.hypot(by_spline, by_coefficients),
+        measured.speed,
+        measured.omega,
+        of_law,
+        of_path - of_law,
+        np.hypot(by_spline, _errors(best, family, measured)),
         {
-            name: _accelerations(one, family, *state) - law
-            for name, one in others.items()
+            other: _accelerations(fit, family, measured) - of_law
+            for other, fit in others.items()
         },
     )
 
 
-def _errors(fit: FitResult, family: type[LawFamily] | None, *state: Floats) -> Floats:
-    """Standard errors of these by those of the coefficients, which follow what
-    is left too."""
+def _measured_in_motion(fit: FitResult) -> Booleans:
+    """Rows with x, y and angle in which the stone moves, each later than the one
+    before."""
+    t = fit.observed["t"]
+    missing = np.full(len(t), np.nan)
+    measured = [np.isfinite(fit.observed.get(name, missing)) for name in PLACE]
+    speed = fit.fitted["speed"]
+    moving = (speed > _SLOWEST * speed.max()) & np.all(measured, 0)
+    rows: Booleans = moving & (np.diff(t, prepend=-np.inf) > 0)
+    return rows
+
+
+def _errors(fit: FitResult, family: type[LawFamily] | None, states: _States) -> Floats:
+    """Standard errors of the accelerations of a fitted law by those of its
+    coefficients, shape (3, POINTS)."""
     names = list(fit.coefficients)
-    known = np.isin(fit.covariance["names"], names)
-    free = np.isin(names, fit.covariance["names"])
-    if not free.any():
+    is_coefficient = np.isin(fit.covariance["names"], names)
+    is_free = np.isin(names, fit.covariance["names"])
+    if not is_free.any():
         return np.zeros((3, POINTS))
+    typical = [estimate.typical for estimate in fit.coefficients.values()]
     by_coefficient = slopes(
-        lambda values: _accelerations(fit, family, *state, values=values),
-        _values(fit),
-        _STEP * np.array([one.typical for one in fit.coefficients.values()]),
-        free,
+        lambda values: _accelerations(fit, family, states, values),
+        _coefficients(fit),
+        _STEP * np.array(typical),
+        is_free,
     )
-    matrix = np.array(fit.covariance["matrix"])[np.ix_(known, known)]
+    matrix = np.array(fit.covariance["matrix"])[np.ix_(is_coefficient, is_coefficient)]
     variance = ((by_coefficient @ matrix) * by_coefficient).sum(-1)
-    found: Floats = np.sqrt(np.maximum(variance, 0.0))
-    return found
+    errors: Floats = np.sqrt(np.maximum(variance, 0.0))
+    return errors
 
 
-def _values(fit: FitResult) -> Floats:
-    return np.array([item.value for item in fit.coefficients.values()])
+def _coefficients(fit: FitResult) -> Floats:
+    return np.array([estimate.value for estimate in fit.coefficients.values()])
 
 
 def _accelerations(
     fit: FitResult,
     family: type[LawFamily] | None,
-    *state: Floats,
-    values: Floats | None = None,
+    states: _States,
+    coefficients: Floats | None = None,
 ) -> Floats:
     """To the right of the motion, along it, and angular, of a fitted law or at other
     values of its coefficients; shape (3, POINTS)."""
-    coefficients: Any = np.tile(
-        _values(fit) if values is None else values, (1, POINTS, 1)
-    )
-    found = accelerations_along(
+    if coefficients is None:
+        coefficients = _coefficients(fit)
+    # one throw, whose path has the POINTS states
+    accelerations = accelerations_along(
         fit.model.within(family),
-        coefficients,
+        np.tile(coefficients, (1, POINTS, 1)),
         stacked([fit.stone]),
-        np.array(state)[None],
+        np.array(states)[None],
         batch=1,
     )
-    return found[0]
+    return accelerations[0]

@@ -84,42 +84,54 @@ def leave_one_out(
     the law admits no motion near the fit."""
     if LOSSES[result.loss].is_robust or not result.noise.is_white:
         return None
-    known, where = Posterior.of(result), result.parameter_set.free
+    posterior = Posterior.of(result)
+    free = result.parameter_set.free
     problem, origin = problem_of(result)
-    n, channels = len(result.observed["t"]), problem.observed.shape[0]
+    channels = problem.observed.shape[0]
+    n = len(result.observed["t"])  # the rows of a problem are filled up to more
     weight = problem.weight[:, :n]
-    there = weight > 0
+    measured = weight > 0
     offset = origin.offset(len(result.values))
-    values, parameters = result.values - offset, result.parameter_set.shifted(-offset)
+    values = result.values - offset
+    parameters = result.parameter_set.shifted(-offset)
     model = result.model.within(family)
     error = np.sqrt(np.diag(np.array(result.information["matrix"])))
     step = _STEP * parameters.typical
-    step[where] = _STEP / np.maximum(error, 1 / parameters.typical[where])
+    step[free] = _STEP / np.maximum(error, 1 / parameters.typical[free])
 
-    def weighted(values: Floats) -> Floats:
+    def weighted_path(values: Floats) -> Floats:
         path = np.asarray(predict_channels(model, values, problem))[:channels, :n]
-        return np.where(there, path * weight, 0.0)
+        return np.where(measured, path * weight, 0.0)
 
-    residual = problem.observed[:, :n] * weight - weighted(values)
+    residual = problem.observed[:, :n] * weight - weighted_path(values)
     jacobian = slopes(
-        weighted, values, step, where, lower=parameters.lower, upper=parameters.upper
+        weighted_path,
+        values,
+        step,
+        free,
+        lower=parameters.lower,
+        upper=parameters.upper,
     )
     if not (np.isfinite(residual).all() and np.isfinite(jacobian).all()):
         return None
-    precision, away = known.prior.precision, known.away
+    precision = posterior.prior.precision
+    away = posterior.away
     design = jacobian.reshape(-1, len(away))
-    factors = _bound_factors(
+    bounds = _bound_factors(
         design.T @ design + np.diag(precision),
         design.T @ residual.ravel() + precision * away,
-        known.inward,
+        posterior.inward,
     )
-    roots = np.sqrt(np.stack([precision, factors.precision]))
+    # a row of the design for each parameter's prior, and one for its bound
+    root = np.sqrt(np.stack([precision, bounds.precision]))
+    prior_rows = (root[..., None] * np.eye(len(away))).reshape(-1, len(away))
+    prior_residual = (root * np.stack([away, bounds.mean])).ravel()
     return densities(
         residual,
         jacobian,
         weight,
-        (roots[..., None] * np.eye(len(away))).reshape(-1, len(away)),
-        (roots * np.stack([away, factors.mean])).ravel(),
+        prior_rows,
+        prior_residual,
         np.array([name in result.sigma for name in CHANNELS[:channels]]),
     )
 
@@ -139,25 +151,24 @@ def _bound_factors(
     precision, gradient : of the log-posterior, by the parameters.
     inward : see `Posterior.inward`.
     """
-    found = NormalFactors(*np.zeros((2, len(inward))))
+    factors = NormalFactors(np.zeros(len(inward)), np.zeros(len(inward)))
     quadratic = Quadratic.of(gradient, precision)
     for row in np.flatnonzero(inward):
         slope, stiffness = quadratic.alone(row, inward == 0)
         push = max(-inward[row] * slope, 0.0)
         a = push / np.sqrt(stiffness)
-        ratio = np.exp(_log_normal(a) - log_ndtr(-a))
-        mean, variance = (
-            (ratio - a) / np.sqrt(stiffness),
-            (1 - ratio * (ratio - a)) / stiffness,
-        )
         if a > _HARD:  # an exponential density, without the rounding error of ratio - a
-            mean, variance = 1 / push, 1 / push**2
+            mean = 1 / push
+            variance = 1 / push**2
+        else:
+            ratio = np.exp(_log_normal(a) - log_ndtr(-a))
+            mean = (ratio - a) / np.sqrt(stiffness)
+            variance = (1 - ratio * (ratio - a)) / stiffness
         extra = 1 / variance - stiffness
-        found.precision[row] = extra * quadratic.size[row] ** 2
-        found.mean[row] = (
-            inward[row] * (mean / variance + push) / extra / quadratic.size[row]
-        )
-    return found
+        size = quadratic.size[row]
+        factors.precision[row] = extra * size**2
+        factors.mean[row] = inward[row] * (mean / variance + push) / extra / size
+    return factors
 
 
 # Not from `scipy.stats`, which is slow to load.
@@ -190,12 +201,12 @@ def densities(
         sigma by the parameters; shapes (channels, n) and (channels, n, parameters), 0
         where not observed.
     weight : 1/sigma, 0 where not observed, shape (channels, n).
-    prior_rows, prior_residual : the same of the prior, shapes (rows, parameters)
+    prior_rows, prior_residual : likewise of the prior, shapes (rows, parameters)
         and (rows,).
     estimated : channels whose sigma is estimated.
     """
     channels, n, count = jacobian.shape
-    there = weight > 0
+    measured = weight > 0
     # Orthonormal columns: J^T J without a row is then 1 - Q_i^T Q_i.
     design = np.concatenate([jacobian.reshape(-1, count), prior_rows])
     size = np.sqrt((design**2).sum(0))
@@ -203,8 +214,10 @@ def densities(
         design / np.where(size > 0, size, 1.0), full_matrices=False
     )
     basis = left[:, singular > NULL * singular.max(initial=0.0)]
-    away = np.concatenate([residual.ravel(), prior_residual])
-    e = (away - basis @ (basis.T @ away))[: channels * n].reshape(channels, n)
+    off = np.concatenate([residual.ravel(), prior_residual])
+    refitted = off - basis @ (basis.T @ off)
+    # subscripts of einsum: c, d channels, i rows, k, l columns of the basis
+    e = refitted[: channels * n].reshape(channels, n)
     q = basis[: channels * n].reshape(channels, n, -1)
     hat = np.einsum("cik,dik->icd", q, q)
     left_over = np.eye(channels) - hat
@@ -218,24 +231,29 @@ def densities(
     gradient = np.einsum("cik,ci->ck", q, e)
     information = np.einsum("cik,cil->ckl", q, q)
     squares = (e**2).sum(1)
-    others = squares[:, None] + 2 * gradient @ change.T - e_out**2
-    others += np.einsum("ik,ckl,il->ci", change, information, change)
+    squares_out = squares[:, None] + 2 * gradient @ change.T - e_out**2
+    squares_out += np.einsum("ik,ckl,il->ci", change, information, change)
     spent = np.einsum("icc->c", hat)
     floor = (SIGMA_FLOOR * weight.max(1, initial=0.0)) ** 2
 
-    def log_density(off: Floats, cov: Floats, squares: Floats, dof: Floats) -> Floats:
+    def log_density(
+        residual: Floats, covariance: Floats, squares: Floats, dof: Floats
+    ) -> Floats:
+        """Log density of each row, from its residual (channels, n) and the covariance
+        of that (n, channels, channels)."""
         dof = np.maximum(dof, 1.0)
         scale = np.sqrt(np.where(estimated, np.maximum(squares / dof, floor), 1.0))
-        lower = np.linalg.cholesky(cov)
-        u = np.linalg.solve(lower, off.T[..., None])[..., 0] / scale
-        found = np.where(estimated, _log_student(u, dof), _log_normal(u))
-        found -= np.log(scale * np.diagonal(lower, axis1=1, axis2=2))
-        logs = np.log(np.where(there, weight, 1.0)).T
-        return np.where(there.T, found + logs, 0.0).sum(1)
+        lower = np.linalg.cholesky(covariance)
+        u = np.linalg.solve(lower, residual.T[..., None])[..., 0] / scale
+        by_channel = np.where(estimated, _log_student(u, dof), _log_normal(u))
+        by_channel -= np.log(scale * np.diagonal(lower, axis1=1, axis2=2))
+        # the density of a value in SI units
+        by_channel += np.log(np.where(measured, weight, 1.0)).T
+        return np.where(measured.T, by_channel, 0.0).sum(1)
 
-    dof = there.sum(1) - spent
-    seen = there.any(0)
+    dof = measured.sum(1) - spent
+    with_values = measured.any(0)
     return LeaveOneOut(
-        log_density(e_out, covariance, others.T, dof - 1)[seen],
-        log_density(e, np.eye(channels) + hat, squares, dof)[seen],
+        log_density(e_out, covariance, squares_out.T, dof - 1)[with_values],
+        log_density(e, np.eye(channels) + hat, squares, dof)[with_values],
     )

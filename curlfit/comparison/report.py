@@ -30,7 +30,7 @@ from curlfit.output.text import rows_text, stone_text
 from curlfit.wording import compact, join_words
 
 _PROBABLE = 0.01  # weight of a law that is named
-_SEEN = 3.0  # standard errors
+_SEEN = 3.0  # standard errors, from which an acceleration is told from none
 # below which differences and their errors are unreliable (Sivula, Magnusson, Matamoros
 # and Vehtari 2020, Uncertainty in Bayesian leave-one-out)
 _ELPD = 4.0
@@ -58,9 +58,9 @@ def document(comparison: Comparison) -> Document:
     noise = ""
     if comparison.noises != (WHITE.kind,):
         noise = f", {join_words(comparison.noises)} noise"
-    bend = (
-        f"to the {comparison.side}" if comparison.side else "no more than its scatter"
-    )
+    bend = "no more than its scatter"
+    if comparison.side:
+        bend = f"to the {comparison.side}"
     curl = f"curls {bend}: {comparison.curl:.3g} m (rms) off a straight line"
     fits = f"{counted(count, 'fit')} to {data['file']}{loss}{noise}"
     return Document(
@@ -109,7 +109,8 @@ def _lacking(comparison: Comparison) -> tuple[Any, ...]:
         at = int(np.argmax(np.abs(by_error[row])))
         lacks = lacking.lacks[row, at]
         error = lacking.stderr[row, at]
-        whole = friction[at] if row < 2 else abs(lacking.of_law[row, at])
+        # beside the friction along the path; in the spin beside what slows that
+        of_law = friction[at] if row < 2 else abs(lacking.of_law[row, at])
         rows.append(
             {
                 "lacking": name,
@@ -117,7 +118,7 @@ def _lacking(comparison: Comparison) -> tuple[Any, ...]:
                 ">std. errors": f"{abs(by_error[row, at]):.1f}",
                 ">at v": f"{lacking.speed[at]:.2f} m/s",
                 ">spin": f"{lacking.omega[at]:.2f} rad/s",
-                ">of the law's": f"{100 * abs(lacks) / whole:.2g} %" if whole else "",
+                ">of the law's": f"{100 * abs(lacks) / of_law:.2g} %" if of_law else "",
             }
         )
     table = PlainTable(rows, "Accelerations that the path has beyond the first law")
@@ -127,10 +128,10 @@ def _lacking(comparison: Comparison) -> tuple[Any, ...]:
             "standard errors."
         )
     elif lacking.nearest:
-        left = lacking.size(lacking.nearest)
+        remaining = lacking.size(lacking.nearest)
         conclusion = (
             f"{lacking.nearest} would leave least of what {lacking.law} lacks: "
-            f"a mean square of {left:.3g} of {lacking.size():.3g}, "
+            f"a mean square of {remaining:.3g} of {lacking.size():.3g}, "
             "in standard errors."
         )
     else:
@@ -140,11 +141,11 @@ def _lacking(comparison: Comparison) -> tuple[Any, ...]:
 
 def _ranks(comparison: Comparison) -> PlainTable:
     """Laws with their criteria and residuals, best first."""
-    several = len(comparison.noises) > 1
+    several_noises = len(comparison.noises) > 1
     candidates = comparison.candidates
     evidence = any(candidate.log_evidence is not None for candidate in candidates)
     rows = [
-        ranked_row(candidate, candidate.noise if several else "")
+        ranked_row(candidate, candidate.noise if several_noises else "")
         | _fitted(candidate, evidence=evidence)
         for candidate in candidates
     ]
@@ -172,7 +173,7 @@ def _ranks(comparison: Comparison) -> PlainTable:
         style="dim",
     )
     return PlainTable(
-        rows, "The laws, best first by BIC", keys=4 if several else 3, note=note
+        rows, "The laws, best first by BIC", keys=4 if several_noises else 3, note=note
     )
 
 
@@ -287,18 +288,17 @@ def _about_noise(comparison: Comparison) -> str:
     """The noise model of the best fit, and how far the best fits of the others
     are from it."""
     best = comparison.best
-    others = []
+    higher = ""
     for noise in comparison.noises:
-        ranked = (
+        ranked = [
             law for law in comparison.candidates if law.noise == noise and law.rank
-        )
-        if noise != best.noise and (first := next(ranked, None)):
-            others.append(
-                f"; with {noise} noise it is {difference(first.delta_bic)} higher"
-            )
+        ]
+        if ranked and noise != best.noise:
+            excess = difference(ranked[0].delta_bic)
+            higher += f"; with {noise} noise it is {excess} higher"
     return (
         f"The lowest BIC is that of {best.noise} noise "
-        f"({best.label}){''.join(others)}. The log evidence is not given, "
+        f"({best.label}){higher}. The log evidence is not given, "
         "because the parameters of the noise have no prior, nor is leave-one-out, "
         "which would predict a row of correlated noise from its neighbours."
     )
@@ -328,9 +328,12 @@ def _notes(comparison: Comparison) -> list[Finding]:
 
 
 def _about_isotropic(isotropic: list[Candidate]) -> str:
+    """Whether a law whose friction opposes sliding is enough, and how near the
+    best of them comes."""
     positive = [law for law in isotropic if not law.negative]
     enough = "friction, opposite to sliding at every point, is enough"
-    if following := [law.label for law in positive if law.follows]:
+    following = [law.label for law in positive if law.follows]
+    if following:
         return f"Isotropic {enough}: {following[0]}."
     if any(law.follows is None for law in positive):
         return f"Whether isotropic {enough} is unclear."

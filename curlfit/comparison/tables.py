@@ -17,37 +17,42 @@ _FIRST = 3  # laws named in a line
 
 def difference(value: float | None) -> str:
     """A difference of a criterion; empty without one."""
-    return (
-        "" if value is None else f"{value:.1f}" if abs(value) < 1000 else f"{value:.0f}"
-    )
+    if value is None:
+        return ""
+    return f"{value:.1f}" if abs(value) < 1000 else f"{value:.0f}"
 
 
 def summary(comparison: Comparison, first: str, more: str) -> dict[str, Any]:
     """Of a document: which law ranks first, and by how much; the `first` conclusion.
     `more` says how many laws are not named."""
-    ranked = [item for item in comparison.candidates if item.rank is not None]
+    ranked = [
+        candidate for candidate in comparison.candidates if candidate.rank is not None
+    ]
+    if not ranked:
+        return {"finding": "no law is ranked", "lines": ["", first]}
     unsure = ", not reliably" if comparison.effective else ""
     order = ", ".join(
-        f"{item.label} ({difference(item.delta_bic)})" for item in ranked[:_FIRST]
+        f"{candidate.label} ({difference(candidate.delta_bic)})"
+        for candidate in ranked[:_FIRST]
     )
     rest = more.format(len(ranked) - _FIRST) if len(ranked) > _FIRST else ""
     return {
-        "finding": f"{ranked[0].label} ranks first{unsure}"
-        if ranked
-        else "no law is ranked",
-        "lines": [f"dBIC: {order}{rest}" if ranked else "", first],
+        "finding": f"{ranked[0].label} ranks first{unsure}",
+        "lines": [f"dBIC: {order}{rest}", first],
     }
 
 
-def ranked_row(item: Candidate, noise: str = "") -> dict[str, Any]:
-    """Cells of a candidate: its rank, law and load, and what that is by."""
+def ranked_row(candidate: Candidate, noise: str = "") -> dict[str, Any]:
+    """Cells of a candidate: its rank, law and load, and by what it is ranked."""
+    sign = " any sign" if candidate.signs_free else ""
+    parameters = candidate.n_parameters
     return {
-        ">": "-" if item.rank is None else str(item.rank),
-        "law": Text.assemble(item.law, (" any sign" * item.signs_free, "dim")),
-        "load": item.load,
+        ">": "-" if candidate.rank is None else str(candidate.rank),
+        "law": Text.assemble(candidate.law, (sign, "dim")),
+        "load": candidate.load,
         "noise": noise,
-        ">k": "" if item.n_parameters is None else f"{item.n_parameters:.3g}",
-        ">dBIC": difference(item.delta_bic),
+        ">k": "" if parameters is None else f"{parameters:.3g}",
+        ">dBIC": difference(candidate.delta_bic),
     }
 
 
@@ -55,34 +60,35 @@ def coefficients_table(comparison: Comparison) -> PlainTable:
     """What is known of the coefficients of each candidate."""
     return PlainTable(
         (
-            {"law, load": item.label, "~coefficients": _said(item)}
-            for item in comparison.candidates
+            {"law, load": candidate.label, "~coefficients": _coefficients(candidate)}
+            for candidate in comparison.candidates
         ),
         "Coefficients of each law, with standard errors",
     )
 
 
-def _said(item: Candidate) -> Text | Items:
-    """The coefficients of a candidate, side by side."""
-    status = Text(item.status, style="red")
-    if item.coefficients is None:
+def _coefficients(candidate: Candidate) -> Text | Items:
+    """The coefficients of a candidate, side by side; its status where there is no
+    fit, or none that converged."""
+    status = Text(candidate.status, style="red")
+    if candidate.coefficients is None:
         return status
-    said = []
-    for name, found in item.coefficients.items():
-        verdict, unit = found["verdict"], found["unit"]
-        if verdict != Verdict.NOT_IDENTIFIABLE:
-            shown = compact(found["value"], found["stderr"]) + (
-                "" if unit == "1" else f" {unit}"
-            )
-            about = (
-                "" if verdict in (Verdict.DETERMINED, Verdict.FIXED) else f" {verdict}"
-            )
-            said.append(Text.assemble(f"{name} = {shown}", (about, STYLE[verdict])))
-    for one in item.combinations:
-        said.append(
-            Text(f"{one['expression']} = {compact(one['value'], one['stderr'])}")
-        )
-    if item.not_identifiable:
-        hidden = f"{join_words(item.not_identifiable)} not identifiable"
-        said.append(Text(hidden, style=STYLE["not identifiable"]))
-    return Items(said if item.converged else [*said, status])
+    texts = []
+    for name, coefficient in candidate.coefficients.items():
+        verdict = coefficient["verdict"]
+        if verdict == Verdict.NOT_IDENTIFIABLE:
+            continue
+        unit = "" if coefficient["unit"] == "1" else f" {coefficient['unit']}"
+        value = compact(coefficient["value"], coefficient["stderr"])
+        is_plain = verdict in (Verdict.DETERMINED, Verdict.FIXED)
+        remark = "" if is_plain else f" {verdict}"
+        texts.append(Text.assemble(f"{name} = {value}{unit}", (remark, STYLE[verdict])))
+    for combination in candidate.combinations:
+        value = compact(combination["value"], combination["stderr"])
+        texts.append(Text(f"{combination['expression']} = {value}"))
+    if candidate.not_identifiable:
+        hidden = f"{join_words(candidate.not_identifiable)} not identifiable"
+        texts.append(Text(hidden, style=STYLE["not identifiable"]))
+    if not candidate.converged:
+        texts.append(status)
+    return Items(texts)

@@ -34,35 +34,32 @@ def fit_table(
     from curlfit.throws.friction_table import load_friction_table
 
     given = flags.given()
-    taken = type(flags)(
-        **{name: given[name] for name in given if name in _TAKEN}
-    ).words()
-    words = [word for word in flags.words() if word not in taken]
-    others = (replace(reading, worksheet=None, columns={}, units=None), *others)
-    words += [
-        word for other in others for word in other.words() if word != "--no-sample"
-    ]
-    if words:
+    of_table = {name: given[name] for name in given if name in _TAKEN}
+    taken = type(flags)(**of_table).words()
+    refused = [word for word in flags.words() if word not in taken]
+    # the worksheet, columns and units are those of the table
+    unread = replace(reading, worksheet=None, columns={}, units=None)
+    for choices in (unread, *others):
+        refused += [word for word in choices.words() if word != "--no-sample"]
+    if refused:
         raise InputError(
-            f"{words[0]}: {file} is a table of friction against speed; "
+            f"{refused[0]}: {file} is a table of friction against speed; "
             "expected it with a throw"
         )
     table = load_friction_table(file, reading.worksheet, reading.columns, reading.units)
-    drawn = output.drawn()
+    figures = output.drawn()
     folder = claim_folder(output.out or result_folder(file, kind, reading))
-    laws = (
-        given.get("laws")
-        or given.get("law")
-        or (None if kind == "compare" else "front-back")
-    )
+    usual = None if kind == "compare" else "front-back"  # None is all laws
     with output.status(f"Fitting {COMPILES}"):
         from curlfit.friction_tables.fit import fit_friction
 
-        found = fit_friction(
+        friction = fit_friction(
             table,
-            laws,
+            given.get("laws") or given.get("law") or usual,
             load=given.get("load", "uniform"),
             stone=Stone().with_values(dict(given.get("stone", {}))),
         )
-    done = output.finish(found, folder, drawn, remarks=table.notes)
-    return done if found.fits[0].converged else done._replace(status=1)
+    saved = output.finish(friction, folder, figures, remarks=table.notes)
+    if not friction.fits[0].converged:
+        saved = saved._replace(status=1)
+    return saved

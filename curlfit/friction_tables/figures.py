@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from typing import NamedTuple
+
 import numpy as np
 
-from curlfit.friction_tables.result import FrictionFits
+from curlfit.friction_tables.result import FrictionFit, FrictionFits
+from curlfit.numerics.arrays import Floats
 from curlfit.output import figures as draw
 
 _MOST = 8  # laws in the figure
@@ -21,31 +25,42 @@ def friction_figure(result: FrictionFits) -> draw.Picture:
     >>> curlfit.friction_figure(friction).savefig("friction.png")
     """
     figure, axes = draw.panels(3.4, 1, 1)
-    seen, sigma = result.observed, result.observed.get("sigma")
+    speed = result.observed["speed"]
+    mu = result.observed["mu"]
+    sigma = result.observed.get("sigma")
     style = draw.DATA_STYLE | {"markersize": 4.0, "zorder": 5}
     if sigma is None:
-        axes.plot(seen["speed"], seen["mu"], **style, label="data")
+        axes.plot(speed, mu, **style, label="data")
     else:
-        axes.errorbar(
-            seen["speed"], seen["mu"], sigma, **style, elinewidth=0.8, label="data"
-        )
-    curves: list[tuple[list[str], dict[str, np.ndarray]]] = []
-    for one in result.fits:
-        alike = (
-            names
-            for names, curve in curves
-            if np.abs(curve["mu"] - one.curve["mu"]).max() < _SAME
-        )
-        if names := next(alike, None):
-            names.append(one.law)
-        else:
-            curves.append(([one.law], one.curve))
-    shown = curves[:_MOST]
-    for (names, curve), style in zip(shown, draw.line_styles(len(shown)), strict=True):
-        more = f" and {len(names) - 2} more" if len(names) > 2 else ""
-        label = draw.literal(", ".join(names[:2]) + more)
-        axes.plot(curve["speed"], curve["mu"], **style, label=label)
+        axes.errorbar(speed, mu, sigma, **style, elinewidth=0.8, label="data")
+    curves = _distinct(result.fits)[:_MOST]
+    for curve, style in zip(curves, draw.line_styles(len(curves)), strict=True):
+        more = f" and {len(curve.laws) - 2} more" if len(curve.laws) > 2 else ""
+        label = draw.literal(", ".join(curve.laws[:2]) + more)
+        axes.plot(curve.speed, curve.mu, **style, label=label)
     axes.set(xlabel="speed (m/s)", ylabel="coefficient of friction", ylim=(0, None))
     draw.title(axes, f"{draw.file_name(result.data['file'])}: friction against speed")
     figure.legend(*axes.get_legend_handles_labels(), loc="outside right upper")
     return figure
+
+
+class _Curve(NamedTuple):
+    """Friction against speed, and the laws that give it."""
+
+    laws: list[str]
+    speed: Floats
+    mu: Floats
+
+
+def _distinct(fits: Iterable[FrictionFit]) -> list[_Curve]:
+    """The curves of fits, in their order; those that coincide are one."""
+    curves: list[_Curve] = []
+    for fit in fits:
+        mu = fit.curve["mu"]
+        for curve in curves:
+            if np.abs(curve.mu - mu).max() < _SAME:
+                curve.laws.append(fit.law)
+                break
+        else:
+            curves.append(_Curve([fit.law], fit.curve["speed"], mu))
+    return curves

@@ -70,60 +70,67 @@ def fit_friction(
     chosen = Comparing.of(load=chosen_load, stone=stone or Stone())
     family = family_of(usable)
     sets = [DataSet(table.name, table=table)]
-    with in_threads(
-        lambda law: _fitted(LawOnSets(law, chosen_load, sets, chosen, family), table),
-        [(law,) for law in usable],
-    ) as each:
-        fits = sorted(each, key=lambda one: (not one.converged, round(one.bic, 6)))
+
+    def fitted(law: type[Law]) -> FrictionFit:
+        return _fitted(LawOnSets(law, chosen_load, sets, chosen, family), table)
+
+    with in_threads(fitted, [(law,) for law in usable]) as fits:
+        in_order = sorted(fits, key=lambda fit: (not fit.converged, round(fit.bic, 6)))
     observed = {"speed": table.speed, "omega": table.omega, "mu": table.mu}
-    return FrictionFits(
-        {"file": table.name, "sigma": "estimated" if table.sigma is None else "given"},
-        observed if table.sigma is None else observed | {"sigma": table.sigma},
-        tuple(fits),
-    )
+    sigma = "estimated"
+    if table.sigma is not None:
+        observed["sigma"] = table.sigma
+        sigma = "given"
+    return FrictionFits({"file": table.name, "sigma": sigma}, observed, tuple(in_order))
 
 
-def _fitted(on: LawOnSets, table: FrictionTable) -> FrictionFit:
-    inside, count, law = on.of_set(0), len(table.mu), on.law
-    alone, noise = on.alone(0)
-    weights = on.weights(noise)
-    found = on.optimum(inside, alone.values, weights)
-    joint = on.told(found)
-    known = joint.by(inside)
-    rank = known.identifiability.rank
-    dof = float(count - rank) if table.sigma is None else None
-    departures = on.departures(known, found, inside, weights)
-    estimates, combinations = joint.estimates(known, dof, departures)
-    chi_squared = float(found.chi_squared[inside].sum())
-    raw = found.residual[inside][0, -1, :count] / weights[inside][0, -1, :count]
-    # sigma, if estimated, is a parameter too
-    misfit = chi_squared if dof is None else count * math.log(float(raw @ raw) / count)
+def _fitted(on_table: LawOnSets, table: FrictionTable) -> FrictionFit:
+    """A law fitted to the table, which is its only data set."""
+    law = on_table.law
+    inside = on_table.of_set(0)
+    count = len(table.mu)
+    is_estimated = table.sigma is None
+    alone, noise = on_table.alone(0)
+    weights = on_table.weights(noise)
+    optimum = on_table.optimum(inside, alone.values, weights)
+    reduced = on_table.told(optimum)
+    covariance = reduced.by(inside)
+    rank = covariance.identifiability.rank
+    dof = float(count - rank) if is_estimated else None
+    departures = on_table.departures(covariance, optimum, inside, weights)
+    estimates, combinations = reduced.estimates(covariance, dof, departures)
+    chi_squared = float(optimum.chi_squared[inside].sum())
+    # the last channel is that of friction; its rows are filled up to a power of two
+    off = optimum.residual[inside][0, -1, :count] / weights[inside][0, -1, :count]
     sigma = noise.sigma[inside][0, -1] if table.sigma is None else _rms(table.sigma)
-    curve = np.geomspace(table.speed.min(), table.speed.max(), _CURVE)
-    along = accelerations(
-        law.from_vector(known.values),
-        on.rounds.throws[0].stone,
-        on.model.load,
-        jnp.asarray(curve),
+    misfit = chi_squared
+    if is_estimated:  # sigma, at its likeliest value, is a parameter too
+        misfit = count * math.log(float(off @ off) / count)
+    speed = np.geomspace(table.speed.min(), table.speed.max(), _CURVE)
+    acceleration = accelerations(
+        law.from_vector(covariance.values),
+        on_table.rounds.throws[0].stone,
+        on_table.model.load,
+        jnp.asarray(speed),
         jnp.full(_CURVE, np.median(table.omega)),
-    ).eta
+    )
     return FrictionFit(
         law=law.name,
-        load="" if issubclass(law, NetLaw) else on.model.load,
-        converged=bool(known.distance < CONVERGED),
+        load="" if issubclass(law, NetLaw) else on_table.model.load,
+        converged=bool(covariance.distance < CONVERGED),
         coefficients=estimates,
         combinations=combinations,
         rank=rank,
         chi_squared=chi_squared,
         sigma=float(sigma),
-        rms=_rms(raw),
+        rms=_rms(off),
         bic=misfit + rank * math.log(count),
         warnings=(
-            *of_bounds(estimates, known.identifiability.names),
+            *of_bounds(estimates, covariance.identifiability.names),
             *of_ridges(estimates, departures),
         ),
-        fitted=table.mu + raw,
-        curve={"speed": curve, "mu": -np.asarray(along) / GRAVITY},
+        fitted=table.mu + off,
+        curve={"speed": speed, "mu": -np.asarray(acceleration.eta) / GRAVITY},
     )
 
 

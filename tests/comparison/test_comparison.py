@@ -81,18 +81,17 @@ def test_sides_a_law_can_curl_to(of_eq12):
 def test_criteria_are_those_of_a_gaussian(of_eq12):
     item = of_eq12.of("front-back")
     result = of_eq12.fits[of_eq12.candidates.index(item)]
-    n, k = result.n_observations, item.n_parameters
+    n = result.n_observations
+    k = item.n_parameters
     assert k == pytest.approx(result.rank + 3, abs=1e-3)
     # at the most likely sigma, -2 log L = n_c (log(2 pi rms^2) + 1) in each channel
-    each = {
-        name: 201 * (np.log(2 * np.pi * rms**2) + 1) for name, rms in result.rms.items()
-    }
-    assert -2 * item.log_likelihood == pytest.approx(sum(each.values()), rel=1e-12)
+    by_channel = [201 * (np.log(2 * np.pi * rms**2) + 1) for rms in result.rms.values()]
+    assert -2 * item.log_likelihood == pytest.approx(sum(by_channel), rel=1e-12)
     # smooth residuals count by their effective number, less what the best fit spends on
     # it: here next to nothing is left
     assert of_eq12.effective.keys() == {"x", "y", "phi"}
     assert all(1 <= count < 6 for count in of_eq12.effective.values())
-    minus_two = sum(each.values()) / 201
+    minus_two = sum(by_channel) / 201
     effective = sum(of_eq12.effective.values())
     assert item.bic == pytest.approx(minus_two + k * np.log(effective), rel=1e-12)
     assert item.aicc == pytest.approx(minus_two + 2 * k * n / (n - k - 1), rel=1e-12)
@@ -122,7 +121,8 @@ def correlated_throw(seed, law):
 
 def test_correlated_noise_does_not_reject_the_true_law():
     """As it would, were rows counted as if they were independent (dBIC > 6)."""
-    law, rejected = LAWS["coulomb"](), 0
+    law = LAWS["coulomb"]()
+    rejected = 0
     for seed in range(5):
         found = compare(correlated_throw(seed, law), RIVALS)
         text = " ".join(conclusions(found))
@@ -145,13 +145,15 @@ def test_correlated_noise_does_not_hide_the_true_law():
 def test_given_noise_is_not_counted_and_not_estimated(eq12, clean):
     free = compare(clean, ["front-back"])
     assert free.effective == {}  # independent rows count in full
-    item, n = free.best, free.fits[0].n_observations
+    item = free.best
+    n = free.fits[0].n_observations
     expected = item.n_parameters * np.log(n) - 2 * item.log_likelihood
     assert item.bic == pytest.approx(expected, rel=1e-12)
     assert not document(free).warnings
     given = eq12.with_sigma({"x": 0.01, "y": 0.02, "phi": 0.01})
     found = compare(given, ["front-back"])
-    item, result = found.best, found.fits[0]
+    item = found.best
+    result = found.fits[0]
     assert item.n_parameters == pytest.approx(9, abs=1e-3)
     expected = 0.0
     for name, sigma in (("x", 0.01), ("y", 0.02), ("phi", 0.01)):
@@ -178,9 +180,9 @@ def test_true_law_is_found_among_all():
     assert item.delta_bic < 2
     result = found.fits[found.candidates.index(item)]
     truth = throw.reference.values
-    for name, one in result.coefficients.items():
-        if one.stderr is not None:
-            assert abs(one.value - truth[name]) < 4 * one.stderr, name
+    for name, estimate in result.coefficients.items():
+        if estimate.stderr is not None:
+            assert abs(estimate.value - truth[name]) < 4 * estimate.stderr, name
 
 
 @pytest.fixture(scope="module")
@@ -199,7 +201,7 @@ def clean():
 
 @pytest.fixture(scope="module")
 def spoiled(clean):
-    """The same with 5 % gross outliers in each channel."""
+    """A throw without outliers, with 5 % gross ones in each channel."""
     random = np.random.default_rng(1)
     channels = {}
     for name, size in (("x", 0.3), ("y", 1.0), ("phi", 2.0)):
@@ -211,22 +213,19 @@ def spoiled(clean):
 
 @pytest.mark.slow
 def test_outliers_change_neither_the_first_law_nor_its_coefficients(clean, spoiled):
-    before, after = (compare(one, RIVALS, loss="student") for one in (clean, spoiled))
+    before = compare(clean, RIVALS, loss="student")
+    after = compare(spoiled, RIVALS, loss="student")
     for found in (before, after):
-        assert (found.best.law, found.best.rank, found.side) == (
-            "front-back",
-            1,
-            "right",
-        )
+        assert found.best.law == "front-back"
+        assert found.best.rank == 1
+        assert found.side == "right"
         assert found.best.follows
         assert not found.of("coulomb").follows
         assert found.of("coulomb").delta_bic > 6  # "strong", Kass and Raftery (1995)
-    for name, one in before.best.coefficients.items():
-        if one["stderr"] is not None:
-            assert (
-                abs(after.best.coefficients[name]["value"] - one["value"])
-                < one["stderr"]
-            ), name
+    for name, estimate in before.best.coefficients.items():
+        if estimate["stderr"] is not None:
+            change = after.best.coefficients[name]["value"] - estimate["value"]
+            assert abs(change) < estimate["stderr"], name
     assert after.best.residual_size["x"] == pytest.approx(0.005, rel=0.25)
     assert after.best.rms["x"] > 5 * 0.005
     assert "robust scale" in _text(after)

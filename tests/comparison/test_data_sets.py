@@ -16,8 +16,9 @@ import curlfit
 from curlfit import InputError, sheet
 from curlfit.throws.events import Event
 
-HOG, TEE = sheet.LINES["hog"], sheet.LINES["far-tee"]
-C, K = 0.008, -0.3
+HOG = sheet.LINES["hog"]
+C = 0.008
+K = -0.3
 LAWS = ["coulomb", "power"]  # which have one program
 
 
@@ -29,7 +30,8 @@ def speeds_of_rest(c, k, length):
 
 def throws(c=C, k=K, seed=1):
     """Six throws of a law of powers in closed form, by speed and resting place."""
-    random, found = np.random.default_rng(seed), []
+    random = np.random.default_rng(seed)
+    made = []
     for row, length in enumerate(np.linspace(15.0, 30.0, 6), 1):
         events = (
             Event(
@@ -42,8 +44,8 @@ def throws(c=C, k=K, seed=1):
             Event("spin", "omega", 0.0, 0.001, HOG),
             Event("rest", "y", HOG + length + random.normal(0, 0.05), 0.05),
         )
-        found.append(curlfit.Throw.from_events(events, name=f"curls.csv row {row}"))
-    return found
+        made.append(curlfit.Throw.from_events(events, name=f"curls.csv row {row}"))
+    return made
 
 
 def table(c=C, k=K, seed=2, sigma=2e-4):
@@ -58,7 +60,8 @@ def peer(data, measured, start=(0.008, -0.3)):
     values = np.array([[event.value for event in throw.events] for throw in data])
 
     def residual(p):
-        c, k, v = p[0], p[1], p[2:]
+        c, k, *v = p
+        v = np.array(v)
         rest = HOG + v ** (2 - k) / ((2 - k) * c * G)
         return np.concatenate(
             [
@@ -79,7 +82,8 @@ def agreeing():
 
 
 def test_the_common_optimum_is_that_of_scipy(agreeing):
-    best, expected = agreeing.of("power"), peer(throws(), table())
+    best = agreeing.of("power")
+    expected = peer(throws(), table())
     covariance = np.linalg.inv(expected.jac.T @ expected.jac)
     for place, name in enumerate(("c", "k")):
         found = best.coefficients[name]

@@ -38,7 +38,8 @@ FIXED = {
 def test_a_ridge_within_a_box(width):
     # a + b is known to `width`, each has a prior of mean 0.1 and standard deviation
     # 0.3, in 0..1
-    information, prior = np.ones((2, 2)) / width**2, np.eye(2) / 0.3**2
+    information = np.ones((2, 2)) / width**2
+    prior = np.eye(2) / 0.3**2
     found = _log_integral(
         prior @ [-0.1, -0.1],
         information + prior,
@@ -49,7 +50,8 @@ def test_a_ridge_within_a_box(width):
 
     def along(difference):
         total = width * np.linspace(-8, 8, 4001)
-        a, b = (total + difference) / 2, (total - difference) / 2
+        a = (total + difference) / 2
+        b = (total - difference) / 2
         exponent = -(total**2) / (2 * width**2) - (a**2 + b**2 + 0.2 * (a + b)) / (
             2 * 0.3**2
         )
@@ -125,7 +127,8 @@ def test_the_prior_of_one_coefficient_against_quadrature(
     fix = {**FIXED, "mu2_eta": 0.009, "v0": 2.0}
     one = curlfit.fit(throw, fix=fix, priors={"mu1_eta": prior}, details=False)
     problem, origin = problem_of(one)
-    value, stderr = one["mu1_eta"].value, one["mu1_eta"].stderr
+    value = one["mu1_eta"].value
+    stderr = one["mu1_eta"].stderr
     low = max(value - 8 * stderr, density.ppf(1e-7), 0.0)
     high = min(value + 40 * stderr, density.ppf(1 - 1e-7))
     values = np.linspace(low, high, 64)

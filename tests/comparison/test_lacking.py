@@ -42,7 +42,9 @@ def thrown(law, seed):
 
 
 def test_a_spline_has_the_derivatives_of_what_it_smooths():
-    t, inside, random = np.linspace(0.0, 6.0, 200), [], np.random.default_rng(2)
+    t = np.linspace(0.0, 6.0, 200)
+    random = np.random.default_rng(2)
+    inside = []
     for _ in range(20):
         spline = PenalizedSpline.of(
             t, np.sin(t) + 0.05 * random.standard_normal(len(t))
@@ -56,7 +58,8 @@ def test_a_spline_has_the_derivatives_of_what_it_smooths():
 
 
 def test_the_bands_have_what_the_law_lacks():
-    inside, seen = [], []
+    inside = []
+    significance = []
     for seed in range(4):
         throw = thrown(Falling(**COEFFICIENTS), seed)
         found = lacking(
@@ -72,9 +75,9 @@ def test_the_bands_have_what_the_law_lacks():
         )
         off = (found.lacks - (whole - found.of_law)) / found.stderr
         inside.append(np.mean(np.abs(off) < 1.96, axis=1))
-        seen.append(np.abs(found.significance()[1]).max())
+        significance.append(np.abs(found.significance()[1]).max())
     assert (np.mean(inside, axis=0) > 0.85).all()
-    assert min(seen) > 5
+    assert min(significance) > 5
 
 
 def test_what_is_lacking_is_what_the_right_law_adds():

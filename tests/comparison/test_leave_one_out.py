@@ -78,16 +78,13 @@ def test_the_closed_form_against_fits_without_the_row(throw, fit):
         )
         for row in rows
     ]
-    names, value = (
-        list(fit.parameters),
-        {n: item.value for n, item in fit.parameters.items()},
-    )
+    names = list(fit.parameters)
+    value = {name: fit.parameters[name].value for name in names}
     slopes = []
     for name in names:
         step = fit.parameters[name].stderr
-        up, down = (
-            path({**value, name: value[name] + s}, throw.t) for s in (step, -step)
-        )
+        up = path({**value, name: value[name] + step}, throw.t)
+        down = path({**value, name: value[name] - step}, throw.t)
         slopes.append((up - down) / (2 * step))
     slopes = np.moveaxis(slopes, 0, -1)
     measured = np.stack([throw.x, throw.y, throw.phi], -1)
@@ -113,13 +110,14 @@ def test_the_closed_form_against_fits_without_the_row(throw, fit):
 def test_an_estimated_sigma_against_the_exact_integral():
     """Of a regression p(y_i | y_-i) = p(y)/p(y_-i), with p(sigma) = 1/sigma."""
     random = np.random.default_rng(0)
-    design, y = random.standard_normal((12, 3)), 0.3 * random.standard_normal(12)
+    design = random.standard_normal((12, 3))
+    y = 0.3 * random.standard_normal(12)
 
     def log_marginal(rows):
-        some, there = design[rows], y[rows]
-        _, squares, *_ = np.linalg.lstsq(some, there, rcond=None)
-        half = (len(there) - 3) / 2
-        spread = np.linalg.slogdet(some.T @ some)[1]
+        x = design[rows]
+        squares = np.linalg.lstsq(x, y[rows], rcond=None)[1]
+        half = (len(rows) - 3) / 2
+        spread = np.linalg.slogdet(x.T @ x)[1]
         return gammaln(half) - spread / 2 - half * np.log(np.pi * squares[0])
 
     whole = np.arange(12)
@@ -140,8 +138,10 @@ def test_an_estimated_sigma_against_the_exact_integral():
 
 def test_a_prior_counts_as_a_row_that_is_never_left_out():
     random = np.random.default_rng(1)
-    design, y = random.standard_normal((6, 2)), random.standard_normal(6)
-    sd, mean = np.array([0.3, 2.0]), np.array([0.1, -0.2])
+    design = random.standard_normal((6, 2))
+    y = random.standard_normal(6)
+    sd = np.array([0.3, 2.0])
+    mean = np.array([0.1, -0.2])
     # marginal of y, with the parameters integrated out
     covariance = np.eye(6) + (design * sd**2) @ design.T
     off = y - design @ mean
@@ -164,10 +164,8 @@ def test_a_prior_counts_as_a_row_that_is_never_left_out():
 
 @pytest.fixture(scope="module")
 def of_ring(throw):
-    every = laws_under(None)
-    return curlfit.compare(
-        throw, [law for law, _ in every if issubclass(law, LocalLaw)]
-    )
+    laws = [law for law, _ in laws_under(None) if issubclass(law, LocalLaw)]
+    return curlfit.compare(throw, laws)
 
 
 def test_a_ridge_is_no_parameter(of_ring):
@@ -186,7 +184,8 @@ def test_a_ridge_is_no_parameter(of_ring):
 @pytest.mark.parametrize("push", [0.0, 0.7, 8.0, 49.0, 51.0, 1e6])
 @pytest.mark.parametrize("inward", [1.0, -1.0])
 def test_a_bound_has_the_mean_and_variance_of_what_it_leaves(push, inward):
-    precision, gradient = np.array([[5.0, 1.0], [1.0, 4.0]]), np.array([0.5, 0.0])
+    precision = np.array([[5.0, 1.0], [1.0, 4.0]])
+    gradient = np.array([0.5, 0.0])
     stiffness = 4.0 - 1 / 5
     # with the other integrated out
     gradient[1] = 0.5 / 5 - inward * push * np.sqrt(stiffness)
@@ -203,8 +202,17 @@ def test_a_bound_has_the_mean_and_variance_of_what_it_leaves(push, inward):
 
 def test_a_row_that_alone_determines_a_parameter_is_not_predicted():
     design = np.array([[1.0, 0.0], [1.0, 0.0], [1.0, 1.0]])[None]
-    none = np.zeros((0, 2)), np.zeros(0), np.array([False])
-    assert densities(np.zeros((1, 3)), design, np.ones((1, 3)), *none) is None
-    assert densities(
-        np.zeros((1, 3)), design[..., :1], np.ones((1, 3)), np.zeros((0, 1)), *none[1:]
-    )
+
+    def score(design):
+        """Of residuals of zero, without a prior and with sigma given."""
+        return densities(
+            np.zeros((1, 3)),
+            design,
+            np.ones((1, 3)),
+            np.zeros((0, design.shape[-1])),
+            np.zeros(0),
+            np.array([False]),
+        )
+
+    assert score(design) is None
+    assert score(design[..., :1])

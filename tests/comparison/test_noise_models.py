@@ -43,7 +43,8 @@ def test_likelihoods_of_noise_models_are_densities_of_the_data(found):
     """With the determinant of the covariance, against a dense one."""
     assert [item.noise for item in found.candidates] == ["ar1", "white"]
     for item, result in zip(found.candidates, found.fits, strict=True):
-        total, t = 0.0, result.observed["t"]
+        total = 0.0
+        t = result.observed["t"]
         for name in SIGMA:
             off = result.observed[name] - result.fitted[name]
             memory = item.noise_model["memory"].get(name, 1e-9)
@@ -96,7 +97,8 @@ def test_report_and_record_name_the_noise_of_each_fit(found, tmp_path):
 
 def test_correlated_residuals_count_effective_values_less_those_spent(throw):
     found = curlfit.compare(throw, ["coulomb"])
-    k, counts = found.best.n_parameters, found.effective
+    k = found.best.n_parameters
+    counts = found.effective
     assert counts.keys() == SIGMA.keys()
     # n (1 - r)/(1 + r) of the noise that was drawn
     r = np.exp(-0.1 / MEMORY)
@@ -116,11 +118,10 @@ def test_correlated_residuals_count_effective_values_less_those_spent(throw):
 
 def test_what_a_prior_says_is_not_counted_as_what_the_data_determine(throw):
     mu = 0.009
-    free, prior, fixed = (
-        curlfit.compare(throw, ["coulomb"], **choice)
-        for choice in ({}, {"priors": {"mu": f"{mu}+-1e-9"}}, {"fix": {"mu": mu}})
-    )
-    counts = [one.best.n_parameters for one in (free, prior, fixed)]
+    free = curlfit.compare(throw, ["coulomb"])
+    prior = curlfit.compare(throw, ["coulomb"], priors={"mu": f"{mu}+-1e-9"})
+    fixed = curlfit.compare(throw, ["coulomb"], fix={"mu": mu})
+    counts = [each.best.n_parameters for each in (free, prior, fixed)]
     assert counts == pytest.approx([10, 9, 9], abs=1e-3)
     # nor in the correction of the correlation of residuals for the
     # parameters of the fit

@@ -30,12 +30,13 @@ def found(table):
 
 
 def of(found, law):
-    (one,) = (one for one in found.fits if one.law == law)
-    return one
+    (fit,) = [fit for fit in found.fits if fit.law == law]
+    return fit
 
 
 def test_constant_friction_is_the_mean_with_its_error(found, table):
-    n, mu = len(table.mu), of(found, "coulomb").coefficients["mu"]
+    n = len(table.mu)
+    mu = of(found, "coulomb").coefficients["mu"]
     assert mu.value == pytest.approx(table.mu.mean(), rel=1e-9)
     assert mu.stderr == pytest.approx(table.mu.std(ddof=1) / np.sqrt(n), rel=1e-6)
     assert mu.dof == pytest.approx(n - 1)
