@@ -192,18 +192,28 @@ def with_change(fit: LeastSquaresFit, result: FitResult) -> FitResult:
     return replace(result, warnings=(change.finding(), *result.warnings))
 
 
-def _of_friction(times: Floats, since: Floats) -> _Candidates:
-    """Friction that is another one between two times."""
-    begins, ends = np.triu_indices(len(times), 1)
-    inner = (begins > 0) | (ends < _TIMES)  # the whole motion is no change
-    begins = begins[inner]
-    ends = ends[inner]
-    polynomials = chebvander(np.linspace(-1, 1, _TIMES), _SMOOTH).T
+def _of_friction(times: Floats, responses_since: Floats) -> _Candidates:
+    """Friction that is another one between two times.
+
+    Parameters
+    ----------
+    times : in order; the last is that of rest.
+    responses_since : of the weighted path to friction that is another one from each of
+        the times on, shape (times, rows).
+    """
+    begins, ends = np.triu_indices(len(times), 1)  # all pairs, the earlier first
+    whole_motion = (begins == 0) & (ends == len(times) - 1)  # is no change
+    begins = begins[~whole_motion]
+    ends = ends[~whole_motion]
+    # to first order, between two times is since the first less since the second
+    between = responses_since[begins] - responses_since[ends]
+    intervals = responses_since[:-1] - responses_since[1:]
+    polynomials = chebvander(np.linspace(-1, 1, len(intervals)), _SMOOTH).T
     return _Candidates(
         begins=times[begins],
         ends=times[ends],
-        responses=(since[begins] - since[ends])[:, None],
-        smooth=polynomials @ (since[:-1] - since[1:]),
+        responses=between[:, None],
+        smooth=polynomials @ intervals,
     )
 
 
