@@ -73,13 +73,16 @@ def _several(
     figures = output.drawn()
     configured = s.read_config(config)
     chosen = Comparing.of(configured, vars(flags))
-    how_read = vars(Reading.of(configured, vars(reading)))
+    reading = Reading.of(configured, vars(reading))
     data_sets: list[Any] = []
     for file in data:
-        if is_friction_table(file):
-            data_sets.append(load_friction_table(file))
+        if is_friction_table(file, reading.worksheet, reading.columns):
+            table = load_friction_table(
+                file, reading.worksheet, reading.columns, reading.units
+            )
+            data_sets.append(table)
         else:
-            data_sets.extend(load_throws(file, **how_read))
+            data_sets.extend(load_throws(file, **vars(reading)))
     usual = Path("joint-compare")
     if len(data) == 1:
         usual = s.result_folder(data[0], "compare", reading)

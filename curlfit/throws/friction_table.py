@@ -72,6 +72,12 @@ def _meaning(heading: str) -> Column | None:
     )
 
 
+def _of_friction(named: Mapping[str, str] | None) -> dict[str, str]:
+    """The headings that the user names of a table of friction; others are those of
+    tracks beside it."""
+    return {key: heading for key, heading in (named or {}).items() if _meaning(key)}
+
+
 def is_friction_table(
     file: Path, worksheet: str | None = None, named: Mapping[str, str] | None = None
 ) -> bool:
@@ -81,7 +87,7 @@ def is_friction_table(
     ----------
     named : headings that the user names, by quantity.
     """
-    named = named or {}
+    named = _of_friction(named)
     try:
         text = TextFile.read(file, worksheet)
         table = find_table(text, _meaning, _REQUIRED, _EXPECTED, named)
@@ -122,7 +128,7 @@ def load_friction_table(
     path = Path(file)
     text = TextFile.read(path, worksheet)
     table, values, places = read_quantities(
-        text, _meaning, _REQUIRED, _EXPECTED, columns, units
+        text, _meaning, _REQUIRED, _EXPECTED, _of_friction(columns), units
     )
     notes = [*([] if text.note is None else [text.note]), *table.findings]
     measured = np.all([np.isfinite(column) for column in values.values()], axis=0)

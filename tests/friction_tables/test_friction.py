@@ -180,3 +180,16 @@ def test_a_worksheet_of_a_workbook_is_chosen_by_its_name(tmp_path):
     )
     assert is_friction_table(file, "warm")
     assert not is_friction_table(file, "cold")
+
+
+def test_columns_and_units_are_the_user_s(write):
+    """Those of a track that is read beside the table are none of it."""
+    rows = "7.2,0.009\n3.6,0.0095\n1.8,0.011\n"
+    file = write("Tempo,Reibung\n" + rows)
+    named = {"speed": "Tempo", "mu": "Reibung", "t": "When"}
+    assert not is_friction_table(file)
+    assert is_friction_table(file, named=named)
+    table = curlfit.load_friction_table(file, columns=named, units="speed=km/h")
+    assert table.speed.tolist() == pytest.approx([2.0, 1.0, 0.5])
+    assert table.mu.tolist() == [0.009, 0.0095, 0.011]
+    assert not is_friction_table(write("t,x,y\n" + 3 * "1,2,3\n"), named=named)
