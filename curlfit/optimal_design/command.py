@@ -184,20 +184,20 @@ def design(
     from curlfit.output.files import claim_folder
 
     drawn = output.drawn()
-    if not between:
-        throws = throws or 3
-    else:
-        not_between = {
+    if between:
+        of_one_law = {
             "separate": pair.separate,
             "law": assumed.law,
             "discrepancy": record.discrepancy,
         }
-        for name, value in not_between.items():
+        for name, value in of_one_law.items():
             if value:
                 raise InputError(f"--{name} is not an option with --between")
-    first, chosen = _assumed(assumed, between[0] if between else assumed.law)
+    else:
+        throws = throws or 3
+    law, options = _assumed(assumed, between[0] if between else assumed.law)
     drawn.draw_beside()
-    chosen |= {
+    options |= {
         "until": record.until,
         "sigma": record.sigma(),
         "throws": throws,
@@ -210,8 +210,8 @@ def design(
         words.append(f"--between={','.join(LAWS.words(between))}")
     else:
         words += pair.words()
-        chosen |= {"discrepancy": record.discrepancy, **pair.given()}
-    result = _computed(first, between, chosen, output)
+        options |= {"discrepancy": record.discrepancy, **pair.given()}
+    result = _computed(law, between, options, output)
     result = replace(result, command=command_line("design", *words))
     return output.finish(result, claim_folder(output.out or Path("design")), drawn)
 
@@ -239,14 +239,14 @@ def _assumed(assumed: Assumed, law: Any) -> tuple[Any, dict[str, Any]]:
 
 
 def _computed(
-    first: Any, between: Sequence[Any], chosen: dict[str, Any], output: Output
+    law: Any, between: Sequence[Any], options: dict[str, Any], output: Output
 ) -> Any:
     if between:
         with output.status(f"Fitting each law to the throws of the others {COMPILES}"):
             from curlfit.optimal_design.discriminate import discriminate
 
-            return discriminate([first, *between[1:]], **chosen)
+            return discriminate([law, *between[1:]], **options)
     with output.status(f"Computing the information of the throws {COMPILES}"):
         from curlfit.optimal_design.design import design as compute_design
 
-        return compute_design(first or "front-back", **chosen)
+        return compute_design(law or "front-back", **options)

@@ -51,6 +51,7 @@ from curlfit.optimal_design.result import (
     LoadScenario,
     Scenario,
     Separation,
+    difference_of,
 )
 from curlfit.optimal_design.selection import (
     CandidateSet,
@@ -296,13 +297,7 @@ def _difference(
     weights = {first: 1.0, second: -1.0}
     if standard_error(factor, assumed.weights(weights)) is None:
         return {}
-    return {_name(pair): weights}
-
-
-def _name(pair: tuple[str, str]) -> str:
-    """The difference of two coefficients in words."""
-    first, second = pair
-    return f"{first} - {second}"
+    return {difference_of(pair): weights}
 
 
 def _selections(
@@ -345,7 +340,7 @@ def _separation(
             under_load = replace(assumed, load=check_load(load))
             scenario = _least_error(under_load, pair, planned, throws)
         elif "C" in best:
-            stderr = best["C"].stderr[_name(pair)]
+            stderr = best["C"].stderr[difference_of(pair)]
             scenario = _scenario(load, best["C"].throws, stderr)
         else:
             scenario = LoadScenario(load, None, None)
@@ -372,12 +367,12 @@ def _least_error(
     if not difference:
         return undetermined
     candidates = CandidateSet.from_factors(factors)
-    weights = assumed.weights(difference[_name(pair)])
+    weights = assumed.weights(difference[difference_of(pair)])
     indices = select_design(candidates, error_criterion(candidates, weights), throws)
     if indices is None:
         return undetermined
     errors = assumed.errors(candidates.together(indices), difference)
-    return _scenario(assumed.load, indices, errors[_name(pair)])
+    return _scenario(assumed.load, indices, errors[difference_of(pair)])
 
 
 def _expected(

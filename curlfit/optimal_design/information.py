@@ -205,13 +205,13 @@ class Assumptions:
         return within
 
     def noisier(self, channels: Iterable[str], factor: float) -> Assumptions:
-        """These assumptions with the noise of some channels multiplied."""
+        """A copy with the noise of some channels multiplied."""
         multiplied = {name: factor * self.sigma[name] for name in channels}
         return replace(self, sigma={**self.sigma, **multiplied})
 
     @cached_property
     def by_load(self) -> dict[Load, Assumptions]:
-        """These assumptions for an exact law, under each load."""
+        """Copies for an exact law, under each load."""
         by_load = {load: replace(self, load=load, discrepancy=0.0) for load in Load}
         if not self.discrepancy:
             # the object itself, which keeps the records that it has computed
@@ -367,9 +367,9 @@ def record_information(
     throw_of_piece = np.array([piece.throw for piece in pieces])
     records = []
     for index, (clock, rest) in enumerate(zip(clocks, rests, strict=True)):
-        whole = r_factor(np.concatenate(factors[throw_of_piece == index], 1))
+        factor = r_factor(np.concatenate(factors[throw_of_piece == index], 1))
         records.append(
-            RecordInformation(len(clock), float(clock[-1]), rest, whole, shapes)
+            RecordInformation(len(clock), float(clock[-1]), rest, factor, shapes)
         )
     return records
 

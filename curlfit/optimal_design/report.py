@@ -95,11 +95,11 @@ def document(design: Design) -> Document:
     )
 
 
-def noise_text(sigma: dict[str, float], factor: float = 1.0) -> str:
+def noise_text(sigma: dict[str, float]) -> str:
     """Noise by channel, as in "5 mm in x and y, 10 mrad in phi"."""
     channels: dict[str, list[str]] = {}
     for name, value in sigma.items():
-        channels.setdefault(with_unit(value * factor, name), []).append(name)
+        channels.setdefault(with_unit(value, name), []).append(name)
     return ", ".join(
         f"{size} in {join_words(names)}" for size, names in channels.items()
     )
@@ -109,11 +109,6 @@ def with_unit(value: float, channel: str) -> str:
     """A value in a suitable unit, as in "12 um"."""
     index = min(max(math.ceil(-math.log10(value) / 3 - 1e-9), 0), 2)
     return f"{two_digits(value * 1000**index)} {('', 'm', 'u')[index]}{_UNITS[channel]}"
-
-
-def percent(fraction: float) -> str:
-    """A fraction as in "0.12 %"."""
-    return f"{two_digits(100 * fraction)} %"
 
 
 def throws_text(candidates: Sequence[Any], indices: Iterable[int]) -> str:

@@ -247,9 +247,14 @@ class Separation:
 
     @property
     def difference(self) -> str:
-        """The difference of the coefficients in words."""
-        return " - ".join(self.pair)
+        """Name of the difference of the coefficients."""
+        return difference_of(self.pair)
 
     def scenario(self, load: str) -> LoadScenario:
         """The scenario of one load."""
         return next(scenario for scenario in self.ways if scenario.load == load)
+
+
+def difference_of(pair: tuple[str, str]) -> str:
+    """Name of the difference of two coefficients, such as "mu1_eta - mu2_eta"."""
+    return " - ".join(pair)

@@ -116,7 +116,7 @@ class Truth(NamedTuple):
 
 
 class SingleFits(NamedTuple):
-    """A law fitted to each of several throws."""
+    """A law fitted to each of several throws on its own."""
 
     coefficients: Floats
     """shape (throws, coefficients)"""
@@ -125,11 +125,11 @@ class SingleFits(NamedTuple):
     (throws, rows, columns), see `Rival`"""
 
 
-class JointFit(NamedTuple):
+class FitTogether(NamedTuple):
     """A law fitted to several throws together."""
 
     rows: Floats
-    """what is left of each throw, as of `SingleFits`"""
+    """what is left of each throw, shape (throws, rows, columns), see `Rival`"""
     converged: bool
 
 
@@ -196,7 +196,9 @@ class Rival:
         rows[~np.asarray(solutions.success)] = np.nan
         return SingleFits(solutions.values[:, : self.size], rows)
 
-    def fit_together(self, throws: Sequence[NoiselessThrow], start: Floats) -> JointFit:
+    def fit_together(
+        self, throws: Sequence[NoiselessThrow], start: Floats
+    ) -> FitTogether:
         """Fit throws together, from the coefficients `start` over typical sizes."""
         names = [coefficient.name for coefficient in self.model.law.coefficients()]
         values = (start * self.typical).tolist()
@@ -206,7 +208,7 @@ class Rival:
         accepted = [_accepted(throw) for throw in throws]
         joint = solved_together(accepted, choices, names, none, None)
         rows = self._rows(joint.rounds, joint.solution)
-        return JointFit(rows, bool(np.all(joint.solution.success)))
+        return FitTogether(rows, bool(np.all(joint.solution.success)))
 
     def _rows(self, rounds: Rounds, solutions: Solution) -> Floats:
         """What is left of the residuals of each throw whatever its initial state."""

@@ -60,15 +60,16 @@ def single():
 def test_a_discrepancy_enters_as_its_covariance():
     """Dense, with derivatives by differences; the difference of the eta
     coefficients is held."""
-    size, t = 0.05, np.linspace(0.0, 15.0, 76)
+    size = 0.05
+    t = np.linspace(0.0, 15.0, 76)
     # the sum alone, whose column is that of mu1_eta
     jacobian = in_noise(
         np.delete(jacobian_by_differences("uniform", 2.0, 1.5, t), 3, 2)
     )
-    found = curlfit.simulate(
+    path = curlfit.simulate(
         LAW(*TRUE), STONE, InitialState(v=2.0, omega=1.5), t
     ).to_numpy()
-    motion = np.array([found.x, found.y, found.phi, found.speed, found.omega])
+    motion = np.array([path.x, path.y, path.phi, path.speed, path.omega])
     responses = Responses.of(t, motion, STONE)
     lacking = size * np.concatenate(
         [responses.at(t, row) / sigma for row, sigma in enumerate(NOISE.values())]
@@ -79,9 +80,8 @@ def test_a_discrepancy_enters_as_its_covariance():
     )
     options = {"v0": [2.0], "omega0": [1.5], "rate": 5, "until": 15.0, "throws": 1}
     values = dict(zip(("mu1_xi", "mu2_xi", "mu1_eta", "mu2_eta"), TRUE, strict=True))
-    plan, exact = (
-        design(coefficients=values, discrepancy=one, **options) for one in (size, 0.0)
-    )
+    plan = design(coefficients=values, discrepancy=size, **options)
+    exact = design(coefficients=values, **options)
     for name, error in zip(("mu1_xi", "mu2_xi", SUM), errors, strict=False):
         assert plan.candidates[0].stderr[name] == pytest.approx(error, rel=0.03)
         assert plan.candidates[0].stderr[name] > 2 * exact.candidates[0].stderr[name]
@@ -109,22 +109,24 @@ def throw_of(v0, omega0, stone=STONE, load="uniform", seed=None, until=20.0, rat
 
 def reported(fit):
     errors = {
-        name: item.stderr for name, item in fit.coefficients.items() if item.stderr
+        name: value.stderr for name, value in fit.coefficients.items() if value.stderr
     }
-    return errors | {item.expression: item.stderr for item in fit.combinations}
+    return errors | {sum_.expression: sum_.stderr for sum_ in fit.combinations}
 
 
 @pytest.mark.parametrize(("seed", "tolerance"), [(None, 1e-6), (4, 0.03)])
 def test_errors_are_those_that_a_fit_of_such_a_throw_reports(single, seed, tolerance):
-    found = curlfit.fit(throw_of(2.0, 1.5, seed=seed))
+    fit = curlfit.fit(throw_of(2.0, 1.5, seed=seed))
     expected = {
-        name: one for name, one in single.best["D"].stderr.items() if one is not None
+        name: error
+        for name, error in single.best["D"].stderr.items()
+        if error is not None
     }
     assert set(expected) == {"mu1_xi", "mu2_xi", SUM}
-    assert reported(found) == pytest.approx(expected, rel=tolerance)
-    verdicts = {name: item.verdict for name, item in found.coefficients.items()}
+    assert reported(fit) == pytest.approx(expected, rel=tolerance)
+    verdicts = {name: value.verdict for name, value in fit.coefficients.items()}
     assert single.best["D"].verdicts == verdicts
-    assert single.candidates[0].rows == len(found.throw)
+    assert single.candidates[0].rows == len(fit.throw)
 
 
 PLACE = {"x": 0.005, "y": 0.005}
@@ -216,7 +218,7 @@ def jacobian_by_differences(load, v0, omega0, times):
 def in_noise(jacobian):
     """By channel and row, over sigma, as a matrix."""
     return np.concatenate(
-        [one / sigma for one, sigma in zip(jacobian, NOISE.values(), strict=True)]
+        [rows / sigma for rows, sigma in zip(jacobian, NOISE.values(), strict=True)]
     )
 
 
@@ -243,24 +245,24 @@ def test_information_is_that_of_finite_differences(load):
     for name, vector in weights.items():
         short = np.array(vector)[:k]
         expected = np.sqrt(short @ covariance[:k, :k] @ short)
-        found = standard_error(factor, 0.01 * np.array(vector))
-        assert found == pytest.approx(expected, rel=tolerance), name
+        error = standard_error(factor, 0.01 * np.array(vector))
+        assert error == pytest.approx(expected, rel=tolerance), name
 
 
 def test_a_record_until_rest_has_the_row_of_coming_to_rest(plain):
-    for one in plain.candidates[::7]:
+    for throw in plain.candidates[::7]:
         path = curlfit.simulate(
             LAW(),
             STONE,
-            InitialState(v=one.v0, omega=one.omega0),
+            InitialState(v=throw.v0, omega=throw.omega0),
             np.array([0.0, 100.0]),
         ).to_numpy()
-        assert one.rest == pytest.approx(float(path.rest), rel=1e-6)
-        assert one.distance == pytest.approx(
+        assert throw.rest == pytest.approx(float(path.rest), rel=1e-6)
+        assert throw.distance == pytest.approx(
             float(np.hypot(path.x[-1], path.y[-1])), rel=1e-6
         )
-        assert one.last <= one.rest < one.last + 1 / one.rate + 1e-9
-        assert one.rows == round(one.last * one.rate) + 1
+        assert throw.last <= throw.rest < throw.last + 1 / throw.rate + 1e-9
+        assert throw.rows == round(throw.last * throw.rate) + 1
 
 
 def test_the_parts_of_a_long_record_make_the_whole():
@@ -273,19 +275,19 @@ def test_the_parts_of_a_long_record_make_the_whole():
 
     slopes = jacobian_by_differences("uniform", 2.0, 1.5, np.arange(601) / 30.0)
     information = np.einsum("cij,cik->cjk", whole.factors, whole.factors)
-    for place in (0, 1, 7, 9):
-        slope = slopes[..., place] * (0.01 if place < 4 else 1.0)
+    for index in (0, 1, 7, 9):
+        slope = slopes[..., index] * (0.01 if index < 4 else 1.0)
         np.testing.assert_allclose(
-            information[:, place, place], (slope**2).sum(1), rtol=1e-5
+            information[:, index, index], (slope**2).sum(1), rtol=1e-5
         )
 
 
 # Which throws to make, where that is known.
 
 
-def line(places):
+def line(abscissas):
     """Roots of the information of observations of a + b x."""
-    return [np.array([[1.0, x], [0.0, 0.0]]) for x in places]
+    return [np.array([[1.0, x], [0.0, 0.0]]) for x in abscissas]
 
 
 def least_errors(candidates, weights, throws):
@@ -320,19 +322,19 @@ def test_the_best_of_the_plan_is_the_best_of_all_choices(plain):
         for c in plain.candidates
     ]
     sums = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 0.5], [0, 0, 0.5]])
-    information = np.stack([(one @ sums).T @ (one @ sums) for one in factors])
+    information = np.stack([(factor @ sums).T @ (factor @ sums) for factor in factors])
     best = max(
         ((a, b, c) for a in range(15) for b in range(a, 15) for c in range(b, 15)),
-        key=lambda places: np.linalg.det(information[list(places)].sum(0)),
+        key=lambda indices: np.linalg.det(information[list(indices)].sum(0)),
     )
     assert plain.best["D"].throws == best
 
 
 def test_each_criterion_is_the_best_of_all_choices():
-    found = design(load="consistent", v0=[2.0], rate=10, throws=2)
+    plan = design(load="consistent", v0=[2.0], rate=10, throws=2)
     factors = [
         factor_of([PlannedThrow(2.0, c.omega0, 10.0, STONE)], "consistent")
-        for c in found.candidates
+        for c in plan.candidates
     ]
     information = np.stack([factor.T @ factor for factor in factors])
     pairs = [(a, b) for a in range(5) for b in range(a, 5)]
@@ -345,13 +347,13 @@ def test_each_criterion_is_the_best_of_all_choices():
     }
     separating = min(pairs, key=errors.get)
     assert volume != mean
-    assert found.best["D"].throws == volume
-    assert found.best["A"].throws == mean
+    assert plan.best["D"].throws == volume
+    assert plan.best["A"].throws == mean
     # what uniform load would hide is looked at without being asked for
-    assert found.separation.pair == ("mu1_eta", "mu2_eta")
-    assert found.best["C"].throws == separating
+    assert plan.separation.pair == ("mu1_eta", "mu2_eta")
+    assert plan.best["C"].throws == separating
     for criterion, pair in (("D", volume), ("A", mean), ("C", separating)):
-        stderr = found.best[criterion].stderr["mu1_eta - mu2_eta"]
+        stderr = plan.best[criterion].stderr["mu1_eta - mu2_eta"]
         assert stderr == pytest.approx(errors[pair], rel=1e-3)
 
 
@@ -509,8 +511,8 @@ def test_a_fit_is_what_is_taken_to_be_true(eq12_fit, tmp_path):
         str(tmp_path / "d"),
     ]
     assert invoke(words).exit_code == 0
-    found = curlfit.load_design(tmp_path / "d")
-    assert found.stone == eq12_fit.stone
-    fitted = {name: item.value for name, item in eq12_fit.coefficients.items()}
-    assert found.coefficients == fitted | {"mu1_xi": 0.001}
+    plan = curlfit.load_design(tmp_path / "d")
+    assert plan.stone == eq12_fit.stone
+    fitted = {name: value.value for name, value in eq12_fit.coefficients.items()}
+    assert plan.coefficients == fitted | {"mu1_xi": 0.001}
     assert [file.name for file in (tmp_path / "d").iterdir()] == ["design.json"]

@@ -27,20 +27,20 @@ LAWS = ["front-back", "coulomb"]
 
 
 @pytest.fixture(scope="module")
-def found():
-    """Whose throws decide together only, on ice that may slope to a side."""
+def between():
+    """Throws that decide together only, on ice that may slope to a side."""
     widths = {"all": 0.0, "slope_x": 1e-3}
     return curlfit.discriminate(LAWS, throws=2, systematics=widths, **PLAN)
 
 
-def throw_of(found, law, v0, omega0):
+def throw_of(between, law, v0, omega0):
     """All rows of a throw of a law as assumed, without noise."""
-    law = curlfit.law_with(law, found.laws[law])
-    t = np.arange(int(found.until * found.rate) + 1) / found.rate
+    law = curlfit.law_with(law, between.laws[law])
+    t = np.arange(int(between.until * between.rate) + 1) / between.rate
     start = curlfit.InitialState(v=v0, omega=omega0)
-    path = curlfit.simulate(law, found.stone, start, t).to_numpy()
+    path = curlfit.simulate(law, between.stone, start, t).to_numpy()
     return curlfit.Throw.from_arrays(
-        t, path.x, path.y, path.phi, sigma=found.sigma, defaults={"as_given": True}
+        t, path.x, path.y, path.phi, sigma=between.sigma, defaults={"as_given": True}
     )
 
 
@@ -49,37 +49,36 @@ def left_by(fit):
     slope = getattr(fit, "parameters", None)
     slope = (fit.coefficients if isinstance(slope, int) else slope)["slope_x"].value
     fits = getattr(fit, "throws", (fit,))
-    return sum(one.chi_squared for one in fits) + (slope / 1e-3) ** 2
+    return sum(fit.chi_squared for fit in fits) + (slope / 1e-3) ** 2
 
 
-def test_both_laws_describe_the_same_draw(found):
-    assert list(found.laws) == LAWS
-    fitted = curlfit.fit(
-        throw_of(found, "front-back", 2.0, 1.0), "coulomb", details=False
-    )
-    assert found.laws["coulomb"]["mu"] == pytest.approx(fitted["mu"].value, rel=1e-2)
+def test_both_laws_describe_the_same_draw(between):
+    assert list(between.laws) == LAWS
+    draw = throw_of(between, "front-back", 2.0, 1.0)
+    fit = curlfit.fit(draw, "coulomb", details=False)
+    assert between.laws["coulomb"]["mu"] == pytest.approx(fit["mu"].value, rel=1e-2)
 
 
-def test_one_throw_leaves_what_a_fit_of_it_leaves(found):
+def test_one_throw_leaves_what_a_fit_of_it_leaves(between):
     """The slope that the fit takes is linear in the design."""
-    pair, one = found.pairs[0], found.candidates[2]
-    throw = throw_of(found, pair.truth, one.v0, one.omega0)
+    pair = between.pairs[0]
+    candidate = between.candidates[2]
+    throw = throw_of(between, pair.truth, candidate.v0, candidate.omega0)
     fit = curlfit.fit(throw, pair.rival, details=False, priors={"slope_x": "0+-0.001"})
     n = fit.n_observations
     expected = Pair.of("", "", left_by(fit), Ranks(3, 1), n).log_odds
-    assert one.log_odds[0] == pytest.approx(expected, rel=0.03)
+    assert candidate.log_odds[0] == pytest.approx(expected, rel=0.03)
 
 
-def test_chosen_throws_leave_what_a_fit_of_them_together_leaves(found):
-    assert {one.truth for one in found.pairs} == {*found.laws}
-    starts = [
-        (found.candidates[k].v0, found.candidates[k].omega0) for k in found.throws
-    ]
+def test_chosen_throws_leave_what_a_fit_of_them_together_leaves(between):
+    assert {pair.truth for pair in between.pairs} == {*between.laws}
+    chosen = [between.candidates[index] for index in between.throws]
+    starts = [(throw.v0, throw.omega0) for throw in chosen]
     # a slope bends the paths of both to one side
     assert starts == [(1.8, 2.0), (1.8, -2.0)]
-    pair = found.worst
-    assert pair == found.pairs[0]
-    throws = [throw_of(found, pair.truth, *start) for start in starts]
+    pair = between.worst
+    assert pair == between.pairs[0]
+    throws = [throw_of(between, pair.truth, *start) for start in starts]
     fit = curlfit.fit_together(
         throws,
         pair.rival,
@@ -89,40 +88,46 @@ def test_chosen_throws_leave_what_a_fit_of_them_together_leaves(found):
     )
     assert fit.converged
     assert pair.chi_squared == pytest.approx(left_by(fit), rel=0.05)
-    n = sum(one.n_observations for one in fit.throws)
+    n = sum(throw.n_observations for throw in fit.throws)
     assert pair.relative == pytest.approx(np.sqrt(pair.chi_squared / n), rel=0.01)
 
 
-def test_both_senses_of_spin_tell_the_same_alone(found):
-    odds = {(one.v0, one.omega0): one.log_odds for one in found.candidates}
-    assert len(odds) == 8
-    for (v0, omega0), own in odds.items():
-        assert own == pytest.approx(odds[v0, -omega0], rel=1e-2)
+def test_both_senses_of_spin_tell_the_same_alone(between):
+    odds_by_start = {
+        (throw.v0, throw.omega0): throw.log_odds for throw in between.candidates
+    }
+    assert len(odds_by_start) == 8
+    for (v0, omega0), odds in odds_by_start.items():
+        assert odds == pytest.approx(odds_by_start[v0, -omega0], rel=1e-2)
 
 
 @pytest.mark.parametrize(("true", "rival"), [(2, 2), (1, 3), (3, 1)])
 def test_log_odds_are_those_of_simulated_linear_models(true, rival):
     """Two models with two columns in common, where the true one is beside the other."""
-    random, n = np.random.default_rng(1), 200
+    random = np.random.default_rng(1)
+    n = 200
     common = random.standard_normal((n, 2))
-    first, second = (
-        np.hstack([common, random.standard_normal((n, k))]) for k in (true, rival)
-    )
-    mean = first @ np.append(np.zeros(2), np.full(true, 5.5 / np.sqrt(n * true)))
-    project = [np.linalg.qr(one)[0] for one in (first, second)]
+    columns_of_truth = np.hstack([common, random.standard_normal((n, true))])
+    columns_of_rival = np.hstack([common, random.standard_normal((n, rival))])
+    values = np.append(np.zeros(2), np.full(true, 5.5 / np.sqrt(n * true)))
+    mean = columns_of_truth @ values
+    basis_of_truth = np.linalg.qr(columns_of_truth)[0]
+    basis_of_rival = np.linalg.qr(columns_of_rival)[0]
     y = mean + random.standard_normal((20_000, n))
 
     def left(values, basis):
         return (values**2).sum(-1) - ((values @ basis) ** 2).sum(-1)
 
-    bic = [left(y, one) + one.shape[1] * np.log(n) for one in project]
-    odds = (bic[1] - bic[0]) / 2
-    found = Pair.of("", "", left(mean, project[1]), Ranks(true, rival), n)
-    assert odds.mean() == pytest.approx(found.log_odds, abs=0.2)
-    assert odds.std() == pytest.approx(found.sd, rel=0.03)
-    decided, promised = (odds > DECISIVE).mean(), found.decides
-    assert promised > 0.85
-    assert promised - 0.01 < decided < promised + 0.05
+    def bic(basis):
+        return left(y, basis) + basis.shape[1] * np.log(n)
+
+    odds = (bic(basis_of_rival) - bic(basis_of_truth)) / 2
+    pair = Pair.of("", "", left(mean, basis_of_rival), Ranks(true, rival), n)
+    assert odds.mean() == pytest.approx(pair.log_odds, abs=0.2)
+    assert odds.std() == pytest.approx(pair.sd, rel=0.03)
+    decided = (odds > DECISIVE).mean()
+    assert pair.decides > 0.85
+    assert pair.decides - 0.01 < decided < pair.decides + 0.05
 
 
 class Additive:
@@ -146,7 +151,7 @@ def test_the_exchange_finds_the_best_of_all_choices_for_the_worst_pair():
         plan = _extended(pairs, plan)
 
         def margin(throws):
-            return min(one.promise(throws).margin() for one in pairs)
+            return min(pair.promise(throws).margin() for pair in pairs)
 
         best = max(combinations_with_replacement(range(7), size), key=margin)
         assert margin(plan) == pytest.approx(margin(best)), size
@@ -155,21 +160,21 @@ def test_the_exchange_finds_the_best_of_all_choices_for_the_worst_pair():
 def test_a_law_that_can_be_the_other_is_not_decided():
     """With equal coefficients front-back is Coulomb's law."""
     once = {"v0": [2.0], "omega0": [1.0], "rate": 5.0, "until": 15.0}
-    found = curlfit.discriminate(LAWS, throws=2, **once)
-    assert not found.decided
-    assert (found.worst.truth, found.worst.rival) == ("coulomb", "front-back")
-    assert found.worst.chi_squared < 1e-3
-    text = " ".join(repr(found).split())
+    between = curlfit.discriminate(LAWS, throws=2, **once)
+    assert not between.decided
+    assert (between.worst.truth, between.worst.rival) == ("coulomb", "front-back")
+    assert between.worst.chi_squared < 1e-3
+    text = " ".join(repr(between).split())
     assert "2 throws of this precision do not decide" in text
     assert "front-back follows these throws of coulomb to within the noise" in text
-    text = " ".join(repr(replace(found, asked=None)).split())
+    text = " ".join(repr(replace(between, asked=None)).split())
     assert "cannot be decided by tracks of this precision" in text
 
 
-def test_a_saved_record_is_the_same(found, tmp_path):
-    found.save(tmp_path / "discrimination.json")
-    assert curlfit.load_discrimination(tmp_path).to_json() == found.to_json()
-    assert found.to_frame().shape == (8, 6)
+def test_a_saved_record_is_the_same(between, tmp_path):
+    between.save(tmp_path / "discrimination.json")
+    assert curlfit.load_discrimination(tmp_path).to_json() == between.to_json()
+    assert between.to_frame().shape == (8, 6)
 
 
 def test_the_command(tmp_path):
