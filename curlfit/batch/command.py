@@ -100,7 +100,9 @@ def batch(
     if running.dask is None:
         require_jax()
     console = terminal(quiet=running.quiet)
-    with Table(out, columns(plan), dict(plan), files, again=running.again) as table:
+    with Table(
+        out, columns(plan), plan.recorded(), files, again=running.again
+    ) as table:
         _fill(
             table, plan, len(files), console, workers=running.workers, dask=running.dask
         )

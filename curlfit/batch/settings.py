@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 from curlfit.friction import Law, Load, NetLaw, find_law
 from curlfit.inference.parameters import ParameterSet
 from curlfit.options.settings import checked_parameters
 from curlfit.settings.choices import SEED, Fitting, Reading
-from curlfit.settings.forms import SWITCH, option
+from curlfit.settings.forms import SWITCH, OneOf, option
 from curlfit.throws.load import check_reading
 from curlfit.throws.throw import check_sigma
 
@@ -40,6 +40,18 @@ class BatchSettings(Fitting, Reading):
     any_swept: Annotated[bool, option(SWITCH)] = False
     posterior: Annotated[bool, option(SWITCH)] = False
     seed: Annotated[int, option(SEED)] = 0
+
+    def recorded(self) -> dict[str, Any]:
+        """The settings as the file beside the table has them: what a name stands for
+        by its name."""
+        forms = self.forms()
+        recorded = {}
+        for name, value in self:
+            form = forms[name]
+            recorded[name] = value
+            if isinstance(form, OneOf) and value is not None:
+                recorded[name] = form.name_of(value)
+        return recorded
 
     def checked(self) -> type[Law]:
         """The law. Raises InputError if the settings are impossible for any throw."""

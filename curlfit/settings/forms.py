@@ -246,10 +246,10 @@ class OneOf(Form):
                 raise InputError(f"unknown {what} {quoted(name)}; expected {expected}")
             return values[name]
 
-        super().__init__(expected, check, words=self._name_of)
+        super().__init__(expected, check, words=self.name_of)
         self.values = values
 
-    def _name_of(self, value: Any) -> str:
+    def name_of(self, value: Any) -> str:
         """The name of a value."""
         return next(name for name, known in self.values.items() if known == value)
 

@@ -81,7 +81,9 @@ def test_what_is_said_of_it():
 
 def test_check_describes_it():
     said = invoke(["check", CASE]).stdout
-    assert f"{CASE.name}: curling-stone-tracker, 55 rows, t = 3.4 .. 21.4" in said
+    in_one_line = " ".join(said.split())
+    begin = f"{CASE.name}: curling-stone-tracker, 55 rows, t = 3.4 .. 21.4"
+    assert begin in in_one_line
     assert "position_history.y  y         ft    0.3048" in said
 
 
