@@ -272,7 +272,7 @@ def test_the_exit_status_tells_what_became_of_the_throws(
 def test_what_cannot_be_done_is_one_sentence(season, tmp_path, words, said):
     out = tmp_path / "results.csv"
     if "coulomb" in words:
-        with Table(out, columns(BatchSettings.of()), dict(BatchSettings.of()), []):
+        with Table(out, columns(BatchSettings.of()), BatchSettings.of().recorded(), []):
             pass
         out.write_text(out.read_text() + "a.csv\n")
     before = {file: file.read_bytes() for file in tmp_path.iterdir()}
@@ -334,7 +334,7 @@ def test_rows_of_other_settings_are_begun_anew_with_again(season, tmp_path):
 def test_two_batches_do_not_write_one_table(season, tmp_path):
     out = tmp_path / "results.csv"
     words = ("batch", season / "throw0.csv", "--workers", 1, "--quiet")
-    with Table(out, columns(BatchSettings.of()), dict(BatchSettings.of()), []):
+    with Table(out, columns(BatchSettings.of()), BatchSettings.of().recorded(), []):
         before = out.read_bytes()
         for more in ((), ("--again",)):
             done = command(*words, *more, cwd=tmp_path)

@@ -83,7 +83,7 @@ class FullDisk(BytesIO):
 def test_a_full_disk_is_told_with_the_name_of_the_table(tmp_path):
     settings = BatchSettings.of()
     names = columns(settings)
-    with Table(tmp_path / "r.csv", names, dict(settings), []) as table:
+    with Table(tmp_path / "r.csv", names, settings.recorded(), []) as table:
         table.stream.close()
         table.stream = FullDisk()
         row = dict.fromkeys(names, "") | {"status": "ok"}

@@ -224,7 +224,7 @@ def test_columns_that_were_added_to_a_table_are_labels(season, tmp_path):
         (
             lambda text: text.replace("[", "[1, ", 1),
             [],
-            "line 2: not a row of `curlfit batch`",
+            "line 2, column information: ",
         ),
         (
             lambda text: "\n".join(text.split("\n")[:3]) + "\n",

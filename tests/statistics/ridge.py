@@ -491,7 +491,7 @@ def season_on_disk(
     sigma = {name: NOISE[name] for name in CHANNELS["no-angle"]}
     settings = BatchSettings.of(law=law, sigma=sigma)
     season = folder / "season.csv"
-    with BatchTable(season, columns(settings), dict(settings), names) as table:
+    with BatchTable(season, columns(settings), settings.recorded(), names) as table:
         table.add(fit_files(names, settings))
     return curlfit.fit_season(season)
 
