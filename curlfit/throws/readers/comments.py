@@ -112,6 +112,24 @@ def read_comments(file: TextFile, until: int | None = None) -> Comments:
     return Comments(settings, reference, notes)
 
 
+def headings_named_in(file: TextFile, until: int | None = None) -> dict[str, str]:
+    """The headings that the comments of a file name, by quantity, as in
+    `# columns.y = "Distance"`. Only comments that have such a line are read.
+
+    Parameters
+    ----------
+    until : as of `read_comments`.
+
+    Raises
+    ------
+    DataError : a setting that cannot be read or used.
+    """
+    if not any("columns." in line for _, line in file.comments(until)):
+        return {}
+    named: dict[str, str] = read_comments(file, until).settings.get("columns", {})
+    return named
+
+
 def _require_no_colon(file: TextFile, index: int, body: str) -> None:
     """Raise `DataError` for a comment that would be a setting with `=` for its colon;
     a text may lack its quotes. Words such as "law: see the paper" are a comment."""

@@ -15,7 +15,7 @@ from curlfit.errors import DataError
 from curlfit.findings import Finding
 from curlfit.settings.choices import Reading
 from curlfit.throws.readers.columns import frame_rate, parse_units
-from curlfit.throws.readers.comments import read_comments
+from curlfit.throws.readers.comments import headings_named_in
 from curlfit.throws.readers.format import Contents, Format
 from curlfit.throws.readers.headings import Headings, has_clock
 from curlfit.throws.readers.objects import objects_of
@@ -45,8 +45,7 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
 def _has_path(table: Table, reading: Reading) -> bool:
     """Whether the headings are those of a path, as the user or the file names them."""
     with suppress(DataError):
-        settings = read_comments(table.file, table.header).settings
-        named = settings.get("columns", {})
+        named = headings_named_in(table.file, table.header)
         timed = _timed(table, reading, named)
         Headings(timed.headings, table.error).columns(reading, named)
         return True

@@ -12,7 +12,7 @@ from curlfit.throws.readers.columns import (
     parse_units,
     with_unit,
 )
-from curlfit.throws.readers.comments import read_comments
+from curlfit.throws.readers.comments import headings_named_in
 from curlfit.throws.readers.headings import named_columns
 from curlfit.throws.readers.table import Table
 from curlfit.throws.readers.text import TextFile
@@ -71,7 +71,7 @@ def read_quantities(
     ------
     DataError : a required column is missing, two mean the same, or a cell is no number.
     """
-    named = {**read_comments(file).settings.get("columns", {}), **(named or {})}
+    named = {**headings_named_in(file), **(named or {})}
     table = find_table(file, meaning, required, expected, named)
 
     def quantity_of(word: str) -> str | None:

@@ -24,7 +24,7 @@ from curlfit.throws.events import Event
 from curlfit.throws.odd_row import OddRow
 from curlfit.throws.readers.cells import headings_in
 from curlfit.throws.readers.columns import parse_header, parse_units
-from curlfit.throws.readers.comments import read_comments
+from curlfit.throws.readers.comments import headings_named_in, read_comments
 from curlfit.throws.readers.format import Contents, Format
 from curlfit.throws.readers.odd_rows import OddValue, odd_values
 from curlfit.throws.readers.parsed_file import ParsedFile
@@ -217,8 +217,7 @@ def _pair(line: str) -> tuple[str, str, str] | None:
 
 def _throws_in(file: TextFile, reading: Reading) -> list[Row]:
     """Each throw in the file: those of a table, or the only one of a record."""
-    settings = read_comments(file).settings
-    named = {**settings.get("columns", {}), **reading.columns}
+    named = {**headings_named_in(file), **reading.columns}
     units = parse_units(reading.units)
     wanted = {heading.strip().lower() for heading in named.values()}
 
@@ -316,7 +315,7 @@ def entry_in(table: Path, source: str) -> TableEntry:
         return bool({"file", "track"} & {heading.lower() for heading in of.headings})
 
     notes_table = Table.find(file, names_throws)
-    named = read_comments(file).settings.get("columns", {})
+    named = headings_named_in(file)
     path = Path(file_and_number(source)[0]).resolve()
     names = path.parts, path.with_suffix("").parts
     rows_of_throw = []
