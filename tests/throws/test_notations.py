@@ -185,6 +185,11 @@ def test_thousands_with_points_are_seen_among_plain_numbers(write) -> None:
     assert note_on(throw, "thousands")
 
 
+def test_huge_numbers_are_refused_and_do_not_overflow(write) -> None:
+    with pytest.raises(DataError, match="line 3, column x: 1e\\+308 m found"):
+        load_throw(write("t,x,y\n0,1,2\n1,1e308,3\n2,1,4\n"))
+
+
 @pytest.mark.parametrize("cell", ["inf", "DNF", "NT", "x", ".", "?", "#N/A", "NA", ""])
 def test_gaps(write, cell: str) -> None:
     assert np.isnan(numbers_in([cell])[0])

@@ -507,7 +507,8 @@ def _may_be_grouped(values: Floats) -> Booleans:
     read as decimal points."""
     size = np.abs(values)
     whole = size == np.round(size)
-    thousandths = np.isclose(1000 * size, np.round(1000 * size), rtol=0, atol=1e-6)
+    below_1000 = np.minimum(size, 1000.0)
+    thousandths = np.abs(1000 * below_1000 - np.round(1000 * below_1000)) < 1e-6
     grouped = whole | ((size >= 1) & (size < 1000) & thousandths)
     return np.asarray(grouped.all(0))
 
