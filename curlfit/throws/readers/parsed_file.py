@@ -19,6 +19,9 @@ from curlfit.throws.readers.comments import read_comments
 from curlfit.throws.readers.text import TextFile
 from curlfit.throws.reference import Reference
 
+_CENTURY = (946684800.0, 4102444800.0)
+"""s since 1970, of the years 2000 and 2100."""
+
 
 class Series(NamedTuple):
     """One column of known quantity; `values` in SI (pixels for u and v), shape (n,)."""
@@ -65,13 +68,12 @@ class ParsedFile:
         file: TextFile,
         format: str,
         until: int | None = None,
-        source: str | None = None,
     ) -> ParsedFile:
         """A file with what its comments say, and no columns yet.
 
         Parameters
         ----------
-        until : as of `read_comments`. source : a name in place of the file.
+        until : as of `read_comments`.
 
         Raises
         ------
@@ -80,7 +82,7 @@ class ParsedFile:
         comments = read_comments(file, until)
         of_file = [] if file.note is None else [file.note]
         return cls(
-            source or file.path,
+            file.path,
             format,
             settings=comments.settings,
             reference=comments.reference,
@@ -122,15 +124,13 @@ class ParsedFile:
         )
 
     def rows(self, rows: np.ndarray) -> ParsedFile:
-        """Some of its rows; the notes and settings are copies."""
+        """Some of its rows, with lists and settings of their own."""
         return replace(
-            self,
+            self.copy(),
             series=[
                 series._replace(values=series.values[rows]) for series in self.series
             ],
             lines=None if self.lines is None else self.lines[rows],
-            notes=list(self.notes),
-            settings=dict(self.settings),
         )
 
     def add(self, header: str, column: Column, values: Floats) -> None:
@@ -158,10 +158,6 @@ def unit_since_1970(value: float) -> str | None:
         if _CENTURY[0] < value * in_unit("t", unit).factor < _CENTURY[1]:
             return unit
     return None
-
-
-_CENTURY = (946684800.0, 4102444800.0)
-"""s since 1970, of the years 2000 and 2100."""
 
 
 def clock_of(quantity: str, quantities: Any) -> str:

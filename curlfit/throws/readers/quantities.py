@@ -39,13 +39,11 @@ def find_table(
     ------
     DataError : the file is empty or begins with numbers.
     """
-    wanted = {heading.strip().lower() for heading in named.values()}
 
     def knows(table: Table) -> bool:
         columns = filter(None, map(meaning, table.headings))
         present = {column.quantity for column in columns} | named.keys()
-        has_wanted = wanted <= {heading.lower() for heading in table.headings}
-        return has_wanted and set(required) <= present
+        return table.has(named.values()) and set(required) <= present
 
     return Table.find(file, knows, expected)
 

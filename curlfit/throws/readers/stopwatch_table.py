@@ -43,8 +43,7 @@ class Heading(NamedTuple):
     @classmethod
     def of(cls, text: str) -> Heading:
         """The meaning of a heading."""
-        words = _SPLIT.split(text.strip().strip("\"'").lower())
-        words = list(filter(None, words))
+        words = _words(text.strip().strip("\"'"))
         for candidates in (words, _saying_something(words)):
             for count in range(len(candidates), max(len(candidates) - 2, 0), -1):
                 name = "_".join(candidates[:count])
@@ -64,6 +63,11 @@ class Heading(NamedTuple):
         return self._replace(unit=units.get(kind, self.unit))
 
 
+def _words(heading: str) -> list[str]:
+    """The words of a heading, in small letters."""
+    return list(filter(None, _SPLIT.split(heading.lower())))
+
+
 def _saying_something(words: Sequence[str]) -> list[str]:
     """The words of a heading without those that say nothing, as `interval` does."""
     return [word for word in words if word not in _SAYING_NOTHING]
@@ -71,8 +75,7 @@ def _saying_something(words: Sequence[str]) -> list[str]:
 
 def _name(heading: str) -> str:
     """A heading as a name: its words that say something, with underscores between."""
-    words = _SPLIT.split(heading.strip().lower())
-    return "_".join(_saying_something(list(filter(None, words))))
+    return "_".join(_saying_something(_words(heading)))
 
 
 def is_header(headings: Sequence[str]) -> bool:

@@ -8,7 +8,7 @@ so.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -115,9 +115,9 @@ class Table:
     def at(cls, file: TextFile, header: int) -> Table:
         """The table whose header is the line of an index, behind a `#` perhaps."""
         line = file.lines[header].lstrip().removeprefix("#")
-        separator = separator_of(line)
-        headings = headings_in(line)
-        return cls(file, header, separator, headings, (file.lines[header],))
+        return cls(
+            file, header, separator_of(line), headings_in(line), (file.lines[header],)
+        )
 
     @classmethod
     def find(
@@ -152,6 +152,11 @@ class Table:
     def error(self, message: str, options: tuple[Option, ...] = ()) -> DataError:
         """An error at the header, with options to type instead."""
         return self.file.error(message, self.header, options=options)
+
+    def has(self, headings: Iterable[str]) -> bool:
+        """Whether it has all of some headings, which a user has written."""
+        wanted = {heading.strip().lower() for heading in headings}
+        return wanted <= {heading.lower() for heading in self.headings}
 
     def sole(self, meanings: Sequence[str]) -> dict[str, int]:
         """The place of the column of each meaning; those without one, which is empty

@@ -24,7 +24,7 @@ from curlfit.throws.events import Event
 from curlfit.throws.odd_row import OddRow
 from curlfit.throws.readers.cells import headings_in
 from curlfit.throws.readers.columns import parse_header, parse_units
-from curlfit.throws.readers.comments import headings_named_in, read_comments
+from curlfit.throws.readers.comments import headings_named_in
 from curlfit.throws.readers.format import Contents, Format
 from curlfit.throws.readers.odd_rows import OddValue, odd_values
 from curlfit.throws.readers.parsed_file import ParsedFile
@@ -61,10 +61,11 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
     DataError : an unknown line, an impossible value, a curl without its side, or times
         that do not determine friction.
     """
-    settings = read_comments(file).settings
-    keep = {*reading.keep, *settings.get("keep", ())}
+    of_file = ParsedFile.begin(file, "timings")
+    keep = {*reading.keep, *of_file.settings.pop("keep", ())}
+    of_file.settings.pop("columns", None)
     rows = _throws_in(file, reading)
-    law = _usual_law(rows)
+    of_file.settings.setdefault("law", _usual_law(rows))
     several = len(rows) > 1
     odd_rows = _odd_rows(file, rows, keep) if several else ()
     without_time = [
@@ -78,11 +79,9 @@ def _contents(file: TextFile, reading: Reading) -> Contents:
 
     def parse(index: int) -> ParsedFile:
         row = rows[index]
-        source = f"{file.path} row {index + 1}" if several else None
-        parsed = ParsedFile.begin(file, "timings", source=source)
-        parsed.settings.setdefault("law", law)
-        for name in ("keep", "columns"):
-            parsed.settings.pop(name, None)
+        parsed = of_file.copy()
+        if several:
+            parsed.source = f"{file.path} row {index + 1}"
         record = Record(file, row, limited=row.line not in keep)
         parsed.events = record.events()
         parsed.labels = row.labels
@@ -219,11 +218,9 @@ def _throws_in(file: TextFile, reading: Reading) -> list[Row]:
     """Each throw in the file: those of a table, or the only one of a record."""
     named = {**headings_named_in(file), **reading.columns}
     units = parse_units(reading.units)
-    wanted = {heading.strip().lower() for heading in named.values()}
 
     def knows(table: Table) -> bool:
-        has_wanted = wanted <= {heading.lower() for heading in table.headings}
-        return has_wanted and (bool(wanted) or is_header(table.headings))
+        return table.has(named.values()) and (bool(named) or is_header(table.headings))
 
     head = [line for line in file.lines if not is_aside(line)][:MOST_TITLES]
     headings = (headings_in(line) for line in head)
