@@ -106,7 +106,7 @@ def test_gaps_of_every_kind_are_nan(make):
 @pytest.mark.parametrize(
     "times",
     [
-        np.where(T == 1, np.timedelta64("NaT"), NANOSECONDS),
+        np.where(T == 1, np.timedelta64("NaT", "ns"), NANOSECONDS),
         [None if t == 1 else date for t, date in zip(T, DATES, strict=True)],
     ],
 )
