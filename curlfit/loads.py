@@ -15,6 +15,9 @@ class Load(StrEnum):
     UNIFORM = "uniform"
     CONSISTENT = "consistent"
 
+    def __repr__(self) -> str:
+        return repr(self.value)
+
 
 LOADS: tuple[str, ...] = tuple(Load)
 

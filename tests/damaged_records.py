@@ -88,7 +88,7 @@ def save_all(folder: Path) -> None:
         result.save(folder / kind / f"{kind}.json")
     chain.save(folder / "fit" / "chain.h5")
     for one in found["joint"].throws:
-        own = folder / "joint" / folder_name(one.data["file"])
+        own = folder / "joint" / folder_name(one.data.file)
         own.mkdir(exist_ok=True)
         one.save(own / "fit.json")
 

@@ -18,6 +18,7 @@ from curlfit.batch.settings import (
 from curlfit.batch.table import ODD
 from curlfit.errors import CurlfitError, UnusableFitError
 from curlfit.findings import Finding
+from curlfit.inference.fit.coefficient_rows import left_open, rows_told
 from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.fit.result import FitResult
 from curlfit.settings.choices import Fitting
@@ -86,7 +87,7 @@ def _read(
 
 
 def _row(result: FitResult, plan: BatchSettings, sums: Sequence[str]) -> dict[str, Any]:
-    labels = result.data["labels"].items()
+    labels = result.data.labels.items()
     row: dict[str, Any] = {
         "status": "ok" if result.converged else "not usable",
         "reason": None if result.converged else result.status,
@@ -96,7 +97,7 @@ def _row(result: FitResult, plan: BatchSettings, sums: Sequence[str]) -> dict[st
             + ("" if item.stderr is None else f" +- {item.stderr!r}")
             for item in result.combinations
         ),
-        DURATION: result.data["to"] - result.data["from"],
+        DURATION: result.data.end - result.data.begin,
         LABELS: "; ".join(
             f"{name} = {label.replace(';', ',')}" for name, label in labels
         ),
@@ -112,10 +113,10 @@ def _row(result: FitResult, plan: BatchSettings, sums: Sequence[str]) -> dict[st
         item.expression: item for item in result.combinations if item.expression in sums
     }
     if result.converged:
-        numbers = result.rows_told().ravel()
+        numbers = rows_told(result).ravel()
         told = ", ".join(f"{number:.17g}" for number in numbers)
         row[INFORMATION] = f"[{told}]"
-        row[LEFT_OPEN] = "; ".join(result.left_open())
+        row[LEFT_OPEN] = "; ".join(left_open(result))
         known |= {
             item.expression: item for item in result.with_derived(plan.derive).derived
         }

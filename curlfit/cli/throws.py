@@ -333,10 +333,10 @@ def _fitted_model(folder: Path, given: Simulated) -> dict[str, Any]:
         fit.model, [float(value) for value in fit.values], fit.stone, Environment()
     )
     # times of the simulated throw begin at the first row
-    begin = fit.data["from"]
+    begin = fit.data.begin
     environment = system.environment
-    if fit.data["swept"] is not None:
-        swept_from, swept_to = fit.data["swept"]
+    if fit.data.swept is not None:
+        swept_from, swept_to = fit.data.swept
         environment = replace(
             environment, swept_from=swept_from - begin, swept_to=swept_to - begin
         )
@@ -362,6 +362,6 @@ def _fitted_model(folder: Path, given: Simulated) -> dict[str, Any]:
         "stone": system.stone.with_values(dict(given.stone)),
         "load": given.load or fit.load,
         "environment": environment,
-        "until": fit.data["to"] - begin,
+        "until": fit.data.end - begin,
         **start,
     }

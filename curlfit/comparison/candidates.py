@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from curlfit.comparison.adequacy import opposes_sliding
-from curlfit.comparison.result import Candidate
+from curlfit.comparison.result import Candidate, Coefficient, Sum
 from curlfit.errors import UnusableFitError
 from curlfit.friction import Law, Load, NetLaw
 from curlfit.inference.fit.estimates import Estimate
@@ -61,20 +61,13 @@ def described(
 
     return {
         "coefficients": {
-            name: {
-                "value": estimate.value,
-                "stderr": estimate.stderr,
-                "verdict": estimate.verdict,
-                "unit": estimate.unit,
-            }
+            name: Coefficient(
+                estimate.value, estimate.stderr, estimate.verdict, estimate.unit
+            )
             for name, estimate in estimates.items()
         },
         "combinations": tuple(
-            {
-                "expression": combination.expression,
-                "value": combination.value,
-                "stderr": combination.stderr,
-            }
+            Sum(combination.expression, combination.value, combination.stderr)
             for combination in combinations
             if combination.weights.keys() & estimates.keys()
         ),

@@ -53,7 +53,6 @@ from curlfit.inference.parameters import options_of, require_known
 from curlfit.inference.verdict import Verdict
 from curlfit.losses import LOSSES
 from curlfit.noises import NOISES, Noise
-from curlfit.records import plain
 from curlfit.settings.choices import Comparing, takes
 from curlfit.throws.friction_table import FrictionTable
 from curlfit.throws.throw import Throw, require_path, require_throw
@@ -156,7 +155,7 @@ def compare(
     return replace(
         comparison,
         lacking=_lacking(comparison, family),
-        data={**comparison.data, "flags": flags},
+        data=replace(comparison.data, flags=tuple(flags)),
     )
 
 
@@ -221,7 +220,7 @@ def _fitted(
         "converged": result.converged,
         "rms": result.rms,
         "warnings": result.warnings,
-        "noise_model": plain(result.noise),
+        "noise_model": result.noise,
         "n_parameters": number_of_parameters(result),
         "curl_explained": adequate.explained,
         "follows": adequate.follows,
@@ -251,7 +250,10 @@ def _needed_negative(result: FitResult) -> tuple[str, ...]:
     typical = np.array([result.parameters[name].typical for name in names])
     ridge = np.array(
         [
-            [direction.get(name, 0.0) for direction in result.null_directions]
+            [
+                direction.get(name, 0.0)
+                for direction in result.identifiability.null_directions
+            ]
             for name in names
         ]
     )

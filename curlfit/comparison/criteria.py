@@ -237,9 +237,9 @@ class Posterior(NamedTuple):
     def of(cls, result: FitResult) -> Self:
         """From a fit, whose own priors are among the prior."""
         free = result.parameter_set.free
-        names = result.information["names"]
-        information = np.array(result.information["matrix"])
-        gradient = np.array(result.information["gradient"])
+        names = result.information.names
+        information = result.information.matrix
+        gradient = result.information.gradient
         # of the data alone: without what the priors of the fit say
         _, slope, square = result.parameter_set.penalty.quadratic(result.values)
         information -= np.diag(square[free])

@@ -70,7 +70,7 @@ def comparison_figure(comparison: Comparison) -> draw.Picture:
         residual.plot(t, 1000 * (x - fitted["x"]), **style)
     path.margins(x=0.02, y=0.1)
     draw.x_along_y(path)
-    draw.title(path, f"{draw.file_name(comparison.data['file'])}: {len(shown)} fits")
+    draw.title(path, f"{draw.file_name(comparison.data.file)}: {len(shown)} fits")
     path.legend(loc="upper left", bbox_to_anchor=(1.1, 1.04), labelspacing=0.3)
     residual.axhline(0, **draw.ZERO_LINE)
     residual.set(xlabel="t (s)", ylabel="residual of x (mm)")

@@ -55,7 +55,7 @@ def lacking(
     observed = best.observed
     fitted = best.fitted
     moving = _measured_in_motion(best)
-    if moving.sum() < _FEWEST or best.model.conditions or best.data["swept"]:
+    if moving.sum() < _FEWEST or best.model.conditions or best.data.swept:
         return None
     t = observed["t"][moving]
     at = np.linspace(t[0], t[-1], POINTS)
@@ -141,8 +141,8 @@ def _errors(fit: FitResult, family: type[LawFamily] | None, states: _States) -> 
     """Standard errors of the accelerations of a fitted law by those of its
     coefficients, shape (3, POINTS)."""
     names = list(fit.coefficients)
-    is_coefficient = np.isin(fit.covariance["names"], names)
-    is_free = np.isin(names, fit.covariance["names"])
+    is_coefficient = np.isin(fit.covariance.names, names)
+    is_free = np.isin(names, fit.covariance.names)
     if not is_free.any():
         return np.zeros((3, POINTS))
     typical = [estimate.typical for estimate in fit.coefficients.values()]
@@ -152,7 +152,7 @@ def _errors(fit: FitResult, family: type[LawFamily] | None, states: _States) -> 
         _STEP * np.array(typical),
         is_free,
     )
-    matrix = np.array(fit.covariance["matrix"])[np.ix_(is_coefficient, is_coefficient)]
+    matrix = fit.covariance.matrix[np.ix_(is_coefficient, is_coefficient)]
     variance = ((by_coefficient @ matrix) * by_coefficient).sum(-1)
     errors: Floats = np.sqrt(np.maximum(variance, 0.0))
     return errors

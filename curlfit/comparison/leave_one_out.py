@@ -95,7 +95,7 @@ def leave_one_out(
     values = result.values - offset
     parameters = result.parameter_set.shifted(-offset)
     model = result.model.within(family)
-    error = np.sqrt(np.diag(np.array(result.information["matrix"])))
+    error = np.sqrt(np.diag(result.information.matrix))
     step = _STEP * parameters.typical
     step[free] = _STEP / np.maximum(error, 1 / parameters.typical[free])
 

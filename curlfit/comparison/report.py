@@ -26,7 +26,7 @@ from curlfit.losses import LOSSES
 from curlfit.noises import WHITE
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Said, Section, command_line, show
-from curlfit.output.text import rows_text, stone_text
+from curlfit.output.text import stone_text
 from curlfit.wording import compact, join_words
 
 _PROBABLE = 0.01  # weight of a law that is named
@@ -68,7 +68,7 @@ def document(comparison: Comparison) -> Document:
         subject=f"{fits}; the path {curl}",
         headline=Text(fits, style="bold"),
         about=(
-            f"{rows_text(data)}; stone {stone_text(comparison.stone, mass=False)}",
+            f"{data.in_words}; stone {stone_text(comparison.stone, mass=False)}",
             f"The path {curl}",
         ),
         sections=(
@@ -88,11 +88,11 @@ def document(comparison: Comparison) -> Document:
         notes=_notes(comparison),
         title=f"{Path(data['file']).name}: which law?",
         settings={
-            "Data": f"{data['file']}, {rows_text(data)}",
+            "Data": f"{data['file']}, {data.in_words}",
             "Stone": stone_text(comparison.stone),
             "Loss, noise": f"{comparison.loss}, {comparison.noise}",
         },
-        command=command_line("compare", data["file"], *data.get("flags", ())),
+        command=command_line("compare", data.file, *data.flags),
     )
 
 

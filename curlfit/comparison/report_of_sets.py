@@ -67,7 +67,7 @@ def document_of_sets(comparison: Comparison) -> Document:
         command=command_line(
             "compare",
             *(data_set.name for data_set in sets),
-            *comparison.data.get("flags", ()),
+            *comparison.data.flags,
         ),
     )
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from os import PathLike
-from typing import Annotated, Any, ClassVar, get_type_hints
+from typing import Any, ClassVar
 
 import numpy as np
 
 from curlfit.findings import Finding
-from curlfit.inference.fit.result import DataOfFit, FitResult, LossName, NoiseName
+from curlfit.inference.fit.entries import AnyNoise, DataOfFit, LossName, NoiseName
+from curlfit.inference.fit.result import FitResult
 from curlfit.inference.verdict import Verdict
 from curlfit.noises import NOISES, WHITE
 from curlfit.numerics.arrays import Floats
@@ -18,9 +19,9 @@ from curlfit.records import (
     ADDED,
     SERIES,
     UNSAVED,
+    Entry,
     Matrix,
     Record,
-    keys,
     require,
     require_rows,
 )
@@ -33,22 +34,23 @@ FOLLOWS = 1.5**2
 times the noise."""
 
 
-_Coefficient = Annotated[
-    dict[str, Any], keys(value=float, stderr=float | None, verdict=Verdict, unit=str)
-]
-_Sum = Annotated[dict[str, Any], keys(expression=str, value=float, stderr=float | None)]
+@dataclass(frozen=True)
+class Coefficient(Entry):
+    """A coefficient of a candidate; see `FitResult.parameters`."""
+
+    value: float
+    stderr: float | None
+    verdict: Verdict
+    unit: str
 
 
-def _entries_of_noises() -> dict[str, Any]:
-    """The entries of all noises in files, and their types."""
-    entries: dict[str, Any] = {}
-    for noise in NOISES.values():
-        hints = get_type_hints(type(noise))
-        entries |= {entry.name: hints[entry.name] for entry in fields(noise)}
-    return entries
+@dataclass(frozen=True)
+class Sum(Entry):
+    """What is determined where single coefficients are not."""
 
-
-_Noise = Annotated[dict[str, Any], keys(False, **_entries_of_noises())]
+    expression: str
+    value: float
+    stderr: float | None
 
 
 @dataclass(frozen=True)
@@ -116,9 +118,9 @@ class Candidate:
     signs_free : whether coefficients may have either sign, contrary to the
         law's own bounds.
     status, converged : of the fit; without a fit, all that follows is None or empty.
-    coefficients : by name, {"value", "stderr", "verdict", "unit"}; see `FitResult`.
-    combinations : expression and value, where single coefficients are not identifiable.
-    noise, noise_model : the noise model's name, and its parameters as in `fit.json`.
+    coefficients : by name.
+    combinations : what is determined where single coefficients are not.
+    noise, noise_model : the noise model's name, and its estimates.
     n_parameters : effective number (see `curlfit.comparison.criteria`), including the
         estimated ones of the noise.
     rms : by channel, m, m, rad. bulk : the scale of the bulk of the residuals (1.4826
@@ -165,8 +167,8 @@ class Candidate:
     signs_free: bool
     status: str
     converged: bool = False
-    coefficients: dict[str, _Coefficient] | None = None
-    combinations: tuple[_Sum, ...] = ()
+    coefficients: dict[str, Coefficient] | None = None
+    combinations: tuple[Sum, ...] = ()
     n_parameters: float | None = None
     rms: dict[str, float] | None = None
     bulk: dict[str, float] | None = None
@@ -193,7 +195,7 @@ class Candidate:
     warnings: tuple[Finding, ...] = ()
     fitted: dict[str, list[float]] | None = None
     noise: NoiseName = WHITE.kind
-    noise_model: _Noise = field(default_factory=dict)
+    noise_model: AnyNoise | None = None
     sets: tuple[OnSet, ...] = ()
     p_together: float | None = None
 

@@ -34,6 +34,7 @@ from curlfit.errors import InputError, UnusableFitError
 from curlfit.friction.family import family_of
 from curlfit.friction.registry import laws_under
 from curlfit.inference.fit.covariance import CONVERGED
+from curlfit.inference.fit.entries import DataOfFit
 from curlfit.inference.joint.data_sets import LawOnSets, Noise, Told, best, data_sets
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.problem import ROWS_OF_DATA
@@ -107,20 +108,13 @@ def compare_sets(
     candidates = (*(Candidate(**made[row]) for row in ranked(made)), *failed)
     first = found[0].law
     return Comparison(
-        data={
-            "file": ", ".join(one.name for one in sets),
-            "rows": int(first.counts().sum()),
-            "from": 0.0,
-            "to": 0.0,
-            "law_file": None,
-            "since": None,
-            "until": None,
-            "exclude": [],
-            "swept": None,
-            "sigma": {},
-            "notes": [],
-            "flags": chosen.words(),
-        },
+        data=DataOfFit(
+            file=", ".join(data_set.name for data_set in sets),
+            rows=int(first.counts().sum()),
+            begin=0.0,
+            end=0.0,
+            flags=tuple(chosen.words()),
+        ),
         stone=first.rounds.throws[0].stone,
         curl=0.0,
         side=None,

@@ -79,12 +79,12 @@ def _coefficients(candidate: Candidate) -> Text | Items:
         if verdict == Verdict.NOT_IDENTIFIABLE:
             continue
         unit = "" if coefficient["unit"] == "1" else f" {coefficient['unit']}"
-        value = compact(coefficient["value"], coefficient["stderr"])
+        value = compact(coefficient.value, coefficient.stderr)
         is_plain = verdict in (Verdict.DETERMINED, Verdict.FIXED)
         remark = "" if is_plain else f" {verdict}"
         texts.append(Text.assemble(f"{name} = {value}{unit}", (remark, STYLE[verdict])))
     for combination in candidate.combinations:
-        value = compact(combination["value"], combination["stderr"])
+        value = compact(combination.value, combination.stderr)
         texts.append(Text(f"{combination['expression']} = {value}"))
     if candidate.not_identifiable:
         hidden = f"{join_words(candidate.not_identifiable)} not identifiable"

@@ -135,7 +135,7 @@ def parameters_csv(result: FitResult | JointResult) -> str:
     for fit in throws:
         for row in rows_of(fit):
             if row.cells["name"] not in shared:
-                lines.append((fit.data["file"], *row.cells.values()))
+                lines.append((fit.data.file, *row.cells.values()))
     return csv_lines([("throw", *_ESTIMATE), *lines])
 
 
@@ -156,7 +156,7 @@ def path_csv(fits: Sequence[FitResult]) -> str:
             observed = fit.observed.get(name, empty)
             fitted = fit.fitted.get(name, empty)
             columns += [observed, fitted, observed - fitted]
-        label = [fit.data["file"]] if several else []
+        label = [fit.data.file] if several else []
         lines += [[*label, *row] for row in np.column_stack(columns).tolist()]
     return csv_lines(lines)
 
@@ -221,7 +221,7 @@ def candidates_table(comparison: Any) -> str:
         row["follows"] = follows[candidate.follows] if candidate.converged else "no fit"
         rows.append(row)
     caption = (
-        f"Friction laws fitted to {_file(comparison.data['file'])}, by BIC: "
+        f"Friction laws fitted to {_file(comparison.data.file)}, by BIC: "
         "number of parameters $k$, rms of the residuals, and whether the law follows "
         f"the path. {_software()}"
     )
@@ -261,7 +261,7 @@ def _caption(result: FitResult | JointResult) -> str:
     if result.kind == "joint":
         what = f"{cast('JointResult', result).count} throws together"
     else:
-        what = f"{_file(fits[0].data['file'])} ({counted(fits[0].data['rows'], 'row')})"
+        what = f"{_file(fits[0].data.file)} ({counted(fits[0].data.rows, 'row')})"
     stone = result.stone
     text = (
         f"Estimates of the {escaped(result.law)} law under "

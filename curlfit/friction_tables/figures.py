@@ -39,7 +39,7 @@ def friction_figure(result: FrictionFits) -> draw.Picture:
         label = draw.literal(", ".join(curve.laws[:2]) + more)
         axes.plot(curve.speed, curve.mu, **style, label=label)
     axes.set(xlabel="speed (m/s)", ylabel="coefficient of friction", ylim=(0, None))
-    draw.title(axes, f"{draw.file_name(result.data['file'])}: friction against speed")
+    draw.title(axes, f"{draw.file_name(result.data.file)}: friction against speed")
     figure.legend(*axes.get_legend_handles_labels(), loc="outside right upper")
     return figure
 

@@ -15,7 +15,7 @@ from curlfit.errors import InputError
 from curlfit.friction import Law, NetLaw, check_load
 from curlfit.friction.family import family_of
 from curlfit.friction.registry import laws_under
-from curlfit.friction_tables.result import FrictionFit, FrictionFits
+from curlfit.friction_tables.result import DataOfTable, FrictionFit, FrictionFits
 from curlfit.inference.fit.caveats import of_bounds, of_ridges
 from curlfit.inference.fit.covariance import CONVERGED
 from curlfit.inference.joint.data_sets import DataSet, LawOnSets
@@ -81,7 +81,7 @@ def fit_friction(
     if table.sigma is not None:
         observed["sigma"] = table.sigma
         sigma = "given"
-    return FrictionFits({"file": table.name, "sigma": sigma}, observed, tuple(in_order))
+    return FrictionFits(DataOfTable(table.name, sigma), observed, tuple(in_order))
 
 
 def _fitted(on_table: LawOnSets, table: FrictionTable) -> FrictionFit:

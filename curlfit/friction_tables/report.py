@@ -37,7 +37,7 @@ def document(result: FrictionFits) -> Document:
     if len(result.fits) == 1:
         finding = "converged" if first.converged else "not converged"
     notes = []
-    if result.data["sigma"] == "estimated":
+    if result.data.sigma == "estimated":
         notes.append(Finding.note("sigma-by-law"))
     return Document(
         finding=finding,
@@ -48,7 +48,7 @@ def document(result: FrictionFits) -> Document:
         headline=Text.assemble(
             ("friction against speed", "bold"),
             f": {len(speed)} values, {speed.min():g} .. {speed.max():g} m/s, "
-            f"{result.data['file']}",
+            f"{result.data.file}",
         ),
         about=(_conclusion(result),),
         lines=[_determined(first)],
@@ -62,9 +62,9 @@ def document(result: FrictionFits) -> Document:
             warning.of(fit.law) for fit in result.fits for warning in fit.warnings
         ],
         notes=notes,
-        title=f"{result.data['file']}: friction against speed",
-        settings={"Data": result.data["file"], "Sigma": result.data["sigma"]},
-        command=command_line("compare", result.data["file"]),
+        title=f"{result.data.file}: friction against speed",
+        settings={"Data": result.data.file, "Sigma": result.data.sigma},
+        command=command_line("compare", result.data.file),
     )
 
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from os import PathLike
-from typing import Annotated, Any
 
 from curlfit.findings import Finding
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.identifiability import Combination
 from curlfit.numerics.arrays import Floats
-from curlfit.records import Arrays, Record, keys, require_rows
+from curlfit.records import Arrays, Entry, Record, require_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,13 +42,27 @@ class FrictionFit:
     curve: Arrays
 
 
+@dataclass(frozen=True)
+class DataOfTable(Entry):
+    """The table that was fitted.
+
+    Attributes
+    ----------
+    file : its name.
+    sigma : "given" or "estimated".
+    """
+
+    file: str
+    sigma: str
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class FrictionFits(Record):
     """Laws fitted to a table of friction, the one with the least BIC first.
 
     Attributes
     ----------
-    data : `file`, and whether `sigma` was "given" or "estimated".
+    data : the table.
     observed : speed (m/s), omega (rad/s), mu and, where given, sigma.
 
     Examples
@@ -58,7 +71,7 @@ class FrictionFits(Record):
     'determined'
     """
 
-    data: Annotated[dict[str, Any], keys(file=str, sigma=str)]
+    data: DataOfTable
     observed: Arrays
     fits: tuple[FrictionFit, ...]
 

@@ -81,7 +81,7 @@ class Additions:
         from curlfit.html_report.replay import replay_of_fit
 
         for number, fit in enumerate(fits):
-            label = Path(fit.data["file"]).name if len(fits) > 1 else ""
+            label = Path(fit.data.file).name if len(fits) > 1 else ""
             self.move("throw", replay_of_fit(fit, f"replay-{number}", label))
 
 
@@ -96,12 +96,12 @@ def _of_joint(page: Additions, joint: JointResult) -> None:
     measured = {}
     for throw in throws:
         parts = (extent(throw), quantities_line(throw))
-        file = Path(throw.data["file"]).name
+        file = Path(throw.data.file).name
         measured[file] = "; ".join(part for part in parts if part)
     page.add("coefficients", rows("The throws", measured))
     shared = [
         direction
-        for direction in throws[0].null_directions
+        for direction in throws[0].identifiability.null_directions
         if set(direction) <= set(joint.share)
     ]
     page.directions(throws, shared)
@@ -123,7 +123,7 @@ def _of_prediction(page: Additions, prediction: Prediction) -> None:
 
 def _of_fit(page: Additions, fit: FitResult) -> None:
     """The null directions of a fit, and its throw, animated."""
-    page.directions([fit], fit.null_directions)
+    page.directions([fit], fit.identifiability.null_directions)
     page.throws([fit])
 
 

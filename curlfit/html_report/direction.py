@@ -241,7 +241,7 @@ def _axes(
     text = f"{ranges[1]} against {ranges[0]}"
     if throws == 1:
         return text
-    return f"{text} of {Path(fit.data['file']).name}, one of {throws} throws"
+    return f"{text} of {Path(fit.data.file).name}, one of {throws} throws"
 
 
 def _change(

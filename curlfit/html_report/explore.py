@@ -59,14 +59,14 @@ class Explorer:
         self.errors = {reach: curves.errors(reach) for reach in (HALF, WHOLE)}
         drawing = _drawing(curves)
         block = Block("sliders", _shown(curves, self.errors))
-        title = f"Sliders of a fit to {Path(fit.data['file']).name}"
+        title = f"Sliders of a fit to {Path(fit.data.file).name}"
         data = {_ID: _data(curves, drawing)}
         self.page = page_alone(title, block, data, ("moving.js", "sliders.js"))
         height = _FRAME + _PER_CHANNEL * len(fit.rms)
         self._height = height + _PER_SLIDER * len(curves.sliders)
 
     def __repr__(self) -> str:
-        return f"Explorer of a fit of the {self.fit.law} law to {self.fit.data['file']}"
+        return f"Explorer of a fit of the {self.fit.law} law to {self.fit.data.file}"
 
     def _repr_html_(self) -> str:
         """The page in a frame: neither its style nor its ids meet those of the

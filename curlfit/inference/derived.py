@@ -30,6 +30,7 @@ from curlfit.inference.identifiability import (
     WithInterval,
     errors_of,
 )
+from curlfit.inference.named_matrix import NamedMatrix
 from curlfit.inference.verdict import Verdict
 from curlfit.numerics.arrays import Floats
 from curlfit.output.text import sided
@@ -126,8 +127,8 @@ class FirstOrder(NamedTuple):
 
     parameters: Mapping[str, Any]
     """an `Estimate` each (`curlfit.inference.fit.estimates`)"""
-    covariance: Mapping[str, Any]
-    """{"names", "matrix"} of the parameters that can move"""
+    covariance: NamedMatrix
+    """of the parameters that can move"""
     null_directions: Sequence[Mapping[str, float]]
     combinations: Sequence[Combination]
     widths: Mapping[str, float]
@@ -143,7 +144,7 @@ class FirstOrder(NamedTuple):
     @property
     def names(self) -> tuple[str, ...]:
         """The parameters that can move."""
-        return tuple(self.covariance["names"])
+        return self.covariance.names
 
     @property
     def values(self) -> dict[str, float]:
@@ -166,9 +167,7 @@ class FirstOrder(NamedTuple):
         """Standard error of a quantity with this gradient; null directions
         are ignored."""
         row = self.vector(gradient)
-        return math.sqrt(
-            max(float(row @ np.array(self.covariance["matrix"]) @ row), 0.0)
-        )
+        return math.sqrt(max(float(row @ self.covariance.matrix @ row), 0.0))
 
     def size(self, gradient: Mapping[str, float]) -> float:
         """The change of a quantity that typical sizes of the parameters imply."""
@@ -206,7 +205,7 @@ class FirstOrder(NamedTuple):
         if np.linalg.norm(in_space) > _NO_PART:
             follow = (in_space @ self.null_space()) * self._typical
         else:
-            follow = np.array(self.covariance["matrix"])[:, index]
+            follow = self.covariance.matrix[:, index]
         if follow[index] == 0.0:
             return np.zeros(len(follow))
         return np.asarray(follow / follow[index])
@@ -218,7 +217,7 @@ class FirstOrder(NamedTuple):
         index = self.names.index(name)
         hold = np.eye(len(self.names))
         hold[:, index] -= self.follow(name)
-        matrix = hold @ np.array(self.covariance["matrix"]) @ hold.T
+        matrix = hold @ self.covariance.matrix @ hold.T
         space = self.null_space()
         in_space = space[:, index]
         if np.linalg.norm(in_space) > _NO_PART:
@@ -229,7 +228,7 @@ class FirstOrder(NamedTuple):
             dict(zip(self.names, (row * self._typical).tolist(), strict=True))
             for row in space
         ]
-        covariance = {"names": list(self.names), "matrix": matrix}
+        covariance = NamedMatrix(self.names, matrix)
         return self._replace(covariance=covariance, null_directions=null_directions)
 
     def across(self, gradient: Mapping[str, float], shift: Floats) -> float:

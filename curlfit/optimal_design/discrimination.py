@@ -12,7 +12,7 @@ from rich.text import Text
 
 from curlfit.findings import Finding
 from curlfit.foreign import counted
-from curlfit.inference.fit.result import LoadName
+from curlfit.loads import Load
 from curlfit.optimal_design.report import measured, noise_text, throws_text
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Said, Section, show
@@ -141,7 +141,7 @@ class Discrimination(Record):
     kind: ClassVar[str] = "discrimination"
 
     laws: dict[str, dict[str, float]]
-    load: LoadName
+    load: Load
     stone: Stone
     sigma: dict[str, float]
     rate: float

@@ -8,9 +8,9 @@ from os import PathLike
 from typing import Any, ClassVar
 
 from curlfit.findings import Finding
-from curlfit.inference.fit.result import LoadName
 from curlfit.inference.identifiability import Combination
 from curlfit.inference.verdict import Verdict
+from curlfit.loads import Load
 from curlfit.output.frames import frame
 from curlfit.records import Record, require, require_rows
 from curlfit.stone import Stone
@@ -132,7 +132,7 @@ class Design(Record):
     kind: ClassVar[str] = "design"
 
     law: str
-    load: LoadName
+    load: Load
     stone: Stone
     coefficients: dict[str, float]
     symbols: dict[str, str]

@@ -286,7 +286,7 @@ def law_and_load(result: Any) -> str:
 
 def heading_of(result: Any) -> str:
     """The data of a result and what was fitted, for a title."""
-    return f"{file_name(result.data['file'])}: {law_and_load(result)}"
+    return f"{file_name(result.data.file)}: {law_and_load(result)}"
 
 
 @lru_cache

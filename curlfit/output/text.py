@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 from rich.text import Text
 
-from curlfit.foreign import counted
 from curlfit.stone import UNITS, Stone
 
 STYLE = {
@@ -43,18 +39,6 @@ def stone_text(stone: Stone, *, mass: bool = True) -> str:
     return ", ".join(
         f"{name} = {getattr(stone, name):g} {UNITS[name]}" for name in names
     )
-
-
-def rows_text(data: Mapping[str, Any]) -> str:
-    """Number of the rows used of a file, and the times that they span; empty
-    without rows."""
-    parts = []
-    if data["rows"]:
-        parts.append(counted(data["rows"], "row"))
-        parts.append(f"t = {data['from']:g} .. {data['to']:g} s")
-    for begin, end in data.get("exclude") or ():
-        parts.append(f"without {begin:g} .. {end:g} s")
-    return ", ".join(parts)
 
 
 def sided(meaning: str, value: float) -> tuple[str, float]:

@@ -483,8 +483,9 @@ def _stone_posterior(throw: Throw, radius: float, rho: float) -> Floats:
     the factor, chi squared, volume."""
     result = _fitted(throw, radius, rho)
     rows = np.array([result.first_order.vector(weights) for weights in _SUMS])
-    factor = np.linalg.cholesky(rows @ np.array(result.covariance["matrix"]) @ rows.T)
-    log_volume = -np.log(result.singular_values[: result.rank]).sum()
+    factor = np.linalg.cholesky(rows @ result.covariance.matrix @ rows.T)
+    determined = result.identifiability
+    log_volume = -np.log(determined.singular_values[: determined.rank]).sum()
     triangle = factor[np.tril_indices(3)]
     return np.array(
         [*coefficients_of(result), *triangle, result.chi_squared, log_volume]
@@ -614,13 +615,13 @@ def split(studies: Any) -> Judged:
     ring = studies.ring
     fit_of_eq_28 = studies.eq28.fit
     difference = {"mu1_eta": 1.0, "mu2_eta": -1.0}
-    exchanged = [*fit_of_eq_28.null_directions] == [difference]
+    exchanged = [*fit_of_eq_28.identifiability.null_directions] == [difference]
     greatest = ring.split_uniform.max()
     slow = ring.split_consistent[ring.split_epsilon == 0.1][0]
     return judged(
         exchanged and greatest < 1e-12,
-        last=fit_of_eq_28.singular_values[-1],
-        next=fit_of_eq_28.singular_values[-2],
+        last=fit_of_eq_28.identifiability.singular_values[-1],
+        next=fit_of_eq_28.identifiability.singular_values[-2],
         greatest=greatest,
         slow=100 * abs(slow),
     )

@@ -273,7 +273,7 @@ def split_figure(studies: Any) -> draw.Picture:
     change.set_ylim(1e-17, 1)
     change.set_title(_SPLIT_NAME + " = (0.012, 0.006) exchanged")
     change.legend(loc="center left")
-    values = np.array(studies.eq28.fit.singular_values)
+    values = np.array(studies.eq28.fit.identifiability.singular_values)
     order = np.arange(1, len(values) + 1)
     spectrum.semilogy(order[:-1], values[:-1], "o", color=_CORRECT)
     spectrum.semilogy(order[-1:], values[-1:], "o", color=_RED)

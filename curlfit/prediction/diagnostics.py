@@ -108,7 +108,7 @@ def _of_null_directions(fit: FitResult, simulation: Simulation) -> Iterator[Find
     if fit.ridge:
         yield Finding.note("bands-along-curve")
         return
-    for index, direction in enumerate(fit.null_directions):
+    for index, direction in enumerate(fit.identifiability.null_directions):
         ends = simulation.probed[f"null {index}"]
         numbers: dict[str, Any] = {"names": [*direction], "count": len(direction)}
         if not ends.good.all():
@@ -192,7 +192,7 @@ def compare_held_out(
 ) -> HeldOut:
     """Comparison of the prediction with measured rows after the fitted ones."""
     fit = planned.fit
-    last = fit.data["to"]
+    last = fit.data.end
     _require_same_throw(throw, fit)
     later = np.flatnonzero(throw.t > last)
     if not len(later):
@@ -201,7 +201,7 @@ def compare_held_out(
             "fit with a smaller --until"
         )
     later = later[:: len(later) // MOST_ROWS + 1]
-    t = throw.t[later] - fit.data["from"]
+    t = throw.t[later] - fit.data.begin
     best = simulation.best.positions_at(t)[0]
     draws = simulation.full.positions_at(t)
     # from the coordinates of the data to those of the sheet
@@ -266,6 +266,6 @@ def _require_same_throw(throw: Throw, fit: FitResult) -> None:
         size = 10 * fit.rms[name] + 0.05 * float(np.ptp(fit.fitted[name]))
         if not np.isfinite(off).any() or np.nanmedian(off) > size:
             raise InputError(
-                f"{throw.name}: not the throw that was fitted ({fit.data['file']}): "
-                f"{name} differs before t = {fit.data['to']:g} s"
+                f"{throw.name}: not the throw that was fitted ({fit.data.file}): "
+                f"{name} differs before t = {fit.data.end:g} s"
             )

@@ -230,7 +230,7 @@ class ThrowFamily:
         self.environment = LEVEL_AND_STILL  # a new throw is not swept
         if not throw.new:
             self.environment = environment_of(
-                fit.data["swept"], float(fit.observed["t"][0])
+                fit.data.swept, float(fit.observed["t"][0])
             )
 
     def with_start(
@@ -286,7 +286,7 @@ class ThrowFamily:
             vectors[name] = self.with_start(best[None])
             vectors[name][0, names.index(name)] += change
         parameters = self.fit.parameter_set
-        for index, direction in enumerate(self.fit.null_directions):
+        for index, direction in enumerate(self.fit.identifiability.null_directions):
             along = np.array([direction.get(name, 0.0) for name in names])
             # how far along the direction each parameter is at its bounds
             with np.errstate(all="ignore"):

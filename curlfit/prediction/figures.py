@@ -174,8 +174,8 @@ def _resting_place(prediction: Prediction, axes: Any) -> None:
     _stone(axes, (x, y), hollow=True)
     if prediction.goal is not None:
         axes.plot(
-            prediction.goal["x"] or 0.0,
-            prediction.goal["y"],
+            prediction.goal.x or 0.0,
+            prediction.goal.y,
             "+",
             color=draw.REFERENCE_COLOR,
             markersize=9,

@@ -43,7 +43,14 @@ from curlfit.numerics.arrays import Floats
 from curlfit.prediction import diagnostics
 from curlfit.prediction.ensemble import ThrowFamily, prepare_ensemble, weights_of
 from curlfit.prediction.request import PlannedThrow, both_turns, planned
-from curlfit.prediction.result import CENTRED, Call, Prediction
+from curlfit.prediction.result import (
+    CENTRED,
+    Call,
+    Draws,
+    Prediction,
+    Source,
+    Start,
+)
 from curlfit.prediction.simulation import Simulation
 from curlfit.throws.odd_row import OddRow
 from curlfit.throws.throw import CHANNELS, Throw
@@ -133,7 +140,7 @@ def predict(
     if isinstance(fit, JointResult):
         odd_rows = fit.odd_rows
         fit, values = another(fit, call.labels, draws, random)
-        source = "throws"
+        source: Source = "throws"
     else:
         fit, chain, notes = _with_white_noise(fit, chain, call, draws)
         values, source, warnings = _drawn_values(fit, chain, draws, random)
@@ -158,19 +165,19 @@ def predict(
         law=fit.law,
         load=fit.load,
         stone=fit.stone,
-        fit={key: fit.data[key] for key in ("file", "rows", "from", "to")},
+        fit=fit.data.extent,
         start={
-            component.name: {
-                "value": float(throw.values[component.name]),
-                "unit": component.unit,
-                "origin": throw.origins[component.name],
-            }
+            component.name: Start(
+                value=float(throw.values[component.name]),
+                unit=component.unit,
+                origin=throw.origins[component.name],
+            )
             for component in START
         },
         of="new" if throw.new else "fitted",
         line="" if throw.origins["y0"] == "given" else throw.line,
         goal=throw.goal,
-        draws={"number": draws, "used": used, "source": source, "seed": seed},
+        draws=Draws(number=draws, used=used, source=source, seed=seed),
         call=call,
         odd_rows=odd_rows,
         weights=weights_of(fit, throw.values["omega0"]) if together else (),
@@ -268,7 +275,7 @@ def held_out(
 
 def _drawn_values(
     fit: FitResult, chain: Chain | None, draws: int, random: np.random.Generator
-) -> tuple[Floats, str, list[Finding]]:
+) -> tuple[Floats, Source, list[Finding]]:
     """Parameter vectors from the posterior, their source, and a warning where they are
     few."""
     if chain is not None:

@@ -11,10 +11,11 @@ from rich.text import Text
 
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Said, Section, show
-from curlfit.output.text import labelled, rows_text, sided, stone_text
+from curlfit.output.text import labelled, sided, stone_text
 from curlfit.prediction.result import (
     OUTCOMES,
     QUANTITIES,
+    Goal,
     HeldOut,
     Prediction,
     Quantity,
@@ -83,7 +84,7 @@ def document(prediction: Prediction) -> Document:
     odd = odd_rows_in_words(prediction.odd_rows)
     aim = []
     if prediction.goal is not None:
-        aim.append(_aim(prediction))
+        aim.append(_aim(prediction, prediction.goal))
     if prediction.of == "fitted":
         throw = "the fitted throw, extrapolated to rest"
         title = "the throw to rest"
@@ -128,7 +129,7 @@ def document(prediction: Prediction) -> Document:
         title=f"{Path(fit['file']).name}: {title}",
         settings={
             "Law, load": f"{prediction.law}, {prediction.load}",
-            "Fit": f"{fit['file']}, {rows_text(fit)}",
+            "Fit": f"{fit['file']}, {fit.in_words}",
             "Stone": stone_text(prediction.stone),
             "Start": ", ".join(
                 f"{name} = {component['value']:.6g} {component['unit']} "
@@ -155,7 +156,7 @@ def _knows_no_curl(prediction: Prediction) -> bool:
     """Whether it is of draws without a measured curl, whose law leaves it open: such a
     law goes straight on, and no stone does."""
     curl = prediction.quantities["curl"].value
-    return prediction.draws["source"] == "throws" and abs(curl) < _STRAIGHT
+    return prediction.draws.source == "throws" and abs(curl) < _STRAIGHT
 
 
 def describe_rest(prediction: Prediction) -> tuple[str, str]:
@@ -197,30 +198,29 @@ def _start(prediction: Prediction) -> str:
     components = []
     for name, label in _START.items():
         component = prediction.start[name]
-        origin = component["origin"]
+        origin = component.origin
         if origin == "given" or name not in _PLACE:
             value = f"{component['value']:.5g} {component['unit']}"
             components.append(f"{label} {value} ({origin})")
     return f"It starts {_LINES[prediction.line]}: {', '.join(components)}"
 
 
-def _aim(prediction: Prediction) -> str:
+def _aim(prediction: Prediction, goal: Goal) -> str:
     """Speed and heading that were solved for, and the goal that they reach."""
-    goal = prediction.goal or {}
     start = prediction.start
-    aim = f"With {start['v0']['value']:.4f} m/s"
-    if start["heading"]["origin"] == "found":
-        heading = start["heading"]["value"]
+    aim = f"With {start['v0'].value:.4f} m/s"
+    if start["heading"].origin == "found":
+        heading = start["heading"].value
         aim += (
             f" and a heading of {1000 * heading:.2f} mrad "
             f"({abs(math.degrees(heading)):.2f} degrees to the "
             f"{'right' if heading > 0 else 'left'})"
         )
-    x = goal["x"]
-    y = goal["y"]
+    x = goal.x
+    y = goal.y
     tee = "the tee line" if x is None else "the tee"
-    if goal["speed"]:
-        return f"{aim} it passes {tee} at {goal['speed']:g} m/s"
+    if goal.speed:
+        return f"{aim} it passes {tee} at {goal.speed:g} m/s"
     if x or y:
         across = "" if x is None else f" and {_off(x, _SIDES)} the centre line"
         return f"{aim} it comes to rest {_off(y, _ALONG)} the tee line{across}"
@@ -229,7 +229,7 @@ def _aim(prediction: Prediction) -> str:
 
 def _called(prediction: Prediction) -> str:
     """The throw in curlers' terms."""
-    start = {name: component["value"] for name, component in prediction.start.items()}
+    start = {name: component.value for name, component in prediction.start.items()}
     broom = start["x0"] + math.tan(start["heading"]) * (TEE - start["y0"])
     words = [f"{label} {name}" for label, name in prediction.call.labels.items()]
     if "hog_to_hog" in prediction.quantities:

@@ -16,7 +16,7 @@ from curlfit.inference.joint.draw import Draw
 from curlfit.inference.parameters import START
 from curlfit.inference.system import System
 from curlfit.inference.verdict import Verdict
-from curlfit.prediction.result import Call
+from curlfit.prediction.result import Call, Goal, Origin
 from curlfit.settings.forms import VALUES, numbers
 from curlfit.sheet import HOUSE, LINES, TEE, TEE_TO_HOG, WIDTH
 from curlfit.throws.plausibility import SPEED
@@ -68,12 +68,12 @@ class PlannedThrow(NamedTuple):
     new: bool
     """whether it is a throw other than the fitted one"""
     line: str
-    goal: dict[str, Any] | None
+    goal: Goal | None
     """the point that the stone is to reach, from the tee, and its speed there; x is
     None where it is free"""
     values: dict[str, float]
     """its initial state, on the sheet"""
-    origins: dict[str, str]
+    origins: dict[str, Origin]
     """of each value: given, call, fitted, default or found"""
     shift: tuple[float, float]
     """from the data's x and y to those of the sheet"""
@@ -113,7 +113,7 @@ def planned(
     goal = _goal(target, weight, tee_speed, free_heading="heading" not in start)
     solved = {} if goal is None else _solved(fit, goal, fitted | default | start)
     # each source has the last word over those above it
-    sources: dict[str, Mapping[str, float]] = {
+    sources: dict[Origin, Mapping[str, float]] = {
         "fitted": fitted,
         "default": default,
         "found": solved,
@@ -121,7 +121,7 @@ def planned(
         "given": given,
     }
     values: dict[str, float] = {}
-    origins: dict[str, str] = {}
+    origins: dict[str, Origin] = {}
     for origin, components in sources.items():
         values |= components
         origins |= dict.fromkeys(components, origin)
@@ -137,7 +137,7 @@ def _goal(
     tee_speed: float | None,
     *,
     free_heading: bool,
-) -> dict[str, Any] | None:
+) -> Goal | None:
     """See `PlannedThrow.goal`; None without a target or weight. A weight is on the
     centre line, or at any x where the heading is given."""
     if target is not None:
@@ -153,19 +153,17 @@ def _goal(
         return None
     if tee_speed is not None:
         speed = tee_speed
-    return {"words": words, "x": x, "y": y, "speed": speed}
+    return Goal(words=words, x=x, y=y, speed=speed)
 
 
-def _solved(
-    fit: FitResult, goal: Mapping[str, Any], start: Mapping[str, float]
-) -> dict[str, float]:
+def _solved(fit: FitResult, goal: Goal, start: Mapping[str, float]) -> dict[str, float]:
     """Speed and heading for a goal; the heading of the start where x is free."""
-    x = goal["x"]
+    x = goal.x
     return aimed(
         fit,
-        (x or 0.0, TEE + goal["y"]),
+        (x or 0.0, TEE + goal.y),
         start["omega0"],
-        speed=goal["speed"],
+        speed=goal.speed,
         start=(start["x0"], start["y0"]),
         heading=start["heading"] if x is None else None,
     )._asdict()

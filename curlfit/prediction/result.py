@@ -5,22 +5,23 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from os import PathLike
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
 from curlfit.findings import Finding
-from curlfit.inference.derived import LEVELS
-from curlfit.inference.fit.result import Extent, LoadName
+from curlfit.inference.derived import LEVELS, Quantiles
+from curlfit.inference.fit.entries import Extent
 from curlfit.inference.parameters import START
+from curlfit.loads import Load
 from curlfit.numerics.arrays import Floats
 from curlfit.output.frames import frame
 from curlfit.records import (
     ADDED,
     SERIES,
     Arrays,
-    Choice,
+    Entry,
     Names,
+    OneOf,
     Record,
-    keys,
     require,
     require_rows,
 )
@@ -141,7 +142,7 @@ class Quantity:
     unit: str
     parameter_sd: float
     model_sd: float
-    quantiles: Annotated[dict[str, float], keys(**dict.fromkeys(LEVELS, float))]
+    quantiles: Quantiles
     share: float
 
     @property
@@ -172,22 +173,91 @@ class HeldOut:
     observed: dict[str, Floats] = field(metadata=SERIES)
 
 
-_Origin = Annotated[str, Choice(("given", "call", "fitted", "default", "found"))]
-_Start = Annotated[dict[str, Any], keys(value=float, unit=str, origin=_Origin)]
-_Goal = Annotated[dict[str, Any], keys(words=str, x=float | None, y=float, speed=float)]
-_Source = Annotated[str, Choice(("chain", "covariance", "ridge", "throws"))]
-_Draws = Annotated[dict[str, Any], keys(number=int, used=int, source=_Source, seed=int)]
-_Covariance = tuple[tuple[float, float], tuple[float, float]]
-_Rest = Annotated[
-    dict[str, Any],
-    keys(
-        mean=tuple[float, float],
-        parameter=_Covariance,
-        model=_Covariance,
-        both=_Covariance,
-    ),
-]
-_Sensitivity = Annotated[dict[str, Any], keys(by=float, right=float, along=float)]
+Origin = Literal["given", "call", "fitted", "default", "found"]
+Source = Literal["chain", "covariance", "ridge", "throws"]
+Covariance = tuple[tuple[float, float], tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Start(Entry):
+    """A component of the initial state.
+
+    Attributes
+    ----------
+    value, unit : SI, rad.
+    origin : where the value comes from; "found" is that which leads to a goal.
+    """
+
+    value: float
+    unit: str
+    origin: Origin
+
+
+@dataclass(frozen=True)
+class Goal(Entry):
+    """Where the stone is to come to rest.
+
+    Attributes
+    ----------
+    words : as it was asked for.
+    x, y : m from the tee; x None where it is free.
+    speed : m/s at that place.
+    """
+
+    words: str
+    x: float | None
+    y: float
+    speed: float
+
+
+@dataclass(frozen=True)
+class Draws(Entry):
+    """The draws of a prediction.
+
+    Attributes
+    ----------
+    number, used : how many were asked for, and how many of these give a motion.
+    source : of the parameters: "chain", "covariance", "ridge" where values that fit lie
+        on a curve, or "throws" of a joint fit.
+    seed : of the random numbers.
+    """
+
+    number: int
+    used: int
+    source: Source
+    seed: int
+
+
+@dataclass(frozen=True)
+class RestingPlace(Entry):
+    """Where the stone comes to rest.
+
+    Attributes
+    ----------
+    mean : x and y, m.
+    parameter, model, both : covariances, m^2, due to the errors of the parameters, to
+        the model discrepancy (about zero), and to both.
+    """
+
+    mean: tuple[float, float]
+    parameter: Covariance
+    model: Covariance
+    both: Covariance
+
+
+@dataclass(frozen=True)
+class Sensitivity(Entry):
+    """How the resting place changes with a component of the initial state.
+
+    Attributes
+    ----------
+    by : the change of the component, SI.
+    right, along : the changes of the resting place, m.
+    """
+
+    by: float
+    right: float
+    along: float
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -196,15 +266,13 @@ class Prediction(Record):
 
     Attributes
     ----------
-    law, load, stone, fit : of the fit; `fit` has "file", "rows", "from", "to".
-    start : initial state, by name (x0 y0 heading v0 phi0 omega0) "value", "unit" and
-        "origin" ("given", "call", "fitted", "default", "found").
+    law, load, stone, fit : of the fit, and how much of which file it is of.
+    start : initial state, by name (x0 y0 heading v0 phi0 omega0).
     of : "fitted" for the fitted throw, extrapolated to rest, "new" for another one.
     line : the line on which it starts, "data" for the start of the data, "" for a
         given position.
-    goal : None, or "words", "x", "y" (m from the tee; x None where free), "speed".
-    draws : "number", "used", "source" ("chain", "covariance", "ridge" where values that
-        fit lie on a curve, or "throws" of a joint fit), "seed".
+    goal : where it is to come to rest; None if that was not asked for.
+    draws : how many, and from what.
     call : the throw in curlers' terms, as asked for.
     command : that made it; empty if it was made in Python.
     odd_rows : of the tables of a joint fit, which were left out of it unless they are
@@ -216,13 +284,11 @@ class Prediction(Record):
         x, y, phi also "x_parameter_sd", "x_model_sd" and the quantiles "x_2.5" ...
     band : x as a function of y: "y", "x" and "x_2.5" ..., up to the y that half of the
         draws reach.
-    rest : "mean" of the resting position and its covariances (m^2) due to the errors of
-        the parameters, "parameter", to the model discrepancy, "model" (about zero), and
-        to both, "both".
+    rest : where it comes to rest, with covariances.
     quantities : by name, see `QUANTITIES`.
     chances : fractions of the draws by outcome.
-    sensitivity : change of the resting position, "right" and "along" (m), when a
-        component of the initial state changes by "by"; by name of the component.
+    sensitivity : how the resting position changes with a component of the initial
+        state, by name of the component.
     warnings, notes : for the reader.
     other : the same throw with the other turn, where both were asked for.
     check : None, or the comparison with measured rows.
@@ -246,23 +312,23 @@ class Prediction(Record):
     kind: ClassVar[str] = "predict"
 
     law: str
-    load: LoadName
+    load: Load
     stone: Stone
     fit: Extent
-    start: Annotated[dict[str, _Start], Names(component.name for component in START)]
-    of: Annotated[str, Choice(("fitted", "new"))]
+    start: Annotated[dict[str, Start], Names(component.name for component in START)]
+    of: Literal["fitted", "new"]
     line: str
-    goal: _Goal | None
-    draws: _Draws
+    goal: Goal | None
+    draws: Draws
     misfit: Discrepancy | None
     series: Annotated[dict[str, Floats], Names(_SERIES)] = field(metadata=SERIES)
     band: Annotated[dict[str, Floats], Names(_BAND)] = field(metadata=SERIES)
-    rest: _Rest
+    rest: RestingPlace
     quantities: Annotated[
-        dict[Annotated[str, Choice(QUANTITIES)], Quantity], Names(_ALWAYS)
+        dict[Annotated[str, OneOf(QUANTITIES)], Quantity], Names(_ALWAYS)
     ]
-    chances: Annotated[dict[str, float], keys(**dict.fromkeys(OUTCOMES, float))]
-    sensitivity: dict[str, _Sensitivity]
+    chances: Annotated[dict[str, float], Names(OUTCOMES)]
+    sensitivity: dict[str, Sensitivity]
     warnings: tuple[Finding, ...]
     notes: tuple[Finding, ...]
     call: Call = field(default_factory=Call)
@@ -278,8 +344,10 @@ class Prediction(Record):
 
     def require_consistent(self) -> None:
         """Raise `ValueError` where what was read contradicts itself."""
-        for name in ("series", "band", "start", "quantities"):
+        for name in ("series", "band", "start", "quantities", "chances"):
             require(name, bool(getattr(self, name)), "no empty object")
+        for quantity in self.quantities.values():
+            require("quantities", bool(quantity.quantiles), "quantiles of each")
         require_rows("series", self.series, len(self.series["t"]))
         require_rows("band", self.band, len(self.band["y"]))
         if self.measured:
@@ -304,7 +372,7 @@ class Prediction(Record):
         """The path with its bands as CSV text, one row per time."""
         names = list(self.series)
         lines = [
-            f"# {self.law} law fitted to {self.fit['file']}, "
+            f"# {self.law} law fitted to {self.fit.file}, "
             + ("extrapolated to rest" if self.of == "fitted" else "another throw"),
             "# t in s since the start, lengths in m, angles in rad; x to the right of "
             f"the centre line, y from the hack thrown from (far tee at {TEE:.3f})",

@@ -21,6 +21,8 @@ from curlfit.prediction.result import (
     Call,
     Discrepancy,
     Quantity,
+    RestingPlace,
+    Sensitivity,
 )
 from curlfit.sheet import CIRCLES, END, FOOT, HOUSE, LINES, STONE_RADIUS, TEE
 
@@ -170,17 +172,17 @@ class Simulation(NamedTuple):
         x_of_draws = np.array([_x_at(draw, y) for draw in path])
         return {"y": y, "x": _x_at(best, y)} | _around("x", x_of_draws)
 
-    def _rest(self) -> dict[str, Any]:
+    def _rest(self) -> RestingPlace:
         """Mean and covariances of x and y at rest."""
         plain = self.plain.end[:, :2]
         full = self.full.end[:, :2]
         moved = full - plain  # by the model discrepancy
-        return {
-            "mean": full.mean(0).tolist(),
-            "parameter": np.cov(plain.T).tolist(),
-            "model": (moved.T @ moved / len(full)).tolist(),
-            "both": np.cov(full.T).tolist(),
-        }
+        return RestingPlace(
+            mean=full.mean(0).tolist(),
+            parameter=np.cov(plain.T).tolist(),
+            model=(moved.T @ moved / len(full)).tolist(),
+            both=np.cov(full.T).tolist(),
+        )
 
     def _chances(self) -> dict[str, float]:
         x, y, _ = self.full.end.T
@@ -193,7 +195,7 @@ class Simulation(NamedTuple):
         }
         return {name: float(happens.mean()) for name, happens in events.items()}
 
-    def _sensitivity(self) -> dict[str, dict[str, Any]]:
+    def _sensitivity(self) -> dict[str, Sensitivity]:
         """Change of the resting position with the initial state: by how much this is
         changed, and m that the stone rests farther right and along."""
         end = self.best.end[0]
@@ -215,7 +217,7 @@ class Simulation(NamedTuple):
             across = FOOT * end[1] / TEE  # about the hack, from which it is aimed
             effects["broom"] = (FOOT, across, 0.0)
         return {
-            name: {"by": change, "right": float(right), "along": float(along)}
+            name: Sensitivity(by=change, right=float(right), along=float(along))
             for name, (change, right, along) in effects.items()
         }
 

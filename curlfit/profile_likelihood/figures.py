@@ -79,9 +79,9 @@ def _chi_squared(profile: Profile, axes: Any) -> None:
     axes.plot(at, profile.delta, ".-", ms=4, lw=1.5, label="profile", **style)
     if posterior is not None:
         axes.errorbar(
-            posterior["at"],
-            posterior["height"],
-            posterior["error"],
+            posterior.at,
+            posterior.height,
+            posterior.error,
             fmt="o",
             color=draw.POSTERIOR_COLOR,
             markersize=3,

@@ -27,7 +27,10 @@ from curlfit.profile_likelihood.refit import BETTER, ConstrainedFits, Refit
 from curlfit.profile_likelihood.result import (
     Interval,
     Level,
+    LevelName,
+    Limit,
     PairProfile,
+    PosteriorDensity,
     Profile,
     ProfileVerdict,
     require_usable,
@@ -153,7 +156,7 @@ def _profile_one(
         law=fit.law,
         load=fit.load,
         loss=fit.loss,
-        data={key: fit.data[key] for key in ("file", "rows", "from", "to")},
+        data=fit.data.extent,
         parameters=fit.parameters,
         chi_squared=refit.best.chi_squared,
         n_observations=fit.n_observations,
@@ -310,7 +313,7 @@ def _unconstrained_part(
     return (low, high), (below, above)
 
 
-def _interval_of(profile: Profile, level: str, threshold: float) -> Interval:
+def _interval_of(profile: Profile, level: LevelName, threshold: float) -> Interval:
     """Interval between the crossings of a threshold on either side of
     the best value."""
     finite = np.isfinite(profile.delta)
@@ -322,7 +325,7 @@ def _interval_of(profile: Profile, level: str, threshold: float) -> Interval:
         line, np.sign(line - profile.best) * np.sqrt(np.maximum(delta, 0.0))
     )
 
-    def end_of(sense: int, free_end: float, bound: float) -> tuple[float, str]:
+    def end_of(sense: int, free_end: float, bound: float) -> tuple[float, Limit]:
         """End below (-1) or above (1) the best value, and what limits it."""
         crossings = sense * root.solve(sense * math.sqrt(threshold), extrapolate=False)
         if crossings.size:
@@ -363,7 +366,7 @@ def _warnings(
 
 def _marginal(
     fit: FitResult, chain: Chain, name: str, at: Floats, delta: Floats
-) -> dict[str, Floats] | None:
+) -> PosteriorDensity | None:
     """-2 log of the marginal posterior density, shifted onto the profile."""
     samples = chain.of({name: 1.0})
     low, high = np.quantile(samples, [0.0005, 0.9995])
@@ -380,11 +383,11 @@ def _marginal(
     if fit.posterior is not None:
         ess = fit.posterior.ess.get(name, ess)
     independent_counts = counts * min(ess / len(samples), 1.0)
-    return {
-        "at": centre,
-        "height": height + np.average(below_profile, weights=counts),
-        "error": 2 / np.sqrt(independent_counts),
-    }
+    return PosteriorDensity(
+        at=centre,
+        height=height + np.average(below_profile, weights=counts),
+        error=2 / np.sqrt(independent_counts),
+    )
 
 
 def _profile_pair(
@@ -508,7 +511,7 @@ def _covariance(fit: FitResult, names: Sequence[str]) -> Floats | None:
     """Covariance of some parameters; None where one of them has no standard error."""
     for name in names:
         without_error = fit.parameters[name].stderr is None
-        if without_error or name not in fit.covariance["names"]:
+        if without_error or name not in fit.covariance.names:
             return None
     rows = np.array([fit.first_order.vector({name: 1.0}) for name in names])
-    return np.asarray(rows @ np.array(fit.covariance["matrix"]) @ rows.T)
+    return np.asarray(rows @ fit.covariance.matrix @ rows.T)

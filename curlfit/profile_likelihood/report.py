@@ -14,7 +14,7 @@ from curlfit.inference.verdict import Verdict
 from curlfit.losses import LOSSES
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Said, Section, show
-from curlfit.output.text import STYLE, labelled, rows_text
+from curlfit.output.text import STYLE, labelled
 from curlfit.profile_likelihood.result import (
     Interval,
     Level,
@@ -66,7 +66,7 @@ def document(profile: Profile | PairProfile) -> Document:
         else:
             lines.append(describe_undetermined(single))
             remarks.append(Said(lines[-1], style=_VERDICTS[single.verdict][1]))
-    file = first.data["file"]
+    file = first.data.file
     loss = LOSSES[first.loss].suffix
     fitted = f"{first.law} law, {first.load} load{loss}, fitted to {file}"
     warnings = [warning for single in profile.each for warning in single.warnings]
@@ -86,7 +86,7 @@ def document(profile: Profile | PairProfile) -> Document:
         title=f"{Path(file).name}: profile of {join_words(names)}",
         settings={
             "Law, load": f"{first.law}, {first.load}",
-            "Data": f"{file}, {rows_text(first.data) or 'timed events alone'}",
+            "Data": f"{file}, {first.data.in_words or 'timed events alone'}",
             "Loss": first.loss,
         },
         command=profile.command,
@@ -163,7 +163,7 @@ def _about(profile: Profile | PairProfile) -> tuple[str, str]:
         f"chi squared of the best fit {first.chi_squared:.4g}, "
         f"of {first.n_observations} values"
     )
-    rows = rows_text(first.data)
+    rows = first.data.in_words
     values = f"{profile.delta.size} values"
     if first is profile:
         values += f", {_span(first, first.at[0], first.at[-1])}"

@@ -8,21 +8,25 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from os import PathLike
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 from curlfit.errors import InputError
 from curlfit.findings import Finding
 from curlfit.inference.derived import Quantiles
+from curlfit.inference.fit.entries import Extent, LossName
 from curlfit.inference.fit.estimates import Estimate
-from curlfit.inference.fit.result import Extent, LoadName, LossName
 from curlfit.inference.identifiability import Combination, student_quantile
 from curlfit.inference.parameters import ParameterSet
+from curlfit.loads import Load
 from curlfit.numerics.arrays import Floats
 from curlfit.output.frames import frame
-from curlfit.records import SERIES, Choice, Matrix, Record, keys, require, require_rows
+from curlfit.records import SERIES, Entry, Matrix, Pairs, Record, require, require_rows
 
 _MIN_POINTS = 5  # of a parameter
 _MAX_POINTS = 2001
+
+
+LevelName = Literal["68 %", "95 %"]
 
 
 class Level(NamedTuple):
@@ -32,7 +36,7 @@ class Level(NamedTuple):
     estimated, those of Student's t and Fisher's F (Bates and Watts 1988, sect. 6.1).
     """
 
-    name: str
+    name: LevelName
     delta_chi2: float
     """for one parameter: 1 or 3.84 where sigma was given"""
     delta_chi2_pair: float
@@ -46,11 +50,12 @@ class Level(NamedTuple):
 def levels_of(dof: float | None) -> tuple[Level, ...]:
     """68 % and 95 % for standard errors of `dof` degrees of freedom; None where
     sigma was given."""
+    of_name: dict[LevelName, tuple[float, tuple[str, str]]] = {
+        "68 %": (math.erf(math.sqrt(0.5)), ("16", "84")),
+        "95 %": (0.95, ("2.5", "97.5")),
+    }
     levels = []
-    for name, probability, quantiles in (
-        ("68 %", math.erf(math.sqrt(0.5)), ("16", "84")),
-        ("95 %", 0.95, ("2.5", "97.5")),
-    ):
+    for name, (probability, quantiles) in of_name.items():
         sigmas = student_quantile(probability, dof)
         log_beyond = math.log(1 - probability)
         if dof is None:  # the quantile of chi squared with 2 degrees of freedom
@@ -73,7 +78,7 @@ def levels_for(
     return levels_of(min(dofs or dof_by_name.values(), default=None))
 
 
-Limit = Annotated[str, Choice(("data", "others", "bound", "range"))]
+Limit = Literal["data", "others", "bound", "range"]
 
 
 class ProfileVerdict(StrEnum):
@@ -111,7 +116,7 @@ class Interval:
         own), "range" (nothing up to the end of the range).
     """
 
-    level: Annotated[str, Choice(("68 %", "95 %"))]
+    level: LevelName
     low: float
     high: float
     low_by: Limit
@@ -126,6 +131,22 @@ class Interval:
         return low, high
 
 
+@dataclass(frozen=True, eq=False)
+class PosteriorDensity(Entry):
+    """Density of a parameter in a posterior sample.
+
+    Attributes
+    ----------
+    at : values of the parameter, by bin of the chain.
+    height : -2 log of the marginal density there, shifted onto the profile.
+    error : its standard deviation, by the finite sample.
+    """
+
+    at: Floats
+    height: Floats
+    error: Floats
+
+
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Profile(Record):
     """The minimum of chi squared at fixed values of one parameter, all others
@@ -134,7 +155,7 @@ class Profile(Record):
     Attributes
     ----------
     name : of the parameter. best : its value in the fit.
-    law, load, loss, data : of the fit; `data` has "file", "rows", "from", "to".
+    law, load, loss, data : of the fit, and how much of which file it is of.
     parameters : of the fit, by name.
     chi_squared : of the fit, of `n_observations` values and its priors. Under a
         robust loss it is minus twice the logarithm of the likelihood of that loss,
@@ -150,8 +171,7 @@ class Profile(Record):
     rise : the largest delta chi squared within that part.
     verdict : what the profile says of the parameter, one of `ProfileVerdict`.
     combinations : those of the fit that contain the parameter.
-    posterior : None, or "at", "height" (-2 log of the marginal density, shifted onto
-        the profile), "error" (its standard deviation), by bin of the chain.
+    posterior : its density in the posterior sample; None without a chain.
     quantiles : of the posterior by level, keys "2.5", "16", "50", "84", "97.5"; empty
         without one.
     warnings : for the reader.
@@ -173,7 +193,7 @@ class Profile(Record):
     name: str
     best: float
     law: str
-    load: LoadName
+    load: Load
     loss: LossName
     data: Extent
     parameters: dict[str, Estimate]
@@ -188,10 +208,7 @@ class Profile(Record):
     rise: float
     verdict: ProfileVerdict
     combinations: tuple[Combination, ...]
-    posterior: (
-        Annotated[dict[str, Floats], keys(at=Floats, height=Floats, error=Floats)]
-        | None
-    ) = field(metadata=SERIES)
+    posterior: PosteriorDensity | None = field(metadata=SERIES)
     quantiles: Quantiles
     warnings: tuple[Finding, ...]
     command: str = ""
@@ -255,7 +272,9 @@ class Profile(Record):
         require("name", self.name in self.parameters, "the name of a parameter")
         require_rows("others", {"delta": self.delta, **self.others}, len(self.at))
         if self.posterior is not None:
-            require_rows("posterior", self.posterior, len(self.posterior["at"]))
+            density = self.posterior
+            series = {"height": density.height, "error": density.error}
+            require_rows("posterior", series, len(density.at))
 
     @classmethod
     def _from_file(cls, entries: dict[str, Any], folder: Path) -> Any:
@@ -308,7 +327,7 @@ class PairProfile(Record):
     extent: dict[str, tuple[Interval, Interval]]
     covariance: Matrix | None
     ellipse: float | None
-    samples: Matrix = field(metadata=SERIES)
+    samples: Pairs = field(metadata=SERIES)
     warnings: tuple[Finding, ...]
     command: str = ""
 

@@ -400,7 +400,7 @@ def _corner_of_fit(fit: FitResult) -> list[_Lines]:
         value, stderr = format_estimate(combination.value, combination.stderr)
         symbols = draw.weighted_sum(combination.weights, fit.parameters)
         estimates.append(rf"${symbols} = {value} \pm {stderr}$")
-    for direction in fit.null_directions:
+    for direction in fit.identifiability.null_directions:
         symbols = ", ".join(draw.symbol_of(fit.parameters[name]) for name in direction)
         estimates.append(f"{symbols}: not identifiable individually")
     texts = []

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from curlfit.foreign import counted
 from curlfit.inference.verdict import Verdict
 from curlfit.wording import join_words
 
 if TYPE_CHECKING:
+    from curlfit.inference.fit.entries import FurtherMeasurement
     from curlfit.inference.fit.result import FitResult
 
 _WORDS = {
@@ -35,9 +36,13 @@ _NUMBERS = (
 def identifiability(fit: FitResult) -> str:
     """Sentences on what the path determines, what it does not, and what would help."""
     free = [name for name, item in fit.parameters.items() if item.verdict.is_free]
-    at_bound = [name for name in free if name not in fit.covariance["names"]]
+    at_bound = [name for name in free if name not in fit.covariance.names]
     subject = _determining(fit)
-    if not fit.rms and fit.rank == len(free) and len(fit.coefficients) == 1:
+    if (
+        not fit.rms
+        and fit.identifiability.rank == len(free)
+        and len(fit.coefficients) == 1
+    ):
         return (
             f"{subject} one coefficient of friction and the initial state "
             f"({', '.join(free[1:])}): a mean friction, as in the {fit.law} law. "
@@ -45,7 +50,7 @@ def identifiability(fit: FitResult) -> str:
         )
     number = counted(len(free) - len(at_bound), "parameter")
     apart = f" ({', '.join(at_bound)} at a bound not counted)" if at_bound else ""
-    sentences = [f"{subject} {fit.rank} of {number}{apart}."]
+    sentences = [f"{subject} {fit.identifiability.rank} of {number}{apart}."]
 
     names_by_verdict: dict[Verdict, list[str]] = {}
     for name in free:
@@ -96,7 +101,7 @@ def _determining(fit: FitResult) -> str:
 def _hidden(fit: FitResult, names: list[str]) -> list[str]:
     """Sentences on parameters that are not identifiable: along which changes the path
     stays the same, and what is determined instead."""
-    changes = "; or when ".join(map(_change, fit.null_directions))
+    changes = "; or when ".join(map(_change, fit.identifiability.null_directions))
     on_curves = [name for name in names if fit.parameters[name].reason]
     near = "near these values, " if on_curves else ""
     return [
@@ -128,16 +133,16 @@ def _instead(fit: FitResult, names: list[str]) -> list[str]:
     return [f"Only {_with_verb(expressions, 'is', 'are')} determined{why}."]
 
 
-def _remedy(fit: FitResult, remedy: dict[str, Any]) -> str:
+def _remedy(fit: FitResult, remedy: FurtherMeasurement) -> str:
     """A sentence on the measurements that would determine some parameters."""
-    names = join_words(remedy["parameters"])
-    channels = [_WORDS[channel] for channel in remedy["measure"]]
+    names = join_words(remedy.parameters)
+    channels = [_WORDS[channel] for channel in remedy.measure]
     if channels:
-        also = join_words(channels, "and" if remedy["all"] else "or")
+        also = join_words(channels, "and" if remedy.all else "or")
         return f"Measuring {also} as well would determine {names}."
     text = f"No further measurement along this path would determine {names}"
-    coefficients = [name for name in remedy["parameters"] if name in fit.coefficients]
-    if fit.data["law_file"] or len(coefficients) != 2:
+    coefficients = [name for name in remedy.parameters if name in fit.coefficients]
+    if fit.data.law_file or len(coefficients) != 2:
         return f"{text}."
     return (
         f"{text}; `curlfit design --separate {','.join(coefficients)}` searches for "

@@ -154,11 +154,11 @@ def _mark_outliers(
 ) -> None:
     """Mark outliers; distant ones are drawn at the edge so that the rest
     stays readable. Residuals are in SI, `size` is the unit of the axes."""
-    outliers = [outlier for outlier in fit.outliers if outlier["channel"] == channel]
+    outliers = [outlier for outlier in fit.outliers if outlier.channel == channel]
     if not outliers:
         return
-    times = np.array([outlier["t"] for outlier in outliers])
-    off = np.array([outlier["off"] for outlier in outliers])
+    times = np.array([outlier.t for outlier in outliers])
+    off = np.array([outlier.off for outlier in outliers])
     if fit.discrepancy:
         off = off - np.interp(times, fit.observed["t"], fit.discrepancy[channel])
     edge = float(np.nanquantile(np.abs(residuals), 0.9)) * 2.5 / size
@@ -230,7 +230,7 @@ def joint_figure(result: JointResult) -> draw.Picture:
     if result.variation:
         across = rows[-1].subgridspec(1, len(result.variation), wspace=0.05)
         panels = across.subplots(sharey=True, squeeze=False)[0]
-        files = [draw.file_name(throw.data["file"]) for throw in result.throws]
+        files = [draw.file_name(throw.data.file) for throw in result.throws]
         panels[0].set_yticks(range(count), files)
         panels[0].set_ylim(count - 0.4, -0.6)
         handles += _handles(result, color_by_group)
@@ -342,7 +342,7 @@ def _paths(axes: Any, result: JointResult, styles: list[dict[str, Any]]) -> None
             throw.predicted["x"],
             **style,
             lw=1,
-            label=draw.file_name(throw.data["file"]),
+            label=draw.file_name(throw.data.file),
         )
     draw.x_along_y(axes)
 
@@ -352,7 +352,7 @@ def _group(result: JointResult, throw: FitResult) -> str:
     if not result.means or not result.means.groups:
         return ""
     label = next(iter(result.means.groups))
-    return f"{label} {throw.data['labels'].get(label, '')}"
+    return f"{label} {throw.data.labels.get(label, '')}"
 
 
 def _estimates(
@@ -374,7 +374,7 @@ def _estimates(
     for row, (alone, style, throw) in enumerate(rows):
         color = style["color"]
         if result.means is not None:
-            mean, sd = result.means.expected(weights, throw.data["labels"])
+            mean, sd = result.means.expected(weights, throw.data.labels)
             axes.barh(
                 row, 2 * sd, left=mean - sd, height=0.9, color=color, alpha=0.25, lw=0
             )
@@ -402,10 +402,19 @@ def event_figure(fit: FitResult) -> draw.Picture:
     last = int(np.argmax(speed == 0)) or len(speed) - 1
     moving = {name: series[: last + 2] for name, series in fit.fitted.items()}
     moving["t"] = fit.observed["t"][: last + 2]
-    _sheet(on_sheet, moving, fit.timed, f"{draw.literal(fit.law)} law")
+    _sheet(
+        on_sheet,
+        moving,
+        [(fitted.event, fitted.fitted) for fitted in fit.events],
+        f"{draw.literal(fit.law)} law",
+    )
     draw.title(on_sheet, draw.heading_of(fit))
-    _distance(panels[0], moving, fit.timed)
-    _event_residuals(panels[1], fit.timed)
+    _distance(
+        panels[0], moving, [(fitted.event, fitted.fitted) for fitted in fit.events]
+    )
+    _event_residuals(
+        panels[1], [(fitted.event, fitted.fitted) for fitted in fit.events]
+    )
     return figure
 
 

@@ -18,7 +18,7 @@ from curlfit.inference.verdict import Verdict
 from curlfit.losses import LOSSES
 from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Section, command_line, show
-from curlfit.output.text import rows_text, stone_text
+from curlfit.output.text import stone_text
 from curlfit.reports import posterior
 from curlfit.reports.determined import identifiability
 from curlfit.reports.estimates import (
@@ -106,7 +106,7 @@ def document(fit: FitResult) -> Document:
     )
     loss = LOSSES[fit.loss].suffix
     noise = fit.noise.suffix
-    file = fit.data["file"]
+    file = fit.data.file
     numbers = lines_of(fit)
     quantities = quantities_line(fit)
     return Document(
@@ -123,7 +123,7 @@ def document(fit: FitResult) -> Document:
         lines=[*numbers, quantities],
         sections=sections,
         warnings=fit.warnings,
-        notes=fit.data["notes"],
+        notes=fit.data.notes,
         title=f"{Path(file).name}: {fit.law} law",
         settings=settings_of(fit),
         command=command_of(fit),
@@ -133,7 +133,7 @@ def document(fit: FitResult) -> Document:
 
 def extent(fit: FitResult) -> str:
     """Number of data, and the time that they span."""
-    parts = [rows_text(fit.data)]
+    parts = [fit.data.in_words]
     if fit.events:
         parts.append(f"{counted(len(fit.events), 'event')} at lines and at rest")
     return "; ".join(filter(None, parts))
@@ -259,7 +259,7 @@ def _beside_reference(fit: FitResult) -> PlainTable | None:
     names = [
         name
         for name in estimates
-        if name in reference.values and all(name in refit["values"] for refit in refits)
+        if name in reference.values and all(name in refit.values for refit in refits)
     ]
     if not names:
         return None
@@ -276,7 +276,7 @@ def _beside_reference(fit: FitResult) -> PlainTable | None:
         value, stderr = estimates[name]
         row = {"refitted parameter": name}
         row[">std. error"] = format_estimate(value, stderr)[1]
-        shifts = [refit["values"][name] - value for refit in refits]
+        shifts = [refit.values[name] - value for refit in refits]
         for refit, shift in zip(refits, shifts, strict=True):
             heading = f">shift, {_changes(refit['stone'], fit.stone)}"
             rounded = round(shift, places + 1) + 0.0  # no minus before a zero
@@ -327,7 +327,7 @@ def _quality(fit: FitResult) -> PlainTable:
             ">rms": f"{rms:.3g}",
             "unit": UNITS[channel],
             "noise assumed": _sigma(fit, channel),
-            "": fit.data["sigma"][channel],
+            "": fit.data.sigma[channel],
             "lag-1 correlation": "" if lag1 is None else f"{lag1:.2f}",
         }
         if not fit.noise.is_white:
@@ -341,7 +341,7 @@ def _quality(fit: FitResult) -> PlainTable:
 def _sigma(fit: FitResult, channel: str) -> str:
     """The noise of a channel with its unit, as "0.005 to 0.02 m" if it was given by
     row."""
-    if fit.data["sigma"][channel] != "estimated":
+    if fit.data.sigma[channel] != "estimated":
         return "by row"
     by_row = fit.observed.get(f"sigma_{channel}")
     largest = "" if by_row is None else f" to {by_row.max():.3g}"
@@ -351,16 +351,17 @@ def _sigma(fit: FitResult, channel: str) -> str:
 def _events(fit: FitResult) -> PlainTable:
     """Values measured at lines and at rest, with the fitted ones."""
     rows = []
-    for event, fitted in fit.timed:
+    for event in fit.events:
         digits = max(decimals(event.sigma), 2)
-        residual = (event.value - fitted) / event.sigma + 0.0  # no minus before a zero
+        # no minus before a zero
+        residual = (event.value - event.fitted) / event.sigma + 0.0
         rows.append(
             {
                 "measured": event.name,
                 ">value": f"{event.value:.{digits}f}",
                 ">sigma": f"{event.sigma:.2g}",
-                "unit": event.unit,
-                ">fit": f"{fitted:.{digits}f}",
+                "unit": event.event.unit,
+                ">fit": f"{event.fitted:.{digits}f}",
                 ">measured - fit": f"{residual:.1f} sigma",
             }
         )
@@ -373,8 +374,8 @@ def outliers(fit: FitResult) -> str:
         return ""
     parts = []
     for outlier in fit.outliers[:_MOST_NAMED]:
-        channel = outlier["channel"]
-        line = "" if outlier["line"] is None else f" (line {outlier['line']})"
+        channel = outlier.channel
+        line = "" if outlier.line is None else f" (line {outlier['line']})"
         parts.append(
             f"{channel} at {outlier['t']:g} s{line} by {outlier['off']:.3g} "
             f"{UNITS[channel]} ({two_digits(outlier['sigmas'])} robust sigma)"
@@ -414,7 +415,7 @@ def settings_of(fit: FitResult) -> dict[str, str]:
         if name not in held
     }
     sigmas = {
-        channel: f"{_sigma(fit, channel)} ({fit.data['sigma'][channel]})"
+        channel: f"{_sigma(fit, channel)} ({fit.data.sigma[channel]})"
         for channel in fit.rms
     }
     uncertainties = {
@@ -424,7 +425,7 @@ def settings_of(fit: FitResult) -> dict[str, str]:
     }
     settings = {
         "Law, load": f"{fit.law}, {fit.load}",
-        "Data": f"{fit.data['file']}, {rows_text(fit.data) or 'timed events alone'}",
+        "Data": f"{fit.data.file}, {fit.data.in_words or 'timed events alone'}",
         "Stone": stone_text(fit.stone),
         "Loss, noise": f"{fit.loss}, {fit.noise.kind}",
         "Sigma": _listed(sigmas),
@@ -448,7 +449,7 @@ def _listed(texts: Mapping[str, str]) -> str:
 
 def command_of(fit: FitResult) -> str:
     """The command that makes a fit."""
-    words = [file_of(fit), *with_derived(fit.data.get("flags", ()), fit)]
+    words = [file_of(fit), *with_derived(fit.data.flags, fit)]
     if fit.posterior is not None:
         words.append(f"--seed={fit.posterior.seed}")
     elif fit.sampling == "none":
@@ -465,4 +466,4 @@ def with_derived(flags: Sequence[str], result: Any) -> list[str]:
 
 def file_of(fit: FitResult) -> str:
     """The file of a throw, from a name that may include a row of the file."""
-    return file_and_number(str(fit.data["file"]))[0]
+    return file_and_number(str(fit.data.file))[0]

@@ -85,8 +85,10 @@ def document(result: JointResult) -> Document:
     differs = ""
     if differing and not result.varies:
         differs = f"Differs between throws: {differing}."
-    hidden = result.rank < result.parameters
-    rank = f"The throws determine {result.rank} of {result.parameters} parameters."
+    rank = result.identifiability.rank
+    free = result.identifiability.parameters
+    hidden = rank < free
+    determined = f"The throws determine {rank} of {free} parameters."
     warnings = list(result.warnings)
     if result.r_hat is not None and result.r_hat >= _R_HAT:
         warnings.append(Finding.warning("spreads-not-converged", r_hat=result.r_hat))
@@ -105,7 +107,7 @@ def document(result: JointResult) -> Document:
         Section(
             "determined",
             f"What the throws {'do not determine' if hidden else 'determine'}",
-            (rank,),
+            (determined,),
         ),
         Section("quality", "Systematic errors", (systematics(result),), brief=False),
     )
@@ -297,7 +299,7 @@ def _throws(result: JointResult) -> PlainTable:
     size of its residuals."""
     rows = []
     for index, throw in enumerate(result.throws):
-        row = {"throw": Path(throw.data["file"]).name}
+        row = {"throw": Path(throw.data.file).name}
         for name, parameter in throw.parameters.items():
             if name not in (*result.share, *_HIDDEN) and parameter.verdict.is_free:
                 value, _ = format_estimate(parameter.value, parameter.stderr)
@@ -316,7 +318,7 @@ def _notes(result: JointResult) -> list[Finding]:
     """Notes of the reader on all throws."""
     if result.table is not None:
         return [*result.table.notes, Finding.note("quadratic-throws")]
-    return _of_all([throw.data["notes"] for throw in result.throws])
+    return _of_all([throw.data.notes for throw in result.throws])
 
 
 def _of_all(lists: Sequence[Sequence[_Item]]) -> list[_Item]:
@@ -336,7 +338,7 @@ def _files(result: JointResult) -> list[str]:
 
 def _command(result: JointResult) -> str:
     """The command of a joint fit, with the flags that all throws have in common."""
-    flags = _of_all([throw.data.get("flags", ()) for throw in result.throws])
+    flags = _of_all([throw.data.flags for throw in result.throws])
     if result.throws and tuple(result.share) != tuple(result.throws[0].coefficients):
         flags.append("--share=" + ",".join(result.share))
     elif result.means is None:

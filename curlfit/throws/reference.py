@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated
 
-from curlfit.records import Choice
+from curlfit.records import OneOf
 from curlfit.stone import UNITS as STONE_UNITS
 
-StoneValues = dict[Annotated[str, Choice(STONE_UNITS)], float]
+StoneValues = dict[Annotated[str, OneOf(STONE_UNITS)], float]
 
 
 @dataclass(frozen=True)

@@ -183,7 +183,7 @@ def test_a_fit_of_standard_input_has_a_name_and_its_command(tmp_path):
     assert b"fitted to standard input\n" in ran.stdout
     assert [file.name for file in tmp_path.iterdir()] == ["standard-input-fit"]
     fit = load_fit(tmp_path / "standard-input-fit")
-    assert fit.data["file"] == "standard input"
+    assert fit.data.file == "standard input"
     assert command_of(fit).startswith("curlfit fit - --until=20")
 
 

@@ -70,7 +70,7 @@ def test_a_fit_says_what_was_chosen(typed, folder):
     assert set(fit.conditions) == {"slope_x", "sweep"}
     holds(fit, slope_x=2e-4, mu=0.009, sweep=0.8)
     assert fit["sweep"].stderr < 0.0125
-    assert fit.data["swept"] == (6.0, 11.0)
+    assert fit.data.swept == (6.0, 11.0)
     shift = fit.systematics.shifts["mu"]["slope_y"]
     assert 9e-4 < shift < 1.01e-3
     for words in (
@@ -97,7 +97,7 @@ def test_settings_of_files_mean_what_the_flags_mean(typed, folder):
     assert config == flags
     typed("fit", "own.csv", *COULOMB, *ASSUMED, *SYSTEMATIC, *QUICK)
     own = load_fit(folder / "own-fit")
-    assert own.data["rows"] == KEPT
+    assert own.data.rows == KEPT
     np.testing.assert_array_equal(own.values, load_fit(folder / "flags").values)
     # a flag is over the file, table by table
     typed(
@@ -130,14 +130,14 @@ def test_profile_and_compare_have_the_flags(typed, folder, alone):
     assert (near.high - near.low) / 2 == pytest.approx(
         alone["slope_x"].stderr, rel=0.05
     )
-    assert found.data["rows"] == KEPT
+    assert found.data.rows == KEPT
     said = " ".join(out[: out.index("Written:")].split())
     assert " ".join(typed("show", "a-profile-slope_x").split()) == said
 
     typed("compare", "a.csv", "--laws", "coulomb", *CHOSEN[2:], "--no-figures")
     comparison = load_comparison(folder / "a-compare")
     (one,) = comparison.candidates
-    assert comparison.data["rows"] == KEPT
+    assert comparison.data.rows == KEPT
     assert one.coefficients["mu"]["value"] == pytest.approx(alone["mu"].value, rel=1e-6)
 
 

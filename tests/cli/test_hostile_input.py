@@ -23,7 +23,7 @@ def test_foreign_text_in_figures_and_latex(symbol, eq12_fit, tmp_path, recwarn):
     fit = replace(
         eq12_fit,
         parameters={**eq12_fit.parameters, "mu1_xi": own},
-        data=eq12_fit.data | {"file": "in/a$b_{\x1b日本.csv"},
+        data=replace(eq12_fit.data, file="in/a$b_{\x1b日本.csv"),
         law="$x^{",
     )
     curlfit.fit_figure(fit).savefig(tmp_path / "fit.png")

@@ -83,7 +83,7 @@ def test_criteria_are_those_of_a_gaussian(of_eq12):
     result = of_eq12.fits[of_eq12.candidates.index(item)]
     n = result.n_observations
     k = item.n_parameters
-    assert k == pytest.approx(result.rank + 3, abs=1e-3)
+    assert k == pytest.approx(result.identifiability.rank + 3, abs=1e-3)
     # at the most likely sigma, -2 log L = n_c (log(2 pi rms^2) + 1) in each channel
     by_channel = [201 * (np.log(2 * np.pi * rms**2) + 1) for rms in result.rms.values()]
     assert -2 * item.log_likelihood == pytest.approx(sum(by_channel), rel=1e-12)

@@ -96,7 +96,7 @@ def few():
 def test_the_number_of_parameters_does_not_jump(few):
     counts = []
     for factor in 10.0 ** np.arange(-8, 3, 0.5):
-        scaled = (factor * np.array(few.information["matrix"])).tolist()
+        scaled = (factor * few.information.matrix).tolist()
         counts.append(
             effective_parameters(
                 replace(few, information={**few.information, "matrix": scaled})

@@ -101,7 +101,7 @@ def known(tmp_path_factory):
                 command("batch", *words, "--workers", 1, cwd=folder)
             if name == "load_joint":  # as `curlfit fit A B --out joint` leaves it
                 joint = namespace["joint"]
-                own = folder / "joint" / Path(joint.throws[0].data["file"]).stem
+                own = folder / "joint" / Path(joint.throws[0].data.file).stem
                 own.mkdir(parents=True)
                 joint.save(folder / "joint" / "joint.json")
                 joint.throws[0].save(own / "fit.json")
@@ -201,7 +201,7 @@ def test_pages_are_escaped(known):
     for result in (
         replace(
             fit,
-            data=fit.data | {"file": name},
+            data=replace(fit.data, file=name),
             warnings=(Finding.warning("text", text=name),),
         ),
         replace(throw, name=name, notes=(Finding.note("text", text=name),)),

@@ -303,7 +303,7 @@ def test_names_that_tex_would_trip_over(eq12_fit):
     fit = replace(
         eq12_fit,
         law="50%_law#{",
-        data=eq12_fit.data | {"file": "a/b & ~c^2$%_{.csv"},
+        data=replace(eq12_fit.data, file="a/b & ~c^2$%_{.csv"),
         parameters={"a_b_c": odd} | eq12_fit.parameters,
     )
     found = {row[0]: row for row in cells(estimates_table(fit))}
@@ -342,7 +342,7 @@ def test_a_comparison(eq12_fit):
     )
     failed = Candidate("radial", "-", False, True, "no motion", follows=None)
     found = Comparison(
-        data={"file": "a_b.csv"},
+        data=replace(eq12_fit.data, file="a_b.csv"),
         stone=eq12_fit.stone,
         curl=0.1,
         side="left",

@@ -266,7 +266,7 @@ def test_hostile_names_stay_text(records):
     gap = {"x": np.where(fit.observed["t"] == 3.0, np.nan, fit.observed["x"])}
     named = replace(
         fit,
-        data=fit.data | {"file": HOSTILE, "notes": [hostile]},
+        data=replace(fit.data, file=HOSTILE, notes=(hostile,)),
         warnings=(hostile,),
         observed=fit.observed | gap,
     )

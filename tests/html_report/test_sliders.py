@@ -137,13 +137,13 @@ def test_the_page_has_numbers_of_the_record_and_needs_nothing_else(fit, explorer
     assert "src=" not in explorer.page
     assert len(explorer.page) < 400_000
     assert repr(explorer) == (
-        f"Explorer of a fit of the front-back law to {fit.data['file']}"
+        f"Explorer of a fit of the front-back law to {fit.data.file}"
     )
 
 
 def test_a_hostile_file_name_is_text(fit):
     name = '"></iframe><script>alert(1)</script>.csv'
-    explorer = curlfit.explore(replace(fit, data={**fit.data, "file": name}))
+    explorer = curlfit.explore(replace(fit, data=replace(fit.data, file=name)))
     assert explorer.page.count("<script") == 2
     shown = explorer._repr_html_()
     assert shown.count("<") == 2

@@ -45,7 +45,7 @@ class AtSpins(NamedTuple):
             fit = curlfit.fit(throw, law, sigma=NOISE, fix=fix, details=False)
             values.append(fit[name].value)
             errors.append(fit[name].stderr)
-            _, log_volume = np.linalg.slogdet(np.array(fit.covariance["matrix"]))
+            _, log_volume = np.linalg.slogdet(fit.covariance.matrix)
             logs.append((log_volume - fit.chi_squared) / 2)
         densities = np.exp(np.array(logs) - max(logs))
         return cls(spins, np.array(values), np.array(errors), densities)
@@ -137,8 +137,8 @@ def test_proposals_integrate_a_quadratic_exactly(eq12):
     proposals = WeightedProposals.of(fit, 4096, np.random.default_rng(0))
     assert proposals.effective > 2000
     log_integral = np.log(np.mean(np.exp(proposals.log_ratio)))
-    size = len(fit.covariance["names"])
-    _, log_volume = np.linalg.slogdet(np.array(fit.covariance["matrix"]))
+    size = len(fit.covariance.names)
+    _, log_volume = np.linalg.slogdet(fit.covariance.matrix)
     expected = (size * np.log(2 * np.pi) + log_volume) / 2
     assert log_integral == pytest.approx(expected, abs=0.05)
 

@@ -60,8 +60,8 @@ def sampled(fit):
     """The fit, and draws of the normal density of its covariance as a chain."""
     names, random = tuple(fit.parameters), np.random.default_rng(6)
     values = np.tile(fit.values, (50, 8, 1))
-    free = [names.index(name) for name in fit.covariance["names"]]
-    matrix = np.array(fit.covariance["matrix"])
+    free = [names.index(name) for name in fit.covariance.names]
+    matrix = fit.covariance.matrix
     values[..., free] = random.multivariate_normal(
         fit.values[free], matrix, (50, 8), tol=1e-6
     )
@@ -148,8 +148,8 @@ def test_what_is_no_arithmetic_is_refused(text, said):
 
 
 def test_errors_are_those_of_the_covariance(fit):
-    names = fit.covariance["names"]
-    matrix = np.array(fit.covariance["matrix"])
+    names = fit.covariance.names
+    matrix = fit.covariance.matrix
     found = fit.derive("v0**2 / (2*g*mu)")
     mu, v0 = fit["mu"].value, fit["v0"].value
     assert found.value == pytest.approx(v0**2 / (2 * G * mu), rel=1e-13)
@@ -554,9 +554,9 @@ def test_quantities_of_the_path_have_closed_forms_under_constant_deceleration(fi
     assert set(found) == {"friction", "turns", "hog_to_hog", "hog_to_tee"}
     assert found["friction"].value == pytest.approx(fit["mu"].value, rel=1e-9)
     assert found["friction"].stderr == pytest.approx(fit["mu"].stderr, rel=1e-4)
-    names = fit.covariance["names"]
+    names = fit.covariance.names
     order = [names.index(name) for name in ("mu", "v0", "y0", "heading")]
-    matrix = np.array(fit.covariance["matrix"])[np.ix_(order, order)]
+    matrix = fit.covariance.matrix[np.ix_(order, order)]
     at = np.array([fit[name].value for name in ("mu", "v0", "y0", "heading")])
     for name, line in (("hog_to_hog", LINES["far-hog"]), ("hog_to_tee", TEE)):
 

@@ -97,13 +97,13 @@ def test_the_optimum_and_its_errors_are_scipy_s(three):
     assert total.expression == "mu1_eta + mu2_eta"
     assert abs(total.value - found.x[2]) < 1e-3 * errors[2]
     assert total.stderr == pytest.approx(errors[2], rel=1e-3)
-    assert joint.rank == joint.parameters - 1
+    assert joint.identifiability.rank == joint.identifiability.parameters - 1
     # what a throw knows, the others included: predictions from it have these errors
     for place, one in enumerate(joint.throws):
         typical = one.parameter_set.typical
-        known = typical[:, None] * np.array(one.information["matrix"]) * typical
+        known = typical[:, None] * one.information.matrix * typical
         own = typical * np.sqrt(np.diag(np.linalg.pinv(known, rcond=1e-12)))
-        for name, error in zip(one.information["names"], own, strict=True):
+        for name, error in zip(one.information.names, own, strict=True):
             column = {"mu1_xi": 0, "mu2_xi": 1, "heading": 5, "v0": 6, "omega0": 8}.get(
                 name
             )
@@ -138,7 +138,7 @@ def test_short_throws_together_have_the_degrees_of_freedom_of_all(three):
         [curlfit.fit(throw, "front-back") for throw in short],
         fit_together(short),
     )
-    most = sum(one.n_observations for one in alone) - joint.rank
+    most = sum(one.n_observations for one in alone) - joint.identifiability.rank
     for name in ("mu1_xi", "mu2_xi"):
         assert max(one[name].dof for one in alone) < joint.coefficients[name].dof < most
         low, high = joint.coefficients[name].interval()
@@ -234,7 +234,7 @@ def test_a_warning_of_several_throws_is_one():
         "e": (of_all, own),
     }
     throws = [
-        SimpleNamespace(data={"file": file}, warnings=warnings)
+        SimpleNamespace(data=SimpleNamespace(file=file), warnings=warnings)
         for file, warnings in warnings_by_file.items()
     ]
     assert warnings_of(throws) == [old.of("a", "b", "c", "d"), of_all, own.of("e")]

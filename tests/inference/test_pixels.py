@@ -101,7 +101,7 @@ def test_the_noise_is_one_number_of_pixels(seen, tmp_path):
         sigma = fit.observed[f"sigma_{name}"]
         assert sigma.min() == pytest.approx(fit.sigma[name])
         np.testing.assert_allclose(sigma / throw.relative_sigma[name], 0.2, rtol=0.12)
-        assert fit.data["sigma"][name] == "estimated"
+        assert fit.data.sigma[name] == "estimated"
     fit.save(tmp_path / "fit.json")
     saved = load_fit(tmp_path / "fit.json")
     problem, again = problem_of(fit)[0], problem_of(saved)[0]
@@ -118,7 +118,7 @@ def test_outliers_are_judged_by_the_pixels(seen):
 def test_given_pixels_of_noise_are_known(seen):
     throw = seen(4)
     fit = curlfit.fit(throw.with_sigma({"x": 0.01}), stone=STONE)
-    assert fit.data["sigma"]["x"] == "given"
+    assert fit.data.sigma["x"] == "given"
     np.testing.assert_array_equal(fit.observed["sigma_x"], 0.01)
 
 

@@ -457,7 +457,7 @@ def test_the_posterior_of_timed_draws_is_that_of_quadrature(speed):
 
 def test_draws_are_saved_with_the_fit_and_drawn(joint, tmp_path):
     joint.save(tmp_path / "joint.json")
-    (name,) = set(folder_names([one.data["file"] for one in joint.throws]))
+    (name,) = set(folder_names([one.data.file for one in joint.throws]))
     (tmp_path / name).mkdir()
     joint.throws[0].save(tmp_path / name / "fit.json")
     again = curlfit.load_joint(tmp_path)

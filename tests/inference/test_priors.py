@@ -147,8 +147,8 @@ def test_a_normal_prior_is_one_more_datum(throw, without):
     centre, width = before.value + 2 * before.stderr, before.stderr
     fit = curlfit.fit(throw, fix=SPLIT, priors={"mu1_xi": f"{centre}+-{width}"})
     names, matrix = (
-        without.information["names"],
-        np.array(without.information["matrix"]),
+        without.information.names,
+        without.information.matrix,
     )
     row = names.index("mu1_xi")
     more = matrix.copy()
@@ -169,10 +169,10 @@ def test_a_normal_prior_is_one_more_datum(throw, without):
     assert fit.chi_squared == pytest.approx(without.chi_squared + 1.0, abs=0.02)
     # the information that is kept has the prior in it, and vanishes at the optimum
     np.testing.assert_allclose(
-        fit.information["matrix"], more, rtol=0.05, atol=1e-3 * more.max()
+        fit.information.matrix, more, rtol=0.05, atol=1e-3 * more.max()
     )
     error = np.sqrt(np.diag(covariance))
-    assert np.abs(np.array(fit.information["gradient"]) * error).max() < 1e-2
+    assert np.abs(fit.information.gradient * error).max() < 1e-2
 
 
 def test_a_uniform_prior_is_its_bounds(throw, without):

@@ -9,10 +9,12 @@ from conftest import TIMES as T, filmed
 
 import curlfit
 from curlfit.inference.fit.advice import NOISE
+from curlfit.inference.fit.entries import FurtherMeasurement
 from curlfit.inference.fit.result import load_fit
 from curlfit.reports.determined import identifiability
 
 TIMES = T[:151]
+SPLIT = FurtherMeasurement(("mu1_eta", "mu2_eta"), (), all=False)
 
 
 @pytest.fixture(scope="module")
@@ -41,11 +43,11 @@ def test_what_is_said_to_help_does_and_the_rest_does_not(seen, channels, name, k
     with_known = partial(fitted, seen, fix=known)
     before = with_known(*channels)
     assert before.parameters[name].verdict in ("weak", "not identifiable")
-    (remedy,) = (item for item in before.remedies if name in item["parameters"])
-    assert remedy["measure"]
+    (remedy,) = (item for item in before.remedies if name in item.parameters)
+    assert remedy.measure
     others = [other for other in NOISE if other not in channels]
-    if remedy["all"]:
-        more = remedy["measure"]
+    if remedy.all:
+        more = remedy.measure
         assert with_known(*channels, *more).parameters[name].verdict == "determined"
         for left_out in more:
             fewer = [other for other in more if other != left_out]
@@ -57,14 +59,12 @@ def test_what_is_said_to_help_does_and_the_rest_does_not(seen, channels, name, k
             helps = (
                 with_known(*channels, other).parameters[name].verdict == "determined"
             )
-            assert helps == (other in remedy["measure"]), other
+            assert helps == (other in remedy.measure), other
 
 
 def test_nothing_tells_the_split_and_the_report_says_where_to_look(seen, tmp_path):
     found = fitted(seen, "x", "y", "phi")
-    assert found.remedies == (
-        {"parameters": ["mu1_eta", "mu2_eta"], "measure": [], "all": False},
-    )
+    assert found.remedies == (SPLIT,)
     assert "curlfit design --separate mu1_eta,mu2_eta" in identifiability(found)
     found.save(tmp_path / "fit.json")
     assert load_fit(tmp_path / "fit.json").remedies == found.remedies
@@ -75,5 +75,4 @@ def test_nothing_is_said_to_help_under_correlated_noise_but_the_split_stays_hidd
 ):
     found = fitted(seen, "x", "y", noise="ar1")
     assert found.parameters["omega0"].verdict in ("weak", "not identifiable")
-    split = {"parameters": ["mu1_eta", "mu2_eta"], "measure": [], "all": False}
-    assert found.remedies == (split,)
+    assert found.remedies == (SPLIT,)

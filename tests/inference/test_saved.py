@@ -238,7 +238,7 @@ def test_what_is_of_another_type_is_refused_with_its_key(
 
     file = record_of(eq12_fit, tmp_path, change)
     if said is None:  # nothing is read from there
-        assert load_fit(file).null_directions == eq12_fit.null_directions
+        assert load_fit(file).identifiability == eq12_fit.identifiability
         return
     with pytest.raises(DataError) as caught:
         load_fit(file)

@@ -13,6 +13,7 @@ from rich.console import Console
 
 import curlfit
 from curlfit import Stone
+from curlfit.inference.fit.coefficient_rows import coefficient_rows
 from curlfit.inference.joint.season import Season, mean_of
 from curlfit.inference.model import Model
 from curlfit.throws.synthetic import law_with, synthetic_throw, write_table
@@ -88,7 +89,8 @@ def test_a_table_gives_what_all_throws_give_together(season):
             )
     (total,) = found.combinations
     assert total.expression == "mu1_eta + mu2_eta"
-    assert (found.rank, found.parameters) == (3, 4)
+    determined = found.identifiability
+    assert (determined.rank, determined.parameters) == (3, 4)
     assert found.trend[0].unit.endswith("/day")
     assert 1 <= found.r_hat < 1.02
     said = "the posterior of the spreads has not converged (R-hat 1.200)"
@@ -163,7 +165,7 @@ def test_what_throws_leave_open_does_not_explain_what_differs_between_them():
             values[:, :4],
             values[:, 4:],
             np.full(6, 20.0),
-            np.array([fit.coefficient_rows() for fit in fits]),
+            np.array([coefficient_rows(fit) for fit in fits]),
             (),
         ),
         (),
@@ -180,7 +182,7 @@ def test_what_throws_leave_open_does_not_explain_what_differs_between_them():
     assert total.stderr == pytest.approx(np.std(sums, ddof=1) / 6**0.5, rel=0.1)
     for name in ("mu1_eta", "mu2_eta"):
         assert season.coefficients[name].verdict == "not identifiable"
-    assert season.parameters - season.rank == 1
+    assert season.identifiability.parameters - season.identifiability.rank == 1
 
 
 def test_columns_that_were_added_to_a_table_are_labels(season, tmp_path):

@@ -61,7 +61,7 @@ def sweep_of(finding):
 def abrupt_changes(result):
     """Warnings of a joint fit, by the throw that they name."""
     return {
-        throw.data["file"]: finding_of(throw, "residuals-change")
+        throw.data.file: finding_of(throw, "residuals-change")
         for throw in result.throws
         if "residuals-change" in codes_of(throw)
     }

@@ -199,7 +199,7 @@ def test_three_numbers_determine_one_friction_coefficient(tmp_path):
     values = {"hog_to_hog": 14.2, "rest": TEE + 0.6, "curl": -1.22}
     result = curlfit.fit(Throw.from_events(record(**values)), "coulomb")
     assert result.converged
-    assert (result.rank, result.n_observations) == (3, 3)
+    assert (result.identifiability.rank, result.n_observations) == (3, 3)
     peer = least_squares(
         lambda p: residual_of(values, *p),
         [0.008, 0.0, 2.1],

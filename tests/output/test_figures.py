@@ -114,7 +114,7 @@ def with_coefficients(fit, count):
 def test_a_corner_of_few_coefficients_has_room_for_its_words(eq12_posterior, count):
     fit, chain = eq12_posterior
     name = f"a-{'very-' * 20}long-name-of-a-file.csv"
-    few = replace(with_coefficients(fit, count), data={**fit.data, "file": name})
+    few = replace(with_coefficients(fit, count), data=replace(fit.data, file=name))
     require_room(corner_figure(few, chain))
 
 
@@ -224,7 +224,7 @@ def test_texts_of_a_fit_lie_within_the_figure(eq12_fit, times, channels):
     for name in channels:
         observed[name] = fitted[name] + times * rng.normal(size=count)
     rms = {name: times * (1 + 0.1 * k) for k, name in enumerate(channels)}
-    odd = {**eq12_fit.data, "file": "x" * 250 + ".csv"}
+    odd = replace(eq12_fit.data, file="x" * 250 + ".csv")
     figure = fit_figure(
         replace(eq12_fit, observed=observed, fitted=fitted, rms=rms, data=odd)
     )
@@ -426,7 +426,7 @@ def test_throws_of_a_stop_watch_have_no_path_to_draw(eq12_fit):
 
 def test_a_joint_figure_has_room_for_all(eq12_fit):
     throws = tuple(
-        replace(eq12_fit, data={**eq12_fit.data, "file": f"season/throw-{k:02d}.csv"})
+        replace(eq12_fit, data=replace(eq12_fit.data, file=f"season/throw-{k:02d}.csv"))
         for k in range(12)
     )
     each = tuple((0.0417265 + 1e-6 * k, 2e-6) for k in range(12))

@@ -451,12 +451,14 @@ def test_posterior_over_the_rounding_of_the_stone(found):
 
 def test_ratio_and_split(found):
     assert abs(numbers(found.claim("ratio").computed)[0] - 3.19) < 0.01
-    assert found.eq28.fit.null_directions == ({"mu1_eta": 1.0, "mu2_eta": -1.0},)
+    assert found.eq28.fit.identifiability.null_directions == (
+        {"mu1_eta": 1.0, "mu2_eta": -1.0},
+    )
     assert (
-        found.eq28.fit.singular_values[-1]
+        found.eq28.fit.identifiability.singular_values[-1]
         < 1e-6
         < 100
-        < found.eq28.fit.singular_values[-2]
+        < found.eq28.fit.identifiability.singular_values[-2]
     )
     assert found.ring.split_epsilon.max() > 1 > found.ring.split_epsilon.min()
     assert found.ring.split_uniform.max() < 1e-13

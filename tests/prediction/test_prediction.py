@@ -85,7 +85,7 @@ def test_the_longest_programs_are_prepared_as_they_will_be_called(
 
 
 def begun(prediction):
-    found = {name: item["value"] for name, item in prediction.start.items()}
+    found = {name: item.value for name, item in prediction.start.items()}
     names = ("x0", "y0", "heading", "v0", "phi0", "omega0")
     return curlfit.InitialState(*(found[name] for name in names))
 
@@ -309,8 +309,8 @@ def test_bands_are_those_of_brute_force(fit):
         fit, start={"v0": 2.3, "omega0": 1.2, "heading": 0.0}, draws=1000
     )
     names, k = list(fit.coefficients), 200
-    place = [fit.covariance["names"].index(name) for name in names]
-    matrix = np.array(fit.covariance["matrix"])[np.ix_(place, place)]
+    place = [fit.covariance.names.index(name) for name in names]
+    matrix = fit.covariance.matrix[np.ix_(place, place)]
     random = np.random.default_rng(5)
     t = 25.0  # some two seconds before rest
     there = []
@@ -339,7 +339,7 @@ def test_chain_and_covariance_say_the_same(eq12_posterior):
 
 
 def test_the_split_that_is_not_known_does_not_widen_the_bands(fit):
-    assert fit.null_directions
+    assert fit.identifiability.null_directions
     free = curlfit.predict(fit, weight="draw", draws=400)
     held = curlfit.predict(
         curlfit.fit(thrown(), fix={"mu1_eta": 0.009}), weight="draw", draws=400
@@ -366,7 +366,7 @@ def test_what_is_not_known_and_matters_is_said_and_in_the_bands():
         fix={"omega0": 0.0, "mu1_xi": 0.005, "mu1_eta": 0.009},
         bounds={"mu2_xi": (0.02, 0.08)},
     )
-    assert straight.null_directions == ({"mu2_xi": 1.0},)
+    assert straight.identifiability.null_directions == ({"mu2_xi": 1.0},)
     # which it cannot be sure of along mu2_xi
     straight = replace(straight, converged=True)
     again = curlfit.predict(straight, draws=200)

@@ -89,7 +89,11 @@ def bic(throws: list[curlfit.Throw], law: str, widths: dict[str, float]) -> floa
         fits, known = fit.throws, fit.coefficients
     n = sum(one.n_observations for one in fits)
     priors = sum((known[name].value / width) ** 2 for name, width in widths.items())
-    return float(sum(one.chi_squared for one in fits) + priors + fit.rank * np.log(n))
+    return float(
+        sum(one.chi_squared for one in fits)
+        + priors
+        + fit.identifiability.rank * np.log(n)
+    )
 
 
 def add_lines(table: Table, case: Case, sets: int) -> None:

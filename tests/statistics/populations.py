@@ -26,6 +26,7 @@ from tables import Table
 
 import curlfit
 from curlfit.inference.derived import LEVELS
+from curlfit.inference.fit.coefficient_rows import coefficient_rows
 from curlfit.inference.joint.effects import Covariates
 
 WARM, DRAWS, CHAINS = 2000, 10_000, 4
@@ -80,7 +81,7 @@ def by_nuts(joint: curlfit.JointResult, throws: list[curlfit.Throw]) -> dict[str
         curlfit.fit(one, "front-back", stone=STONE, fix=FIXED, details=False)
         for one in throws
     ]
-    told = np.array([one.coefficient_rows() for one in alone])
+    told = np.array([coefficient_rows(one) for one in alone])
     labels = [(one.name, one.labels) for one in throws]
     covariate = Covariates.of(labels, ["sheet"], []).values[:, 0]
     directions = np.asarray(means.directions)

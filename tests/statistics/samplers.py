@@ -148,12 +148,12 @@ def importance_sampled(
     # mu1_eta + mu2_eta in the place of both
     to_all = np.delete(np.eye(size), 3, axis=1)
     to_all[[2, 3], 2] = 0.5
-    information = to_all.T @ np.array(fit.information["matrix"]) @ to_all
+    information = to_all.T @ fit.information.matrix @ to_all
     scale = 1 / np.sqrt(np.diag(information))
     covariance = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(
         scale, scale
     )
-    mean = covariance @ to_all.T @ np.array(fit.information["gradient"])
+    mean = covariance @ to_all.T @ fit.information.gradient
     proposal = multivariate_normal(mean, 1.2 * covariance)
     steps = proposal.rvs(draws, random_state=1)
     values = fit.values + steps @ to_all.T

@@ -89,10 +89,10 @@ def test_a_saved_fit_still_says_that_y_is_from_the_hack(write):
     assert fit.counts_from_hack
     entries = json.loads(json.dumps(fit.to_json()))
     again = curlfit.FitResult.from_json(entries)
-    assert tuple(again.data["notes"]) == timed.notes
+    assert tuple(again.data.notes) == timed.notes
     assert again.counts_from_hack
     del entries["data"]["findings"]  # as an earlier version wrote it
     earlier = curlfit.FitResult.from_json(entries)
-    assert {note.code for note in earlier.data["notes"]} == {"text"}
-    assert list(map(str, earlier.data["notes"])) == list(map(str, timed.notes))
+    assert {note.code for note in earlier.data.notes} == {"text"}
+    assert list(map(str, earlier.data.notes)) == list(map(str, timed.notes))
     assert earlier.counts_from_hack

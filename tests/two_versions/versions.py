@@ -123,20 +123,23 @@ def ask(
     file.write_text(json.dumps(cases))
     folders = {part: folder / f"answers {part}" for part in versions}
     running: dict[str, subprocess.Popen[bytes]] = {}
+    started: dict[str, float] = {}
     try:
         for part, version in versions.items():
             folders[part].mkdir(exist_ok=True)
             forget_interrupted(folders[part])
             running[part] = start(version, file, folders[part])
+            started[part] = time.time()
         while running:
             for part, version in versions.items():
-                if part in running and stalled(folders[part]):
+                if part in running and stalled(folders[part], started[part]):
                     running[part].kill()
                 if part in running and ended(running[part]):
                     if running.pop(part).returncode == CANNOT_RUN:
                         raise RuntimeError(f"{version.name} cannot be run")
                     if answered(folders[part]) < len(cases):
                         running[part] = start(version, file, folders[part])
+                        started[part] = time.time()
             counts = (f"{answered(folders[part])} {part}" for part in versions)
             say(f"answered of {len(cases)} cases: {', '.join(counts)}")
     finally:
@@ -145,10 +148,10 @@ def ask(
     return folders
 
 
-def stalled(folder: Path) -> bool:
-    """Whether a case has taken too long."""
+def stalled(folder: Path, started: float) -> bool:
+    """Whether a case has taken too long in a process that started at some time."""
     begun = [file.stat().st_mtime for file in folder.glob("*/answers.json")]
-    return bool(begun) and time.time() - max(begun) > LIMIT
+    return time.time() - max([started, *begun]) > LIMIT
 
 
 def ended(process: subprocess.Popen[bytes]) -> bool:

@@ -24,6 +24,7 @@ from curlfit.errors import Option
 from curlfit.findings import Finding, Remedy
 from curlfit.friction import check_load
 from curlfit.friction.curl import can_curl
+from curlfit.inference.fit.entries import FurtherMeasurement
 from curlfit.inference.fit.prepared import LeastSquaresFit
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.identifiability import WEAK_ERROR, Identifiability, analyse
@@ -81,11 +82,11 @@ def with_curl_warning(fit: FitResult) -> FitResult:
 def measured_curl(fit: FitResult) -> float | None:
     """Curl in m to the right as measured, by an event or by the path; None if it
     is not clear."""
-    across = [event for event in fit.events if event["quantity"] == "x"]
+    across = [event for event in fit.events if event.quantity == "x"]
     if across:
-        farthest = max(across, key=lambda event: abs(event["value"]))
-        is_clear = abs(farthest["value"]) > SURE * farthest["sigma"]
-        return farthest["value"] if is_clear else None
+        farthest = max(across, key=lambda event: abs(event.value))
+        is_clear = abs(farthest.value) > SURE * farthest.sigma
+        return farthest.value if is_clear else None
     if not {"x", "y"} <= fit.rms.keys():
         return None
     motion = motion_of(fit.throw)
@@ -170,9 +171,8 @@ _STEP = 1e-4  # of a typical size, of differences: the path is accurate to 1e-8 
 
 def remedies(
     fit: LeastSquaresFit, open_: Sequence[str], held: Collection[str]
-) -> tuple[dict[str, Any], ...]:
-    """What would determine some parameters, as {"parameters": names,
-    "measure": channels}.
+) -> tuple[FurtherMeasurement, ...]:
+    """What would determine some parameters.
 
     Parameters
     ----------
@@ -181,16 +181,14 @@ def remedies(
 
     Returns
     -------
-    Parameters with the same remedy are grouped. Of several channels in "measure" any
-    one suffices, unless "all" is true: then all are needed. It is empty where no
-    channel would help.
+    Parameters with the same remedy are grouped.
     """
     measurements = _Measurements.of(fit, held)
     missing = measurements.missing
     if not fit.noise.is_white:
         unseen = measurements.never_seen()
         never = [name for name in open_ if name in unseen]
-        return ({"parameters": never, "measure": [], "all": False},) if never else ()
+        return (FurtherMeasurement(tuple(never), (), all=False),) if never else ()
     by_channel = {channel: measurements.determined([channel]) for channel in missing}
     by_all = measurements.determined(missing) if len(missing) > 1 else set()
     groups: dict[tuple[tuple[str, ...], bool], list[str]] = {}
@@ -201,7 +199,7 @@ def remedies(
             channels = measurements.needed_for(name)
         groups.setdefault((tuple(channels), all_needed), []).append(name)
     return tuple(
-        {"parameters": names, "measure": list(channels), "all": all_needed}
+        FurtherMeasurement(tuple(names), channels, all_needed)
         for (channels, all_needed), names in groups.items()
     )
 

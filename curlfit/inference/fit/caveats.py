@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -11,6 +10,7 @@ from curlfit.errors import Option
 from curlfit.findings import Finding, Remedy
 from curlfit.inference.derived import Derived
 from curlfit.inference.fit.departures import Departures, KnownCondition
+from curlfit.inference.fit.entries import Outlier
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.prepared import LeastSquaresFit
 from curlfit.inference.fit.result import FitResult
@@ -55,7 +55,7 @@ def warnings_of(
     if fault is not None:
         warnings.append(Finding.warning("no-friction-law", fault=fault))
     warnings += [
-        *of_bounds(result.parameters, result.covariance["names"]),
+        *of_bounds(result.parameters, result.covariance.names),
         *_of_correlation(result),
         *_of_errors(result),
     ]
@@ -180,11 +180,11 @@ def _known_condition(condition: KnownCondition) -> Remedy:
     )
 
 
-def of_outliers(outliers: Sequence[Mapping[str, Any]], t: Floats) -> Finding:
+def of_outliers(outliers: Sequence[Outlier], t: Floats) -> Finding:
     """The number of outliers, the farthest, and whether they are the first of the
     rows at `t`."""
     farthest = outliers[0]
-    times = sorted({outlier["t"] for outlier in outliers})
+    times = sorted({outlier.t for outlier in outliers})
     count = len(times)
     remedies = []
     if count <= _EARLY < len(t) and times == t[:count].tolist():
@@ -195,15 +195,15 @@ def of_outliers(outliers: Sequence[Mapping[str, Any]], t: Floats) -> Finding:
         "outliers",
         *remedies,
         count=len(outliers),
-        channel=farthest["channel"],
-        t=farthest["t"],
-        line=farthest["line"],
-        sigmas=farthest["sigmas"],
+        channel=farthest.channel,
+        t=farthest.t,
+        line=farthest.line,
+        sigmas=farthest.sigmas,
     )
 
 
 def _of_given_sigma(
-    throw: Throw, residual: Floats, outliers: Sequence[Mapping[str, Any]]
+    throw: Throw, residual: Floats, outliers: Sequence[Outlier]
 ) -> list[Finding]:
     """Channels whose residuals, apart from outliers, are far larger than their
     given sigma."""
@@ -211,9 +211,7 @@ def _of_given_sigma(
     for row, channel in enumerate(CHANNELS[: len(residual)]):
         if channel not in throw.sigma:
             continue
-        excluded = [
-            outlier["t"] for outlier in outliers if outlier["channel"] == channel
-        ]
+        excluded = [outlier.t for outlier in outliers if outlier.channel == channel]
         kept = throw.finite[row] & ~np.isin(throw.t, excluded)
         if not kept.any():
             continue
@@ -242,15 +240,15 @@ def _of_events(result: FitResult) -> list[Finding]:
     """Events that the fit misses by far."""
     missed = []
     for event in result.events:
-        sigmas = abs(event["fitted"] - event["value"]) / event["sigma"]
+        sigmas = abs(event.fitted - event.value) / event.sigma
         if sigmas > _MISSED:
-            missed.append({"name": event["name"], "sigmas": sigmas})
+            missed.append({"name": event.name, "sigmas": sigmas})
     if not missed:
         return []
     # Two values along the sheet determine the speed and one coefficient, and cannot
     # distinguish laws.
     along = [
-        event for event in result.events if event["quantity"] in ("time", "y", "speed")
+        event for event in result.events if event.quantity in ("time", "y", "speed")
     ]
     remedies = []
     if result.law == "coulomb" and len(along) > 2:

@@ -8,11 +8,12 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from curlfit.inference.fit.entries import GaussNewtonInformation
 from curlfit.inference.fit.factors import Factors, LinearizedProblem, Reduction
 from curlfit.inference.fit.systematics import shifts
 from curlfit.inference.identifiability import (
@@ -226,15 +227,15 @@ class Covariance:
             for name, row in self.identifiability.determined().items()
         }
 
-    def information(self) -> dict[str, list[Any]]:
+    def information(self) -> GaussNewtonInformation:
         """The information matrix J^T J of the free parameters, and the gradient of the
         log-likelihood."""
         jacobian = self.factor[:, :-1][:, self.free]
-        return {
-            "names": list(itertools.compress(self.names, self.free)),
-            "gradient": (-self.factor[:, -1] @ jacobian).tolist(),
-            "matrix": (jacobian.T @ jacobian).tolist(),
-        }
+        return GaussNewtonInformation(
+            names=tuple(itertools.compress(self.names, self.free)),
+            matrix=jacobian.T @ jacobian,
+            gradient=-self.factor[:, -1] @ jacobian,
+        )
 
     def stderr(self, weights: Floats) -> float:
         """Standard error of a weighted sum of the open parameters."""

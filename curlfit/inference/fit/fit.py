@@ -14,6 +14,7 @@ from curlfit.friction.family import LawFamily
 from curlfit.inference.derived import check_derived
 from curlfit.inference.fit.advice import remedies, with_curl_warning, with_noise_advice
 from curlfit.inference.fit.change_points import may_have_changed, with_change
+from curlfit.inference.fit.entries import RefitWithStone
 from curlfit.inference.fit.other_rests import starts_with_other_rests
 from curlfit.inference.fit.prepared import (
     LeastSquaresFit,
@@ -141,7 +142,7 @@ def refit(fit: FitResult, noise: Noise) -> FitResult:
     throw = fit.throw
     rows = {name: fit.data[name] for name in ("since", "until", "exclude")}
     prepared = PreparedThrow(
-        throw, fit.stone, rows, fit.data["swept"], fit.parameter_set, Origin.of(throw)
+        throw, fit.stone, rows, fit.data.swept, fit.parameter_set, Origin.of(throw)
     )
     rounds = Rounds(fit.model, [prepared], loss=LOSSES[fit.loss], noise=noise)
     return summarize(_fitted_alone(rounds, fit.parameter_set.values_of(fit.values)))
@@ -389,7 +390,7 @@ def _outcome(
 
 def _reference_fits(
     outcome: LeastSquaresFit, result: FitResult, reference: Reference
-) -> tuple[dict[str, Any], ...]:
+) -> tuple[RefitWithStone, ...]:
     """The values that the fit gives with other constants of the stone: those of the
     reference, and each constant of the fit shifted by its rounding; none where they are
     parameters of the fit."""
@@ -418,7 +419,7 @@ def _reference_fits(
         values = {name: estimate.value for name, estimate in fit.coefficients.items()}
         for combination in fit.combinations:
             values[combination.expression] = combination.value
-        reference_fits.append({"stone": change, "values": values})
+        reference_fits.append(RefitWithStone(change, values))
     return tuple(reference_fits)
 
 

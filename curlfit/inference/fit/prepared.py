@@ -167,7 +167,7 @@ def problem_of(fit: FitResult) -> tuple[Problem, Origin]:
     throw = fit.throw
     origin = Origin.of(throw)
     problem = build_problem(
-        throw, fit.stone, origin, fit.sigma, LOSSES[fit.loss], fit.data["swept"]
+        throw, fit.stone, origin, fit.sigma, LOSSES[fit.loss], fit.data.swept
     )
     data = linearized_fit(fit).first(len(problem.weight)) if fit.noise.sizes else None
     whitener = Whitener.of(
@@ -184,8 +184,8 @@ def linearized_fit(fit: FitResult) -> Linearized:
     if fit.events:
         # one more row, with a column for each event
         row = np.zeros((1, path.shape[1]))
-        for column, (event, fitted) in enumerate(fit.timed):
-            row[0, column] = fitted - origin.of_event(event)
+        for column, event in enumerate(fit.events):
+            row[0, column] = event.fitted - origin.of_event(event.event)
         path = np.concatenate([path, row])
     verdicts = [estimate.verdict for estimate in fit.parameters.values()]
     adjustable = np.array(

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
+from curlfit.inference.fit.entries import Outlier
 from curlfit.inference.least_squares import Solution
 from curlfit.inference.likelihood import SIGMA_FLOOR
 from curlfit.inference.problem import Problem
@@ -42,7 +42,7 @@ def outliers_of(
     dof: Floats,
     leverage: Floats,
     loss: Loss,
-) -> tuple[dict[str, Any], ...]:
+) -> tuple[Outlier, ...]:
     """Values too far from the fit to be noise; in channels whose residuals do not look
     like noise, those as far from the residuals of the rows about them too.
 
@@ -98,15 +98,15 @@ def outliers_of(
             far |= _studentized_far(size, leverage[row, observed], dof[row], chance)
         for index, sigmas in zip(observed[far], size[far] / sigma[far], strict=True):
             outliers.append(
-                {
-                    "channel": channel,
-                    "t": float(throw.t[index]),
-                    "line": None if throw.lines is None else int(throw.lines[index]),
-                    "off": float(residual[row, index]),
-                    "sigmas": float(sigmas),
-                }
+                Outlier(
+                    channel=channel,
+                    t=float(throw.t[index]),
+                    line=None if throw.lines is None else int(throw.lines[index]),
+                    off=float(residual[row, index]),
+                    sigmas=float(sigmas),
+                )
             )
-    return tuple(sorted(outliers, key=lambda outlier: -outlier["sigmas"]))
+    return tuple(sorted(outliers, key=lambda outlier: -outlier.sigmas))
 
 
 def _studentized_far(

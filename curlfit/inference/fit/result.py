@@ -7,10 +7,10 @@ drawn and sampled again without the data file and without fitting.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
 from os import PathLike
-from typing import Annotated, Any, ClassVar, NotRequired
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
@@ -19,6 +19,18 @@ from curlfit.findings import Finding
 from curlfit.friction import Law, Parameter, check_load, find_law
 from curlfit.inference.conditions import CONDITIONS
 from curlfit.inference.derived import Derived, FirstOrder, derive
+from curlfit.inference.fit.entries import (
+    AnyNoise,
+    ChannelName,
+    DataOfFit,
+    Determined,
+    FittedEvent,
+    FurtherMeasurement,
+    GaussNewtonInformation,
+    LossName,
+    Outlier,
+    RefitWithStone,
+)
 from curlfit.inference.fit.estimates import (
     Estimate,
     NamedEstimates,
@@ -26,101 +38,19 @@ from curlfit.inference.fit.estimates import (
     RidgePoint,
     Systematics,
 )
-from curlfit.inference.fit.ridge_information import information_along
-from curlfit.inference.identifiability import (
-    WEAK_ERROR,
-    Combination,
-    directions,
-    stderr_told,
-)
+from curlfit.inference.identifiability import Combination
 from curlfit.inference.model import Model
+from curlfit.inference.named_matrix import NamedMatrix
 from curlfit.inference.noise.independence import Independence
 from curlfit.inference.parameters import START, ParameterSet
 from curlfit.inference.priors import parse_priors
 from curlfit.inference.verdict import Verdict
-from curlfit.losses import LOSSES
-from curlfit.noises import NOISES, WHITE, Noise
+from curlfit.loads import Load
+from curlfit.noises import WHITE
 from curlfit.numerics.arrays import Floats
-from curlfit.records import (
-    ADDED,
-    SERIES,
-    Choice,
-    Kinds,
-    Names,
-    keys,
-    require,
-    require_rows,
-)
+from curlfit.records import ADDED, SERIES, Names, require, require_rows
 from curlfit.stone import Stone
-from curlfit.throws.events import QUANTITIES, Event
-from curlfit.throws.throw import (
-    CHANNELS,
-    Reference,
-    StoneValues,
-    Throw,
-    counts_from_hack,
-)
-
-# eigenvalue over the largest, of information in typical sizes, that is not rounding
-_SEEN = 1e-10
-
-# share of a coefficient in what the data cannot tell in any case
-_HARDLY_TOLD = 0.5
-
-ChannelName = Annotated[str, Choice(CHANNELS)]
-LoadName = Annotated[str, Choice(("uniform", "consistent"))]
-LossName = Annotated[str, Choice(tuple(LOSSES))]
-NoiseName = Annotated[str, Choice(tuple(NOISES))]
-_AnyNoise = Annotated[Noise, Kinds(type(noise) for noise in NOISES.values())]
-Pair = tuple[float, float]
-
-Extent = Annotated[
-    dict[str, Any], keys(file=str, rows=int, **{"from": float}, to=float)
-]
-"""The data of a fit: the name of the file, the number of rows of a path, first
-and last time."""
-DataOfFit = Annotated[
-    dict[str, Any],
-    keys(
-        file=str,
-        rows=int,
-        **{"from": float},
-        to=float,
-        law_file=str | None,
-        since=float | None,
-        until=float | None,
-        exclude=list[Pair],
-        swept=Pair | None,
-        sigma=dict[ChannelName, str],
-        notes=tuple[Finding, ...],
-        labels=NotRequired[dict[str, str]],
-        flags=NotRequired[list[str]],
-    ),
-]
-"""The same, and how they were chosen."""
-_Matrix = {"names": list[str], "matrix": list[list[float]]}
-_Event = Annotated[
-    dict[str, Any],
-    keys(
-        name=str,
-        quantity=Annotated[str, Choice(QUANTITIES)],
-        value=float,
-        sigma=float,
-        at=float | None,
-        since=float | None,
-        fitted=float,
-    ),
-]
-_Outlier = Annotated[
-    dict[str, Any],
-    keys(channel=ChannelName, t=float, line=int | None, off=float, sigmas=float),
-]
-_Remedy = Annotated[
-    dict[str, Any], keys(parameters=list[str], measure=list[ChannelName], all=bool)
-]
-_ReferenceFit = Annotated[
-    dict[str, Any], keys(stone=StoneValues, values=dict[str, float])
-]
+from curlfit.throws.throw import CHANNELS, Reference, Throw, counts_from_hack
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -141,18 +71,17 @@ class FitResult(NamedEstimates):
         subtraction of what the noise model predicts.
     parameters : by name, coefficients first, then x0 y0 heading v0 phi0 omega0.
     combinations : sums that are determined where single parameters are not.
-    rank, singular_values, null_directions : see `curlfit.inference.identifiability`.
-    covariance : {"names": [...], "matrix": [[...]]} of the free parameters away from
-        their bounds, along the directions that the data determine.
-    information : the Gauss-Newton information matrix J^T J of all free parameters, in
-        the same form, with the "gradient" of the log-likelihood, zero except for
-        parameters at a bound.
+    identifiability : how many directions the data determine, and those that they do
+        not.
+    covariance : of the free parameters away from their bounds, along the directions
+        that the data determine.
+    information : what the data say of all free parameters to first order.
     ridge : where chi squared is no quadratic, values of all parameters that fit about
         as well as the estimates: a `RidgePoint` each. Empty where it is one, and of
         fits of several throws.
     reference : published or true values of the same law, if the data file has them.
     reference_fits : fits repeated with other constants of the stone, where the
-        reference gives them: {"stone": constants, "values": by name or expression}.
+        reference gives them.
     observed : t, x, y, phi as measured, speed and omega if measured, and sigmas where
         they are given or vary by row.
     fitted : x, y, phi, speed, omega of the fit at the same times; empty if
@@ -163,15 +92,14 @@ class FitResult(NamedEstimates):
         rows, to be added to `fitted`. Empty without such noise.
     loss : how much large residuals count, see `curlfit.losses`.
     noise : how noise is correlated from row to row, see `curlfit.noises`.
-    outliers : values far from the fit: {"channel", "t", "line" (of the file, or None),
-        "off" (SI), "sigmas"}, the farthest first.
+    outliers : values far from the fit, the farthest first.
     remedies : further measurements that would help, see `curlfit.inference.fit.advice`.
     sampling : "none", "unfinished" (begun, or about to begin) or "ended".
     systematics : errors due to the conditions that the fit holds fixed, such
         as level ice.
     chi_squared, prior_chi_squared : of the data, and of the priors.
-    events : measured times and positions at lines and at rest, each with the attributes
-        of `curlfit.throws.events.Event` and its value in the fit, "fitted".
+    events : measured times and positions at lines and at rest, each with its value in
+        the fit.
     derived : quantities requested by `--derive` and `with_derived`.
     products : of parameters that are not determined, where they are determined along
         the ridge: "b*omega0". Empty without a ridge.
@@ -196,12 +124,9 @@ class FitResult(NamedEstimates):
     """
 
     kind: ClassVar[str] = "fit"
-    written_together: ClassVar[dict[str, tuple[str, ...]]] = {
-        "identifiability": ("rank", "singular_values", "null_directions")
-    }
 
     law: str
-    load: LoadName
+    load: Load
     stone: Stone
     data: DataOfFit
     converged: bool
@@ -212,28 +137,26 @@ class FitResult(NamedEstimates):
     sigma: dict[str, float]
     lag1: dict[str, float]
     loss: LossName = "linear"
-    noise: _AnyNoise = WHITE
+    noise: AnyNoise = WHITE
     independence: dict[ChannelName, Independence] = field(default_factory=dict)
-    outliers: tuple[_Outlier, ...] = ()
-    events: tuple[_Event, ...] = ()
-    remedies: tuple[_Remedy, ...] = ()
+    outliers: tuple[Outlier, ...] = ()
+    events: tuple[FittedEvent, ...] = ()
+    remedies: tuple[FurtherMeasurement, ...] = ()
     parameters: dict[str, Estimate]
     combinations: tuple[Combination, ...]
-    rank: int
-    singular_values: tuple[float, ...]
-    null_directions: tuple[dict[str, float], ...]
-    covariance: Annotated[dict[str, Any], keys(**_Matrix)]
-    information: Annotated[dict[str, Any], keys(**_Matrix, gradient=list[float])]
+    identifiability: Determined
+    covariance: NamedMatrix
+    information: GaussNewtonInformation
     ridge: tuple[RidgePoint, ...] = field(default=(), metadata=ADDED | SERIES)
     reference: Reference | None
-    reference_fits: tuple[_ReferenceFit, ...] = ()
+    reference_fits: tuple[RefitWithStone, ...] = ()
     systematics: Systematics = field(default_factory=Systematics)
     chi_squared: float = math.nan
     prior_chi_squared: float = 0.0
     derived: tuple[Derived, ...] = ()
     products: tuple[Derived, ...] = field(default=(), metadata=ADDED)
     quantities: dict[str, Derived] = field(default_factory=dict)
-    sampling: Annotated[str, Choice(("none", "unfinished", "ended"))] = "none"
+    sampling: Literal["none", "unfinished", "ended"] = "none"
     posterior: Posterior | None = None
     observed: dict[str, Floats] = field(metadata=SERIES)
     fitted: Annotated[dict[ChannelName, Floats], Names(CHANNELS)] = field(
@@ -248,15 +171,17 @@ class FitResult(NamedEstimates):
         parameters = self.parameters.keys()
         rows = len(self.observed.get("t", ()))
         of_null_directions = {
-            name for direction in self.null_directions for name in direction
+            name
+            for direction in self.identifiability.null_directions
+            for name in direction
         }
         of_combinations = {
             name for combination in self.combinations for name in combination.weights
         }
         names_by_entry: dict[str, Iterable[str]] = {
             "parameters": [parameter.name for parameter in START],
-            "covariance": self.covariance["names"],
-            "information": self.information["names"],
+            "covariance": self.covariance.names,
+            "information": self.information.names,
             "null_directions": of_null_directions,
             "combinations": of_combinations,
             "posterior": self.posterior.ess if self.posterior else (),
@@ -264,9 +189,9 @@ class FitResult(NamedEstimates):
         }
         for entry, names in names_by_entry.items():
             require(entry, set(names) <= parameters, "names of parameters")
-        origins = self.data["sigma"].items()
+        origins = self.data.sigma.items()
         estimated = {name for name, origin in origins if origin == "estimated"}
-        require("data", self.rms.keys() <= self.data["sigma"].keys(), "sigma of each")
+        require("data", self.rms.keys() <= self.data.sigma.keys(), "sigma of each")
         require("sigma", estimated <= self.sigma.keys(), "all that were estimated")
         for entry in ("observed", "fitted", "discrepancy"):
             require_rows(entry, getattr(self, entry), rows)
@@ -278,17 +203,14 @@ class FitResult(NamedEstimates):
         require("observed", has_series, "t and channels")
         matrices = {"covariance": self.covariance, "information": self.information}
         for entry, record in matrices.items():
-            count = len(record["names"])
-            lengths = [len(row) for row in record["matrix"]]
-            require(entry, lengths == [count] * count, "a square matrix")
+            count = len(record.names)
+            require(entry, record.matrix.shape == (count, count), "a square matrix")
         complete = all(len(point.values) == len(parameters) for point in self.ridge)
         require("ridge", complete, "a value of each parameter")
         shape = (len(START), len(START)) if self.noise.sizes else (0,)
         require("noise", np.shape(self.noise.initial_state) == shape, "a covariance")
-        gradient = self.information["gradient"]
-        require(
-            "information", len(gradient) == len(self.information["names"]), "a gradient"
-        )
+        has_gradient = len(self.information.gradient) == len(self.information.names)
+        require("information", has_gradient, "a gradient")
 
     @property
     def law_class(self) -> type[Law]:
@@ -403,29 +325,19 @@ class FitResult(NamedEstimates):
             **channels,
             sigma=sigma,
             relative_sigma=relative_sigma,
-            name=self.data["file"],
+            name=self.data.file,
             reference=self.reference,
-            labels=self.data.get("labels", {}),
-            events=tuple(event for event, _ in self.timed),
+            labels=self.data.labels,
+            events=tuple(fitted.event for fitted in self.events),
             assumed=assumed,
             defaults={"as_given": True},  # it was checked when it was fitted
         )
 
     @property
-    def timed(self) -> list[tuple[Event, float]]:
-        """The events, each with its value in the fit."""
-        timed = []
-        for entry in self.events:
-            attributes = dict(entry)
-            fitted = attributes.pop("fitted")
-            timed.append((Event(**attributes), fitted))
-        return timed
-
-    @property
     def counts_from_hack(self) -> bool:
         """Whether y of the data is measured from the hack, according to the notes
         of the reader."""
-        return counts_from_hack(self.data["notes"])
+        return counts_from_hack(self.data.notes)
 
     @property
     def _estimates(self) -> dict[str, Estimate]:
@@ -472,7 +384,7 @@ class FitResult(NamedEstimates):
         return FirstOrder(
             self.parameters,
             self.covariance,
-            self.null_directions,
+            self.identifiability.null_directions,
             self.combinations,
             self.systematics.widths,
             self.systematics.shifts,
@@ -515,122 +427,6 @@ class FitResult(NamedEstimates):
         return replace(
             self, derived=tuple(self.derive(text, chain) for text in expressions)
         )
-
-    def _moves_along_ridge(self, names: Sequence[str]) -> Floats:
-        """Moves of parameters from the estimates to the points of the ridge, shape
-        (points, parameters)."""
-        places = [list(self.parameters).index(name) for name in names]
-        points = np.array([point.values for point in self.ridge])
-        return (points.reshape(-1, len(self.parameters)) - self.values)[:, places]
-
-    def coefficient_rows_along_ridge(
-        self, names: Sequence[str] | None = None
-    ) -> tuple[Floats, Floats]:
-        """What the throw says of the coefficients of its law, or of the named
-        parameters, where chi squared is no quadratic: rows as those of
-        `coefficient_rows`, of which the second are as wide as the ridge, each of shape
-        (coefficients, coefficients + 1)."""
-        names = list(self.coefficients) if names is None else names
-        free, typical, matrix, gradient = self._information_in_typical_sizes()
-        rises = np.array([point.rise for point in self.ridge])
-        moves = self._moves_along_ridge(free) / typical
-        step: Any = np.linalg.pinv(matrix, rcond=_SEEN, hermitian=True) @ gradient
-        wanted = np.isin(free, names)
-        kept, stretched = information_along(matrix, moves, rises).of(wanted, step)
-        values = np.array([self.parameters[name].value for name in names])
-        sizes = np.append(typical[wanted], 1.0)
-        rows_kept = self._padded(kept / sizes, names)
-        rows_kept[:, -1] += rows_kept[:, :-1] @ values
-        rows_stretched = self._padded(stretched / sizes, names)
-        rows_stretched[:, -1] += rows_stretched[:, :-1] @ values
-        return rows_kept, rows_stretched
-
-    def _information_in_typical_sizes(
-        self,
-    ) -> tuple[Sequence[str], Floats, Floats, Floats]:
-        """Names of the free parameters, their typical sizes, and the information matrix
-        and the gradient in these."""
-        names = self.information["names"]
-        typical = np.array([self.parameters[name].typical for name in names])
-        matrix = np.array(self.information["matrix"]) * typical * typical[:, None]
-        gradient = np.array(self.information["gradient"]) * typical
-        return names, typical, matrix, gradient
-
-    def _padded(self, rows: Floats, names: Sequence[str]) -> Floats:
-        """Rows on the free ones of some parameters, with what they give as the last
-        column, as rows on all of these parameters, as many as there are of them."""
-        columns = np.append(np.isin(names, self.information["names"]), True)
-        padded = np.zeros((len(names), len(names) + 1))
-        padded[: len(rows), columns] = rows
-        return padded
-
-    def rows_told(self, names: Sequence[str] | None = None) -> Floats:
-        """All that the throw says of the coefficients of its law, or of the named
-        parameters: `coefficient_rows`, or both parts along the ridge, one after
-        the other."""
-        if self.ridge:
-            return np.vstack(self.coefficient_rows_along_ridge(names))
-        return self.coefficient_rows(names)
-
-    def stderr_of_coefficients(self, weights: Floats) -> float | None:
-        """Standard error of a weighted sum of the coefficients of the law, as wide as
-        the ridge; None where the throw says nothing of it."""
-        typical = np.array(
-            [coefficient.typical for coefficient in self.coefficients.values()]
-        )
-        return stderr_told(self.rows_told()[:, :-1], weights, typical)
-
-    def left_open(self) -> tuple[str, ...]:
-        """Coefficients that the ridge leaves open: that differ along it, and of which
-        the throw says too little, though it would with its initial state known. None
-        where chi squared is a quadratic."""
-        if not self.ridge:
-            return ()
-        names = [
-            name for name in self.coefficients if name in self.information["names"]
-        ]
-        typical = np.array([self.parameters[name].typical for name in names])
-        moves = np.abs(self._moves_along_ridge(names) / typical).max(0)
-        places = [self.information["names"].index(name) for name in names]
-        with_start_known = np.array(self.information["matrix"])[np.ix_(places, places)]
-        *_, null = directions(with_start_known, typical)
-        # Each of two coefficients of which only the sum enters has a share of 0.7.
-        told = np.linalg.norm(null, axis=0) < _HARDLY_TOLD
-        open_ = []
-        for name, move, is_told in zip(names, moves, told, strict=True):
-            unit = np.array(
-                [1.0 if other == name else 0.0 for other in self.coefficients]
-            )
-            stderr = self.stderr_of_coefficients(unit)
-            weak = WEAK_ERROR * self.parameters[name].typical
-            if move > WEAK_ERROR and is_told and (stderr is None or stderr >= weak):
-                open_.append(name)
-        return tuple(open_)
-
-    def coefficient_rows(self, names: Sequence[str] | None = None) -> Floats:
-        """What the throw says of the coefficients of its law, or of the named
-        parameters, to first order about its optimum: rows that are multiplied by these,
-        with what they then give as the last column, shape
-        (coefficients, coefficients + 1); errors are one."""
-        names = list(self.coefficients) if names is None else names
-        free, typical, matrix, gradient = self._information_in_typical_sizes()
-        wanted = np.isin(free, names)
-        # Whatever the other parameters are: the Schur complement.
-        inverse = np.linalg.pinv(matrix[~wanted][:, ~wanted], hermitian=True)
-        follow: Any = matrix[wanted][:, ~wanted] @ inverse
-        reduced = matrix[wanted][:, wanted] - follow @ matrix[~wanted][:, wanted]
-        reduced_gradient = gradient[wanted] - follow @ gradient[~wanted]
-        squares, axes = np.linalg.eigh(reduced)
-        seen = squares > _SEEN * squares.max(initial=0.0)
-        root = np.sqrt(squares[seen])
-        directions_seen = axes[:, seen].T
-        slopes = directions_seen * root[:, None] / typical[wanted]
-        steps = directions_seen @ reduced_gradient / root
-        rows = self._padded(np.column_stack([slopes, steps]), names)
-        values = np.array([self.parameters[name].value for name in names])
-        count = len(steps)
-        rows[:count, -1] += rows[:count, :-1] @ values
-        return rows
 
     def before_sampling(self) -> FitResult:
         """The result as it is kept on disk while the posterior is being sampled."""

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from operator import itemgetter
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import jax
 import numpy as np
@@ -32,6 +32,7 @@ from curlfit.inference.fit.departures import (
     probes_about,
     to_be_held,
 )
+from curlfit.inference.fit.entries import DataOfFit, Determined, FittedEvent, Outlier
 from curlfit.inference.fit.estimates import Estimate, RidgePoint, Systematics
 from curlfit.inference.fit.factors import Factors, Reduction, chi_squared_change
 from curlfit.inference.fit.prepared import (
@@ -50,6 +51,7 @@ from curlfit.inference.initial_values import default_guess
 from curlfit.inference.least_squares import MOST_STEPS, Solution, Tasks, minimize_many
 from curlfit.inference.likelihood import chi_squared_of_many, predict_many
 from curlfit.inference.model import Model
+from curlfit.inference.named_matrix import NamedMatrix
 from curlfit.inference.noise.independence import Independence
 from curlfit.inference.noise.whitening import posterior_mean
 from curlfit.inference.parameters import ParameterSet
@@ -530,12 +532,12 @@ def _record(
     if shifts:
         systematics = Systematics(dict(widths), covariance.shifts_of_determined(shifts))
     events = [
-        asdict(event) | {"fitted": event.value - float(off)}
+        FittedEvent.of(event, event.value - float(off))
         for event, off in zip(throw.events, residual[-1], strict=False)
     ]
     result = FitResult(
         law=law.name,
-        load=fit.model.load.value,
+        load=fit.model.load,
         stone=fit.prepared.stone,
         data=_data(fit),
         converged=distance < CONVERGED and not is_refused,
@@ -550,13 +552,14 @@ def _record(
         chi_squared=float(fit.solution.chi_squared),
         prior_chi_squared=float(fit.solution.penalty),
         combinations=tuple(departures.kept(covariance.combinations)),
-        rank=identifiability.rank,
-        singular_values=tuple(map(float, identifiability.singular_values)),
-        null_directions=identifiability.null_directions,
-        covariance={
-            "names": list(identifiability.names),
-            "matrix": identifiability.covariance.tolist(),
-        },
+        identifiability=Determined(
+            rank=identifiability.rank,
+            singular_values=tuple(map(float, identifiability.singular_values)),
+            null_directions=identifiability.null_directions,
+        ),
+        covariance=NamedMatrix(
+            tuple(identifiability.names), identifiability.covariance
+        ),
         information=covariance.information(),
         ridge=_ridge_points(fit, departures),
         reference=reference if reference and reference.law == law.name else None,
@@ -643,25 +646,24 @@ def _by_channel(
     }
 
 
-def _data(fit: LeastSquaresFit) -> dict[str, Any]:
+def _data(fit: LeastSquaresFit) -> DataOfFit:
     """What was fitted."""
     prepared = fit.prepared
     throw = prepared.throw
-    return {
-        "file": throw.name,
-        "law_file": fit.model.law.origin or None,
-        "rows": len(throw) if throw.has_path else 0,
-        "from": float(throw.t[0]),
-        "to": float(throw.t[-1]),
+    sigma = {name: "estimated" if name in fit.sigma else "given" for name in throw.seen}
+    return DataOfFit(
+        file=throw.name,
+        law_file=fit.model.law.origin or None,
+        rows=len(throw) if throw.has_path else 0,
+        begin=float(throw.t[0]),
+        end=float(throw.t[-1]),
         **prepared.rows,
-        "swept": prepared.swept,
-        "sigma": {
-            name: "estimated" if name in fit.sigma else "given" for name in throw.seen
-        },
-        "notes": tuple(throw.notes),
-        "labels": dict(throw.labels),
-        "flags": list(prepared.flags),
-    }
+        swept=prepared.swept,
+        sigma=sigma,
+        notes=tuple(throw.notes),
+        labels=dict(throw.labels),
+        flags=tuple(prepared.flags),
+    )
 
 
 def _observed(fit: LeastSquaresFit) -> dict[str, Floats]:
@@ -706,7 +708,7 @@ def _discrepancy(
 def _misfit(
     fit: LeastSquaresFit,
     series: Mapping[str, tuple[Floats, Floats]],
-    outliers: Sequence[Mapping[str, Any]],
+    outliers: Sequence[Outlier],
 ) -> dict[str, float]:
     """Root mean square of the residuals by channel, without outliers from which a
     robust loss protects the fit."""
@@ -714,7 +716,7 @@ def _misfit(
     for name, (off, _) in series.items():
         squares = np.sort(off**2)
         if fit.loss.is_robust:  # outliers are the largest of them
-            far = [outlier for outlier in outliers if outlier["channel"] == name]
+            far = [outlier for outlier in outliers if outlier.channel == name]
             squares = squares[: len(squares) - len(far)]
         misfit[name] = float(np.sqrt(squares.mean())) if len(squares) else 0.0
     return misfit

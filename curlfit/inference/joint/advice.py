@@ -40,7 +40,7 @@ def with_throws(
             for throw in throws
         ]
     if refused:
-        faults = [f"{throw.data['file']}: {throw.status}" for throw in refused]
+        faults = [f"{throw.data.file}: {throw.status}" for throw in refused]
         status = ". ".join(faults)
     result = replace(
         result,

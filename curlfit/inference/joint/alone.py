@@ -9,6 +9,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from curlfit.errors import CurlfitError
+from curlfit.inference.fit.coefficient_rows import rows_told
 from curlfit.inference.fit.fit import fitted
 from curlfit.inference.fit.prepared import PreparedThrow
 from curlfit.inference.fit.result import FitResult
@@ -45,7 +46,7 @@ class ThrowsAlone(NamedTuple):
                 parameters = [fit.parameters[name] for name in names]
                 values[place] = [item.value for item in parameters]
                 typical = np.array([item.typical for item in parameters])
-                told[place] = fit.rows_told(names)[:, :-1]
+                told[place] = rows_told(fit, names)[:, :-1]
                 stated[place] = _stated_errors(fit)
         rows = np.zeros((len(fits), max(map(len, told)), len(names)))
         for of_throw, own in zip(rows, told, strict=True):

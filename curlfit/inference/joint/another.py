@@ -4,16 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from curlfit.errors import InputError
 from curlfit.foreign import file_and_number
+from curlfit.inference.fit.entries import (
+    DataOfFit,
+    Determined,
+    GaussNewtonInformation,
+)
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.joint.draw import Draw
 from curlfit.inference.joint.result import JointResult, SeparateFits
+from curlfit.inference.named_matrix import NamedMatrix
 from curlfit.inference.parameters import START
 from curlfit.inference.verdict import Verdict
 from curlfit.numerics.arrays import Floats
@@ -61,22 +66,23 @@ def another(
 
 
 def _thrown_last(throws: Sequence[FitResult], labels: Mapping[str, str]) -> FitResult:
-    """That with most of the labels, with the extent of the data and the
-    motion of all."""
-    near = throws[_last([one.data["labels"] for one in throws], labels)]
-    data = [one.data for one in throws]
-    files = list(dict.fromkeys(file_and_number(one["file"])[0] for one in data))
-    own = {
-        "file": files[0] if len(files) == 1 else f"{len(files)} files",
-        "rows": sum(one["rows"] for one in data),
-        "from": min(one["from"] for one in data),
-        "to": max(one["to"] for one in data),
-    }
-    fitted = {
-        name: np.concatenate([one.fitted[name] for one in throws])
+    """The throw that has most of the labels, with the extent of the data and the
+    motion of all throws."""
+    near = throws[_last([throw.data.labels for throw in throws], labels)]
+    data_by_throw = [throw.data for throw in throws]
+    files = dict.fromkeys(file_and_number(data.file)[0] for data in data_by_throw)
+    data_of_all = replace(
+        near.data,
+        file=next(iter(files)) if len(files) == 1 else f"{len(files)} files",
+        rows=sum(data.rows for data in data_by_throw),
+        begin=min(data.begin for data in data_by_throw),
+        end=max(data.end for data in data_by_throw),
+    )
+    motion_of_all = {
+        name: np.concatenate([throw.fitted[name] for throw in throws])
         for name in ("speed", "omega")
     }
-    return replace(near, data=near.data | own, fitted=near.fitted | fitted)
+    return replace(near, data=data_of_all, fitted=near.fitted | motion_of_all)
 
 
 def _last(each: Sequence[Mapping[str, str]], labels: Mapping[str, str]) -> int:
@@ -88,29 +94,20 @@ def _last(each: Sequence[Mapping[str, str]], labels: Mapping[str, str]) -> int:
 def _begun_last(
     joint: JointResult, table: SeparateFits, labels: Mapping[str, str]
 ) -> FitResult:
-    """The same of a table, of whose throws only the motion is known."""
-    nothing: dict[str, Any] = {"names": [], "matrix": [], "gradient": []}
+    """The throw of a table that has most of the labels; only its motion is known."""
     if not table.starts:
         raise InputError(
             "the fit of the table does not say how its throws began: "
             "repeat the batch, without --free, and fit its table"
         )
-    begun = table.starts[_last([one["labels"] for one in table.starts], labels)][
-        "start"
-    ]
+    begun = table.starts[_last([start.labels for start in table.starts], labels)]
     start = {
-        item.name: Estimate.of(item, begun[item.name], Verdict.DETERMINED)
-        for item in START
+        component.name: Estimate.of(
+            component, begun.start[component.name], Verdict.DETERMINED
+        )
+        for component in START
     }
-    data = {
-        "file": table.file,
-        "rows": table.throws,
-        "from": 0.0,
-        "to": table.duration,
-        "swept": None,
-        "notes": [],
-        "law_file": None,
-    }
+    data = DataOfFit(file=table.file, rows=table.throws, begin=0.0, end=table.duration)
     return FitResult(
         law=joint.law,
         load=joint.load,
@@ -125,11 +122,11 @@ def _begun_last(
         lag1={},
         parameters=joint.coefficients | start,
         combinations=joint.combinations,
-        rank=joint.rank,
-        singular_values=(),
-        null_directions=table.null_directions,
-        covariance=nothing,
-        information=nothing,
+        identifiability=Determined(
+            joint.identifiability.rank, (), table.null_directions
+        ),
+        covariance=NamedMatrix((), np.zeros((0, 0))),
+        information=GaussNewtonInformation.none(),
         reference=None,
         observed={"t": np.array([0.0, table.duration])},
         fitted={"speed": table.speeds, "omega": table.spins},

@@ -36,7 +36,7 @@ from curlfit.inference.joint.effects import Covariates
 from curlfit.inference.joint.evening import same_in_all, with_usual_priors
 from curlfit.inference.joint.population import Together, told_by_data, vary
 from curlfit.inference.joint.posterior import drawn_for_others, sampled
-from curlfit.inference.joint.result import JointResult, Variation
+from curlfit.inference.joint.result import DeterminedTogether, JointResult, Variation
 from curlfit.inference.joint.ridge import JointRidge, follow_jointly
 from curlfit.inference.joint.solver import Progress, minimize_jointly
 from curlfit.inference.joint.summary import about_mean
@@ -338,7 +338,7 @@ def _equal(together: Together, given: Mapping[str, float] | None) -> _Equal:
     variations = variations_of(alone, jointly, weights, covariates.values)
     among = {name: item for name, item in variations.items() if item.significant}
     open_ = np.array(
-        [np.isin(parameters.names, one.covariance["names"]) for one in throws]
+        [np.isin(parameters.names, one.covariance.names) for one in throws]
     )
     named = {*shared, *(item.expression for item in combinations)}
     shifts = {
@@ -357,8 +357,10 @@ def _equal(together: Together, given: Mapping[str, float] | None) -> _Equal:
         combinations=tuple(
             _among(item, among, item.expression) for item in combinations
         ),
-        rank=int(first.rank + reduction.rank[1:].sum()),
-        parameters=int(open_[0, common].sum() + open_[:, ~common].sum()),
+        identifiability=DeterminedTogether(
+            rank=int(first.identifiability.rank + reduction.rank[1:].sum()),
+            parameters=int(open_[0, common].sum() + open_[:, ~common].sum()),
+        ),
         variation=tuple(variations.values()),
         systematics=replace(first.systematics, shifts=shifts),
     )

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 
@@ -17,13 +17,23 @@ from curlfit.foreign import file_and_number, safe_name
 from curlfit.friction import Law, find_law
 from curlfit.inference.derived import Derived, Quantiles, derive
 from curlfit.inference.fit.estimates import Estimate, NamedEstimates, Systematics
-from curlfit.inference.fit.result import FitResult, LoadName, load_fit
+from curlfit.inference.fit.result import FitResult, load_fit
 from curlfit.inference.identifiability import Combination
 from curlfit.inference.joint.effects import Effect, Means
 from curlfit.inference.mcmc.chain import Chain, digest, load_chain
+from curlfit.inference.named_matrix import NamedMatrix
 from curlfit.inference.parameters import START
+from curlfit.loads import Load
 from curlfit.numerics.arrays import Floats
-from curlfit.records import ADDED, UNSAVED, Names, keys, plain, require, structured
+from curlfit.records import (
+    ADDED,
+    UNSAVED,
+    Entry,
+    Names,
+    plain,
+    require,
+    structured,
+)
 from curlfit.stone import Stone
 from curlfit.throws.odd_row import OddRow
 from curlfit.wording import p_text
@@ -70,13 +80,18 @@ class Variation:
         return p_text(self.p_value)
 
 
-_Start = Annotated[
-    dict[str, Any],
-    keys(
-        labels=dict[str, str],
-        start=Annotated[dict[str, float], Names(item.name for item in START)],
-    ),
-]
+@dataclass(frozen=True)
+class StartOfThrow(Entry):
+    """How a throw began.
+
+    Attributes
+    ----------
+    labels : of the throw, such as its sheet.
+    start : its initial state, by component.
+    """
+
+    labels: dict[str, str]
+    start: Annotated[dict[str, float], Names(component.name for component in START)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +102,8 @@ class SeparateFits:
     ----------
     file : the table. throws : their number. stone : of most. notes : remarks on
         what was read.
-    starts : how the last one with some "labels" began, "start" by component; none where
-        each throw has conditions of its own.
+    starts : how the last throw with some labels began; none where each throw has
+        conditions of its own.
     duration : of the longest record, s.
     speeds, spins : lowest and highest speed (m/s), and spin (rad/s) of either sense.
     null_directions : of what they have in common.
@@ -98,11 +113,48 @@ class SeparateFits:
     throws: int
     stone: Stone
     notes: tuple[Finding, ...]
-    starts: tuple[_Start, ...] = field(default=(), metadata=ADDED)
+    starts: tuple[StartOfThrow, ...] = field(default=(), metadata=ADDED)
     duration: float = field(default=0.0, metadata=ADDED)
     speeds: Floats = field(default_factory=lambda: np.zeros(0), metadata=ADDED)
     spins: Floats = field(default_factory=lambda: np.zeros(0), metadata=ADDED)
     null_directions: tuple[dict[str, float], ...] = field(default=(), metadata=ADDED)
+
+
+@dataclass(frozen=True)
+class DeterminedTogether(Entry):
+    """What throws determine together, in short.
+
+    Attributes
+    ----------
+    rank : number of directions in the space of the free parameters that they determine.
+    parameters : number of free parameters, not counting what varies from throw to
+        throw.
+    """
+
+    rank: int
+    parameters: int
+
+
+@dataclass(frozen=True)
+class ThrowInBrief(Entry):
+    """A throw of a joint fit in `joint.json`; the whole is in its own folder.
+
+    Attributes
+    ----------
+    file, rows : its file, and number of rows of a path.
+    rms, sigma, parameters : see `FitResult`.
+    """
+
+    file: str
+    rows: int
+    rms: dict[str, float]
+    sigma: dict[str, float]
+    parameters: dict[str, Estimate]
+
+    @classmethod
+    def of(cls, fit: FitResult) -> Self:
+        """The throw of a fit."""
+        return cls(fit.data.file, fit.data.rows, fit.rms, fit.sigma, fit.parameters)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -123,8 +175,7 @@ class JointResult(NamedEstimates):
         freedom less than throws.
     combinations : what is determined where single shared coefficients are
         not; likewise.
-    rank, parameters : directions that the throws determine together, and number of free
-        parameters, not counting what varies.
+    identifiability : how much the throws determine together.
     variation : of each determined shared coefficient or combination.
     groups, differences, trend : the mean of all throws and of each group, the
         differences of groups from the first one of the same label, and the change of
@@ -157,20 +208,16 @@ class JointResult(NamedEstimates):
     """
 
     kind: ClassVar[str] = "joint"
-    written_together: ClassVar[dict[str, tuple[str, ...]]] = {
-        "identifiability": ("rank", "parameters")
-    }
 
     law: str
-    load: LoadName
+    load: Load
     share: tuple[str, ...]
     converged: bool
     status: str
     warnings: tuple[Finding, ...]
     coefficients: dict[str, Estimate]
     combinations: tuple[Combination, ...]
-    rank: int
-    parameters: int
+    identifiability: DeterminedTogether
     variation: tuple[Variation, ...]
     odd_rows: tuple[OddRow, ...] = field(default=(), metadata=ADDED)
     means: Means | None = None
@@ -198,7 +245,7 @@ class JointResult(NamedEstimates):
 
     @property
     def stone(self) -> Stone:
-        """That of the first throw."""
+        """The stone of the first throw."""
         return self.throws[0].stone if self.table is None else self.table.stone
 
     @property
@@ -222,25 +269,21 @@ class JointResult(NamedEstimates):
             raise InputError(
                 "a fit of a table has no derived quantities; give them to the batch"
             )
-        known = self.throws[0].first_order
+        of_throw = self.throws[0].first_order
         shared = {
-            name: item
-            for name, item in known.parameters.items()
+            name: estimate
+            for name, estimate in of_throw.parameters.items()
             if name in self.coefficients
         }
-        inside = [row for row, name in enumerate(known.names) if name in shared]
-        matrix = np.array(known.covariance["matrix"])[np.ix_(inside, inside)]
-        own = known._replace(
+        names = tuple(name for name in of_throw.names if name in shared)
+        of_shared = of_throw._replace(
             parameters=shared,
-            covariance={
-                "names": [known.names[row] for row in inside],
-                "matrix": matrix,
-            },
+            covariance=NamedMatrix(names, of_throw.covariance.among(names)),
             combinations=self.combinations,
             ridge=(),
             products=(),
         )
-        return derive(own, expression)
+        return derive(of_shared, expression)
 
     def with_derived(self, expressions: Iterable[str]) -> JointResult:
         """The result with derived quantities."""
@@ -248,33 +291,29 @@ class JointResult(NamedEstimates):
 
     def to_json(self) -> dict[str, Any]:
         """The record as written to `joint.json`, with the single throws in brief."""
-        names = ("rms", "sigma", "parameters")
-        return super().to_json() | {
-            "throws": [
-                {name: one.data[name] for name in ("file", "rows")}
-                | {name: plain(getattr(one, name)) for name in names}
-                for one in self.throws
-            ]
-        }
+        in_brief = [ThrowInBrief.of(throw) for throw in self.throws]
+        return super().to_json() | {"throws": plain(in_brief)}
 
     def summary(self) -> dict[str, Any]:
-        """The same, since it has no series."""
+        """The record as it is written, since it has no series."""
         return self.to_json()
 
     @classmethod
     def _from_file(cls, entries: dict[str, Any], folder: Path) -> JointResult:
-        found = super()._from_file(entries, folder)
-        files = structured(entries, _Throws)["throws"]
-        names = folder_names([one["file"] for one in files])
-        throws = tuple(load_fit(folder / name) for name in names)
-        if throws and any(len(one.each) != len(throws) for one in found.variation):
+        joint = super()._from_file(entries, folder)
+        files = [throw.file for throw in structured(entries, _FilesOfThrows).throws]
+        throws = tuple(load_fit(folder / name) for name in folder_names(files))
+        counts = {len(variation.each) for variation in joint.variation}
+        if throws and counts - {len(throws)}:
             fault = "variation: expected an entry of each throw"
             raise DataError(fault, file=folder / "joint.json")
         file = folder / "chain.h5"
-        chain = load_chain(file) if found.r_hat is not None and file.is_file() else None
-        if chain is not None and chain.subject != found.subject:  # of an earlier fit
-            chain = None
-        return replace(found, throws=throws, chain=chain)
+        chain = None
+        if joint.r_hat is not None and file.is_file():
+            chain = load_chain(file)
+            if chain.subject != joint.subject:  # of an earlier fit
+                chain = None
+        return replace(joint, throws=throws, chain=chain)
 
     def save(self, file: str | PathLike[str]) -> None:
         """Write the record as JSON, and the draws beside it, each whole
@@ -318,7 +357,16 @@ class JointResult(NamedEstimates):
         return replace(self, throws=tuple(one.with_law(law) for one in self.throws))
 
 
-_Throws = keys(throws=list[Annotated[dict[str, Any], keys(file=str)]])
+@dataclass(frozen=True)
+class _FileOfThrow:
+    file: str
+
+
+@dataclass(frozen=True)
+class _FilesOfThrows:
+    """What of the throws in `joint.json` is read: the rest is in their own folders."""
+
+    throws: tuple[_FileOfThrow, ...]
 
 
 def folder_names(throws: Sequence[str]) -> list[str]:
@@ -344,7 +392,7 @@ def warnings_of(throws: Sequence[FitResult]) -> list[Finding]:
     files_by_warning: dict[Finding, list[str]] = {}
     for throw in throws:
         for warning in throw.warnings:
-            files_by_warning.setdefault(warning, []).append(throw.data["file"])
+            files_by_warning.setdefault(warning, []).append(throw.data.file)
     return [
         warning if len(files) == len(throws) else warning.of(*files)
         for warning, files in files_by_warning.items()

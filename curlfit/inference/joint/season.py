@@ -30,7 +30,12 @@ from curlfit.inference.joint.draw import TIMES, Draw
 from curlfit.inference.joint.effects import Covariates, Labelled
 from curlfit.inference.joint.population import LinearizedThrows, Population
 from curlfit.inference.joint.posterior import sampled
-from curlfit.inference.joint.result import JointResult, SeparateFits
+from curlfit.inference.joint.result import (
+    DeterminedTogether,
+    JointResult,
+    SeparateFits,
+    StartOfThrow,
+)
 from curlfit.inference.joint.summary import about_mean
 from curlfit.inference.joint.variation import (
     Varying,
@@ -132,10 +137,10 @@ class Season(NamedTuple):
         }
         names = [item.name for item in START]
         starts = [
-            {
-                "labels": dict(labels),
-                "start": dict(zip(names, self.start[row].tolist(), strict=True)),
-            }
+            StartOfThrow(
+                labels=dict(labels),
+                start=dict(zip(names, self.start[row].tolist(), strict=True)),
+            )
             for labels, row in sorted(last_rows.items(), key=itemgetter(1))
         ]
         return SeparateFits(
@@ -252,8 +257,9 @@ def mean_of(
         warnings=season.warnings(),
         coefficients=coefficients,
         combinations=covariance.combinations,
-        rank=covariance.identifiability.rank,
-        parameters=int(throws.free.sum()),
+        identifiability=DeterminedTogether(
+            rank=covariance.identifiability.rank, parameters=int(throws.free.sum())
+        ),
         variation=tuple(variations.values()),
         table=season.summary(
             covariates.groups, covariance.identifiability.null_directions

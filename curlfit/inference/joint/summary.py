@@ -97,7 +97,12 @@ def about_mean(
     open_ = found.fit.model.null.shape[1] - fixed
     result = replace(
         equal,
-        rank=min(equal.rank, equal.parameters - open_),
+        identifiability=replace(
+            equal.identifiability,
+            rank=min(
+                equal.identifiability.rank, equal.identifiability.parameters - open_
+            ),
+        ),
         r_hat=None if draws is None else draws.r_hat,
         means=means,
         coefficients=coefficients,

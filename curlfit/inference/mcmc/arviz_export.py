@@ -66,8 +66,8 @@ def inference_data(
         "inference_library": "curlfit",
         "inference_library_version": __version__,
         "law": fit.law,
-        "load": fit.load,
-        "data": fit.data["file"],
+        "load": fit.load.value,
+        "data": fit.data.file,
         "thinning": thin,
     }
     xarray = import_module("xarray")
@@ -112,7 +112,7 @@ def _of_data(
         if name == "event":
             dimension, times["measured"] = (
                 "measured",
-                np.array([event.name for event, _ in fit.timed]),
+                np.array([event.name for event in fit.events]),
             )
         elif dimension != "time":
             times[dimension] = times["time"][there]
@@ -155,7 +155,7 @@ def _places(fit: FitResult, origin: Origin, seen: Booleans) -> Floats:
     """The origins of observed values."""
     place = np.zeros(seen.shape)
     place[: len(origin.place)] = origin.place[: len(place), None]
-    events = [origin.of_event(event) for event, _ in fit.timed]
+    events = [origin.of_event(event.event) for event in fit.events]
     place[len(origin.place) :, : len(events)] = events
     return place[seen]
 

@@ -139,12 +139,12 @@ class RidgeProposal:
 def ridge_proposal(fit: FitResult) -> RidgeProposal:
     """The proposal from the estimates and information matrix of a fit."""
     free = fit.parameter_set.free
-    verdicts = [fit.parameters[name].verdict for name in fit.information["names"]]
+    verdicts = [fit.parameters[name].verdict for name in fit.information.names]
     return _about(
         fit.parameter_set,
         fit.values[free],
-        np.array(fit.information["matrix"]),
-        np.array(fit.information["gradient"]),
+        fit.information.matrix,
+        fit.information.gradient,
         np.array([verdict == Verdict.AT_BOUND for verdict in verdicts]),
     )
 
