@@ -61,6 +61,9 @@ else:
 # stored. curlfit checks the status of optimistix itself.
 os.environ.setdefault("EQX_ON_ERROR", "nan")
 
+# Results of any kind find there what is said of them.
+import curlfit.results  # noqa: F401
+
 # Public names, listed in the stub beside this file, are imported on first use, so that
 # `import curlfit` and the command line's help need neither JAX nor matplotlib.
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -27,7 +27,7 @@ import numpy as np
 from damaged_files import Tally, damaged_text, forked
 
 from curlfit.cli import main
-from curlfit.output.display import KINDS
+from curlfit.output.kinds import KINDS
 
 _VALUES = [
     None,

@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
-import curlfit
 from curlfit.findings import Finding
 from curlfit.foreign import cut
 from curlfit.options.settings import kind_of
-from curlfit.output.display import KINDS, document_of
+from curlfit.output.display import document_of
+from curlfit.output.kinds import KINDS
 
 _LONGEST = 120  # characters of a line of progress
 _CONTROL = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]|[━╸╺⠀-⣿]")
@@ -30,7 +30,7 @@ _ENDS_WITH_PAGE = {"CURLFIT_ENDS_WITH_INPUT": "1"}
 def warnings_beside(page: Path) -> list[Finding]:
     """The warnings of the result in the folder of its page."""
     kind = kind_of(page.parent)
-    result = getattr(curlfit, f"load_{KINDS[kind].noun}")(page.parent)
+    result = KINDS[kind].load(page.parent)
     return list(document_of(result).warnings)
 
 

@@ -8,11 +8,11 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import curlfit
 from curlfit.cli.saved import of_record
 from curlfit.errors import InputError
 from curlfit.foreign import say
 from curlfit.options import settings as s
+from curlfit.output.kinds import KINDS
 from curlfit.settings.forms import PATH, option
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ class Form(StrEnum):
 
 
 _GAME = (Form.table, Form.c, Form.js)
-_LOADERS = {"joint": "load_joint", "compare": "load_comparison", "fit": "load_fit"}
+_EXPORTED = ("joint", "compare", "fit")
 
 
 @of_record
@@ -69,7 +69,7 @@ def export(
     from curlfit.output.files import atomic_write, claim_folder
 
     kind = s.kind_of(folder)
-    if kind not in _LOADERS:
+    if kind not in _EXPORTED:
         raise InputError(
             f"{folder}: a result of curlfit {kind}; expected the folder of a fit, "
             "a joint fit or a comparison"
@@ -82,7 +82,7 @@ def export(
         if form in (Form.netcdf, Form.game, *_GAME) and kind != "fit":
             such = f", such as {folder}/NAME" if kind == "joint" else ""
             raise InputError(f"--to {form.value}: expected the fit of one throw{such}")
-    result = getattr(curlfit, _LOADERS[kind])(folder)
+    result = KINDS[kind].load(folder)
     if law is not None:
         if kind == "compare":
             raise InputError(f"--law: {folder} is no fit; expected the folder of a fit")

@@ -14,7 +14,7 @@ from curlfit.errors import InputError, UnusableFitError
 from curlfit.foreign import say
 from curlfit.options import settings as s
 from curlfit.options.output import COMPILES, Output, Saved, progress_line
-from curlfit.output.display import corner_of, document_of, figures_of
+from curlfit.output.display import document_of, figures_of
 from curlfit.settings.choices import SEED, Choices, Fitting, Reading
 from curlfit.settings.forms import NAMES, SWITCH, option, whole
 
@@ -231,6 +231,8 @@ def _fit_one(
     files = [record]
     if chain is not None:
         files.append(chain_file)
+        from curlfit.reports.corner import corner_of
+
         drawn.replace(folder, ["corner"], partial(corner_of, result, chain))
     console.print(document_of(result))
     done = output.written(folder, [*files, *drawn.written()], console)

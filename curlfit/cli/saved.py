@@ -14,7 +14,8 @@ from curlfit.errors import CurlfitError, DataError, InputError
 from curlfit.foreign import say
 from curlfit.options.figures import FigureFiles, write_figures
 from curlfit.options.settings import LawOfFit, chain_beside, kind_of, load_fit_and_chain
-from curlfit.output.display import KINDS, corner_of, document_of, figures_of
+from curlfit.output.display import document_of, figures_of
+from curlfit.output.kinds import KINDS
 from curlfit.settings.forms import PATH, SWITCH, TEXT, TEXTS, option
 
 if TYPE_CHECKING:
@@ -108,6 +109,7 @@ def plot(
         `png`, `pdf` or `svg`; several separated by commas. [default: png]
     """
     from curlfit.output.files import claim_folder
+    from curlfit.reports.corner import corner_of
 
     formats = FigureFiles.of(format, "--format").formats
     _, result, chain = _load(folder)
@@ -175,7 +177,7 @@ def _load(
             raise InputError(
                 f"{flag}: {folder} is no fit; expected the folder of a fit"
             )
-        return kind, getattr(curlfit, f"load_{KINDS[kind].noun}")(folder), None
+        return kind, KINDS[kind].load(folder), None
     result, chain = load_fit_and_chain(folder, law)
     if result.sampling == "unfinished":
         from curlfit.inference.mcmc.summary import unfinished_posterior

@@ -12,7 +12,8 @@ from curlfit.errors import CurlfitError
 from curlfit.html_report.blocks import Block, paragraph, rows
 from curlfit.html_report.drawings import inline_svg
 from curlfit.losses import LOSSES
-from curlfit.output.display import corner_of, figures_of
+from curlfit.output.display import figures_of
+from curlfit.reports.corner import corner_of
 from curlfit.wording import join_words
 
 if TYPE_CHECKING:

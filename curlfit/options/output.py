@@ -14,7 +14,8 @@ from cyclopts import Group, Parameter
 
 from curlfit.numerics.jax_settings import require_jax
 from curlfit.options.figures import FigureFiles
-from curlfit.output.display import KINDS, document_of, figures_of
+from curlfit.output.display import document_of, figures_of
+from curlfit.output.kinds import KINDS
 from curlfit.settings.choices import Choices
 from curlfit.settings.forms import PATH, SWITCH, TEXT, option
 
@@ -101,14 +102,9 @@ class Output(Choices):
         """
         written, kind = [folder / f"{result.kind}.json", *files], KINDS[result.kind]
         result.save(written[0])
-        if kind.with_corner:
+        if "corner" in kind.figure_names:
             written += saved_chain(folder, result.chain)
-        names = kind.figures or (result.kind,)
-        drawn.replace(
-            folder,
-            [*names, *["corner"] * kind.with_corner],
-            partial(figures_of, result),
-        )
+        drawn.replace(folder, kind.figure_names, partial(figures_of, result))
         console = self.console()
         console.print(document_of(result))
         for remark in remarks:

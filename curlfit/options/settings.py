@@ -284,7 +284,7 @@ def kind_of(folder: Path) -> str:
     ------
     InputError : the folder contains no result.
     """
-    from curlfit.output.display import KINDS
+    from curlfit.output.kinds import KINDS
 
     for kind in KINDS:
         if folder.name == f"{kind}.json" or (folder / f"{kind}.json").is_file():

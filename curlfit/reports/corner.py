@@ -121,6 +121,11 @@ def corner_figure(fit: FitResult | JointResult, chain: Chain) -> draw.Picture:
     return figure
 
 
+def corner_of(result: FitResult | JointResult, chain: Chain) -> dict[str, draw.Picture]:
+    """The corner plot of a fit and its chain, by name."""
+    return {"corner": corner_figure(result, chain)}
+
+
 def _of_fit(fit: FitResult) -> _Content:
     """Coefficients and conditions of a fit."""
     require_fit(fit)

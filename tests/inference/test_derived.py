@@ -19,6 +19,7 @@ from curlfit.inference.derived import FirstOrder, _demanded, derive
 from curlfit.inference.expression import parse
 from curlfit.inference.fit.estimates import Estimate, RidgePoint
 from curlfit.inference.fit.quantities import quantities_of
+from curlfit.inference.named_matrix import NamedMatrix
 from curlfit.inference.products import products_of
 from curlfit.inference.verdict import Verdict
 from curlfit.reports.fit import document
@@ -273,7 +274,7 @@ def known_of(residual, names, values, held, typical=1.0):
     }
     return FirstOrder(
         parameters=estimates,
-        covariance={"names": list(names), "matrix": covariance},
+        covariance=NamedMatrix(tuple(names), covariance),
         null_directions=null,
         combinations=(),
         widths={},

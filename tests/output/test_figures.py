@@ -87,7 +87,8 @@ def test_ticks_of_neighbouring_corner_panels_do_not_meet(
         monkeypatch.setattr(
             Chain, "of", lambda self, weights: drawn[next(iter(weights))]
         )
-        fit = replace(fit, combinations=(), null_directions=(), reference=None)
+        nothing = replace(fit.identifiability, null_directions=())
+        fit = replace(fit, combinations=(), identifiability=nothing, reference=None)
     figure = corner_figure(fit, chain)
     require_room(figure)
     for axes in figure.axes:
@@ -170,7 +171,11 @@ def sampled_slope(eq12_posterior, monkeypatch):
     samples = {name: rng.normal(size=60_000) for name in parameters}
     monkeypatch.setattr(Chain, "of", lambda self, weights: samples[next(iter(weights))])
     plain = replace(
-        fit, parameters=parameters, combinations=(), null_directions=(), reference=None
+        fit,
+        parameters=parameters,
+        combinations=(),
+        identifiability=replace(fit.identifiability, null_directions=()),
+        reference=None,
     )
     return plain, chain
 

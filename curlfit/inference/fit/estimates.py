@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, fields
-from importlib import import_module
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 from curlfit.friction import Parameter
 from curlfit.inference.conditions import CALIBRATION, is_calibration
@@ -14,7 +13,6 @@ from curlfit.inference.derived import Derived, Quantiles
 from curlfit.inference.identifiability import Combination, WithInterval
 from curlfit.inference.verdict import Verdict
 from curlfit.output.display import Displayed
-from curlfit.output.document import Document
 from curlfit.output.frames import frame
 from curlfit.records import ADDED, Record
 
@@ -119,6 +117,8 @@ class Posterior(Displayed):
     ['2.5', '16', '50', '84', '97.5']
     """
 
+    kind: ClassVar[str] = "posterior"
+
     samples: int
     steps: int
     discarded: int
@@ -135,11 +135,6 @@ class Posterior(Displayed):
     correlation: dict[str, dict[str, float]]
     converged: bool
     status: str
-
-    def _document(self) -> Document:
-        report = import_module("curlfit.reports.posterior")
-        document: Document = report.of_posterior(self)
-        return document
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,11 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from importlib import import_module
 from importlib.metadata import version as version_of
 from io import BytesIO
 from os import PathLike
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +22,6 @@ from curlfit.inference.identifiability import with_combinations
 from curlfit.inference.parameters import ParameterSet
 from curlfit.numerics.arrays import Floats
 from curlfit.output.display import Displayed
-from curlfit.output.document import Document
 from curlfit.output.files import atomic_write
 from curlfit.output.frames import frame, optional
 from curlfit.records import structured
@@ -64,6 +62,8 @@ class Chain(Displayed):
     >>> chain.to_frame().index.names
     FrozenList(['ensemble', 'walker', 'step'])
     """
+
+    kind: ClassVar[str] = "chain"
 
     names: tuple[str, ...]
     values: Floats
@@ -110,9 +110,6 @@ class Chain(Displayed):
             len(kept), self.ensembles, walkers // self.ensembles, *rest
         )
         return np.moveaxis(split, 0, 2)
-
-    def _document(self) -> Document:
-        return cast(Document, import_module("curlfit.reports.posterior").of_chain(self))
 
     def to_frame(self) -> Any:
         """The kept samples as a pandas DataFrame: a column for each parameter, for each
