@@ -200,7 +200,8 @@ def _fit_one(
     else:
         result = saved.with_derived(job.chosen.derive)
     if not sampling.no_sample:
-        result = result.before_sampling()
+        # so it is kept on disk meanwhile
+        result = replace(result, posterior=None, sampling="unfinished")
     result.save(record)
     if saved is None:
         remove_figure(folder, "corner")  # of an earlier fit

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -18,11 +18,18 @@ class Record(Displayed):
     """Base of all results: `save` writes one as JSON, `read` reads it.
 
     Class attributes: `kind`, the name of its file; `marks`, entries that tell it from
-    others of this kind.
+    others of this kind; `inner`, names that curlfit itself needs, which `dir` leaves
+    out.
     """
 
     kind: ClassVar[str] = ""
     marks: ClassVar[Mapping[str, str]] = {}
+    inner: ClassVar[Collection[str]] = ()
+
+    def __dir__(self) -> list[str]:
+        """What a user needs."""
+        hidden = {"inner", "kind", "marks", "from_json", "read", "require_consistent"}
+        return sorted(set(super().__dir__()) - hidden.union(self.inner))
 
     def to_json(self) -> dict[str, Any]:
         """The record as it is written; NaN is null, and infinities are text."""

@@ -7,7 +7,7 @@ drawn and sampled again without the data file and without fitting.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field, fields, replace
 from os import PathLike
 from typing import Annotated, Any, ClassVar, Literal
@@ -124,6 +124,12 @@ class FitResult(NamedEstimates):
     """
 
     kind: ClassVar[str] = "fit"
+    inner: ClassVar[Collection[str]] = (
+        *("all_derived", "counts_from_hack", "first_order", "independence"),
+        *("information", "lag1", "law_class", "model", "null_directions"),
+        *("parameter_set", "prior_chi_squared", "products", "rank", "reference_fits"),
+        *("remedies", "ridge", "sampling", "singular_values", "summary", "with_law"),
+    )
 
     law: str
     load: Load
@@ -264,6 +270,21 @@ class FitResult(NamedEstimates):
         return Model(
             self.law_class, check_load(self.load), self.parameter_set.conditions
         )
+
+    @property
+    def rank(self) -> int:
+        """Number of directions that the data determine."""
+        return self.identifiability.rank
+
+    @property
+    def singular_values(self) -> tuple[float, ...]:
+        """Singular values of the Jacobian in typical sizes, largest first."""
+        return self.identifiability.singular_values
+
+    @property
+    def null_directions(self) -> tuple[dict[str, float], ...]:
+        """Directions along which the residuals stay the same."""
+        return self.identifiability.null_directions
 
     @property
     def values(self) -> Floats:
@@ -427,10 +448,6 @@ class FitResult(NamedEstimates):
         return replace(
             self, derived=tuple(self.derive(text, chain) for text in expressions)
         )
-
-    def before_sampling(self) -> FitResult:
-        """The result as it is kept on disk while the posterior is being sampled."""
-        return replace(self, posterior=None, sampling="unfinished")
 
 
 def require_fit(fit: object) -> None:
