@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
 from curlfit.numerics.namespace import namespace
+from curlfit.records import ADDED
 
 if TYPE_CHECKING:
     from curlfit.numerics.arrays import Floats
@@ -89,10 +90,10 @@ class Noise:
 
     kind: str = ""
     memory: dict[str, float] = field(default_factory=dict)
-    white: dict[str, float] = field(default_factory=dict)
+    white: dict[str, float] = field(default_factory=dict, metadata=ADDED)
     sizes: dict[str, float] = field(default_factory=dict)
-    independent: dict[str, float] = field(default_factory=dict)
-    initial_state: list[list[float]] = field(default_factory=list)
+    independent: dict[str, float] = field(default_factory=dict, metadata=ADDED)
+    initial_state: list[list[float]] = field(default_factory=list, metadata=ADDED)
 
     about: ClassVar[str]
     further_names: ClassVar[tuple[str, ...]] = ()

@@ -196,8 +196,8 @@ class Candidate:
     fitted: dict[str, list[float]] | None = None
     noise: NoiseName = WHITE.kind
     noise_model: AnyNoise | None = None
-    sets: tuple[OnSet, ...] = ()
-    p_together: float | None = None
+    sets: tuple[OnSet, ...] = field(default=(), metadata=ADDED)
+    p_together: float | None = field(default=None, metadata=ADDED)
 
     @property
     def label(self) -> str:
@@ -302,8 +302,8 @@ class Comparison(Record):
     effective: dict[str, float] = field(default_factory=dict)
     candidates: tuple[Candidate, ...]
     observed: dict[str, list[float]]
-    lacking: Lacking | None = None
-    sets: tuple[SetOfData, ...] = ()
+    lacking: Lacking | None = field(default=None, metadata=ADDED)
+    sets: tuple[SetOfData, ...] = field(default=(), metadata=ADDED)
     odd_rows: tuple[OddRow, ...] = field(default=(), metadata=ADDED)
     fits: tuple[FitResult | None, ...] = field(default=(), metadata=UNSAVED)
 

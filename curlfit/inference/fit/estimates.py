@@ -127,7 +127,9 @@ class Posterior(Displayed):
     seed: int
     acceptance: float
     ess: dict[str, float]
-    ess_tail: dict[str, float] = field(default_factory=dict, kw_only=True)
+    ess_tail: dict[str, float] = field(
+        default_factory=dict, kw_only=True, metadata=ADDED
+    )
     r_hat: dict[str, float]
     quantiles: dict[str, Quantiles]
     mean: dict[str, float]

@@ -65,8 +65,8 @@ class Variation:
     spread: float
     mean: float
     stderr: float
-    shared_stderr: float | None = None
-    quantiles: Quantiles = field(default_factory=dict)
+    shared_stderr: float | None = field(default=None, metadata=ADDED)
+    quantiles: Quantiles = field(default_factory=dict, metadata=ADDED)
     written: ClassVar[tuple[str, ...]] = ("significant",)
 
     @property
@@ -220,16 +220,16 @@ class JointResult(NamedEstimates):
     identifiability: DeterminedTogether
     variation: tuple[Variation, ...]
     odd_rows: tuple[OddRow, ...] = field(default=(), metadata=ADDED)
-    means: Means | None = None
-    groups: tuple[Effect, ...] = ()
-    differences: tuple[Effect, ...] = ()
-    trend: tuple[Effect, ...] = ()
+    means: Means | None = field(default=None, metadata=ADDED)
+    groups: tuple[Effect, ...] = field(default=(), metadata=ADDED)
+    differences: tuple[Effect, ...] = field(default=(), metadata=ADDED)
+    trend: tuple[Effect, ...] = field(default=(), metadata=ADDED)
     slopes: tuple[Effect, ...] = field(default=(), metadata=ADDED)
     slope_differences: tuple[Effect, ...] = field(default=(), metadata=ADDED)
     throws: tuple[FitResult, ...] = field(default=(), metadata=UNSAVED)
-    r_hat: float | None = None
+    r_hat: float | None = field(default=None, metadata=ADDED)
     chain: Chain | None = field(default=None, metadata=UNSAVED)
-    table: SeparateFits | None = None
+    table: SeparateFits | None = field(default=None, metadata=ADDED)
     systematics: Systematics = field(default_factory=Systematics)
     derived: tuple[Derived, ...] = ()
 
@@ -300,6 +300,10 @@ class JointResult(NamedEstimates):
 
     @classmethod
     def _from_file(cls, entries: dict[str, Any], folder: Path) -> JointResult:
+        if "variation" not in entries and "differences" in entries:
+            # version 0.2 called the variation so, and knew no groups
+            entries = entries | {"variation": entries["differences"]}
+            del entries["differences"]
         joint = super()._from_file(entries, folder)
         files = [throw.file for throw in structured(entries, _FilesOfThrows).throws]
         throws = tuple(load_fit(folder / name) for name in folder_names(files))

@@ -30,6 +30,10 @@ from curlfit.throws.throw import Throw
 from curlfit.version import __version__
 
 _GROUP = "mcmc"  # in which emcee looks
+_COMPRESSED = 20
+"""Largest size of numbers over that of their file."""
+_OF_0_2 = ("law", "load", "loss", "noise", "stone", "seed")
+"""What of the subject of a chain of version 0.2 is said as it is today."""
 _DIGEST = "#"  # first character of a digest of numbers too many to be shown
 
 
@@ -142,6 +146,8 @@ class Chain(Displayed):
         now = subject_of(fit, self.seed) | {"parameters": ", ".join(fit.parameters)}
         own = self.subject | {"parameters": ", ".join(self.names)}
         versions = {name: own[name] for name in own if name.startswith("version")}
+        if "data" not in own:  # of version 0.2
+            now = {name: now[name] for name in own}
         if changed := _change(own, now | versions):
             raise InputError(
                 f"the chain is of another fit: {changed}; sample this one again"
@@ -241,7 +247,7 @@ def load_chain(file: str | PathLike[str], fit: FitResult | None = None) -> Chain
 
     try:
         with h5py.File(path, "r") as stored:
-            chain = _read_chain(stored[_GROUP])
+            chain = _read_chain(stored)
     except (
         OSError,
         LookupError,
@@ -262,9 +268,15 @@ def load_chain(file: str | PathLike[str], fit: FitResult | None = None) -> Chain
         raise DataError(str(error), file=path) from None
 
 
-def _read_chain(group: Any) -> Chain:
+def _read_chain(stored: Any) -> Chain:
+    """The chain in an HDF5 file."""
+    group = stored[_GROUP]
     attrs = group.attrs
-    names, ensembles = tuple(map(str, attrs["names"])), int(attrs["ensembles"])
+    is_of_0_2 = "names" in stored.attrs  # version 0.2 had them beside the group
+    if is_of_0_2:
+        attrs = stored.attrs
+    names = tuple(map(str, attrs["names"]))
+    ensembles = int(attrs["ensembles"])
     values, log_posterior = _numbers(group["chain"]), _numbers(group["log_prob"])
     steps, walkers, _ = values.shape
     discarded = int(attrs["discarded"])
@@ -276,6 +288,9 @@ def _read_chain(group: Any) -> Chain:
         or not walkers
     ):
         raise ValueError(f"{walkers} walkers, {steps} steps, {discarded} discarded")
+    subject = structured(json.loads(attrs["subject"]), dict[str, str])
+    if is_of_0_2:
+        subject = {name: subject[name] for name in _OF_0_2 if name in subject}
     state = None
     if "random_state_0" in attrs:
         name, key, *rest = (attrs[f"random_state_{place}"] for place in range(5))
@@ -288,15 +303,19 @@ def _read_chain(group: Any) -> Chain:
         discarded=discarded,
         ensembles=ensembles,
         seed=int(attrs["seed"]),
-        subject=structured(json.loads(attrs["subject"]), dict[str, str]),
+        subject=subject,
         random_state=state,
-        mostly_ridge=attrs["mostly_ridge"].item(),
+        mostly_ridge=bool(attrs.get("mostly_ridge", True)),
     )
 
 
 def _numbers(data: Any) -> Floats:
-    """The numbers of a dataset, which take no more memory than their file."""
-    if data.id.get_offset() is None or data.dtype.kind != "f":
+    """The numbers of a dataset, which take little more memory than in their file."""
+    if data.chunks is None:
+        in_file = data.id.get_offset() is not None
+    else:  # compressed, by version 0.2; numbers of a sample hardly are
+        in_file = data.nbytes <= _COMPRESSED * data.id.get_storage_size()
+    if not in_file or data.dtype.kind != "f":
         raise ValueError(f"{data.name}: its numbers are not in the file")
     return np.asarray(data[...], float)
 
