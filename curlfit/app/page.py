@@ -30,7 +30,7 @@ from curlfit.app.work import Work
 from curlfit.errors import CurlfitError, InputError, Option
 from curlfit.foreign import message, safe_name
 from curlfit.friction import LAWS
-from curlfit.html_report.blocks import Block, marked, sentence
+from curlfit.html_report.blocks import Commands, marked, sentence
 from curlfit.html_report.page import rendered, source
 from curlfit.output.document import command_line
 from curlfit.settings.choices import Fitting
@@ -455,5 +455,5 @@ def _button(text: str, act: Callable[..., Any]) -> ui.element:
 def _command(verb: str, words: Sequence[str]) -> str:
     """Show a command as it is typed, and return it."""
     line = command_line(verb, *words)
-    ui.html(rendered(Block("commands", {"lines": [line]})), sanitize=False)
+    ui.html(rendered(Commands([line])), sanitize=False)
     return line
