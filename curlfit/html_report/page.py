@@ -134,8 +134,7 @@ def _sections(document: Document, additions: Additions) -> list[PageSection]:
     ]
     if document.command:
         reproduction.insert(0, Commands([document.command]))
-    made = PageSection("made", "How to reproduce this result", reproduction)
-    sections.append(made)
+    sections.append(PageSection("made", "How to reproduce this result", reproduction))
     return [section for section in sections if section.blocks]
 
 

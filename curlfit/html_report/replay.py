@@ -338,8 +338,8 @@ def _replay(
         unit_size, unit = _residual_unit(values, name)
         scaled = values / unit_size
         reach = float(np.nanmax(np.abs(scaled))) or 1.0
-        places = min(decimals(reach / 10) + 1, 6)
-        numbers = rounded(scaled, places)
+        # a tenth of the largest residual to three digits
+        numbers = rounded(scaled, min(decimals(reach / 10) + 1, 6))
         residual_series[name] = ResidualSeries(unit, numbers)
         if numbers[-1] is not None:
             last_residuals[name] = f"{numbers[-1]:+.3g} {unit}"
