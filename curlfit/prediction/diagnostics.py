@@ -103,20 +103,19 @@ def _beyond(
 
 def _of_null_directions(fit: FitResult, simulation: Simulation) -> Iterator[Finding]:
     """Warnings about null directions of the fit that affect the throw, and notes
-    on the others; of a curve of values that fit, along which the bands are drawn, where
-    they lead says nothing."""
-    if fit.ridge:
+    on the others."""
+    if fit.ridge:  # the values that fit lie on a curve, along which draws are made
         yield Finding.note("bands-along-curve")
         return
-    for index, direction in enumerate(fit.null_directions):
-        ends = simulation.probed[f"null {index}"]
+    for direction, ends in zip(fit.null_directions, simulation.null_ends, strict=True):
         numbers: dict[str, Any] = {"names": [*direction], "count": len(direction)}
         if not ends.good.all():
             yield Finding.warning("null-without-rest", **numbers)
             continue
-        off = ends.end - simulation.best.end
-        moved = float(np.hypot(off[:, 0], off[:, 1]).max())
-        turned = float(np.abs(off[:, 2]).max())
+        # x, y and phi at rest, of both ends
+        change = ends.end - simulation.best.end
+        moved = float(np.hypot(change[:, 0], change[:, 1]).max())
+        turned = float(np.abs(change[:, 2]).max())
         numbers |= {"moved": moved, "turned": turned}
         if moved < _UNSEEN and turned < _RELEVANT:
             yield Finding.note("null-without-effect", **numbers)
@@ -262,9 +261,9 @@ def _require_same_throw(throw: Throw, fit: FitResult) -> None:
         if name not in fit.rms:
             continue
         measured = np.interp(fit.observed["t"], throw.t, getattr(throw, name))
-        off = np.abs(measured - fit.observed[name])
-        size = 10 * fit.rms[name] + 0.05 * float(np.ptp(fit.fitted[name]))
-        if not np.isfinite(off).any() or np.nanmedian(off) > size:
+        error = np.abs(measured - fit.observed[name])
+        largest = 10 * fit.rms[name] + 0.05 * float(np.ptp(fit.fitted[name]))
+        if not np.isfinite(error).any() or np.nanmedian(error) > largest:
             raise InputError(
                 f"{throw.name}: not the throw that was fitted ({fit.data['file']}): "
                 f"{name} differs before t = {fit.data['to']:g} s"
