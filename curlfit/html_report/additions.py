@@ -76,13 +76,13 @@ class Additions:
                 self.add("throw", replay)
 
 
-def _add_of_fit(page: Additions, fit: FitResult) -> None:
+def _add_of_fit(additions: Additions, fit: FitResult) -> None:
     """Add the null directions of a fit, and its throw, animated."""
-    page.add_directions([fit], fit.null_directions)
-    page.add_replays([fit])
+    additions.add_directions([fit], fit.null_directions)
+    additions.add_replays([fit])
 
 
-def _add_of_joint(page: Additions, joint: JointResult) -> None:
+def _add_of_joint(additions: Additions, joint: JointResult) -> None:
     """Add what is measured of each throw, the null directions that the throws have in
     common, and the first throws animated."""
     from curlfit.reports.fit import extent, quantities_line
@@ -95,29 +95,29 @@ def _add_of_joint(page: Additions, joint: JointResult) -> None:
         parts = (extent(throw), quantities_line(throw))
         file = Path(throw.data["file"]).name
         measured[file] = "; ".join(part for part in parts if part)
-    page.add("coefficients", NamedValues("The throws", measured))
+    additions.add("coefficients", NamedValues("The throws", measured))
     shared_directions = [
         direction
         for direction in throws[0].null_directions
         if set(direction) <= set(joint.share)
     ]
-    page.add_directions(throws, shared_directions)
+    additions.add_directions(throws, shared_directions)
     if len(throws) > _MOST_ANIMATED:
         text = f"The first {_MOST_ANIMATED} of {len(throws)} throws."
-        page.add("throw", Paragraph(text, "note"))
-    page.add_replays(throws[:_MOST_ANIMATED])
+        additions.add("throw", Paragraph(text, "note"))
+    additions.add_replays(throws[:_MOST_ANIMATED])
 
 
-def _add_of_prediction(page: Additions, prediction: Prediction) -> None:
+def _add_of_prediction(additions: Additions, prediction: Prediction) -> None:
     """Add the predicted throw, animated, and where its draws come to rest."""
     from curlfit.html_report.replay import replay_of_prediction, rests_of
 
-    page.add("throw", replay_of_prediction(prediction, "replay-0"))
+    additions.add("throw", replay_of_prediction(prediction, "replay-0"))
     rests = rests_of(prediction, "rests")
     if rests is None:
-        page.add("draws", Paragraph(_NO_DRAWS, "note"))
+        additions.add("draws", Paragraph(_NO_DRAWS, "note"))
     else:
-        page.add("draws", rests)
+        additions.add("draws", rests)
 
 
 _ADD_OF_KIND: dict[str, Callable[[Additions, Any], None]] = {
@@ -160,12 +160,12 @@ def _caption(result: Any, name: str) -> str:
 
 def additions_of(result: Any, chain: Chain | None) -> Additions:
     """The figures of a result, with that of its chain, and its interactive parts."""
-    page = Additions()
+    additions = Additions()
     if result.kind in _ADD_OF_KIND:
-        _ADD_OF_KIND[result.kind](page, result)
+        _ADD_OF_KIND[result.kind](additions, result)
     figures = figures_of(result)
     if chain is not None:
         figures |= corner_of(result, chain)
     for name, figure in figures.items():
-        page.add_figure(figure, name, _caption(result, name))
-    return page
+        additions.add_figure(figure, name, _caption(result, name))
+    return additions

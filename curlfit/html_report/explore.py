@@ -220,9 +220,9 @@ def _sliders(curves: SliderCurves, errors: dict[float, dict[str, float]]) -> Sli
         id=_ID,
         data=_data(curves),
         sliders=[_control(curves.fit, slider) for slider in curves.sliders],
-        measured=layout.measured,
+        measured=list(layout.residuals),
         axes=f"{labels[1]} against {labels[0]}",
-        reach=_in_words({name: REACH[name] for name in layout.measured}, "or"),
+        reach=_in_words({name: REACH[name] for name in layout.residuals}, "or"),
         half=_errors_in_words(errors[HALF]),
         whole=_errors_in_words(errors[WHOLE]),
     )
@@ -277,9 +277,6 @@ def _data(curves: SliderCurves) -> SlidersData:
         multiples = _multiples(ends)
         if multiples.any():
             pairs.append(PairData(numbers, multiples.tolist()))
-    spans = [(values.start, values.stop) for _, values in layout.channels]
-    of_path = spans[: len(layout.drawn)]
-    of_residuals = spans[len(layout.drawn) :]
     return SlidersData(
         names=names,
         values=fit.values.tolist(),
@@ -293,10 +290,10 @@ def _data(curves: SliderCurves) -> SlidersData:
         unit=_UNIT,
         base=rounded(curves.base, 6),
         chi_squared=fit.chi_squared,
-        drawn=of_path,
+        drawn=[(part.start, part.stop) for part in layout.path.values()],
         residuals=[
-            ResidualPanel(name, UNITS[name], span)
-            for name, span in zip(layout.measured, of_residuals, strict=True)
+            ResidualPanel(name, UNITS[name], (part.start, part.stop))
+            for name, part in layout.residuals.items()
         ],
         instants=layout.t[layout.instants].tolist(),
         t=fit.observed["t"][layout.rows].tolist(),
@@ -328,12 +325,11 @@ def _drawing(curves: SliderCurves) -> Drawing:
     layout = curves.layout
     moved = np.concatenate([slider.changes for slider in curves.sliders])
     measured = _measured(curves)
-    low = [float(np.nanmin(side)) for side in measured]
-    high = [float(np.nanmax(side)) for side in measured]
-    drawn = [values for _, values in layout.channels[: len(layout.drawn)]]
-    # a path has both sides; of one channel against time, the time is the first
-    for side, values in enumerate(drawn, start=2 - len(drawn)):
-        reached = (curves.base + moved)[:, values]
-        low[side] = min(low[side], float(reached.min()))
-        high[side] = max(high[side], float(reached.max()))
-    return Drawing.of(np.array(low), np.array(high), from_above=layout.has_path)
+    low = np.array([np.nanmin(values) for values in measured])
+    high = np.array([np.nanmax(values) for values in measured])
+    for name, part in layout.path.items():
+        side = layout.sides.index(name)
+        reached = (curves.base + moved)[:, part]
+        low[side] = min(low[side], reached.min())
+        high[side] = max(high[side], reached.max())
+    return Drawing.of(low, high, from_above=layout.has_path)

@@ -25,7 +25,7 @@ _INSTANTS = 41  # times of the path, and rows of the residuals
 # m, rad, m/s and rad/s: by so much a slider changes a measured channel at its ends.
 # Twice as far, the errors of all sliders together are eight times as large.
 REACH = {"x": 0.3, "y": 0.3, "phi": 1.0, "speed": 0.05, "omega": 0.1}
-_ATTEMPTS = 12  # at an end within this reach
+_ATTEMPTS = 12  # to find an end within this reach
 TRIALS = 8  # ways of moving all sliders at which errors are measured
 HALF = 0.5
 WHOLE = 1.0
@@ -34,45 +34,48 @@ WHOLE = 1.0
 
 class Layout:
     """Where the curves of a fit are in one vector: the path that is drawn, then the
-    residuals by measured channel.
+    residuals.
 
-    The two sides of the drawing are y and x or, where these were not measured, the time
-    and one channel.
+    Attributes
+    ----------
+    has_path : whether x and y were measured, so that the path is drawn from above.
+    sides : of the drawing: y and x or, without a path, the time and one channel.
+    t, instants : times of the path (s), and the rows of those that are drawn.
+    rows : those of the data whose residuals are shown.
+    path, residuals : parts of the vector, by drawn and by measured channel.
     """
 
     def __init__(self, fit: FitResult, model: CurveModel) -> None:
-        self.measured = list(fit.rms)
+        measured = list(fit.rms)
         self.has_path = {"x", "y"} <= fit.rms.keys()
-        self.drawn = ["y", "x"] if self.has_path else self.measured[:1]
-        self.sides = self.drawn if self.has_path else ["t", *self.drawn]
+        self.sides = ["y", "x"] if self.has_path else ["t", measured[0]]
         self.t = model.at(fit.values).t
         self.instants = some_rows(len(self.t), _INSTANTS)
         self.rows = some_rows(len(fit.observed["t"]), _INSTANTS)
+        self.path: dict[str, slice] = {}
+        self.residuals: dict[str, slice] = {}
+        end = 0
+        for name in self.sides:
+            if name != "t":
+                self.path[name] = slice(end, end + len(self.instants))
+                end += len(self.instants)
+        for name in measured:
+            self.residuals[name] = slice(end, end + len(self.rows))
+            end += len(self.rows)
 
     def vector(self, curves: Curves) -> Floats:
         """The curves as one vector."""
-        path = [curves.path[name][self.instants] for name in self.drawn]
-        residuals = [curves.residuals[name][self.rows] for name in self.measured]
+        path = [curves.path[name][self.instants] for name in self.path]
+        residuals = [curves.residuals[name][self.rows] for name in self.residuals]
         return np.concatenate(path + residuals)
-
-    @property
-    def channels(self) -> list[tuple[str, slice]]:
-        """Channels of the path, then of the residuals, with their places in
-        the vector."""
-        sizes = [(name, len(self.instants)) for name in self.drawn]
-        sizes += [(name, len(self.rows)) for name in self.measured]
-        channels = []
-        first = 0
-        for name, size in sizes:
-            channels.append((name, slice(first, first + size)))
-            first += size
-        return channels
 
     def largest(self, change: Floats) -> dict[str, float]:
         """Largest change of the residuals by measured channel; a gap in the
         data has none."""
-        residuals = self.channels[len(self.drawn) :]
-        return {name: float(np.abs(change[rows]).max()) for name, rows in residuals}
+        return {
+            name: float(np.abs(change[part]).max())
+            for name, part in self.residuals.items()
+        }
 
 
 @dataclass(frozen=True)
@@ -181,7 +184,7 @@ class SliderCurves:
         of the way to their ends, some to one side and some to the other."""
         random = np.random.default_rng(0)
         ends = np.array([slider.ends for slider in self.sliders])
-        errors = dict.fromkeys(self.layout.measured, 0.0)
+        errors = dict.fromkeys(self.layout.residuals, 0.0)
         for _ in range(TRIALS):
             sides = random.integers(2, size=len(ends))
             steps = reach * ends[np.arange(len(ends)), sides]
