@@ -327,7 +327,8 @@ class Page:
     def _say(
         self, text: str, role: str, options: Iterable[Option] = (), verb: str = ""
     ) -> None:
-        """A sentence, and beneath it what it proposes."""
+        """A sentence, and beneath it what it proposes; the command of a verb then runs
+        again."""
         if not text:
             return
         with _box("div", role=role):
@@ -337,8 +338,8 @@ class Page:
                     self._file(f"Choose the file for {name}", name)
                     continue
                 is_switch = self.flags["fit"][name].form is SWITCH
-                shown = name if is_switch else f"{name} {value}"
-                _button(f"Apply {shown}", partial(self.accept, name, value, verb))
+                option = name if is_switch else f"{name} {value}"
+                _button(f"Apply {option}", partial(self.accept, name, value, verb))
 
     def _choices(self) -> None:
         """Law, stone, further options, and the buttons of the commands."""
