@@ -29,6 +29,7 @@ MOST_ROWS = 2000
 """Measured rows that a prediction contains, at most."""
 # of the fitted range of speed or spin, beyond which a warning is given
 _EXTRAPOLATION = 1.02
+_SHORTEST_END = 0.01  # m below the fitted speeds, up to which no warning is given
 _UNSEEN = 1e-5  # m; no camera sees smaller effects
 _RELEVANT = 1e-3  # m and rad; smaller effects of null directions at rest are negligible
 
@@ -63,7 +64,8 @@ def remarks(throw: PlannedThrow, simulation: Simulation, anywhere: bool) -> Rema
 def _of_extrapolation(
     fit: FitResult, simulation: Simulation, new: bool
 ) -> Iterator[Finding]:
-    """Warnings where the throw leaves the fitted range of speed or spin."""
+    """Warnings where the throw leaves the fitted range of speed or, if it is a `new`
+    one, of spin."""
     fitted_speed = fit.fitted["speed"]
     fitted_omega = fit.fitted["omega"]
     speed = simulation.best.speed[0]
@@ -75,7 +77,7 @@ def _of_extrapolation(
         yield from _beyond("spin", "rad/s", abs(omega), spin.min(), spin.max())
     slow = np.flatnonzero(speed < fitted_speed.min() / _EXTRAPOLATION)
     distance = float(y[-1] - y[slow[0]]) if len(slow) else 0.0
-    if distance > 0.01:
+    if distance > _SHORTEST_END:
         slowest = float(fitted_speed.min())
         yield Finding.warning(
             "end-below-fitted-range", distance=distance, speed=slowest
