@@ -46,6 +46,7 @@ def _remove_those_left() -> None:
 
 
 def _is_of_user(folder: Path) -> bool:
+    """Whether a folder is there and belongs to the user of this process."""
     if not hasattr(os, "geteuid"):  # Windows, where the temporary folder is private
         return True
     try:

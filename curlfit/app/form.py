@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from io import StringIO
-from typing import Any
+from typing import Any, NamedTuple
 
 from cyclopts import App
 from cyclopts.exceptions import CycloptsError
@@ -94,11 +94,9 @@ def flags_of(cli: App, verb: str) -> dict[str, Flag]:
         if name == "--resume":  # there is nothing to be resumed
             continue
         form = argument.parameter.converter
-        flags[name] = Flag(
-            name,
-            str(argument.parameter.metavar or ""),
-            form if isinstance(form, Form) else SWITCH,
-        )
+        if not isinstance(form, Form):  # a flag without a value has no converter
+            form = SWITCH
+        flags[name] = Flag(name, str(argument.parameter.metavar or ""), form)
     return flags
 
 
@@ -160,11 +158,16 @@ def words_for(flags: Collection[str], words: Sequence[str]) -> list[str]:
     return kept
 
 
-def proposals(
-    flags: Mapping[str, Flag], options: Iterable[Option]
-) -> list[tuple[str, str]]:
-    """Which options a button can set, as flag and text; those that take a file have
-    none.
+class Proposal(NamedTuple):
+    """An option that a button sets: its flag and its value, which is empty for a file
+    that the user has to choose."""
+
+    name: str
+    value: str
+
+
+def proposals(flags: Mapping[str, Flag], options: Iterable[Option]) -> list[Proposal]:
+    """Which options a button can set, each once.
 
     An option for which words of a file were used, such as a heading, is for the user to
     type.
@@ -177,11 +180,11 @@ def proposals(
         if flag is None or option.left_out or option.in_python:
             continue
         if flag.takes_file:
-            proposed.append((name, ""))
+            proposed.append(Proposal(name, ""))
         elif flag.form is SWITCH:
-            proposed.append((name, "yes"))
+            proposed.append(Proposal(name, "yes"))
         elif _is_definite(flag, value) and _is_of_curlfit(flag, value):
-            proposed.append((name, value))
+            proposed.append(Proposal(name, value))
     return list(dict.fromkeys(proposed))
 
 

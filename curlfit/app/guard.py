@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Awaitable, Callable, MutableMapping
+from http import HTTPStatus
 from http.cookies import CookieError, SimpleCookie
 from typing import Any
 
@@ -12,6 +13,7 @@ _Receive = Callable[[], Awaitable[_Message]]
 _Send = Callable[[_Message], Awaitable[None]]
 _App = Callable[[_Message, _Receive, _Send], Awaitable[None]]
 
+_POLICY_VIOLATION = 1008  # with which a web socket is closed
 _ALWAYS = {
     "referrer-policy": "no-referrer",
     "x-content-type-options": "nosniff",
@@ -81,16 +83,17 @@ class Guard:
                 self.opened()
                 # by a link of its own: with one from another site the browser would
                 # not send the cookie
-                await _answer(send, 200, _ENTERED.format(path=f"{self.path}/"), cookie)
+                entered = _ENTERED.format(path=f"{self.path}/")
+                await _answer(send, HTTPStatus.OK, entered, cookie)
                 return
-            status = self._refusal(scope, headers, most_bytes)
-            if status == 0:
+            refusal = self._refusal(scope, headers, most_bytes)
+            if refusal is None:
                 await served(scope, receive, self._answering(scope, send))
             elif scope["type"] == "websocket":
                 await receive()
-                await send({"type": "websocket.close", "code": 1008})
+                await send({"type": "websocket.close", "code": _POLICY_VIOLATION})
             else:
-                await _answer(send, status)
+                await _answer(send, refusal)
 
         cookie = (
             f"{self.cookie}={self._value}; Path={self.path}/; HttpOnly; SameSite=Strict"
@@ -109,27 +112,27 @@ class Guard:
 
     def _refusal(
         self, scope: _Message, headers: dict[str, str], most_bytes: int
-    ) -> int:
-        """The status with which a request is refused; 0 if it may be served."""
+    ) -> HTTPStatus | None:
+        """The status with which a request is refused; None if it may be served."""
         if headers.get("host") != self._host:
-            return 404
+            return HTTPStatus.NOT_FOUND
         if not scope["path"].startswith(f"{self.path}/"):
-            return 404
+            return HTTPStatus.NOT_FOUND
         origin = f"http://{self._host}"
         if headers.get("origin", origin) != origin:
-            return 403
+            return HTTPStatus.FORBIDDEN
         try:
             cookies = SimpleCookie(headers.get("cookie", ""))
         except CookieError:
-            return 403
+            return HTTPStatus.FORBIDDEN
         cookie = cookies.get(self.cookie)
         if cookie is None or not secrets.compare_digest(cookie.value, self._value):
-            return 403
+            return HTTPStatus.FORBIDDEN
         has_no_body = scope.get("method", "GET") in ("GET", "HEAD")
         length = headers.get("content-length", "0" if has_no_body else "unknown")
         if not length.isdecimal() or int(length) > most_bytes:
-            return 413
-        return 0
+            return HTTPStatus.REQUEST_ENTITY_TOO_LARGE
+        return None
 
     def _answering(self, scope: _Message, send: _Send) -> _Send:
         """Sending with the headers that limit what a page or a result may do."""
@@ -138,7 +141,7 @@ class Guard:
 
         async def answer(message: _Message) -> None:
             if message["type"] == "http.response.start":
-                # of socket.io, which lets any origin in
+                # without those of socket.io, which lets any origin in
                 headers = [
                     (name, value)
                     for name, value in message.get("headers", [])
@@ -156,8 +159,10 @@ def _encoded(headers: dict[str, str]) -> list[tuple[bytes, bytes]]:
     return [(name.encode(), value.encode()) for name, value in headers.items()]
 
 
-async def _answer(send: _Send, status: int, text: str = "", cookie: str = "") -> None:
-    """A whole answer, with a cookie if one is given."""
+async def _answer(
+    send: _Send, status: HTTPStatus, text: str = "", cookie: str = ""
+) -> None:
+    """Send a whole answer, with a cookie if one is given."""
     headers = _ALWAYS | {
         "content-type": "text/html; charset=utf-8",
         "content-length": str(len(text)),
@@ -167,6 +172,10 @@ async def _answer(send: _Send, status: int, text: str = "", cookie: str = "") ->
     if cookie:
         headers["set-cookie"] = cookie
     await send(
-        {"type": "http.response.start", "status": status, "headers": _encoded(headers)}
+        {
+            "type": "http.response.start",
+            "status": status.value,
+            "headers": _encoded(headers),
+        }
     )
     await send({"type": "http.response.body", "body": text.encode()})

@@ -7,7 +7,7 @@ import asyncio
 import shlex
 import shutil
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial, wraps
 from html import escape
 from importlib import resources
@@ -30,7 +30,7 @@ from curlfit.app.work import Work
 from curlfit.errors import CurlfitError, InputError, Option
 from curlfit.foreign import message, safe_name
 from curlfit.friction import LAWS
-from curlfit.html_report.blocks import Block, marked, sentence
+from curlfit.html_report.blocks import Commands, marked, sentence
 from curlfit.html_report.page import rendered, source
 from curlfit.output.document import command_line
 from curlfit.settings.choices import Fitting
@@ -55,7 +55,20 @@ _SUFFIXES = (
     ".ods",
     ".toml",
 )
-_VERBS = {"fit": ("Fit", "The fit"), "compare": ("Compare laws", "The comparison")}
+
+
+@dataclass(frozen=True)
+class _Verb:
+    """A command: the label of its button, and the heading of its result."""
+
+    label: str
+    heading: str
+
+
+_VERBS = {
+    "fit": _Verb("Fit", "The fit"),
+    "compare": _Verb("Compare laws", "The comparison"),
+}
 # A report is no part of this page, to which it says how high it is and where to scroll.
 _FRAMES = """<script>
 addEventListener("message", ({source, data}) => {
@@ -98,21 +111,25 @@ class Page:
         self.folder = folder
         self.flags = {verb: flags_of(cli, verb) for verb in _VERBS}
         self.help = help_of(cli, "fit")
-        self.files: list[Path] = []
-        self.beside: list[str] = []
-        self.written = Written()
-        self.refused = ""
-        self.seen = Seen()
         self.work: Work | None = None
-        self.done: dict[str, Work] = {}
+        self._forget()
         self.parts = [
             ui.refreshable(_standing_alone(part))
             for part in (self._read, self._choices, self._results)
         ]
         self._readings = 0  # how often the files were read, or replaced
 
+    def _forget(self) -> None:
+        """Begin without files, choices and results."""
+        self.files: list[Path] = []
+        self.beside: list[str] = []
+        self.written = Written()
+        self.refused = ""
+        self.seen = Seen()
+        self.done: dict[str, Work] = {}
+
     def build(self) -> None:
-        """The elements of the page."""
+        """Make the elements of the page."""
         ui.add_css(
             source("report.css")
             + (resources.files(__package__) / "page.css").read_text()
@@ -163,12 +180,7 @@ class Page:
             await self.work.over.wait()
         for path in self.folder.iterdir():
             shutil.rmtree(path) if path.is_dir() else path.unlink()
-        self.files = []
-        self.beside = []
-        self.written = Written()
-        self.refused = ""
-        self.done = {}
-        self.seen = Seen()
+        self._forget()
         for file in event.files:
             name = self._free_name(file.name)
             await file.save(self.folder / name)
@@ -315,7 +327,8 @@ class Page:
     def _say(
         self, text: str, role: str, options: Iterable[Option] = (), verb: str = ""
     ) -> None:
-        """A sentence, and beneath it what it proposes."""
+        """A sentence, and beneath it what it proposes; the command of a verb then runs
+        again."""
         if not text:
             return
         with _box("div", role=role):
@@ -325,8 +338,8 @@ class Page:
                     self._file(f"Choose the file for {name}", name)
                     continue
                 is_switch = self.flags["fit"][name].form is SWITCH
-                shown = name if is_switch else f"{name} {value}"
-                _button(f"Apply {shown}", partial(self.accept, name, value, verb))
+                option = name if is_switch else f"{name} {value}"
+                _button(f"Apply {option}", partial(self.accept, name, value, verb))
 
     def _choices(self) -> None:
         """Law, stone, further options, and the buttons of the commands."""
@@ -348,10 +361,10 @@ class Page:
             if not self.refused:
                 _command("fit", self._words("fit"))
             with _box("div", role="acts"):
-                for verb, (label, _) in _VERBS.items():
-                    act = _button(label, partial(self.carry_out, verb))
-                    act.classes(f"to-{verb}")
-                    act.props["disabled"] = not self.can_fit
+                for name, verb in _VERBS.items():
+                    button = _button(verb.label, partial(self.carry_out, name))
+                    button.classes(f"to-{name}")
+                    button.props["disabled"] = not self.can_fit
 
     def _input(self, name: str, heading: str, hint: str, **attributes: str) -> None:
         """A field of what is written."""
@@ -380,7 +393,7 @@ class Page:
                 status.bind_content_from(self.work, "progress")
                 _button("Stop", self.work.stop)
         for number, work in enumerate(self.done.values()):
-            _, heading = _VERBS[work.verb]
+            heading = _VERBS[work.verb].heading
             with _box("details", "summary", heading, "result", open=number == 0):
                 for text in work.complaints:
                     self._say(text, "finding bad")
@@ -455,5 +468,5 @@ def _button(text: str, act: Callable[..., Any]) -> ui.element:
 def _command(verb: str, words: Sequence[str]) -> str:
     """Show a command as it is typed, and return it."""
     line = command_line(verb, *words)
-    ui.html(rendered(Block("commands", {"lines": [line]})), sanitize=False)
+    ui.html(rendered(Commands([line])), sanitize=False)
     return line

@@ -73,6 +73,8 @@ def _open(file: Path, address: str) -> None:
 
 
 def _server(cli: App, start: Path, folder: Path, guard: Guard) -> Callable[..., None]:
+    """A function that serves the page on sockets until it is told to end: results are
+    saved in `start`, and `folder` holds what was dropped and written."""
     import uvicorn
     from fastapi import FastAPI
     from nicegui import app, ui
@@ -92,6 +94,7 @@ def _server(cli: App, start: Path, folder: Path, guard: Guard) -> Callable[..., 
         guard.around(outer, MOST_BYTES), log_level="error", timeout_graceful_shutdown=1
     )
     server = uvicorn.Server(config)
+    # the end of a terminal ends the server, unless its user asked for it to go on
     if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
         signal.signal(signal.SIGHUP, server.handle_exit)
     return server.run

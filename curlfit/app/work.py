@@ -66,6 +66,8 @@ class Work:
             self.over.set()
 
     async def _run(self, folder: Path) -> None:
+        """Start the command in a folder, hear all that it prints, and load the warnings
+        of its result."""
         self._process = await asyncio.create_subprocess_exec(
             sys.executable,
             "-P",  # dropped files are no modules
@@ -79,7 +81,7 @@ class Work:
             stderr=asyncio.subprocess.STDOUT,
             env=os.environ | _TERMINAL | _ENDS_WITH_PAGE,
         )
-        if self.stopped:
+        if self.stopped:  # while it was started
             self._process.kill()
         assert self._process.stdout is not None
         rest = b""
@@ -94,17 +96,21 @@ class Work:
             self.warnings = warnings_beside(folder / self.page)
 
     def _hear(self, raw: bytes) -> None:
-        """Take a line that the command printed: its page, a complaint, or progress. Of
-        an empty one, the line before stays."""
-        text = _CONTROL.sub("", raw.decode(errors="replace"))
-        self._line = " ".join(text.split()) or self._line
-        kind, _, text = self._line.partition(": ")
-        page = Path(text)
-        within = not page.is_absolute() and ".." not in page.parts
-        if kind == "Written" and page.name == "report.html" and within:
-            self.page = page
-        if kind == "curlfit" and text not in self.complaints:
-            self.complaints.append(text)
+        """Take a line that the command printed, such as "Written: a-fit/report.html",
+        "curlfit: the fit is not usable: ..." or one of progress; of an empty one, the
+        line before stays."""
+        printed = _CONTROL.sub("", raw.decode(errors="replace"))
+        words = printed.split()
+        if words:
+            self._line = " ".join(words)
+        beginning, _, rest = self._line.partition(": ")
+        if beginning == "Written":
+            page = Path(rest)
+            is_in_folder = not page.is_absolute() and ".." not in page.parts
+            if page.name == "report.html" and is_in_folder:
+                self.page = page
+        elif beginning == "curlfit" and rest not in self.complaints:
+            self.complaints.append(rest)
 
     @property
     def progress(self) -> str:

@@ -32,7 +32,10 @@ from curlfit.version import __version__
 
 _LIBRARIES = ("jax", "jaxlib", "optimistix", "numpy", "scipy", "emcee", "matplotlib")
 _NARROWEST = 20  # columns of a terminal
-_INTERRUPTED = 130
+# exit statuses; those of errors of curlfit are in `errors`
+_NO_MEMORY = 1
+_NO_OUTPUT = 2
+_INTERRUPTED = 130  # as of a shell after Ctrl-C
 
 
 def _version() -> None:
@@ -97,7 +100,9 @@ def run(words: Sequence[str]) -> int:
     except CycloptsError as error:
         raise refusal_of(error) from None
     finally:
-        if files := sys.modules.get("curlfit.output.files"):
+        # folders are claimed by a module that quick commands do not load
+        files = sys.modules.get("curlfit.output.files")
+        if files is not None:
             files.release_folders()
 
 
@@ -129,7 +134,7 @@ def main() -> None:
             "limit",
             error=True,
         )
-        status = 1
+        status = _NO_MEMORY
     except OSError as error:
         # Unprinted output is dropped; Python would otherwise try to write it
         # again on exit.
@@ -138,5 +143,5 @@ def main() -> None:
             f"curlfit: {error.filename or 'output'}: {error.strerror or error}",
             error=True,
         )
-        status = 2
+        status = _NO_OUTPUT
     sys.exit(status)

@@ -7,8 +7,8 @@ from pathlib import Path
 from curlfit.foreign import say
 
 _PACKAGE = Path(__file__).parents[1]
-_PARTS = {"data": "*", "notebooks": "*.ipynb"}
-_FIRST = "data/jensen_shegelski_2004.csv"
+_PATTERN_BY_PART = {"data": "*", "notebooks": "*.ipynb"}
+_FIRST_FILE = "data/jensen_shegelski_2004.csv"
 
 
 def example(
@@ -28,23 +28,19 @@ def example(
     from curlfit.output.files import atomic_write, prepare_folder
 
     # a wheel has them in a folder of its own, a clone beside the package
-    source = next(
-        (
-            root
-            for root in (_PACKAGE / "examples", _PACKAGE.parent)
-            if (root / _FIRST).is_file()
-        ),
-        None,
-    )
-    if source is None:
-        raise InputError(
-            f"this installation has no examples ({_PACKAGE / 'examples'} is missing)"
-        )
+    of_wheel = _PACKAGE / "examples"
+    of_clone = _PACKAGE.parent
+    if (of_wheel / _FIRST_FILE).is_file():
+        source = of_wheel
+    elif (of_clone / _FIRST_FILE).is_file():
+        source = of_clone
+    else:
+        raise InputError(f"this installation has no examples ({of_wheel} is missing)")
     if folder.exists() and not folder.is_dir():
         raise InputError(
             f"{folder}: a file; expected a folder, or a name that is not taken"
         )
-    for part, pattern in _PARTS.items():
+    for part, pattern in _PATTERN_BY_PART.items():
         prepare_folder(folder / part)
         for file in sorted((source / part).glob(pattern)):
             target = folder / part / file.name
@@ -53,4 +49,4 @@ def example(
             elif file.is_file():
                 atomic_write(target, file.read_bytes())
                 say(f"Written: {target}")
-    say(f"\nTry: cd {folder} && curlfit fit {_FIRST}")
+    say(f"\nTry: cd {folder} && curlfit fit {_FIRST_FILE}")

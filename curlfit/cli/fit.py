@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
@@ -29,7 +29,10 @@ if TYPE_CHECKING:
 
 _BY_THROW = ("since", "until", "exclude", "stone", "sigma", "swept")
 """Settings that each throw keeps for itself, unless they are given for all."""
-_FEW = 4  # throws from which on those without a path have no figure of their own
+_MANY = 4  # throws from which on those without a path have no figure of their own
+_EFFECTIVE = 4000  # size of the sample
+_MOST_STEPS = 2000  # of the sampling
+_UNUSABLE = 1  # exit status
 
 
 @Parameter(name="*", group="Sampling")
@@ -54,8 +57,9 @@ class Sampling(Choices):
     seed: Annotated[int | None, option(SEED, "N")] = None
     resume: Annotated[bool, option(SWITCH)] = False
 
-    def of_several(self) -> int | None:
-        """The seed for several throws that vary; None without sampling."""
+    def seed_of_several(self) -> int | None:
+        """The seed for several throws that vary; None without sampling. Raises
+        `InputError` for choices of the sampling of one throw."""
         unused = replace(self, no_sample=False, seed=None).words()
         if unused:
             raise InputError(f"{unused[0]}: expected it with one throw")
@@ -83,11 +87,6 @@ class Together(Choices):
     by: Annotated[Sequence[str], option(NAMES, "LABEL,...")] = ()
     trend: Annotated[Sequence[str], option(NAMES, "LABEL,...")] = ()
     trend_by: Annotated[Sequence[str], option(NAMES, "LABEL,...")] = ()
-
-    @property
-    def effects(self) -> dict[str, Any]:
-        """The labels of groups and trends."""
-        return {"by": self.by, "trend": self.trend, "trend_by": self.trend_by}
 
 
 def fit(
@@ -130,14 +129,16 @@ def fit(
         from curlfit.friction_tables.command import fit_table
 
         return fit_table(files[0], flags, output, "fit", reading, sampling)
-    output.drawn()
+    output.drawn()  # refuses formats before the files are read
     if is_table_of_batch(files[0]):
-        if words := [*replace(flags, law=None).words(), *reading.words()]:
+        unused = [*replace(flags, law=None).words(), *reading.words()]
+        if unused:
             raise InputError(
-                f"{words[0]}: the throws of {files[0]} are fitted already; "
+                f"{unused[0]}: the throws of {files[0]} are fitted already; "
                 "expected it in the batch"
             )
-        return _fit_table(files, flags.law, together, sampling.of_several(), output)
+        seed = sampling.seed_of_several()
+        return _fit_season(files, flags.law, together, seed, output)
     if sampling.resume and sampling.no_sample:
         raise InputError(
             "--resume continues sampling, and --no-sample skips it; give one of them"
@@ -147,16 +148,18 @@ def fit(
         usual = Path("joint-fit")
         if len(data) == 1:
             usual = s.result_folder(data[0].resolve(), "fit", reading)
-        return _fit_jointly(jobs, together, sampling.of_several(), output, usual)
-    for name in together.given():
-        flag = name.replace("_", "-")
-        raise InputError(f"--{flag} needs several throws")
+        return _fit_jointly(jobs, together, sampling.seed_of_several(), output, usual)
+    unused = together.words()
+    if unused:
+        flag = unused[0].partition("=")[0]
+        raise InputError(f"{flag} needs several throws")
     (job,) = jobs.values()
     return _fit_one(job, s.result_folder(files[0], "fit", reading), sampling, output)
 
 
 def _files_of(data: Sequence[Path], reading: Reading) -> Sequence[Path]:
-    """The files, those of folders among them."""
+    """The files that are named, and those of folders. Raises `InputError` if there are
+    none."""
     if not data:
         raise InputError("fit: no file given; expected DATA")
     if not any(file.is_dir() for file in data):
@@ -170,16 +173,17 @@ def _files_of(data: Sequence[Path], reading: Reading) -> Sequence[Path]:
 def _fit_one(
     job: s.ConfiguredThrow[Fitting], usual: Path, sampling: Sampling, output: Output
 ) -> Saved:
-    """Fit one throw and print the report; write `fit.json`, the chain and figures."""
+    """Fit one throw and print the report; write `fit.json`, the chain and figures to a
+    folder, the usual one if the output names none."""
     from curlfit.options.figures import remove_figure
     from curlfit.output.files import claim_folder
 
-    s.checked(job)
+    job.require_usable()
     folder = output.out or usual
     seed = job.seed if sampling.seed is None else sampling.seed
-    saved = None
-    if sampling.resume:
-        saved, seed = _load_saved(folder, seed, job)
+    saved = _saved_fit(folder, job) if sampling.resume else None
+    if saved is not None:
+        seed = _seed_of_chain(folder, saved, seed)
     folder = claim_folder(folder)
     record = folder / "fit.json"
     chain_file = folder / "chain.h5"
@@ -195,6 +199,7 @@ def _fit_one(
             if not sampling.no_sample:
                 from curlfit.inference.mcmc.sampler import prepare_sampling
 
+                # its program is compiled beside those of the fit
                 prepare_sampling(*job.problem())
             result = job.fit()
     else:
@@ -214,13 +219,13 @@ def _fit_one(
                 console,
                 result,
                 seed=seed or 0,
-                effective=sampling.effective or 4000,
-                most_steps=sampling.max_steps or 2000,
+                effective=sampling.effective or _EFFECTIVE,
+                most_steps=sampling.max_steps or _MOST_STEPS,
                 checkpoint=chain_file,
                 resume=saved is not None,
             )
         except KeyboardInterrupt:
-            drawn.written()
+            drawn.written()  # waits for the figure of the fit
             raise
         except UnusableFitError as error:
             if not result.converged:
@@ -229,30 +234,23 @@ def _fit_one(
             say(f"curlfit: warning: no posterior: {error}", error=True)
             result = replace(result, sampling="none")
         result.save(record)
-    files = [record]
+    written = [record]
     if chain is not None:
-        files.append(chain_file)
-        from curlfit.reports.corner import corner_of
-
+        written.append(chain_file)
         drawn.replace(folder, ["corner"], partial(corner_of, result, chain))
     console.print(document_of(result))
-    done = output.written(folder, [*files, *drawn.written()], console)
-    if (
-        result.converged
-        and result.posterior is not None
-        and not result.posterior.converged
-    ):
-        say(f"curlfit: warning: posterior {result.posterior.status}", error=True)
-    return _finish(result, done)
+    verb_result = output.written(folder, [*written, *drawn.written()], console)
+    posterior = result.posterior
+    if result.converged and posterior is not None and not posterior.converged:
+        say(f"curlfit: warning: posterior {posterior.status}", error=True)
+    return _with_status(verb_result, result)
 
 
-def _load_saved(
-    folder: Path, seed: int | None, job: s.ConfiguredThrow[Fitting]
-) -> tuple[FitResult | None, int | None]:
-    """The saved fit in a folder, if any, and the seed, of its chain unless one is
-    given; fit and chain must be of the same problem."""
+def _saved_fit(folder: Path, job: s.ConfiguredThrow[Fitting]) -> FitResult | None:
+    """The fit that was saved in a folder, if any, to be resumed. Raises `InputError` if
+    it is of another problem."""
     if not (folder / "fit.json").exists():
-        return None, seed
+        return None
     from curlfit.friction import find_law
     from curlfit.inference.fit.result import load_fit
     from curlfit.inference.mcmc import chain
@@ -270,26 +268,46 @@ def _load_saved(
         chosen.noise.kind,
     )
     chain.require_same(chain.subject_of_saved(saved), subject, folder / "fit.json")
+    return saved
+
+
+def _seed_of_chain(folder: Path, saved: FitResult, seed: int | None) -> int | None:
+    """The seed with which the chain of a saved fit goes on: that of the chain, if there
+    is one, unless another is given. Raises `InputError` if the chain is of another
+    problem or seed."""
+    from curlfit.inference.mcmc import chain
+
     file = folder / "chain.h5"
-    if file.exists():
-        stored = chain.load_chain(file)
-        seed = stored.seed if seed is None else seed
-        chain.require_same(stored.subject, chain.subject_of(saved, seed), file)
-    return saved, seed
+    if not file.exists():
+        return seed
+    stored = chain.load_chain(file)
+    if seed is None:
+        seed = stored.seed
+    chain.require_same(stored.subject, chain.subject_of(saved, seed), file)
+    return seed
 
 
-def _finish(result: FitResult | JointResult, done: Saved) -> Saved:
-    """Report an unusable fit on stderr."""
+def _with_status(verb_result: Saved, result: FitResult | JointResult) -> Saved:
+    """The result of the verb, with an exit status; an unusable fit is reported on
+    stderr."""
     if result.converged:
-        return done
+        return verb_result
     say(f"curlfit: the fit is not usable: {result.status}", error=True)
-    return done._replace(status=1)
+    return verb_result._replace(status=_UNUSABLE)
 
 
 def _sample(
-    console: Console, result: FitResult, *, effective: int, **choices: Any
+    console: Console,
+    result: FitResult,
+    *,
+    seed: int,
+    effective: int,
+    most_steps: int,
+    checkpoint: Path,
+    resume: bool,
 ) -> tuple[FitResult, Chain]:
-    """Sample the posterior of a fit with a line of progress on the terminal."""
+    """Sample the posterior of a fit with a line of progress on the terminal; the chain
+    is kept in the file `checkpoint`."""
     from rich.progress import BarColumn, TimeRemainingColumn
 
     from curlfit.inference.mcmc.sampler import sample
@@ -309,25 +327,32 @@ def _sample(
 
         # R-hat takes time: it is not computed where nobody sees it
         hidden = console.quiet or not console.is_terminal
-        progress = None if hidden else show_state
-        return sample(result, effective=effective, progress=progress, **choices)
+        return sample(
+            result,
+            seed=seed,
+            effective=effective,
+            most_steps=most_steps,
+            checkpoint=checkpoint,
+            resume=resume,
+            progress=None if hidden else show_state,
+        )
 
 
 def _fit_jointly(
-    jobs_by_name: Mapping[str, s.ConfiguredThrow[Fitting]],
+    job_by_name: Mapping[str, s.ConfiguredThrow[Fitting]],
     together: Together,
     seed: int | None,
     output: Output,
     usual: Path,
 ) -> Saved:
-    """Fit several throws jointly and print the report; write `joint.json`, figures,
-    single fits."""
+    """Fit several throws, by the names of their folders, jointly and print the report;
+    write `joint.json`, figures, single fits."""
     from curlfit.friction import find_law
     from curlfit.output.files import claim_folder
     from curlfit.throws.plausibility import require_plausible
 
     drawn = output.drawn()
-    jobs = list(jobs_by_name.values())
+    jobs = list(job_by_name.values())
     chosen = jobs[0].chosen
     _require_alike(jobs)
     share: Sequence[str] | str | None = together.share or None
@@ -339,11 +364,11 @@ def _fit_jointly(
     for job in jobs:
         require_plausible(job.cut)
         s.checked_parameters(job.chosen, job.cut, others_swept=any_swept)
-    throws = [
-        job.throw.with_defaults(**{key: getattr(job.chosen, key) for key in _BY_THROW})
-        for job in jobs
-    ]
-    common = {key: value for key, value in chosen if key not in _BY_THROW}
+    throws = []
+    for job in jobs:
+        of_throw = {key: getattr(job.chosen, key) for key in _BY_THROW}
+        throws.append(job.throw.with_defaults(**of_throw))
+    of_all = {key: value for key, value in chosen if key not in _BY_THROW}
     folder = claim_folder(output.out or usual)
     drawn.draw_beside()
 
@@ -354,23 +379,25 @@ def _fit_jointly(
         result = fit_together(
             throws,
             share=share,
-            **together.effects,
+            by=together.by,
+            trend=together.trend,
+            trend_by=together.trend_by,
             seed=seed,
-            **common,
+            **of_all,
             progress=lambda step, chi_squared: show(
                 f"step {step}, chi squared {chi_squared:.6g}"
             ),
         )
-    for name, fit in zip(jobs_by_name, result.throws, strict=True):
+    for name, fit in zip(job_by_name, result.throws, strict=True):
         folder_of_throw = claim_folder(folder / name)
         fit.save(folder_of_throw / "fit.json")
-        if fit.rms or len(jobs) < _FEW:  # times alone are seen in one figure
+        if fit.rms or len(jobs) < _MANY:  # times alone are seen in one figure
             drawn.replace(folder_of_throw, ["fit"], partial(figures_of, fit))
-    folders = list(jobs_by_name)
-    if len(folders) > 3:
-        folders = [folders[0], "...", folders[-1]]
-    more = f", and in {folder}/ a folder for each throw: {', '.join(folders)}"
-    return _finish(result, output.finish(result, folder, drawn, more=more))
+    names = list(job_by_name)
+    if len(names) > 3:
+        names = [names[0], "...", names[-1]]
+    more = f", and in {folder}/ a folder for each throw: {', '.join(names)}"
+    return _with_status(output.finish(result, folder, drawn, more=more), result)
 
 
 def _require_coefficients(names: Sequence[str], law: type[Law]) -> None:
@@ -398,8 +425,8 @@ def _require_alike(jobs: Sequence[s.ConfiguredThrow[Fitting]]) -> None:
                 )
 
 
-def _fit_table(
-    data: Sequence[Path],
+def _fit_season(
+    tables: Sequence[Path],
     law: str | None,
     together: Together,
     seed: int | None,
@@ -409,15 +436,23 @@ def _fit_table(
     and its figure."""
     from curlfit.output.files import claim_folder
 
-    if len(data) > 1:
+    table, *others = tables
+    if others:
         raise InputError(
-            f"{data[0]}: a table of many throws; expected no other file beside it"
+            f"{table}: a table of many throws; expected no other file beside it"
         )
     drawn = output.drawn()
-    with output.status(f"Fitting the throws of {data[0]} {COMPILES}"):
+    with output.status(f"Fitting the throws of {table} {COMPILES}"):
         from curlfit.batch.season import fit_season
 
-        result = fit_season(data[0], law, **together.effects, seed=seed)
-    folder = claim_folder(output.out or Path(f"{data[0].stem}-fit"))
+        result = fit_season(
+            table,
+            law,
+            by=together.by,
+            trend=together.trend,
+            trend_by=together.trend_by,
+            seed=seed,
+        )
+    folder = claim_folder(output.out or Path(f"{table.stem}-fit"))
     drawn.draw_beside()
-    return _finish(result, output.finish(result, folder, drawn))
+    return _with_status(output.finish(result, folder, drawn), result)

@@ -38,13 +38,16 @@ def laws(
         raise InputError("--conditions are those of any law; give no names")
     width = terminal().width
     if conditions:
-        texts = {item.name: _condition(item) for item in (*CONDITIONS, *ASSUMED)}
+        texts = {
+            condition.name: _condition(condition)
+            for condition in (*CONDITIONS, *ASSUMED)
+        }
         print("\n".join(listed(texts, width)))
         return
-    chosen = [*LAWS.values(), *TERMS.values()]
+    listed_laws = [*LAWS.values(), *TERMS.values()]
     if names:
-        chosen = [TERMS.get(name) or find_law(name) for name in names]
-    print("\n\n".join(_text(law, width) for law in chosen))
+        listed_laws = [TERMS.get(name) or find_law(name) for name in names]
+    print("\n\n".join(_text(law, width) for law in listed_laws))
 
 
 def _summary(law: type[Law]) -> str:
@@ -70,8 +73,11 @@ def _text(law: type[Law], width: int) -> str:
     lines = [law.name]
     for paragraph in paragraphs:
         lines += hanging("  ", paragraph, width)
-    coefficients = {item.name: _coefficient(item) for item in law.coefficients()}
-    lines += listed(coefficients, width, indent="    ")
+    texts = {
+        coefficient.name: _coefficient(coefficient)
+        for coefficient in law.coefficients()
+    }
+    lines += listed(texts, width, indent="    ")
     return "\n".join(lines)
 
 
@@ -95,6 +101,6 @@ def _condition(condition: Condition) -> str:
     )
 
 
-def _unit(item: Coefficient | Condition) -> str:
+def _unit(quantity: Coefficient | Condition) -> str:
     """The unit after a number; empty for pure numbers."""
-    return "" if item.unit == "1" else f" {item.unit}"
+    return "" if quantity.unit == "1" else f" {quantity.unit}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from cyclopts import Group, Parameter
 
@@ -27,6 +27,9 @@ from curlfit.sheet import LINES
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from curlfit.environment import Environment
+    from curlfit.friction import Law
+    from curlfit.stone import Stone
     from curlfit.throws.load import Part
     from curlfit.throws.throw import Throw
 
@@ -90,6 +93,7 @@ def check(
     except DataError as refusal:
         if len(job.cut) < FEWEST_ROWS:
             raise
+        # the file can be read, though no fit is possible with these settings
         console.print(f"\nNo fit as set: {refusal}", style="yellow")
     if out is not None:
         from curlfit.output.figures import save_figure
@@ -133,6 +137,7 @@ def _check_rows(parts: Sequence[Part], data: Path, out: Path | None) -> None:
         print_rows(readable, data, terminal(highlight=False))
     if faults:
         raise faults[0]
+    # every throw needs others, which the table does not have
     if all(part.alone for part in parts) and parts[0].alone is not None:
         raise parts[0].alone
 
@@ -147,21 +152,30 @@ def _require_picture(file: Path) -> None:
         raise InputError(f"--out {file}: the folder {file.parent} does not exist")
 
 
-def _swept(word: str) -> tuple[tuple[float, float], float]:
-    """Begin and end of sweeping (s), and the ratio of friction, of "8:14=0.9"."""
+class Sweep(NamedTuple):
+    """Sweeping from one time to another (s), and the ratio of the friction then to that
+    otherwise."""
+
+    begin: float
+    end: float
+    ratio: float
+
+
+def _read_sweep(word: str) -> Sweep:
+    """Sweeping as it is typed, such as "8:14=0.9"."""
     times, _, number = word.partition("=")
-    period = PERIOD.read_word("--sweep ", times)
+    begin, end = PERIOD.read_word("--sweep ", times)
     ratio = float(number)
     if ratio < 0:
         raise ValueError
-    return period, ratio
+    return Sweep(begin, end, ratio)
 
 
 _LINE = OneOf("line", {name: name for name in list(LINES)[:-1]})
 _SWEPT = Form(
     "",
     lambda value: value,
-    _swept,
+    _read_sweep,
     "A:B=V, times in s and the ratio of friction, of 0 or more",
 )
 
@@ -185,13 +199,16 @@ class Conditions(Choices):
     drag: Annotated[float | None, option(NUMBER, "V")] = None
     sweep: Annotated[Any, option(_SWEPT, "A:B=V")] = None
 
-    def environment(self) -> dict[str, float]:
-        """The conditions that are given, as fields of `Environment`."""
-        fields = self.given()
+    def environment(self, otherwise: Environment) -> Environment:
+        """The conditions that are given; `otherwise` has those that are not."""
+        conditions = self.given()
         if self.sweep is not None:
-            (begin, end), ratio = self.sweep
-            fields |= {"sweep": ratio, "swept_from": begin, "swept_to": end}
-        return fields
+            conditions |= {
+                "sweep": self.sweep.ratio,
+                "swept_from": self.sweep.begin,
+                "swept_to": self.sweep.end,
+            }
+        return replace(otherwise, **conditions)
 
 
 @Parameter(name="*")
@@ -264,17 +281,24 @@ def simulate(
     from curlfit.environment import Environment
     from curlfit.throws.synthetic import synthetic_throw
 
-    state = start.given()
+    given_start = start.given()
     if line is not None:
         if start.y0 is not None:
             raise InputError("--line and --y0: expected one of them")
-        state["y0"] = LINES[line]
+        given_start["y0"] = LINES[line]
     model = _given_model(given) if fit is None else _fitted_model(fit, given)
-    model |= state | measured.given()
-    environment = replace(model["environment"], **conditions.environment())
-    model["environment"] = None if environment == Environment() else environment
-    throw = synthetic_throw(**model)
-    _write(throw if line is None else throw.with_defaults(axes="from-hack"), out)
+    environment = conditions.environment(model.environment)
+    throw = synthetic_throw(
+        model.law,
+        model.stone,
+        load=model.load,
+        environment=None if environment == Environment() else environment,
+        **{**model.start, **given_start},
+        **{"until": model.until, **measured.given()},
+    )
+    if line is not None:
+        throw = throw.with_defaults(axes="from-hack")
+    _write(throw, out)
 
 
 def _write(throw: Throw, out: Path | None) -> None:
@@ -293,9 +317,26 @@ def _write(throw: Throw, out: Path | None) -> None:
     say(f"Written: {out}")
 
 
-def _given_model(given: Simulated) -> dict[str, Any]:
-    """Arguments of `synthetic_throw` from flags, with defaults for what they leave
-    out."""
+@dataclass(frozen=True, kw_only=True)
+class _Model:
+    """What moves a simulated throw, before flags say more.
+
+    Attributes
+    ----------
+    start : values of the initial state by name (SI, rad).
+    until : last time, s since the start.
+    """
+
+    law: Law
+    stone: Stone
+    load: str
+    environment: Environment
+    start: dict[str, float]
+    until: float
+
+
+def _given_model(given: Simulated) -> _Model:
+    """The model that flags give, with defaults for what they leave out."""
     from curlfit.environment import Environment
     from curlfit.stone import Stone
     from curlfit.throws.synthetic import law_with
@@ -303,22 +344,21 @@ def _given_model(given: Simulated) -> dict[str, Any]:
     law = law_with(
         given.law or "front-back", given.coefficients, unbounded=given.unbounded
     )
-    return {
-        "law": law,
-        "stone": Stone().with_values(dict(given.stone)),
-        "load": given.load or "uniform",
-        "environment": Environment(),
-        "v0": 2.0,
-        "omega0": 1.0,
-        "until": 20.0,
-    }
+    return _Model(
+        law=law,
+        stone=Stone().with_values(dict(given.stone)),
+        load=given.load or "uniform",
+        environment=Environment(),
+        start={"v0": 2.0, "omega0": 1.0},
+        until=20.0,
+    )
 
 
-def _fitted_model(folder: Path, given: Simulated) -> dict[str, Any]:
-    """Arguments of `synthetic_throw` from a saved fit, except for what flags give."""
+def _fitted_model(folder: Path, given: Simulated) -> _Model:
+    """The model of a saved fit, except for what flags give."""
     from curlfit.environment import Environment
     from curlfit.errors import UnusableFitError
-    from curlfit.friction import Law, find_law
+    from curlfit.friction import find_law
     from curlfit.inference.parameters import START
     from curlfit.inference.system import System
     from curlfit.throws.synthetic import law_with
@@ -347,21 +387,20 @@ def _fitted_model(folder: Path, given: Simulated) -> dict[str, Any]:
         fitted = {
             name: coefficient.value for name, coefficient in fit.coefficients.items()
         }
-    law: Law
+    law: Law  # a subclass in either case
     if fitted and not given.coefficients:
         law = fit.fitted_law
     else:
         law = law_with(
             law_class, given.coefficients, unbounded=given.unbounded, others=fitted
         )
-    start = {
-        parameter.name: fit.parameters[parameter.name].value for parameter in START
-    }
-    return {
-        "law": law,
-        "stone": system.stone.with_values(dict(given.stone)),
-        "load": given.load or fit.load,
-        "environment": environment,
-        "until": fit.data.end - begin,
-        **start,
-    }
+    return _Model(
+        law=law,
+        stone=system.stone.with_values(dict(given.stone)),
+        load=given.load or fit.load,
+        environment=environment,
+        start={
+            parameter.name: fit.parameters[parameter.name].value for parameter in START
+        },
+        until=fit.data["to"] - begin,
+    )

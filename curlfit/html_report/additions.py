@@ -3,13 +3,13 @@ interactive parts."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from curlfit.errors import CurlfitError
-from curlfit.html_report.blocks import Block, paragraph, rows
+from curlfit.html_report.blocks import Block, FigureBlock, NamedValues, Paragraph
 from curlfit.html_report.drawings import inline_svg
 from curlfit.losses import LOSSES
 from curlfit.output.display import figures_of
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from curlfit.inference.mcmc.chain import Chain
     from curlfit.prediction.result import Prediction
 
-_MOVING = 6  # animated throws in a page
-_OLD = (
+_MOST_ANIMATED = 6  # throws in a page
+_NO_DRAWS = (
     "This record was written without draws of the posterior; "
     "`curlfit predict` adds them."
 )
@@ -33,33 +33,22 @@ _OLD = (
 
 @dataclass
 class Additions:
-    """Blocks by section: of a section of the document, at its end, or of one
-    that follows.
-
-    `data` are of the interactive parts, by id.
-    """
+    """Blocks by the id of a section: of one of the document, at its end, or of one
+    that follows."""
 
     blocks: dict[str, list[Block]] = field(default_factory=dict)
-    data: dict[str, Any] = field(default_factory=dict)
 
-    def add(self, section: str, *blocks: Block) -> None:
+    def add(self, section: str, block: Block) -> None:
         """Add to a section."""
-        self.blocks.setdefault(section, []).extend(blocks)
+        self.blocks.setdefault(section, []).append(block)
 
-    def draw(self, figure: Figure, name: str, caption: str) -> None:
-        """Add a figure."""
+    def add_figure(self, figure: Figure, name: str, caption: str) -> None:
+        """Add a figure, whose ids begin with its name."""
         svg = inline_svg(figure, f"{name}-", caption)
-        self.add("figures", Block("drawing", {"svg": svg, "caption": caption}))
+        self.add("figures", FigureBlock(svg, caption))
 
-    def move(self, section: str, part: tuple[Block, dict[str, Any]] | None) -> None:
-        """Add an interactive part, if there is one, with its data."""
-        if part is not None:
-            block, data = part
-            self.add(section, block)
-            self.data[block.shows["id"]] = data
-
-    def directions(
-        self, fits: Sequence[FitResult], directions: Sequence[dict[str, float]]
+    def add_directions(
+        self, fits: Sequence[FitResult], directions: Sequence[Mapping[str, float]]
     ) -> None:
         """Add the null directions of fits, in parameters that they have in common."""
         if not directions or not all(fit.converged for fit in fits):
@@ -67,27 +56,35 @@ class Additions:
         try:
             fits[0].law_class  # noqa: B018  (a user's law is read from its file)
         except CurlfitError as error:
-            self.add(
-                "determined",
-                paragraph(f"The paths along it are not here: {error}.", "note"),
-            )
+            text = f"The paths along it are not here: {error}."
+            self.add("determined", Paragraph(text, "note"))
             return
         from curlfit.html_report.direction import directions_of
 
-        for part in directions_of(fits, directions, "direction"):
-            self.move("determined", part)
+        for direction in directions_of(fits, directions, "direction"):
+            self.add("determined", direction)
 
-    def throws(self, fits: Sequence[FitResult]) -> None:
-        """Add the animated throws."""
+    def add_replays(self, fits: Sequence[FitResult]) -> None:
+        """Add the animated throws; the first one is explained."""
         from curlfit.html_report.replay import replay_of_fit
 
         for number, fit in enumerate(fits):
-            label = Path(fit.data.file).name if len(fits) > 1 else ""
-            self.move("throw", replay_of_fit(fit, f"replay-{number}", label))
+            label = Path(fit.data["file"]).name if len(fits) > 1 else ""
+            replay = replay_of_fit(
+                fit, f"replay-{number}", label, explained=number == 0
+            )
+            if replay is not None:
+                self.add("throw", replay)
 
 
-def _of_joint(page: Additions, joint: JointResult) -> None:
-    """What is measured of each throw, the null directions that the throws have in
+def _add_of_fit(additions: Additions, fit: FitResult) -> None:
+    """Add the null directions of a fit, and its throw, animated."""
+    additions.add_directions([fit], fit.null_directions)
+    additions.add_replays([fit])
+
+
+def _add_of_joint(additions: Additions, joint: JointResult) -> None:
+    """Add what is measured of each throw, the null directions that the throws have in
     common, and the first throws animated."""
     from curlfit.reports.fit import extent, quantities_line
 
@@ -99,39 +96,35 @@ def _of_joint(page: Additions, joint: JointResult) -> None:
         parts = (extent(throw), quantities_line(throw))
         file = Path(throw.data.file).name
         measured[file] = "; ".join(part for part in parts if part)
-    page.add("coefficients", rows("The throws", measured))
-    shared = [
+    additions.add("coefficients", NamedValues("The throws", measured))
+    shared_directions = [
         direction
         for direction in throws[0].identifiability.null_directions
         if set(direction) <= set(joint.share)
     ]
-    page.directions(throws, shared)
-    count = len(throws)
-    if count > _MOVING:
-        page.add("throw", paragraph(f"The first {_MOVING} of {count} throws.", "note"))
-    page.throws(throws[:_MOVING])
+    additions.add_directions(throws, shared_directions)
+    if len(throws) > _MOST_ANIMATED:
+        text = f"The first {_MOST_ANIMATED} of {len(throws)} throws."
+        additions.add("throw", Paragraph(text, "note"))
+    additions.add_replays(throws[:_MOST_ANIMATED])
 
 
-def _of_prediction(page: Additions, prediction: Prediction) -> None:
-    """The predicted throw, animated, and where its draws come to rest."""
+def _add_of_prediction(additions: Additions, prediction: Prediction) -> None:
+    """Add the predicted throw, animated, and where its draws come to rest."""
     from curlfit.html_report.replay import replay_of_prediction, rests_of
 
-    page.move("throw", replay_of_prediction(prediction, "replay-0"))
-    page.move("draws", rests_of(prediction, "rests"))
-    if not prediction.sample:
-        page.add("draws", paragraph(_OLD, "note"))
+    additions.add("throw", replay_of_prediction(prediction, "replay-0"))
+    rests = rests_of(prediction, "rests")
+    if rests is None:
+        additions.add("draws", Paragraph(_NO_DRAWS, "note"))
+    else:
+        additions.add("draws", rests)
 
 
-def _of_fit(page: Additions, fit: FitResult) -> None:
-    """The null directions of a fit, and its throw, animated."""
-    page.directions([fit], fit.identifiability.null_directions)
-    page.throws([fit])
-
-
-_PARTS: dict[str, Callable[[Additions, Any], None]] = {
-    "fit": _of_fit,
-    "joint": _of_joint,
-    "predict": _of_prediction,
+_ADD_OF_KIND: dict[str, Callable[[Additions, Any], None]] = {
+    "fit": _add_of_fit,
+    "joint": _add_of_joint,
+    "predict": _add_of_prediction,
 }
 _CAPTIONS = {
     "fit": "The path with its fit, residuals by channel, speed and spin",
@@ -156,9 +149,9 @@ _CAPTIONS = {
 def _caption(result: Any, name: str) -> str:
     """What a figure of a result shows."""
     if name == "profile":
-        loss = getattr(result, "each", [result])[0].loss
-        robust = LOSSES[loss].is_robust
-        what = "Minus twice the log-likelihood" if robust else "Chi squared"
+        profiles = getattr(result, "each", [result])  # of a pair, both alone
+        is_robust = LOSSES[profiles[0].loss].is_robust
+        what = "Minus twice the log-likelihood" if is_robust else "Chi squared"
         names = join_words(result.names)
         return f"{what} over {names}, all other parameters fitted again"
     if name == "fit" and not result.rms:
@@ -168,12 +161,12 @@ def _caption(result: Any, name: str) -> str:
 
 def additions_of(result: Any, chain: Chain | None) -> Additions:
     """The figures of a result, with that of its chain, and its interactive parts."""
-    page = Additions()
-    if result.kind in _PARTS:
-        _PARTS[result.kind](page, result)
+    additions = Additions()
+    if result.kind in _ADD_OF_KIND:
+        _ADD_OF_KIND[result.kind](additions, result)
     figures = figures_of(result)
     if chain is not None:
         figures |= corner_of(result, chain)
     for name, figure in figures.items():
-        page.draw(figure, name, _caption(result, name))
-    return page
+        additions.add_figure(figure, name, _caption(result, name))
+    return additions

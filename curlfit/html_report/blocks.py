@@ -1,11 +1,11 @@
-"""Elements of a page: a template and its content each."""
+"""Elements of a page: what each shows, and the template that writes it as HTML."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from markupsafe import Markup
 from rich.table import Column, Table
@@ -13,6 +13,7 @@ from rich.table import Column, Table
 from curlfit.findings import Finding, Level
 from curlfit.output.document import Part, Said
 from curlfit.output.html import COLORS, inline
+from curlfit.records import plain
 from curlfit.wording import capital
 
 _CODE = re.compile(r"`([^`]+)`")
@@ -21,10 +22,99 @@ _LONG = 40  # characters above which a cell is wrapped
 
 @dataclass(frozen=True)
 class Block:
-    """A part of a section: a template and its content."""
+    """A part of a section, of which its template writes the fields."""
 
-    template: str
-    shows: Mapping[str, Any]
+    template: ClassVar[str]
+
+
+@dataclass(frozen=True)
+class InteractiveBlock(Block):
+    """A part that a program of the page moves.
+
+    Attributes
+    ----------
+    id : of its element.
+    data : a dataclass, which the program reads as JSON.
+    """
+
+    id: str
+    data: Any
+
+    def to_json(self) -> dict[str, Any]:
+        """What the program reads; `kind` is the name of the program."""
+        return {"kind": self.template, **plain(self.data)}
+
+
+@dataclass(frozen=True)
+class Paragraph(Block):
+    """A text, or what rich prints; its role is a class of the style sheet."""
+
+    template = "paragraph"
+    text: Any
+    role: str = ""
+
+
+@dataclass(frozen=True)
+class ListedFinding:
+    """A finding as a sentence; `means` is empty for a note, which needs no more."""
+
+    text: str
+    code: str
+    means: str
+
+
+@dataclass(frozen=True)
+class FindingList(Block):
+    """Findings; what a warning means is shown on request."""
+
+    template = "findings"
+    findings: Sequence[ListedFinding]
+    role: str
+
+
+@dataclass(frozen=True)
+class NamedValues(Block):
+    """A table of two columns: names and values, of which empty ones are left out."""
+
+    template = "rows"
+    caption: str
+    values: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What is in a cell of a table, and its class in the style sheet."""
+
+    content: Any
+    style: str
+
+
+@dataclass(frozen=True)
+class TableBlock(Block):
+    """A table; the cells of one column are the headers of the rows."""
+
+    template = "table"
+    caption: str
+    heads: Sequence[Cell]
+    rows: Sequence[Sequence[Cell]]
+    header_column: int
+
+
+@dataclass(frozen=True)
+class FigureBlock(Block):
+    """A figure as an `<svg>` element, with its caption."""
+
+    template = "drawing"
+    svg: Markup
+    caption: str
+
+
+@dataclass(frozen=True)
+class Commands(Block):
+    """Commands as they are typed."""
+
+    template = "commands"
+    lines: Sequence[str]
 
 
 def marked(text: Any) -> Markup:
@@ -38,73 +128,65 @@ def marked(text: Any) -> Markup:
 
 def sentence(text: str, names: Collection[str] = ()) -> str:
     """A text with a capital letter, unless it begins with a name, and a full stop."""
-    first = re.split(r"[ :,]", text, maxsplit=1)[0]
-    if first not in names and re.fullmatch(r"[a-z][a-z-]*", first):
+    first_word = re.split(r"[ :,]", text, maxsplit=1)[0]
+    if first_word not in names and re.fullmatch(r"[a-z][a-z-]*", first_word):
         text = capital(text)
     return text if text.endswith(".") else f"{text}."
 
 
-def paragraph(text: Any, role: str = "") -> Block:
-    """A paragraph; its role is a class of the style sheet."""
-    return Block("paragraph", {"text": marked(text), "role": role})
-
-
-def of_findings(
+def list_of_findings(
     findings: Sequence[Finding], role: str, names: Collection[str] = ()
 ) -> list[Block]:
-    """Findings as a list; what a warning means is shown on request."""
-    items = [
-        {
-            "text": marked(sentence(str(finding), names)),
-            "code": finding.code,
-            "means": "" if finding.level is Level.NOTE else marked(finding.means),
-        }
+    """Findings as one block, with a class of the style sheet; none without findings.
+    `names` are words that keep a lower-case initial."""
+    if not findings:
+        return []
+    listed = [
+        ListedFinding(
+            text=sentence(str(finding), names),
+            code=finding.code,
+            means="" if finding.level is Level.NOTE else finding.means,
+        )
         for finding in findings
     ]
-    return [Block("findings", {"items": items, "role": role})] if items else []
-
-
-def rows(caption: str, items: Mapping[str, str]) -> Block:
-    """A table of two columns: names and values, of which empty ones are left out."""
-    shown = [(name, value) for name, value in items.items() if value]
-    return Block("rows", {"caption": caption, "items": shown})
+    return [FindingList(listed, role)]
 
 
 def blocks_of(parts: Iterable[Part]) -> Iterator[Block]:
-    """Texts and tables of a document as blocks, except those that are said above."""
+    """Texts and tables of a document as blocks, except those that the page has said
+    above."""
     for part in parts:
         if isinstance(part, Table):
             yield _table(part)
-            if note := getattr(part, "note", None):
-                yield paragraph(note)
+            note = getattr(part, "note", None)
+            if note:
+                yield Paragraph(note)
         elif not isinstance(part, Said):
-            yield paragraph(part)
+            yield Paragraph(part)
 
 
-def _table(table: Table) -> Block:
-    """A table whose first column of words contains the row headers."""
-    heads = []
-    cells_by_column = []
-    for column in table.columns:
-        heads.append((marked(column.header), column.justify))
-        cells = [(marked(cell), _cell_style(column, cell)) for cell in column.cells]
-        cells_by_column.append(cells)
-    words = [column.justify != "right" for column in table.columns]
-    return Block(
-        "table",
-        {
-            "caption": getattr(table, "called", ""),
-            "heads": [
-                (marked(column.header), column.justify) for column in table.columns
-            ],
-            "rows": list(zip(*cells_by_column, strict=True)),
-            "words": words.index(True) if True in words else 0,
-        },
+def _table(table: Table) -> TableBlock:
+    """A table of rich; the first column of words has the headers of the rows."""
+    columns = table.columns
+    cells_by_column = [
+        [Cell(content, _cell_style(column, content)) for content in column.cells]
+        for column in columns
+    ]
+    columns_of_words = [
+        number for number, column in enumerate(columns) if column.justify != "right"
+    ]
+    return TableBlock(
+        caption=getattr(table, "called", ""),
+        heads=[Cell(column.header, column.justify) for column in columns],
+        rows=list(zip(*cells_by_column, strict=True)),
+        header_column=columns_of_words[0] if columns_of_words else 0,
     )
 
 
-def _cell_style(column: Column, cell: Any) -> str:
+def _cell_style(column: Column, content: Any) -> str:
     """Class of a cell in the style sheet: numbers to the right, long words wrapped."""
     if column.justify == "right":
         return "right"
-    return "long" if not column.no_wrap or len(str(cell)) > _LONG else ""
+    if column.no_wrap and len(str(content)) <= _LONG:
+        return ""
+    return "long"

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from curlfit.html_report.blocks import Block
-from curlfit.html_report.replay import rounded
+from curlfit.html_report.blocks import InteractiveBlock
+from curlfit.html_report.replay import Numbers, Point, rounded
 from curlfit.inference.fit.curves import CurveModel, Curves
 from curlfit.inference.fit.result import FitResult
 from curlfit.numerics.arrays import Floats
@@ -25,6 +26,7 @@ from curlfit.wording import compact, join_words
 
 _POSITIONS = 33  # along a direction
 _INSTANTS = 49  # times of a path
+_POINTS = 200  # of the data
 _REACH = 3.0  # multiple of the value or typical size, where there is no bound
 _PRECISION = 1e-7  # of the computed path, m and rad
 _MEASURES = {
@@ -33,15 +35,103 @@ _MEASURES = {
     "speed": ("speed",),
     "spin": ("omega",),
 }
+"""Channels by what is said to change; the size of a change is that of the vector."""
 WIDTH = 640.0
 HEIGHT = 200.0
 MARGIN = 16.0
 """Of a drawing, in its own units."""
 
 
+@dataclass(frozen=True)
+class Change:
+    """The largest change of what was measured, over all throws.
+
+    Attributes
+    ----------
+    size : of the measure that changes most, in its SI unit.
+    text : of all measures, as "0.2 mm in position and 1 mrad in angle".
+    """
+
+    size: float
+    text: str
+
+
+@dataclass(frozen=True)
+class DirectionData:
+    """What `direction.js` reads: lists by position of the slider, from end to end.
+
+    Attributes
+    ----------
+    what : changes, in words.
+    names : of the parameters. values : of each, by position. sizes : the largest.
+    origin, scale, margin : of the `Drawing`.
+    paths, alone : along the two sides of the drawing, at the times `t` (s), with all
+        parameters moved and with the first one alone.
+    changes, apart : from the fit, of all and of the first one alone; None where the law
+        admits no motion.
+    chi_squared : of all throws.
+    start : the position of the fit.
+    """
+
+    what: str
+    names: list[str]
+    values: list[Numbers]
+    sizes: list[float]
+    origin: list[float]
+    scale: list[float]
+    margin: float
+    paths: list[list[Numbers]]
+    alone: list[list[Numbers]]
+    changes: list[Change | None]
+    apart: list[Change | None]
+    chi_squared: Numbers
+    start: int
+    t: Numbers
+
+
+@dataclass(frozen=True)
+class Direction(InteractiveBlock):
+    """A direction that leaves the path unchanged, with a slider along it.
+
+    Attributes
+    ----------
+    joined : its parameters in words.
+    shares : of each parameter at the fit, in percent of its largest value.
+    constant : what stays constant, with its value; empty for nothing.
+    largest, largest_alone : changes along the whole slider in words, of all parameters
+        and of the first one alone; empty where there is no motion.
+    axes : what the drawing shows.
+    points, path : of the data and of the fit, in the drawing.
+    """
+
+    template = "direction"
+    data: DirectionData
+    joined: str
+    shares: list[float]
+    constant: str
+    largest: str
+    largest_alone: str
+    axes: str
+    points: list[Point]
+    path: list[Point]
+    width: float = WIDTH
+    height: float = HEIGHT
+
+
+class Ends(NamedTuple):
+    """Steps along a direction from the fit to its two ends, the first one negative."""
+
+    backward: float
+    forward: float
+
+    def toward(self, step: float) -> float:
+        """The end on the side of a step."""
+        return self.forward if step > 0 else self.backward
+
+
 def directions_of(
-    fits: Sequence[FitResult], directions: Sequence[dict[str, float]], id: str
-) -> list[tuple[Block, dict[str, Any]]]:
+    fits: Sequence[FitResult], directions: Sequence[Mapping[str, float]], id: str
+) -> list[Direction]:
     """Directions of parameters that throws have in common, where the bounds leave room.
 
     The path of the first throw is drawn; the changes are the largest over all throws.
@@ -49,14 +139,14 @@ def directions_of(
     models = [CurveModel(fit) for fit in fits if fit.fitted and fit.rms]
     if not models:
         return []
-    parts = [
+    blocks = [
         _direction(models, direction, f"{id}-{number}")
         for number, direction in enumerate(directions)
     ]
-    return [part for part in parts if part is not None]
+    return [block for block in blocks if block is not None]
 
 
-def ends_along(fit: FitResult, direction: Mapping[str, float]) -> tuple[float, float]:
+def ends_along(fit: FitResult, direction: Mapping[str, float]) -> Ends:
     """Steps along a direction from the fit, up to which all parameters are within their
     bounds, or within a few times their size where they have none."""
     backward = -math.inf
@@ -64,24 +154,25 @@ def ends_along(fit: FitResult, direction: Mapping[str, float]) -> tuple[float, f
     for name, weight in direction.items():
         parameter = fit.parameters[name]
         value = parameter.value
-        far = _REACH * max(abs(value), parameter.typical)
-        low = max(parameter.lower, value - far) - value
-        high = min(parameter.upper, value + far) - value
+        farthest = _REACH * max(abs(value), parameter.typical)
+        low = max(parameter.lower, value - farthest) - value
+        high = min(parameter.upper, value + farthest) - value
+        # a negative weight exchanges the ends
         first, last = sorted((low / weight, high / weight))
         backward = max(backward, first)
         forward = min(forward, last)
-    return backward, forward
+    return Ends(backward, forward)
 
 
-def positions_along(fit: FitResult, direction: dict[str, float]) -> Floats:
+def positions_along(fit: FitResult, direction: Mapping[str, float]) -> Floats:
     """Steps along a direction between its ends, including 0."""
-    backward, forward = ends_along(fit, direction)
-    steps = np.linspace(backward, forward, _POSITIONS)
+    steps = np.linspace(*ends_along(fit, direction), _POSITIONS)
     steps[np.argmin(np.abs(steps))] = 0.0  # the fit itself
     return steps
 
 
-class Drawing(NamedTuple):
+@dataclass(frozen=True)
+class Drawing:
     """Where points along two axes are drawn: from their origin, enlarged by
     their scale."""
 
@@ -100,7 +191,7 @@ class Drawing(NamedTuple):
             return cls([float(low[0]), float(high[1])], [along, -across])
         return cls(low.tolist(), [along, across])
 
-    def at(self, points: Floats) -> list[tuple[float, float]]:
+    def at(self, points: Floats) -> list[Point]:
         """Points in the drawing, of values along the axes, shape (2, n)."""
         across = MARGIN + (points[0] - self.origin[0]) * self.scale[0]
         down = HEIGHT - MARGIN - (points[1] - self.origin[1]) * self.scale[1]
@@ -109,11 +200,10 @@ class Drawing(NamedTuple):
 
 
 def _direction(
-    models: list[CurveModel], direction: dict[str, float], id: str
-) -> tuple[Block, dict[str, Any]] | None:
-    """The part of a page about one direction, with its data; None where the bounds
-    leave no room. Beside the paths along it are those with its first parameter changed
-    alone.
+    models: list[CurveModel], direction: Mapping[str, float], id: str
+) -> Direction | None:
+    """The part of a page about one direction; None where the bounds leave no room.
+    Beside the paths along it are those with its first parameter changed alone.
     """
     fit = models[0].fit
     weights = {name: weight for name, weight in direction.items() if weight}
@@ -131,17 +221,15 @@ def _direction(
 
     # curves of all throws at each position, and how far they are from the fit
     curves = _curves(models, names, moves)
-    curves_alone = _curves(models, names[:1], moves)
+    curves_alone = _curves(models, names[:1], moves[:, :1])
     best = curves[start]
     changes = [_change(moved, best, models) for moved in curves]
     changes_alone = [_change(moved, best, models) for moved in curves_alone]
     chi_squared = [sum(throw.chi_squared for throw in moved) for moved in curves]
 
     # the path of the first throw, from above; without x and y, a channel over time
-    sides = ("t", next(iter(fit.rms)))
-    if {"x", "y"} <= fit.rms.keys():
-        sides = ("y", "x")
-    has_path = sides == ("y", "x")
+    has_path = {"x", "y"} <= fit.rms.keys()
+    sides = ("y", "x") if has_path else ("t", next(iter(fit.rms)))
     t = best[0].t
     instants = some_rows(len(t), _INSTANTS)
     paths = [_sides_of(moved[0], sides, instants) for moved in curves]
@@ -149,43 +237,41 @@ def _direction(
     low = np.nanmin(np.array(paths + paths_alone), axis=(0, 2))
     high = np.nanmax(np.array(paths + paths_alone), axis=(0, 2))
     drawing = Drawing.of(low, high, from_above=has_path)
-    rows = some_rows(len(fit.observed["t"]), 200)
+    rows = some_rows(len(fit.observed["t"]), _POINTS)
     measured = np.array([fit.observed[side][rows] for side in sides])
 
-    data: dict[str, Any] = {
-        "kind": "direction",
-        "what": "the path" if has_path else "what was measured",
-        "names": names,
-        "values": [rounded(row, 9) for row in values],
-        "sizes": sizes.tolist(),
-        **drawing._asdict(),
-        "paths": [[rounded(side, 8) for side in path] for path in paths],
-        "alone": [[rounded(side, 4) for side in path] for path in paths_alone],
-        "changes": changes,
-        "apart": changes_alone,
-        "chi_squared": [_number(value) for value in chi_squared],
-        "start": start,
-        "t": rounded(t[instants], 6),
-    }
-    shows = {
-        **data,
-        "id": id,
-        "last": len(steps) - 1,
-        "joined": join_words(names),
-        "shares": (100 * np.abs(values[start]) / sizes).tolist(),
-        "sum": _constant(fit, names),
-        "largest": _largest(changes),
-        "apart": _largest(changes_alone),
-        "width": WIDTH,
-        "height": HEIGHT,
-        "axes": _axes(fit, sides, low, high, len(models)),
-        "points": drawing.at(measured),
-        "path": drawing.at(np.array(paths[start])),
-    }
-    return Block("direction", shows), data
+    return Direction(
+        id=id,
+        data=DirectionData(
+            what="the path" if has_path else "what was measured",
+            names=names,
+            values=[rounded(row, 9) for row in values],
+            sizes=sizes.tolist(),
+            origin=drawing.origin,
+            scale=drawing.scale,
+            margin=drawing.margin,
+            paths=[[rounded(side, 8) for side in path] for path in paths],
+            alone=[[rounded(side, 4) for side in path] for path in paths_alone],
+            changes=changes,
+            apart=changes_alone,
+            chi_squared=[_eight_digits(value) for value in chi_squared],
+            start=start,
+            t=rounded(t[instants], 6),
+        ),
+        joined=join_words(names),
+        shares=(100 * np.abs(values[start]) / sizes).tolist(),
+        constant=_constant(fit, names),
+        largest=_largest(changes),
+        largest_alone=_largest(changes_alone),
+        axes=_axes(fit, sides, low, high, len(models)),
+        points=drawing.at(measured),
+        path=drawing.at(np.array(paths[start])),
+    )
 
 
-def _sides_of(curves: Curves, sides: tuple[str, str], instants: Any) -> list[Floats]:
+def _sides_of(
+    curves: Curves, sides: tuple[str, str], instants: Sequence[int]
+) -> list[Floats]:
     """A path along the two sides of the drawing, at some of its times."""
     series = {"t": curves.t, **curves.path}
     return [series[side][instants] for side in sides]
@@ -195,14 +281,14 @@ def _curves(
     models: list[CurveModel], names: list[str], moves: Floats
 ) -> list[list[Curves]]:
     """Curves by position of the slider and by model, with the parameters of these names
-    moved; moves have shape (positions, names or more)."""
+    moved; moves have shape (positions, names)."""
     columns = [list(models[0].fit.parameters).index(name) for name in names]
     curves = []
     for move in moves:
         curves_of_move = []
         for model in models:
             values = model.fit.values
-            values[columns] += move[: len(columns)]
+            values[columns] += move
             # the step to a bound ends on it up to rounding
             bounds = model.fit.parameter_set
             values = np.clip(values, bounds.lower, bounds.upper)
@@ -211,22 +297,22 @@ def _curves(
     return curves
 
 
-def _largest(changes: list[dict[str, Any] | None]) -> str:
+def _largest(changes: list[Change | None]) -> str:
     """The largest of changes in words; empty where no path exists."""
     existing = [change for change in changes if change is not None]
     if not existing:
         return ""
-    return str(max(existing, key=lambda change: change["size"])["text"])
+    return max(existing, key=lambda change: change.size).text
 
 
 def _constant(fit: FitResult, names: list[str]) -> str:
     """The combinations that stay constant, with their values."""
-    sums = [
+    combinations = [
         f"{combination.expression} = {compact(combination.value, combination.stderr)}"
         for combination in fit.combinations
         if set(combination.weights) <= set(names)
     ]
-    return join_words(sums) if sums else ""
+    return join_words(combinations) if combinations else ""
 
 
 def _axes(
@@ -235,18 +321,18 @@ def _axes(
     """What the drawing shows, in words: "x (-0.02 .. 0.71 m) against y (...)"."""
     ranges = []
     for side, first, last in zip(sides, low, high, strict=True):
-        begin = first.round(2) + 0.0  # no minus before a zero
+        begin = first.round(2) + 0.0  # -0.0 becomes 0.0
         end = last.round(2) + 0.0
         ranges.append(f"{side} ({begin:.2f} .. {end:.2f} {UNITS[side]})")
-    text = f"{ranges[1]} against {ranges[0]}"
+    axes = f"{ranges[1]} against {ranges[0]}"
     if throws == 1:
-        return text
-    return f"{text} of {Path(fit.data.file).name}, one of {throws} throws"
+        return axes
+    return f"{axes} of {Path(fit.data['file']).name}, one of {throws} throws"
 
 
 def _change(
     curves: list[Curves], best: list[Curves], models: list[CurveModel]
-) -> dict[str, Any] | None:
+) -> Change | None:
     """The largest changes of the measured channels of all throws from the best fit, in
     words; None where a path does not exist."""
     sizes: dict[str, float] = {}
@@ -268,7 +354,7 @@ def _change(
         f"{size_in_words(size, _MEASURES[name][0])} in {name}"
         for name, size in sizes.items()
     ]
-    return {"size": max(sizes.values()), "text": join_words(words)}
+    return Change(max(sizes.values()), join_words(words))
 
 
 def size_in_words(value: float, channel: str) -> str:
@@ -281,6 +367,6 @@ def size_in_words(value: float, channel: str) -> str:
     return f"{float(f'{1e3 * value:.2g}'):.10g} m{unit}"
 
 
-def _number(value: float) -> float | None:
+def _eight_digits(value: float) -> float | None:
     """A number of the page to eight digits; None where it is not finite."""
     return float(f"{value:.8g}") if math.isfinite(value) else None

@@ -4,17 +4,18 @@ and its place in a notebook."""
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from curlfit.errors import InputError
-from curlfit.html_report.blocks import Block
+from curlfit.html_report.blocks import InteractiveBlock
 from curlfit.html_report.direction import HEIGHT, WIDTH, Drawing, size_in_words
 from curlfit.html_report.page import page_alone
-from curlfit.html_report.replay import rounded
+from curlfit.html_report.replay import Numbers, rounded
 from curlfit.html_report.slider_curves import (
     HALF,
     INTERVALS,
@@ -40,6 +41,111 @@ _PER_CHANNEL = 130  # of it for the residuals of a channel
 _PER_SLIDER = 42
 
 
+@dataclass(frozen=True)
+class SliderData:
+    """A slider: weights by the number of each parameter; steps along it, with the
+    changes of the curves, in multiples of `_UNIT`, and chi squared at each."""
+
+    direction: list[tuple[int, float]]
+    steps: list[float]
+    changes: list[list[int]]
+    chi_squared: list[float]
+
+
+@dataclass(frozen=True)
+class PairData:
+    """What two sliders, by their numbers, do beyond their sum at each pair of their
+    ends, in multiples of `_UNIT`, shape (2, 2, values)."""
+
+    sliders: tuple[int, int]
+    ends: list[list[list[int]]]
+
+
+@dataclass(frozen=True)
+class ResidualPanel:
+    """Residuals of a channel: its SI unit, and where they are among the curves."""
+
+    name: str
+    unit: str
+    span: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class SlidersData:
+    """What `sliders.js` reads.
+
+    Attributes
+    ----------
+    names, values, bounds : of the parameters; None for no bound.
+    positions : of a slider, from the fit to either end.
+    unit : in which changes are written (SI, rad).
+    base : curves of the fit, the path and then the residuals.
+    drawn : where the path is among the curves. instants : its times, s.
+    t : times of the residuals, s.
+    data : what was measured, along the two sides of the drawing.
+    origin, scale, margin : of the `Drawing`.
+    """
+
+    names: list[str]
+    values: list[float]
+    bounds: list[tuple[float | None, float | None]]
+    sliders: list[SliderData]
+    pairs: list[PairData]
+    positions: int
+    unit: float
+    base: Numbers
+    chi_squared: float
+    drawn: list[tuple[int, int]]
+    residuals: list[ResidualPanel]
+    instants: list[float]
+    t: list[float]
+    data: list[Numbers]
+    origin: list[float]
+    scale: list[float]
+    margin: float
+
+
+@dataclass(frozen=True)
+class SliderControl:
+    """A slider as it is shown: its label and meaning, the value at the fit, and its
+    first and last position."""
+
+    label: str
+    meaning: str
+    value: str
+    first: int
+    last: int
+
+
+@dataclass(frozen=True)
+class Sliders(InteractiveBlock):
+    """Sliders for the parameters of a fit.
+
+    Attributes
+    ----------
+    measured : channels, whose residuals are shown in panels of a height.
+    axes : what the drawing of the path shows.
+    reach : how far the curves move, in words.
+    half, whole : errors of the curves, in words, with all sliders half the way to their
+        ends and at their ends; the largest of some trials.
+    intervals : of the table along a slider, on either side of the fit.
+    """
+
+    template = "sliders"
+    data: SlidersData
+    sliders: list[SliderControl]
+    measured: list[str]
+    axes: str
+    reach: str
+    half: str
+    whole: str
+    intervals: int = INTERVALS
+    trials: int = TRIALS
+    width: float = WIDTH
+    height: float = HEIGHT
+    panel: float = _PANEL
+
+
 class Explorer:
     """The sliders of `explore`, shown in a notebook.
 
@@ -57,11 +163,9 @@ class Explorer:
         if not curves.sliders:
             raise InputError("no parameter of this fit can be moved within its bounds")
         self.errors = {reach: curves.errors(reach) for reach in (HALF, WHOLE)}
-        drawing = _drawing(curves)
-        block = Block("sliders", _shown(curves, self.errors))
-        title = f"Sliders of a fit to {Path(fit.data.file).name}"
-        data = {_ID: _data(curves, drawing)}
-        self.page = page_alone(title, block, data, ("moving.js", "sliders.js"))
+        title = f"Sliders of a fit to {Path(fit.data['file']).name}"
+        sliders = _sliders(curves, self.errors)
+        self.page = page_alone(title, sliders, ("moving.js", "sliders.js"))
         height = _FRAME + _PER_CHANNEL * len(fit.rms)
         self._height = height + _PER_SLIDER * len(curves.sliders)
 
@@ -107,45 +211,35 @@ def explore(fit: FitResult) -> Explorer:
     return Explorer(fit)
 
 
-def _shown(
-    curves: SliderCurves, errors: dict[float, dict[str, float]]
-) -> dict[str, Any]:
-    """What the template shows."""
+def _sliders(curves: SliderCurves, errors: dict[float, dict[str, float]]) -> Sliders:
+    """The sliders of a fit, with their data; `errors` are those of the curves by share
+    of the way to the ends, and by channel."""
     layout = curves.layout
-    axes = [f"{side} ({UNITS[side]})" for side in layout.sides]
-    return {
-        "id": _ID,
-        "sliders": [_slider_shown(curves.fit, slider) for slider in curves.sliders],
-        "measured": layout.measured,
-        "axes": f"{axes[1]} against {axes[0]}",
-        "reach": _in_words({name: REACH[name] for name in layout.measured}, "or"),
-        "intervals": INTERVALS,
-        "half": _errors_in_words(errors[HALF]),
-        "whole": _errors_in_words(errors[WHOLE]),
-        "trials": TRIALS,
-        "width": WIDTH,
-        "height": HEIGHT,
-        "panel": _PANEL,
-    }
+    labels = [f"{side} ({UNITS[side]})" for side in layout.sides]
+    return Sliders(
+        id=_ID,
+        data=_data(curves),
+        sliders=[_control(curves.fit, slider) for slider in curves.sliders],
+        measured=list(layout.residuals),
+        axes=f"{labels[1]} against {labels[0]}",
+        reach=_in_words({name: REACH[name] for name in layout.residuals}, "or"),
+        half=_errors_in_words(errors[HALF]),
+        whole=_errors_in_words(errors[WHOLE]),
+    )
 
 
-def _slider_shown(fit: FitResult, slider: Slider) -> dict[str, Any]:
+def _control(fit: FitResult, slider: Slider) -> SliderControl:
     """Label, meaning and range of a slider, with the value at the fit."""
     names = list(slider.direction)
-    backward, forward = slider.ends
-    parameter = fit.parameters[names[0]]
-    shown = {
-        "label": names[0],
-        "meaning": f"{parameter.meaning}: {parameter.verdict}",
-        "value": f"{parameter.value:.6g}",
-        "first": -_POSITIONS if backward < 0 else 0,
-        "last": _POSITIONS if forward > 0 else 0,
-    }
+    first = -_POSITIONS if slider.ends.backward < 0 else 0
+    last = _POSITIONS if slider.ends.forward > 0 else 0
     if len(names) > 1:
-        shown["label"] = f"along {join_words(names)}"
-        shown["meaning"] = "a direction that the data do not determine"
-        shown["value"] = "+0"
-    return shown
+        label = f"along {join_words(names)}"
+        meaning = "a direction that the data do not determine"
+        return SliderControl(label, meaning, "+0", first, last)
+    parameter = fit.parameters[names[0]]
+    meaning = f"{parameter.meaning}: {parameter.verdict}"
+    return SliderControl(names[0], meaning, f"{parameter.value:.6g}", first, last)
 
 
 def _errors_in_words(errors: dict[str, float]) -> str:
@@ -161,63 +255,63 @@ def _in_words(sizes: dict[str, float], last: str = "and") -> str:
     return join_words(words, last)
 
 
-def _data(curves: SliderCurves, drawing: Drawing) -> dict[str, Any]:
-    """What the program of the page moves; changes are whole multiples of `_UNIT`."""
+def _data(curves: SliderCurves) -> SlidersData:
+    """What the program of the page moves."""
     fit = curves.fit
     layout = curves.layout
+    drawing = _drawing(curves)
     names = list(fit.parameters)
-    pairs = []
-    for numbers, ends in curves.pairs.items():
-        multiples = _multiples(ends)
-        if multiples.any():
-            pairs.append({"sliders": numbers, "ends": multiples.tolist()})
     sliders = []
     for slider in curves.sliders:
         weights = slider.direction.items()
         sliders.append(
-            {
-                "direction": [(names.index(name), weight) for name, weight in weights],
-                "steps": slider.steps.tolist(),
-                "changes": _multiples(slider.changes).tolist(),
-                "chi_squared": slider.chi_squared.tolist(),
-            }
+            SliderData(
+                direction=[(names.index(name), weight) for name, weight in weights],
+                steps=slider.steps.tolist(),
+                changes=_multiples(slider.changes).tolist(),
+                chi_squared=slider.chi_squared.tolist(),
+            )
         )
-    spans = [(values.start, values.stop) for _, values in layout.channels]
-    paths = spans[: len(layout.drawn)]
-    residuals = [
-        {"name": name, "unit": UNITS[name], "span": span}
-        for name, span in zip(layout.measured, spans[len(paths) :], strict=True)
-    ]
-    bounds = [
-        (_finite(parameter.lower), _finite(parameter.upper))
-        for parameter in fit.parameters.values()
-    ]
-    return {
-        "kind": "sliders",
-        "names": names,
-        "values": fit.values.tolist(),
-        "bounds": bounds,
-        "sliders": sliders,
-        "pairs": pairs,
-        "positions": _POSITIONS,
-        "unit": _UNIT,
-        "base": rounded(curves.base, 6),
-        "chi_squared": fit.chi_squared,
-        "drawn": paths,
-        "residuals": residuals,
-        "instants": layout.t[layout.instants].tolist(),
-        "t": fit.observed["t"][layout.rows].tolist(),
-        "data": [rounded(side, 4) for side in _measured(curves)],
-        **drawing._asdict(),
-    }
+    pairs = []
+    for numbers, ends in curves.pairs.items():
+        multiples = _multiples(ends)
+        if multiples.any():
+            pairs.append(PairData(numbers, multiples.tolist()))
+    return SlidersData(
+        names=names,
+        values=fit.values.tolist(),
+        bounds=[
+            (_finite(parameter.lower), _finite(parameter.upper))
+            for parameter in fit.parameters.values()
+        ],
+        sliders=sliders,
+        pairs=pairs,
+        positions=_POSITIONS,
+        unit=_UNIT,
+        base=rounded(curves.base, 6),
+        chi_squared=fit.chi_squared,
+        drawn=[(part.start, part.stop) for part in layout.path.values()],
+        residuals=[
+            ResidualPanel(name, UNITS[name], (part.start, part.stop))
+            for name, part in layout.residuals.items()
+        ],
+        instants=layout.t[layout.instants].tolist(),
+        t=fit.observed["t"][layout.rows].tolist(),
+        data=[rounded(side, 4) for side in _measured(curves)],
+        origin=drawing.origin,
+        scale=drawing.scale,
+        margin=drawing.margin,
+    )
 
 
-def _multiples(changes: Floats) -> Any:
+def _multiples(changes: Floats) -> NDArray[np.int_]:
+    """Changes as whole multiples of the unit in which the page has them."""
     return np.round(changes / _UNIT).astype(int)
 
 
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+def _finite(bound: float) -> float | None:
+    """A bound, or None where there is none."""
+    return bound if math.isfinite(bound) else None
 
 
 def _measured(curves: SliderCurves) -> list[Floats]:
@@ -231,12 +325,11 @@ def _drawing(curves: SliderCurves) -> Drawing:
     layout = curves.layout
     moved = np.concatenate([slider.changes for slider in curves.sliders])
     measured = _measured(curves)
-    low = [float(np.nanmin(side)) for side in measured]
-    high = [float(np.nanmax(side)) for side in measured]
-    drawn = [values for _, values in layout.channels[: len(layout.drawn)]]
-    # of one channel against time, the time is the first side
-    for side, values in enumerate(drawn, start=2 - len(drawn)):
-        reached = (curves.base + moved)[:, values]
-        low[side] = min(low[side], float(reached.min()))
-        high[side] = max(high[side], float(reached.max()))
-    return Drawing.of(np.array(low), np.array(high), from_above=layout.has_path)
+    low = np.array([np.nanmin(values) for values in measured])
+    high = np.array([np.nanmax(values) for values in measured])
+    for name, part in layout.path.items():
+        side = layout.sides.index(name)
+        reached = (curves.base + moved)[:, part]
+        low[side] = min(low[side], reached.min())
+        high[side] = max(high[side], reached.max())
+    return Drawing.of(low, high, from_above=layout.has_path)

@@ -7,7 +7,8 @@ import base64
 import hashlib
 import json
 import platform
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from os import PathLike
@@ -19,18 +20,20 @@ from markupsafe import Markup
 
 from curlfit import sheet
 from curlfit.errors import InputError
-from curlfit.html_report.additions import additions_of
+from curlfit.html_report.additions import Additions, additions_of
 from curlfit.html_report.blocks import (
     Block,
+    Commands,
+    InteractiveBlock,
+    NamedValues,
     blocks_of,
+    list_of_findings,
     marked,
-    of_findings,
-    rows,
     sentence,
 )
 from curlfit.output.display import document_of, kind_of
+from curlfit.output.document import Document
 from curlfit.output.files import atomic_write, prepare_folder, require_replaceable
-from curlfit.records import plain
 from curlfit.version import __version__
 
 if TYPE_CHECKING:
@@ -46,6 +49,15 @@ _LATER = {
     "figures": "Figures",
 }
 """Sections that follow those of the document, by id."""
+
+
+@dataclass(frozen=True)
+class PageSection:
+    """Blocks under a heading, to which the contents of the page lead by its id."""
+
+    id: str
+    heading: str
+    blocks: Sequence[Block]
 
 
 def write_report(
@@ -87,57 +99,73 @@ def page_of(result: Any, chain: Chain | None = None) -> str:
             "a profile, a prediction or a design"
         )
     document = document_of(result)
-    added = additions_of(result, chain)
-    sections: dict[tuple[str, str], Sequence[Block]] = {}
-    for section in document.sections:
-        blocks = [*blocks_of(section), *added.blocks.get(section.id, ())]
-        sections[section.id, section.heading] = blocks
-    warnings = of_findings(document.warnings, "warning", document.names)
-    notes = of_findings(document.notes, "note", document.names)
-    heading = "Warnings and notes"
-    if not warnings or not notes:
-        heading = "Warnings" if warnings else "Notes"
-    sections["warnings", heading] = [*warnings, *notes]
-    for id, later in _LATER.items():
-        sections[id, later] = added.blocks.get(id, [])
-    commands = {"lines": [document.command] if document.command else []}
-    sections["made", "How to reproduce this result"] = [
-        Block("commands", commands),
-        rows("Settings", document.settings),
-        rows("Versions that wrote this page", _versions()),
+    sections = _sections(document, additions_of(result, chain))
+    interactive = [
+        block
+        for section in sections
+        for block in section.blocks
+        if isinstance(block, InteractiveBlock)
     ]
-    programs = (*_SCRIPTS, _FRAMED) if added.data else (_FRAMED,)
+    programs = (*_SCRIPTS, _FRAMED) if interactive else (_FRAMED,)
     return _filled(
-        "page.html.j2", programs, added.data, document=document, sections=sections
+        "page.html.j2", programs, interactive, document=document, sections=sections
     )
 
 
-def page_alone(
-    title: str, block: Block, data: dict[str, Any], programs: Sequence[str]
-) -> str:
-    """The text of a page of one interactive part, with its data by id and the programs
-    that move it."""
-    return _filled("alone.html.j2", programs, data, title=title, block=block)
+def _sections(document: Document, additions: Additions) -> list[PageSection]:
+    """The sections of the page of a result, of which none is empty."""
+    sections = []
+    for section in document.sections:
+        blocks = [*blocks_of(section), *additions.blocks.get(section.id, ())]
+        sections.append(PageSection(section.id, section.heading, blocks))
+    warnings = list_of_findings(document.warnings, "warning", document.names)
+    notes = list_of_findings(document.notes, "note", document.names)
+    heading = "Warnings and notes"
+    if not notes:
+        heading = "Warnings"
+    elif not warnings:
+        heading = "Notes"
+    sections.append(PageSection("warnings", heading, [*warnings, *notes]))
+    for id, later_heading in _LATER.items():
+        sections.append(PageSection(id, later_heading, additions.blocks.get(id, ())))
+    reproduction: list[Block] = [
+        NamedValues("Settings", document.settings),
+        NamedValues("Versions that wrote this page", _versions()),
+    ]
+    if document.command:
+        reproduction.insert(0, Commands([document.command]))
+    sections.append(PageSection("made", "How to reproduce this result", reproduction))
+    return [section for section in sections if section.blocks]
+
+
+def page_alone(title: str, block: InteractiveBlock, programs: Sequence[str]) -> str:
+    """The text of a page of one interactive part, with the programs that move it."""
+    return _filled("alone.html.j2", programs, [block], title=title, block=block)
 
 
 def _filled(
-    template: str, programs: Sequence[str], data: dict[str, Any], **parts: Any
+    template: str,
+    programs: Sequence[str],
+    interactive: Iterable[InteractiveBlock],
+    **parts: Any,
 ) -> str:
-    """A template of a whole page with its parts, style, programs and data, if any."""
+    """A template of a whole page with its parts, style, programs, and the data of what
+    they move, by id."""
     script = "".join(map(source, programs))
+    data = {block.id: block.to_json() for block in interactive}
     page = _templates().get_template(template)
     return page.render(
         **parts,
         style=Markup(source("report.css")),
         script=Markup(script),
         digest=_digest(script),
-        data=Markup(_embedded(data)) if data else "",
+        json=Markup(_embedded(data)) if data else "",
         version=__version__,
     )
 
 
 def _digest(script: str) -> str:
-    """By which the policy of a page knows its own program."""
+    """The hash by which the security policy of a page knows its own program."""
     return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
 
 
@@ -153,10 +181,11 @@ def _versions() -> dict[str, str]:
 
 
 def _embedded(data: dict[str, Any]) -> str:
-    """JSON that cannot close the element around it, whatever names it contains."""
-    text = json.dumps(plain(data), allow_nan=False, separators=(",", ":"))
-    for sign in "<>&\u2028\u2029":
-        text = text.replace(sign, f"\\u{ord(sign):04x}")
+    """Data as JSON that cannot close the element around it, whatever names it contains:
+    signs of HTML and ends of lines are escaped."""
+    text = json.dumps(data, allow_nan=False, separators=(",", ":"))
+    for character in "<>&\u2028\u2029":
+        text = text.replace(character, f"\\u{ord(character):04x}")
     return text
 
 

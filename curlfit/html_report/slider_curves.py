@@ -14,7 +14,7 @@ from itertools import combinations, product
 
 import numpy as np
 
-from curlfit.html_report.direction import ends_along
+from curlfit.html_report.direction import Ends, ends_along
 from curlfit.inference.fit.curves import CurveModel, Curves
 from curlfit.inference.fit.result import FitResult
 from curlfit.numerics.arrays import Floats
@@ -25,7 +25,7 @@ _INSTANTS = 41  # times of the path, and rows of the residuals
 # m, rad, m/s and rad/s: by so much a slider changes a measured channel at its ends.
 # Twice as far, the errors of all sliders together are eight times as large.
 REACH = {"x": 0.3, "y": 0.3, "phi": 1.0, "speed": 0.05, "omega": 0.1}
-_ATTEMPTS = 12  # at an end within this reach
+_ATTEMPTS = 12  # to find an end within this reach
 TRIALS = 8  # ways of moving all sliders at which errors are measured
 HALF = 0.5
 WHOLE = 1.0
@@ -34,45 +34,48 @@ WHOLE = 1.0
 
 class Layout:
     """Where the curves of a fit are in one vector: the path that is drawn, then the
-    residuals by measured channel.
+    residuals.
 
-    The two sides of the drawing are y and x or, where these were not measured, the time
-    and one channel.
+    Attributes
+    ----------
+    has_path : whether x and y were measured, so that the path is drawn from above.
+    sides : of the drawing: y and x or, without a path, the time and one channel.
+    t, instants : times of the path (s), and the rows of those that are drawn.
+    rows : those of the data whose residuals are shown.
+    path, residuals : parts of the vector, by drawn and by measured channel.
     """
 
     def __init__(self, fit: FitResult, model: CurveModel) -> None:
-        self.measured = list(fit.rms)
+        measured = list(fit.rms)
         self.has_path = {"x", "y"} <= fit.rms.keys()
-        self.drawn = ["y", "x"] if self.has_path else self.measured[:1]
-        self.sides = self.drawn if self.has_path else ["t", *self.drawn]
+        self.sides = ["y", "x"] if self.has_path else ["t", measured[0]]
         self.t = model.at(fit.values).t
         self.instants = some_rows(len(self.t), _INSTANTS)
         self.rows = some_rows(len(fit.observed["t"]), _INSTANTS)
+        self.path: dict[str, slice] = {}
+        self.residuals: dict[str, slice] = {}
+        end = 0
+        for name in self.sides:
+            if name != "t":
+                self.path[name] = slice(end, end + len(self.instants))
+                end += len(self.instants)
+        for name in measured:
+            self.residuals[name] = slice(end, end + len(self.rows))
+            end += len(self.rows)
 
     def vector(self, curves: Curves) -> Floats:
         """The curves as one vector."""
-        path = [curves.path[name][self.instants] for name in self.drawn]
-        residuals = [curves.residuals[name][self.rows] for name in self.measured]
+        path = [curves.path[name][self.instants] for name in self.path]
+        residuals = [curves.residuals[name][self.rows] for name in self.residuals]
         return np.concatenate(path + residuals)
-
-    @property
-    def channels(self) -> list[tuple[str, slice]]:
-        """Channels of the path, then of the residuals, with their places in
-        the vector."""
-        sizes = [(name, len(self.instants)) for name in self.drawn]
-        sizes += [(name, len(self.rows)) for name in self.measured]
-        channels = []
-        first = 0
-        for name, size in sizes:
-            channels.append((name, slice(first, first + size)))
-            first += size
-        return channels
 
     def largest(self, change: Floats) -> dict[str, float]:
         """Largest change of the residuals by measured channel; a gap in the
         data has none."""
-        residuals = self.channels[len(self.drawn) :]
-        return {name: float(np.abs(change[rows]).max()) for name, rows in residuals}
+        return {
+            name: float(np.abs(change[part]).max())
+            for name, part in self.residuals.items()
+        }
 
 
 @dataclass(frozen=True)
@@ -93,9 +96,9 @@ class Slider:
     chi_squared: Floats
 
     @property
-    def ends(self) -> tuple[float, float]:
+    def ends(self) -> Ends:
         """The first and the last step."""
-        return float(self.steps[0]), float(self.steps[-1])
+        return Ends(float(self.steps[0]), float(self.steps[-1]))
 
     @property
     def end_changes(self) -> Floats:
@@ -117,7 +120,7 @@ class Slider:
 
     def share(self, step: float) -> float:
         """How much of the way to the end on its side a step goes, 0 to 1."""
-        return step / self.ends[int(step > 0)] if step else 0.0
+        return step / self.ends.toward(step) if step else 0.0
 
 
 def nodes_between(backward: float, forward: float) -> Floats:
@@ -154,11 +157,9 @@ class SliderCurves:
         self.layout = Layout(fit, self._model)
         self.base = self.layout.vector(self._model.at(fit.values))
         directions = [{name: 1.0} for name in fit.parameters]
-        directions += [
-            dict(direction) for direction in fit.identifiability.null_directions
-        ]
-        tables = [self._table(direction) for direction in directions]
-        self.sliders = [table for table in tables if table is not None]
+        directions += [dict(direction) for direction in fit.null_directions]
+        sliders = [self._slider(direction) for direction in directions]
+        self.sliders = [slider for slider in sliders if slider is not None]
         self.pairs: dict[tuple[int, int], Floats] = {}
         for pair in combinations(range(len(self.sliders)), 2):
             beyond = self._beyond_sum(*pair)
@@ -172,8 +173,10 @@ class SliderCurves:
             total += slider.change_at(step)
         for (first, second), beyond in self.pairs.items():
             share = self.sliders[first].share(steps[first])
-            share *= self.sliders[second].share(steps[second])
-            total += share * beyond[int(steps[first] > 0), int(steps[second] > 0)]
+            other_share = self.sliders[second].share(steps[second])
+            side = int(steps[first] > 0)
+            other_side = int(steps[second] > 0)
+            total += share * other_share * beyond[side, other_side]
         return total
 
     def errors(self, reach: float) -> dict[str, float]:
@@ -181,12 +184,12 @@ class SliderCurves:
         of the way to their ends, some to one side and some to the other."""
         random = np.random.default_rng(0)
         ends = np.array([slider.ends for slider in self.sliders])
-        errors = dict.fromkeys(self.layout.measured, 0.0)
+        errors = dict.fromkeys(self.layout.residuals, 0.0)
         for _ in range(TRIALS):
             sides = random.integers(2, size=len(ends))
             steps = reach * ends[np.arange(len(ends)), sides]
-            off = self.layout.largest(self.changes(steps) - self._computed(steps))
-            for name, size in off.items():
+            error = self.changes(steps) - self._computed(steps)
+            for name, size in self.layout.largest(error).items():
                 errors[name] = float(np.maximum(errors[name], size))
         return errors
 
@@ -215,11 +218,14 @@ class SliderCurves:
         """Change of the curves of the model with each slider at a step."""
         return self._change(self._at(dict(enumerate(steps))))
 
-    def _table(self, direction: Mapping[str, float]) -> Slider | None:
-        """A slider; None where the bounds leave no room."""
+    def _slider(self, direction: Mapping[str, float]) -> Slider | None:
+        """A slider along a direction; None where the bounds leave no room, or the law
+        admits no motion."""
         weights = {name: weight for name, weight in direction.items() if weight}
-        backward, forward = ends_along(self.fit, weights)
-        steps = nodes_between(self._end(weights, backward), self._end(weights, forward))
+        bounds = ends_along(self.fit, weights)
+        backward = self._end(weights, bounds.backward)
+        forward = self._end(weights, bounds.forward)
+        steps = nodes_between(backward, forward)
         if len(steps) == 1:
             return None
         moved = [self._model.at(self._values([(weights, step)])) for step in steps]
@@ -230,13 +236,15 @@ class SliderCurves:
         return Slider(weights, steps, changes, chi_squared)
 
     def _end(self, direction: Mapping[str, float], step: float) -> float:
-        """The farthest step by which measured channels change by `REACH` at most."""
+        """The farthest step, up to one to a bound, by which measured channels change by
+        `REACH` at most; 0 where none is found."""
         for _ in range(_ATTEMPTS):
             change = self._change(self._model.at(self._values([(direction, step)])))
             sizes = self.layout.largest(change)
             excess = max(size / REACH[name] for name, size in sizes.items())
             if excess <= 1:
                 return step
+            # as if changes grew with the step; halved where there is no motion
             step *= 0.95 / excess if np.isfinite(excess) else 0.5
         return 0.0
 
@@ -244,13 +252,13 @@ class SliderCurves:
         """What two sliders do beyond the sum, at each pair of their ends; 0 where the
         law admits no motion."""
         beyond = np.zeros((2, 2, len(self.base)))
-        for side, other in product((0, 1), (0, 1)):
+        for side, other_side in product((0, 1), (0, 1)):
             step = self.sliders[first].ends[side]
-            other_step = self.sliders[second].ends[other]
+            other_step = self.sliders[second].ends[other_side]
             if step == 0 or other_step == 0:
                 continue
             together = self._change(self._at({first: step, second: other_step}))
             alone = self.sliders[first].end_changes[side]
-            other_alone = self.sliders[second].end_changes[other]
-            beyond[side, other] = together - alone - other_alone
+            other_alone = self.sliders[second].end_changes[other_side]
+            beyond[side, other_side] = together - alone - other_alone
         return np.where(np.isfinite(beyond), beyond, 0.0)

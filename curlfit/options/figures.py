@@ -7,6 +7,7 @@ import pickle
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,16 +25,23 @@ if TYPE_CHECKING:
 FORMATS = ("png", "pdf", "svg")
 
 
+@dataclass(frozen=True)
+class _SentTask:
+    """Figures that the second process draws and writes; `result` is that of their task,
+    or None where the task could not be sent."""
+
+    task: Callable[[], list[Path]]
+    result: Future[list[Path]] | None
+
+
 class FigureFiles:
     """The figures of a verb and the formats in which they are written; none if
     nothing is drawn."""
 
     def __init__(self, formats: tuple[str, ...]) -> None:
         self.formats = formats
-        self._second: ProcessPoolExecutor | None = None
-        self._tasks: list[
-            tuple[Future[list[Path]] | None, Callable[[], list[Path]]]
-        ] = []
+        self._second_process: ProcessPoolExecutor | None = None
+        self._sent: list[_SentTask] = []
         self._files: list[Path] = []
 
     @classmethod
@@ -52,16 +60,15 @@ class FigureFiles:
                     f"{flag} {text}: --no-figures draws nothing; give one of them"
                 )
             return cls(())
-        names = [
-            name.strip().lower()
-            for name in (FORMATS[0] if text is None else text).split(",")
-        ]
-        if not set(names) <= set(FORMATS):
+        if text is None:
+            return cls((FORMATS[0],))
+        formats = [format.strip().lower() for format in text.split(",")]
+        if not set(formats) <= set(FORMATS):
             raise InputError(
                 f"{flag} {text}: expected {', '.join(FORMATS[:-1])} or {FORMATS[-1]}, "
                 "or several separated by commas"
             )
-        return cls(tuple(dict.fromkeys(names)))
+        return cls(tuple(dict.fromkeys(formats)))
 
     def draw_beside(self) -> None:
         """From now on, draw in a second process, which loads matplotlib while this
@@ -77,8 +84,8 @@ class FigureFiles:
         if self.formats and cores() > 1 and "jax" not in sys.modules:
             from curlfit.numerics.processes import worker_processes
 
-            self._second = worker_processes(1)
-            self._second.submit(_load_matplotlib)
+            self._second_process = worker_processes(1)
+            self._second_process.submit(_load_matplotlib)
 
     def replace(self, folder: Path, names: Sequence[str], draw: Draw) -> None:
         """Draw figures, by name, and write them in place of all those of an earlier
@@ -91,40 +98,42 @@ class FigureFiles:
             can call it.
         """
         task = partial(_replace, folder, names, self.formats, draw)
-        if self._second is None:
+        if self._second_process is None:
             self._files += task()
             return
-        sent = None
-        with suppress(Exception):  # what cannot be sent is drawn here
-            sent = self._second.submit(_unpickled, pickle.dumps(task))
-        self._tasks.append((sent, task))
+        result = None
+        with suppress(Exception):  # what cannot be sent is drawn here, in `written`
+            result = self._second_process.submit(_call_pickled, pickle.dumps(task))
+        self._sent.append(_SentTask(task, result))
 
     def written(self) -> list[Path]:
         """The files of all figures, once they are written; raises what drawing
         them raised."""
-        for sent, task in self._tasks:
+        for sent in self._sent:
             files = None
-            if sent is not None:
-                # a law that it does not know, or it was killed
+            if sent.result is not None:
+                # the second process does not know a law, or was killed
                 with suppress(Exception):
-                    files = sent.result()
-            self._files += task() if files is None else files
-        self._tasks = []
+                    files = sent.result.result()
+            self._files += sent.task() if files is None else files
+        self._sent = []
         return self._files
 
 
 def _replace(
     folder: Path, names: Sequence[str], formats: Sequence[str], draw: Draw
 ) -> list[Path]:
+    """Draw and write figures, and remove the others of these names; returns the
+    files."""
     written = write_figures(folder, draw(), formats) if formats else []
     for name in names:
         remove_figure(folder, name, keep=written)
     return written
 
 
-def _unpickled(task: bytes) -> list[Path]:
-    # here, where an error is the task's, and not in the pool, where it would
-    # end the process
+def _call_pickled(task: bytes) -> list[Path]:
+    """The files of a pickled task. It is unpickled here, where an error is the task's,
+    and not by the pool, where an error would end the process."""
     return pickle.loads(task)()
 
 
@@ -143,15 +152,18 @@ def write_figures(
     """Write figures, by name, in each format; returns the files."""
     from curlfit.output.figures import save_figure
 
-    files = {
-        folder / f"{name}.{format}": name for name in figures for format in formats
-    }
-    for file, name in files.items():
-        save_figure(figures[name], file)
-    return list(files)
+    files = []
+    for name, figure in figures.items():
+        for format in formats:
+            file = folder / f"{name}.{format}"
+            save_figure(figure, file)
+            files.append(file)
+    return files
 
 
 def remove_figure(folder: Path, name: str, keep: Sequence[Path] = ()) -> None:
     """Remove a figure of an earlier result in all formats, except for some files."""
-    for file in {folder / f"{name}.{format}" for format in FORMATS}.difference(keep):
-        file.unlink(missing_ok=True)
+    for format in FORMATS:
+        file = folder / f"{name}.{format}"
+        if file not in keep:
+            file.unlink(missing_ok=True)

@@ -30,8 +30,14 @@ COMPILES = "(a first run on a machine compiles the model)"
 
 
 class Saved(NamedTuple):
-    """What remains to be done after a verb: the page of its saved result, and its
-    exit status."""
+    """What remains to be done after a verb.
+
+    Attributes
+    ----------
+    page : folder of the saved result of which a page is to be written; None for none.
+    quiet : whether the page is not mentioned.
+    status : exit status.
+    """
 
     page: Path | None
     quiet: bool = False
@@ -75,7 +81,7 @@ class Output(Choices):
 
     @contextmanager
     def status(self, text: str) -> Iterator[None]:
-        """A line on the terminal that says what is done."""
+        """A line on the terminal that says what is done, as long as it is done."""
         from rich.console import Console
         from rich.progress import SpinnerColumn
 
@@ -97,14 +103,24 @@ class Output(Choices):
 
         Parameters
         ----------
+        result : of a kind in `KINDS`.
+        drawn : the figures, and how they are written.
         files : written already. remarks : warnings to be printed beneath the result.
         more : end of the last line.
         """
-        written, kind = [folder / f"{result.kind}.json", *files], KINDS[result.kind]
-        result.save(written[0])
-        if "corner" in kind.figure_names:
-            written += saved_chain(folder, result.chain)
-        drawn.replace(folder, kind.figure_names, partial(figures_of, result))
+        record = folder / f"{result.kind}.json"
+        result.save(record)
+        written = [record, *files]
+        kind = KINDS[result.kind]
+        figure_names = list(kind.figures or (result.kind,))
+        if kind.with_corner:
+            figure_names.append("corner")
+            chain_file = folder / "chain.h5"
+            if result.chain is None:
+                chain_file.unlink(missing_ok=True)  # of an earlier result
+            else:
+                written.append(chain_file)  # which was saved with the record
+        drawn.replace(folder, figure_names, partial(figures_of, result))
         console = self.console()
         console.print(document_of(result))
         for remark in remarks:
@@ -114,21 +130,12 @@ class Output(Choices):
     def written(
         self, folder: Path, files: Sequence[Path], console: Console, more: str = ""
     ) -> Saved:
-        """Say which files were written; an earlier page of another
-        result is removed."""
+        """Say which files were written, with `more` at the end of the line; a page that
+        shows an earlier result is removed."""
         console.print("Written: " + ", ".join(map(str, files)) + more, soft_wrap=True)
         if not self.report:
             (folder / "report.html").unlink(missing_ok=True)
         return Saved(folder if self.report else None, self.quiet)
-
-
-def saved_chain(folder: Path, chain: Any) -> list[Path]:
-    """The file of a chain that was saved in a folder; without one, that of an earlier
-    result is removed."""
-    file = folder / "chain.h5"
-    if chain is None:
-        file.unlink(missing_ok=True)
-    return [] if chain is None else [file]
 
 
 @contextmanager

@@ -39,9 +39,11 @@ if TYPE_CHECKING:
     from curlfit.throws.throw import Throw
 
 _FORMS = {**Fitting.forms(), **Comparing.forms(), **Reading.forms(), "seed": SEED}
-_KEYS = {FLAGS.get(name, name).removeprefix("--"): name for name in _FORMS} | {
-    "swept": "swept"
-}
+"""How the values of choices are written, by the names of choices."""
+_CHOICE_BY_KEY = {FLAGS.get(name, name).removeprefix("--"): name for name in _FORMS}
+_CHOICE_BY_KEY["swept"] = "swept"
+"""Names of choices by the keys of a configuration, which are the flags without their
+hyphens."""
 Chosen = TypeVar("Chosen", bound=Estimation)
 ModelChoices = TypeVar("ModelChoices", bound=Modelling)
 LawOfFit = Annotated[
@@ -112,27 +114,31 @@ def read_config(file: Path | None) -> dict[str, Any]:
 
     lines = TextFile.read(file, settings=True).lines
     try:
-        found = tomllib.loads("\n".join(lines))
+        value_by_key = tomllib.loads("\n".join(lines))
     except RecursionError:
         raise DataError("lists or tables nested too deeply", file=file) from None
     except ValueError as error:
         raise DataError(f"not a TOML file: {error}", file=file) from None
-    for key, value in found.items():
-        if key not in _KEYS:
+    value_by_choice = {}
+    for key, value in value_by_key.items():
+        if key not in _CHOICE_BY_KEY:
+            keys = ", ".join(_CHOICE_BY_KEY)
             raise DataError(
-                f"unknown setting {quoted(key)}; the settings are {', '.join(_KEYS)}",
-                file=file,
+                f"unknown setting {quoted(key)}; the settings are {keys}", file=file
             )
+        choice = _CHOICE_BY_KEY[key]
         try:
-            _FORMS[_KEYS[key]].checked(key, value)
+            _FORMS[choice].checked(key, value)
         except InputError as error:
             raise InputError(f"{file}: {error}") from None
-    return {_KEYS[key]: value for key, value in found.items()}
+        value_by_choice[choice] = value
+    return value_by_choice
 
 
 @dataclass(frozen=True)
 class ConfiguredThrow(Generic[Chosen]):
-    """A throw with the choices for its fit."""
+    """A throw with the choices for its fit, and the seed of its sampling, if its file
+    or the configuration names one."""
 
     throw: Throw
     chosen: Chosen
@@ -149,8 +155,16 @@ class ConfiguredThrow(Generic[Chosen]):
         """The parameters of its fit."""
         return checked_parameters(self.chosen, self.cut)
 
+    def require_usable(self: ConfiguredThrow[ModelChoices]) -> None:
+        """Raise `InputError` if the throw cannot be fitted, before slow modules are
+        loaded."""
+        from curlfit.throws.plausibility import require_plausible
+
+        require_plausible(self.cut)
+        _ = self.parameters
+
     def fit(self) -> FitResult:
-        """Run the fit."""
+        """The fit of the throw."""
         from curlfit.inference.fit.fit import fit
 
         return fit(self.throw, **vars(self.chosen))
@@ -193,20 +207,20 @@ def prepare(
 def apply_settings(
     throw: Throw, configured: Mapping[str, Any], flags: Chosen
 ) -> ConfiguredThrow[Chosen]:
-    """`prepare` for a throw that has already been read."""
+    """A throw that has been read, and its choices: its own, overridden by those of a
+    configuration, by name, then by the flags. Raises `InputError` for a value that
+    cannot be used."""
     chosen = type(flags).of(throw.settings, configured, vars(flags))
-    return ConfiguredThrow(
-        throw, chosen, configured.get("seed", throw.defaults.get("seed"))
-    )
+    seed = configured.get("seed", throw.defaults.get("seed"))
+    return ConfiguredThrow(throw, chosen, seed)
 
 
 def result_folder(data: Path, kind: str, reading: Reading) -> Path:
-    """Default folder for the results of a data file, or of the throw that is
-    chosen from it."""
+    """Default folder for the results of a data file, or of the throw that is chosen
+    from it, such as `evening-3-fit` for the kind "fit"."""
     chosen = filter(None, (reading.worksheet, reading.shot, reading.stone_index))
-    return Path(
-        "-".join([*(safe_name(str(name)) for name in (data.stem, *chosen)), kind])
-    )
+    names = [safe_name(str(name)) for name in (data.stem, *chosen)]
+    return Path("-".join([*names, kind]))
 
 
 def prepare_all(
@@ -226,24 +240,27 @@ def prepare_all(
     configured = read_config(config)
     chosen = Reading.of(configured, vars(reading))
     throws = load_throws(*files, **vars(chosen))
-    found: dict[str, ConfiguredThrow[Chosen]] = {}
-    for name, throw in zip(
-        folder_names([one.name for one in throws]), throws, strict=True
-    ):
-        if name in found:
+    names = folder_names([throw.name for throw in throws])
+    job_by_name: dict[str, ConfiguredThrow[Chosen]] = {}
+    for name, throw in zip(names, throws, strict=True):
+        if name in job_by_name:
             raise InputError(
-                f"{found[name].throw.name}, {throw.name}: two files of the same name; "
-                "results are stored by name"
+                f"{job_by_name[name].throw.name}, {throw.name}: two files of the same "
+                "name; results are stored by name"
             )
-        found[name] = apply_settings(throw, configured, flags)
-    return found
+        job_by_name[name] = apply_settings(throw, configured, flags)
+    return job_by_name
 
 
 def checked_parameters(
     chosen: Modelling, throw: Throw | None = None, *, others_swept: bool = False
 ) -> ParameterSet:
-    """The parameters of a fit of the rows to be used (of any throw, without one),
-    before slow modules are loaded.
+    """The parameters of a fit, before slow modules are loaded.
+
+    Parameters
+    ----------
+    throw : the rows to be used; without one, the parameters are those of any throw.
+    others_swept : whether another throw of a joint fit is swept.
 
     Raises
     ------
@@ -254,12 +271,14 @@ def checked_parameters(
     from curlfit.inference.derived import check_derived
     from curlfit.inference.parameters import ParameterSet
 
-    law, swept = find_law(chosen.law), chosen.swept is not None or others_swept
-    parameters = (
-        ParameterSet.build(law, swept=swept, **chosen.parameters)
-        if throw is None
-        else ParameterSet.for_throw(law, throw, swept=swept, **chosen.parameters)
-    )
+    law = find_law(chosen.law)
+    swept = chosen.swept is not None or others_swept
+    if throw is None:
+        parameters = ParameterSet.build(law, swept=swept, **chosen.parameters)
+    else:
+        parameters = ParameterSet.for_throw(
+            law, throw, swept=swept, **chosen.parameters
+        )
     parameters.require("--start", chosen.start)
     if isinstance(chosen, Fitting):
         check_systematics(chosen.systematics)
@@ -267,18 +286,9 @@ def checked_parameters(
     return parameters
 
 
-def checked(job: ConfiguredThrow[ModelChoices]) -> ConfiguredThrow[ModelChoices]:
-    """The same throw. Raises `InputError` if it cannot be fitted, before slow
-    modules are loaded."""
-    from curlfit.throws.plausibility import require_plausible
-
-    require_plausible(job.cut)
-    _ = job.parameters
-    return job
-
-
 def kind_of(folder: Path) -> str:
-    """Kind of the result in a folder, by the name of its JSON file.
+    """Kind of the saved result in a folder or a file, by the name of its JSON file; a
+    file of any other name is taken for a fit.
 
     Raises
     ------
@@ -315,20 +325,7 @@ def load_fit_and_chain(
     """
     from curlfit.inference.fit.result import load_fit
 
-    kind = kind_of(folder)
-    if kind != "fit":
-        what = {
-            "joint": "a joint fit of several throws",
-            "compare": "a comparison of laws",
-        }
-        throws = sorted(
-            (folder if folder.is_dir() else folder.parent).glob("*/fit.json")
-        )
-        raise InputError(
-            f"{folder}: {what.get(kind, f'a result of curlfit {kind}')}; "
-            "expected the fit of one throw"
-            + (f", such as {throws[0].parent}" if kind == "joint" and throws else "")
-        )
+    _require_fit_of_one_throw(folder)
     result = load_fit(folder).with_law(law)
     file = chain_beside(folder)
     if result.posterior is None or not file.is_file():
@@ -339,8 +336,27 @@ def load_fit_and_chain(
     return result, load_chain(file, result)
 
 
+def _require_fit_of_one_throw(folder: Path) -> None:
+    """Raise `InputError` where the saved result in a folder, or in a file, is none."""
+    kind = kind_of(folder)
+    if kind == "fit":
+        return
+    what = {
+        "joint": "a joint fit of several throws",
+        "compare": "a comparison of laws",
+    }.get(kind, f"a result of curlfit {kind}")
+    example = ""
+    if kind == "joint":
+        folder_of_throws = folder if folder.is_dir() else folder.parent
+        throws = sorted(folder_of_throws.glob("*/fit.json"))
+        if throws:
+            example = f", such as {throws[0].parent}"
+    raise InputError(f"{folder}: {what}; expected the fit of one throw{example}")
+
+
 def name_of(fit: Path) -> str:
-    """The name of a saved fit, for results derived from it."""
-    own = fit.resolve()
-    folder = own.parent if own.suffix == ".json" else own
+    """The name of a saved fit, by its folder or its file, for results that are derived
+    from it."""
+    path = fit.resolve()
+    folder = path.parent if path.suffix == ".json" else path
     return safe_name(folder.name.removesuffix("-fit"))

@@ -12,10 +12,11 @@ from rich.table import Table
 from rich.text import Text
 
 from curlfit.findings import Finding
-from curlfit.foreign import STANDARD_INPUT
+from curlfit.foreign import STANDARD_INPUT, counted
 from curlfit.output.console import terminal
 
 Part = str | Text | Table | None
+"""What a section consists of; nothing, where a result has nothing to say."""
 
 LONG = 110  # maximum number of characters in a first line
 
@@ -31,7 +32,7 @@ class Section:
 
     Attributes
     ----------
-    id : by which a page adds its figures.
+    id : by which a page adds figures and interactive parts.
     parts : of which empty ones are left out.
     titled : whether the heading is printed on a terminal.
     brief : whether the section is shown in a notebook.
@@ -45,9 +46,9 @@ class Section:
 
     def __iter__(self) -> Iterator[Text | Table]:
         """The parts that are not empty."""
-        return (
-            Text(part) if isinstance(part, str) else part for part in self.parts if part
-        )
+        for part in self.parts:
+            if part:
+                yield Text(part) if isinstance(part, str) else part
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,10 +60,10 @@ class Document:
     finding : whether the result is usable, or what it shows, in a few words.
     style : of the finding.
     subject : what the result is about.
-    headline : the same as the first line of a report, if it is not the subject.
-    about : the lines below.
+    headline : first line of a report, where that is not the subject.
+    about : lines of a report below the first.
     lines : the numbers, in one or two lines of text.
-    warnings, notes : sentences without a full stop.
+    warnings, notes : sentences without a full stop, as text.
     title : of a page.
     settings : how the result was made, by name.
     command : that makes it again; empty if there is none.
@@ -97,7 +98,9 @@ class Document:
         self, console: Console, options: ConsoleOptions
     ) -> RenderResult:
         """The whole report on a terminal."""
-        yield from map(_text, (*self.heading, ""))
+        for line in self.heading:
+            yield Text(line) if isinstance(line, str) else line
+        yield Text("")
         for section in self.sections:
             parts = list(section)
             if section.titled and parts:
@@ -108,7 +111,8 @@ class Document:
         yield from self.warned(spaced=True)
 
     def warned(self, *, spaced: bool = False) -> Iterator[Text]:
-        """Warnings and notes as paragraphs, and how to learn more of the former."""
+        """Warnings and notes as paragraphs, `spaced` with a blank line after each
+        warning, and how to learn more of the warnings."""
         for warning in self.warnings:
             yield Text(f"Warning: {warning}.", style="yellow")
             if spaced:
@@ -120,22 +124,20 @@ class Document:
             yield Text(f"What this means: curlfit explain {codes}", style="dim")
 
     def as_text(self, name: str, more: str) -> str:
-        """A few lines; `name` is that of the class, `more` that of what
-        shows everything."""
+        """The result in a few lines.
+
+        Parameters
+        ----------
+        name : of the class of the result.
+        more : name of the function that shows the warnings; empty if there is none.
+        """
         gap = " " if len(f"{name}{self.finding}{self.subject}") < LONG else "\n"
-        lines = [
-            f"{name}, {self.finding}:{gap}{self.subject}",
-            *filter(None, self.lines),
-        ]
+        lines = [f"{name}, {self.finding}:{gap}{self.subject}"]
+        lines += [line for line in self.lines if line]
         if self.warnings:
-            count = len(self.warnings)
-            also = f", see {more}" if more else ""
-            lines.append(f"{count} warning{'s' if count > 1 else ''}{also}")
+            where = f", see {more}" if more else ""
+            lines.append(f"{counted(len(self.warnings), 'warning')}{where}")
         return "\n".join(lines)
-
-
-def _text(part: str | Text) -> Text:
-    return Text(part) if isinstance(part, str) else part
 
 
 def show(document: RenderableType, console: Console | None = None) -> None:
@@ -144,6 +146,6 @@ def show(document: RenderableType, console: Console | None = None) -> None:
 
 
 def command_line(*words: str) -> str:
-    """A command of curlfit as it is typed."""
+    """A command of curlfit as it is typed, from its words without `curlfit`."""
     typed = ["-" if word == STANDARD_INPUT else word for word in words]
     return shlex.join(["curlfit", *typed])

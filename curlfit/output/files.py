@@ -13,7 +13,8 @@ from curlfit.errors import InputError
 from curlfit.output.locks import locked
 
 _PREFIX = ".curlfit-"  # of temporary names
-_claimed: dict[Path, int] = {}  # descriptors of the folders that this process writes
+_LONGEST_WRITING = 60  # s; no file takes as long
+_descriptor_by_folder: dict[Path, int] = {}  # of the folders that this process writes
 
 
 def atomic_write(file: Path, content: str | bytes, *, private: bool = False) -> None:
@@ -34,7 +35,7 @@ def atomic_write(file: Path, content: str | bytes, *, private: bool = False) -> 
         temporary = Path(name)
         with open(handle, "wb") as stream:
             stream.write(content.encode() if isinstance(content, str) else content)
-        if not private:
+        if not private:  # as `mkstemp` makes it
             temporary.chmod(0o666 & ~_umask())
         temporary.replace(file)
     except OSError as error:
@@ -47,12 +48,12 @@ def atomic_write(file: Path, content: str | bytes, *, private: bool = False) -> 
 
 
 def require_replaceable(file: Path, what: str, mark: str) -> None:
-    """Raise `InputError` where a file is not one that curlfit itself has written.
+    """Raise `InputError` where a file exists that curlfit has not written itself.
 
     Parameters
     ----------
-    what, mark : the kind of file that is to be written, and a text that each of
-        them contains.
+    what : the kind of file that is to be written, in words.
+    mark : a text that each file of this kind contains.
     """
     if file.is_dir():
         raise InputError(f"{file}: this is a folder, expected the name of {what}")
@@ -60,7 +61,7 @@ def require_replaceable(file: Path, what: str, mark: str) -> None:
         text = file.read_text(encoding="utf-8")
     except (FileNotFoundError, NotADirectoryError):
         return
-    except (OSError, ValueError):
+    except (OSError, ValueError):  # not readable, or no text
         text = ""
     if mark not in text:
         raise InputError(
@@ -77,7 +78,8 @@ def _umask() -> int:
 
 
 def prepare_folder(folder: Path) -> Path:
-    """Make the folder if it does not exist; `InputError` if it cannot be written to."""
+    """Make a folder if it does not exist, and return it. Raises `InputError` if it
+    cannot be written to."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=folder, prefix=_PREFIX):
@@ -96,14 +98,14 @@ def prepare_folder(folder: Path) -> Path:
 
 def claim_folder(folder: Path) -> Path:
     """Prepare a folder and keep other processes from writing to it until this one ends,
-    or until `release_folders`.
+    or until `release_folders`. Returns the folder.
 
     Raises
     ------
     InputError : it cannot be written to, or another process has claimed it.
     """
     path = prepare_folder(folder).resolve()
-    if path in _claimed:
+    if path in _descriptor_by_folder:
         return folder
     try:
         if sys.platform == "win32":  # where no folder can be opened
@@ -111,7 +113,7 @@ def claim_folder(folder: Path) -> Path:
             descriptor = os.open(path / f"{_PREFIX}lock", flags)
         else:
             descriptor = os.open(path, os.O_RDONLY)
-    except OSError:
+    except OSError:  # a folder that cannot be opened is written without a lock
         return folder
     if not locked(descriptor):
         os.close(descriptor)
@@ -119,14 +121,14 @@ def claim_folder(folder: Path) -> Path:
             f"{folder}: another `curlfit` is writing its results there; name another "
             "folder with --out, or wait for its end"
         )
-    _claimed[path] = descriptor
+    _descriptor_by_folder[path] = descriptor
     return folder
 
 
 def release_folders() -> None:
     """Let other processes write to the folders that this one has claimed."""
-    while _claimed:
-        _, descriptor = _claimed.popitem()
+    while _descriptor_by_folder:
+        _, descriptor = _descriptor_by_folder.popitem()
         if sys.platform != "win32":  # copies in forked processes may be open
             import fcntl
 
@@ -136,8 +138,8 @@ def release_folders() -> None:
 
 
 def _remove_stale_files(folder: Path) -> None:
-    """Remove temporary files of killed runs; no writing takes as long as a minute."""
+    """Remove temporary files of killed runs."""
     for file in folder.glob(f"{_PREFIX}*"):
         with suppress(OSError):  # a folder, or of another user
-            if time.time() - file.stat().st_mtime > 60:
+            if time.time() - file.stat().st_mtime > _LONGEST_WRITING:
                 file.unlink()

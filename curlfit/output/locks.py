@@ -21,6 +21,6 @@ def locked(descriptor: int) -> bool:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except (BlockingIOError, PermissionError):
         return False
-    except OSError:
+    except OSError:  # the disk knows no locks
         pass
     return True

@@ -29,6 +29,7 @@ MOST_ROWS = 2000
 """Measured rows that a prediction contains, at most."""
 # of the fitted range of speed or spin, beyond which a warning is given
 _EXTRAPOLATION = 1.02
+_SHORTEST_END = 0.01  # m below the fitted speeds, up to which no warning is given
 _UNSEEN = 1e-5  # m; no camera sees smaller effects
 _RELEVANT = 1e-3  # m and rad; smaller effects of null directions at rest are negligible
 
@@ -63,7 +64,8 @@ def remarks(throw: PlannedThrow, simulation: Simulation, anywhere: bool) -> Rema
 def _of_extrapolation(
     fit: FitResult, simulation: Simulation, new: bool
 ) -> Iterator[Finding]:
-    """Warnings where the throw leaves the fitted range of speed or spin."""
+    """Warnings where the throw leaves the fitted range of speed or, if it is a `new`
+    one, of spin."""
     fitted_speed = fit.fitted["speed"]
     fitted_omega = fit.fitted["omega"]
     speed = simulation.best.speed[0]
@@ -75,7 +77,7 @@ def _of_extrapolation(
         yield from _beyond("spin", "rad/s", abs(omega), spin.min(), spin.max())
     slow = np.flatnonzero(speed < fitted_speed.min() / _EXTRAPOLATION)
     distance = float(y[-1] - y[slow[0]]) if len(slow) else 0.0
-    if distance > 0.01:
+    if distance > _SHORTEST_END:
         slowest = float(fitted_speed.min())
         yield Finding.warning(
             "end-below-fitted-range", distance=distance, speed=slowest
@@ -103,20 +105,19 @@ def _beyond(
 
 def _of_null_directions(fit: FitResult, simulation: Simulation) -> Iterator[Finding]:
     """Warnings about null directions of the fit that affect the throw, and notes
-    on the others; of a curve of values that fit, along which the bands are drawn, where
-    they lead says nothing."""
-    if fit.ridge:
+    on the others."""
+    if fit.ridge:  # the values that fit lie on a curve, along which draws are made
         yield Finding.note("bands-along-curve")
         return
-    for index, direction in enumerate(fit.identifiability.null_directions):
-        ends = simulation.probed[f"null {index}"]
+    for direction, ends in zip(fit.null_directions, simulation.null_ends, strict=True):
         numbers: dict[str, Any] = {"names": [*direction], "count": len(direction)}
         if not ends.good.all():
             yield Finding.warning("null-without-rest", **numbers)
             continue
-        off = ends.end - simulation.best.end
-        moved = float(np.hypot(off[:, 0], off[:, 1]).max())
-        turned = float(np.abs(off[:, 2]).max())
+        # x, y and phi at rest, of both ends
+        change = ends.end - simulation.best.end
+        moved = float(np.hypot(change[:, 0], change[:, 1]).max())
+        turned = float(np.abs(change[:, 2]).max())
         numbers |= {"moved": moved, "turned": turned}
         if moved < _UNSEEN and turned < _RELEVANT:
             yield Finding.note("null-without-effect", **numbers)
@@ -262,9 +263,9 @@ def _require_same_throw(throw: Throw, fit: FitResult) -> None:
         if name not in fit.rms:
             continue
         measured = np.interp(fit.observed["t"], throw.t, getattr(throw, name))
-        off = np.abs(measured - fit.observed[name])
-        size = 10 * fit.rms[name] + 0.05 * float(np.ptp(fit.fitted[name]))
-        if not np.isfinite(off).any() or np.nanmedian(off) > size:
+        error = np.abs(measured - fit.observed[name])
+        largest = 10 * fit.rms[name] + 0.05 * float(np.ptp(fit.fitted[name]))
+        if not np.isfinite(error).any() or np.nanmedian(error) > largest:
             raise InputError(
                 f"{throw.name}: not the throw that was fitted ({fit.data.file}): "
                 f"{name} differs before t = {fit.data.end:g} s"

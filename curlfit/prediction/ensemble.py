@@ -234,7 +234,10 @@ class ThrowFamily:
             )
 
     def with_start(
-        self, values: Floats, call: Call = CENTRED, random: Any = None
+        self,
+        values: Floats,
+        call: Call = CENTRED,
+        random: np.random.Generator | None = None,
     ) -> Floats:
         """Parameter vectors, shape (n, parameters), with the initial state of this
         throw.
@@ -256,7 +259,7 @@ class ThrowFamily:
             fitted_spin = values[:, column["omega0"]]
             vectors[:, column["omega0"]] = self.spin_ratio * fitted_spin
         draw = Draw(self.fit.model, self.fit.stone)
-        hog_to_hog: Any = call.hog_to_hog
+        hog_to_hog: float | Floats | None = call.hog_to_hog
         if random is not None and call.thrower is not None:
             time_sd, broom_sd = call.thrower
             if hog_to_hog is None:
@@ -276,17 +279,25 @@ class ThrowFamily:
             )
         return vectors
 
-    def probes(self) -> dict[str, Floats]:
-        """The best estimate varied in speed, in spin, and to both ends of each
-        null direction."""
+    def varied(self) -> dict[str, Floats]:
+        """The best estimate with one component of the initial state changed, by the
+        name of the component; a parameter vector each, shape (1, parameters)."""
         best = self.fit.values
         names = list(self.fit.parameters)
         vectors = {}
         for name, change in VARIED.items():
             vectors[name] = self.with_start(best[None])
             vectors[name][0, names.index(name)] += change
+        return vectors
+
+    def null_ends(self) -> list[Floats]:
+        """The best estimate moved to both ends of each null direction, shape (2,
+        parameters)."""
+        best = self.fit.values
+        names = list(self.fit.parameters)
+        vectors = []
         parameters = self.fit.parameter_set
-        for index, direction in enumerate(self.fit.identifiability.null_directions):
+        for direction in self.fit.null_directions:
             along = np.array([direction.get(name, 0.0) for name in names])
             # how far along the direction each parameter is at its bounds
             with np.errstate(all="ignore"):
@@ -296,7 +307,7 @@ class ThrowFamily:
             backward = np.minimum(to_lower, to_upper)[bounded]
             forward = np.maximum(to_lower, to_upper)[bounded]
             limits = [max(backward, default=0.0), min(forward, default=0.0)]
-            vectors[f"null {index}"] = self.with_start(best + np.outer(limits, along))
+            vectors.append(self.with_start(best + np.outer(limits, along)))
         return vectors
 
     def simulate(self, values: Floats) -> TrajectoryEnsemble:

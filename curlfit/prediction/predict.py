@@ -22,8 +22,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Literal
 
 import numpy as np
 
@@ -118,19 +119,21 @@ def predict(
     24.3
     """
     if call.turn == "both":
-        common: dict[str, Any] = {
-            "line": line,
-            "target": target,
-            "weight": weight,
-            "tee_speed": tee_speed,
-            "draws": draws,
-            "seed": seed,
-            "check": check,
-        }
-        in_turn, out_turn = [
-            predict(fit, chain, start=start_of_turn, call=turn, **common)
-            for turn, start_of_turn in both_turns(call, start or {})
-        ]
+        predict_turn = partial(
+            predict,
+            fit,
+            chain,
+            line=line,
+            target=target,
+            weight=weight,
+            tee_speed=tee_speed,
+            draws=draws,
+            seed=seed,
+            check=check,
+        )
+        turns = both_turns(call, start or {})
+        in_turn = predict_turn(call=turns.in_turn, start=turns.in_start)
+        out_turn = predict_turn(call=turns.out_turn, start=turns.out_start)
         return replace(in_turn, other=out_turn)
     random = np.random.default_rng(seed)
     warnings: list[Finding] = []
@@ -140,16 +143,22 @@ def predict(
     if isinstance(fit, JointResult):
         odd_rows = fit.odd_rows
         fit, values = another(fit, call.labels, draws, random)
-        source: Source = "throws"
+        sample = _Sample(values, "throws")
     else:
-        fit, chain, notes = _with_white_noise(fit, chain, call, draws)
-        values, source, warnings = _drawn_values(fit, chain, draws, random)
+        _require_single_fit(fit, call, draws)
+        if fit.noise.has_discrepancy:
+            # the simulation adds the accelerations that the law lacks by itself
+            fit = refit(fit, WHITE)
+            chain = None
+            notes.append(Finding.note("law-without-discrepancy"))
+        sample = _sample_of(fit, chain, draws, random)
+        warnings += sample.warnings
     _require_predictable(fit, draws)
     throw = planned(fit, call, start or {}, line, target, weight, tee_speed)
     _require_alike(throw, together, check)
     prepare_ensemble(fit)
     simulation = Simulation.of(
-        ThrowFamily(throw), values, random, call if together else None
+        ThrowFamily(throw), sample.values, random, call if together else None
     )
     remarks = diagnostics.remarks(throw, simulation, line is None)
     warnings += remarks.warnings
@@ -177,7 +186,7 @@ def predict(
         of="new" if throw.new else "fitted",
         line="" if throw.origins["y0"] == "given" else throw.line,
         goal=throw.goal,
-        draws=Draws(number=draws, used=used, source=source, seed=seed),
+        draws={"number": draws, "used": used, "source": sample.source, "seed": seed},
         call=call,
         odd_rows=odd_rows,
         weights=weights_of(fit, throw.values["omega0"]) if together else (),
@@ -189,16 +198,9 @@ def predict(
     )
 
 
-def _with_white_noise(
-    fit: FitResult, chain: Chain | None, call: Call, draws: int
-) -> tuple[FitResult, Chain | None, list[Finding]]:
-    """The fit of one throw and its chain, and a note if the law was fitted again.
-
-    Raises
-    ------
-    InputError, UnusableFitError : it is no such fit, or cannot be used; groups,
-        which it lacks.
-    """
+def _require_single_fit(fit: FitResult, call: Call, draws: int) -> None:
+    """Raise `InputError` or `UnusableFitError` if a fit is none of one throw, or cannot
+    be used, and for a call of groups, which one throw lacks."""
     require_fit(fit)
     if call.labels:
         raise InputError(
@@ -206,10 +208,6 @@ def _with_white_noise(
             "groups; leave it out"
         )
     _require_predictable(fit, draws)
-    if not fit.noise.has_discrepancy:
-        return fit, chain, []
-    note = Finding.note("law-without-discrepancy")
-    return refit(fit, WHITE), None, [note]
 
 
 def _require_alike(throw: PlannedThrow, together: bool, check: Throw | None) -> None:
@@ -273,25 +271,41 @@ def held_out(
     return predict(fit, draws=draws, seed=seed, check=throw)
 
 
-def _drawn_values(
+@dataclass(frozen=True)
+class _Sample:
+    """Parameter vectors from the posterior.
+
+    Attributes
+    ----------
+    values : shape (draws, parameters).
+    source : as `Prediction.draws` has it.
+    warnings : where they are few.
+    """
+
+    values: Floats
+    source: Literal["chain", "ridge", "covariance", "throws"]
+    warnings: tuple[Finding, ...] = ()
+
+
+def _sample_of(
     fit: FitResult, chain: Chain | None, draws: int, random: np.random.Generator
-) -> tuple[Floats, Source, list[Finding]]:
-    """Parameter vectors from the posterior, their source, and a warning where they are
-    few."""
+) -> _Sample:
+    """Parameter vectors from the posterior of one throw: from its chain, along the
+    curve of values that fit, or by its covariance."""
     if chain is not None:
         if chain.names != tuple(fit.parameters):
             raise InputError("the chain is of another fit: its parameters differ")
         flat = chain.flat
         chosen = random.choice(len(flat), draws, replace=len(flat) < draws)
-        return flat[chosen], "chain", []
+        return _Sample(flat[chosen], "chain")
     if fit.ridge:
         values, effective = draws_along_ridge(fit, draws, random)
         if effective >= _FEW:
-            return values, "ridge", []
+            return _Sample(values, "ridge")
         warning = Finding.warning(
             "few-draws", Remedy("sample-posterior"), draws=float(effective)
         )
-        return values, "ridge", [warning]
+        return _Sample(values, "ridge", (warning,))
     proposal = ridge_proposal(fit)
     free = fit.parameter_set.free
     lower = fit.parameter_set.lower[free]
@@ -302,10 +316,11 @@ def _drawn_values(
         accepted.extend(proposed[((proposed >= lower) & (proposed <= upper)).all(1)])
         if len(accepted) >= draws:
             break
+    # where too few are within the bounds, the others are moved to them
     accepted.extend(np.clip(proposed, lower, upper))
     values = np.tile(fit.values, (draws, 1))
     values[:, free] = accepted[:draws]
-    return values, "covariance", []
+    return _Sample(values, "covariance")
 
 
 def _measured_rows(throw: PlannedThrow) -> dict[str, Floats]:

@@ -42,23 +42,33 @@ _TURNS = {
 }
 
 
-def both_turns(
-    call: Call, given: Mapping[str, float]
-) -> list[tuple[Call, dict[str, float]]]:
-    """The in-turn and the out-turn of a call, and what is given of the start of each;
-    broom, place, heading and spin are those of the in-turn, and of the out-turn their
-    mirror images."""
-    throws = []
-    for turn, side in (("in", 1), ("out", -1)):
-        start = dict(given)
-        for name in ("x0", "heading"):
-            if name in given:
-                start[name] = side * given[name]
-        if "omega0" in given:
-            start["omega0"] = _TURNS[turn] * abs(given["omega0"])
-        broom = None if call.broom is None else side * call.broom
-        throws.append((replace(call, turn=turn, broom=broom), start))
-    return throws
+class BothTurns(NamedTuple):
+    """The in-turn and the out-turn of a call, with what is given of their starts."""
+
+    in_turn: Call
+    in_start: dict[str, float]
+    out_turn: Call
+    out_start: dict[str, float]
+
+
+def both_turns(call: Call, given: Mapping[str, float]) -> BothTurns:
+    """Both turns of a call, and of what is given of its start: broom, place, heading
+    and spin are those of the in-turn, and of the out-turn their mirror images."""
+    in_start = dict(given)
+    out_start = dict(given)
+    for name in ("x0", "heading"):
+        if name in given:
+            out_start[name] = -given[name]
+    if "omega0" in given:
+        in_start["omega0"] = _TURNS["in"] * abs(given["omega0"])
+        out_start["omega0"] = _TURNS["out"] * abs(given["omega0"])
+    out_broom = None if call.broom is None else -call.broom
+    return BothTurns(
+        in_turn=replace(call, turn="in"),
+        in_start=in_start,
+        out_turn=replace(call, turn="out", broom=out_broom),
+        out_start=out_start,
+    )
 
 
 class PlannedThrow(NamedTuple):
@@ -258,17 +268,25 @@ def _require(
 
 
 def aimed(
-    fit: FitResult, target: tuple[float, float], omega0: float, **how: Any
+    fit: FitResult,
+    target: tuple[float, float],
+    omega0: float,
+    *,
+    start: tuple[float, float],
+    speed: float = 0.0,
+    heading: float | None = None,
 ) -> Aim:
     """Speed and heading of a throw on the ice of a fit that rests at a target, or
-    passes it; `how` as `curlfit.aim` takes it."""
+    passes it at a speed; arguments as of `curlfit.aim`."""
     system = System.of(fit.model, fit.values, fit.stone, Environment())
     return aim(
         system.law,
         system.stone,
         target,
         omega0=omega0,
+        start=start,
+        heading=heading,
+        speed=speed,
         load=fit.load,
         environment=system.environment if fit.model.conditions else None,
-        **how,
     )

@@ -46,8 +46,10 @@ class Simulation(NamedTuple):
     """for the draws that come to rest, at times `t`"""
     full: TrajectoryEnsemble
     """for the same draws, each with a draw of the model discrepancy"""
-    probed: dict[str, TrajectoryEnsemble]
-    """at the best estimate with small changes"""
+    varied: dict[str, TrajectoryEnsemble]
+    """at the best estimate with one component of the initial state changed, by name"""
+    null_ends: list[TrajectoryEnsemble]
+    """at both ends of each null direction of the fit"""
     discrepancy: Discrepancy | None
 
     @classmethod
@@ -68,9 +70,10 @@ class Simulation(NamedTuple):
         fit = throws.fit
         plain = throws.simulate(throws.with_start(values, call or CENTRED, random))
         best = throws.simulate(throws.with_start(fit.values[None]))
-        probed = {
-            name: throws.simulate(vectors) for name, vectors in throws.probes().items()
+        varied = {
+            name: throws.simulate(vectors) for name, vectors in throws.varied().items()
         }
+        null_ends = [throws.simulate(vectors) for vectors in throws.null_ends()]
         if not best.good[0]:
             raise UnusableFitError(
                 f"the {fit.law} law as fitted does not bring this stone to rest"
@@ -95,7 +98,8 @@ class Simulation(NamedTuple):
             best=best,
             plain=plain.select(rests),
             full=full.select(rests),
-            probed=probed,
+            varied=varied,
+            null_ends=null_ends,
             discrepancy=discrepancy,
         )
 
@@ -114,6 +118,7 @@ class Simulation(NamedTuple):
         }
 
     def _quantities(self) -> dict[str, Quantity]:
+        """The quantities of the throw that some draws have, with their errors."""
         quantities = {}
         best = _throw_quantities(self.best)
         by_parameters = _throw_quantities(self.plain)
@@ -185,15 +190,17 @@ class Simulation(NamedTuple):
         )
 
     def _chances(self) -> dict[str, float]:
+        """Fractions of the draws with each outcome."""
         x, y, _ = self.full.end.T
-        away = np.hypot(x, y - TEE) - STONE_RADIUS
-        events = {
-            "on the button": away < CIRCLES[-1],
-            "in the house": away < HOUSE,
+        # of the part of the stone that is nearest to the tee
+        distance = np.hypot(x, y - TEE) - STONE_RADIUS
+        outcomes = {
+            "on the button": distance < CIRCLES[-1],
+            "in the house": distance < HOUSE,
             "short of the hog line": y - STONE_RADIUS < LINES["far-hog"],
             "through the house": y > END,
         }
-        return {name: float(happens.mean()) for name, happens in events.items()}
+        return {name: float(happens.mean()) for name, happens in outcomes.items()}
 
     def _sensitivity(self) -> dict[str, Sensitivity]:
         """Change of the resting position with the initial state: by how much this is
@@ -201,15 +208,15 @@ class Simulation(NamedTuple):
         end = self.best.end[0]
         effects = {}
         for name, change in VARIED.items():
-            if self.probed[name].good[0]:
-                right, along, _ = self.probed[name].end[0] - end
+            if self.varied[name].good[0]:
+                right, along, _ = self.varied[name].end[0] - end
                 effects[name] = (change, right, along)
         # a heading turns the path clockwise about its start
         x, y, _ = _HEADING_CHANGE * (end - self.best.state[0, :3, 0])
         effects["heading"] = (_HEADING_CHANGE, y, -x)
         if self.discrepancy is None and "v0" in effects:  # another throw of a joint fit
             hog_to_hog = _throw_quantities(self.best)["hog_to_hog"][0]
-            when_faster = _throw_quantities(self.probed["v0"])["hog_to_hog"][0]
+            when_faster = _throw_quantities(self.varied["v0"])["hog_to_hog"][0]
             steps = _WEIGHT_CHANGE / (when_faster - hog_to_hog)  # of v0, negative
             if np.isfinite(steps):
                 _, right, along = effects["v0"]

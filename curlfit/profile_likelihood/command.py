@@ -116,7 +116,8 @@ def _source(
         fit, chain = s.load_fit_and_chain(data, flags.law)
         folder = Path(f"{s.name_of(data)}-{kind}")
         return _Source(lambda: (fit, chain), fit.parameter_set, flags, folder)
-    request = s.checked(s.prepare(data, config, reading, flags))
+    request = s.prepare(data, config, reading, flags)
+    request.require_usable()
 
     def make() -> Any:
         from curlfit.inference.least_squares import prepare_minimize

@@ -113,15 +113,19 @@ def takes(kind: type[Choices], *without: str) -> Callable[[Function], Function]:
 
     def documented(function: Function) -> Function:
         names = [name for name in kind.forms() if name not in without]
-        own = signature(function)
+        written = signature(function)
         keywords = [
             Sign(name, Sign.KEYWORD_ONLY, default=kind.usual.get(name))
             for name in names
         ]
-        first = [
-            one for one in own.parameters.values() if one.kind is not Sign.VAR_KEYWORD
+        parameters = [
+            parameter
+            for parameter in written.parameters.values()
+            if parameter.kind is not Sign.VAR_KEYWORD
         ]
-        function.__signature__ = own.replace(parameters=[*first, *keywords])  # type: ignore[attr-defined]
+        function.__signature__ = written.replace(  # type: ignore[attr-defined]
+            parameters=[*parameters, *keywords]
+        )
         text = "\n".join(
             fill(f"{name} : {kind.help(name)}", 96, subsequent_indent="    ")
             for name in names
@@ -161,22 +165,29 @@ class Choices:
     class's docstring."""
 
     def __init_subclass__(cls) -> None:
-        own, hints = cls.__annotations__, get_type_hints(cls, include_extras=True)
+        """Give each choice of the class its help, from the entry in its docstring, and
+        the name of its flag."""
+        hints = get_type_hints(cls, include_extras=True)
         _, _, entries = cleandoc(cls.__doc__ or "").partition(
             "Attributes\n----------\n"
         )
         for name, text in re.findall(r"^(\w+) : (.+(?:\n +.+)*)", entries, re.M):
-            if hasattr(hints.get(name), "__metadata__") and name in own:
-                text = text.replace("{losses}", _losses_in_words())
-                text = text.replace("{noises}", _noises_in_words())
-                flag: Parameter = hints[name].__metadata__[0]
-                called = FLAGS.get(name) or flag.name or None
-                helpful = Parameter(help=" ".join(text.split()), name=called)
-                kind = hints[name].__origin__
-                # cyclopts checks it if Pydantic is loaded
-                if getattr(cls, name) is UNSET:
-                    kind = kind | None
-                own[name] = Annotated[kind, Parameter.combine(flag, helpful)]
+            if name not in cls.__annotations__:  # inherited
+                continue
+            if not hasattr(hints[name], "__metadata__"):  # no choice
+                continue
+            text = text.replace("{losses}", _losses_in_words())
+            text = text.replace("{noises}", _noises_in_words())
+            flag: Parameter = hints[name].__metadata__[0]
+            flag_name = FLAGS.get(name) or flag.name or None
+            with_help = Parameter(help=" ".join(text.split()), name=flag_name)
+            kind = hints[name].__origin__
+            # cyclopts checks the type of a default if Pydantic is loaded
+            if getattr(cls, name) is UNSET:
+                kind = kind | None
+            cls.__annotations__[name] = Annotated[
+                kind, Parameter.combine(flag, with_help)
+            ]
 
     @classmethod
     @cache
@@ -222,17 +233,17 @@ class Choices:
             raise TypeError(
                 f"unexpected keyword argument {name!r}; there are {', '.join(forms)}"
             )
-        found: dict[str, Any] = {
-            name: forms[name].checked(name, value) for name, value in cls.usual.items()
-        }
-        for layer in (*layers, keywords):
+        value_by_name: dict[str, Any] = {}
+        for layer in (cls.usual, *layers, keywords):
             for name in forms.keys() & layer.keys():
-                if given(layer[name]):
-                    value = forms[name].checked(name, layer[name])
-                    if isinstance(value, dict) and isinstance(found.get(name), dict):
-                        value = {**found[name], **value}
-                    found[name] = value
-        chosen = cls(**found)
+                if not given(layer[name]):
+                    continue
+                value = forms[name].checked(name, layer[name])
+                earlier = value_by_name.get(name)
+                if isinstance(value, dict) and isinstance(earlier, dict):
+                    value = {**earlier, **value}
+                value_by_name[name] = value
+        chosen = cls(**value_by_name)
         chosen.check()
         return chosen
 
@@ -246,18 +257,19 @@ class Choices:
     def words(self) -> list[str]:
         """The flags that give these choices."""
         forms = self.forms()
-        found = []
+        words = []
         for name, value in self.given().items():
             flag = FLAGS.get(name, f"--{name.replace('_', '-')}")
-            found += (
-                [flag]
-                if value is True
-                else [f"{flag}={word}" for word in forms[name].words(value)]
-            )
-        return found
+            if value is True:
+                words.append(flag)
+            else:
+                words += [f"{flag}={word}" for word in forms[name].words(value)]
+        return words
 
     def __iter__(self) -> Iterator[tuple[str, Any]]:
-        return ((item.name, getattr(self, item.name)) for item in fields(self))
+        """Names and values of the choices."""
+        for choice in fields(self):
+            yield choice.name, getattr(self, choice.name)
 
 
 @Parameter(name="*", group=READING)

@@ -42,33 +42,37 @@ def parser_words(cli: App, words: Sequence[str]) -> list[str]:
     verb, *rest = words
     end = rest.index("--") if "--" in rest else len(rest)
     names = _names(cli, verb) if any(map(_has_one_hyphen, rest[:end])) else None
-    found = [verb]
+    parsed = [verb]
     for word in rest[:end]:
-        option = found[-1]
+        option = parsed[-1]
         if names is None or not _has_one_hyphen(word):
-            found.append(in_home(word))
+            parsed.append(in_home(word))
         elif option in names.with_value and word not in names.short:
-            found[-1] = f"{option}={word}"
+            parsed[-1] = f"{option}={word}"
+        elif word == "-":
+            parsed.append(_standard_input(verb, parsed))
         else:
-            found.append(_standard_input(verb, found) if word == "-" else word)
-    return [*found, *rest[end:]]
+            parsed.append(word)
+    return [*parsed, *rest[end:]]
 
 
 def _has_one_hyphen(word: str) -> bool:
+    """Whether a word begins with one hyphen, or is one."""
     return word[:1] == "-" and word[:2] != "--"
 
 
 def _names(cli: App, verb: str) -> _Names:
+    """The names of the options of a verb."""
     arguments = cli[verb].assemble_argument_collection()
     with_value = [
         argument.name
         for argument in arguments
         if isinstance(argument.parameter.converter, Form)
     ]
-    every = [name for argument in arguments for name in argument.names]
-    return _Names(
-        frozenset(with_value), frozenset(["-h", *filter(_has_one_hyphen, every)])
-    )
+    short = ["-h"]
+    for argument in arguments:
+        short += filter(_has_one_hyphen, argument.names)
+    return _Names(frozenset(with_value), frozenset(short))
 
 
 def _standard_input(verb: str, before: Sequence[str]) -> str:

@@ -21,6 +21,13 @@ from curlfit.foreign import SIZES, cut, is_number, is_size, quoted
 class Form:
     """A kind of value.
 
+    Parameters
+    ----------
+    check : returns a value of a file or of Python in the type that is used, and raises
+        an error for any other.
+    parse : returns what a word of the command line stands for, which is then checked.
+    words : returns the word of the command line that gives a value.
+
     Attributes
     ----------
     expected : what it is, as the end of a sentence.
@@ -33,16 +40,17 @@ class Form:
         check: Callable[[Any], Any],
         parse: Callable[[str], Any] = str,
         written: str = "",
-        words: Callable[[Any], str] = lambda one: (
-            f"{one:.10g}" if isinstance(one, float) else str(one)
-        ),
+        words: Callable[[Any], str] | None = None,
     ) -> None:
-        self.expected, self.written = expected, written or expected
-        self.check, self._parse, self._words = check, parse, words
+        self.expected = expected
+        self.written = written or expected
+        self.check = check
+        self._parse = parse
+        self._words = words or _word
 
     def checked(self, name: str, value: Any) -> Any:
-        """A value of a file or of Python. Raises `InputError` if it is of
-        another kind."""
+        """A value of a file or of Python, for the choice `name`. Raises `InputError` if
+        it is of another kind."""
         try:
             return self.check(value)
         except (TypeError, ValueError, OverflowError, AttributeError):
@@ -71,6 +79,11 @@ class Form:
         return [self._words(value)]
 
 
+def _word(value: Any) -> str:
+    """A value as one word of a command line."""
+    return f"{value:.10g}" if isinstance(value, float) else str(value)
+
+
 class Table(Form):
     """Values by name, `NAME=VALUE`, any number of times; with commas
     between if `many`."""
@@ -79,41 +92,45 @@ class Table(Form):
         super().__init__(
             f"a table of names, each with {value.expected}", dict, written=written
         )
-        self.value, self.many = value, many
+        self.value = value
+        self.many = many
 
     def checked(self, name: str, value: Any) -> dict[str, Any]:
-        """The same for each value."""
-        value = value.as_dict() if hasattr(value, "as_dict") else value
+        """A table of a file or of Python, for the choice `name`. Raises `InputError` if
+        it, or one of its values, is of another kind."""
+        if hasattr(value, "as_dict"):  # constants of a stone
+            value = value.as_dict()
         if not isinstance(value, Mapping):
             raise InputError(
                 f"{name} = {quoted(value)}; expected "
                 f"{name}.NAME = {self.value.expected}"
             )
         return {
-            str(key): self.value.checked(f"{name}.{key}", one)
-            for key, one in value.items()
+            str(key): self.value.checked(f"{name}.{key}", entry)
+            for key, entry in value.items()
         }
 
     def __call__(self, _: Any, tokens: Sequence[Any]) -> dict[str, Any]:
-        """All words together."""
-        found: dict[str, Any] = {}
+        """The table of all words after a flag."""
+        value_by_name: dict[str, Any] = {}
         for token in tokens:
-            for part in token.value.split(",") if self.many else [token.value]:
-                name, equals, text = (one.strip() for one in part.partition("="))
-                if not equals or not name or not text:
+            for entry in token.value.split(",") if self.many else [token.value]:
+                name, _, text = entry.partition("=")
+                name = name.strip()
+                text = text.strip()
+                if not name or not text:
                     raise InputError(
                         f"{token.keyword} {cut(token.value)}: expected {self.written}"
                     )
-                if name in found:
+                if name in value_by_name:
                     raise InputError(f"{token.keyword}: {cut(name)} is given twice")
-                found[name] = self.value.read_word(
-                    f"{token.keyword} {cut(name)}=", text
-                )
-        return found
+                flag = f"{token.keyword} {cut(name)}="
+                value_by_name[name] = self.value.read_word(flag, text)
+        return value_by_name
 
     def words(self, value: Mapping[str, Any]) -> list[str]:
         """One word for each name."""
-        return [f"{name}={self.value.words(one)[0]}" for name, one in value.items()]
+        return [f"{name}={self.value.words(entry)[0]}" for name, entry in value.items()]
 
 
 class Several(Form):
@@ -130,19 +147,23 @@ class Several(Form):
     ) -> None:
         """`text` allows one text with commas in a file and in Python too."""
         super().__init__(expected, tuple, written=written)
-        self.value, self.commas, self.text = value, commas, text
+        self.value = value
+        self.commas = commas
+        self.text = text
 
     def checked(self, name: str, value: Any) -> tuple[Any, ...]:
-        """The same for each value."""
-        if self.text and isinstance(value, type | str):
-            each = value.split(",") if isinstance(value, str) else [value]
-            value = [one.strip() if isinstance(one, str) else one for one in each]
+        """Values of a file or of Python, each once, for the choice `name`. Raises
+        `InputError` if they are no list, or one of them is of another kind."""
+        if self.text and isinstance(value, str):
+            value = [part.strip() for part in value.split(",")]
+        elif self.text and isinstance(value, type):  # one law, as its class
+            value = [value]
         if isinstance(value, str | Mapping) or not hasattr(value, "__iter__"):
             raise InputError(f"{name} = {quoted(value)}; expected {self.expected}")
-        return _distinct([self.value.checked(name, one) for one in value])
+        return _distinct([self.value.checked(name, entry) for entry in value])
 
     def __call__(self, _: Any, tokens: Sequence[Any]) -> tuple[Any, ...]:
-        """All words together."""
+        """The values of all words after a flag."""
         return tuple(
             self.value.read_word(f"{token.keyword} ", part)
             for token in tokens
@@ -152,14 +173,15 @@ class Several(Form):
 
     def words(self, value: Sequence[Any]) -> list[str]:
         """One word for each value."""
-        return [word for one in value for word in self.value.words(one)]
+        return [word for entry in value for word in self.value.words(entry)]
 
 
 def _distinct(values: Sequence[Any]) -> tuple[Any, ...]:
     """Values in their order, each once."""
     with suppress(TypeError):
         return tuple(dict.fromkeys(values))
-    distinct: list[Any] = []  # of noises, which have no hash and are few
+    # noises have no hash, and are few
+    distinct: list[Any] = []
     for value in values:
         if value not in distinct:
             distinct.append(value)
@@ -182,8 +204,10 @@ class Interval(Form):
             return float(low), float(high)
 
         def check(value: Any) -> tuple[float, float]:
-            low, high = (float(_real(one)) for one in value)
-            if not all(is_number(end, infinite=True) for end in (low, high)):
+            first, second = value
+            low = float(_real(first))
+            high = float(_real(second))
+            if not is_number(low, infinite=True) or not is_number(high, infinite=True):
                 raise ValueError
             if not (open_ended or low < high):
                 raise ValueError
@@ -192,23 +216,30 @@ class Interval(Form):
         super().__init__(expected, check, parse, written)
 
     def words(self, value: Sequence[float]) -> list[str]:
-        """The ends with a colon between."""
-        return [":".join(f"{end:.10g}" if math.isfinite(end) else "" for end in value)]
+        """The ends with a colon between, nothing for an infinite one."""
+        ends = [f"{end:.10g}" if math.isfinite(end) else "" for end in value]
+        return [":".join(ends)]
 
 
 def _real(value: Any) -> Any:
+    """The value. Raises `TypeError` unless it is a real number."""
     if isinstance(value, bool) or not isinstance(value, Real):
         raise TypeError
     return value
 
 
 def _finite(value: Any) -> float:
-    if not is_size(number := float(_real(value))):
+    """A number of a possible size. Raises `TypeError` or `ValueError` for any other
+    value."""
+    number = float(_real(value))
+    if not is_size(number):
         raise ValueError
     return number
 
 
 def _of_type(kind: type) -> Callable[[Any], Any]:
+    """A function that returns values of a type, and raises `TypeError` for others."""
+
     def check(value: Any) -> Any:
         if not isinstance(value, kind):
             raise TypeError
@@ -251,7 +282,9 @@ class OneOf(Form):
 
     def name_of(self, value: Any) -> str:
         """The name of a value."""
-        return next(name for name, known in self.values.items() if known == value)
+        return next(
+            name for name, named_value in self.values.items() if named_value == value
+        )
 
 
 TEXT = Form("a quoted string", _of_type(str), written="a word")
@@ -261,17 +294,17 @@ def numbers(count: int, written: str) -> Form:
     """So many finite numbers with commas between."""
 
     def check(value: Any) -> tuple[float, ...]:
-        found = tuple(map(_finite, value))
-        if len(found) != count:
+        finite = tuple(map(_finite, value))
+        if len(finite) != count:
             raise ValueError
-        return found
+        return finite
 
     return Form(
         f"{count} numbers",
         check,
         lambda word: map(float, word.split(",")),
         written,
-        words=lambda value: ",".join(f"{one:.10g}" for one in value),
+        words=lambda value: ",".join(f"{number:.10g}" for number in value),
     )
 
 
@@ -311,7 +344,7 @@ NUMBERS = Several(NUMBER, "a list of numbers", "numbers separated by commas")
 PRIORS = Table(
     Form(
         "a string such as '1+-0.1'",
-        lambda one: one if hasattr(one, "kind") else TEXT.check(one),
+        lambda prior: prior if hasattr(prior, "kind") else TEXT.check(prior),
     ),
     "NAME=PRIOR",
 )
@@ -319,9 +352,9 @@ TEXTS = Several(TEXT, "a list of strings", "a text", commas=False)
 
 
 def refusal_of(error: CycloptsError) -> CurlfitError:
-    """Why a command line cannot be carried out: that of the value at fault, or that of
-    the parser."""
-    cause = error.__cause__  # of a value that cannot be used
+    """Why a command line cannot be carried out: what a form says of the value at fault,
+    or what the parser says."""
+    cause = error.__cause__  # what was raised by a form
     return cause if isinstance(cause, CurlfitError) else InputError(str(error))
 
 

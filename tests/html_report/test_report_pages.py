@@ -300,9 +300,9 @@ def test_what_is_not_determined_is_not_shown_at_an_instant(records):
         parameters=fit.parameters | unseen,
         rms={name: value for name, value in fit.rms.items() if name != "phi"},
     )
-    block, _ = replay_of_fit(without, "replay")
-    assert [row["name"] for row in block.shows["rows"]] == ["x", "y", "speed", "omega"]
-    assert block.shows["where"].endswith("Not determined, and drawn as assumed: angle.")
+    replay = replay_of_fit(without, "replay")
+    assert [row.name for row in replay.rows] == ["x", "y", "speed", "omega"]
+    assert replay.where.endswith("Not determined, and drawn as assumed: angle.")
 
 
 @pytest.fixture(scope="module")

@@ -57,8 +57,7 @@ def residuals(fit, curves, steps):
 def shown(curves, steps):
     """The same, as the sliders have them."""
     total = curves.base + curves.changes(steps)
-    first = len(curves.layout.drawn)
-    return {name: total[place] for name, place in curves.layout.channels[first:]}
+    return {name: total[part] for name, part in curves.layout.residuals.items()}
 
 
 def test_there_is_a_slider_for_each_parameter_and_direction(fit, curves):
@@ -162,7 +161,7 @@ def test_ends_without_a_motion_are_said_and_a_fit_that_cannot_move_is_refused(
     fit, monkeypatch
 ):
     def nowhere(curves, reach):
-        return dict.fromkeys(curves.layout.measured, np.nan)
+        return dict.fromkeys(curves.layout.residuals, np.nan)
 
     monkeypatch.setattr(SliderCurves, "errors", nowhere)
     page = curlfit.explore(fit).page
