@@ -237,6 +237,8 @@ def _fit_one(
     written = [record]
     if chain is not None:
         written.append(chain_file)
+        from curlfit.reports.corner import corner_of
+
         drawn.replace(folder, ["corner"], partial(corner_of, result, chain))
     console.print(document_of(result))
     verb_result = output.written(folder, [*written, *drawn.written()], console)

@@ -402,5 +402,5 @@ def _fitted_model(folder: Path, given: Simulated) -> _Model:
         start={
             parameter.name: fit.parameters[parameter.name].value for parameter in START
         },
-        until=fit.data["to"] - begin,
+        until=fit.data.end - begin,
     )

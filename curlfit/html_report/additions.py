@@ -69,7 +69,7 @@ class Additions:
         from curlfit.html_report.replay import replay_of_fit
 
         for number, fit in enumerate(fits):
-            label = Path(fit.data["file"]).name if len(fits) > 1 else ""
+            label = Path(fit.data.file).name if len(fits) > 1 else ""
             replay = replay_of_fit(
                 fit, f"replay-{number}", label, explained=number == 0
             )
@@ -79,7 +79,7 @@ class Additions:
 
 def _add_of_fit(additions: Additions, fit: FitResult) -> None:
     """Add the null directions of a fit, and its throw, animated."""
-    additions.add_directions([fit], fit.null_directions)
+    additions.add_directions([fit], fit.identifiability.null_directions)
     additions.add_replays([fit])
 
 

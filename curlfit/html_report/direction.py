@@ -327,7 +327,7 @@ def _axes(
     axes = f"{ranges[1]} against {ranges[0]}"
     if throws == 1:
         return axes
-    return f"{axes} of {Path(fit.data['file']).name}, one of {throws} throws"
+    return f"{axes} of {Path(fit.data.file).name}, one of {throws} throws"
 
 
 def _change(

@@ -163,7 +163,7 @@ class Explorer:
         if not curves.sliders:
             raise InputError("no parameter of this fit can be moved within its bounds")
         self.errors = {reach: curves.errors(reach) for reach in (HALF, WHOLE)}
-        title = f"Sliders of a fit to {Path(fit.data['file']).name}"
+        title = f"Sliders of a fit to {Path(fit.data.file).name}"
         sliders = _sliders(curves, self.errors)
         self.page = page_alone(title, sliders, ("moving.js", "sliders.js"))
         height = _FRAME + _PER_CHANNEL * len(fit.rms)

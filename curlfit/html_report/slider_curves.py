@@ -157,7 +157,9 @@ class SliderCurves:
         self.layout = Layout(fit, self._model)
         self.base = self.layout.vector(self._model.at(fit.values))
         directions = [{name: 1.0} for name in fit.parameters]
-        directions += [dict(direction) for direction in fit.null_directions]
+        directions += [
+            dict(direction) for direction in fit.identifiability.null_directions
+        ]
         sliders = [self._slider(direction) for direction in directions]
         self.sliders = [slider for slider in sliders if slider is not None]
         self.pairs: dict[tuple[int, int], Floats] = {}

@@ -112,15 +112,13 @@ class Output(Choices):
         result.save(record)
         written = [record, *files]
         kind = KINDS[result.kind]
-        figure_names = list(kind.figures or (result.kind,))
-        if kind.with_corner:
-            figure_names.append("corner")
+        if "corner" in kind.figure_names:
             chain_file = folder / "chain.h5"
             if result.chain is None:
                 chain_file.unlink(missing_ok=True)  # of an earlier result
             else:
                 written.append(chain_file)  # which was saved with the record
-        drawn.replace(folder, figure_names, partial(figures_of, result))
+        drawn.replace(folder, kind.figure_names, partial(figures_of, result))
         console = self.console()
         console.print(document_of(result))
         for remark in remarks:

@@ -109,7 +109,8 @@ def _of_null_directions(fit: FitResult, simulation: Simulation) -> Iterator[Find
     if fit.ridge:  # the values that fit lie on a curve, along which draws are made
         yield Finding.note("bands-along-curve")
         return
-    for direction, ends in zip(fit.null_directions, simulation.null_ends, strict=True):
+    directions = fit.identifiability.null_directions
+    for direction, ends in zip(directions, simulation.null_ends, strict=True):
         numbers: dict[str, Any] = {"names": [*direction], "count": len(direction)}
         if not ends.good.all():
             yield Finding.warning("null-without-rest", **numbers)

@@ -297,7 +297,7 @@ class ThrowFamily:
         names = list(self.fit.parameters)
         vectors = []
         parameters = self.fit.parameter_set
-        for direction in self.fit.null_directions:
+        for direction in self.fit.identifiability.null_directions:
             along = np.array([direction.get(name, 0.0) for name in names])
             # how far along the direction each parameter is at its bounds
             with np.errstate(all="ignore"):

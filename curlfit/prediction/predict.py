@@ -24,7 +24,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -186,7 +186,7 @@ def predict(
         of="new" if throw.new else "fitted",
         line="" if throw.origins["y0"] == "given" else throw.line,
         goal=throw.goal,
-        draws={"number": draws, "used": used, "source": sample.source, "seed": seed},
+        draws=Draws(number=draws, used=used, source=sample.source, seed=seed),
         call=call,
         odd_rows=odd_rows,
         weights=weights_of(fit, throw.values["omega0"]) if together else (),
@@ -283,7 +283,7 @@ class _Sample:
     """
 
     values: Floats
-    source: Literal["chain", "ridge", "covariance", "throws"]
+    source: Source
     warnings: tuple[Finding, ...] = ()
 
 
