@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from markupsafe import Markup
-from rich.table import Column, Table
 
 from curlfit.findings import Finding, Level
 from curlfit.output.document import Part, Said
 from curlfit.output.html import COLORS, inline
+from curlfit.output.table import Cell, Column, Table
 from curlfit.wording import capital
 
 _CODE = re.compile(r"`([^`]+)`")
@@ -75,36 +75,40 @@ def blocks_of(parts: Iterable[Part]) -> Iterator[Block]:
     for part in parts:
         if isinstance(part, Table):
             yield _table(part)
-            if note := getattr(part, "note", None):
-                yield paragraph(note)
+            if part.note:
+                yield paragraph(part.note)
         elif not isinstance(part, Said):
             yield paragraph(part)
 
 
-def _table(table: Table) -> Block:
+def _table(table: Table[Any]) -> Block:
     """A table whose first column of words contains the row headers."""
-    heads = []
-    cells_by_column = []
-    for column in table.columns:
-        heads.append((marked(column.header), column.justify))
-        cells = [(marked(cell), _cell_style(column, cell)) for cell in column.cells]
-        cells_by_column.append(cells)
-    words = [column.justify != "right" for column in table.columns]
+    columns = table.shown
+    words = [place for place, column in enumerate(columns) if not column.right]
+    rows_of_cells = [
+        [_styled_cell(column, column.cell(row)) for column in columns]
+        for row in table.rows
+    ]
     return Block(
         "table",
         {
-            "caption": getattr(table, "called", ""),
+            "caption": table.caption,
             "heads": [
-                (marked(column.header), column.justify) for column in table.columns
+                (marked(column.title), "right" if column.right else "left")
+                for column in columns
             ],
-            "rows": list(zip(*cells_by_column, strict=True)),
-            "words": words.index(True) if True in words else 0,
+            "rows": rows_of_cells,
+            "words": words[0] if words else 0,
         },
     )
 
 
-def _cell_style(column: Column, cell: Any) -> str:
-    """Class of a cell in the style sheet: numbers to the right, long words wrapped."""
-    if column.justify == "right":
-        return "right"
-    return "long" if not column.no_wrap or len(str(cell)) > _LONG else ""
+def _styled_cell(column: Column[Any], cell: Cell) -> tuple[Markup, str]:
+    """A cell as HTML, and its class in the style sheet: numbers to the right, long
+    words wrapped."""
+    style = ""
+    if column.right:
+        style = "right"
+    elif column.wraps or len(cell) > _LONG:
+        style = "long"
+    return marked(cell), style
