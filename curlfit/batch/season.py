@@ -105,20 +105,20 @@ def _read(file: Path, law: str | type[Law] | None = None) -> Season:
         DURATION.name,
     ]
     table = Table.find(TextFile.read(file), _is_header)
-    place_by_name = table.sole(table.headings)
+    index_by_name = table.sole(table.headings)
     for name in (*names_of_numbers, STATUS.name, INFORMATION.name, LABELS.name):
-        if name not in place_by_name:
+        if name not in index_by_name:
             raise table.error(f"no column {name}; {_AGAIN}")
     written = set(names_of_columns(settings))
-    added = [name for name in place_by_name if name not in written]
+    added = [name for name in index_by_name if name not in written]
     rows = [dict(zip(table.headings, cells, strict=True)) for cells in table.cells]
     usable = [
         number for number, row in enumerate(rows) if row[STATUS.name] == Status.OK
     ]
-    if LEFT_OPEN.name not in place_by_name:
+    if LEFT_OPEN.name not in index_by_name:
         _require_quadratic([rows[number] for number in usable], file)
-    places = [place_by_name[name] for name in names_of_numbers]
-    numbers = np.column_stack(table.numbers(places))[usable]
+    indices = [index_by_name[name] for name in names_of_numbers]
+    numbers = np.column_stack(table.numbers(indices))[usable]
     _require_finite(table, numbers, usable)
     information = np.array(
         [

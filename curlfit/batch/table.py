@@ -180,9 +180,9 @@ class GrowingTable:
             )
         elif changed:
             key = changed[0]
-            here = _setting_in_words(recorded.get(key))
-            now = _setting_in_words(settings[key])
-            fault = f": made with other settings ({key} = {here}, not {now})"
+            old = _setting_in_words(recorded.get(key))
+            new = _setting_in_words(settings[key])
+            fault = f": made with other settings ({key} = {old}, not {new})"
         elif not text.startswith(head):
             fault = ", line 1: other columns than this version of curlfit writes"
         if fault:

@@ -65,7 +65,7 @@ def document(comparison: Comparison) -> Document:
     if comparison.sets:
         return document_of_sets(comparison)
     data = comparison.data
-    first, *others = conclusions(comparison)
+    first_conclusion, *others = conclusions(comparison)
     count = len(comparison.candidates)
     loss = LOSSES[comparison.loss].suffix
     noise = ""
@@ -77,7 +77,7 @@ def document(comparison: Comparison) -> Document:
     curl = f"curls {bend}: {comparison.curl:.3g} m (rms) off a straight line"
     fits = f"{counted(count, 'fit')} to {data['file']}{loss}{noise}"
     return Document(
-        **summary(comparison, first, " and {} more"),
+        **summary(comparison, first_conclusion, " and {} more"),
         subject=f"{fits}; the path {curl}",
         headline=Text(fits, style="bold"),
         about=(
@@ -92,7 +92,7 @@ def document(comparison: Comparison) -> Document:
                 (coefficients_table(comparison),),
                 brief=False,
             ),
-            Section("conclusions", "What follows", (Said(first), *others)),
+            Section("conclusions", "What follows", (Said(first_conclusion), *others)),
             Section(
                 "lacking", "What the first law lacks", _lacking(comparison), brief=False
             ),

@@ -37,12 +37,12 @@ def document_of_sets(comparison: Comparison) -> Document:
     """Ranks, each data set, coefficients, and what speaks against which law."""
     sets = comparison.sets
     candidates = comparison.candidates
-    first, *others = _conclusions(comparison)
+    first_conclusion, *others = _conclusions(comparison)
     several = len(sets) > 1
     files = ", ".join(data_set.name for data_set in sets)
     laws = f"{counted(len(candidates), 'law')}, {counted(len(sets), 'data set')}"
     odd_rows = odd_rows_in_words(comparison.odd_rows)
-    of_ranks = summary(comparison, first, " ...")
+    of_ranks = summary(comparison, first_conclusion, " ...")
     return Document(
         finding=of_ranks["finding"],
         lines=[*odd_rows, *of_ranks["lines"]],
@@ -65,7 +65,7 @@ def document_of_sets(comparison: Comparison) -> Document:
                 ),
                 brief=False,
             ),
-            Section("conclusions", "What follows", (Said(first), *others)),
+            Section("conclusions", "What follows", (Said(first_conclusion), *others)),
         ),
         notes=[_noise(data_set) for data_set in sets if data_set.noise_of],
         title=f"{', '.join(map(short, sets))}: which law?",
@@ -148,15 +148,15 @@ def _columns_of_sets(
     comparison: Comparison, words: Callable[[OnSet], Cell], **style: Any
 ) -> Iterator[Column[Candidate]]:
     """A column for each data set, with words on each law's fit to it."""
-    for place, data_set in enumerate(comparison.sets):
+    for index, data_set in enumerate(comparison.sets):
         yield Column(
-            short(data_set), partial(_fit_to_set, place), words, missing="", **style
+            short(data_set), partial(_fit_to_set, index), words, missing="", **style
         )
 
 
-def _fit_to_set(place: int, candidate: Candidate) -> OnSet | None:
+def _fit_to_set(index: int, candidate: Candidate) -> OnSet | None:
     """A law on one of the data sets; None where it has no fit."""
-    return candidate.sets[place] if candidate.sets else None
+    return candidate.sets[index] if candidate.sets else None
 
 
 def _misfit(on: OnSet, *, several: bool) -> Text:

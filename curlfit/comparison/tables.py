@@ -54,10 +54,10 @@ def summary(comparison: Comparison, first: str, more: str) -> dict[str, Any]:
 
 def coefficients_table(comparison: Comparison) -> Table[Candidate]:
     """What is known of the coefficients of each candidate."""
-    known = COEFFICIENTS.but(words=_coefficients, wraps=True)
+    in_words = COEFFICIENTS.but(words=_coefficients, wraps=True)
     return Table(
         comparison.candidates,
-        (LABEL, known),
+        (LABEL, in_words),
         "Coefficients of each law, with standard errors",
     )
 

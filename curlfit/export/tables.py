@@ -25,7 +25,6 @@ from curlfit.inference.fit.estimate_columns import (
     VALUE,
     VERDICT,
     EstimateRow,
-    interval_in_words,
 )
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.identifiability import Combination
@@ -33,7 +32,7 @@ from curlfit.inference.verdict import Verdict
 from curlfit.output import latex
 from curlfit.output.frames import csv_of
 from curlfit.output.table import Table
-from curlfit.wording import compact
+from curlfit.wording import compact, rounded_ends
 
 if TYPE_CHECKING:
     from curlfit.inference.fit.result import FitResult
@@ -107,22 +106,25 @@ def parameters_csv(result: FitResult | JointResult) -> str:
 def path_csv(fits: Sequence[FitResult]) -> str:
     """Measured value, fitted value and residual of each measured channel (SI, rad), one
     row per time; for several throws the first column names the throw."""
-    measured = [name for fit in fits for name in fit.rms if name in fit.fitted]
-    channels = list(dict.fromkeys(measured))
+    channels = list(
+        dict.fromkeys(name for fit in fits for name in fit.rms if name in fit.fitted)
+    )
     several = len(fits) > 1
-    head = ["throw", "t"] if several else ["t"]
+    header = ["throw", "t"] if several else ["t"]
     for name in channels:
-        head += [name, f"{name}_fitted", f"{name}_residual"]
-    lines: list[Sequence[Any]] = [head]
+        header += [name, f"{name}_fitted", f"{name}_residual"]
+    lines: list[Sequence[Any]] = [header]
     for fit in fits:
-        columns = [fit.observed["t"]]
-        empty = math.nan * fit.observed["t"]
+        times = fit.observed["t"]
+        not_measured = np.full(len(times), math.nan)
+        series = [times]
         for name in channels:
-            observed = fit.observed.get(name, empty)
-            fitted = fit.fitted.get(name, empty)
-            columns += [observed, fitted, observed - fitted]
+            observed = fit.observed.get(name, not_measured)
+            fitted = fit.fitted.get(name, not_measured)
+            series += [observed, fitted, observed - fitted]
         label = [fit.data["file"]] if several else []
-        lines += [[*label, *row] for row in np.column_stack(columns).tolist()]
+        for numbers in np.column_stack(series).tolist():
+            lines.append([*label, *numbers])
     return csv_lines(lines)
 
 
@@ -181,6 +183,7 @@ def _caption(result: FitResult | JointResult) -> str:
 
 
 def _symbol(symbol: str) -> str:
+    """The symbol of a parameter for math mode of LaTeX."""
     from curlfit.output.figures import math_symbol
 
     # The symbol of a coefficient without one is its name, upright.
@@ -221,11 +224,11 @@ def _expression(text: str, symbols: dict[str, str]) -> str:
     parts = re.split(r"(\w+)", text.replace(" ", ""))
     words = parts[1::2]
     signs = "".join(parts[::2])
-    plain = all(word in symbols or re.fullmatch(r"\d+", word) for word in words)
-    if not plain or "**" in signs or not set(signs) <= set("+-*/()"):
+    has_symbols = all(word in symbols or re.fullmatch(r"\d+", word) for word in words)
+    if not has_symbols or "**" in signs or not set(signs) <= set("+-*/()"):
         return rf"\texttt{{{latex.escaped(text)}}}"
-    shown = (symbols.get(part, part).replace("*", r"\,") for part in parts)
-    return f"${''.join(shown)}$"
+    formula = "".join(symbols.get(part, part) for part in parts).replace("*", r"\,")
+    return f"${formula}$"
 
 
 def _estimate(row: EstimateRow) -> str:
@@ -241,7 +244,7 @@ def _estimate(row: EstimateRow) -> str:
 
 def _interval(quantiles: Quantiles) -> str:
     """The interval that holds 68 % of the posterior."""
-    low, _, high = interval_in_words(quantiles).partition(" .. ")
+    low, high = rounded_ends(quantiles["16"], quantiles["84"])
     return rf"{latex.number(low)} to {latex.number(high)}"
 
 

@@ -84,7 +84,7 @@ def blocks_of(parts: Iterable[Part]) -> Iterator[Block]:
 def _table(table: Table[Any]) -> Block:
     """A table whose first column of words contains the row headers."""
     columns = table.shown
-    words = [place for place, column in enumerate(columns) if not column.right]
+    words = [index for index, column in enumerate(columns) if not column.right]
     rows_of_cells = [
         [_styled_cell(column, column.cell(row)) for column in columns]
         for row in table.rows

@@ -202,8 +202,8 @@ class Discrimination(Record):
         InputError : pandas is not installed.
         """
         log_odds = [
-            log_odds_column(place, pair.truth, pair.rival)
-            for place, pair in enumerate(self.pairs)
+            log_odds_column(index, pair.truth, pair.rival)
+            for index, pair in enumerate(self.pairs)
         ]
         columns = (V0, OMEGA0, REST, DISTANCE, *log_odds)
         return frame_of(Table(self.candidates, columns))

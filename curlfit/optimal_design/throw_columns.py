@@ -56,6 +56,6 @@ def error_in_words(stderr: float) -> str:
     return "-" if math.isnan(stderr) else f"{stderr:.2g}"
 
 
-def log_odds_column(place: int, truth: str, rival: str) -> ThrowColumn:
+def log_odds_column(index: int, truth: str, rival: str) -> ThrowColumn:
     """The column of the log odds of a pair of laws from each throw alone."""
-    return ThrowColumn(f"{truth} over {rival}", lambda throw: throw.log_odds[place])
+    return ThrowColumn(f"{truth} over {rival}", lambda throw: throw.log_odds[index])

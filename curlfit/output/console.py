@@ -1,4 +1,4 @@
-"""Output on the terminal: no trailing blanks, tables that fit its width."""
+"""What is printed on a terminal: no trailing blanks, tables that fit its width."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 import re
 import sys
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from rich.console import (
     Console,
@@ -113,10 +113,14 @@ class SideBySide:
     def __rich_measure__(
         self, console: Console, options: ConsoleOptions
     ) -> Measurement:
-        whole = sum(text.cell_len + len(_GAP) for text in self.texts)
-        words = [Measurement.get(console, options, text).minimum for text in self.texts]
-        least = max(words, default=0)
-        return Measurement(min(least, options.max_width), min(whole, options.max_width))
+        longest_words = [
+            Measurement.get(console, options, text).minimum for text in self.texts
+        ]
+        least = max(longest_words, default=0)
+        one_line = sum(text.cell_len + len(_GAP) for text in self.texts)
+        return Measurement(
+            min(least, options.max_width), min(one_line, options.max_width)
+        )
 
 
 class Printed:
@@ -131,9 +135,12 @@ class Printed:
     def __rich_console__(
         self, console: Console, options: ConsoleOptions
     ) -> RenderResult:
-        columns = [_PrintedColumn(column, self.table) for column in self.table.shown]
-        for column in columns:
-            column.measure(console, options.update_width(_UNLIMITED))
+        unlimited = options.update_width(_UNLIMITED)
+        columns = []
+        for column in self.table.shown:
+            cells = [column.cell(row) for row in self.table.rows]
+            width = _width_of_column(column, cells, console, unlimited)
+            columns.append(_PrintedColumn(column, cells, width))
         keys = columns[: self.table.keys]
         blocks = _blocks(keys, columns[self.table.keys :], options.max_width)
         for number, block in enumerate(blocks):
@@ -144,7 +151,7 @@ class Printed:
             yield self.table.note
 
 
-class _PrintedColumn:
+class _PrintedColumn(NamedTuple):
     """A column with its cells, and the width that it needs.
 
     Attributes
@@ -153,22 +160,28 @@ class _PrintedColumn:
     width : in characters, without the blanks between columns.
     """
 
-    def __init__(self, column: Column[Any], table: Table[Any]) -> None:
-        self.column = column
-        self.cells = [column.cell(row) for row in table.rows]
-        self.width = 0
+    column: Column[Any]
+    cells: list[Cell]
+    width: int
 
-    def measure(self, console: Console, unlimited: ConsoleOptions) -> None:
-        """Find the width: of the longest line or, where cells may be wrapped, of the
-        longest word but not less than a few words."""
-        sizes = [
-            console.measure(renderable(cell), options=unlimited)
-            for cell in (self.column.title, *self.cells)
-        ]
-        self.width = max(size.maximum for size in sizes)
-        if self.column.wraps:
-            word = max(size.minimum for size in sizes)
-            self.width = min(self.width, max(word, _MIN_TEXT_WIDTH))
+
+def _width_of_column(
+    column: Column[Any],
+    cells: Sequence[Cell],
+    console: Console,
+    unlimited: ConsoleOptions,
+) -> int:
+    """Width of the longest line of a column or, where its cells may be wrapped, of the
+    longest word but not less than a few words."""
+    sizes = [
+        console.measure(renderable(cell), options=unlimited)
+        for cell in (column.title, *cells)
+    ]
+    longest_line = max(size.maximum for size in sizes)
+    if not column.wraps:
+        return longest_line
+    longest_word = max(size.minimum for size in sizes)
+    return min(longest_line, max(longest_word, _MIN_TEXT_WIDTH))
 
 
 def renderable(cell: Cell) -> Text | SideBySide:

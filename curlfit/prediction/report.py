@@ -339,7 +339,7 @@ class _PredictedRow:
 
 def _quantities(prediction: Prediction) -> Table[_PredictedRow]:
     """The predicted quantities with their errors; a joint fit has one error."""
-    both = prediction.misfit is not None
+    has_model_error = prediction.misfit is not None
     unknown = _ACROSS if _knows_no_curl(prediction) else ()
     rows = [
         _PredictedRow.of(name, quantity)
@@ -347,7 +347,7 @@ def _quantities(prediction: Prediction) -> Table[_PredictedRow]:
         if name not in unknown
     ]
     parameter_error: Column[_PredictedRow] = Column(
-        "parameters" if both else "std. dev.",
+        "parameters" if has_model_error else "std. dev.",
         lambda row: row.error(row.quantity.parameter_sd),
         right=True,
     )
@@ -355,7 +355,7 @@ def _quantities(prediction: Prediction) -> Table[_PredictedRow]:
         "model", lambda row: row.error(row.quantity.model_sd), right=True
     )
     errors = "standard deviation and intervals"
-    if both:
+    if has_model_error:
         errors = (
             "standard deviations by the errors of the parameters and by the "
             "model discrepancy, intervals by both"
@@ -364,7 +364,7 @@ def _quantities(prediction: Prediction) -> Table[_PredictedRow]:
         Column("", lambda row: labelled(row.meaning, row.unit)),
         Column("best", lambda row: row.best(), right=True),
         parameter_error,
-        *([model_error] if both else []),
+        *([model_error] if has_model_error else []),
         Column("68 %", lambda row: row.interval("16", "84")),
         Column("95 %", lambda row: row.interval("2.5", "97.5")),
         Column("of draws", lambda row: row.quantity.share, _part_of_draws),

@@ -44,22 +44,22 @@ def style_of(result: Any) -> str:
 def lines_of(result: Any) -> list[str]:
     """Two lines: coefficients, combinations and products with their errors, and the
     names of the coefficients that are not identifiable."""
-    known = []
-    unidentifiable = []
+    estimates = []
+    not_identifiable = []
     for name, coefficient in result.coefficients.items():
         if coefficient.verdict == Verdict.NOT_IDENTIFIABLE:
-            unidentifiable.append(name)
+            not_identifiable.append(name)
             continue
         text = f"{name} = {compact(coefficient.value, coefficient.stderr)}"
         if coefficient.verdict != Verdict.DETERMINED:
             text += f" ({coefficient.verdict})"
-        known.append(text)
+        estimates.append(text)
     for term in _combinations_and_products(result):
-        known.append(f"{term.expression} = {compact(term.value, term.stderr)}")
+        estimates.append(f"{term.expression} = {compact(term.value, term.stderr)}")
     hidden = ""
-    if unidentifiable:
-        hidden = f"not identifiable: {', '.join(unidentifiable)}"
-    return [", ".join(known), hidden]
+    if not_identifiable:
+        hidden = f"not identifiable: {', '.join(not_identifiable)}"
+    return [", ".join(estimates), hidden]
 
 
 def _combinations_and_products(result: Any) -> tuple[Any, ...]:

@@ -251,9 +251,10 @@ def quantities_line(fit: FitResult) -> str:
         if name not in fit.quantities:
             continue
         quantity = to_its_side(fit.quantities[name])
-        what = quantity.meaning.partition(",")[0]
+        name_of_quantity, _, _ = quantity.meaning.partition(",")
         unit = "" if quantity.unit in ("", "1") else f" {quantity.unit}"
-        parts.append(f"{what} {compact(quantity.value, quantity.stderr)}{unit}")
+        value = compact(quantity.value, quantity.stderr)
+        parts.append(f"{name_of_quantity} {value}{unit}")
     return ", ".join(parts)
 
 
@@ -265,29 +266,29 @@ class _Refitted:
     ----------
     name : of the parameter, or the expression of a combination.
     value, stderr : of the fit.
-    again : values fitted with other constants of the stone, first with those on which
-        the published value is based.
+    refitted : values fitted with other constants of the stone, first with those on
+        which the published value is based.
     published : the value of the reference.
     """
 
     name: str
     value: float
     stderr: float | None
-    again: Sequence[float]
+    refitted: Sequence[float]
     published: float
 
     @property
     def shifts(self) -> list[float]:
         """By how much the values fitted again differ from that of the fit."""
-        return [value - self.value for value in self.again]
+        return [value - self.value for value in self.refitted]
 
     @property
     def agrees(self) -> bool:
         """Whether the first value fitted again is the published one, within the
         rounding of its digits and of the constants."""
-        rounding = 0.5 * 10.0 ** -_places(self.published)
+        rounding = 0.5 * 10.0 ** -_decimal_places(self.published)
         tolerance = rounding + sum(map(abs, self.shifts[1:]))
-        return abs(self.again[0] - self.published) <= tolerance
+        return abs(self.refitted[0] - self.published) <= tolerance
 
 
 def _beside_reference(fit: FitResult) -> Table[_Refitted] | None:
@@ -315,7 +316,7 @@ def _beside_reference(fit: FitResult) -> Table[_Refitted] | None:
         f"{constant} = {value:g} {UNIT[constant]}"
         for constant, value in based_on.items()
     )
-    places = max(map(_places, reference.values.values()))
+    digits = max(map(_decimal_places, reference.values.values()))
     columns: list[Column[_Refitted]] = [
         Column("refitted parameter", lambda row: row.name),
         Column(
@@ -325,12 +326,12 @@ def _beside_reference(fit: FitResult) -> Table[_Refitted] | None:
             right=True,
         ),
     ]
-    for place, refit in enumerate(refits):
+    for index, refit in enumerate(refits):
         changes = _changes(refit["stone"], fit.stone)
-        columns.append(_shift_column(f"shift, {changes}", place, places + 1))
+        columns.append(_shift_column(f"shift, {changes}", index, digits + 1))
     columns += [
         Column(
-            f"with {constants}", lambda row: row.again[0], f".{places}f", right=True
+            f"with {constants}", lambda row: row.refitted[0], f".{digits}f", right=True
         ),
         Column(reference.source, lambda row: row.published, "g", right=True),
     ]
@@ -342,20 +343,20 @@ def _beside_reference(fit: FitResult) -> Table[_Refitted] | None:
         )
     option = ",".join(f"{constant}={value:g}" for constant, value in based_on.items())
     text = f"{reference.source}: {reference.note}. " if reference.note else ""
-    refitted = join_words([f"{row.again[0]:.{places}f}" for row in rows])
-    text += f"`--stone {option}` gives {refitted}, {verdict}."
+    values = join_words([f"{row.refitted[0]:.{digits}f}" for row in rows])
+    text += f"`--stone {option}` gives {values}, {verdict}."
     caption = "Shift of the estimates with the constants of the stone"
     return Table(rows, columns, caption, note=Text(text))
 
 
-def _shift_column(heading: str, place: int, places: int) -> Column[_Refitted]:
-    """The column of the shifts of a refit, to some decimal places."""
+def _shift_column(heading: str, index: int, digits: int) -> Column[_Refitted]:
+    """The column of the shifts in one of the refits, to some decimal places."""
 
     def in_words(shift: float) -> str:
-        rounded = round(shift, places) + 0.0  # no minus before a zero
-        return f"{rounded:+.{places}f}"
+        rounded = round(shift, digits) + 0.0  # no minus before a zero
+        return f"{rounded:+.{digits}f}"
 
-    return Column(heading, lambda row: row.shifts[place], in_words, right=True)
+    return Column(heading, lambda row: row.shifts[index], in_words, right=True)
 
 
 def _changes(constants: Mapping[str, float], stone: Stone) -> str:
@@ -367,7 +368,7 @@ def _changes(constants: Mapping[str, float], stone: Stone) -> str:
     )
 
 
-def _places(value: float) -> int:
+def _decimal_places(value: float) -> int:
     """Decimal places of a published number."""
     return len(f"{value:g}".partition(".")[2])
 

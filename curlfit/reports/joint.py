@@ -69,7 +69,7 @@ _OF_A_DRAW = {
 _CHANCE = 0.05  # probability above which an effect is within the errors
 _R_HAT = 1.05  # of a sample that ended without the 1.01 that it aims at
 _HIDDEN = ("x0", "y0", "phi0", "heading")
-_Item = TypeVar("_Item")
+_Entry = TypeVar("_Entry")
 
 
 def print_joint(result: JointResult, console: Console | None = None) -> None:
@@ -340,10 +340,10 @@ def _effects(result: JointResult) -> Table[_EffectRow]:
 
 
 class _ThrowRow(NamedTuple):
-    """A throw of a joint fit, and its place in the lists of all throws."""
+    """A throw of a joint fit, and its number in the lists of all throws, from 0."""
 
     fit: FitResult
-    place: int
+    number: int
 
 
 def _throws(result: JointResult) -> Table[_ThrowRow]:
@@ -362,7 +362,7 @@ def _throws(result: JointResult) -> Table[_ThrowRow]:
         *map(_alone_column, result.variation),
         *map(_rms_column, channels),
     ]
-    rows = [_ThrowRow(fit, place) for place, fit in enumerate(result.throws)]
+    rows = [_ThrowRow(fit, number) for number, fit in enumerate(result.throws)]
     return Table(rows, columns, "Each throw, with what it says alone")
 
 
@@ -386,7 +386,7 @@ def _alone_column(variation: Variation) -> Column[_ThrowRow]:
     """The column of what each throw alone says of a shared parameter."""
     return Column(
         f"{variation.expression} alone",
-        lambda row: variation.each[row.place],
+        lambda row: variation.each[row.number],
         lambda alone: compact(*alone),
         missing="",
         right=True,
@@ -417,12 +417,16 @@ def _notes(result: JointResult) -> list[Finding]:
     return _of_all([throw.data["notes"] for throw in result.throws])
 
 
-def _of_all(lists: Sequence[Sequence[_Item]]) -> list[_Item]:
+def _of_all(lists: Sequence[Sequence[_Entry]]) -> list[_Entry]:
     """The items that are in all of some lists."""
     if not lists:
         return []
-    first, *others = lists
-    return [entry for entry in first if all(entry in other for other in others)]
+    first_list, *other_lists = lists
+    return [
+        entry
+        for entry in first_list
+        if all(entry in other_list for other_list in other_lists)
+    ]
 
 
 def _files(result: JointResult) -> list[str]:

@@ -250,8 +250,8 @@ def facts(throw: Throw, settings: Mapping[str, Any]) -> Iterator[str]:
         if scatters:
             yield f"scatter    {', '.join(scatters)} (from row to row)"
         if throw.sigma:
-            given = [channel for channel in CHANNELS if channel in throw.sigma]
-            yield f"sigma      given for {', '.join(given)}"
+            channels = [channel for channel in CHANNELS if channel in throw.sigma]
+            yield f"sigma      given for {', '.join(channels)}"
         yield "rest       " + _rest(throw)
     of_fits = {
         key: value for key, value in settings.items() if key not in Reading.forms()
