@@ -81,7 +81,7 @@ def _several(throws: Sequence[Throw]) -> Seen:
         _heading(event) for throw in throws for event in throw.events
     )
     columns: list[Column[Throw]] = [
-        Column("throw", lambda throw: throw.name),
+        Column("throw", key="name"),
         *map(_label_column, labels),
         Column("motion", motion_in_words),
         *map(_event_column, measurements),

@@ -108,10 +108,10 @@ def _combinations(fit: FitResult) -> str:
     return "; ".join(texts)
 
 
-FILE = BatchColumn("file", lambda row: row.file)
-SHOT = BatchColumn("shot", lambda row: row.shot)
-STONE_INDEX = BatchColumn("stone_index", lambda row: row.stone_index)
-STATUS = BatchColumn("status", lambda row: row.status)
+FILE = BatchColumn("file")
+SHOT = BatchColumn("shot")
+STONE_INDEX = BatchColumn("stone_index")
+STATUS = BatchColumn("status")
 OBSERVATIONS = _fit_column("n_observations", lambda fit: fit.n_observations)
 RMS_X = _fit_column("rms_x", lambda fit: fit.rms.get("x"))
 RMS_Y = _fit_column("rms_y", lambda fit: fit.rms.get("y"))
@@ -126,7 +126,7 @@ earlier versions lack it."""
 LABELS = _fit_column("labels", _labels)
 COMBINATIONS = _fit_column("combinations", _combinations)
 WARNINGS = BatchColumn("warnings", lambda row: "; ".join(map(str, row.warnings)))
-REASON = BatchColumn("reason", lambda row: row.reason)
+REASON = BatchColumn("reason")
 
 
 def columns(plan: BatchSettings) -> list[BatchColumn]:

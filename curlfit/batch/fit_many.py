@@ -54,7 +54,7 @@ def fit_files(
             row = replace(row, reason=_without_file(part.throw, file))
         else:
             row = _with_fit(row, next(fits), plan)
-        rows.append({column.name: column.value(row) for column in columns_of_table})
+        rows.append({column.name: column.get(row) for column in columns_of_table})
     return rows
 
 

@@ -82,72 +82,41 @@ def residual_size(channel: str, unit: str) -> Column[Any]:
 
 
 CandidateColumn = Column[Any]
-RANK = CandidateColumn(
-    "", lambda law: law.rank, words=_rank_in_words, key="rank", right=True
-)
-LAW = CandidateColumn("law", lambda law: law.law, words=_law_in_words)
-LABEL = CandidateColumn("law, load", lambda law: law.label)
-LOAD = CandidateColumn("load", lambda law: law.load)
-NOISE = CandidateColumn("noise", lambda law: law.noise)
-SIGNS_FREE = CandidateColumn("signs_free", lambda law: law.signs_free)
-CONVERGED = CandidateColumn("converged", lambda law: law.converged)
-STATUS = CandidateColumn("status", lambda law: law.status)
+RANK = CandidateColumn("", words=_rank_in_words, key="rank", right=True)
+LAW = CandidateColumn("law", words=_law_in_words)
+LABEL = CandidateColumn("law, load", key="label")
+LOAD = CandidateColumn("load")
+NOISE = CandidateColumn("noise")
+SIGNS_FREE = CandidateColumn("signs_free")
+CONVERGED = CandidateColumn("converged")
+STATUS = CandidateColumn("status")
 PARAMETERS = CandidateColumn(
-    "k",
-    lambda law: law.n_parameters,
-    ".3g",
-    key="n_parameters",
-    missing="",
-    right=True,
+    "k", format=".3g", key="n_parameters", missing="", right=True
 )
-BIC = CandidateColumn("bic", lambda law: law.bic)
+BIC = CandidateColumn("bic")
 DELTA_BIC = CandidateColumn(
-    "dBIC",
-    lambda law: law.delta_bic,
-    difference,
-    key="delta_bic",
-    missing="",
-    right=True,
+    "dBIC", format=difference, key="delta_bic", missing="", right=True
 )
-AICC = CandidateColumn("aicc", lambda law: law.aicc)
+AICC = CandidateColumn("aicc")
 DELTA_AICC = CandidateColumn(
-    "dAICc",
-    lambda law: law.delta_aicc,
-    difference,
-    key="delta_aicc",
-    missing="",
-    right=True,
+    "dAICc", format=difference, key="delta_aicc", missing="", right=True
 )
-EVIDENCE = CandidateColumn("log_evidence", lambda law: law.log_evidence)
+EVIDENCE = CandidateColumn("log_evidence")
 DELTA_EVIDENCE = CandidateColumn(
-    "dlnZ",
-    lambda law: law.delta_evidence,
-    difference,
-    key="delta_evidence",
-    missing="",
-    right=True,
+    "dlnZ", format=difference, key="delta_evidence", missing="", right=True
 )
 DELTA_ELPD = CandidateColumn(
-    "delpd",
-    lambda law: law.delta_elpd,
-    words=_elpd_in_words,
-    key="delta_elpd",
-    right=True,
+    "delpd", words=_elpd_in_words, key="delta_elpd", right=True
 )
-WEIGHT = CandidateColumn("weight", lambda law: law.weight)
+WEIGHT = CandidateColumn("weight")
 SIZE_X = residual_size("x", "m")
 SIZE_Y = residual_size("y", "m")
 SIZE_PHI = residual_size("phi", "rad")
 CURL = CandidateColumn(
-    "curl",
-    lambda law: law.curl_explained,
-    share,
-    key="curl_explained",
-    missing="",
-    right=True,
+    "curl", format=share, key="curl_explained", missing="", right=True
 )
-FOLLOWS = CandidateColumn("follows", lambda law: law.follows, words=_follows_in_words)
-SIDES = CandidateColumn("ccw curls", lambda law: law.sides, words=_sides_in_words)
+FOLLOWS = CandidateColumn("follows", words=_follows_in_words)
+SIDES = CandidateColumn("ccw curls", words=_sides_in_words, key="sides")
 COEFFICIENTS = CandidateColumn("coefficients", _coefficients_as_text)
 
 IN_FRAME = (

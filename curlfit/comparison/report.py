@@ -133,20 +133,16 @@ class _Lack(NamedTuple):
 
 
 _LACK_COLUMNS: tuple[Column[_Lack], ...] = (
-    Column("lacking", lambda lack: lack.component),
+    Column("lacking", key="component"),
     Column(
         "most",
-        lambda lack: lack.lacks,
         words=lambda lack: f"{compact(lack.lacks, lack.stderr)} {lack.unit}",
         right=True,
+        key="lacks",
     ),
     Column("std. errors", lambda lack: abs(lack.significance), ".1f", right=True),
-    Column(
-        "at v", lambda lack: lack.speed, lambda speed: f"{speed:.2f} m/s", right=True
-    ),
-    Column(
-        "spin", lambda lack: lack.omega, lambda omega: f"{omega:.2f} rad/s", right=True
-    ),
+    Column("at v", format=lambda speed: f"{speed:.2f} m/s", right=True, key="speed"),
+    Column("spin", format=lambda omega: f"{omega:.2f} rad/s", right=True, key="omega"),
     Column(
         "of the law's",
         lambda lack: abs(lack.lacks) / lack.of_law if lack.of_law else None,

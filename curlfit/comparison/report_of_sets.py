@@ -123,7 +123,7 @@ def _ranks(comparison: Comparison) -> Table[Candidate]:
             "chance or 1.5 times the noise makes it, and p is above 0.001."
         )
     together: Column[Candidate] = Column(
-        "one ice", lambda law: law.p_together, p_text, missing=""
+        "one ice", format=p_text, missing="", key="p_together"
     )
     columns = (
         RANK,

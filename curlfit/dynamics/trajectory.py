@@ -132,7 +132,7 @@ class Trajectory(Displayed):
             "omega": "rad/s",
         }
         series = {name: np.asarray(getattr(self, name)) for name in units}
-        columns: list[Column[_End]] = [Column("", lambda end: end.label)]
+        columns: list[Column[_End]] = [Column("", key="label")]
         for name, unit in units.items():
             columns.append(_series_column(name, unit, series[name]))
         table = Table([_End("first", 0), _End("last", -1)], columns)

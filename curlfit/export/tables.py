@@ -99,7 +99,7 @@ def parameters_csv(result: FitResult | JointResult) -> str:
                 rows_by_throw.append((fit.data["file"], row))
     lines = [["throw", *(column.name for column in _IN_CSV)]]
     for throw, row in rows_by_throw:
-        lines.append([throw, *(column.value(row) for column in _IN_CSV)])
+        lines.append([throw, *(column.get(row) for column in _IN_CSV)])
     return csv_lines(lines)
 
 

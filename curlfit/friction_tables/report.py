@@ -101,10 +101,10 @@ def _laws(result: FrictionFits) -> Table[FrictionFit]:
     """The laws with their criteria, the first with the least BIC."""
     least = result.fits[0].bic
     columns: tuple[Column[FrictionFit], ...] = (
-        Column("law", lambda fit: fit.law),
-        Column("load", lambda fit: fit.load),
-        Column("determined", lambda fit: fit.rank, right=True),
-        Column("rms", lambda fit: fit.rms, ".2g", right=True),
+        Column("law"),
+        Column("load"),
+        Column("determined", right=True, key="rank"),
+        Column("rms", format=".2g", right=True),
         Column("dBIC", lambda fit: fit.bic - least, ".1f", right=True),
         Column("", lambda fit: "" if fit.converged else "not converged"),
     )

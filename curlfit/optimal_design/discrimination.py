@@ -329,19 +329,17 @@ def _summary(discrimination: Discrimination) -> list[str]:
 
 
 _PAIR_COLUMNS: tuple[Column[Pair], ...] = (
-    Column("true law", lambda pair: pair.truth),
-    Column("rival", lambda pair: pair.rival),
-    Column(
-        "left by rival,\nover the noise", lambda pair: pair.relative, ".2g", right=True
-    ),
+    Column("true law", key="truth"),
+    Column("rival"),
+    Column("left by rival,\nover the noise", format=".2g", right=True, key="relative"),
     Column(
         "log odds",
-        lambda pair: pair.log_odds,
         words=lambda pair: f"{pair.log_odds:.1f} +- {pair.sd:.1f}",
         right=True,
+        key="log_odds",
     ),
-    Column("true law\nleads", lambda pair: pair.wins, _percent, right=True),
-    Column(f"by {ODDS}\nto 1", lambda pair: pair.decides, _percent, right=True),
+    Column("true law\nleads", format=_percent, right=True, key="wins"),
+    Column(f"by {ODDS}\nto 1", format=_percent, right=True, key="decides"),
 )
 
 
@@ -384,7 +382,7 @@ def _single(discrimination: Discrimination) -> Table[PossibleThrow]:
         for (v0, spin), throw in throw_by_size.items()
     ]
     hardest: Column[PossibleThrow] = Column(
-        "log odds,\nhardest pair", lambda throw: throw.least, ".1f", right=True
+        "log odds,\nhardest pair", format=".1f", right=True, key="least"
     )
     return Table(
         rows,

@@ -9,29 +9,13 @@ from typing import Any
 from curlfit.output.table import Column
 
 ThrowColumn = Column[Any]
-V0 = ThrowColumn("v0\n", lambda throw: throw.v0, "g", unit="m/s", key="v0", right=True)
-OMEGA0 = ThrowColumn(
-    "omega0\n",
-    lambda throw: throw.omega0,
-    "g",
-    unit="rad/s",
-    key="omega0",
-    right=True,
-)
-RATE = ThrowColumn("rate", lambda throw: throw.rate)
-ROWS = ThrowColumn("rows", lambda throw: throw.rows, right=True)
-LAST = ThrowColumn("last", lambda throw: throw.last)
-REST = ThrowColumn(
-    "at rest\n", lambda throw: throw.rest, ".1f", unit="s", key="rest", right=True
-)
-DISTANCE = ThrowColumn(
-    "after\n",
-    lambda throw: throw.distance,
-    ".1f",
-    unit="m",
-    key="distance",
-    right=True,
-)
+V0 = ThrowColumn("v0\n", format="g", unit="m/s", key="v0", right=True)
+OMEGA0 = ThrowColumn("omega0\n", format="g", unit="rad/s", key="omega0", right=True)
+RATE = ThrowColumn("rate")
+ROWS = ThrowColumn("rows", right=True)
+LAST = ThrowColumn("last")
+REST = ThrowColumn("at rest\n", format=".1f", unit="s", key="rest", right=True)
+DISTANCE = ThrowColumn("after\n", format=".1f", unit="m", key="distance", right=True)
 
 
 def stderr_column(quantity: str) -> ThrowColumn:

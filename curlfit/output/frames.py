@@ -47,7 +47,7 @@ def frame_of(table: Table[Any]) -> Any:
     """
     return frame(
         {
-            column.name: [column.value(row) for row in table.rows]
+            column.name: [column.get(row) for row in table.rows]
             for column in table.columns
         }
     )
@@ -58,5 +58,5 @@ def csv_of(table: Table[Any]) -> str:
     has none."""
     lines = [[column.name for column in table.columns]]
     for row in table.rows:
-        lines.append([column.value(row) for column in table.columns])
+        lines.append([column.get(row) for column in table.columns])
     return csv_lines(lines)

@@ -26,21 +26,22 @@ class Column(Generic[Row]):
     Attributes
     ----------
     heading : above the column on a page.
-    value : gets the value of a row; None where the row has none.
+    value : gets the value of a row, which is None where the row has none; by default
+        the attribute of the row that has the name of the column.
     format : how a value is written on a page: a format specification such as ".3g",
         or a function.
     words : writes the cell of a row on a page, where this needs more than the value.
     unit : of the numbers on a page, shown after the heading; on a line of its own
         after a heading that ends with a line break.
-    key : by which programs know the column, in CSV and pandas, where values are
-        written in full precision and SI units; the heading if empty.
+    key : its name for programs, as in CSV and pandas, where values are in full
+        precision and SI units; the heading if empty.
     missing : on a page where the row has no value.
     right : whether cells are aligned to the right, as numbers are.
     wraps : whether cells may be wrapped.
     """
 
     heading: str
-    value: Callable[[Row], Any]
+    value: Callable[[Row], Any] | None = None
     format: str | Callable[[Any], Cell] = ""
     words: Callable[[Row], Cell] | None = None
     unit: str = ""
@@ -59,8 +60,14 @@ class Column(Generic[Row]):
 
     @property
     def name(self) -> str:
-        """What programs call the column."""
+        """The name for programs."""
         return self.key or self.heading
+
+    def get(self, row: Row) -> Any:
+        """The value of a row."""
+        if self.value is None:
+            return getattr(row, self.name)
+        return self.value(row)
 
     def but(self, **changes: Any) -> Column[Row]:
         """The column with another heading, format ..."""
@@ -70,7 +77,7 @@ class Column(Generic[Row]):
         """What a page shows of a row."""
         if self.words is not None:
             return self.words(row)
-        value = self.value(row)
+        value = self.get(row)
         if value is None:
             return self.missing
         if callable(self.format):
@@ -80,7 +87,7 @@ class Column(Generic[Row]):
     def has_content(self, row: Row) -> bool:
         """Whether a page shows something of a row, other than that a value is
         missing."""
-        if self.words is None and self.value(row) is None:
+        if self.words is None and self.get(row) is None:
             return False
         return self.cell(row) not in ("", ())
 

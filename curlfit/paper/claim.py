@@ -99,15 +99,11 @@ def _statement(claim: Claim) -> Text:
 def claims_table(claims: tuple[Claim, ...]) -> Table[Claim]:
     """The claims beside what was computed."""
     columns: tuple[Column[Claim], ...] = (
-        Column("", lambda claim: claim.id),
-        Column("claim, and why", lambda claim: claim.claim, words=_statement),
-        Column("printed", lambda claim: claim.printed),
-        Column("computed", lambda claim: claim.computed),
-        Column(
-            "verdict",
-            lambda claim: claim.verdict,
-            lambda verdict: Text(verdict, style=_STYLE[verdict]),
-        ),
+        Column("", key="id"),
+        Column("claim, and why", words=_statement, key="claim"),
+        Column("printed"),
+        Column("computed"),
+        Column("verdict", format=lambda verdict: Text(verdict, style=_STYLE[verdict])),
     )
     return Table(claims, columns)
 

@@ -263,14 +263,9 @@ def _broom(x: float) -> str:
 
 _WEIGHT_COLUMNS: tuple[Column[Weight], ...] = (
     Column("rests", _resting_place),
-    Column("hog to hog", lambda weight: weight.hog_to_hog, ".2f", unit="s", right=True),
+    Column("hog to hog", format=".2f", unit="s", right=True, key="hog_to_hog"),
     Column(
-        "hog to tee",
-        lambda weight: weight.hog_to_tee,
-        ".2f",
-        unit="s",
-        missing="",
-        right=True,
+        "hog to tee", format=".2f", unit="s", missing="", right=True, key="hog_to_tee"
     ),
     Column("broom, in-turn", lambda weight: weight.brooms[0], _broom),
     Column("broom, out-turn", lambda weight: weight.brooms[1], _broom),

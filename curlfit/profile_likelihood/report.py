@@ -217,7 +217,7 @@ def _intervals(profile: Profile) -> Table[_Method]:
     if quantiles:
         rows.append(_Method("posterior", by_posterior))
     columns: list[Column[_Method]] = [
-        Column(labelled(profile.name, estimate.unit), lambda method: method.name)
+        Column(labelled(profile.name, estimate.unit), key="name")
     ]
     for level in profile.levels:
         columns.append(_level_column(level.name))

@@ -318,12 +318,12 @@ def _beside_reference(fit: FitResult) -> Table[_Refitted] | None:
     )
     digits = max(map(_decimal_places, reference.values.values()))
     columns: list[Column[_Refitted]] = [
-        Column("refitted parameter", lambda row: row.name),
+        Column("refitted parameter", key="name"),
         Column(
             "std. error",
-            lambda row: row.stderr,
             words=lambda row: format_estimate(row.value, row.stderr)[1],
             right=True,
+            key="stderr",
         ),
     ]
     for index, refit in enumerate(refits):
@@ -333,7 +333,7 @@ def _beside_reference(fit: FitResult) -> Table[_Refitted] | None:
         Column(
             f"with {constants}", lambda row: row.refitted[0], f".{digits}f", right=True
         ),
-        Column(reference.source, lambda row: row.published, "g", right=True),
+        Column(reference.source, format="g", right=True, key="published"),
     ]
     verdict = f"which do not all agree with {reference.source}"
     if all(row.agrees for row in rows):
@@ -432,12 +432,7 @@ _EVENT_COLUMNS: tuple[Column[_FittedEvent], ...] = (
     ),
     Column("sigma", lambda row: row.event.sigma, ".2g", right=True),
     Column("unit", lambda row: row.event.unit),
-    Column(
-        "fit",
-        lambda row: row.fitted,
-        words=lambda row: row.in_words(row.fitted),
-        right=True,
-    ),
+    Column("fit", words=lambda row: row.in_words(row.fitted), right=True, key="fitted"),
     Column(
         "measured - fit",
         lambda row: row.residual + 0.0,  # no minus before a zero

@@ -302,12 +302,12 @@ class _EffectRow:
 
 
 _EFFECT_COLUMNS: tuple[Column[_EffectRow], ...] = (
-    Column("", lambda row: row.cause),
-    Column("quantity", lambda row: row.quantity),
-    Column(VALUE.heading, lambda row: row.value, right=True),
-    Column(STDERR.heading, lambda row: row.stderr, right=True),
-    Column("p", lambda row: row.p, p_text, missing=""),
-    Column(POSTERIOR.heading, lambda row: row.quantiles, interval_in_words),
+    Column("", key="cause"),
+    Column("quantity"),
+    Column(VALUE.heading, right=True, key="value"),
+    Column(STDERR.heading, right=True, key="stderr"),
+    Column("p", format=p_text, missing=""),
+    Column(POSTERIOR.heading, format=interval_in_words, key="quantiles"),
 )
 
 

@@ -74,9 +74,9 @@ class _Interval(NamedTuple):
 
 
 _COLUMNS: tuple[Column[_Interval], ...] = (
-    Column("parameter", lambda row: row.name),
-    Column("68 %", lambda row: row.quantiles, interval_in_words, right=True),
-    Column("95 %", lambda row: row.wide, right=True),
+    Column("parameter", key="name"),
+    Column("68 %", format=interval_in_words, right=True, key="quantiles"),
+    Column("95 %", right=True, key="wide"),
 )
 
 

@@ -197,13 +197,13 @@ class _Series(NamedTuple):
 
 
 _SERIES_COLUMNS: tuple[Column[_Series], ...] = (
-    Column("column", lambda series: series.header),
+    Column("column", key="header"),
     Column("quantity", lambda series: series.read_as.quantity),
     Column("unit", lambda series: series.read_as.unit),
     Column("factor", lambda series: series.read_as.factor, ".6g", right=True),
     Column("rows", lambda series: len(series.values), right=True),
-    Column("gaps", lambda series: series.gaps, right=True),
-    Column("range in the file", lambda series: series.span),
+    Column("gaps", right=True),
+    Column("range in the file", key="span"),
 )
 
 
@@ -213,14 +213,12 @@ def _columns(parsed: ParsedFile) -> Table[_Series]:
 
 
 _EVENT_COLUMNS: tuple[Column[Event], ...] = (
-    Column("measured", lambda event: event.name),
-    Column("value", lambda event: event.value, ".6g", right=True),
-    Column("sigma", lambda event: event.sigma, ".3g", right=True),
-    Column("unit", lambda event: event.unit),
-    Column("at y", lambda event: event.at, ".3f", unit="m", missing="rest", right=True),
-    Column(
-        "since y", lambda event: event.since, ".3f", unit="m", missing="", right=True
-    ),
+    Column("measured", key="name"),
+    Column("value", format=".6g", right=True),
+    Column("sigma", format=".3g", right=True),
+    Column("unit"),
+    Column("at y", format=".3f", unit="m", missing="rest", right=True, key="at"),
+    Column("since y", format=".3f", unit="m", missing="", right=True, key="since"),
 )
 
 

@@ -90,14 +90,9 @@ def interval_in_words(quantiles: Quantiles) -> str:
 
 EstimateColumn = Column[EstimateRow]
 NAME = EstimateColumn(
-    "parameter",
-    lambda row: row.name,
-    words=lambda row: labelled(row.name, row.unit),
-    key="name",
+    "parameter", words=lambda row: labelled(row.name, row.unit), key="name"
 )
-VALUE = EstimateColumn(
-    "estimate", lambda row: row.value, words=value_in_words, key="value", right=True
-)
+VALUE = EstimateColumn("estimate", words=value_in_words, key="value", right=True)
 STDERR = EstimateColumn(
     "std. error",
     lambda row: row.estimate.stderr,
@@ -105,13 +100,13 @@ STDERR = EstimateColumn(
     key="stderr",
     right=True,
 )
-SYSTEMATIC = EstimateColumn("systematic", lambda row: row.systematic, ".2g", right=True)
+SYSTEMATIC = EstimateColumn("systematic", format=".2g", right=True)
 LOW = EstimateColumn("low", lambda row: row.interval[0], key="low_95")
 HIGH = EstimateColumn("high", lambda row: row.interval[1], key="high_95")
 DOF = EstimateColumn("dof", lambda row: row.estimate.dof)
 VERDICT = EstimateColumn("verdict", lambda row: row.estimate.verdict, judged)
-UNIT = EstimateColumn("unit", lambda row: row.unit)
-PRIOR = EstimateColumn("prior", lambda row: row.prior)
+UNIT = EstimateColumn("unit")
+PRIOR = EstimateColumn("prior")
 POSTERIOR = EstimateColumn(
-    "68 % of posterior", lambda row: row.quantiles, interval_in_words
+    "68 % of posterior", format=interval_in_words, key="quantiles"
 )

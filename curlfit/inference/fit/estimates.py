@@ -272,7 +272,7 @@ class NamedEstimates(Record):
             HIGH.but(key="high"),
         ):
             # numbers, also where all are missing
-            columns[column.name] = np.array([column.value(row) for row in rows], float)
+            columns[column.name] = np.array([column.get(row) for row in rows], float)
         for column in (VERDICT, UNIT):
-            columns[column.name] = [column.value(row) for row in rows]
+            columns[column.name] = [column.get(row) for row in rows]
         return frame(columns, [row.name for row in rows])
