@@ -29,11 +29,11 @@ class Stone(NamedTuple):
     note: str = ""
 
 
-NAME = Column("name", lambda stone: stone.name)
+NAME = Column("name")
 CURL = Column(
     "curl", lambda stone: stone.curl, ".2f", unit="m", key="curl_m", right=True
 )
-NOTE = Column("note", lambda stone: stone.note)
+NOTE = Column("note")
 COLUMNS = (NAME, CURL, NOTE)
 
 
@@ -215,3 +215,15 @@ def test_a_frame_has_the_values_under_the_names():
     assert frame["curl_m"].tolist()[0] == 0.5
     assert math.isnan(frame["curl_m"].tolist()[1])
     assert frame["name"].tolist() == ["a", "b"]
+
+
+def test_a_column_gets_the_attribute_of_its_name_unless_it_is_told_how():
+    columns = (
+        Column("name"),
+        Column("how far", key="curl", format=".1f"),
+        Column("curl", lambda stone: -stone.curl),
+    )
+    table = Table([Stone("a", 0.5)], columns)
+    assert [column.get(table.rows[0]) for column in columns] == ["a", 0.5, -0.5]
+    assert csv_of(table).splitlines() == ["name,curl,curl", "a,0.5,-0.5"]
+    assert "how far" in printed(table, 40)
