@@ -38,11 +38,19 @@ def compact(value: float, stderr: float | None) -> str:
     return shown if error == "-" or not digits else f"{shown}({digits})"
 
 
-def from_to(low: float, high: float, scale: float | None = None) -> str:
+def rounded_ends(
+    low: float, high: float, scale: float | None = None
+) -> tuple[str, str]:
     """Ends of an interval, rounded to two digits of a scale, by default a third
     of its width."""
-    scale = (high - low) / 3 if scale is None else scale
-    return f"{format_estimate(low, scale)[0]} .. {format_estimate(high, scale)[0]}"
+    if scale is None:
+        scale = (high - low) / 3
+    return format_estimate(low, scale)[0], format_estimate(high, scale)[0]
+
+
+def from_to(low: float, high: float, scale: float | None = None) -> str:
+    """An interval as "0.12 .. 0.34", rounded as by `rounded_ends`."""
+    return " .. ".join(rounded_ends(low, high, scale))
 
 
 def decimals(size: float) -> int:

@@ -19,12 +19,13 @@ from curlfit.html_report.blocks import blocks_of
 from curlfit.html_report.drawings import inline_svg
 from curlfit.html_report.page import rendered
 from curlfit.options.settings import ConfiguredThrow, prepare_all, read_config
-from curlfit.output.console import PlainTable
+from curlfit.output.table import Column, Table
 from curlfit.output.text import sided
 from curlfit.settings.choices import Fitting, Reading
 from curlfit.throws.odd_row import odd_row_findings
 
 if TYPE_CHECKING:
+    from curlfit.throws.events import Event
     from curlfit.throws.throw import Throw
 
 
@@ -75,19 +76,44 @@ def look(files: Sequence[Path], chosen: Mapping[str, Any]) -> Seen:
 
 def _several(throws: Sequence[Throw]) -> Seen:
     """What was read of several throws: a table with a row for each."""
-    rows = []
-    for throw in throws:
-        row = {"throw": throw.name, **throw.labels, "motion": motion_in_words(throw)}
-        for event in throw.events:
-            heading = f">{event.name.replace('_', ' ')} ({event.unit})"
-            row[heading] = f"{event.value:.5g}"
-        rows.append(row)
+    labels = dict.fromkeys(label for throw in throws for label in throw.labels)
+    measurements = dict.fromkeys(
+        _heading(event) for throw in throws for event in throw.events
+    )
+    columns: list[Column[Throw]] = [
+        Column("throw", key="name"),
+        *map(_label_column, labels),
+        Column("motion", motion_in_words),
+        *map(_event_column, measurements),
+    ]
     return Seen(
         f"{len(throws)} throws, which are fitted together",
         oddities=odd_row_findings(throws[0].odd_rows),
         notes=list(dict.fromkeys(note for throw in throws for note in throw.notes)),
-        shown="".join(map(rendered, blocks_of([PlainTable(rows)]))),
+        shown="".join(map(rendered, blocks_of([Table(throws, columns)]))),
     )
+
+
+def _label_column(label: str) -> Column[Throw]:
+    """The column of a label of the throws."""
+    return Column(label, lambda throw: throw.labels.get(label), missing="")
+
+
+def _event_column(heading: str) -> Column[Throw]:
+    """The column of a measurement of the throws."""
+
+    def value(throw: Throw) -> float | None:
+        for event in throw.events:
+            if _heading(event) == heading:
+                return event.value
+        return None
+
+    return Column(heading, value, ".5g", missing="", right=True)
+
+
+def _heading(event: Event) -> str:
+    """The name and unit of a measurement."""
+    return f"{event.name.replace('_', ' ')} ({event.unit})"
 
 
 def _one(

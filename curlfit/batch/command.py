@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from curlfit.batch.settings import BatchSettings
-    from curlfit.batch.table import Table
+    from curlfit.batch.table import GrowingTable
 
 
 @Parameter(name="*")
@@ -76,8 +76,9 @@ def batch(
         Table of results, one row per throw; its settings are written beside it, as
         results.settings.json. [default: results.csv]
     """
-    from curlfit.batch.settings import BatchSettings, columns
-    from curlfit.batch.table import Table, settings_file
+    from curlfit.batch.columns import names_of_columns
+    from curlfit.batch.settings import BatchSettings
+    from curlfit.batch.table import GrowingTable, settings_file
     from curlfit.errors import InputError
     from curlfit.numerics.jax_settings import require_jax
     from curlfit.output.console import terminal
@@ -100,45 +101,57 @@ def batch(
     if running.dask is None:
         require_jax()
     console = terminal(quiet=running.quiet)
-    with Table(
-        out, columns(plan), plan.recorded(), files, again=running.again
-    ) as table:
-        _fill(
-            table, plan, len(files), console, workers=running.workers, dask=running.dask
-        )
-    return _told(table, console)
+    names = names_of_columns(plan)
+    with GrowingTable(out, names, plan.recorded(), files, again=running.again) as table:
+        _fill(table, plan, len(files), console, running)
+    _print_contents(table, console)
+    return Saved(None, status=_exit_status(table))
 
 
-def _told(table: Table, console: Console) -> Saved:
-    """Say what is in a table."""
-    from curlfit.batch.table import ODD
+def _print_contents(table: GrowingTable, console: Console) -> None:
+    """Print how many throws are in a table, and which of them contradict others."""
+    from curlfit.batch.table import Status
+
+    for sentence in table.odd:
+        console.print(f"{sentence}.", style="yellow", markup=False, soft_wrap=True)
+    counts = table.counts
+    usable = f"{counts[Status.OK]} ok"
+    if table.warned:
+        usable += f" ({table.warned} with warnings, in the column of that name)"
+    parts = [
+        usable,
+        f"{counts[Status.NOT_USABLE]} not usable",
+        f"{counts[Status.FAILED]} failed",
+    ]
+    if counts[Status.ODD]:
+        parts.append(f"{counts[Status.ODD]} odd")
+    console.print(
+        f"{', '.join(parts)}. Written: {table.file}, {table.settings}", soft_wrap=True
+    )
+
+
+def _exit_status(table: GrowingTable) -> int:
+    """0 if a throw is usable, 1 if some were read and none is, 2 if none could be read;
+    a message says the latter two."""
+    from curlfit.batch.table import Status
 
     counts = table.counts
-    for row in table.odd:
-        console.print(f"{row}.", style="yellow", markup=False, soft_wrap=True)
-    console.print(
-        f"{counts['ok']} ok"
-        + (
-            f" ({table.warned} with warnings, in the column of that name)"
-            if table.warned
-            else ""
-        )
-        + f", {counts['not usable']} not usable, {counts['failed']} failed"
-        + (f", {counts[ODD]} odd" if counts[ODD] else "")
-        + f". Written: {table.file}, {table.settings}",
-        soft_wrap=True,
-    )
-    read = counts["ok"] + counts["not usable"] + counts[ODD]
-    if not counts["ok"]:
-        fault = "no throw is usable" if read else "no throw could be read"
-        say(f"curlfit: {fault}; the column reason of {table.file} says why", error=True)
-    return Saved(None, status=0 if counts["ok"] else 1 if read else 2)
+    if counts[Status.OK]:
+        return 0
+    was_read = counts[Status.NOT_USABLE] + counts[Status.ODD] > 0
+    fault = "no throw is usable" if was_read else "no throw could be read"
+    say(f"curlfit: {fault}; the column reason of {table.file} says why", error=True)
+    return 1 if was_read else 2
 
 
 def _fill(
-    table: Table, plan: BatchSettings, every: int, console: Console, **crew: Any
+    table: GrowingTable,
+    plan: BatchSettings,
+    file_count: int,
+    console: Console,
+    running: Running,
 ) -> None:
-    """Fit what the table lacks of `every` file, with a line of progress."""
+    """Fit the files that the table lacks, with a line of progress."""
     from concurrent.futures import BrokenExecutor
 
     from rich.progress import BarColumn, MofNCompleteColumn, TimeRemainingColumn
@@ -146,8 +159,9 @@ def _fill(
     from curlfit.batch.executor import executor
     from curlfit.errors import CurlfitError
 
-    if done := every - len(table.todo):
-        console.print(f"{done} of {every} files are in {table.file}.")
+    done = file_count - len(table.todo)
+    if done:
+        console.print(f"{done} of {file_count} files are in {table.file}.")
     bar = (
         "Fitting",
         BarColumn(),
@@ -157,14 +171,17 @@ def _fill(
         COMPILES,
     )
     try:
-        with progress_line(console, *bar) as show, executor(plan, **crew) as fitted:
-            show("", done, every)
-            for rows in fitted(table.todo):
+        with (
+            progress_line(console, *bar) as show,
+            executor(plan, workers=running.workers, dask=running.dask) as fit_in_chunks,
+        ):
+            show("", done, file_count)
+            for rows in fit_in_chunks(table.todo):
                 table.add(rows)
                 done += len({row["file"] for row in rows})
-                show("", done, every)
+                show("", done, file_count)
     except BrokenExecutor:
         raise CurlfitError(
-            f"a process was killed, perhaps for lack of memory; {done} of {every} "
+            f"a process was killed, perhaps for lack of memory; {done} of {file_count} "
             f"files are in {table.file}, and the same command continues"
         ) from None

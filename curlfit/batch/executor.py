@@ -7,6 +7,7 @@ table does not depend on who computed it.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -18,7 +19,8 @@ from curlfit.errors import InputError
 from curlfit.numerics.threads import cores, require_address_space
 
 Rows = list[dict[str, Any]]
-Fitted = Callable[[Sequence[str]], Iterator[Rows]]
+FitInChunks = Callable[[Sequence[str]], Iterator[Rows]]
+"""Fits files, and yields the rows of each chunk of them."""
 
 _MEGABYTE = 1 << 20
 _OF_WORKERS = {
@@ -39,7 +41,7 @@ _SAMPLED = 16  # throws in a chunk if each is sampled, which takes seconds
 @contextmanager
 def executor(
     plan: BatchSettings, *, workers: int | None = None, dask: str | None = None
-) -> Iterator[Fitted]:
+) -> Iterator[FitInChunks]:
     """A function that fits files and yields rows in their order, chunk by chunk.
 
     Parameters
@@ -53,8 +55,8 @@ def executor(
     BrokenExecutor : a process was killed.
     """
     if dask is not None:
-        with _dask_crew(plan, dask) as fitted:
-            yield fitted
+        with _dask_executor(plan, dask) as fit_in_chunks:
+            yield fit_in_chunks
         return
     require_address_space()
     count = workers or cores()
@@ -76,7 +78,8 @@ def executor(
 
 
 @contextmanager
-def _dask_crew(plan: BatchSettings, address: str) -> Iterator[Fitted]:
+def _dask_executor(plan: BatchSettings, address: str) -> Iterator[FitInChunks]:
+    """A function that fits files by the workers of a scheduler."""
     try:
         from distributed import Client
     except ImportError:
@@ -88,10 +91,10 @@ def _dask_crew(plan: BatchSettings, address: str) -> Iterator[Fitted]:
             f"--dask {address}: no scheduler answers there ({error})"
         ) from None
     try:
-        count = max(len(client.scheduler_info()["workers"]), 1)
+        workers = max(len(client.scheduler_info()["workers"]), 1)
         # If a worker dies, the scheduler gives its chunk to another one.
         submit = partial(client.submit, partial(_fit, plan=plan), pure=False, retries=5)
-        yield lambda files: _in_order(submit, _chunks(files, plan, count))
+        yield lambda files: _in_order(submit, _chunks(files, plan, workers))
     finally:
         client.close()
 
@@ -107,14 +110,15 @@ def _chunks(
 ) -> Iterator[Sequence[str]]:
     """The files in chunks, equally many for each worker."""
     most = _SAMPLED if plan.posterior else CHUNK
-    count = -(-len(files) // (most * workers)) * workers
-    size = max(-(-len(files) // max(count, 1)), min(most, _FEWEST))
-    return (files[at : at + size] for at in range(0, len(files), size))
+    rounds = math.ceil(len(files) / (most * workers))
+    size = math.ceil(len(files) / max(rounds * workers, 1))
+    size = max(size, min(most, _FEWEST))
+    return (files[first : first + size] for first in range(0, len(files), size))
 
 
 def _in_order(
     submit: Callable[[Sequence[str]], Any], chunks: Iterator[Sequence[str]]
 ) -> Iterator[Rows]:
     """Results in the order of the chunks, all of which are submitted at once."""
-    waiting = [submit(chunk) for chunk in chunks]
-    return (done.result() for done in waiting)
+    futures = [submit(chunk) for chunk in chunks]
+    return (future.result() for future in futures)

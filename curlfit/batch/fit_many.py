@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from os import PathLike
 from typing import Any
 
-from curlfit.batch.settings import (
-    DURATION,
-    INFORMATION,
-    LABELS,
-    LEFT_OPEN,
-    QUANTILES,
-    BatchSettings,
-    columns,
-)
-from curlfit.batch.table import ODD
+from curlfit.batch.columns import BatchRow, columns
+from curlfit.batch.settings import BatchSettings
+from curlfit.batch.table import Status
 from curlfit.errors import CurlfitError, UnusableFitError
 from curlfit.findings import Finding
 from curlfit.inference.fit.coefficient_rows import left_open, rows_told
@@ -30,7 +24,7 @@ from curlfit.throws.throw import Throw
 def fit_files(
     files: Sequence[str | PathLike[str]], plan: BatchSettings
 ) -> list[dict[str, Any]]:
-    """One row for each throw in the files, in their order, with the keys of `columns`.
+    """One row for each throw in the files, in their order, by the names of the columns.
 
     The status is "ok", "odd" (a row of a stopwatch table that contradicts the others
     and is left out), "not usable" (the data were read but gave no usable fit) or
@@ -41,7 +35,8 @@ def fit_files(
     ------
     InputError : the settings themselves are impossible.
     """
-    rows, names, parts = [], columns(plan), _read(files, plan)
+    columns_of_table = columns(plan)
+    parts = _read(files, plan)
     throws = [
         part.throw
         for _, part in parts
@@ -50,23 +45,17 @@ def fit_files(
     choices = {name: getattr(plan, name) for name in Fitting.forms()}
     choices["systematics"] = plan.systematics or None
     fits = iter(fit_throws(throws, curves=bool(plan.systematics), **choices))
-    sums = tuple(plan.sums())
+    rows = []
     for file, part in parts:
-        row: dict[str, Any] = dict.fromkeys(names)
-        row |= {"file": file, "shot": part.shot, "stone_index": part.stone_index}
+        row = BatchRow(file, part.shot, part.stone_index, status=Status.FAILED)
         if part.odd_row is not None:
-            (odd,) = odd_row_findings([part.odd_row])
-            row["status"] = ODD
-            row["reason"] = str(odd)
-            rows.append(row)
-            continue
-        result = next(fits) if isinstance(part.throw, Throw) else part.throw
-        if isinstance(result, CurlfitError):
-            row["status"] = "not usable" if isinstance(part.throw, Throw) else "failed"
-            row["reason"] = str(result).removeprefix(f"{file}: ")
+            finding = odd_row_findings([part.odd_row])[0]
+            row = replace(row, status=Status.ODD, reason=str(finding))
+        elif isinstance(part.throw, CurlfitError):
+            row = replace(row, reason=_without_file(part.throw, file))
         else:
-            row |= _row(result, plan, sums)
-        rows.append(row)
+            row = _with_fit(row, next(fits), plan)
+        rows.append({column.name: column.get(row) for column in columns_of_table})
     return rows
 
 
@@ -74,66 +63,51 @@ def _read(
     files: Sequence[str | PathLike[str]], plan: BatchSettings
 ) -> list[tuple[str, Part]]:
     """Every throw in the files, with the name of its file."""
-    found = []
+    parts_by_file = []
     for file in map(str, files):
         try:
             parts = parts_of(file, plan)
         except CurlfitError as error:
             parts = [Part(None, None, error)]
-        found += [
-            (file, part._replace(throw=part.alone or part.throw)) for part in parts
-        ]
-    return found
+        for part in parts:
+            parts_by_file.append((file, part._replace(throw=part.alone or part.throw)))
+    return parts_by_file
 
 
-def _row(result: FitResult, plan: BatchSettings, sums: Sequence[str]) -> dict[str, Any]:
-    labels = result.data.labels.items()
-    row: dict[str, Any] = {
-        "status": "ok" if result.converged else "not usable",
-        "reason": None if result.converged else result.status,
-        "n_observations": result.n_observations,
-        "combinations": "; ".join(
-            f"{item.expression} = {item.value!r}"
-            + ("" if item.stderr is None else f" +- {item.stderr!r}")
-            for item in result.combinations
-        ),
-        DURATION: result.data.end - result.data.begin,
-        LABELS: "; ".join(
-            f"{name} = {label.replace(';', ',')}" for name, label in labels
-        ),
-        **{f"rms_{name}": result.rms.get(name) for name in ("x", "y", "phi")},
-        **{f"{name}_verdict": item.verdict for name, item in result.parameters.items()},
-    }
+def _without_file(error: CurlfitError, file: str) -> str:
+    """What an error says; the file is in a column of its own."""
+    return str(error).removeprefix(f"{file}: ")
 
-    def column(name: str, what: str) -> str:
-        return f"{name}{'_' if name in result.parameters else ' '}{what}"
 
-    known: dict[str, Any] = dict(result.parameters)
-    known |= {
-        item.expression: item for item in result.combinations if item.expression in sums
-    }
-    if result.converged:
-        numbers = rows_told(result).ravel()
-        told = ", ".join(f"{number:.17g}" for number in numbers)
-        row[INFORMATION] = f"[{told}]"
-        row[LEFT_OPEN] = "; ".join(left_open(result))
-        known |= {
-            item.expression: item for item in result.with_derived(plan.derive).derived
-        }
-    for name, item in known.items():
-        row |= {name: item.value, column(name, "stderr"): item.stderr}
-    if plan.systematics:
-        for name, error in result.systematics.errors.items():
-            row[column(name, "systematic")] = error
-    warnings = list(result.warnings)
-    if plan.posterior and result.converged:
-        quantiles_by_name, warnings_of_posterior = _sampled(result, plan.seed)
+def _with_fit(
+    row: BatchRow, fit: FitResult | CurlfitError, plan: BatchSettings
+) -> BatchRow:
+    """The row of a throw that was read, with its fit or the error that it gave."""
+    if isinstance(fit, CurlfitError):
+        reason = _without_file(fit, row.file)
+        return replace(row, status=Status.NOT_USABLE, reason=reason)
+    if not fit.converged:
+        return replace(
+            row,
+            status=Status.NOT_USABLE,
+            reason=fit.status,
+            fit=fit,
+            warnings=fit.warnings,
+        )
+    quantiles: Mapping[str, Mapping[str, float]] = {}
+    warnings = list(fit.warnings)
+    if plan.posterior:
+        quantiles, warnings_of_posterior = _sampled(fit, plan.seed)
         warnings += warnings_of_posterior
-        for name, quantiles in quantiles_by_name.items():
-            if name in known:
-                row |= {column(name, q): quantiles[q] for q in QUANTILES}
-    row["warnings"] = "; ".join(map(str, warnings))
-    return row
+    derived = fit.with_derived(plan.derive).derived
+    return replace(
+        row,
+        status=Status.OK,
+        fit=fit,
+        derived={quantity.expression: quantity for quantity in derived},
+        quantiles=quantiles,
+        warnings=warnings,
+    )
 
 
 def _sampled(
@@ -143,10 +117,10 @@ def _sampled(
     from curlfit.inference.mcmc.sampler import sample
 
     try:
-        sampled, _ = sample(result, seed=seed)
+        fit_with_posterior, _ = sample(result, seed=seed)
     except UnusableFitError as error:
         return {}, [Finding.warning("no-posterior", fault=str(error))]
-    posterior = sampled.posterior
+    posterior = fit_with_posterior.posterior
     assert posterior is not None
     if not posterior.converged:
         return {}, [Finding.warning("no-quantiles", status=posterior.status)]

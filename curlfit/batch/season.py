@@ -5,18 +5,24 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from curlfit.batch.settings import (
+from curlfit.batch.columns import (
     DURATION,
+    FILE,
     INFORMATION,
     LABELS,
     LEFT_OPEN,
-    BatchSettings,
-    columns,
+    RMS_PHI,
+    RMS_X,
+    RMS_Y,
+    STATUS,
+    names_of_columns,
 )
-from curlfit.batch.table import plan_of, settings_file
+from curlfit.batch.settings import BatchSettings
+from curlfit.batch.table import Status, plan_of, settings_file
 from curlfit.errors import DataError
 from curlfit.findings import Finding
 from curlfit.foreign import counted
@@ -86,51 +92,49 @@ def _read(file: Path, law: str | type[Law] | None = None) -> Season:
         is no number.
     """
     plan = plan_of(settings_file(file), _AGAIN)
-    kind = find_law(law) if law else find_law(str(plan.get("law")), from_files=False)
-    chosen = BatchSettings.of(plan, law=kind)
-    if chosen.priors:
+    law_of_table = find_law(law) if law else _law_of(plan)
+    settings = BatchSettings.of(plan, law=law_of_table)
+    if settings.priors:
         raise DataError(
             "priors of the batch would count once for each throw", file=file
         )
-    names = [item.name for item in kind.coefficients()]
-    names_of_numbers = [*names, *(item.name for item in START), DURATION]
-    table = Table.find(TextFile.read(file), _is_header)
-    needed = (*names_of_numbers, "status", INFORMATION, LABELS)
-    place_of = table.sole(table.headings)
-    for name in needed:
-        if name not in place_of:
-            raise table.error(f"no column {name}; {_AGAIN}")
-    with_left_open = LEFT_OPEN in place_of
-    written = set(columns(chosen))
-    added = [name for name in place_of if name not in written]
-    rows = [dict(zip(table.headings, row, strict=True)) for row in table.cells]
-    usable = [number for number, row in enumerate(rows) if row["status"] == "ok"]
-    doubtful = sum(
-        not with_left_open and not _is_quadratic(rows[number]) for number in usable
-    )
-    if doubtful:
-        raise DataError(
-            f"{counted(doubtful, 'throw')} without an angle, which an earlier version "
-            f"of curlfit took for quadratics in the coefficients; {_AGAIN}",
-            file=file,
-        )
-    places = [place_of[name] for name in names_of_numbers]
-    numbers = np.column_stack(table.numbers(places))[usable]
-    _require_finite(table, numbers, usable)
-    information = [
-        _information(table, number, rows[number][INFORMATION], len(names))
-        for number in usable
+    coefficients = [coefficient.name for coefficient in law_of_table.coefficients()]
+    names_of_numbers = [
+        *coefficients,
+        *(parameter.name for parameter in START),
+        DURATION.name,
     ]
-    stacked = np.array(information).reshape(-1, 2, len(names), len(names) + 1)
-    values, start, durations = np.split(numbers, [len(names), -1], 1)
-    not_ok = len(rows) - len(usable)
+    table = Table.find(TextFile.read(file), _is_header)
+    index_by_name = table.sole(table.headings)
+    for name in (*names_of_numbers, STATUS.name, INFORMATION.name, LABELS.name):
+        if name not in index_by_name:
+            raise table.error(f"no column {name}; {_AGAIN}")
+    written = set(names_of_columns(settings))
+    added = [name for name in index_by_name if name not in written]
+    rows = [dict(zip(table.headings, cells, strict=True)) for cells in table.cells]
+    usable = [
+        number for number, row in enumerate(rows) if row[STATUS.name] == Status.OK
+    ]
+    if LEFT_OPEN.name not in index_by_name:
+        _require_quadratic([rows[number] for number in usable], file)
+    indices = [index_by_name[name] for name in names_of_numbers]
+    numbers = np.column_stack(table.numbers(indices))[usable]
+    _require_finite(table, numbers, usable)
+    information = np.array(
+        [
+            _information(table, number, rows[number][INFORMATION.name], coefficients)
+            for number in usable
+        ]
+    ).reshape(-1, 2, len(coefficients), len(coefficients) + 1)
+    values, start, durations = np.split(numbers, [len(coefficients), -1], 1)
     notes = [*table.findings]
+    not_ok = len(rows) - len(usable)
     if not_ok:
         notes.append(Finding.note("rows-not-ok", count=not_ok))
     return Season(
         file=str(file),
-        model=Model(kind, chosen.load),
-        stone=Stone().with_values(dict(chosen.stone)),
+        model=Model(law_of_table, settings.load),
+        stone=Stone().with_values(dict(settings.stone)),
         labels=[
             (f"{file} row {number + 1}", _labels(rows[number], added))
             for number in usable
@@ -138,20 +142,34 @@ def _read(file: Path, law: str | type[Law] | None = None) -> Season:
         values=values,
         start=start,
         durations=durations[:, 0],
-        told=stacked[:, 0],
+        told=information[:, 0],
         notes=tuple(notes),
-        conditions=tuple({*chosen.parameter_set().conditions} - {"sweep"}),
-        stretched=stacked[:, 1],
-        left_open=tuple(
-            tuple(filter(None, rows[number].get(LEFT_OPEN, "").split("; ")))
-            for number in usable
-        ),
+        conditions=tuple({*settings.parameter_set().conditions} - {"sweep"}),
+        stretched=information[:, 1],
+        left_open=tuple(_left_open(rows[number]) for number in usable),
     )
+
+
+def _law_of(plan: Mapping[str, Any]) -> type[Law]:
+    """The law that the settings of a table name, which is none of a file."""
+    return find_law(str(plan.get("law")), from_files=False)
 
 
 def _is_header(table: Table) -> bool:
     """Whether headings are those of a table of `curlfit batch`."""
-    return {"file", "status"} <= set(table.headings)
+    return {FILE.name, STATUS.name} <= set(table.headings)
+
+
+def _require_quadratic(rows: Sequence[Mapping[str, str]], file: Path) -> None:
+    """Raise `DataError` for throws of an earlier version that it took wrongly for
+    quadratics in the coefficients."""
+    doubtful = sum(not _is_quadratic(row) for row in rows)
+    if doubtful:
+        raise DataError(
+            f"{counted(doubtful, 'throw')} without an angle, which an earlier version "
+            f"of curlfit took for quadratics in the coefficients; {_AGAIN}",
+            file=file,
+        )
 
 
 def _require_finite(table: Table, numbers: Floats, usable: Sequence[int]) -> None:
@@ -163,7 +181,7 @@ def _require_finite(table: Table, numbers: Floats, usable: Sequence[int]) -> Non
 
 
 def _information(
-    table: Table, number: int, cell: str, coefficients: int
+    table: Table, number: int, cell: str, coefficients: Sequence[str]
 ) -> list[float]:
     """The rows of information of a throw, and those along a ridge, which are zeros
     where it has none.
@@ -172,31 +190,41 @@ def _information(
     ------
     DataError : not as many finite numbers.
     """
-    size = coefficients * (coefficients + 1)
+    size = len(coefficients) * (len(coefficients) + 1)
     try:
-        told = [float(text) for text in cell.strip("[]").split(",")]
+        numbers = [float(text) for text in cell.strip("[]").split(",")]
     except ValueError:
-        told = []
-    if len(told) not in (size, 2 * size) or not np.isfinite(told).all():
+        numbers = []
+    if len(numbers) not in (size, 2 * size) or not np.isfinite(numbers).all():
         raise table.not_a(
             f"list of {size} finite numbers or twice as many",
             number,
-            table.headings.index(INFORMATION),
+            table.headings.index(INFORMATION.name),
         )
-    return told + [0.0] * (2 * size - len(told))
+    return numbers + [0.0] * (2 * size - len(numbers))
 
 
 def _is_quadratic(row: Mapping[str, str]) -> bool:
     """Whether a throw of an earlier version, which took all for quadratics, is one
     as a rule: the angle was measured, or the path of a stone whose spin was given."""
-    has_path = bool(row["rms_x"] or row["rms_y"])
-    return bool(row["rms_phi"]) or (has_path and row["omega0_verdict"] == Verdict.FIXED)
+    has_path = bool(row[RMS_X.name] or row[RMS_Y.name])
+    given_spin = row["omega0_verdict"] == Verdict.FIXED
+    return bool(row[RMS_PHI.name]) or (has_path and given_spin)
 
 
 def _labels(row: Mapping[str, str], added: Sequence[str]) -> dict[str, str]:
-    """The labels of a row, and the cells of the columns that were added
-    to the table."""
-    pairs = (pair.partition(" = ") for pair in row[LABELS].split("; ") if pair)
-    return {name: label for name, _, label in pairs} | {
-        name: row[name] for name in added if row[name]
-    }
+    """The labels of a row, and its cells in the columns that were added to the
+    table."""
+    labels = {}
+    for pair in filter(None, row[LABELS.name].split("; ")):
+        name, _, label = pair.partition(" = ")
+        labels[name] = label
+    for name in added:
+        if row[name]:
+            labels[name] = row[name]
+    return labels
+
+
+def _left_open(row: Mapping[str, str]) -> tuple[str, ...]:
+    """The coefficients that a throw leaves open; none in tables of earlier versions."""
+    return tuple(filter(None, row.get(LEFT_OPEN.name, "").split("; ")))

@@ -1,4 +1,4 @@
-"""What is done with each throw of a batch, and the columns of its table."""
+"""What is done with each throw of a batch."""
 
 from __future__ import annotations
 
@@ -15,14 +15,6 @@ from curlfit.throws.throw import check_sigma
 
 CHUNK = 128
 """Number of throws that are read and fitted together."""
-INFORMATION, LABELS, DURATION = "information", "labels", "duration"
-"""Columns from which a second fit takes what a throw says of its coefficients, its
-groups, and how long it was seen, in s."""
-LEFT_OPEN = "left_open"
-"""Column of the coefficients that values along a ridge leave open (`FitResult.ridge`);
-tables of earlier versions lack it."""
-QUANTILES = ("16", "50", "84")
-"""Quantiles of the posterior, in percent."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,8 +58,8 @@ class BatchSettings(Fitting, Reading):
         return checked_parameters(self, others_swept=self.any_swept)
 
     def sums(self) -> dict[str, tuple[str, ...]]:
-        """Free coefficients of which only the sum enters the motion, by the
-        sum as written."""
+        """Free coefficients of which only the sum enters the motion, by the sum as it
+        is written."""
         law = self.checked()
         if self.load != Load.UNIFORM and not issubclass(law, NetLaw):
             return {}
@@ -76,30 +68,3 @@ class BatchSettings(Fitting, Reading):
             for names in law.sums
             if not set(names) & set(self.fix)
         }
-
-
-def columns(plan: BatchSettings) -> list[str]:
-    """Columns of the table of results; those of text, which may contain
-    commas, come last."""
-    plan.checked()
-    found = [
-        "file",
-        "shot",
-        "stone_index",
-        "status",
-        "n_observations",
-        "rms_x",
-        "rms_y",
-        "rms_phi",
-    ]
-    more = [*QUANTILES] if plan.posterior else []
-    if plan.systematics:
-        more.append("systematic")
-    for name in plan.parameter_set().names:
-        found += [name, *(f"{name}_{what}" for what in ("stderr", "verdict", *more))]
-    for name in plan.sums():
-        found += [name, *(f"{name} {what}" for what in ("stderr", *more))]
-    for text in plan.derive:
-        found += [text, f"{text} stderr"]
-    texts = LEFT_OPEN, LABELS, "combinations", "warnings", "reason"
-    return [*found, DURATION, INFORMATION, *texts]

@@ -13,6 +13,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
+from enum import StrEnum
 from pathlib import Path
 from typing import Any, Self
 
@@ -23,13 +24,23 @@ from curlfit.records import plain, read_json, write_json
 from curlfit.throws.readers.text import decoded
 from curlfit.version import __version__
 
-ODD = "odd"
-"""Status of a row of a stopwatch table that contradicts the others and is left out."""
 _MAKER = "curlfit batch"
 _HEAD = re.compile(r'"?file"?[,;\t].*\bstone_index"?[,;\t].*\bstatus"?[,;\t]')
 """The first line, also of a table that a spreadsheet saved again."""
 _LONG = 4096
 _OTHERWISE = "name another table with --out, or write over it with --again"
+
+
+class Status(StrEnum):
+    """What became of a throw of a batch."""
+
+    OK = "ok"
+    ODD = "odd"
+    """a row of a stopwatch table that contradicts the others and is left out"""
+    NOT_USABLE = "not usable"
+    """read, without a fit that can be used"""
+    FAILED = "failed"
+    """not read"""
 
 
 def settings_file(table: Path) -> Path:
@@ -57,29 +68,31 @@ def plan_of(settings: Path, otherwise: str) -> dict[str, Any]:
     DataError : they are not those of a table.
     """
     what = f"the settings of a table of `{_MAKER}`; {otherwise}"
-    found = read_json(settings, what)
-    plan = found.get("plan")
-    if not str(found.get("made_by")).startswith(_MAKER) or not isinstance(plan, dict):
+    content = read_json(settings, what)
+    plan = content.get("plan")
+    if not str(content.get("made_by")).startswith(_MAKER) or not isinstance(plan, dict):
         raise DataError(f"not {what}", file=settings)
     return plan
 
 
-class Table:
+class GrowingTable:
     """A CSV file with one row for each throw, opened for appending.
 
     Parameters
     ----------
-    file : the table. columns : its columns, including `file`, `shot`, `stone_index`
-        and `status`.
-    plan : settings of the rows. files : data files whose throws the table
-        is to contain.
+    file : the table.
+    columns : names of its columns, `file`, `shot`, `stone_index` and `status` among
+        them.
+    plan : settings of the rows.
+    files : data files whose throws the table is to contain.
     again : start again.
 
     Attributes
     ----------
-    todo : the files whose rows are not complete. counts : number of rows by status.
-    warned : number of usable rows with warnings. odd : what contradicts the other rows
-        of stopwatch tables, in words.
+    todo : the files whose rows are not complete.
+    counts : number of rows by status.
+    warned : number of usable rows with warnings.
+    odd : what contradicts the other rows of stopwatch tables, in words.
 
     Raises
     ------
@@ -96,91 +109,110 @@ class Table:
         *,
         again: bool = False,
     ) -> None:
-        self.file, self.columns = file, list(columns)
+        self.file = file
+        self.columns = list(columns)
         self.counts: Counter[str] = Counter()
         self.warned = 0
         self.odd: list[str] = []
         self.settings = settings_file(file)
-        head, settings = csv_lines([self.columns]), plain(dict(plan))
-        size, done = 0, set[str]()
         try:
-            before = (
-                plan_of(self.settings, _OTHERWISE) if self.settings.exists() else None
-            )
-            file.parent.mkdir(parents=True, exist_ok=True)
             with ExitStack() as opened:
-                self.stream = opened.enter_context(file.open("ab"))
-                if not locked(self.stream.fileno()):
-                    raise InputError(
-                        f"{file}: another `{_MAKER}` is writing this table; name "
-                        "another with --out, or wait for its end"
-                    )
-                whole = file.read_bytes().decode(errors="surrogateescape")
-                # killed while the header was written
-                if not (again or head.startswith(whole)):
-                    self._require_own(whole, head, before, settings)
-                    size, done = self._read(whole, files)
-                self.stream.truncate(size)
-                if not size:
-                    # The table is empty now: a kill cannot leave rows beside
-                    # other settings.
-                    made_by = f"{_MAKER} {__version__}"
-                    write_json({"made_by": made_by, "plan": settings}, self.settings)
-                    self.stream.write(head.encode())
-                    self._settle()
+                done = self._open(plain(dict(plan)), files, opened, again=again)
                 opened.pop_all()
         except OSError as error:
             raise InputError(f"{file}: {error.strerror or error}") from None
         self.todo = [name for name in files if csv_cell(name) not in done]
 
+    def _open(
+        self,
+        settings: dict[str, Any],
+        files: Sequence[str],
+        opened: ExitStack,
+        *,
+        again: bool,
+    ) -> set[str]:
+        """Open the file, read its complete rows and cut off what follows, or begin it
+        anew; returns the files that are done."""
+        before = None
+        if self.settings.exists():
+            before = plan_of(self.settings, _OTHERWISE)
+        self.file.parent.mkdir(parents=True, exist_ok=True)
+        self.stream = opened.enter_context(self.file.open("ab"))
+        if not locked(self.stream.fileno()):
+            raise InputError(
+                f"{self.file}: another `{_MAKER}` is writing this table; name "
+                "another with --out, or wait for its end"
+            )
+        head = csv_lines([self.columns])
+        text = self.file.read_bytes().decode(errors="surrogateescape")
+        # a kill while the header was written leaves a part of it
+        if not again and not head.startswith(text):
+            self._require_own(text, head, before, settings)
+            size, done = self._read(text, files)
+            self.stream.truncate(size)
+            if size:
+                return done
+        self.stream.truncate(0)
+        # The table is empty now: a kill cannot leave rows beside other settings.
+        made_by = f"{_MAKER} {__version__}"
+        write_json({"made_by": made_by, "plan": settings}, self.settings)
+        self.stream.write(head.encode())
+        self._settle()
+        return set()
+
     def _require_own(
         self,
-        whole: str,
+        text: str,
         head: str,
         before: dict[str, Any] | None,
         settings: dict[str, Any],
     ) -> None:
         """Raise `InputError` for a file that is no table with these settings."""
-        fault, recorded = "", before or {}
-        other = next(
-            (key for key in settings if recorded.get(key) != settings[key]), None
-        )
-        if not whole.startswith("file,"):
+        fault = ""
+        recorded = before or {}
+        changed = [key for key in settings if recorded.get(key) != settings[key]]
+        if not text.startswith("file,"):
             fault = f", line 1: not a table of `{_MAKER}`"
         elif before is None:
             fault = (
                 ": the settings of its rows are unknown, because "
                 f"{self.settings} is missing"
             )
-        elif other is not None:
-            here, now = _shown(recorded.get(other)), _shown(settings[other])
-            fault = f": made with other settings ({other} = {here}, not {now})"
-        elif not whole.startswith(head):
+        elif changed:
+            key = changed[0]
+            old = _setting_in_words(recorded.get(key))
+            new = _setting_in_words(settings[key])
+            fault = f": made with other settings ({key} = {old}, not {new})"
+        elif not text.startswith(head):
             fault = ", line 1: other columns than this version of curlfit writes"
         if fault:
             raise InputError(f"{self.file}{fault}; {_OTHERWISE}")
 
-    def _read(self, whole: str, files: Sequence[str]) -> tuple[int, set[str]]:
+    def _read(self, text: str, files: Sequence[str]) -> tuple[int, set[str]]:
         """Count complete rows; returns the length of the table up to the last of them,
         in bytes, and the files that are done."""
-        lines = whole.split("\n")[:-1]  # what follows was cut off by a kill
-        done = []
-        for number, row in enumerate(csv.reader(lines[1:]), start=2):
-            if len(row) != len(self.columns):
+        lines = text.split("\n")[:-1]  # what follows was cut off by a kill
+        rows = []
+        for number, cells in enumerate(csv.reader(lines[1:]), start=2):
+            if len(cells) != len(self.columns):
                 fault = f"expected {len(self.columns)} columns"
                 raise DataError(fault, file=self.file, line=number)
-            done.append(dict(zip(self.columns, row, strict=True)))
-        # If the last rows are of a file with several throws, others of this file
-        # may be missing.
-        last = done[-1] if done else {"file": "", "shot": "", "stone_index": ""}
-        if (last["shot"] or last["stone_index"]) and last["file"] in map(
-            csv_cell, files
-        ):
-            while done and done[-1]["file"] == last["file"]:
-                done.pop()
-        self._count(done)
-        kept = "".join(f"{line}\n" for line in lines[: len(done) + 1])
-        return len(kept.encode(errors="surrogateescape")), {row["file"] for row in done}
+            rows.append(dict(zip(self.columns, cells, strict=True)))
+        if rows and self._may_lack_rows(rows[-1], files):
+            unfinished = rows[-1]["file"]
+            while rows and rows[-1]["file"] == unfinished:
+                rows.pop()
+        self._count(rows)
+        kept = "".join(f"{line}\n" for line in lines[: len(rows) + 1])
+        size = len(kept.encode(errors="surrogateescape"))
+        return size, {row["file"] for row in rows}
+
+    @staticmethod
+    def _may_lack_rows(last: Mapping[str, str], files: Sequence[str]) -> bool:
+        """Whether the last row is of a file with several throws, of which others may be
+        missing."""
+        is_one_of_several = bool(last["shot"] or last["stone_index"])
+        return is_one_of_several and last["file"] in map(csv_cell, files)
 
     def add(self, rows: Sequence[Mapping[str, Any]]) -> None:
         """Write rows in one piece and flush them to the disk. Raises `InputError` where
@@ -196,12 +228,15 @@ class Table:
 
     def _count(self, rows: Iterable[Mapping[str, Any]]) -> None:
         for row in rows:
-            self.counts[row["status"]] += 1
-            self.warned += row["status"] == "ok" and bool(row["warnings"])
-            if row["status"] == ODD:
+            status = row["status"]
+            self.counts[status] += 1
+            if status == Status.OK and row["warnings"]:
+                self.warned += 1
+            if status == Status.ODD:
                 self.odd.append(f"{row['file']}: {row['reason']}")
 
     def _settle(self) -> None:
+        """Write to the disk what is in memory."""
         self.stream.flush()
         os.fsync(self.stream.fileno())
 
@@ -212,5 +247,5 @@ class Table:
         self.stream.close()
 
 
-def _shown(value: Any) -> str:
+def _setting_in_words(value: Any) -> str:
     return "none" if value in (None, {}) else json.dumps(value)

@@ -106,18 +106,19 @@ def export(
 
 def _files(form: Form, result: Any, kind: str, folder: Path) -> dict[str, bytes]:
     """Contents of the files of a form, games apart, by file name."""
-    from curlfit.export import tables
+    from curlfit.comparison.tables import candidates_csv, candidates_table
+    from curlfit.export.tables import estimates_table, parameters_csv, path_csv
 
     if form is Form.csv and kind == "compare":
-        return {"candidates.csv": tables.candidates_csv(result).encode()}
+        return {"candidates.csv": candidates_csv(result).encode()}
     if form is Form.csv:
-        files = {"parameters.csv": tables.parameters_csv(result).encode()}
+        files = {"parameters.csv": parameters_csv(result).encode()}
         fits = result.throws if kind == "joint" else (result,)
         if fits:
-            files["path.csv"] = tables.path_csv(fits).encode()
+            files["path.csv"] = path_csv(fits).encode()
         return files
     if form is Form.latex:
-        table = tables.candidates_table if kind == "compare" else tables.estimates_table
+        table = candidates_table if kind == "compare" else estimates_table
         return {"table.tex": table(result).encode()}
     if form is Form.json:
         text = json.dumps(result.summary(), indent=1) + "\n"

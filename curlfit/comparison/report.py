@@ -5,28 +5,41 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from rich.console import Console
 from rich.text import Text
 
+from curlfit.comparison.candidate_columns import (
+    CURL,
+    DELTA_AICC,
+    DELTA_BIC,
+    DELTA_ELPD,
+    DELTA_EVIDENCE,
+    FOLLOWS,
+    LAW,
+    LOAD,
+    NOISE,
+    PARAMETERS,
+    RANK,
+    SIDES,
+    SIZE_PHI,
+    SIZE_X,
+    SIZE_Y,
+    share,
+)
 from curlfit.comparison.report_of_sets import document_of_sets
 from curlfit.comparison.result import COMPONENTS, Candidate, Comparison
-from curlfit.comparison.tables import (
-    coefficients_table,
-    difference,
-    ranked_row,
-    summary,
-)
+from curlfit.comparison.tables import coefficients_table, summary
 from curlfit.errors import Option
 from curlfit.findings import Finding, Remedy
 from curlfit.foreign import counted
 from curlfit.losses import LOSSES
 from curlfit.noises import WHITE
-from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Said, Section, command_line, show
-from curlfit.output.text import stone_text
+from curlfit.output.table import Column, Table
+from curlfit.output.text import rows_text, stone_text
 from curlfit.wording import compact, join_words
 
 _PROBABLE = 0.01  # weight of a law that is named
@@ -52,7 +65,7 @@ def document(comparison: Comparison) -> Document:
     if comparison.sets:
         return document_of_sets(comparison)
     data = comparison.data
-    first, *others = conclusions(comparison)
+    first_conclusion, *others = conclusions(comparison)
     count = len(comparison.candidates)
     loss = LOSSES[comparison.loss].suffix
     noise = ""
@@ -64,7 +77,7 @@ def document(comparison: Comparison) -> Document:
     curl = f"curls {bend}: {comparison.curl:.3g} m (rms) off a straight line"
     fits = f"{counted(count, 'fit')} to {data['file']}{loss}{noise}"
     return Document(
-        **summary(comparison, first, " and {} more"),
+        **summary(comparison, first_conclusion, " and {} more"),
         subject=f"{fits}; the path {curl}",
         headline=Text(fits, style="bold"),
         about=(
@@ -79,7 +92,7 @@ def document(comparison: Comparison) -> Document:
                 (coefficients_table(comparison),),
                 brief=False,
             ),
-            Section("conclusions", "What follows", (Said(first), *others)),
+            Section("conclusions", "What follows", (Said(first_conclusion), *others)),
             Section(
                 "lacking", "What the first law lacks", _lacking(comparison), brief=False
             ),
@@ -96,6 +109,50 @@ def document(comparison: Comparison) -> Document:
     )
 
 
+class _Lack(NamedTuple):
+    """Where most of an acceleration is lacking.
+
+    Attributes
+    ----------
+    component, unit : of the acceleration.
+    lacks, stderr : what the path has beyond the law there, and its standard error.
+    significance : of the first over the second.
+    speed, omega : of the stone, m/s and rad/s.
+    of_law : the law's acceleration by friction along the path there or, of the spin,
+        by what slows it.
+    """
+
+    component: str
+    unit: str
+    lacks: float
+    stderr: float
+    significance: float
+    speed: float
+    omega: float
+    of_law: float
+
+
+_LACK_COLUMNS: tuple[Column[_Lack], ...] = (
+    Column("lacking", key="component"),
+    Column(
+        "most",
+        words=lambda lack: f"{compact(lack.lacks, lack.stderr)} {lack.unit}",
+        right=True,
+        key="lacks",
+    ),
+    Column("std. errors", lambda lack: abs(lack.significance), ".1f", right=True),
+    Column("at v", format=lambda speed: f"{speed:.2f} m/s", right=True, key="speed"),
+    Column("spin", format=lambda omega: f"{omega:.2f} rad/s", right=True, key="omega"),
+    Column(
+        "of the law's",
+        lambda lack: abs(lack.lacks) / lack.of_law if lack.of_law else None,
+        lambda part: f"{100 * part:.2g} %",
+        missing="",
+        right=True,
+    ),
+)
+
+
 def _lacking(comparison: Comparison) -> tuple[Any, ...]:
     """Where the path has most beyond the first law, and which other law
     would add it."""
@@ -105,23 +162,23 @@ def _lacking(comparison: Comparison) -> tuple[Any, ...]:
     by_error = lacking.significance()
     friction = np.abs(lacking.of_law[1])
     rows = []
-    for row, (name, unit) in enumerate(COMPONENTS.items()):
+    for row, (component, unit) in enumerate(COMPONENTS.items()):
         at = int(np.argmax(np.abs(by_error[row])))
-        lacks = lacking.lacks[row, at]
-        error = lacking.stderr[row, at]
-        # beside the friction along the path; in the spin beside what slows that
-        of_law = friction[at] if row < 2 else abs(lacking.of_law[row, at])
         rows.append(
-            {
-                "lacking": name,
-                ">most": f"{compact(lacks, error)} {unit}",
-                ">std. errors": f"{abs(by_error[row, at]):.1f}",
-                ">at v": f"{lacking.speed[at]:.2f} m/s",
-                ">spin": f"{lacking.omega[at]:.2f} rad/s",
-                ">of the law's": f"{100 * abs(lacks) / of_law:.2g} %" if of_law else "",
-            }
+            _Lack(
+                component,
+                unit,
+                lacking.lacks[row, at],
+                lacking.stderr[row, at],
+                by_error[row, at],
+                lacking.speed[at],
+                lacking.omega[at],
+                friction[at] if row < 2 else abs(lacking.of_law[row, at]),
+            )
         )
-    table = PlainTable(rows, "Accelerations that the path has beyond the first law")
+    table = Table(
+        rows, _LACK_COLUMNS, "Accelerations that the path has beyond the first law"
+    )
     if np.abs(by_error).max() < _SEEN:
         conclusion = (
             f"The path shows nothing that {lacking.law} lacks: all within {_SEEN:g} "
@@ -139,16 +196,11 @@ def _lacking(comparison: Comparison) -> tuple[Any, ...]:
     return table, Said(conclusion)
 
 
-def _ranks(comparison: Comparison) -> PlainTable:
+def _ranks(comparison: Comparison) -> Table[Candidate]:
     """Laws with their criteria and residuals, best first."""
     several_noises = len(comparison.noises) > 1
     candidates = comparison.candidates
     evidence = any(candidate.log_evidence is not None for candidate in candidates)
-    rows = [
-        ranked_row(candidate, candidate.noise if several_noises else "")
-        | _fitted(candidate, evidence=evidence)
-        for candidate in candidates
-    ]
     measure = "rms"
     by = ""
     if LOSSES[comparison.loss].is_robust:
@@ -172,49 +224,29 @@ def _ranks(comparison: Comparison) -> PlainTable:
         f"nor five times that of another law.{by}",
         style="dim",
     )
-    return PlainTable(
-        rows, "The laws, best first by BIC", keys=4 if several_noises else 3, note=note
+    columns = (
+        RANK,
+        LAW,
+        LOAD,
+        *([NOISE] if several_noises else []),
+        PARAMETERS,
+        DELTA_BIC,
+        DELTA_EVIDENCE if evidence else DELTA_AICC,
+        DELTA_ELPD,
+        SIZE_X,
+        SIZE_Y,
+        SIZE_PHI,
+        CURL,
+        FOLLOWS,
+        SIDES,
     )
-
-
-def _fitted(candidate: Candidate, *, evidence: bool) -> dict[str, Any]:
-    """Cells of the criteria and residuals of a fit."""
-    if candidate.rms is None:
-        return {"follows": Text("no fit", style="red")}
-    size = candidate.residual_size
-    criterion = {">dAICc": difference(candidate.delta_aicc)}
-    if evidence:
-        criterion = {">dlnZ": difference(candidate.delta_evidence)}
-    elpd = difference(candidate.delta_elpd)
-    if candidate.delta_elpd_se:
-        elpd = compact(candidate.delta_elpd or 0.0, candidate.delta_elpd_se)
-    curl = ""
-    if candidate.curl_explained is not None:
-        curl = _share(candidate.curl_explained)
-    return {
-        **criterion,
-        ">delpd": elpd,
-        **{
-            f">{name} ({unit})": f"{1000 * size[name]:.3g}" if name in size else ""
-            for name, unit in (("x", "mm"), ("y", "mm"), ("phi", "mrad"))
-        },
-        ">curl": curl,
-        "follows": _FOLLOWS[candidate.follows],
-        "ccw curls": " or ".join(candidate.sides) or "neither way",
-    }
-
-
-_FOLLOWS = {
-    True: Text("yes", style="green"),
-    None: Text("unclear"),
-    False: Text("no", style="yellow"),
-}
-
-
-def _share(value: float) -> str:
-    """A fraction in %, never rounded up to 100 %."""
-    percent = 100 * max(value, 0.0)
-    return f"{percent:.0f} %" if percent < 99 else f"{min(percent, 99.99):.2f} %"
+    return Table(
+        candidates,
+        columns,
+        "The laws, best first by BIC",
+        keys=4 if several_noises else 3,
+        note=note,
+    )
 
 
 def conclusions(comparison: Comparison) -> list[str]:
@@ -262,7 +294,7 @@ def _about_evidence(weights: Mapping[str, float]) -> str:
     """The laws that the evidence leaves probable, and their probabilities."""
     ordered = sorted(weights, key=lambda label: -weights[label])
     named = [label for label in ordered if weights[label] > _PROBABLE] or ordered[:1]
-    shares = join_words([f"{label} {_share(weights[label])}" for label in named])
+    shares = join_words([f"{label} {share(weights[label])}" for label in named])
     return (
         "Posterior probabilities from the evidence, with equal prior probabilities "
         f"of the {len(weights)} laws: {shares}. They hold among these laws only; "
@@ -294,7 +326,7 @@ def _about_noise(comparison: Comparison) -> str:
             law for law in comparison.candidates if law.noise == noise and law.rank
         ]
         if ranked and noise != best.noise:
-            excess = difference(ranked[0].delta_bic)
+            excess = DELTA_BIC.cell(ranked[0])
             higher += f"; with {noise} noise it is {excess} higher"
     return (
         f"The lowest BIC is that of {best.noise} noise "
@@ -345,6 +377,6 @@ def _about_isotropic(isotropic: list[Candidate]) -> str:
     if best is None or best.curl_explained is None:
         return f"{text}."
     return (
-        f"{text}; the closest explains {_share(best.curl_explained)} of the "
+        f"{text}; the closest explains {share(best.curl_explained)} of the "
         f"curl ({best.label})."
     )

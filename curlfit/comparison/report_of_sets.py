@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from rich.text import Text
 
-from curlfit.comparison.result import Candidate, Comparison, SetOfData
-from curlfit.comparison.tables import (
-    coefficients_table,
+from curlfit.comparison.candidate_columns import (
+    DELTA_BIC,
+    FOLLOWS,
+    LABEL,
+    LAW,
+    LOAD,
+    PARAMETERS,
+    RANK,
     difference,
-    ranked_row,
-    summary,
 )
+from curlfit.comparison.result import Candidate, Comparison, OnSet, SetOfData
+from curlfit.comparison.tables import coefficients_table, summary
 from curlfit.findings import Finding
 from curlfit.foreign import counted
 from curlfit.inference.verdict import Verdict
-from curlfit.output.console import Items, PlainTable
 from curlfit.output.document import Document, Said, Section, command_line
+from curlfit.output.table import Cell, Column, Table
 from curlfit.output.text import STYLE, stone_text
 from curlfit.throws.odd_row import odd_rows_in_words
 from curlfit.wording import join_words, p_text
@@ -31,12 +37,12 @@ def document_of_sets(comparison: Comparison) -> Document:
     """Ranks, each data set, coefficients, and what speaks against which law."""
     sets = comparison.sets
     candidates = comparison.candidates
-    first, *others = _conclusions(comparison)
+    first_conclusion, *others = _conclusions(comparison)
     several = len(sets) > 1
     files = ", ".join(data_set.name for data_set in sets)
     laws = f"{counted(len(candidates), 'law')}, {counted(len(sets), 'data set')}"
     odd_rows = odd_rows_in_words(comparison.odd_rows)
-    of_ranks = summary(comparison, first, " ...")
+    of_ranks = summary(comparison, first_conclusion, " ...")
     return Document(
         finding=of_ranks["finding"],
         lines=[*odd_rows, *of_ranks["lines"]],
@@ -59,7 +65,7 @@ def document_of_sets(comparison: Comparison) -> Document:
                 ),
                 brief=False,
             ),
-            Section("conclusions", "What follows", (Said(first), *others)),
+            Section("conclusions", "What follows", (Said(first_conclusion), *others)),
         ),
         notes=[_noise(data_set) for data_set in sets if data_set.noise_of],
         title=f"{', '.join(map(short, sets))}: which law?",
@@ -101,23 +107,9 @@ def _per_value(chi_squared: float, dof: float) -> str:
     return f"{chi_squared / dof:.3g}"
 
 
-def _ranks(comparison: Comparison) -> PlainTable:
-    rows: list[dict[str, Any]] = []
+def _ranks(comparison: Comparison) -> Table[Candidate]:
+    """Laws with how well they describe each data set, best first."""
     several = len(comparison.sets) > 1
-    for candidate in comparison.candidates:
-        row = ranked_row(candidate)
-        for data_set, on in zip(comparison.sets, candidate.sets, strict=False):
-            misfit = _per_value(on.chi_squared, on.dof)
-            if several:
-                misfit += f" ({_per_value(on.own_chi_squared, on.own_dof)})"
-            style = "green" if on.follows else "yellow"
-            row[f">{short(data_set)}"] = Text(misfit, style=style)
-        if candidate.p_together is not None:
-            row["one ice"] = p_text(candidate.p_together)
-        row["follows"] = _follows(candidate)
-        if not candidate.sets:
-            row["follows"] = Text(candidate.status, style="red")
-        rows.append(row)
     note = (
         "Under the data set: chi squared per degree of freedom. A law follows if "
         "it is within what chance or 1.5 times the noise makes it."
@@ -130,13 +122,56 @@ def _ranks(comparison: Comparison) -> PlainTable:
             "chi squared as much by chance. A law follows if each is within what "
             "chance or 1.5 times the noise makes it, and p is above 0.001."
         )
-    return PlainTable(
-        rows, "The laws, best first", keys=3, note=Text(note, style="dim")
+    together: Column[Candidate] = Column(
+        "one ice", format=p_text, missing="", key="p_together"
     )
+    columns = (
+        RANK,
+        LAW,
+        LOAD,
+        PARAMETERS,
+        DELTA_BIC,
+        *_columns_of_sets(comparison, partial(_misfit, several=several), right=True),
+        together,
+        FOLLOWS.but(words=_follows),
+    )
+    return Table(
+        comparison.candidates,
+        columns,
+        "The laws, best first",
+        keys=3,
+        note=Text(note, style="dim"),
+    )
+
+
+def _columns_of_sets(
+    comparison: Comparison, words: Callable[[OnSet], Cell], **style: Any
+) -> Iterator[Column[Candidate]]:
+    """A column for each data set, with words on each law's fit to it."""
+    for index, data_set in enumerate(comparison.sets):
+        yield Column(
+            short(data_set), partial(_fit_to_set, index), words, missing="", **style
+        )
+
+
+def _fit_to_set(index: int, candidate: Candidate) -> OnSet | None:
+    """A law on one of the data sets; None where it has no fit."""
+    return candidate.sets[index] if candidate.sets else None
+
+
+def _misfit(on: OnSet, *, several: bool) -> Text:
+    """Chi squared per degree of freedom and, of several data sets, that with the
+    coefficients of this one alone."""
+    misfit = _per_value(on.chi_squared, on.dof)
+    if several:
+        misfit += f" ({_per_value(on.own_chi_squared, on.own_dof)})"
+    return Text(misfit, style="green" if on.follows else "yellow")
 
 
 def _follows(candidate: Candidate) -> Text:
     """Whether a law follows all data sets, or each of them alone."""
+    if not candidate.sets:
+        return Text(candidate.status, style="red")
     if candidate.follows:
         return Text("yes", style="green")
     apart = all(on.own_follows for on in candidate.sets)
@@ -144,22 +179,23 @@ def _follows(candidate: Candidate) -> Text:
     return Text("each alone" if apart and several else "no", style="yellow")
 
 
-def _alone(comparison: Comparison) -> PlainTable:
-    rows = [
-        {"law, load": candidate.label}
-        | {
-            f">{short(data_set)}": difference(on.own_delta_bic)
-            for data_set, on in zip(comparison.sets, candidate.sets, strict=True)
-        }
-        for candidate in comparison.candidates
-        if candidate.sets
-    ]
-    return PlainTable(rows, "dBIC of each data set alone, with coefficients of its own")
+def _alone(comparison: Comparison) -> Table[Candidate]:
+    """Which law each data set alone prefers."""
+    fitted = [candidate for candidate in comparison.candidates if candidate.sets]
+    columns = _columns_of_sets(
+        comparison, lambda on: difference(on.own_delta_bic), right=True
+    )
+    return Table(
+        fitted,
+        (LABEL, *columns),
+        "dBIC of each data set alone, with coefficients of its own",
+    )
 
 
-def _against(comparison: Comparison) -> PlainTable:
-    rows = []
-    for candidate in comparison.candidates:
+def _against(comparison: Comparison) -> Table[Candidate]:
+    """The residuals that speak against each law."""
+
+    def far_off(candidate: Candidate) -> tuple[Text, ...]:
         residuals = []
         for data_set, on in zip(comparison.sets, candidate.sets, strict=False):
             far = [
@@ -169,24 +205,26 @@ def _against(comparison: Comparison) -> PlainTable:
             ]
             if far and not on.follows:
                 residuals.append(Text(f"{short(data_set)}: {join_words(far)} sigma"))
-        if residuals:
-            far_off = Items(residuals)
-            rows.append({"law, load": candidate.label, "~farthest off": far_off})
-    return PlainTable(rows, "Largest residuals, with common coefficients")
+        return tuple(residuals)
+
+    refuted = [candidate for candidate in comparison.candidates if far_off(candidate)]
+    farthest: Column[Candidate] = Column(
+        "farthest off", far_off, words=far_off, wraps=True
+    )
+    return Table(
+        refuted, (LABEL, farthest), "Largest residuals, with common coefficients"
+    )
 
 
-def _determined(comparison: Comparison) -> PlainTable:
-    rows: list[dict[str, Any]] = [
-        {"law, load": candidate.label}
-        | {
-            f"~{short(data_set)}": ", ".join(on.determined)
-            or Text("-", style=STYLE["weak"])
-            for data_set, on in zip(comparison.sets, candidate.sets, strict=True)
-        }
-        for candidate in comparison.candidates
-        if candidate.sets
-    ]
-    return PlainTable(rows, "What each data set determines")
+def _determined(comparison: Comparison) -> Table[Candidate]:
+    """The coefficients that each data set determines."""
+
+    def in_words(on: OnSet) -> Cell:
+        return ", ".join(on.determined) or Text("-", style=STYLE["weak"])
+
+    fitted = [candidate for candidate in comparison.candidates if candidate.sets]
+    columns = _columns_of_sets(comparison, in_words, wraps=True)
+    return Table(fitted, (LABEL, *columns), "What each data set determines")
 
 
 def _conclusions(comparison: Comparison) -> list[str]:

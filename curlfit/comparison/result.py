@@ -8,13 +8,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from curlfit.comparison.candidate_columns import IN_FRAME
 from curlfit.findings import Finding
 from curlfit.inference.fit.entries import AnyNoise, DataOfFit, LossName, NoiseName
 from curlfit.inference.fit.result import FitResult
 from curlfit.inference.verdict import Verdict
 from curlfit.noises import NOISES, WHITE
 from curlfit.numerics.arrays import Floats
-from curlfit.output.frames import frame
+from curlfit.output.frames import frame_of
+from curlfit.output.table import Table
 from curlfit.records import (
     ADDED,
     SERIES,
@@ -360,29 +362,7 @@ class Comparison(Record):
         ------
         InputError : pandas is not installed.
         """
-        same = (
-            "law",
-            "load",
-            "signs_free",
-            "rank",
-            "converged",
-            "status",
-            "n_parameters",
-            "delta_bic",
-            "delta_aicc",
-            "delta_evidence",
-            "weight",
-            "curl_explained",
-            "follows",
-        )
-        columns = {
-            name: [getattr(item, name) for item in self.candidates] for name in same
-        }
-        for name in PLACE:
-            columns[f"rms_{name}"] = [
-                (item.rms or {}).get(name) for item in self.candidates
-            ]
-        return frame(columns)
+        return frame_of(Table(self.candidates, IN_FRAME))
 
 
 def load_comparison(file: str | PathLike[str]) -> Comparison:

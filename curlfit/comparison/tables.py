@@ -1,4 +1,5 @@
-"""Numbers and coefficients of candidates, as comparisons show them."""
+"""Tables of candidates: their coefficients, for reports, and all that is known of them,
+as CSV and in LaTeX."""
 
 from __future__ import annotations
 
@@ -6,20 +7,29 @@ from typing import Any
 
 from rich.text import Text
 
+from curlfit.comparison.candidate_columns import (
+    COEFFICIENTS,
+    DELTA_AICC,
+    DELTA_BIC,
+    FOLLOWS,
+    IN_CSV,
+    LABEL,
+    LAW,
+    LOAD,
+    PARAMETERS,
+    SIZE_PHI,
+    SIZE_X,
+    SIZE_Y,
+)
 from curlfit.comparison.result import Candidate, Comparison
 from curlfit.inference.verdict import Verdict
-from curlfit.output.console import Items, PlainTable
+from curlfit.output import latex
+from curlfit.output.frames import csv_of
+from curlfit.output.table import Column, Table
 from curlfit.output.text import STYLE
 from curlfit.wording import compact, join_words
 
 _FIRST = 3  # laws named in a line
-
-
-def difference(value: float | None) -> str:
-    """A difference of a criterion; empty without one."""
-    if value is None:
-        return ""
-    return f"{value:.1f}" if abs(value) < 1000 else f"{value:.0f}"
 
 
 def summary(comparison: Comparison, first: str, more: str) -> dict[str, Any]:
@@ -32,7 +42,7 @@ def summary(comparison: Comparison, first: str, more: str) -> dict[str, Any]:
         return {"finding": "no law is ranked", "lines": ["", first]}
     unsure = ", not reliably" if comparison.effective else ""
     order = ", ".join(
-        f"{candidate.label} ({difference(candidate.delta_bic)})"
+        f"{candidate.label} ({DELTA_BIC.cell(candidate)})"
         for candidate in ranked[:_FIRST]
     )
     rest = more.format(len(ranked) - _FIRST) if len(ranked) > _FIRST else ""
@@ -42,32 +52,17 @@ def summary(comparison: Comparison, first: str, more: str) -> dict[str, Any]:
     }
 
 
-def ranked_row(candidate: Candidate, noise: str = "") -> dict[str, Any]:
-    """Cells of a candidate: its rank, law and load, and by what it is ranked."""
-    sign = " any sign" if candidate.signs_free else ""
-    parameters = candidate.n_parameters
-    return {
-        ">": "-" if candidate.rank is None else str(candidate.rank),
-        "law": Text.assemble(candidate.law, (sign, "dim")),
-        "load": candidate.load,
-        "noise": noise,
-        ">k": "" if parameters is None else f"{parameters:.3g}",
-        ">dBIC": difference(candidate.delta_bic),
-    }
-
-
-def coefficients_table(comparison: Comparison) -> PlainTable:
+def coefficients_table(comparison: Comparison) -> Table[Candidate]:
     """What is known of the coefficients of each candidate."""
-    return PlainTable(
-        (
-            {"law, load": candidate.label, "~coefficients": _coefficients(candidate)}
-            for candidate in comparison.candidates
-        ),
+    in_words = COEFFICIENTS.but(words=_coefficients, wraps=True)
+    return Table(
+        comparison.candidates,
+        (LABEL, in_words),
         "Coefficients of each law, with standard errors",
     )
 
 
-def _coefficients(candidate: Candidate) -> Text | Items:
+def _coefficients(candidate: Candidate) -> Text | tuple[Text, ...]:
     """The coefficients of a candidate, side by side; its status where there is no
     fit, or none that converged."""
     status = Text(candidate.status, style="red")
@@ -91,4 +86,61 @@ def _coefficients(candidate: Candidate) -> Text | Items:
         texts.append(Text(hidden, style=STYLE["not identifiable"]))
     if not candidate.converged:
         texts.append(status)
-    return Items(texts)
+    return tuple(texts)
+
+
+def candidates_csv(comparison: Comparison) -> str:
+    """The candidates of a comparison, best first; the coefficients of each
+    in one cell."""
+    return csv_of(Table(comparison.candidates, IN_CSV))
+
+
+def candidates_table(comparison: Comparison) -> str:
+    """The candidates of a comparison, in LaTeX."""
+    columns = (
+        LAW.but(words=_law_in_latex),
+        LOAD.but(format=_load_in_latex),
+        PARAMETERS.but(heading="$k$", format=".0f"),
+        _in_math(DELTA_BIC.but(format=".1f"), r"$\Delta$BIC"),
+        _in_math(DELTA_AICC.but(format=".1f"), r"$\Delta$AICc"),
+        _in_math(SIZE_X, "$x$"),
+        _in_math(SIZE_Y, "$y$"),
+        _in_math(SIZE_PHI, r"$\varphi$"),
+        FOLLOWS.but(words=_follows_in_latex),
+    )
+    caption = (
+        f"Friction laws fitted to {latex.file_name(comparison.data['file'])}, by BIC: "
+        "number of parameters $k$, rms of the residuals, and whether the law follows "
+        f"the path. {latex.made_with()}"
+    )
+    return latex.latex_of(Table(comparison.candidates, columns, caption))
+
+
+def _law_in_latex(candidate: Candidate) -> str:
+    """The law, and whether its coefficients may have any sign."""
+    sign = " (any sign)" if candidate.signs_free else ""
+    return latex.escaped(candidate.law + sign)
+
+
+def _load_in_latex(load: str) -> str:
+    """The load; a dash for a law without a ring."""
+    return "--" if load == "-" else latex.escaped(load)
+
+
+def _follows_in_latex(candidate: Candidate) -> str:
+    """Whether a law follows the path."""
+    if not candidate.converged:
+        return "no fit"
+    if candidate.follows is None:
+        return "unclear"
+    return "yes" if candidate.follows else "no"
+
+
+def _in_math(column: Column[Candidate], heading: str) -> Column[Candidate]:
+    """A column with its numbers in math mode."""
+
+    def in_math(candidate: Candidate) -> str:
+        number = str(column.cell(candidate))
+        return latex.number(number) if number else ""
+
+    return column.but(heading=heading, words=in_math)

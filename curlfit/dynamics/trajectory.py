@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from numbers import Real
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,11 +20,12 @@ from curlfit.environment import Environment
 from curlfit.errors import InputError, require_kind
 from curlfit.foreign import counted
 from curlfit.friction import Law, Load, check_load, find_law
+from curlfit.numerics.arrays import Floats
 from curlfit.numerics.compiled import compiled
-from curlfit.output.console import PlainTable
 from curlfit.output.display import Displayed
 from curlfit.output.document import Document, Section
 from curlfit.output.frames import frame
+from curlfit.output.table import Column, Table
 from curlfit.stone import Stone
 
 _REST_TIME = 1e30  # s, by when every stone is at rest
@@ -131,14 +132,10 @@ class Trajectory(Displayed):
             "omega": "rad/s",
         }
         series = {name: np.asarray(getattr(self, name)) for name in units}
-        table = PlainTable(
-            {"": label}
-            | {
-                f">{name} ({units[name]})": f"{x[row] + 0.0:.5g}"
-                for name, x in series.items()
-            }
-            for label, row in (("first", 0), ("last", -1))
-        )
+        columns: list[Column[_End]] = [Column("", key="label")]
+        for name, unit in units.items():
+            columns.append(_series_column(name, unit, series[name]))
+        table = Table([_End("first", 0), _End("last", -1)], columns)
         rest = float(self.rest)
         t, x, y = series["t"], series["x"], series["y"]
         ends = f"from ({x[0]:.4g}, {y[0]:.4g}) m to ({x[-1]:.4g}, {y[-1]:.4g}) m"
@@ -163,6 +160,24 @@ jax.tree_util.register_dataclass(
     data_fields=[field.name for field in fields(Environment)],
     meta_fields=[],
 )
+
+
+class _End(NamedTuple):
+    """An end of a path, and its place among the times."""
+
+    label: str
+    place: int
+
+
+def _series_column(name: str, unit: str, series: Floats) -> Column[_End]:
+    """The column of a series at the ends of a path."""
+    return Column(
+        name,
+        lambda end: series[end.place] + 0.0,  # no minus before a zero
+        ".5g",
+        unit=unit,
+        right=True,
+    )
 
 
 def external_forces(

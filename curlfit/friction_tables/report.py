@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from rich.console import Console
 from rich.text import Text
 
 from curlfit.findings import Finding
 from curlfit.friction_tables.result import FrictionFit, FrictionFits
+from curlfit.inference.fit.estimate_columns import EstimateRow
 from curlfit.inference.verdict import Verdict
-from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Section, command_line, show
-from curlfit.reports.estimates import reported, row_of, style_of
+from curlfit.output.table import Column, Table
+from curlfit.reports.estimates import estimates_table, reported, style_of
 from curlfit.wording import compact, join_words
 
 _NEAR = 6.0  # of BIC: a difference beyond is strong evidence (Kass and Raftery 1995)
@@ -98,29 +97,32 @@ def _determined(fit: FrictionFit) -> str:
     return f"{text}; friction along the motion does not determine {join_words(hidden)}."
 
 
-def _laws(result: FrictionFits) -> PlainTable:
+def _laws(result: FrictionFits) -> Table[FrictionFit]:
+    """The laws with their criteria, the first with the least BIC."""
     least = result.fits[0].bic
-    return PlainTable(
-        (
-            {
-                "law": fit.law,
-                "load": fit.load,
-                ">determined": f"{fit.rank}",
-                ">rms": f"{fit.rms:.2g}",
-                ">dBIC": f"{fit.bic - least:.1f}",
-                "": "" if fit.converged else "not converged",
-            }
-            for fit in result.fits
-        ),
+    columns: tuple[Column[FrictionFit], ...] = (
+        Column("law"),
+        Column("load"),
+        Column("determined", right=True, key="rank"),
+        Column("rms", format=".2g", right=True),
+        Column("dBIC", lambda fit: fit.bic - least, ".1f", right=True),
+        Column("", lambda fit: "" if fit.converged else "not converged"),
+    )
+    return Table(
+        result.fits,
+        columns,
         "Laws by BIC: number of coefficients that the values determine, "
         "and rms of the residuals",
     )
 
 
-def _coefficients(fit: FrictionFit) -> PlainTable:
-    combinations: dict[str, Any] = {
-        combination.expression: combination for combination in fit.combinations
-    }
-    estimates = fit.coefficients | combinations
-    rows = (row_of(fit.law, name, estimate) for name, estimate in estimates.items())
-    return PlainTable(rows, f"Coefficients of {fit.law}")
+def _coefficients(fit: FrictionFit) -> Table[EstimateRow]:
+    """Coefficients of a law, and their determined combinations."""
+    rows = [
+        EstimateRow.of(name, estimate) for name, estimate in fit.coefficients.items()
+    ]
+    rows += [
+        EstimateRow.of(combination.expression, combination)
+        for combination in fit.combinations
+    ]
+    return estimates_table(fit.law, rows, f"Coefficients of {fit.law}")

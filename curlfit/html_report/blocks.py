@@ -8,12 +8,11 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from markupsafe import Markup
-from rich.table import Column, Table
 
 from curlfit.findings import Finding, Level
 from curlfit.output.document import Part, Said
 from curlfit.output.html import COLORS, inline
-from curlfit.records import plain
+from curlfit.output.table import Cell, Column, Table
 from curlfit.wording import capital
 
 _CODE = re.compile(r"`([^`]+)`")
@@ -158,35 +157,40 @@ def blocks_of(parts: Iterable[Part]) -> Iterator[Block]:
     for part in parts:
         if isinstance(part, Table):
             yield _table(part)
-            note = getattr(part, "note", None)
-            if note:
-                yield Paragraph(note)
+            if part.note:
+                yield paragraph(part.note)
         elif not isinstance(part, Said):
             yield Paragraph(part)
 
 
-def _table(table: Table) -> TableBlock:
-    """A table of rich; the first column of words has the headers of the rows."""
-    columns = table.columns
-    cells_by_column = [
-        [Cell(content, _cell_style(column, content)) for content in column.cells]
-        for column in columns
+def _table(table: Table[Any]) -> Block:
+    """A table whose first column of words contains the row headers."""
+    columns = table.shown
+    words = [index for index, column in enumerate(columns) if not column.right]
+    rows_of_cells = [
+        [_styled_cell(column, column.cell(row)) for column in columns]
+        for row in table.rows
     ]
-    columns_of_words = [
-        number for number, column in enumerate(columns) if column.justify != "right"
-    ]
-    return TableBlock(
-        caption=getattr(table, "called", ""),
-        heads=[Cell(column.header, column.justify) for column in columns],
-        rows=list(zip(*cells_by_column, strict=True)),
-        header_column=columns_of_words[0] if columns_of_words else 0,
+    return Block(
+        "table",
+        {
+            "caption": table.caption,
+            "heads": [
+                (marked(column.title), "right" if column.right else "left")
+                for column in columns
+            ],
+            "rows": rows_of_cells,
+            "words": words[0] if words else 0,
+        },
     )
 
 
-def _cell_style(column: Column, content: Any) -> str:
-    """Class of a cell in the style sheet: numbers to the right, long words wrapped."""
-    if column.justify == "right":
-        return "right"
-    if column.no_wrap and len(str(content)) <= _LONG:
-        return ""
-    return "long"
+def _styled_cell(column: Column[Any], cell: Cell) -> tuple[Markup, str]:
+    """A cell as HTML, and its class in the style sheet: numbers to the right, long
+    words wrapped."""
+    style = ""
+    if column.right:
+        style = "right"
+    elif column.wraps or len(cell) > _LONG:
+        style = "long"
+    return marked(cell), style

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 from typing import Any, ClassVar, NamedTuple
 
@@ -14,9 +14,16 @@ from curlfit.findings import Finding
 from curlfit.foreign import counted
 from curlfit.loads import Load
 from curlfit.optimal_design.report import measured, noise_text, throws_text
-from curlfit.output.console import PlainTable
+from curlfit.optimal_design.throw_columns import (
+    DISTANCE,
+    OMEGA0,
+    REST,
+    V0,
+    log_odds_column,
+)
 from curlfit.output.document import Document, Said, Section, show
-from curlfit.output.frames import frame
+from curlfit.output.frames import frame_of
+from curlfit.output.table import Column, Table
 from curlfit.output.text import stone_text
 from curlfit.records import Record, require
 from curlfit.stone import Stone
@@ -194,14 +201,12 @@ class Discrimination(Record):
         ------
         InputError : pandas is not installed.
         """
-        names = ("v0", "omega0", "rest", "distance")
-        columns = {
-            name: [getattr(throw, name) for throw in self.candidates] for name in names
-        }
-        for index, pair in enumerate(self.pairs):
-            name = f"{pair.truth} over {pair.rival}"
-            columns[name] = [throw.log_odds[index] for throw in self.candidates]
-        return frame(columns)
+        log_odds = [
+            log_odds_column(index, pair.truth, pair.rival)
+            for index, pair in enumerate(self.pairs)
+        ]
+        columns = (V0, OMEGA0, REST, DISTANCE, *log_odds)
+        return frame_of(Table(self.candidates, columns))
 
 
 def load_discrimination(file: str | PathLike[str]) -> Discrimination:
@@ -323,51 +328,68 @@ def _summary(discrimination: Discrimination) -> list[str]:
     return lines
 
 
-def _pairs(discrimination: Discrimination) -> PlainTable:
-    rows = [
-        {
-            "true law": pair.truth,
-            "rival": pair.rival,
-            ">left by rival,\nover the noise": f"{pair.relative:.2g}",
-            ">log odds": f"{pair.log_odds:.1f} +- {pair.sd:.1f}",
-            ">true law\nleads": _percent(pair.wins),
-            f">by {ODDS}\nto 1": _percent(pair.decides),
-        }
-        for pair in discrimination.pairs
-    ]
-    return PlainTable(
-        rows, "Expected log odds of these throws, and probabilities", keys=2
+_PAIR_COLUMNS: tuple[Column[Pair], ...] = (
+    Column("true law", key="truth"),
+    Column("rival"),
+    Column("left by rival,\nover the noise", format=".2g", right=True, key="relative"),
+    Column(
+        "log odds",
+        words=lambda pair: f"{pair.log_odds:.1f} +- {pair.sd:.1f}",
+        right=True,
+        key="log_odds",
+    ),
+    Column("true law\nleads", format=_percent, right=True, key="wins"),
+    Column(f"by {ODDS}\nto 1", format=_percent, right=True, key="decides"),
+)
+
+
+def _pairs(discrimination: Discrimination) -> Table[Pair]:
+    """What the throws promise for each pair of laws."""
+    return Table(
+        discrimination.pairs,
+        _PAIR_COLUMNS,
+        "Expected log odds of these throws, and probabilities",
+        keys=2,
     )
 
 
-def _laws(discrimination: Discrimination) -> PlainTable:
-    rows = [
-        {
-            "law": law,
-            "coefficients": ", ".join(
-                f"{name} = {value:.4g}" for name, value in values.items()
-            ),
-        }
-        for law, values in discrimination.laws.items()
-    ]
-    return PlainTable(rows, "The laws: the same ordinary draw, 2 m/s and 1 rad/s")
+def _laws(discrimination: Discrimination) -> Table[tuple[str, dict[str, float]]]:
+    """The laws with their coefficients."""
+    columns: tuple[Column[tuple[str, dict[str, float]]], ...] = (
+        Column("law", lambda law: law[0]),
+        Column("coefficients", lambda law: law[1], _coefficients_in_words),
+    )
+    return Table(
+        list(discrimination.laws.items()),
+        columns,
+        "The laws: the same ordinary draw, 2 m/s and 1 rad/s",
+    )
 
 
-def _single(discrimination: Discrimination) -> PlainTable:
-    by_start = {
+def _coefficients_in_words(coefficients: dict[str, float]) -> str:
+    """Coefficients of a law in one line."""
+    return ", ".join(f"{name} = {value:.4g}" for name, value in coefficients.items())
+
+
+def _single(discrimination: Discrimination) -> Table[PossibleThrow]:
+    """The odds from a single throw, of the worse sense of spin."""
+    throw_by_size = {
         (throw.v0, abs(throw.omega0)): throw for throw in discrimination.candidates
     }
+    odds_by_size = discrimination.by_size
     rows = [
-        {
-            ">v0\n(m/s)": f"{v0:g}",
-            ">omega0\n(rad/s)": f"{spin:g}",
-            ">at rest\n(s)": f"{by_start[v0, spin].rest:.1f}",
-            ">after\n(m)": f"{by_start[v0, spin].distance:.1f}",
-            ">log odds,\nhardest pair": f"{least:.1f}",
-        }
-        for (v0, spin), least in discrimination.by_size.items()
+        replace(throw, omega0=spin, log_odds=(odds_by_size[v0, spin],))
+        for (v0, spin), throw in throw_by_size.items()
     ]
-    return PlainTable(rows, "A single throw of either sense of spin", keys=2)
+    hardest: Column[PossibleThrow] = Column(
+        "log odds,\nhardest pair", format=".1f", right=True, key="least"
+    )
+    return Table(
+        rows,
+        (V0, OMEGA0, REST, DISTANCE, hardest),
+        "A single throw of either sense of spin",
+        keys=2,
+    )
 
 
 def _notes(discrimination: Discrimination) -> list[Finding]:

@@ -12,9 +12,24 @@ from rich.text import Text
 
 from curlfit.foreign import counted
 from curlfit.inference.verdict import Verdict
-from curlfit.optimal_design.result import Design, Scenario, Separation
-from curlfit.output.console import PlainTable
+from curlfit.optimal_design.result import (
+    Candidate,
+    Design,
+    ExpectedErrors,
+    Scenario,
+    Separation,
+)
+from curlfit.optimal_design.throw_columns import (
+    DISTANCE,
+    OMEGA0,
+    REST,
+    ROWS,
+    V0,
+    error_in_words,
+    stderr_column,
+)
 from curlfit.output.document import Document, Said, Section, show
+from curlfit.output.table import Column, Table
 from curlfit.output.text import judged, labelled, stone_text
 from curlfit.stone import Stone
 from curlfit.wording import join_words, lower, two_digits
@@ -141,18 +156,23 @@ def measured(
     )
 
 
-def _scenarios(design: Design) -> PlainTable:
+def _scenarios(design: Design) -> Table[str]:
     """The systematic error of each quantity in each scenario."""
-    return PlainTable(
-        (
-            {"coefficient": name}
-            | {
-                f">{scenario.name}": two_digits(scenario.systematic[name])
-                for scenario in design.scenarios
-            }
-            for name in design.quantities
-        ),
+    columns: list[Column[str]] = [
+        Column("coefficient", lambda name: name),
+        *map(_scenario_column, design.scenarios),
+    ]
+    return Table(
+        list(design.quantities),
+        columns,
         "Systematic errors by how the throws are divided",
+    )
+
+
+def _scenario_column(scenario: Scenario) -> Column[str]:
+    """The column of the systematic errors in a scenario, by quantity."""
+    return Column(
+        scenario.name, scenario.systematic.__getitem__, two_digits, right=True
     )
 
 
@@ -177,17 +197,13 @@ def _recommended(scenarios: Sequence[Scenario]) -> str:
     )
 
 
-def _best(design: Design) -> PlainTable:
+def _best(design: Design) -> Table[str]:
+    """The expected errors of the best throws, by quantity; a column for each selection,
+    as criteria may select different throws."""
     first = next(iter(design.best.values()))
     criteria: dict[tuple[int, ...], list[str]] = {}
     for name, errors in design.best.items():
         criteria.setdefault(errors.throws, []).append(name)
-    errors_by_criteria = {"": first}
-    if len(criteria) > 1:
-        errors_by_criteria = {
-            f" by {join_words(names)}": design.best[names[0]]
-            for names in criteria.values()
-        }
     assumed = {sum_.expression: sum_.value for sum_ in first.combinations}
     for name, weights in design.quantities.items():
         assumed[name] = sum(
@@ -195,24 +211,34 @@ def _best(design: Design) -> PlainTable:
             for coefficient, weight in weights.items()
         )
     assumed |= design.coefficients
-    head = f">std. error, best {counted(design.throws, 'throw')}"
-    rows = [
-        {
-            "coefficient": labelled(name, design.units.get(name, "1")),
-            ">assumed": f"{assumed[name]:.6g}",
-            **{
-                f"{head}{by}": _error(errors.stderr.get(name))
-                for by, errors in errors_by_criteria.items()
-            },
-            "verdict": judged(first.verdicts.get(name, Verdict.DETERMINED)),
-        }
-        for name in first.stderr
+    heading = f"std. error, best {counted(design.throws, 'throw')}"
+    columns: list[Column[str]] = [
+        Column("coefficient", lambda name: labelled(name, design.units.get(name, "1"))),
+        Column("assumed", assumed.__getitem__, ".6g", right=True),
     ]
-    return PlainTable(rows, "The best throws: expected standard errors")
+    for names in criteria.values():
+        by = f" by {join_words(names)}" if len(criteria) > 1 else ""
+        columns.append(_best_column(f"{heading}{by}", design.best[names[0]]))
+    columns.append(
+        Column(
+            "verdict",
+            lambda name: first.verdicts.get(name, Verdict.DETERMINED),
+            judged,
+        )
+    )
+    return Table(
+        list(first.stderr), columns, "The best throws: expected standard errors"
+    )
 
 
-def _error(stderr: float | None) -> str:
-    return "-" if stderr is None else f"{stderr:.2g}"
+def _best_column(heading: str, errors: ExpectedErrors) -> Column[str]:
+    """The column of the standard errors of a selection of throws, by quantity."""
+
+    def stderr(name: str) -> float:
+        error = errors.stderr.get(name)
+        return math.nan if error is None else error
+
+    return Column(heading, stderr, error_in_words, right=True)
 
 
 def _criterion(design: Design, name: str) -> str:
@@ -259,24 +285,18 @@ def _summary(design: Design) -> list[str]:
     return lines
 
 
-def _single_throws(design: Design) -> PlainTable:
-    rows = [
-        {
-            ">v0\n(m/s)": f"{throw.v0:g}",
-            ">omega0\n(rad/s)": f"{throw.omega0:g}",
-            ">rows": str(throw.rows),
-            ">at rest\n(s)": f"{throw.rest:.1f}",
-            ">after\n(m)": f"{throw.distance:.1f}",
-            **{
-                f">error of\n{name}": _error(throw.stderr[name])
-                for name in design.quantities
-            },
-        }
-        for throw in design.candidates[:_MAX_LISTED]
-    ]
+def _single_throws(design: Design) -> Table[Candidate]:
+    """The expected errors from each candidate alone."""
+    errors = map(stderr_column, design.quantities)
     more = len(design.candidates) - _MAX_LISTED
     note = Text(f"and {more} more (in design.json)", style="dim") if more > 0 else None
-    return PlainTable(rows, "Expected errors from a single throw", keys=2, note=note)
+    return Table(
+        design.candidates[:_MAX_LISTED],
+        (V0, OMEGA0, ROWS, REST, DISTANCE, *errors),
+        "Expected errors from a single throw",
+        keys=2,
+        note=note,
+    )
 
 
 def _not_separated(separation: Separation) -> list[str]:

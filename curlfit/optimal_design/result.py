@@ -10,8 +10,18 @@ from typing import Any, ClassVar
 from curlfit.findings import Finding
 from curlfit.inference.identifiability import Combination
 from curlfit.inference.verdict import Verdict
-from curlfit.loads import Load
-from curlfit.output.frames import frame
+from curlfit.optimal_design.throw_columns import (
+    DISTANCE,
+    LAST,
+    OMEGA0,
+    RATE,
+    REST,
+    ROWS,
+    V0,
+    stderr_column,
+)
+from curlfit.output.frames import frame_of
+from curlfit.output.table import Table
 from curlfit.records import Record, require, require_rows
 from curlfit.stone import Stone
 
@@ -167,16 +177,9 @@ class Design(Record):
         ------
         InputError : pandas is not installed.
         """
-        names = ("v0", "omega0", "rate", "rows", "last", "rest", "distance")
-        columns = {
-            name: [getattr(throw, name) for throw in self.candidates] for name in names
-        }
-        for name in self.quantities:
-            errors = [throw.stderr[name] for throw in self.candidates]
-            columns[f"{name} stderr"] = [
-                math.nan if error is None else error for error in errors
-            ]
-        return frame(columns)
+        errors = map(stderr_column, self.quantities)
+        columns = (V0, OMEGA0, RATE, ROWS, LAST, REST, DISTANCE, *errors)
+        return frame_of(Table(self.candidates, columns))
 
     def require_consistent(self) -> None:
         """Raise `ValueError` where what was read contradicts itself."""

@@ -1,13 +1,12 @@
-"""Output on the terminal: no trailing blanks, tables that fit its width."""
+"""What is printed on a terminal: no trailing blanks, tables that fit its width."""
 
 from __future__ import annotations
 
 import os
 import re
 import sys
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
-from typing import Any
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any, NamedTuple
 
 from rich.console import (
     Console,
@@ -18,22 +17,25 @@ from rich.console import (
 )
 from rich.measure import Measurement
 from rich.segment import Segment
-from rich.table import Table
+from rich.table import Table as RichTable
 from rich.text import Text
 
 from curlfit.foreign import printable
+from curlfit.output.table import Cell, Column, Table
 
 _DEFAULT_WIDTH = 110  # columns, if the output is not a terminal
 _MIN_TEXT_WIDTH = 24  # columns of a wrapped cell
 _UNLIMITED = 10_000
 _GAP = "   "
 _RUNS = re.compile(r"(?: *[^ \n])+| +|\n")
+_BETWEEN = 2  # blanks between columns
 _PLAIN: dict[str, Any] = {
     "box": None,
     "pad_edge": False,
-    "padding": (0, 2, 0, 0),
+    "padding": (0, _BETWEEN, 0, 0),
     "show_edge": False,
 }
+"""Style of a table without rules."""
 
 
 def terminal(*, quiet: bool = False, highlight: bool = True) -> Console:
@@ -89,129 +91,146 @@ def _trim(segments: Iterable[Segment]) -> Iterator[Segment]:
     yield from blanks
 
 
-class Items:
+class SideBySide:
     """Texts side by side, wrapped between texts where possible."""
 
-    def __init__(self, items: Iterable[Text]) -> None:
-        self.items = list(items)
+    def __init__(self, texts: Sequence[Text]) -> None:
+        self.texts = texts
 
     def __rich_console__(
         self, console: Console, options: ConsoleOptions
     ) -> RenderResult:
         line = Text()
-        for text in self.items:
+        for text in self.texts:
             if line and line.cell_len + len(_GAP) + text.cell_len > options.max_width:
                 yield line
                 line = Text()
-            line.append(_GAP if line else "").append_text(text)
+            if line:
+                line.append(_GAP)
+            line.append_text(text)
         yield line
 
     def __rich_measure__(
         self, console: Console, options: ConsoleOptions
     ) -> Measurement:
-        whole = sum(text.cell_len + len(_GAP) for text in self.items)
-        words = [Measurement.get(console, options, text).minimum for text in self.items]
-        least = max(words, default=0)
-        return Measurement(min(least, options.max_width), min(whole, options.max_width))
+        longest_words = [
+            Measurement.get(console, options, text).minimum for text in self.texts
+        ]
+        least = max(longest_words, default=0)
+        one_line = sum(text.cell_len + len(_GAP) for text in self.texts)
+        return Measurement(
+            min(least, options.max_width), min(one_line, options.max_width)
+        )
 
 
-class PlainTable(Table):
-    """A table without rules that is never truncated: if it is wider than the terminal,
-    its columns are printed in blocks, one below the other, each repeating the first
-    `keys` columns.
-
-    Parameters
-    ----------
-    rows : cells by heading, "-" for None. Columns whose heading begins with > are
-        aligned to the right, cells of those that begin with ~ may be wrapped; columns
-        without content, or with None alone, are left out.
-    caption : what the table shows, for pages; a terminal and a notebook do without.
-    note : a text directly below.
+class Printed:
+    """A table as it is printed: without rules, and never truncated. If it is wider than
+    the terminal, its columns are printed in blocks, one below the other, each repeating
+    the first `keys` columns. The note follows below.
     """
 
-    def __init__(
-        self,
-        rows: Iterable[Mapping[str, Any]] = (),
-        caption: str = "",
-        *,
-        keys: int = 1,
-        note: Text | None = None,
-    ) -> None:
-        super().__init__(**_PLAIN)
-        self.keys = keys
-        self.called = caption
-        self.note = note
-        rows = list(rows)
-        heads = dict.fromkeys(head for row in rows for head in row)
-        shown = [
-            head
-            for head in heads
-            if any(row.get(head, "") not in ("", None) for row in rows)
-        ]
-        for head in shown:
-            side: Any = "right" if head.startswith(">") else "left"
-            self.add_column(
-                head.lstrip(">~ "), justify=side, no_wrap=not head.startswith("~")
-            )
-        for row in rows:
-            cells = (row.get(head, "") for head in shown)
-            self.add_row(*("-" if cell is None else cell for cell in cells))
-
-    def __bool__(self) -> bool:
-        return bool(self.columns)
+    def __init__(self, table: Table[Any]) -> None:
+        self.table = table
 
     def __rich_console__(
         self, console: Console, options: ConsoleOptions
     ) -> RenderResult:
-        """The table, or its blocks."""
-        widths = self._widths(console, options)
-        blocks = self._blocks(widths, options.max_width)
+        unlimited = options.update_width(_UNLIMITED)
+        columns = []
+        for column in self.table.shown:
+            cells = [column.cell(row) for row in self.table.rows]
+            width = _width_of_column(column, cells, console, unlimited)
+            columns.append(_PrintedColumn(column, cells, width))
+        keys = columns[: self.table.keys]
+        blocks = _blocks(keys, columns[self.table.keys :], options.max_width)
         for number, block in enumerate(blocks):
             if number:
                 yield Text("")
-            fits = _total_width(widths, block) <= options.max_width
-            columns = [self.columns[index] for index in block]
-            heads = [
-                replace(
-                    column, no_wrap=column.no_wrap and fits, overflow="fold", _cells=[]
-                )
-                for column in columns
-            ]
-            table = Table(*heads, **_PLAIN)
-            for row in zip(*(column.cells for column in columns), strict=True):
-                if len(blocks) == 1 or any(map(str, row[self.keys :])):
-                    table.add_row(*row)
-            yield table
-        if self.note is not None:
-            yield self.note
-
-    def _widths(self, console: Console, options: ConsoleOptions) -> list[int]:
-        """Width that each column needs, in characters."""
-        wide = options.update_width(_UNLIMITED)
-        widths = []
-        for column in self.columns:
-            sizes = [
-                console.measure(cell, options=wide)
-                for cell in (column.header, *column.cells)
-            ]
-            whole = max(size.maximum for size in sizes)
-            words = max(size.minimum for size in sizes)
-            least = whole if column.no_wrap else min(whole, max(words, _MIN_TEXT_WIDTH))
-            widths.append(least)
-        return widths
-
-    def _blocks(self, widths: list[int], max_width: int) -> list[list[int]]:
-        """The columns of each block."""
-        keys = list(range(min(self.keys, len(widths))))
-        blocks = [list(keys)]
-        for index in range(len(keys), len(widths)):
-            block = [*blocks[-1], index]
-            if len(block) > len(keys) + 1 and _total_width(widths, block) > max_width:
-                blocks.append(list(keys))
-            blocks[-1].append(index)
-        return blocks
+            yield _block(keys, block, options.max_width, whole=len(blocks) == 1)
+        if self.table.note is not None:
+            yield self.table.note
 
 
-def _total_width(widths: list[int], block: list[int]) -> int:
-    """Width of the columns of a block, with two blanks between them."""
-    return sum(widths[index] for index in block) + 2 * (len(block) - 1)
+class _PrintedColumn(NamedTuple):
+    """A column with its cells, and the width that it needs.
+
+    Attributes
+    ----------
+    cells : of all rows.
+    width : in characters, without the blanks between columns.
+    """
+
+    column: Column[Any]
+    cells: list[Cell]
+    width: int
+
+
+def _width_of_column(
+    column: Column[Any],
+    cells: Sequence[Cell],
+    console: Console,
+    unlimited: ConsoleOptions,
+) -> int:
+    """Width of the longest line of a column or, where its cells may be wrapped, of the
+    longest word but not less than a few words."""
+    sizes = [
+        console.measure(renderable(cell), options=unlimited)
+        for cell in (column.title, *cells)
+    ]
+    longest_line = max(size.maximum for size in sizes)
+    if not column.wraps:
+        return longest_line
+    longest_word = max(size.minimum for size in sizes)
+    return min(longest_line, max(longest_word, _MIN_TEXT_WIDTH))
+
+
+def renderable(cell: Cell) -> Text | SideBySide:
+    """A cell for a console, without markup."""
+    if isinstance(cell, tuple):
+        return SideBySide(cell)
+    return Text(cell) if isinstance(cell, str) else cell
+
+
+def _blocks(
+    keys: Sequence[_PrintedColumn],
+    others: Sequence[_PrintedColumn],
+    max_width: int,
+) -> list[list[_PrintedColumn]]:
+    """The columns of each block without the keys, as many as fit; at least one."""
+    blocks: list[list[_PrintedColumn]] = [[]]
+    for column in others:
+        if blocks[-1] and _width([*keys, *blocks[-1], column]) > max_width:
+            blocks.append([])
+        blocks[-1].append(column)
+    return blocks
+
+
+def _width(columns: Sequence[_PrintedColumn]) -> int:
+    """Width of columns side by side."""
+    between = _BETWEEN * (len(columns) - 1)
+    return sum(column.width for column in columns) + between
+
+
+def _block(
+    keys: Sequence[_PrintedColumn],
+    others: Sequence[_PrintedColumn],
+    max_width: int,
+    *,
+    whole: bool,
+) -> RichTable:
+    """A block of columns beside the keys. Unless it is the whole table, rows of which
+    it would show the keys alone are left out."""
+    columns = [*keys, *others]
+    fits = _width(columns) <= max_width
+    block = RichTable(**_PLAIN)
+    for printed in columns:
+        block.add_column(
+            Text(printed.column.title),
+            justify="right" if printed.column.right else "left",
+            no_wrap=fits and not printed.column.wraps,
+            overflow="fold",
+        )
+    for row in zip(*(printed.cells for printed in columns), strict=True):
+        if whole or any(map(str, row[len(keys) :])):
+            block.add_row(*map(renderable, row))
+    return block

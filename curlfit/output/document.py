@@ -6,17 +6,17 @@ from __future__ import annotations
 import shlex
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
-from rich.table import Table
 from rich.text import Text
 
 from curlfit.findings import Finding
-from curlfit.foreign import STANDARD_INPUT, counted
-from curlfit.output.console import terminal
+from curlfit.foreign import STANDARD_INPUT
+from curlfit.output.console import Printed, terminal
+from curlfit.output.table import Table
 
-Part = str | Text | Table | None
-"""What a section consists of; nothing, where a result has nothing to say."""
+Part = str | Text | Table[Any] | None
 
 LONG = 110  # maximum number of characters in a first line
 
@@ -44,7 +44,7 @@ class Section:
     titled: bool = False
     brief: bool = True
 
-    def __iter__(self) -> Iterator[Text | Table]:
+    def __iter__(self) -> Iterator[Text | Table[Any]]:
         """The parts that are not empty."""
         for part in self.parts:
             if part:
@@ -104,9 +104,10 @@ class Document:
         for section in self.sections:
             parts = list(section)
             if section.titled and parts:
-                parts.insert(0, Text(section.heading, style="bold"))
+                yield Text(section.heading, style="bold")
+                yield Text("")
             for part in parts:
-                yield part
+                yield Printed(part) if isinstance(part, Table) else part
                 yield Text("")
         yield from self.warned(spaced=True)
 

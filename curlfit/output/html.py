@@ -11,11 +11,10 @@ from html import escape
 from typing import Any
 
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
-from curlfit.output.console import Items
 from curlfit.output.document import Document
+from curlfit.output.table import Cell, Table
 
 COLORS = {"green": "#2c8a4b", "yellow": "#a87000", "red": "#d9483b"}
 """Colours of words, by their names on a terminal."""
@@ -39,21 +38,21 @@ def brief(document: Document, name: str) -> str:
     return f'<div style="max-width: 60em">{"".join(map(_block, parts))}</div>'
 
 
-def _block(part: Text | Table) -> str:
+def _block(part: Text | Table[Any]) -> str:
     """A paragraph, or a table with its note below."""
     if isinstance(part, Table):
-        note = getattr(part, "note", None)
-        return _table(part) + (_block(note) if note else "")
+        note = _block(part.note) if part.note else ""
+        return _table(part) + note
     return f'<p style="margin: 0.4em 0; text-align: left">{inline(part)}</p>'
 
 
-def inline(part: Any) -> str:
+def inline(part: Cell) -> str:
     """A text, or the content of a cell, escaped."""
-    if isinstance(part, Items):
-        return ", ".join(map(inline, part.items))
+    if isinstance(part, tuple):
+        return ", ".join(map(inline, part))
     if isinstance(part, Text):
         return "".join(_styled(run) for run in _runs(part))
-    return escape(str(part)).replace("\n", "<br>")
+    return escape(part).replace("\n", "<br>")
 
 
 def _runs(text: Text) -> Iterable[Text]:
@@ -76,18 +75,16 @@ def _styled(run: Text) -> str:
     return f'<span style="{"; ".join(css)}">{text}</span>' if css else text
 
 
-def _table(table: Table) -> str:
+def _table(table: Table[Any]) -> str:
     """A table with its header, without its note."""
-    head = "".join(
-        _cell(column.header, column.justify, "th") for column in table.columns
-    )
-    columns = [
-        [_cell(content, column.justify) for content in column.cells]
-        for column in table.columns
-    ]
+    columns = table.shown
+    head = "".join(_cell(column.title, "th", right=column.right) for column in columns)
     body = ""
-    for row in zip(*columns, strict=True):
-        body += f'<tr style="background-color: transparent">{"".join(row)}</tr>'
+    for row in table.rows:
+        cells = [
+            _cell(column.cell(row), "td", right=column.right) for column in columns
+        ]
+        body += f'<tr style="background-color: transparent">{"".join(cells)}</tr>'
     return (
         '<table style="border-collapse: collapse; margin: 0.5em 0; color: inherit">'
         f'<thead><tr style="border-bottom: {_LINE}">{head}</tr></thead>'
@@ -95,7 +92,7 @@ def _table(table: Table) -> str:
     )
 
 
-def _cell(content: Any, justify: str, tag: str = "td") -> str:
+def _cell(content: Cell, tag: str, *, right: bool) -> str:
     """A cell of a table, aligned as on the terminal."""
-    side = "right" if justify == "right" else "left"
+    side = "right" if right else "left"
     return f'<{tag} style="text-align: {side}; {_CELL}">{inline(content)}</{tag}>'

@@ -1,4 +1,4 @@
-"""Numbers, lists and tables as text."""
+"""Verdicts, stones, rows and sides as text."""
 
 from __future__ import annotations
 
@@ -35,7 +35,9 @@ def labelled(name: str, unit: str) -> str:
 
 def stone_text(stone: Stone, *, mass: bool = True) -> str:
     """Constants of a stone."""
-    names = ("R", "rho", "h", *["m"] * mass)
+    names = ["R", "rho", "h"]
+    if mass:
+        names.append("m")
     return ", ".join(
         f"{name} = {getattr(stone, name):g} {UNITS[name]}" for name in names
     )

@@ -9,7 +9,13 @@ from dataclasses import asdict, dataclass
 from importlib.resources import files
 from typing import Any, Literal, NamedTuple
 
+from rich import box
+from rich.table import Table as RichTable
+from rich.text import Text
+
+from curlfit.output.console import renderable
 from curlfit.output.document import Document, Section
+from curlfit.output.table import Column, Table
 from curlfit.wording import lower
 
 Verdict = Literal["holds", "holds with a correction", "does not hold"]
@@ -83,34 +89,48 @@ def claims_of(
     return tuple(claims)
 
 
-def claims_table(claims: tuple[Claim, ...]) -> Any:
-    """The claims as a table, readable at 80 columns or more."""
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
+def _statement(claim: Claim) -> Text:
+    """A claim, and why it holds or not below."""
+    statement = Text(claim.claim + "\n", style="bold")
+    statement.append(claim.why, style="not bold dim")
+    return statement
 
-    table = Table(
+
+def claims_table(claims: tuple[Claim, ...]) -> Table[Claim]:
+    """The claims beside what was computed."""
+    columns: tuple[Column[Claim], ...] = (
+        Column("", key="id"),
+        Column("claim, and why", words=_statement, key="claim"),
+        Column("printed"),
+        Column("computed"),
+        Column("verdict", format=lambda verdict: Text(verdict, style=_STYLE[verdict])),
+    )
+    return Table(claims, columns)
+
+
+def printed_claims(claims: tuple[Claim, ...]) -> RichTable:
+    """The claims as they are printed, readable at 80 columns or more: cells of long
+    lines wrapped, in widths of a fixed ratio."""
+    layouts: tuple[dict[str, Any], ...] = (
+        {"no_wrap": True, "style": "bold"},
+        {"ratio": 33, "overflow": "fold"},
+        {"ratio": 27, "overflow": "fold"},
+        {"ratio": 30, "overflow": "fold"},
+        {"width": 12},
+    )
+    table = claims_table(claims)
+    printed = RichTable(
         box=box.SIMPLE_HEAD,
         show_lines=False,
         pad_edge=False,
         padding=(0, 1, 1, 0),
         expand=True,
     )
-    table.add_column("", no_wrap=True, style="bold")
-    for name, ratio in (("claim, and why", 33), ("printed", 27), ("computed", 30)):
-        table.add_column(name, ratio=ratio, overflow="fold")
-    table.add_column("verdict", width=12)
+    for column, layout in zip(table.columns, layouts, strict=True):
+        printed.add_column(column.title, **layout)
     for claim in claims:
-        statement = Text(claim.claim + "\n", style="bold")
-        statement.append(claim.why, style="not bold dim")
-        table.add_row(
-            claim.id,
-            statement,
-            Text(claim.printed),
-            Text(claim.computed),
-            Text(claim.verdict, style=_STYLE[claim.verdict]),
-        )
-    return table
+        printed.add_row(*(renderable(column.cell(claim)) for column in table.columns))
+    return printed
 
 
 def verdicts(claims: tuple[Claim, ...]) -> str:

@@ -79,7 +79,7 @@ def reproduce(
 
         result = recompute(show, draw)
 
-    from curlfit.paper.claim import claims_table, page, verdicts
+    from curlfit.paper.claim import page, printed_claims, verdicts
 
     claims = json.dumps([claim.as_dict() for claim in result.claims], indent=1)
     written = [folder / "claims.json", folder / "claims.md"]
@@ -89,7 +89,7 @@ def reproduce(
         atomic_write(file, text)
     if as_json:
         print(claims)
-    console.print(claims_table(result.claims))
+    console.print(printed_claims(result.claims))
     console.print(verdicts(result.claims))
     written += drawn.written()
     console.print("Written: " + ", ".join(map(str, written)), soft_wrap=True)

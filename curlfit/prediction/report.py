@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 from rich.console import Console
 from rich.text import Text
 
-from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Said, Section, show
-from curlfit.output.text import labelled, sided, stone_text
+from curlfit.output.table import Column, Table
+from curlfit.output.text import labelled, rows_text, sided, stone_text
 from curlfit.prediction.result import (
     OUTCOMES,
     QUANTITIES,
@@ -19,9 +20,11 @@ from curlfit.prediction.result import (
     HeldOut,
     Prediction,
     Quantity,
+    Weight,
 )
 from curlfit.sheet import FOOT, STONE_RADIUS, TEE, TEE_TO_BACK
 from curlfit.throws.odd_row import odd_rows_in_words
+from curlfit.throws.throw import UNITS
 from curlfit.wording import capital, decimals, format_estimate, lower
 
 _LINES = {
@@ -63,6 +66,8 @@ _ACROSS = ("rest_x", "rest_to_tee", "curl")
 """Quantities that a law without a curl says nothing of."""
 _ALONG = ("beyond", "before")
 _SIDES = ("right of", "left of")
+_NO_ERROR = 1e-9
+"""Standard deviation, in the unit of the quantity, below which there is none."""
 
 
 def print_prediction(prediction: Prediction, console: Console | None = None) -> None:
@@ -241,25 +246,11 @@ def _called(prediction: Prediction) -> str:
     return f"{capital(', '.join(words))}."
 
 
-def _weights(prediction: Prediction) -> PlainTable:
-    """What to throw for places from guard to hack."""
-    rows = []
-    for weight in prediction.weights:
-        rests = f"{weight.rests}, {_off(weight.y, _ALONG)} the tee"
-        hog_to_tee = "" if weight.hog_to_tee is None else f"{weight.hog_to_tee:.2f}"
-        in_turn, out_turn = weight.brooms
-        rows.append(
-            {
-                "rests": rests if weight.y else "tee",
-                ">hog to hog (s)": f"{weight.hog_to_hog:.2f}",
-                ">hog to tee (s)": hog_to_tee,
-                "broom, in-turn": _broom(in_turn),
-                "broom, out-turn": _broom(out_turn),
-            }
-        )
-    return PlainTable(
-        rows, "Weights and brooms, at the far tee; turns of a right-hander"
-    )
+def _resting_place(weight: Weight) -> str:
+    """Where a stone of a weight rests."""
+    if not weight.y:
+        return "tee"
+    return f"{weight.rests}, {_off(weight.y, _ALONG)} the tee"
 
 
 def _broom(x: float) -> str:
@@ -270,55 +261,115 @@ def _broom(x: float) -> str:
     return f"{inches // 12} ft {inches % 12} in {side}" if inches else ""
 
 
-def _quantities(prediction: Prediction) -> PlainTable:
-    """The predicted quantities with their errors; a joint fit has one error."""
-    both = prediction.misfit is not None
-    unknown = _ACROSS if _knows_no_curl(prediction) else ()
-    rows = []
-    for name, quantity in prediction.quantities.items():
-        if name in unknown:
-            continue
+_WEIGHT_COLUMNS: tuple[Column[Weight], ...] = (
+    Column("rests", _resting_place),
+    Column("hog to hog", format=".2f", unit="s", right=True, key="hog_to_hog"),
+    Column(
+        "hog to tee", format=".2f", unit="s", missing="", right=True, key="hog_to_tee"
+    ),
+    Column("broom, in-turn", lambda weight: weight.brooms[0], _broom),
+    Column("broom, out-turn", lambda weight: weight.brooms[1], _broom),
+)
+
+
+def _weights(prediction: Prediction) -> Table[Weight]:
+    """What to throw for places from guard to hack."""
+    return Table(
+        prediction.weights,
+        _WEIGHT_COLUMNS,
+        "Weights and brooms, at the far tee; turns of a right-hander",
+    )
+
+
+@dataclass(frozen=True)
+class _PredictedRow:
+    """A predicted quantity in words.
+
+    Attributes
+    ----------
+    meaning : of the side on which the quantity lies.
+    sign : -1 where the words are of the other side, else 1.
+    """
+
+    meaning: str
+    unit: str
+    sign: float
+    quantity: Quantity
+
+    @classmethod
+    def of(cls, name: str, quantity: Quantity) -> _PredictedRow:
+        """The row of a quantity."""
         meaning, unit = QUANTITIES[name]
         meaning, sign = sided(meaning, quantity.value)
-        row = {"": labelled(meaning, unit), **_row(quantity, sign, both)}
-        share = quantity.share
-        row["of draws"] = "" if share == 1 else f"{100 * share:.3g} %"
-        rows.append(row)
+        return cls(meaning, unit, sign, quantity)
+
+    @property
+    def size(self) -> float:
+        """The larger error, to two digits of which all numbers are rounded."""
+        return max(self.quantity.parameter_sd, self.quantity.model_sd)
+
+    @property
+    def digits(self) -> int:
+        """Decimal places of the numbers."""
+        return min(decimals(self.size), 4)
+
+    def best(self) -> str:
+        """The best estimate."""
+        best = self.sign * self.quantity.value
+        return "-" if math.isnan(best) else f"{best:.{self.digits}f}"
+
+    def error(self, sd: float) -> str:
+        """An error, with a digit more."""
+        return f"{sd:.{self.digits + 1}f}" if sd > _NO_ERROR else "-"
+
+    def interval(self, low: str, high: str) -> str:
+        """The interval between two quantiles; empty without an error."""
+        if self.size < _NO_ERROR:
+            return ""
+        # increasing, as the quantiles of the other side are in reverse
+        ends = sorted(self.sign * value for value in self.quantity.quantiles.values())
+        end = dict(zip(self.quantity.quantiles, ends, strict=True))
+        return f"{end[low]:.{self.digits}f} .. {end[high]:.{self.digits}f}"
+
+
+def _quantities(prediction: Prediction) -> Table[_PredictedRow]:
+    """The predicted quantities with their errors; a joint fit has one error."""
+    has_model_error = prediction.misfit is not None
+    unknown = _ACROSS if _knows_no_curl(prediction) else ()
+    rows = [
+        _PredictedRow.of(name, quantity)
+        for name, quantity in prediction.quantities.items()
+        if name not in unknown
+    ]
+    parameter_error: Column[_PredictedRow] = Column(
+        "parameters" if has_model_error else "std. dev.",
+        lambda row: row.error(row.quantity.parameter_sd),
+        right=True,
+    )
+    model_error: Column[_PredictedRow] = Column(
+        "model", lambda row: row.error(row.quantity.model_sd), right=True
+    )
     errors = "standard deviation and intervals"
-    if both:
+    if has_model_error:
         errors = (
             "standard deviations by the errors of the parameters and by the "
             "model discrepancy, intervals by both"
         )
-    return PlainTable(rows, f"Predicted quantities: best estimate, {errors}")
+    columns: list[Column[_PredictedRow]] = [
+        Column("", lambda row: labelled(row.meaning, row.unit)),
+        Column("best", lambda row: row.best(), right=True),
+        parameter_error,
+        *([model_error] if has_model_error else []),
+        Column("68 %", lambda row: row.interval("16", "84")),
+        Column("95 %", lambda row: row.interval("2.5", "97.5")),
+        Column("of draws", lambda row: row.quantity.share, _part_of_draws),
+    ]
+    return Table(rows, columns, f"Predicted quantities: best estimate, {errors}")
 
 
-def _row(quantity: Quantity, sign: float, both: bool) -> dict[str, str]:
-    """Best value, both errors or the one of a joint fit, and the intervals, to two
-    digits of the larger error; `sign` is -1 where the words are of the other side."""
-    size = max(quantity.parameter_sd, quantity.model_sd)
-    digits = min(decimals(size), 4)
-
-    def error(sd: float) -> str:
-        return f"{sd:.{digits + 1}f}" if sd > 1e-9 else "-"
-
-    # increasing, as the quantiles of the other side are in reverse
-    ends = sorted(sign * value for value in quantity.quantiles.values())
-    end = {
-        level: f"{value:.{digits}f}"
-        for level, value in zip(quantity.quantiles, ends, strict=True)
-    }
-    best = sign * quantity.value
-    row = {">best": "-" if math.isnan(best) else f"{best:.{digits}f}"}
-    if both:
-        row[">parameters"] = error(quantity.parameter_sd)
-        row[">model"] = error(quantity.model_sd)
-    else:
-        row[">std. dev."] = error(quantity.parameter_sd)
-    uncertain = size >= 1e-9
-    row["68 %"] = f"{end['16']} .. {end['84']}" if uncertain else ""
-    row["95 %"] = f"{end['2.5']} .. {end['97.5']}" if uncertain else ""
-    return row
+def _part_of_draws(share: float) -> str:
+    """The draws that have a quantity, unless all have it."""
+    return "" if share == 1 else f"{100 * share:.3g} %"
 
 
 def _outcomes(prediction: Prediction) -> str:
@@ -354,26 +405,41 @@ def _sensitivity(prediction: Prediction) -> str:
     return f"Sensitivity of the resting position: {'; '.join(changes)}."
 
 
-def _check(check: HeldOut) -> tuple[PlainTable, str]:
+class _HeldOutRow(NamedTuple):
+    """A channel of the rows that were not fitted."""
+
+    name: str
+    of: dict[str, float]
+
+
+_CHECK_COLUMNS: tuple[Column[_HeldOutRow], ...] = (
+    Column("held out", lambda row: f"{row.name} ({UNITS[row.name]})"),
+    Column("rows", lambda row: row.of["rows"], ".0f", right=True),
+    Column("rms", lambda row: row.of["rms"], ".3g", right=True),
+    Column("within 68 %", lambda row: row.of["inside_68"], ".0%", right=True),
+    Column("within 95 %", lambda row: row.of["inside_95"], ".0%", right=True),
+    Column(
+        "error at end",
+        lambda row: row.of["end"],
+        words=lambda row: format_estimate(row.of["end"], row.of["end_sd"])[0],
+        right=True,
+    ),
+    Column(
+        "std. dev.",
+        lambda row: row.of["end_sd"],
+        words=lambda row: format_estimate(row.of["end"], row.of["end_sd"])[1],
+        right=True,
+    ),
+)
+
+
+def _check(check: HeldOut) -> tuple[Table[_HeldOutRow], str]:
     """The comparison with rows that were not fitted, and what it is worth."""
-    rows: list[dict[str, Any]] = []
-    for name, channel in check.channels.items():
-        error, expected = format_estimate(channel["end"], channel["end_sd"])
-        rows.append(
-            {
-                "held out": f"{name} ({'rad' if name == 'phi' else 'm'})",
-                ">rows": f"{channel['rows']:.0f}",
-                ">rms": f"{channel['rms']:.3g}",
-                ">within 68 %": f"{channel['inside_68']:.0%}",
-                ">within 95 %": f"{channel['inside_95']:.0%}",
-                ">error at end": error,
-                ">std. dev.": expected,
-            }
-        )
+    rows = [_HeldOutRow(name, channel) for name, channel in check.channels.items()]
     remark = (
         f"Rows of {check.file} from t = {check.first:g} to {check.last:g} s were "
         "not fitted; the bands include noise. Differences within one throw are "
         "correlated: a path that is off by one standard deviation has hardly a "
         "row within 68 %."
     )
-    return PlainTable(rows, "Rows that were not fitted"), remark
+    return Table(rows, _CHECK_COLUMNS, "Rows that were not fitted"), remark

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any, NamedTuple
 
 from rich.console import Console
 from rich.text import Text
@@ -12,9 +13,9 @@ from curlfit.findings import Finding
 from curlfit.inference.fit.estimates import Estimate
 from curlfit.inference.verdict import Verdict
 from curlfit.losses import LOSSES
-from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Said, Section, show
-from curlfit.output.text import STYLE, labelled
+from curlfit.output.table import Column, Table
+from curlfit.output.text import STYLE, labelled, rows_text
 from curlfit.profile_likelihood.result import (
     Interval,
     Level,
@@ -182,43 +183,79 @@ def _limited(profile: Profile) -> str:
     return f"{profile.name}: {', '.join(intervals)}"
 
 
-def _table(profile: Profile | PairProfile) -> PlainTable | None:
+def _table(profile: Profile | PairProfile) -> Table[Any] | None:
     """The intervals of a parameter, or the extents of the region of two."""
     if isinstance(profile, PairProfile):
         return _extents(profile)
     if profile.verdict != ProfileVerdict.LIMITED:
         return None
+    return _intervals(profile)
+
+
+class _Method(NamedTuple):
+    """A way to find the intervals of a parameter, and what it finds, by level."""
+
+    name: str
+    interval_by_level: dict[str, str]
+
+
+def _intervals(profile: Profile) -> Table[_Method]:
+    """The intervals of a parameter by profile, covariance and posterior."""
     estimate = profile.estimate
     quantiles = profile.quantiles
     scale = _scale(profile)
-    name = labelled(profile.name, estimate.unit)
-    by_profile = {name: "profile"}
-    by_covariance = {name: "covariance"}
-    by_posterior = {name: "posterior"}
+    by_profile = {}
+    by_covariance = {}
+    by_posterior = {}
     for interval, level in zip(profile.intervals, profile.levels, strict=True):
         by_profile[level.name] = _ends(interval, scale)
         by_covariance[level.name] = _gaussian(estimate, level, scale)
         if quantiles:
             low, high = level.quantiles
             by_posterior[level.name] = from_to(quantiles[low], quantiles[high], scale)
-    rows = [by_profile, by_covariance]
+    rows = [_Method("profile", by_profile), _Method("covariance", by_covariance)]
     if quantiles:
-        rows.append(by_posterior)
-    return PlainTable(
-        rows, "Intervals of the profile, the covariance and the posterior"
+        rows.append(_Method("posterior", by_posterior))
+    columns: list[Column[_Method]] = [
+        Column(labelled(profile.name, estimate.unit), key="name")
+    ]
+    for level in profile.levels:
+        columns.append(_level_column(level.name))
+    return Table(
+        rows, columns, "Intervals of the profile, the covariance and the posterior"
     )
 
 
-def _extents(profile: PairProfile) -> PlainTable:
+def _level_column(level: str) -> Column[_Method]:
+    """The column of the intervals at a level."""
+    return Column(level, lambda method: method.interval_by_level[level])
+
+
+def _extents(profile: PairProfile) -> Table[int]:
     """What the regions of two parameters span of each."""
-    rows = []
-    for index, single in enumerate(profile.each):
-        row = {"region spans": labelled(single.name, single.estimate.unit)}
-        for level, extent in profile.extent.items():
-            limited = single.verdict == ProfileVerdict.LIMITED
-            row[level] = _ends(extent[index], _scale(single)) if limited else "-"
-        rows.append(row)
-    return PlainTable(rows, "Extent of the regions of both parameters")
+
+    def name(index: int) -> str:
+        single = profile.each[index]
+        return labelled(single.name, single.estimate.unit)
+
+    columns = [Column("region spans", name)]
+    for level, extent in profile.extent.items():
+        columns.append(_extent_column(profile, level, extent))
+    return Table([0, 1], columns, "Extent of the regions of both parameters")
+
+
+def _extent_column(
+    profile: PairProfile, level: str, extent: Sequence[Interval]
+) -> Column[int]:
+    """The column of what a region spans of each parameter that the data limit."""
+
+    def in_words(index: int) -> str:
+        single = profile.each[index]
+        if single.verdict != ProfileVerdict.LIMITED:
+            return "-"
+        return _ends(extent[index], _scale(single))
+
+    return Column(level, in_words)
 
 
 def _limits(profile: Profile) -> list[str]:

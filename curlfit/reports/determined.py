@@ -35,8 +35,10 @@ _NUMBERS = (
 
 def identifiability(fit: FitResult) -> str:
     """Sentences on what the path determines, what it does not, and what would help."""
-    free = [name for name, item in fit.parameters.items() if item.verdict.is_free]
-    at_bound = [name for name in free if name not in fit.covariance.names]
+    free = [
+        name for name, parameter in fit.parameters.items() if parameter.verdict.is_free
+    ]
+    at_bound = [name for name in free if name not in fit.covariance["names"]]
     subject = _determining(fit)
     if (
         not fit.rms

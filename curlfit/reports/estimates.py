@@ -7,12 +7,20 @@ from typing import Any
 
 from curlfit.findings import Finding
 from curlfit.inference.conditions import if_off, is_calibration
-from curlfit.inference.derived import Derived, Quantiles
+from curlfit.inference.derived import Derived
+from curlfit.inference.fit.estimate_columns import (
+    NAME,
+    POSTERIOR,
+    STDERR,
+    SYSTEMATIC,
+    VALUE,
+    VERDICT,
+    EstimateRow,
+)
 from curlfit.inference.verdict import Verdict
-from curlfit.output.console import PlainTable
 from curlfit.output.document import Said
-from curlfit.output.text import judged, labelled
-from curlfit.wording import capital, compact, format_estimate, from_to, join_words
+from curlfit.output.table import Table
+from curlfit.wording import capital, compact, join_words
 
 _NOTABLE = 0.1  # systematic shift that is reported, over the standard error
 
@@ -36,60 +44,27 @@ def style_of(result: Any) -> str:
 def lines_of(result: Any) -> list[str]:
     """Two lines: coefficients, combinations and products with their errors, and the
     names of the coefficients that are not identifiable."""
-    known = []
-    unidentifiable = []
+    estimates = []
+    not_identifiable = []
     for name, coefficient in result.coefficients.items():
         if coefficient.verdict == Verdict.NOT_IDENTIFIABLE:
-            unidentifiable.append(name)
+            not_identifiable.append(name)
             continue
         text = f"{name} = {compact(coefficient.value, coefficient.stderr)}"
         if coefficient.verdict != Verdict.DETERMINED:
             text += f" ({coefficient.verdict})"
-        known.append(text)
+        estimates.append(text)
     for term in _combinations_and_products(result):
-        known.append(f"{term.expression} = {compact(term.value, term.stderr)}")
+        estimates.append(f"{term.expression} = {compact(term.value, term.stderr)}")
     hidden = ""
-    if unidentifiable:
-        hidden = f"not identifiable: {', '.join(unidentifiable)}"
-    return [", ".join(known), hidden]
+    if not_identifiable:
+        hidden = f"not identifiable: {', '.join(not_identifiable)}"
+    return [", ".join(estimates), hidden]
 
 
 def _combinations_and_products(result: Any) -> tuple[Any, ...]:
     """Determined combinations, and products where a result has them."""
     return (*result.combinations, *getattr(result, "products", ()))
-
-
-def row_of(
-    head: str,
-    name: str,
-    estimate: Any,
-    systematic: float | None = None,
-    quantiles: Quantiles | None = None,
-) -> dict[str, Any]:
-    """Cells of a row of a table of estimates, by heading; `head` is above the names."""
-    verdict = getattr(estimate, "verdict", Verdict.DETERMINED)
-    value = "-"
-    stderr = "-"
-    if verdict != Verdict.NOT_IDENTIFIABLE:
-        value, stderr = format_estimate(estimate.value, estimate.stderr)
-    return {
-        head: labelled(name, getattr(estimate, "unit", "")),
-        ">estimate": value,
-        ">std. error": stderr,
-        ">systematic": None if systematic is None else f"{systematic:.2g}",
-        "verdict": judged(verdict),
-    } | of_posterior(quantiles)
-
-
-def derived_row(head: str, name: str, derived: Derived) -> dict[str, Any]:
-    """Cells of the row of a derived quantity."""
-    return row_of(head, name, derived, derived.systematic, derived.quantiles)
-
-
-def of_posterior(quantiles: Quantiles | None) -> dict[str, str]:
-    """The cell of an interval of the posterior; empty without quantiles."""
-    interval = from_to(quantiles["16"], quantiles["84"]) if quantiles else ""
-    return {"68 % of posterior": interval}
 
 
 def reported(result: Any) -> dict[str, tuple[float, float | None]]:
@@ -152,9 +127,23 @@ def _largest_shift(shifts: Mapping[str, float]) -> tuple[str, float]:
     return largest
 
 
-def derived_table(quantities: Sequence[Derived]) -> PlainTable:
+def estimates_table(
+    heading: str, rows: Sequence[EstimateRow], caption: str
+) -> Table[EstimateRow]:
+    """Estimates with their errors, verdicts and intervals; `heading` is above their
+    names."""
+    columns = (
+        NAME.but(heading=heading),
+        VALUE,
+        STDERR,
+        SYSTEMATIC,
+        VERDICT,
+        POSTERIOR,
+    )
+    return Table(rows, columns, caption)
+
+
+def derived_table(quantities: Sequence[Derived]) -> Table[EstimateRow]:
     """Derived quantities with their errors."""
-    rows = [
-        derived_row("derived", quantity.expression, quantity) for quantity in quantities
-    ]
-    return PlainTable(rows, "Derived quantities")
+    rows = [EstimateRow.of(quantity.expression, quantity) for quantity in quantities]
+    return estimates_table("derived", rows, "Derived quantities")

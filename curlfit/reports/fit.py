@@ -4,30 +4,37 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rich.console import Console
 from rich.text import Text
 
 from curlfit.foreign import counted, file_and_number
 from curlfit.inference.derived import Derived, Quantiles, scaled, to_its_side
+from curlfit.inference.fit.estimate_columns import (
+    NAME,
+    POSTERIOR,
+    STDERR,
+    SYSTEMATIC,
+    VALUE,
+    EstimateRow,
+)
 from curlfit.inference.parameters import START
 from curlfit.inference.verdict import Verdict
 from curlfit.losses import LOSSES
-from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Section, command_line, show
-from curlfit.output.text import stone_text
+from curlfit.output.table import Column, Table
+from curlfit.output.text import rows_text, stone_text
 from curlfit.reports import posterior
 from curlfit.reports.determined import identifiability
 from curlfit.reports.estimates import (
     about,
-    derived_row,
     derived_table,
+    estimates_table,
     lines_of,
     reported,
-    row_of,
     style_of,
     systematics,
 )
@@ -48,6 +55,8 @@ if TYPE_CHECKING:
     from curlfit.inference.fit.estimates import Estimate
     from curlfit.inference.fit.result import FitResult
     from curlfit.inference.identifiability import Combination
+    from curlfit.throws.events import Event
+    from curlfit.throws.reference import Reference
 
 _MOST_NAMED = 6  # outliers that the report lists
 _UNFINISHED = (
@@ -139,7 +148,7 @@ def extent(fit: FitResult) -> str:
     return "; ".join(filter(None, parts))
 
 
-def _estimates(fit: FitResult) -> PlainTable:
+def _estimates(fit: FitResult) -> Table[EstimateRow]:
     """Coefficients, determined combinations, initial state and conditions, in this
     order, beside the posterior and a reference."""
     quantiles: Mapping[str, Quantiles] = {}
@@ -152,16 +161,24 @@ def _estimates(fit: FitResult) -> PlainTable:
                 estimates[combination.expression] = combination
         estimates[name] = parameter
     errors = fit.systematics.errors
-    rows = []
-    for name, estimate in estimates.items():
-        row = row_of("parameter", name, estimate, errors.get(name), quantiles.get(name))
-        if fit.reference is not None:
-            weights = getattr(estimate, "weights", {name: 1.0})
-            published = fit.reference.of(name, weights)
-            text = "" if published is None else f"{published:g}"
-            row[f">{fit.reference.source}"] = text
-        rows.append(row)
-    return PlainTable(rows, "Estimates with standard errors")
+    rows = [
+        EstimateRow.of(name, estimate, errors.get(name), quantiles.get(name))
+        for name, estimate in estimates.items()
+    ]
+    table = estimates_table("parameter", rows, "Estimates with standard errors")
+    if fit.reference is None:
+        return table
+    return replace(table, columns=[*table.columns, _published(fit.reference)])
+
+
+def _published(reference: Reference) -> Column[EstimateRow]:
+    """The column of the values of a reference."""
+
+    def value(row: EstimateRow) -> float | None:
+        weights = getattr(row.estimate, "weights", {row.name: 1.0})
+        return reference.of(row.name, weights)
+
+    return Column(reference.source, value, "g", missing="", right=True)
 
 
 def _few_values(fit: FitResult) -> str:
@@ -196,7 +213,7 @@ def _with_settled(fit: FitResult, quantity: Derived) -> Derived:
     return replace(quantity, quantiles={})
 
 
-def _quantities(fit: FitResult) -> PlainTable:
+def _quantities(fit: FitResult) -> Table[EstimateRow]:
     """Quantities of the fitted path within the record; with a model discrepancy, of the
     path of the law without it."""
     heading = "along the fitted path"
@@ -210,12 +227,9 @@ def _quantities(fit: FitResult) -> PlainTable:
         quantities.append(quantity)
         if name == "curl":
             quantities.append(scaled(replace(quantity, unit="ft"), 1 / FOOT))
-    # an empty verdict leaves out the column of verdicts
-    rows = [
-        derived_row(heading, quantity.meaning, quantity) | {"verdict": ""}
-        for quantity in quantities
-    ]
-    return PlainTable(rows, caption)
+    rows = [EstimateRow.of(quantity.meaning, quantity) for quantity in quantities]
+    columns = (NAME.but(heading=heading), VALUE, STDERR, SYSTEMATIC, POSTERIOR)
+    return Table(rows, columns, caption)
 
 
 def _draw(fit: FitResult) -> str:
@@ -237,70 +251,112 @@ def quantities_line(fit: FitResult) -> str:
         if name not in fit.quantities:
             continue
         quantity = to_its_side(fit.quantities[name])
-        what = quantity.meaning.partition(",")[0]
+        name_of_quantity, _, _ = quantity.meaning.partition(",")
         unit = "" if quantity.unit in ("", "1") else f" {quantity.unit}"
-        parts.append(f"{what} {compact(quantity.value, quantity.stderr)}{unit}")
+        value = compact(quantity.value, quantity.stderr)
+        parts.append(f"{name_of_quantity} {value}{unit}")
     return ", ".join(parts)
 
 
-def _beside_reference(fit: FitResult) -> PlainTable | None:
-    """The estimates as refitted with the constants of the stone on which a reference
-    is based, where the printed constants are rounded; None where there are no refits.
+@dataclass(frozen=True)
+class _Refitted:
+    """A parameter that was published, and its estimates.
 
-    The first refit has these constants, each other one the present constants with one
-    of them changed by its rounding error. The reference agrees where the first is as
-    near to it as the rounding of its digits and the shifts of the others allow.
+    Attributes
+    ----------
+    name : of the parameter, or the expression of a combination.
+    value, stderr : of the fit.
+    refitted : values fitted with other constants of the stone, first with those on
+        which the published value is based.
+    published : the value of the reference.
     """
+
+    name: str
+    value: float
+    stderr: float | None
+    refitted: Sequence[float]
+    published: float
+
+    @property
+    def shifts(self) -> list[float]:
+        """By how much the values fitted again differ from that of the fit."""
+        return [value - self.value for value in self.refitted]
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the first value fitted again is the published one, within the
+        rounding of its digits and of the constants."""
+        rounding = 0.5 * 10.0 ** -_decimal_places(self.published)
+        tolerance = rounding + sum(map(abs, self.shifts[1:]))
+        return abs(self.refitted[0] - self.published) <= tolerance
+
+
+def _beside_reference(fit: FitResult) -> Table[_Refitted] | None:
+    """How the estimates change with the constants of the stone that a reference is
+    based on, and whether they then agree with it."""
     reference = fit.reference
     refits = fit.reference_fits
     if reference is None or not refits:
         return None
-    estimates = reported(fit)
-    names = [
-        name
-        for name in estimates
-        if name in reference.values and all(name in refit.values for refit in refits)
+    rows = [
+        _Refitted(
+            name,
+            value,
+            stderr,
+            [refit["values"][name] for refit in refits],
+            reference.values[name],
+        )
+        for name, (value, stderr) in reported(fit).items()
+        if name in reference.values and all(name in refit["values"] for refit in refits)
     ]
-    if not names:
+    if not rows:
         return None
     based_on = refits[0]["stone"]
     constants = ", ".join(
         f"{constant} = {value:g} {UNIT[constant]}"
         for constant, value in based_on.items()
     )
-    places = max(map(_places, reference.values.values()))
-    agree = True
-    refitted = []
-    rows = []
-    for name in names:
-        value, stderr = estimates[name]
-        row = {"refitted parameter": name}
-        row[">std. error"] = format_estimate(value, stderr)[1]
-        shifts = [refit.values[name] - value for refit in refits]
-        for refit, shift in zip(refits, shifts, strict=True):
-            heading = f">shift, {_changes(refit['stone'], fit.stone)}"
-            rounded = round(shift, places + 1) + 0.0  # no minus before a zero
-            row[heading] = f"{rounded:+.{places + 1}f}"
-        again = refits[0]["values"][name]
-        refitted.append(f"{again:.{places}f}")
-        row[f">with {constants}"] = refitted[-1]
-        published = reference.values[name]
-        row[f">{reference.source}"] = f"{published:g}"
-        rows.append(row)
-        rounding = 0.5 * 10.0 ** -_places(published)
-        tolerance = rounding + sum(abs(shift) for shift in shifts[1:])
-        agree = agree and abs(again - published) <= tolerance
+    digits = max(map(_decimal_places, reference.values.values()))
+    columns: list[Column[_Refitted]] = [
+        Column("refitted parameter", key="name"),
+        Column(
+            "std. error",
+            words=lambda row: format_estimate(row.value, row.stderr)[1],
+            right=True,
+            key="stderr",
+        ),
+    ]
+    for index, refit in enumerate(refits):
+        changes = _changes(refit["stone"], fit.stone)
+        columns.append(_shift_column(f"shift, {changes}", index, digits + 1))
+    columns += [
+        Column(
+            f"with {constants}", lambda row: row.refitted[0], f".{digits}f", right=True
+        ),
+        Column(reference.source, format="g", right=True, key="published"),
+    ]
     verdict = f"which do not all agree with {reference.source}"
-    if agree:
+    if all(row.agrees for row in rows):
         verdict = (
             f"which agree with {reference.source} within the rounding of its digits "
             "and of the stone's constants"
         )
     option = ",".join(f"{constant}={value:g}" for constant, value in based_on.items())
     text = f"{reference.source}: {reference.note}. " if reference.note else ""
-    text += f"`--stone {option}` gives {join_words(refitted)}, {verdict}."
+    values = join_words([f"{row.refitted[0]:.{digits}f}" for row in rows])
+    text += f"`--stone {option}` gives {values}, {verdict}."
     caption = "Shift of the estimates with the constants of the stone"
-    return PlainTable(rows, caption, note=Text(text))
+    return Table(rows, columns, caption, note=Text(text))
+
+
+def _shift_column(heading: str, index: int, digits: int) -> Column[_Refitted]:
+    """The column of the shifts in one of the refits, to some decimal places."""
+
+    def in_words(shift: float) -> str:
+        rounded = round(shift, digits) + 0.0  # no minus before a zero
+        return f"{rounded:+.{digits}f}"
+
+    return Column(heading, lambda row: row.shifts[index], in_words, right=True)
 
 
 def _changes(constants: Mapping[str, float], stone: Stone) -> str:
@@ -312,30 +368,32 @@ def _changes(constants: Mapping[str, float], stone: Stone) -> str:
     )
 
 
-def _places(value: float) -> int:
+def _decimal_places(value: float) -> int:
     """Decimal places of a published number."""
     return len(f"{value:g}".partition(".")[2])
 
 
-def _quality(fit: FitResult) -> PlainTable:
+def _quality(fit: FitResult) -> Table[str]:
     """Size and correlation of the residuals, and the noise assumed, by channel."""
-    rows = []
-    for channel, rms in fit.rms.items():
-        lag1 = fit.lag1.get(channel)
-        row = {
-            "channel": channel,
-            ">rms": f"{rms:.3g}",
-            "unit": UNITS[channel],
-            "noise assumed": _sigma(fit, channel),
-            "": fit.data.sigma[channel],
-            "lag-1 correlation": "" if lag1 is None else f"{lag1:.2f}",
-        }
-        if not fit.noise.is_white:
-            whitened = fit.independence.get(channel)
-            row["noise model"] = fit.noise.words(channel)
-            row["lag-1 after whitening"] = f"{whitened.lag1:.2f}" if whitened else ""
-        rows.append(row)
-    return PlainTable(rows, "Residuals by channel")
+    columns: list[Column[str]] = [
+        Column("channel", lambda channel: channel),
+        Column("rms", lambda channel: fit.rms[channel], ".3g", right=True),
+        Column("unit", lambda channel: UNITS[channel]),
+        Column("noise assumed", lambda channel: _sigma(fit, channel)),
+        Column("", lambda channel: fit.data["sigma"][channel]),
+        Column("lag-1 correlation", fit.lag1.get, ".2f", missing=""),
+    ]
+    if not fit.noise.is_white:
+        columns += [
+            Column("noise model", fit.noise.words),
+            Column(
+                "lag-1 after whitening",
+                fit.independence.get,
+                lambda whitened: f"{whitened.lag1:.2f}",
+                missing="",
+            ),
+        ]
+    return Table(list(fit.rms), columns, "Residuals by channel")
 
 
 def _sigma(fit: FitResult, channel: str) -> str:
@@ -348,24 +406,46 @@ def _sigma(fit: FitResult, channel: str) -> str:
     return f"{fit.sigma[channel]:.3g}{largest} {UNITS[channel]}"
 
 
-def _events(fit: FitResult) -> PlainTable:
+class _FittedEvent(NamedTuple):
+    """A timed event, and the value that the fit gives it."""
+
+    event: Event
+    fitted: float
+
+    @property
+    def residual(self) -> float:
+        """Measured less fitted value, in sigma."""
+        return (self.event.value - self.fitted) / self.event.sigma
+
+    def in_words(self, value: float) -> str:
+        """A value with the digits that its sigma allows, two decimal places or more."""
+        return f"{value:.{max(decimals(self.event.sigma), 2)}f}"
+
+
+_EVENT_COLUMNS: tuple[Column[_FittedEvent], ...] = (
+    Column("measured", lambda row: row.event.name),
+    Column(
+        "value",
+        lambda row: row.event.value,
+        words=lambda row: row.in_words(row.event.value),
+        right=True,
+    ),
+    Column("sigma", lambda row: row.event.sigma, ".2g", right=True),
+    Column("unit", lambda row: row.event.unit),
+    Column("fit", words=lambda row: row.in_words(row.fitted), right=True, key="fitted"),
+    Column(
+        "measured - fit",
+        lambda row: row.residual + 0.0,  # no minus before a zero
+        lambda residual: f"{residual:.1f} sigma",
+        right=True,
+    ),
+)
+
+
+def _events(fit: FitResult) -> Table[_FittedEvent]:
     """Values measured at lines and at rest, with the fitted ones."""
-    rows = []
-    for event in fit.events:
-        digits = max(decimals(event.sigma), 2)
-        # no minus before a zero
-        residual = (event.value - event.fitted) / event.sigma + 0.0
-        rows.append(
-            {
-                "measured": event.name,
-                ">value": f"{event.value:.{digits}f}",
-                ">sigma": f"{event.sigma:.2g}",
-                "unit": event.event.unit,
-                ">fit": f"{event.fitted:.{digits}f}",
-                ">measured - fit": f"{residual:.1f} sigma",
-            }
-        )
-    return PlainTable(rows, "Timed events")
+    rows = [_FittedEvent(event, fitted) for event, fitted in fit.timed]
+    return Table(rows, _EVENT_COLUMNS, "Timed events")
 
 
 def outliers(fit: FitResult) -> str:

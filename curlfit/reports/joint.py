@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
@@ -10,17 +11,24 @@ from rich.console import Console
 from rich.text import Text
 
 from curlfit.findings import Finding
+from curlfit.inference.derived import Quantiles
+from curlfit.inference.fit.estimate_columns import (
+    POSTERIOR,
+    STDERR,
+    VALUE,
+    EstimateRow,
+    interval_in_words,
+)
 from curlfit.inference.joint.effects import SLOPES_DIFFER, chances_of_alike_slopes
 from curlfit.losses import LOSSES
-from curlfit.output.console import PlainTable
 from curlfit.output.document import Document, Section, command_line, show
+from curlfit.output.table import Column, Table
 from curlfit.output.text import labelled
 from curlfit.reports.estimates import (
     about,
     derived_table,
+    estimates_table,
     lines_of,
-    of_posterior,
-    row_of,
     style_of,
     systematics,
 )
@@ -38,6 +46,8 @@ from curlfit.wording import (
 )
 
 if TYPE_CHECKING:
+    from curlfit.inference.fit.estimates import Estimate
+    from curlfit.inference.fit.result import FitResult
     from curlfit.inference.joint.effects import Effect
     from curlfit.inference.joint.result import JointResult, Variation
 
@@ -59,7 +69,7 @@ _OF_A_DRAW = {
 _CHANCE = 0.05  # probability above which an effect is within the errors
 _R_HAT = 1.05  # of a sample that ended without the 1.01 that it aims at
 _HIDDEN = ("x0", "y0", "phi0", "heading")
-_Item = TypeVar("_Item")
+_Entry = TypeVar("_Entry")
 
 
 def print_joint(result: JointResult, console: Console | None = None) -> None:
@@ -142,27 +152,32 @@ def document(result: JointResult) -> Document:
     )
 
 
-def _shared(result: JointResult) -> PlainTable:
+def _shared(result: JointResult) -> Table[EstimateRow]:
     """What the throws have in common or, where they vary, their means, and how they
     differ."""
     variations = {variation.expression: variation for variation in result.variation}
-    heading = "~differs between throws"
+    heading = "differs between throws"
     caption = "What the throws have in common, with standard errors"
     if result.varies:
-        heading = "~spread between throws"
+        heading = "spread between throws"
         caption = "Means of the throws, with standard errors"
     estimates: dict[str, Any] = dict(result.coefficients)
     for combination in result.combinations:
         estimates[combination.expression] = combination
     errors = result.systematics.errors
-    rows = []
-    for name, estimate in estimates.items():
-        row = row_of("shared", name, estimate, errors.get(name))
-        row[heading] = ""
-        if name in variations:
-            row[heading] = _differs(variations[name], result.varies)
-        rows.append(row)
-    return PlainTable(rows, caption)
+    rows = [
+        EstimateRow.of(name, estimate, errors.get(name))
+        for name, estimate in estimates.items()
+    ]
+    differs: Column[EstimateRow] = Column(
+        heading,
+        lambda row: variations.get(row.name),
+        lambda variation: _differs(variation, result.varies),
+        missing="",
+        wraps=True,
+    )
+    table = estimates_table("shared", rows, caption)
+    return replace(table, columns=[*table.columns, differs])
 
 
 def _differs(variation: Variation, varies: bool) -> Text | str:
@@ -255,7 +270,50 @@ def _alike_slopes(result: JointResult) -> list[str]:
     ]
 
 
-def _effects(result: JointResult) -> PlainTable:
+@dataclass(frozen=True)
+class _EffectRow:
+    """What a group or a trend changes in a quantity, or the spread between throws, of
+    which only the value is known besides its posterior.
+
+    Attributes
+    ----------
+    cause : the group or trend.
+    quantity : with its unit.
+    value, stderr : in words.
+    p : probability of a value at least as far from zero by chance.
+    """
+
+    cause: str
+    quantity: str
+    value: str
+    quantiles: Quantiles
+    stderr: str = ""
+    p: float | None = None
+
+    @classmethod
+    def of(cls, effect: Effect) -> _EffectRow:
+        """The row of an effect."""
+        cause = f"{effect.by} {effect.group}".strip()
+        if effect.against:
+            cause += f" - {effect.against}"
+        if effect.along:
+            cause += f", {effect.along}"
+        value, stderr = format_estimate(effect.value, effect.stderr)
+        quantity = labelled(effect.parameter, effect.unit)
+        return cls(cause, quantity, value, effect.quantiles, stderr, effect.p)
+
+
+_EFFECT_COLUMNS: tuple[Column[_EffectRow], ...] = (
+    Column("", key="cause"),
+    Column("quantity"),
+    Column(VALUE.heading, right=True, key="value"),
+    Column(STDERR.heading, right=True, key="stderr"),
+    Column("p", format=p_text, missing=""),
+    Column(POSTERIOR.heading, format=interval_in_words, key="quantiles"),
+)
+
+
+def _effects(result: JointResult) -> Table[_EffectRow]:
     """What groups and trends change in each coefficient, with the posterior of the
     spreads between throws below."""
     effects = [*result.groups, *result.differences, *result.trend, *result.slopes]
@@ -265,53 +323,93 @@ def _effects(result: JointResult) -> PlainTable:
             for effect in result.slope_differences
             if effect.by in result.means.trend_by
         ]
-    rows = []
-    for effect in effects:
-        if effect.parameter in _OF_A_DRAW or not effect.by:
-            continue
-        cause = f"{effect.by} {effect.group}".strip()
-        if effect.against:
-            cause += f" - {effect.against}"
-        if effect.along:
-            cause += f", {effect.along}"
-        value, stderr = format_estimate(effect.value, effect.stderr)
-        row = {
-            "": cause,
-            "quantity": labelled(effect.parameter, effect.unit),
-            ">estimate": value,
-            ">std. error": stderr,
-            "p": "" if effect.p is None else p_text(effect.p),
-        }
-        rows.append(row | of_posterior(effect.quantiles))
+    rows = [
+        _EffectRow.of(effect)
+        for effect in effects
+        if effect.by and effect.parameter not in _OF_A_DRAW
+    ]
     for variation in result.variation:
         if variation.quantiles:
-            row = {
-                "": "between throws",
-                "quantity": variation.expression,
-                ">estimate": two_digits(variation.spread),
-            }
-            rows.append(row | of_posterior(variation.quantiles))
-    return PlainTable(rows, "Groups and trends")
+            rows.append(
+                _EffectRow(
+                    cause="between throws",
+                    quantity=variation.expression,
+                    value=two_digits(variation.spread),
+                    quantiles=variation.quantiles,
+                )
+            )
+    return Table(rows, _EFFECT_COLUMNS, "Groups and trends")
 
 
-def _throws(result: JointResult) -> PlainTable:
+class _ThrowRow(NamedTuple):
+    """A throw of a joint fit, and its number in the lists of all throws, from 0."""
+
+    fit: FitResult
+    number: int
+
+
+def _throws(result: JointResult) -> Table[_ThrowRow]:
     """Each throw: its own parameters, what it alone says of those in common, and the
     size of its residuals."""
-    rows = []
-    for index, throw in enumerate(result.throws):
-        row = {"throw": Path(throw.data.file).name}
+    own_names: dict[str, None] = {}
+    channels: dict[str, None] = {}
+    for throw in result.throws:
         for name, parameter in throw.parameters.items():
             if name not in (*result.share, *_HIDDEN) and parameter.verdict.is_free:
-                value, _ = format_estimate(parameter.value, parameter.stderr)
-                row[f">{name}"] = value
-        for variation in result.variation:
-            alone = variation.each[index]
-            text = "" if alone is None else compact(*alone)
-            row[f">{variation.expression} alone"] = text
-        for channel, rms in throw.rms.items():
-            row[f">{channel}\n(m{UNITS[channel]})"] = f"{1000 * rms:.3g}"
-        rows.append(row)
-    return PlainTable(rows, "Each throw, with what it says alone")
+                own_names[name] = None
+        channels |= dict.fromkeys(throw.rms)
+    columns: list[Column[_ThrowRow]] = [
+        Column("throw", lambda row: Path(row.fit.data["file"]).name),
+        *map(_parameter_column, own_names),
+        *map(_alone_column, result.variation),
+        *map(_rms_column, channels),
+    ]
+    rows = [_ThrowRow(fit, number) for number, fit in enumerate(result.throws)]
+    return Table(rows, columns, "Each throw, with what it says alone")
+
+
+def _parameter_column(name: str) -> Column[_ThrowRow]:
+    """The column of the estimates of a parameter of each throw's own."""
+
+    def estimate(row: _ThrowRow) -> Estimate | None:
+        parameter = row.fit.parameters.get(name)
+        return parameter if parameter and parameter.verdict.is_free else None
+
+    return Column(
+        name,
+        estimate,
+        lambda parameter: format_estimate(parameter.value, parameter.stderr)[0],
+        missing="",
+        right=True,
+    )
+
+
+def _alone_column(variation: Variation) -> Column[_ThrowRow]:
+    """The column of what each throw alone says of a shared parameter."""
+    return Column(
+        f"{variation.expression} alone",
+        lambda row: variation.each[row.number],
+        lambda alone: compact(*alone),
+        missing="",
+        right=True,
+    )
+
+
+def _rms_column(channel: str) -> Column[_ThrowRow]:
+    """The column of the residuals in a channel, in mm or mrad."""
+
+    def thousandths(row: _ThrowRow) -> float | None:
+        rms = row.fit.rms.get(channel)
+        return None if rms is None else 1000 * rms
+
+    return Column(
+        f"{channel}\n",
+        thousandths,
+        ".3g",
+        unit=f"m{UNITS[channel]}",
+        missing="",
+        right=True,
+    )
 
 
 def _notes(result: JointResult) -> list[Finding]:
@@ -321,12 +419,16 @@ def _notes(result: JointResult) -> list[Finding]:
     return _of_all([throw.data.notes for throw in result.throws])
 
 
-def _of_all(lists: Sequence[Sequence[_Item]]) -> list[_Item]:
+def _of_all(lists: Sequence[Sequence[_Entry]]) -> list[_Entry]:
     """The items that are in all of some lists."""
     if not lists:
         return []
-    first, *others = lists
-    return [entry for entry in first if all(entry in other for other in others)]
+    first_list, *other_lists = lists
+    return [
+        entry
+        for entry in first_list
+        if all(entry in other_list for other_list in other_lists)
+    ]
 
 
 def _files(result: JointResult) -> list[str]:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from curlfit.foreign import counted
 from curlfit.inference.derived import Quantiles, quantiles_of
-from curlfit.output.console import PlainTable
+from curlfit.inference.fit.estimate_columns import interval_in_words
 from curlfit.output.document import Document, Section
+from curlfit.output.table import Column, Table
 from curlfit.wording import from_to
 
 if TYPE_CHECKING:
@@ -42,7 +43,9 @@ def of_chain(chain: Chain) -> Document:
         if len(samples) and np.ptp(samples) > 0
     }
     first = list(quantiles)[:_SHOWN]
-    line = "68 %: " + ", ".join(f"{name} {_middle(quantiles[name])}" for name in first)
+    line = "68 %: " + ", ".join(
+        f"{name} {interval_in_words(quantiles[name])}" for name in first
+    )
     if len(quantiles) > _SHOWN:
         line += " ..."
     return Document(
@@ -57,24 +60,29 @@ def of_chain(chain: Chain) -> Document:
     )
 
 
-def _table(quantiles_by_name: Mapping[str, Quantiles]) -> PlainTable:
-    """Intervals of 68 and 95 % of each parameter, to the same digit."""
-    rows = []
-    for name, quantiles in quantiles_by_name.items():
-        scale = (quantiles["84"] - quantiles["16"]) / 3
-        rows.append(
-            {
-                "parameter": name,
-                ">68 %": _middle(quantiles),
-                ">95 %": from_to(quantiles["2.5"], quantiles["97.5"], scale),
-            }
-        )
-    return PlainTable(rows)
+class _Interval(NamedTuple):
+    """Quantiles of a parameter."""
+
+    name: str
+    quantiles: Quantiles
+
+    @property
+    def wide(self) -> str:
+        """The interval that holds 95 % of the samples, to the digit of that of 68 %."""
+        scale = (self.quantiles["84"] - self.quantiles["16"]) / 3
+        return from_to(self.quantiles["2.5"], self.quantiles["97.5"], scale)
 
 
-def _middle(quantiles: Quantiles) -> str:
-    """The interval that holds 68 % of the samples."""
-    return from_to(quantiles["16"], quantiles["84"])
+_COLUMNS: tuple[Column[_Interval], ...] = (
+    Column("parameter", key="name"),
+    Column("68 %", format=interval_in_words, right=True, key="quantiles"),
+    Column("95 %", right=True, key="wide"),
+)
+
+
+def _table(quantiles_by_name: Mapping[str, Quantiles]) -> Table[_Interval]:
+    """Intervals of 68 and 95 % of each parameter."""
+    return Table([_Interval(*pair) for pair in quantiles_by_name.items()], _COLUMNS)
 
 
 def style(posterior: Posterior) -> str:

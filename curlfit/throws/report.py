@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from rich.console import Console
-from rich.text import Text
 
 from curlfit.errors import CurlfitError
 from curlfit.foreign import counted
-from curlfit.output.console import PlainTable
+from curlfit.output.console import Printed
+from curlfit.output.table import Column, Table
 from curlfit.settings.choices import Reading
 from curlfit.sheet import LINES
 from curlfit.throws.motion import MIN_POSITIONS, final_speed, first_row_at_rest, path_of
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from curlfit.throws.events import Event
     from curlfit.throws.friction_table import FrictionTable
     from curlfit.throws.load import Part
+    from curlfit.throws.readers.columns import Column as ReadAs
     from curlfit.throws.readers.parsed_file import ParsedFile
     from curlfit.throws.throw import Throw
 
@@ -54,13 +55,13 @@ def print_inspection(
             f"{parsed.source}: {parsed.format}, {counted(len(throw), 'row')}, "
             f"t = {throw.t[0]:.6g} .. {throw.t[-1]:.6g} s"
         )
-        write(_columns(parsed))
+        write(Printed(_columns(parsed)))
     else:
         events = counted(len(throw.events), "event")
         write(f"{parsed.source}: {parsed.format}, {events} at lines and at rest")
         for sentence in odd:
             write(sentence, style="yellow", markup=False)
-        write(_events(throw))
+        write(Printed(_events(throw)))
     write()
     for line in facts(throw, settings):
         write(line)
@@ -80,15 +81,18 @@ def print_rows(parts: Sequence[Part], file: Path, console: Console) -> None:
     console.print(f"{file}: timings, {counted(len(parts), 'throw')} in rows")
     for sentence in odd_rows_in_words(odd_rows):
         console.print(sentence, style="yellow", markup=False)
-    rows = []
-    for part, throw in zip(parts, throws, strict=True):
-        values = {f">{_heading(event)}": _in_table(event) for event in throw.events}
-        used = "left out" if part.left_out else ""
-        row = {">row": str(part.shot), **throw.labels, **values, "": used}
-        rows.append({heading: Text(cell) for heading, cell in row.items()})
-    headings = {heading: Text("") for row in rows for heading in row}
-    shown = [headings | row for row in rows[:_MOST_SHOWN]]
-    console.print(PlainTable(shown))
+    rows = [_ThrowRow(part, throw) for part, throw in zip(parts, throws, strict=True)]
+    labels = dict.fromkeys(label for throw in throws for label in throw.labels)
+    measurements = dict.fromkeys(
+        _heading(event) for throw in throws for event in throw.events
+    )
+    columns: list[Column[_ThrowRow]] = [
+        Column("row", lambda row: row.part.shot, right=True),
+        *map(_label_column, labels),
+        *map(_event_column, measurements),
+        Column("", lambda row: "left out" if row.part.left_out else ""),
+    ]
+    console.print(Printed(Table(rows[:_MOST_SHOWN], columns)))
     if len(rows) > _MOST_SHOWN:
         console.print(f"... and {len(rows) - _MOST_SHOWN} more")
     notes = dict.fromkeys(
@@ -105,18 +109,22 @@ def print_friction(table: FrictionTable, console: Console) -> None:
     console.print(
         f"{table.name}: friction against speed, {counted(len(table.mu), 'row')}"
     )
-    columns = {"speed (m/s)": table.speed, "mu": table.mu}
+    columns = [
+        _series_column("speed (m/s)", table.speed),
+        _series_column("mu", table.mu),
+    ]
     if table.sigma is not None:
-        columns["sigma of mu"] = table.sigma
+        columns.append(_series_column("sigma of mu", table.sigma))
     if table.omega.any():
-        columns["spin (rad/s)"] = table.omega
-    console.print(
-        PlainTable(
-            {f">{heading}": f"{values[row]:.5g}" for heading, values in columns.items()}
-            for row in range(min(len(table.mu), _MOST_SHOWN))
-        )
-    )
+        columns.append(_series_column("spin (rad/s)", table.omega))
+    rows = range(min(len(table.mu), _MOST_SHOWN))
+    console.print(Printed(Table(rows, columns)))
     _print_notes(table.notes, console)
+
+
+def _series_column(heading: str, series: Floats) -> Column[int]:
+    """The column of a series, by row."""
+    return Column(heading, series.__getitem__, ".5g", right=True)
 
 
 def _print_notes(notes: Sequence[Finding], console: Console) -> None:
@@ -128,17 +136,36 @@ def _print_notes(notes: Sequence[Finding], console: Console) -> None:
         console.print(f"- {note}")
 
 
+class _ThrowRow(NamedTuple):
+    """A throw in a row of a stopwatch table."""
+
+    part: Part
+    throw: Throw
+
+
+def _label_column(label: str) -> Column[_ThrowRow]:
+    """The column of a label of the throws."""
+    return Column(label, lambda row: row.throw.labels.get(label), missing="")
+
+
+def _event_column(heading: str) -> Column[_ThrowRow]:
+    """The column of a measurement; a row without it is empty."""
+
+    def value(row: _ThrowRow) -> float | None:
+        for event in row.throw.events:
+            if _heading(event) == heading:
+                beyond = LINES["far-tee"] if event.name == "rest" else 0.0
+                return event.value - beyond
+        return None
+
+    return Column(heading, value, ".4g", missing="", right=True)
+
+
 def _heading(event: Event) -> str:
     """The name and unit of a measurement, as of a table that a person keeps."""
     if event.name == "rest":
         return "rest (m past the tee)"
     return f"{event.name.replace('_', ' ')} ({event.unit})"
-
-
-def _in_table(event: Event) -> str:
-    """The value of a measurement under its heading."""
-    beyond = LINES["far-tee"] if event.name == "rest" else 0.0
-    return f"{event.value - beyond:.4g}"
 
 
 def print_findings(findings: Sequence[Finding], console: Console) -> None:
@@ -150,38 +177,54 @@ def print_findings(findings: Sequence[Finding], console: Console) -> None:
         console.print(f"- {finding}", style="red" if finding.is_refusal else "yellow")
 
 
-def _columns(parsed: ParsedFile) -> PlainTable:
+class _Series(NamedTuple):
+    """A column of a file, in SI units, and how it was read."""
+
+    header: str
+    read_as: ReadAs
+    values: Floats
+
+    @property
+    def gaps(self) -> int:
+        """Number of rows without a value."""
+        return int((~np.isfinite(self.values)).sum())
+
+    @property
+    def span(self) -> str:
+        """Least and largest value in the units of the file."""
+        finite = self.values[np.isfinite(self.values)] / self.read_as.factor
+        return f"{finite.min():.6g} .. {finite.max():.6g}" if len(finite) else "-"
+
+
+_SERIES_COLUMNS: tuple[Column[_Series], ...] = (
+    Column("column", key="header"),
+    Column("quantity", lambda series: series.read_as.quantity),
+    Column("unit", lambda series: series.read_as.unit),
+    Column("factor", lambda series: series.read_as.factor, ".6g", right=True),
+    Column("rows", lambda series: len(series.values), right=True),
+    Column("gaps", right=True),
+    Column("range in the file", key="span"),
+)
+
+
+def _columns(parsed: ParsedFile) -> Table[_Series]:
     """The columns that were read, with their units and ranges."""
-    rows = []
-    for header, column, values in parsed.series:
-        finite = values[np.isfinite(values)] / column.factor
-        span = f"{finite.min():.6g} .. {finite.max():.6g}" if len(finite) else "-"
-        cells = {
-            "column": header,
-            "quantity": column.quantity,
-            "unit": column.unit,
-            ">factor": f"{column.factor:.6g}",
-            ">rows": str(len(values)),
-            ">gaps": str(int((~np.isfinite(values)).sum())),
-            "range in the file": span,
-        }
-        rows.append({head: Text(cell) for head, cell in cells.items()})
-    return PlainTable(rows)
+    return Table([_Series(*series) for series in parsed.series], _SERIES_COLUMNS)
 
 
-def _events(throw: Throw) -> PlainTable:
+_EVENT_COLUMNS: tuple[Column[Event], ...] = (
+    Column("measured", key="name"),
+    Column("value", format=".6g", right=True),
+    Column("sigma", format=".3g", right=True),
+    Column("unit"),
+    Column("at y", format=".3f", unit="m", missing="rest", right=True, key="at"),
+    Column("since y", format=".3f", unit="m", missing="", right=True, key="since"),
+)
+
+
+def _events(throw: Throw) -> Table[Event]:
     """The measured times and places."""
-    return PlainTable(
-        {
-            "measured": event.name,
-            ">value": f"{event.value:.6g}",
-            ">sigma": f"{event.sigma:.3g}",
-            "unit": event.unit,
-            ">at y (m)": "rest" if event.at is None else f"{event.at:.3f}",
-            ">since y (m)": "" if event.since is None else f"{event.since:.3f}",
-        }
-        for event in throw.events
-    )
+    return Table(throw.events, _EVENT_COLUMNS)
 
 
 def facts(throw: Throw, settings: Mapping[str, Any]) -> Iterator[str]:
@@ -205,8 +248,8 @@ def facts(throw: Throw, settings: Mapping[str, Any]) -> Iterator[str]:
         if scatters:
             yield f"scatter    {', '.join(scatters)} (from row to row)"
         if throw.sigma:
-            given = [channel for channel in CHANNELS if channel in throw.sigma]
-            yield f"sigma      given for {', '.join(given)}"
+            channels = [channel for channel in CHANNELS if channel in throw.sigma]
+            yield f"sigma      given for {', '.join(channels)}"
         yield "rest       " + _rest(throw)
     of_fits = {
         key: value for key, value in settings.items() if key not in Reading.forms()

@@ -15,10 +15,10 @@ from curlfit.errors import DataError, InputError, require_kind
 from curlfit.findings import Finding
 from curlfit.foreign import counted, quoted
 from curlfit.numerics.arrays import Booleans, Floats
-from curlfit.output.console import PlainTable
 from curlfit.output.display import Displayed
 from curlfit.output.document import Document, Section
 from curlfit.output.frames import frame
+from curlfit.output.table import Column, Table
 from curlfit.settings.choices import Reading, takes
 from curlfit.throws.channels import CHANNELS, UNITS, condensed, last_motion, scatter
 from curlfit.throws.events import Event, lines_of, sketch
@@ -336,28 +336,43 @@ class Throw(Displayed):
     __hash__ = None  # type: ignore[assignment]  # arrays are mutable
 
     def _document(self) -> Document:
-        rows = [
-            {
-                "channel": name,
-                "unit": UNITS[name],
-                ">values": str(np.isfinite(getattr(self, name)).sum()),
-                ">from": f"{np.nanmin(getattr(self, name)):.5g}",
-                ">to": f"{np.nanmax(getattr(self, name)):.5g}",
-                ">sigma": f"{np.nanmedian(self.sigma[name]):.3g}"
-                if name in self.sigma
-                else "",
-            }
-            for name in ("t", *self.seen)
-        ]
+        columns: tuple[Column[str], ...] = (
+            Column("channel", lambda channel: channel),
+            Column("unit", lambda channel: UNITS[channel]),
+            Column(
+                "values",
+                lambda channel: np.isfinite(getattr(self, channel)).sum(),
+                right=True,
+            ),
+            Column(
+                "from",
+                lambda channel: np.nanmin(getattr(self, channel)),
+                ".5g",
+                right=True,
+            ),
+            Column(
+                "to",
+                lambda channel: np.nanmax(getattr(self, channel)),
+                ".5g",
+                right=True,
+            ),
+            Column("sigma", self._usual_sigma, ".3g", missing="", right=True),
+        )
+        table = Table(("t", *self.seen), columns)
         given = ", ".join(name for name in CHANNELS if name in self.sigma)
         said = f"sigma given for {given}" if given else "no sigma given"
         return Document(
             finding=counted(len(self), "row"),
             subject=f"{self.name}, t = {self.t[0]:.6g} .. {self.t[-1]:.6g} s",
             lines=[f"channels {', '.join(self.seen)}; {said}"],
-            sections=[Section("channels", "Channels", [PlainTable(rows)])],
+            sections=[Section("channels", "Channels", [table])],
             notes=self.notes,
         )
+
+    def _usual_sigma(self, channel: str) -> float | None:
+        """The median of the given sigma of a channel; None where none was given."""
+        sigma = self.sigma.get(channel)
+        return None if sigma is None else float(np.nanmedian(sigma))
 
     @cached_property
     def observed(self) -> Floats:

@@ -19,9 +19,10 @@ from sample_files import log, shot, two_masses
 
 import curlfit
 from curlfit import Stone, UnusableFitError
+from curlfit.batch.columns import names_of_columns
 from curlfit.batch.fit_many import fit_files
-from curlfit.batch.settings import BatchSettings, columns
-from curlfit.batch.table import Table
+from curlfit.batch.settings import BatchSettings
+from curlfit.batch.table import GrowingTable
 from curlfit.friction import LAWS
 from curlfit.friction.family import family_of
 from curlfit.friction.registry import laws_under
@@ -33,6 +34,12 @@ from curlfit.throws.synthetic import law_with, synthetic_throw, write_table
 
 STONE = Stone(R=0.054)
 RING = family_of(law for law, _ in laws_under(None))
+
+
+def empty_table(out):
+    """A table of the usual settings without rows."""
+    plan = BatchSettings.of()
+    return GrowingTable(out, names_of_columns(plan), plan.recorded(), [])
 
 
 @pytest.fixture(scope="module")
@@ -272,7 +279,7 @@ def test_the_exit_status_tells_what_became_of_the_throws(
 def test_what_cannot_be_done_is_one_sentence(season, tmp_path, words, said):
     out = tmp_path / "results.csv"
     if "coulomb" in words:
-        with Table(out, columns(BatchSettings.of()), BatchSettings.of().recorded(), []):
+        with empty_table(out):
             pass
         out.write_text(out.read_text() + "a.csv\n")
     before = {file: file.read_bytes() for file in tmp_path.iterdir()}
@@ -334,7 +341,7 @@ def test_rows_of_other_settings_are_begun_anew_with_again(season, tmp_path):
 def test_two_batches_do_not_write_one_table(season, tmp_path):
     out = tmp_path / "results.csv"
     words = ("batch", season / "throw0.csv", "--workers", 1, "--quiet")
-    with Table(out, columns(BatchSettings.of()), BatchSettings.of().recorded(), []):
+    with empty_table(out):
         before = out.read_bytes()
         for more in ((), ("--again",)):
             done = command(*words, *more, cwd=tmp_path)

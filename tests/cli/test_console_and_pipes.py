@@ -13,8 +13,9 @@ import pytest
 from conftest import DATA, command, python
 
 from curlfit import InputError, cli, load_throw
-from curlfit.batch.settings import BatchSettings, columns
-from curlfit.batch.table import Table
+from curlfit.batch.columns import names_of_columns
+from curlfit.batch.settings import BatchSettings
+from curlfit.batch.table import GrowingTable
 from curlfit.numerics import program_cache
 from curlfit.settings.forms import PATH
 from curlfit.throws.load import found_files
@@ -82,8 +83,8 @@ class FullDisk(BytesIO):
 
 def test_a_full_disk_is_told_with_the_name_of_the_table(tmp_path):
     settings = BatchSettings.of()
-    names = columns(settings)
-    with Table(tmp_path / "r.csv", names, settings.recorded(), []) as table:
+    names = names_of_columns(settings)
+    with GrowingTable(tmp_path / "r.csv", names, settings.recorded(), []) as table:
         table.stream.close()
         table.stream = FullDisk()
         row = dict.fromkeys(names, "") | {"status": "ok"}

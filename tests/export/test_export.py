@@ -15,9 +15,8 @@ from conftest import started
 from scipy import stats
 
 import curlfit
+from curlfit.comparison.tables import candidates_csv, candidates_table
 from curlfit.export.tables import (
-    candidates_csv,
-    candidates_table,
     estimates_table,
     parameters_csv,
     path_csv,

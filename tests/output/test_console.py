@@ -16,9 +16,9 @@ from rich.console import Console
 from rich.text import Text
 
 import curlfit
-from curlfit.output.console import PlainTable, terminal
+from curlfit.output.console import terminal
 from curlfit.output.text import sided
-from curlfit.paper.claim import Claim, claims_table
+from curlfit.paper.claim import Claim, printed_claims
 from curlfit.throws.synthetic import law_with, synthetic_throw, write_table
 from curlfit.wording import compact, format_estimate, p_text
 
@@ -174,76 +174,6 @@ def test_a_plain_terminal_is_given_what_it_can_show(folder):
     assert "?_rad" in shown
 
 
-def printed(table, width):
-    console = Console(width=width, file=StringIO())
-    console.print(table)
-    return console.file.getvalue()
-
-
-def a_table():
-    heads = [
-        "name",
-        ">some estimate",
-        ">std. error",
-        "interval of the estimate",
-        "~more",
-    ]
-    rows = [
-        [
-            f"row {k}",
-            f"{k}.123456",
-            f"0.{k:06d}",
-            f"{k}.1 .. {k}.2",
-            f"all that is said of {k}" * 2,
-        ]
-        for k in range(3)
-    ]
-    table = PlainTable(dict(zip(heads, row, strict=True)) for row in rows)
-    return table, [head.lstrip(">~") for head in heads], rows
-
-
-@pytest.mark.parametrize("width", [32, 60, 120])
-def test_a_table_keeps_its_headers_and_numbers(width):
-    table, heads, rows = a_table()
-    text = printed(table, width)
-    assert max(len(line.rstrip()) for line in text.splitlines()) <= width
-    for word in [*heads, *(cell for row in rows for cell in row[:4])]:
-        assert word in text
-    assert "\N{HORIZONTAL ELLIPSIS}" not in text
-    assert text.count("row 1") == len(text.split("\n\n")) or width < 60
-
-
-def test_blocks_repeat_the_keys_and_leave_out_empty_rows():
-    heads = ("a", "b", "first one", "second one")
-    rows = (("1", "x", "100", "200"), ("2", "y", "300", ""))
-    table = PlainTable((dict(zip(heads, row, strict=True)) for row in rows), keys=2)
-    first, second = printed(table, 20).split("\n\n")
-    assert first.split() == ["a", "b", "first", "one", "1", "x", "100", "2", "y", "300"]
-    assert second.split() == ["a", "b", "second", "one", "1", "x", "200"]
-
-
-def test_a_word_wider_than_the_terminal_is_folded():
-    table = PlainTable([{"file": "x" * 50, "value": "1.25"}])
-    text = printed(table, 30)
-    assert text.count("x") == 50
-    assert "1.25" in text
-
-
-def test_columns_without_content_are_left_out():
-    rows = [{"name": "a", ">error": None, "note": ""}, {"name": "b", ">size": None}]
-    assert printed(PlainTable(rows), 40).split() == ["name", "a", "b"]
-    rows[1][">error"] = "2"
-    assert printed(PlainTable(rows), 40).split() == [
-        "name",
-        "error",
-        "a",
-        "-",
-        "b",
-        "2",
-    ]
-    assert not PlainTable([])
-
-
 def test_styles_and_blanks_within_a_line_stay():
     console = terminal()
     console.file = StringIO()
@@ -277,7 +207,9 @@ def test_the_claims_keep_their_formulas_at_80_columns():
         "holds with a correction",
         "Two digits change places.",
     )
-    text = printed(claims_table((claim,)), 80)
+    console = Console(width=80, file=StringIO())
+    console.print(printed_claims((claim,)))
+    text = console.file.getvalue()
     for word in (*claim.printed.split(), *claim.computed.split()):
         assert word in text
     assert "\N{HORIZONTAL ELLIPSIS}" not in text

@@ -70,9 +70,10 @@ from verdicts import (
 )
 
 import curlfit
+from curlfit.batch.columns import names_of_columns
 from curlfit.batch.fit_many import fit_files
-from curlfit.batch.settings import BatchSettings, columns
-from curlfit.batch.table import Table as BatchTable
+from curlfit.batch.settings import BatchSettings
+from curlfit.batch.table import GrowingTable
 from curlfit.numerics.processes import worker_processes
 
 Box = Mapping[str, tuple[float, float]]
@@ -491,7 +492,8 @@ def season_on_disk(
     sigma = {name: NOISE[name] for name in CHANNELS["no-angle"]}
     settings = BatchSettings.of(law=law, sigma=sigma)
     season = folder / "season.csv"
-    with BatchTable(season, columns(settings), settings.recorded(), names) as table:
+    columns = names_of_columns(settings)
+    with GrowingTable(season, columns, settings.recorded(), names) as table:
         table.add(fit_files(names, settings))
     return curlfit.fit_season(season)
 

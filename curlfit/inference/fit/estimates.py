@@ -7,9 +7,21 @@ import math
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, Self
 
+import numpy as np
+
 from curlfit.friction import Parameter
 from curlfit.inference.conditions import CALIBRATION, is_calibration
 from curlfit.inference.derived import Derived, Quantiles
+from curlfit.inference.fit.estimate_columns import (
+    HIGH,
+    LOW,
+    STDERR,
+    SYSTEMATIC,
+    UNIT,
+    VALUE,
+    VERDICT,
+    EstimateRow,
+)
 from curlfit.inference.identifiability import Combination, WithInterval
 from curlfit.inference.verdict import Verdict
 from curlfit.output.display import Displayed
@@ -243,23 +255,21 @@ class NamedEstimates(Record):
         ------
         InputError : pandas is not installed.
         """
-        items = self._items()
         errors = self.systematics.errors
-        rows = []
-        for name, item in items.items():
-            value = item.value
-            if item.verdict == Verdict.NOT_IDENTIFIABLE:
-                value = math.nan
-            systematic = errors.get(name)
-            if isinstance(item, Derived):
-                systematic = item.systematic
-            low, high = item.interval() or (None, None)
-            numbers = [
-                math.nan if number is None else number
-                for number in (item.stderr, systematic, low, high)
-            ]
-            unit = "" if isinstance(item, Combination) else item.unit
-            rows.append((value, *numbers, item.verdict, unit))
-        heads = ("value", "stderr", "systematic", "low", "high", "verdict", "unit")
-        columns = dict(zip(heads, zip(*rows, strict=True), strict=True))
-        return frame(columns, list(items))
+        rows = [
+            EstimateRow.of(name, estimate, errors.get(name))
+            for name, estimate in self._items().items()
+        ]
+        columns: dict[str, Any] = {}
+        for column in (
+            VALUE,
+            STDERR,
+            SYSTEMATIC,
+            LOW.but(key="low"),
+            HIGH.but(key="high"),
+        ):
+            # numbers, also where all are missing
+            columns[column.name] = np.array([column.get(row) for row in rows], float)
+        for column in (VERDICT, UNIT):
+            columns[column.name] = [column.get(row) for row in rows]
+        return frame(columns, [row.name for row in rows])
