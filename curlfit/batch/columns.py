@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from curlfit.batch.settings import BatchSettings
 from curlfit.batch.table import Status
+from curlfit.inference.fit.coefficient_rows import left_open, rows_told
 from curlfit.output.table import Column
 
 if TYPE_CHECKING:
@@ -81,19 +82,18 @@ def _estimate_column(
 
 
 def _duration(fit: FitResult) -> float:
-    return fit.data["to"] - fit.data["from"]
+    return fit.data.end - fit.data.begin
 
 
 def _information(fit: FitResult) -> str:
     """Rows of numbers as one list."""
-    numbers = ", ".join(f"{number:.17g}" for number in fit.rows_told().ravel())
+    numbers = ", ".join(f"{number:.17g}" for number in rows_told(fit).ravel())
     return f"[{numbers}]"
 
 
 def _labels(fit: FitResult) -> str:
     return "; ".join(
-        f"{name} = {label.replace(';', ',')}"
-        for name, label in fit.data["labels"].items()
+        f"{name} = {label.replace(';', ',')}" for name, label in fit.data.labels.items()
     )
 
 
@@ -120,7 +120,7 @@ DURATION = _fit_column("duration", _duration)
 """How long the throw was seen, in s."""
 INFORMATION = _usable_fit_column("information", _information)
 """What the throw says of its coefficients, for a second fit of all throws."""
-LEFT_OPEN = _usable_fit_column("left_open", lambda fit: "; ".join(fit.left_open()))
+LEFT_OPEN = _usable_fit_column("left_open", lambda fit: "; ".join(left_open(fit)))
 """The coefficients that values along a ridge leave open (`FitResult.ridge`); tables of
 earlier versions lack it."""
 LABELS = _fit_column("labels", _labels)

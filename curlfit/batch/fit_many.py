@@ -12,7 +12,6 @@ from curlfit.batch.settings import BatchSettings
 from curlfit.batch.table import Status
 from curlfit.errors import CurlfitError, UnusableFitError
 from curlfit.findings import Finding
-from curlfit.inference.fit.coefficient_rows import left_open, rows_told
 from curlfit.inference.fit.fit import fit_throws
 from curlfit.inference.fit.result import FitResult
 from curlfit.settings.choices import Fitting

@@ -39,7 +39,7 @@ from curlfit.losses import LOSSES
 from curlfit.noises import WHITE
 from curlfit.output.document import Document, Said, Section, command_line, show
 from curlfit.output.table import Column, Table
-from curlfit.output.text import rows_text, stone_text
+from curlfit.output.text import stone_text
 from curlfit.wording import compact, join_words
 
 _PROBABLE = 0.01  # weight of a law that is named

@@ -109,7 +109,7 @@ def candidates_table(comparison: Comparison) -> str:
         FOLLOWS.but(words=_follows_in_latex),
     )
     caption = (
-        f"Friction laws fitted to {latex.file_name(comparison.data['file'])}, by BIC: "
+        f"Friction laws fitted to {latex.file_name(comparison.data.file)}, by BIC: "
         "number of parameters $k$, rms of the residuals, and whether the law follows "
         f"the path. {latex.made_with()}"
     )

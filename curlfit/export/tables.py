@@ -96,7 +96,7 @@ def parameters_csv(result: FitResult | JointResult) -> str:
     for fit in throws:
         for row in rows_of(fit):
             if row.name not in shared:
-                rows_by_throw.append((fit.data["file"], row))
+                rows_by_throw.append((fit.data.file, row))
     lines = [["throw", *(column.name for column in _IN_CSV)]]
     for throw, row in rows_by_throw:
         lines.append([throw, *(column.get(row) for column in _IN_CSV)])
@@ -122,7 +122,7 @@ def path_csv(fits: Sequence[FitResult]) -> str:
             observed = fit.observed.get(name, not_measured)
             fitted = fit.fitted.get(name, not_measured)
             series += [observed, fitted, observed - fitted]
-        label = [fit.data["file"]] if several else []
+        label = [fit.data.file] if several else []
         for numbers in np.column_stack(series).tolist():
             lines.append([*label, *numbers])
     return csv_lines(lines)
@@ -164,8 +164,8 @@ def _caption(result: FitResult | JointResult) -> str:
     if result.kind == "joint":
         data = f"{cast('JointResult', result).count} throws together"
     else:
-        file = latex.file_name(fits[0].data["file"])
-        data = f"{file} ({counted(fits[0].data['rows'], 'row')})"
+        file = latex.file_name(fits[0].data.file)
+        data = f"{file} ({counted(fits[0].data.rows, 'row')})"
     law = latex.escaped(result.law)
     load = latex.escaped(result.load)
     stone = result.stone

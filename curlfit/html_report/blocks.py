@@ -12,7 +12,8 @@ from markupsafe import Markup
 from curlfit.findings import Finding, Level
 from curlfit.output.document import Part, Said
 from curlfit.output.html import COLORS, inline
-from curlfit.output.table import Cell, Column, Table
+from curlfit.output.table import Cell as Words, Column, Table
+from curlfit.records import plain
 from curlfit.wording import capital
 
 _CODE = re.compile(r"`([^`]+)`")
@@ -158,39 +159,37 @@ def blocks_of(parts: Iterable[Part]) -> Iterator[Block]:
         if isinstance(part, Table):
             yield _table(part)
             if part.note:
-                yield paragraph(part.note)
+                yield Paragraph(part.note)
         elif not isinstance(part, Said):
             yield Paragraph(part)
 
 
-def _table(table: Table[Any]) -> Block:
-    """A table whose first column of words contains the row headers."""
+def _table(table: Table[Any]) -> TableBlock:
+    """A table; the first column of words has the headers of the rows."""
     columns = table.shown
-    words = [index for index, column in enumerate(columns) if not column.right]
-    rows_of_cells = [
-        [_styled_cell(column, column.cell(row)) for column in columns]
-        for row in table.rows
+    columns_of_words = [
+        number for number, column in enumerate(columns) if not column.right
     ]
-    return Block(
-        "table",
-        {
-            "caption": table.caption,
-            "heads": [
-                (marked(column.title), "right" if column.right else "left")
-                for column in columns
-            ],
-            "rows": rows_of_cells,
-            "words": words[0] if words else 0,
-        },
+    return TableBlock(
+        caption=table.caption,
+        heads=[
+            Cell(column.title, "right" if column.right else "left")
+            for column in columns
+        ],
+        rows=[
+            [_styled_cell(column, column.cell(row)) for column in columns]
+            for row in table.rows
+        ],
+        header_column=columns_of_words[0] if columns_of_words else 0,
     )
 
 
-def _styled_cell(column: Column[Any], cell: Cell) -> tuple[Markup, str]:
-    """A cell as HTML, and its class in the style sheet: numbers to the right, long
-    words wrapped."""
+def _styled_cell(column: Column[Any], words: Words) -> Cell:
+    """A cell with its class in the style sheet: numbers to the right, long words
+    wrapped."""
     style = ""
     if column.right:
         style = "right"
-    elif column.wraps or len(cell) > _LONG:
+    elif column.wraps or len(words) > _LONG:
         style = "long"
-    return marked(cell), style
+    return Cell(words, style)

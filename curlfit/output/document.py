@@ -12,11 +12,12 @@ from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.text import Text
 
 from curlfit.findings import Finding
-from curlfit.foreign import STANDARD_INPUT
+from curlfit.foreign import STANDARD_INPUT, counted
 from curlfit.output.console import Printed, terminal
 from curlfit.output.table import Table
 
 Part = str | Text | Table[Any] | None
+"""What a section consists of; nothing, where a result has nothing to say."""
 
 LONG = 110  # maximum number of characters in a first line
 

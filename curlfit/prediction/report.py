@@ -12,7 +12,7 @@ from rich.text import Text
 
 from curlfit.output.document import Document, Said, Section, show
 from curlfit.output.table import Column, Table
-from curlfit.output.text import labelled, rows_text, sided, stone_text
+from curlfit.output.text import labelled, sided, stone_text
 from curlfit.prediction.result import (
     OUTCOMES,
     QUANTITIES,

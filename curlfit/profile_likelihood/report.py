@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,10 +15,11 @@ from curlfit.inference.verdict import Verdict
 from curlfit.losses import LOSSES
 from curlfit.output.document import Document, Said, Section, show
 from curlfit.output.table import Column, Table
-from curlfit.output.text import STYLE, labelled, rows_text
+from curlfit.output.text import STYLE, labelled
 from curlfit.profile_likelihood.result import (
     Interval,
     Level,
+    LevelName,
     PairProfile,
     Profile,
     ProfileVerdict,
@@ -196,7 +197,7 @@ class _Method(NamedTuple):
     """A way to find the intervals of a parameter, and what it finds, by level."""
 
     name: str
-    interval_by_level: dict[str, str]
+    interval_by_level: Mapping[LevelName, str]
 
 
 def _intervals(profile: Profile) -> Table[_Method]:

@@ -38,7 +38,7 @@ def identifiability(fit: FitResult) -> str:
     free = [
         name for name, parameter in fit.parameters.items() if parameter.verdict.is_free
     ]
-    at_bound = [name for name in free if name not in fit.covariance["names"]]
+    at_bound = [name for name in free if name not in fit.covariance.names]
     subject = _determining(fit)
     if (
         not fit.rms

@@ -6,13 +6,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.text import Text
 
 from curlfit.foreign import counted, file_and_number
 from curlfit.inference.derived import Derived, Quantiles, scaled, to_its_side
+from curlfit.inference.fit.entries import FittedEvent
 from curlfit.inference.fit.estimate_columns import (
     NAME,
     POSTERIOR,
@@ -26,7 +27,7 @@ from curlfit.inference.verdict import Verdict
 from curlfit.losses import LOSSES
 from curlfit.output.document import Document, Section, command_line, show
 from curlfit.output.table import Column, Table
-from curlfit.output.text import rows_text, stone_text
+from curlfit.output.text import stone_text
 from curlfit.reports import posterior
 from curlfit.reports.determined import identifiability
 from curlfit.reports.estimates import (
@@ -55,7 +56,6 @@ if TYPE_CHECKING:
     from curlfit.inference.fit.estimates import Estimate
     from curlfit.inference.fit.result import FitResult
     from curlfit.inference.identifiability import Combination
-    from curlfit.throws.events import Event
     from curlfit.throws.reference import Reference
 
 _MOST_NAMED = 6  # outliers that the report lists
@@ -303,11 +303,11 @@ def _beside_reference(fit: FitResult) -> Table[_Refitted] | None:
             name,
             value,
             stderr,
-            [refit["values"][name] for refit in refits],
+            [refit.values[name] for refit in refits],
             reference.values[name],
         )
         for name, (value, stderr) in reported(fit).items()
-        if name in reference.values and all(name in refit["values"] for refit in refits)
+        if name in reference.values and all(name in refit.values for refit in refits)
     ]
     if not rows:
         return None
@@ -327,7 +327,7 @@ def _beside_reference(fit: FitResult) -> Table[_Refitted] | None:
         ),
     ]
     for index, refit in enumerate(refits):
-        changes = _changes(refit["stone"], fit.stone)
+        changes = _changes(refit.stone, fit.stone)
         columns.append(_shift_column(f"shift, {changes}", index, digits + 1))
     columns += [
         Column(
@@ -380,7 +380,7 @@ def _quality(fit: FitResult) -> Table[str]:
         Column("rms", lambda channel: fit.rms[channel], ".3g", right=True),
         Column("unit", lambda channel: UNITS[channel]),
         Column("noise assumed", lambda channel: _sigma(fit, channel)),
-        Column("", lambda channel: fit.data["sigma"][channel]),
+        Column("", lambda channel: fit.data.sigma[channel]),
         Column("lag-1 correlation", fit.lag1.get, ".2f", missing=""),
     ]
     if not fit.noise.is_white:
@@ -406,46 +406,39 @@ def _sigma(fit: FitResult, channel: str) -> str:
     return f"{fit.sigma[channel]:.3g}{largest} {UNITS[channel]}"
 
 
-class _FittedEvent(NamedTuple):
-    """A timed event, and the value that the fit gives it."""
-
-    event: Event
-    fitted: float
-
-    @property
-    def residual(self) -> float:
-        """Measured less fitted value, in sigma."""
-        return (self.event.value - self.fitted) / self.event.sigma
-
-    def in_words(self, value: float) -> str:
-        """A value with the digits that its sigma allows, two decimal places or more."""
-        return f"{value:.{max(decimals(self.event.sigma), 2)}f}"
+def _in_digits(event: FittedEvent, value: float) -> str:
+    """A value with the digits that sigma allows, two decimal places or more."""
+    return f"{value:.{max(decimals(event.sigma), 2)}f}"
 
 
-_EVENT_COLUMNS: tuple[Column[_FittedEvent], ...] = (
-    Column("measured", lambda row: row.event.name),
+_EVENT_COLUMNS: tuple[Column[FittedEvent], ...] = (
+    Column("measured", lambda event: event.name),
     Column(
         "value",
-        lambda row: row.event.value,
-        words=lambda row: row.in_words(row.event.value),
+        lambda event: event.value,
+        words=lambda event: _in_digits(event, event.value),
         right=True,
     ),
-    Column("sigma", lambda row: row.event.sigma, ".2g", right=True),
-    Column("unit", lambda row: row.event.unit),
-    Column("fit", words=lambda row: row.in_words(row.fitted), right=True, key="fitted"),
+    Column("sigma", lambda event: event.sigma, ".2g", right=True),
+    Column("unit", lambda event: event.event.unit),
+    Column(
+        "fit",
+        words=lambda event: _in_digits(event, event.fitted),
+        right=True,
+        key="fitted",
+    ),
     Column(
         "measured - fit",
-        lambda row: row.residual + 0.0,  # no minus before a zero
+        lambda event: event.residual + 0.0,  # no minus before a zero
         lambda residual: f"{residual:.1f} sigma",
         right=True,
     ),
 )
 
 
-def _events(fit: FitResult) -> Table[_FittedEvent]:
+def _events(fit: FitResult) -> Table[FittedEvent]:
     """Values measured at lines and at rest, with the fitted ones."""
-    rows = [_FittedEvent(event, fitted) for event, fitted in fit.timed]
-    return Table(rows, _EVENT_COLUMNS, "Timed events")
+    return Table(fit.events, _EVENT_COLUMNS, "Timed events")
 
 
 def outliers(fit: FitResult) -> str:
@@ -455,10 +448,10 @@ def outliers(fit: FitResult) -> str:
     parts = []
     for outlier in fit.outliers[:_MOST_NAMED]:
         channel = outlier.channel
-        line = "" if outlier.line is None else f" (line {outlier['line']})"
+        line = "" if outlier.line is None else f" (line {outlier.line})"
         parts.append(
-            f"{channel} at {outlier['t']:g} s{line} by {outlier['off']:.3g} "
-            f"{UNITS[channel]} ({two_digits(outlier['sigmas'])} robust sigma)"
+            f"{channel} at {outlier.t:g} s{line} by {outlier.off:.3g} "
+            f"{UNITS[channel]} ({two_digits(outlier.sigmas)} robust sigma)"
         )
     more = len(fit.outliers) - len(parts)
     if more:

@@ -359,7 +359,7 @@ def _throws(result: JointResult) -> Table[_ThrowRow]:
                 own_names[name] = None
         channels |= dict.fromkeys(throw.rms)
     columns: list[Column[_ThrowRow]] = [
-        Column("throw", lambda row: Path(row.fit.data["file"]).name),
+        Column("throw", lambda row: Path(row.fit.data.file).name),
         *map(_parameter_column, own_names),
         *map(_alone_column, result.variation),
         *map(_rms_column, channels),

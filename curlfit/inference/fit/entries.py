@@ -148,6 +148,11 @@ class FittedEvent(Entry):
         return cls(**asdict(event), fitted=fitted)
 
     @property
+    def residual(self) -> float:
+        """Measured - fitted, over sigma."""
+        return (self.value - self.fitted) / self.sigma
+
+    @property
     def event(self) -> Event:
         """What was measured."""
         return Event(
