@@ -12,7 +12,8 @@ from curlfit.inference.joint.result import JointResult, Variation
 from curlfit.inference.mcmc.chain import Chain
 from curlfit.inference.verdict import Verdict
 from curlfit.options.figures import FigureFiles, write_figures
-from curlfit.output.figures import Picture, measured_slopes
+from curlfit.output.figures import Picture
+from curlfit.output.panels import measured_slopes
 from curlfit.output.ticks import neat_axis, unit_for
 from curlfit.reports.corner import corner_figure
 from curlfit.reports.figures import fit_figure, joint_figure
