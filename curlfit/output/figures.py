@@ -1,4 +1,4 @@
-"""Style of the figures: sizes, colours, axes, units, saving.
+"""Style of the figures: sizes, colours, lines and marks, words, saving.
 
 Figures are as wide as two journal columns and have journal font sizes. A colour has one
 meaning everywhere; markers, dashes and lightness convey the same without colour.
@@ -14,7 +14,7 @@ from functools import lru_cache
 from io import BytesIO
 from os import PathLike
 from pathlib import Path as FilePath
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, Literal, Protocol, cast
 from warnings import catch_warnings, filterwarnings
 
 import numpy as np
@@ -25,6 +25,12 @@ from matplotlib.mathtext import MathTextParser
 from numpy.typing import NDArray
 
 from curlfit.foreign import cut, printable
+from curlfit.output.files import atomic_write
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.backend_bases import RendererBase
+    from matplotlib.text import Text
 
 Floats = NDArray[np.float64]
 
@@ -159,7 +165,7 @@ class Picture(Figure):
     """A matplotlib figure in the common style, which notebooks display
     without pyplot."""
 
-    def draw(self, renderer: Any) -> None:
+    def draw(self, renderer: RendererBase) -> None:
         """Draw in the common style: ticks are made only now."""
         with style():
             super().draw(renderer)
@@ -167,8 +173,8 @@ class Picture(Figure):
     def savefig(
         self, fname: Any, *, transparent: bool | None = None, **options: Any
     ) -> None:
-        """As in `Figure`; PDF files have their fonts embedded, and no
-        file has a date."""
+        """Write the figure as matplotlib's `Figure` does; PDF files have their fonts
+        embedded, and no file has a date."""
         format = options.get("format") or FilePath(str(fname)).suffix[1:].lower()
         if format in _UNDATED:
             options["metadata"] = _UNDATED[format] | (options.get("metadata") or {})
@@ -190,7 +196,7 @@ def subplots(
     return figure, figure.subplots(rows, columns, **options)
 
 
-def row(
+def side_by_side(
     figure: Figure,
     top: float,
     height: float,
@@ -199,9 +205,9 @@ def row(
     left: float = 0.62,
     right: float = 0.12,
     gap: float = 0.62,
-) -> list[Any]:
-    """Axes side by side at fixed positions, all lengths in inches from the edges of the
-    figure: ten times as fast as a layout that measures text."""
+) -> list[Axes]:
+    """Axes beside one another at fixed positions, all lengths in inches from the edges
+    of the figure: ten times as fast as a layout that measures text."""
     across, tall = figure.get_size_inches()
     width = (across - left - right - gap * (count - 1)) / count
     return [
@@ -212,9 +218,9 @@ def row(
     ]
 
 
-def some_rows(n: int, most: int = MAX_POINTS) -> Any:
+def some_rows(n: int, most: int = MAX_POINTS) -> NDArray[np.intp]:
     """Indices of at most `most` evenly spaced rows."""
-    return np.unique(np.linspace(0, n - 1, min(n, most)).astype(int))
+    return np.unique(np.linspace(0, n - 1, min(n, most)).astype(np.intp))
 
 
 def literal(text: str) -> str:
@@ -229,7 +235,24 @@ def file_name(file: str) -> str:
     return literal(FilePath(file).name)
 
 
-def law_and_load(result: Any) -> str:
+class _Modelled(Protocol):
+    """A result of a law under a load."""
+
+    @property
+    def law(self) -> str: ...
+
+    @property
+    def load(self) -> str: ...
+
+
+class _WithSymbol(Protocol):
+    """A parameter with the symbol that it has in formulas, such as "v_0"."""
+
+    @property
+    def symbol(self) -> str: ...
+
+
+def law_and_load(result: _Modelled) -> str:
     """What was fitted, for a title."""
     return f"{literal(result.law)} law, {literal(result.load)} load"
 
@@ -254,9 +277,9 @@ def math_symbol(symbol: str) -> str:
     return rf"\mathrm{{{letters}}}"
 
 
-def symbol_of(estimate: Any) -> str:
-    """The symbol of an estimate, as mathematics."""
-    return f"${math_symbol(estimate.symbol)}$"
+def symbol_of(parameter: _WithSymbol) -> str:
+    """The symbol of a parameter, as mathematics."""
+    return f"${math_symbol(parameter.symbol)}$"
 
 
 def in_symbols(expression: str, symbols: Mapping[str, str]) -> str:
@@ -268,7 +291,9 @@ def in_symbols(expression: str, symbols: Mapping[str, str]) -> str:
     return " ".join(word.replace("-", "\N{MINUS SIGN}") for word in words)
 
 
-def weighted_sum(weights: Mapping[str, float], parameters: Mapping[str, Any]) -> str:
+def weighted_sum(
+    weights: Mapping[str, float], parameters: Mapping[str, _WithSymbol]
+) -> str:
     """A combination of parameters in their symbols, for mathematics."""
     text = ""
     for name, weight in weights.items():
@@ -278,7 +303,7 @@ def weighted_sum(weights: Mapping[str, float], parameters: Mapping[str, Any]) ->
     return text.removeprefix("+")
 
 
-def legend_above(axes: Any, ncols: int | None = None) -> None:
+def legend_above(axes: Axes, ncols: int | None = None) -> None:
     """A legend above the right end of the axes, where no curve runs, if any;
     in one line."""
     count = len(axes.get_legend_handles_labels()[1])
@@ -294,21 +319,24 @@ def legend_above(axes: Any, ncols: int | None = None) -> None:
         )
 
 
-def note(axes: Any, x: float, y: float, text: str, **style: Any) -> Any:
+def note(
+    axes: Axes, x: float, y: float, text: str, color: str = QUIET, **options: Any
+) -> Text:
     """Text inside axes, of which (1, 1) is the upper right corner."""
-    style = {"color": QUIET, "ha": "right" if x > 0.5 else "left"} | style
     return axes.text(
         x,
         y,
         text,
         transform=axes.transAxes,
+        color=color,
+        ha="right" if x > 0.5 else "left",
         va="top" if y > 0.5 else "baseline",
-        **style,
+        **options,
     )
 
 
 def letters(
-    panels: Iterable[Any], aside: float = 0.5, up: float = 4, names: str = "abcdef"
+    panels: Iterable[Axes], aside: float = 0.5, up: float = 4, names: str = "abcdef"
 ) -> None:
     """Letters of panels, `aside` inches left of and `up` points above their upper
     left corners."""
@@ -327,28 +355,26 @@ def letters(
 
 
 def title(
-    axes: Any,
+    axes: Axes,
     text: str,
     *,
     columns: int = 1,
     margin: float = 1.0,
-    loc: str | None = None,
+    loc: Literal["left", "center", "right"] | None = None,
 ) -> None:
     """A title that fits the width of one of `columns` columns, minus a
     margin in inches."""
-    figure = axes.get_figure()
-    shrink(
-        axes.set_title(text, loc=loc), figure.bbox.width / columns - margin * figure.dpi
-    )
+    figure = axes.figure
+    width = figure.bbox.width / columns - margin * figure.dpi
+    shrink(axes.set_title(text, loc=loc), width)
 
 
-def shrink(text: Any, max_width: float) -> None:
+def shrink(text: Text, max_width: float) -> None:
     """Reduce the font size of a text until it is at most `max_width` pixels wide."""
-    while (
-        text.get_window_extent().width > max_width
-        and text.get_fontsize() > _MIN_FONT_SIZE
-    ):
-        text.set_fontsize(0.95 * text.get_fontsize())
+    size = float(text.get_fontsize())
+    while text.get_window_extent().width > max_width and size > _MIN_FONT_SIZE:
+        size *= 0.95
+        text.set_fontsize(size)
 
 
 def line_styles(number: int) -> list[Style]:
@@ -361,8 +387,6 @@ def line_styles(number: int) -> list[Style]:
 
 def save_figure(figure: Figure, file: str | PathLike[str], dpi: int = DPI) -> None:
     """Write a figure atomically, in the format given by the file name."""
-    from curlfit.output.files import atomic_write
-
     # Drawn in memory: matplotlib's own writers leave half a file on a full disk.
     path = FilePath(file)
     image = BytesIO()

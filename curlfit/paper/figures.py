@@ -38,10 +38,12 @@ def _note(
     text: str,
     point: tuple[float, float],
     offset: tuple[float, float] = (-8, 9),
-    **style: Any,
+    **options: Any,
 ) -> None:
     """Text to the left of a point of the data, at an offset in points of print."""
-    axes.annotate(text, point, offset, textcoords="offset points", ha="right", **style)
+    axes.annotate(
+        text, point, offset, textcoords="offset points", ha="right", **options
+    )
 
 
 def _sign_change(axes: Axes, zero: float, name: str = "") -> None:
@@ -80,6 +82,7 @@ def isotropic_figure(studies: Any) -> draw.Picture:
     figure, (across, along) = draw.subplots(
         5.5, 2, 1, sharex=True, height_ratios=(1.35, 1.0)
     )
+    rolling = 2 / 0.065  # 1/s, at which the ring turns as fast as the stone moves
     small = 1e-8  # below which the scale of the force is linear
     large = 3e-4
     colors = (_CORRECT, *draw.PALETTE[:5])
@@ -115,10 +118,10 @@ def isotropic_figure(studies: Any) -> draw.Picture:
     )
     along.set(xscale="log", xlim=(0.3, 200), ylim=(-0.021, 0.009))
     for axes in (across, along):
-        axes.axvline(2 / 0.065, **_UNIT.options())
+        axes.axvline(rolling, **_UNIT.options())
         axes.axhline(0, **_AXIS.options())
     along.text(
-        2 / 0.065 * 0.96, -0.0205, r"$\varepsilon = 1$", color=draw.QUIET, ha="right"
+        0.96 * rolling, -0.0205, r"$\varepsilon = 1$", color=draw.QUIET, ha="right"
     )
     figure.legend(
         *across.get_legend_handles_labels(), loc="outside lower center", ncols=3

@@ -77,17 +77,21 @@ def prediction_figure(prediction: Prediction) -> draw.Picture:
     """
     check = prediction.check
     figure = draw.Picture(figsize=(draw.WIDTH, 5.15 if check is None else 6.75))
-    (top,) = draw.row(figure, 0.3, 0.9, left=0.45, right=0.08)
-    (house,) = draw.row(figure, 1.65, 3.05, left=0.6, right=draw.WIDTH - 3.1)
-    (across,) = draw.row(figure, 1.65, 1.25, left=4.1, right=0.52)
-    rates = draw.row(figure, 3.7, 1.0, 2, left=4.1, right=draw.WIDTH - 6.76, gap=0.7)
+    (top,) = draw.side_by_side(figure, 0.3, 0.9, left=0.45, right=0.08)
+    (house,) = draw.side_by_side(figure, 1.65, 3.05, left=0.6, right=draw.WIDTH - 3.1)
+    (across,) = draw.side_by_side(figure, 1.65, 1.25, left=4.1, right=0.52)
+    rates = draw.side_by_side(
+        figure, 3.7, 1.0, 2, left=4.1, right=draw.WIDTH - 6.76, gap=0.7
+    )
     _sheet_view(prediction, top)
     _resting_place(prediction, house)
     _cross_track(prediction, across)
     for axes, name in zip(rates, ("speed", "omega"), strict=True):
         _rate(prediction, axes, name)
     if check is not None:
-        below = draw.row(figure, 5.5, 0.85, len(check.channels), left=0.6, gap=0.65)
+        below = draw.side_by_side(
+            figure, 5.5, 0.85, len(check.channels), left=0.6, gap=0.65
+        )
         for axes, name in zip(below, check.channels, strict=True):
             _residuals(prediction.series, check, axes, name)
     law = draw.literal(prediction.law)

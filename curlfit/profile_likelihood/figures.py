@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.patches import Patch
 
 from curlfit.inference.fit.estimates import Estimate
+from curlfit.numerics.arrays import Floats
 from curlfit.output import figures as draw
 from curlfit.output.figures import Style
 from curlfit.output.panels import Series, plot
@@ -18,6 +19,7 @@ from curlfit.profile_likelihood.result import PairProfile, Profile, ProfileVerdi
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
+    from matplotlib.axis import XAxis, YAxis
 
 _REGIONS = ("#a6cfe5", "#deedf6")  # of the profile, 68 and 95 %
 _HIGH = 10.0  # upper end of the axis, of a limited profile
@@ -38,11 +40,9 @@ def profile_figure(profile: Profile | PairProfile) -> draw.Picture:
     --------
     >>> curlfit.profile_figure(profile).savefig("profile.png")
     """
-    return (
-        _single_figure(profile)
-        if isinstance(profile, Profile)
-        else _pair_figure(profile)
-    )
+    if isinstance(profile, PairProfile):
+        return _pair_figure(profile)
+    return _single_figure(profile)
 
 
 def _single_figure(profile: Profile) -> draw.Picture:
@@ -53,10 +53,10 @@ def _single_figure(profile: Profile) -> draw.Picture:
     _chi_squared(profile, above)
     _others(profile, below, figure)
     draw.title(above, draw.heading_of(profile))
-    label = _label(profile.estimate, profile.name)
-    neat_axis(below.xaxis, *label)  # for which the layout leaves space
+    # once so that the layout leaves space for the label, and again by the final width
+    _label(below.xaxis, profile.estimate, profile.name)
     figure.draw_without_rendering()
-    neat_axis(below.xaxis, *label)  # by the final width
+    _label(below.xaxis, profile.estimate, profile.name)
     return figure
 
 
@@ -108,7 +108,7 @@ def _chi_squared(profile: Profile, axes: Axes) -> None:
         clip_on=False,
         zorder=5,
     )
-    axes.set(xlim=_widened(at[0], at[-1], 0.02), ylim=(-0.04 * top, top))
+    axes.set(xlim=_widened(at, 0.02), ylim=(-0.04 * top, top))
     axes.set_ylabel(r"$\Delta\chi^2$, all others refitted")
     axes.legend(loc="upper center", bbox_to_anchor=(0.62, 1.0))
     if not limited:
@@ -117,10 +117,12 @@ def _chi_squared(profile: Profile, axes: Axes) -> None:
         draw.note(axes, 0.04, 0.93, note, color=draw.FIT_COLOR)
 
 
-def _widened(low: float, high: float, share: float) -> tuple[float, float]:
-    """Limits of an axis, beyond a range by a share of it."""
-    margin = share * float(high - low)
-    return float(low) - margin, float(high) + margin
+def _widened(values: Floats, share: float) -> tuple[float, float]:
+    """Limits of an axis, beyond the range of values by a share of it."""
+    low = float(values.min())
+    high = float(values.max())
+    margin = share * (high - low)
+    return low - margin, high + margin
 
 
 def _rise(profile: Profile) -> str:
@@ -183,12 +185,13 @@ def _others(profile: Profile, axes: Axes, figure: draw.Picture) -> None:
         )
 
 
-def _label(estimate: Estimate, name: str) -> tuple[str, str]:
-    """Label and unit of an axis."""
+def _label(axis: XAxis | YAxis, estimate: Estimate, name: str) -> None:
+    """Label an axis by the symbol, name and unit of a parameter, and set its ticks."""
+    label = f"{draw.symbol_of(estimate)}, {name}"
     # a parameter without a symbol of its own is set in upright letters
     if estimate.symbol in (name, rf"\mathrm{{{name}}}"):
-        return name, estimate.unit
-    return f"{draw.symbol_of(estimate)}, {name}", estimate.unit
+        label = name
+    neat_axis(axis, label, estimate.unit)
 
 
 def _pair_figure(profile: PairProfile) -> draw.Picture:
@@ -199,11 +202,8 @@ def _pair_figure(profile: PairProfile) -> draw.Picture:
     lowest = float(profile.delta[finite].min(initial=np.inf))
     near = finite & (profile.delta < max(_HIGH, 2 * lowest))
     _regions(profile, axes)
-    for values, set_limits in (
-        (profile.first, axes.set_xlim),
-        (profile.second, axes.set_ylim),
-    ):
-        set_limits(_widened(values[near].min(), values[near].max(), 0.04))
+    axes.set_xlim(_widened(profile.first[near], 0.04))
+    axes.set_ylim(_widened(profile.second[near], 0.04))
     draw.title(axes, draw.heading_of(along), margin=0.5)
     handles = [
         Patch(facecolor=color, edgecolor=draw.FIT_COLOR, label=level.name)
@@ -213,14 +213,14 @@ def _pair_figure(profile: PairProfile) -> draw.Picture:
     if along.verdict.is_valley:
         notes = [f"along the valley {_rise(along)}"]
         for combination in along.combinations:
-            sum_ = draw.weighted_sum(combination.weights, profile.parameters)
-            notes.append(f"only ${sum_}$ is determined")
+            symbols = draw.weighted_sum(combination.weights, profile.parameters)
+            notes.append(f"only ${symbols}$ is determined")
         # in the corner that the valley leaves free
         falls = profile.valley[-1] < profile.valley[0]
         draw.note(axes, 0.95 if falls else 0.05, 0.95, "\n".join(notes), color="black")
     figure.draw_without_rendering()  # the layout, which the ticks depend on
     for axis, name in zip((axes.xaxis, axes.yaxis), profile.names, strict=True):
-        neat_axis(axis, *_label(profile.parameters[name], name))
+        _label(axis, profile.parameters[name], name)
     return figure
 
 
@@ -249,10 +249,14 @@ def _regions(profile: PairProfile, axes: Axes) -> None:
     best = np.array(profile.best)
     if profile.covariance is not None:
         angle = np.linspace(0, 2 * np.pi, 361)
-        circle = np.linalg.cholesky(profile.covariance) @ [np.cos(angle), np.sin(angle)]
+        # the ellipse on which chi squared is larger by 1 than at the optimum
+        ellipse = np.linalg.cholesky(profile.covariance) @ [
+            np.cos(angle),
+            np.sin(angle),
+        ]
         for edge, label in zip(
             edges, ("68 %, 95 % of the covariance", ""), strict=True
         ):
-            across, up = best[:, None] + np.sqrt(edge) * circle
+            across, up = best[:, None] + np.sqrt(edge) * ellipse
             plot(axes, Series(across, up, _ELLIPSE, label))
     axes.plot(*best, "+", color="black", markersize=7, mew=1.2, zorder=6)

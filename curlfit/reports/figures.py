@@ -83,11 +83,11 @@ def fit_figure(fit: FitResult) -> draw.Picture:
     tall = 1.15 * _PANEL
     tops = 0.3 + tall + _GAP + (_PANEL + _GAP) * np.arange(len(rows) + 1)
     figure = draw.Picture(figsize=(draw.WIDTH, tops[-1] + _PANEL + 0.42))
-    (path,) = draw.row(figure, 0.3, tall, right=0.5)
+    (path,) = draw.side_by_side(figure, 0.3, tall, right=0.5)
     residuals: list[Axes] = []
     for top, in_row in zip(tops, rows, strict=False):
-        residuals += draw.row(figure, top, _PANEL, len(in_row))
-    speed, spin = draw.row(figure, tops[-1], _PANEL, 2)
+        residuals += draw.side_by_side(figure, top, _PANEL, len(in_row))
+    speed, spin = draw.side_by_side(figure, tops[-1], _PANEL, 2)
     _path(path, fit)
     for axes, channel in zip(residuals, channels, strict=True):
         _residuals(axes, fit, channel)
