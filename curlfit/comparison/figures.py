@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from curlfit.comparison.result import (
 )
 from curlfit.losses import LOSSES
 from curlfit.noises import NOISES
+from curlfit.numerics.arrays import Floats
 from curlfit.output import figures as draw
 from curlfit.output.figures import Style
 from curlfit.output.panels import (
@@ -53,21 +54,9 @@ def comparison_figure(comparison: Comparison) -> draw.Picture:
     """
     if comparison.sets:
         return _figure_of_sets(comparison)
-    shown = [
-        candidate for candidate in comparison.candidates if candidate.fitted is not None
-    ]
-    styles = [
-        replace(
-            style,
-            width=1.5 if candidate.follows else 0.9,
-            zorder=3 + len(shown) - number,  # the best above all others
-        )
-        for number, (candidate, style) in enumerate(
-            zip(shown, draw.line_styles(len(shown)), strict=True)
-        )
-    ]
+    fits = _fits(comparison)
     lacking = comparison.lacking
-    height = 4.0 + 0.2 * len(shown)
+    height = 4.0 + 0.2 * len(fits)
     heights = [height / 2, height / 2]
     if lacking is not None:
         heights.append(2.0)
@@ -78,18 +67,15 @@ def comparison_figure(comparison: Comparison) -> draw.Picture:
     residual, sizes = below_path
     lettered = [path, residual]
 
-    _paths(path, comparison, shown, styles)
-    _residuals(residual, comparison, shown, styles)
-    plot_rows(sizes, _sizes(shown))
+    _paths(path, comparison, fits)
+    _residuals(residual, comparison, fits)
+    plot_rows(sizes, _sizes(fits))
     sizes.set_xscale("log")
     size = "bulk" if LOSSES[comparison.loss].is_robust else "rms"
     sizes.set_xlabel(f"{size} of the residuals\nbold: follows the path")
     sizes.legend(ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
     if lacking is not None:
-        style_by_label = {
-            candidate.label: style
-            for candidate, style in zip(shown, styles, strict=True)
-        }
+        style_by_label = {fit.candidate.label: fit.style for fit in fits}
         panels: Any = rows[2].subgridspec(1, len(COMPONENTS)).subplots()
         _lacking(panels, lacking, style_by_label)
         lettered.append(panels[0])
@@ -100,43 +86,58 @@ def comparison_figure(comparison: Comparison) -> draw.Picture:
     return figure
 
 
-def _paths(
-    axes: Axes,
-    comparison: Comparison,
-    shown: Sequence[Candidate],
-    styles: Sequence[Style],
-) -> None:
+@dataclass(frozen=True)
+class _Fit:
+    """The path of a candidate at the times of the data, in m, and how it is drawn."""
+
+    candidate: Candidate
+    x: Floats
+    y: Floats
+    style: Style
+
+
+def _fits(comparison: Comparison) -> list[_Fit]:
+    """The candidates that were fitted, the best first and drawn above all others."""
+    path_by_candidate = [
+        (candidate, candidate.fitted)
+        for candidate in comparison.candidates
+        if candidate.fitted is not None
+    ]
+    count = len(path_by_candidate)
+    fits = []
+    for number, style in enumerate(draw.line_styles(count)):
+        candidate, path = path_by_candidate[number]
+        width = 1.5 if candidate.follows else 0.9
+        style = replace(style, width=width, zorder=3 + count - number)
+        x = np.array(path["x"])
+        y = np.array(path["y"])
+        fits.append(_Fit(candidate, x, y, style))
+    return fits
+
+
+def _paths(axes: Axes, comparison: Comparison, fits: Sequence[_Fit]) -> None:
     """The path as measured and as each candidate fits it, seen from above."""
     observed = comparison.observed
     x = np.array(observed["x"], float)
     y = np.array(observed["y"], float)
     paths = [Series(y, x, draw.DATA, "data")]
-    for candidate, style in zip(shown, styles, strict=True):
-        label = candidate.label
-        if candidate.rank is not None:
-            label = f"{candidate.rank}. {label}"
-        if NOISES[candidate.noise].has_discrepancy:
+    for fit in fits:
+        label = fit.candidate.label
+        if fit.candidate.rank is not None:
+            label = f"{fit.candidate.rank}. {label}"
+        if NOISES[fit.candidate.noise].has_discrepancy:
             label += ", law alone"
-        fitted = candidate.fitted or {}
-        paths.append(Series(np.array(fitted["y"]), np.array(fitted["x"]), style, label))
+        paths.append(Series(fit.y, fit.x, fit.style, label))
     plot_path(axes, paths)
-    draw.title(axes, f"{draw.file_name(comparison.data['file'])}: {len(shown)} fits")
+    draw.title(axes, f"{draw.file_name(comparison.data['file'])}: {len(fits)} fits")
     axes.legend(loc="upper left", bbox_to_anchor=(1.1, 1.04), labelspacing=0.3)
 
 
-def _residuals(
-    axes: Axes,
-    comparison: Comparison,
-    shown: Sequence[Candidate],
-    styles: Sequence[Style],
-) -> None:
+def _residuals(axes: Axes, comparison: Comparison, fits: Sequence[_Fit]) -> None:
     """The residuals of x of each candidate over time."""
     t = np.array(comparison.observed["t"], float)
     x = np.array(comparison.observed["x"], float)
-    residuals = []
-    for candidate, style in zip(shown, styles, strict=True):
-        fitted = np.array((candidate.fitted or {})["x"])
-        residuals.append(Series(t, (x - fitted) / _MILLI, style))
+    residuals = [Series(t, (x - fit.x) / _MILLI, fit.style) for fit in fits]
     plot_residuals(axes, residuals, label="residual of x (mm)")
 
 
@@ -214,7 +215,7 @@ def _figure_of_sets(comparison: Comparison) -> draw.Picture:
     return figure
 
 
-def _sizes(shown: Sequence[Candidate]) -> list[Row]:
+def _sizes(fits: Sequence[_Fit]) -> list[Row]:
     """Sizes of the residuals of each candidate by channel, in mm and mrad."""
     style_by_channel = {
         "x": replace(_MARK, fill="white"),
@@ -222,13 +223,14 @@ def _sizes(shown: Sequence[Candidate]) -> list[Row]:
         "phi": replace(_MARK, marker="^", fill="0.7"),
     }
     rows = []
-    for candidate in shown:
+    for fit in fits:
         values = []
-        for channel, size in candidate.residual_size.items():
+        for channel, size in fit.candidate.residual_size.items():
             if channel in style_by_channel:
                 unit = "mrad" if channel == "phi" else "mm"
                 label = f"${draw.CHANNEL_LABEL[channel]}$ ({unit})"
                 style = style_by_channel[channel]
                 values.append(RowValue(size / _MILLI, style, label=label))
-        rows.append(Row(candidate.label, values, bold=bool(candidate.follows)))
+        follows = bool(fit.candidate.follows)
+        rows.append(Row(fit.candidate.label, values, bold=follows))
     return rows
