@@ -330,7 +330,10 @@ def plot_rate(
     if curves:
         low = min(float(np.min(curve.values)) for curve in curves)
         high = max(float(np.max(curve.values)) for curve in curves)
-        axes.set_ylim(0 if low >= 0 else None, 0 if high <= 0 <= -low else None)
+        if low >= 0:
+            axes.set_ylim(bottom=0)
+        elif high <= 0:
+            axes.set_ylim(top=0)
 
 
 def measured_rate(
@@ -414,9 +417,9 @@ def plot_rows(axes: Axes, rows: Sequence[Row], common: Interval | None = None) -
             last = row.values[-1]
             axes.hlines(height, first.value, last.value, color=first.style.color, lw=1)
         for value in row.values:
-            new = replace(value, label="") if value.label in labels else value
-            labels.add(value.label)
-            plot_value(axes, height, new)
+            label = "" if value.label in labels else value.label
+            labels.add(label)
+            plot_value(axes, height, replace(value, label=label))
         if row.remark:
             axes.text(
                 0.5,

@@ -214,7 +214,12 @@ def test_without_measured_speeds_they_are_slopes_and_say_so():
 
 @pytest.mark.parametrize(
     ("values", "zero_ends"),
-    [(1 + T, (True, False)), (-1 - T, (False, True)), (T - 5, (False, False))],
+    [
+        (1 + T, (True, False)),
+        (-1 - T, (False, True)),
+        (T - 5, (False, False)),
+        (0 * T, (True, False)),
+    ],
 )
 def test_the_axis_of_a_rate_ends_at_zero_where_the_law_has_one_sign(
     axes, values, zero_ends
