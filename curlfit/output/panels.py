@@ -352,30 +352,44 @@ def measured_rate(
     sources = ("x", "y") if rate == "speed" else ("phi",)
     series = [channels[source] for source in sources if source in channels]
     if series:
-        times, slopes, duration = measured_slopes(channels["t"], *series)
-        if len(times):
-            values = np.hypot(*slopes) if rate == "speed" else slopes[0]
-            label = f"slopes of the data over {duration:.2g} s"
-            return Series(times, values, style, label)
+        slopes = measured_slopes(channels["t"], *series)
+        if len(slopes.at):
+            rates = slopes.values
+            values = np.hypot(*rates) if rate == "speed" else rates[0]
+            label = f"slopes of the data over {slopes.duration:.2g} s"
+            return Series(slopes.at, values, style, label)
     return Series(np.zeros(0), np.zeros(0), style)
 
 
-def measured_slopes(t: Floats, *series: Floats) -> tuple[Floats, Floats, float]:
-    """Slopes of straight lines through groups of successive rows: measured
-    speeds and spins.
+@dataclass(frozen=True)
+class Slopes:
+    """Slopes of series at times.
 
-    Returns
-    -------
-    mean times of the groups, slopes of each series there, and the duration of a group,
-    s. There are at most 40 groups of at least three rows; rows with a gap in any series
-    are left out.
+    Attributes
+    ----------
+    at : mean times of groups of rows, s.
+    values : slopes there, of the unit of each series over s, shape (series, groups).
+    duration : of a group, s; the median of all.
+    """
+
+    at: Floats
+    values: Floats
+    duration: float
+
+
+def measured_slopes(t: Floats, *series: Floats) -> Slopes:
+    """Slopes of straight lines through groups of successive rows: measured speeds and
+    spins.
+
+    There are at most 40 groups of at least three rows, or none if there are too few
+    rows; rows with a gap in any series are left out.
     """
     complete = np.isfinite(series).all(0)
     t = t[complete]
     values = np.array(series)[:, complete]
     number = min(_SLOPES, len(t) // 3)
     if number < 2:
-        return np.zeros(0), np.zeros((len(series), 0)), 0.0
+        return Slopes(np.zeros(0), np.zeros((len(series), 0)), 0.0)
     middles = []
     slopes = []
     durations = []
@@ -387,7 +401,8 @@ def measured_slopes(t: Floats, *series: Floats) -> tuple[Floats, Floats, float]:
             middles.append(middle)
             slopes.append(values[:, rows] @ dt / (dt @ dt))
             durations.append(duration)
-    return np.array(middles), np.transpose(slopes), float(np.median(durations))
+    usual = float(np.median(durations))
+    return Slopes(np.array(middles), np.transpose(slopes), usual)
 
 
 # --- values by row --------------------------------------------------------------------
