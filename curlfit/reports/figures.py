@@ -483,13 +483,13 @@ def _distance(axes: Axes, moving: Mapping[str, Floats], events: Events) -> None:
             time = crossing + event.value - fitted
             plot_value(axes, at, RowValue(time, ERROR_BARS, event.sigma))
         elif event.quantity == "y":
-            place = Series(
+            rest = Series(
                 t[-1:],
                 np.array([event.value]),
                 ERROR_BARS,
                 sigma=np.array([event.sigma]),
             )
-            plot(axes, place)
+            plot(axes, rest)
     axes.set(xlabel="t (s)", ylabel="along the sheet, y (m)", xlim=(0, None))
 
 
